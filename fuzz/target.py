@@ -27,6 +27,7 @@ MODULES = {
     "mqtt_watch": "fuzz.mqtt",
     "spool": "fuzz.mqtt",
     "metrics": "fuzz.metrics",
+    "nmea": "fuzz.nmea",
     "mcap_bytes": "fuzz.recordings",
     "mcap_messages": "fuzz.recordings",
     "settings": "fuzz.tables",

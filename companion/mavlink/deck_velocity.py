@@ -4,7 +4,8 @@ Guidance commands velocities as if the surface below were still. An AR.Drone mea
 that it sees, which is the deck; an autopilot measures them over the ground, so a ship under way would leave it behind, and a
 heaving deck would rise faster than guidance corrects for. The pad's velocity over the ground is the autopilot's velocity plus the
 pad's velocity relative to the body. The horizontal part is a mean over some seconds, which keeps the ship's way and removes the
-waves; it is held while the pad is out of sight. The vertical part is the current heave; it is zero while the pad is out of sight.
+waves; it is held while the pad is out of sight, and after that the ship's own report of her velocity stands for it. The vertical
+part is the current heave; it is zero while the pad is out of sight.
 """
 
 from __future__ import annotations
@@ -45,16 +46,22 @@ class DeckVelocity:
 
     Args:
         believe: returns the belief about the pad at an instant.
+        reported: returns the ship's own report of her velocity, (2,) m/s north and east; None if there is no fresh one.
     """
 
-    def __init__(self, believe: Callable[[MonoNs], RelativeState | None], autopilot: Moving) -> None:
-        self._believe, self._autopilot = believe, autopilot
+    def __init__(
+        self,
+        believe: Callable[[MonoNs], RelativeState | None],
+        autopilot: Moving,
+        reported: Callable[[MonoNs], F64 | None] = lambda now: None,
+    ) -> None:
+        self._believe, self._autopilot, self._reported = believe, autopilot, reported
         self._velocity = np.zeros(3)
         self._known_s = 0.0
         self._at: MonoNs | None = None
 
     def __call__(self, now: MonoNs) -> F64:
-        """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of the pad."""
+        """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of pad and ship."""
         measured = self._measured(now)
         if self._at is not None and seconds_between(self._at, now) > FORGET_S:
             self._velocity, self._known_s, self._at = np.zeros(3), 0.0, None
@@ -67,8 +74,11 @@ class DeckVelocity:
             self._at = now
         elif self._at is not None and seconds_between(self._at, now) > HEAVE_S:
             self._velocity = self._velocity * (1.0, 1.0, 0.0)
-        speed = math.hypot(self._velocity[0], self._velocity[1])
-        return self._velocity * min(1.0, _MOST_M_S / max(speed, 1e-9))
+        velocity = self._velocity
+        if self._at is None and (v_ship := self._reported(now)) is not None:
+            velocity = np.array([*v_ship, 0.0])
+        speed = math.hypot(velocity[0], velocity[1])
+        return velocity * min(1.0, _MOST_M_S / max(speed, 1e-9))
 
     def _measured(self, now: MonoNs) -> F64 | None:
         """Return the pad's velocity over the ground at this instant, or None if it cannot be determined."""

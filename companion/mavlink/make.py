@@ -74,7 +74,7 @@ class AutopilotPart:
         )
         async with opening as autopilot:
             self._links, autopilot.links.tap = autopilot.links, self._tap
-            autopilot.deck_velocity = DeckVelocity(self._pilot.belief, autopilot)
+            autopilot.deck_velocity = DeckVelocity(self._pilot.belief, autopilot, self._pilot.vessel_velocity)
             async with speaking(self.component, autopilot, self._clock):
                 self._open = autopilot
                 try:

@@ -13,6 +13,7 @@ import asyncio
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
+from functools import partial
 from typing import Protocol
 
 import cv2
@@ -21,7 +22,7 @@ from companion.guidance.mission import FAULTS
 from companion.operator.orders import HandledOrder
 from companion.runtime.containment import Audience
 from companion.runtime.health import Health
-from companion.runtime.missing_inputs import missing_inputs
+from companion.runtime.missing_inputs import SHIP_PLACE, missing_inputs
 from companion.runtime.observer import Decision, Observer, ProcessedFrame
 from companion.runtime.pilot import FlightOutcome, Pilot
 from companion.runtime.restart_options import RestartOptions
@@ -33,7 +34,7 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.ports import Clock
-from estimator.contracts.samples import Attitude, Frame, Sample
+from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample
 from estimator.contracts.time import seconds_between
 from estimator.vision.thesis.detection import Detection
 
@@ -73,6 +74,7 @@ class Daemon:
         once: whether `run` ends with the first flight; otherwise it waits for the next one.
         health: the health that is shared with parts made before the daemon; if absent, a new one is made.
         extras: parts by name that run beside the flight. Their failures do not affect it.
+        reports: the ship's reports from other sources than the vehicle's link; None where there are none.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class Daemon:
         once: bool = False,
         health: Health | None = None,
         extras: Mapping[str, Body] | None = None,
+        reports: Line[Sample] | None = None,
     ) -> None:
         self._open_link = open_link
         self._pilot = pilot
@@ -104,6 +107,8 @@ class Daemon:
         self._wrong_size_logged = False
         self._logged = ("", "")
         self._extras = dict(extras or {})
+        if reports is not None:
+            self._extras["ship_reports"] = partial(self._read_reports, reports)
         self.health = health or Health(clock)
         self._audience = Audience(observers, self.health)
         pilot.operator.on_order = self._on_order
@@ -144,14 +149,22 @@ class Daemon:
 
     async def _read_samples(self, link: VehicleLink) -> None:
         async for sample in link.samples:
-            self.health.beat(type(sample).__name__)
-            results = self._pilot.on_sample(sample)
-            for result in results:
-                self.health.input(type(sample).__name__, result.verdict)
-                self.health.fusion(result)
-            self._audience.on_sample(sample)
-            for result in results:
-                self._audience.on_fusion(sample.stamp.received_at, result)
+            self._take(sample)
+
+    async def _read_reports(self, reports: Line[Sample]) -> None:
+        async for sample in reports:
+            self._take(sample)
+
+    def _take(self, sample: Sample) -> None:
+        kind = type(sample).__name__
+        self.health.beat(SHIP_PLACE if isinstance(sample, GeoFix) and sample.whose == "vessel" else kind)
+        results = self._pilot.on_sample(sample)
+        for result in results:
+            self.health.input(kind, result.verdict)
+            self.health.fusion(result)
+        self._audience.on_sample(sample)
+        for result in results:
+            self._audience.on_fusion(sample.stamp.received_at, result)
 
     async def _read_frames(self, link: VehicleLink) -> None:
         overtaken = 0

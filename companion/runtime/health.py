@@ -199,6 +199,8 @@ class HealthSnapshot:
     fusion: tuple[FusionState, ...] = ()
     """Results of the estimator's measurements, by path and source."""
     mission: MissionHealth = field(default_factory=MissionHealth)
+    awaited: frozenset[str] = frozenset()
+    """Flows that the settings ask for beside those of every flight."""
 
 
 class Health:
@@ -217,6 +219,8 @@ class Health:
         self.delays: dict[str, Delays] = {}
         self.flows: dict[str, Flow] = {}
 
+        self.awaited: frozenset[str] = frozenset()
+        """Flows that the settings ask for beside those of every flight."""
         self._decided: tuple[Decision, float | None] | None = None
         self._transitions: Counter[tuple[str, str, str, str]] = Counter()
         self._flights: Counter[str] = Counter()
@@ -349,6 +353,7 @@ class Health:
             counters=self._counted(),
             fusion=self.fusion_states(),
             mission=self._mission(),
+            awaited=self.awaited,
         )
 
 

@@ -278,6 +278,10 @@ class Pilot:
         """Return the number of places of the ship that were taken, and of reports that were refused, by reason."""
         return self._vessel_track.counted()
 
+    def vessel_velocity(self, now: MonoNs) -> F64 | None:
+        """Return the velocity that the ship reports, (2,) m/s north and east; None if there is no fresh report of it."""
+        return vessel_track.velocity_ned(self._vessel_track, now)
+
     def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
         """Process a sample. Return its fusion results, path by path."""
         self.operator.on_sample(sample)

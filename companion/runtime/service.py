@@ -17,17 +17,23 @@ from companion.runtime.beside import RestartablePart
 from companion.runtime.daemon import Daemon
 from companion.runtime.event_loop import heeded
 from companion.runtime.health import Health
+from companion.runtime.missing_inputs import SHIP_PLACE
 from companion.runtime.notify import Manager, Pulse, watchdog_interval_s
 from companion.runtime.observer import Observer
 from companion.runtime.pilot import FlightOutcome, Pilot
 from companion.runtime.supervise import Body
 from companion.runtime.vehicle_parts import vehicle_parts
 from drivers.clock import SystemClock
+from drivers.mailbox import Line
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Sample
 
 log = logging.getLogger(__name__)
+
+_REPORTS_MAX = 64
+"""Reports of the ship that may wait; the oldest is dropped."""
 
 if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does not need it
     from drivers.mavlink.links import Tap
@@ -57,6 +63,18 @@ def make_daemon(
     vehicle = vehicle_parts(settings, pilot, health, ticking, recording, tap)
     watching += vehicle.observers
     extras |= vehicle.extras
+    reports: Line[Sample] | None = None
+    if settings.vessel.nmea or settings.vessel.mqtt:
+        reports = Line(_REPORTS_MAX)
+    if settings.vessel.nmea and reports is not None:
+        from companion.runtime.sentences import SentencesPart
+
+        sentences = SentencesPart(settings.vessel, reports, ticking)
+        extras["sentences"] = sentences.run
+        health.counters("sentences", sentences.counted)
+    if tells_ship_s_place(settings):
+        health.awaited = frozenset({SHIP_PLACE})
+        health.counters("ship_place", pilot.vessel_counts)
     if settings.mqtt.transport != "off":
         from companion.mqtt.make import make_mqtt
 
@@ -95,7 +113,14 @@ def make_daemon(
         once=once,
         health=health,
         extras=extras,
+        reports=reports,
     )
+
+
+def tells_ship_s_place(settings: Settings) -> bool:
+    """Return whether the settings name a source of the ship's place."""
+    by_link = isinstance(settings.vehicle, AutopilotOptions) and settings.vehicle.vessel_id != 0
+    return by_link or bool(settings.vessel.nmea) or settings.vessel.mqtt
 
 
 def _pulse(pilot: Pilot, health: Health, clock: Clock) -> Pulse | None:

@@ -120,6 +120,12 @@ class SampleOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("standard deviation of the rangefinder if its messages do not give it", "m", 0.001, 10.0)
     ] = 0.03
     sigma_baro_m: Annotated[float, number("standard deviation of the barometer", "m", 0.001, 100.0)] = 0.5
+    sigma_fix_m: Annotated[
+        float, number("standard deviation of the autopilot's place on the Earth, on each horizontal axis", "m", 0.01, 100.0)
+    ] = 2.0
+    sigma_vessel_fix_m: Annotated[
+        float, number("the same of the place that the ship reports, where she does not claim a larger one", "m", 0.01, 100.0)
+    ] = 2.5
     sigma_vessel_velocity_m_s: Annotated[
         float, number("standard deviation of each axis of the velocity that the ship reports", "m/s", 0.001, 10.0)
     ] = 0.2

@@ -23,7 +23,13 @@ _VALUES_MAX = 4096
 _INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
 """MAV_PARAM_TYPE to struct layout, for integers that travel as bytes in a float."""
 
-COMMON_RATES_HZ = {"EXTENDED_SYS_STATE": 5.0, "SYS_STATUS": 1.0, "ATTITUDE_QUATERNION": 100.0, "LOCAL_POSITION_NED": 50.0}
+COMMON_RATES_HZ = {
+    "EXTENDED_SYS_STATE": 5.0,
+    "SYS_STATUS": 1.0,
+    "ATTITUDE_QUATERNION": 100.0,
+    "LOCAL_POSITION_NED": 50.0,
+    "GLOBAL_POSITION_INT": 5.0,
+}
 RATES_HZ: dict[Stack, dict[str, float]] = {
     Stack.ARDUPILOT: COMMON_RATES_HZ | {"RAW_IMU": 100.0, "DISTANCE_SENSOR": 20.0, "SCALED_PRESSURE": 10.0},
     Stack.PX4: COMMON_RATES_HZ | {"HIGHRES_IMU": 100.0, "DISTANCE_SENSOR": 20.0},

@@ -18,8 +18,9 @@ from drivers.mavlink.boot_clock import MS_WRAP_NS, BootClock, boot_ms, boot_us
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import SampleOptions
 from drivers.mavlink.vehicle import ARMED, Condition, Stack, flying_of, mode_name
+from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 
 G_M_S2 = 9.80665
@@ -30,6 +31,10 @@ _NO_HEADING, _HEADING_MAX_CDEG = 65535, 36_000
 _ANGLE_MAX_RAD = 4.0 * math.pi
 _TURN_MAX_RAD_S, _FORCE_MAX_M_S2 = 100.0, 400.0
 """Beyond what a multicopter's inertial sensors can measure: 4,000 degrees/s and 32 g are the widest there are."""
+_SHIP_CLOCK = ClockMapOptions(resolution_s=0.001, floor_sigma_s=0.05, window_s=600.0, jump_s=5.0)
+"""The ship's clock over a radio link. The window is long, so that a link that becomes slow is told as late reports."""
+_HAS_PLACE, _HAS_VELOCITY = 1 << 0, 1 << 1
+"""Bits of FOLLOW_TARGET's est_capabilities."""
 _PLACE_MAX_M, _SPEED_MAX_M_S = 1e6, 150.0
 _PRESSURE_HPA = (100.0, 1200.0)
 
@@ -67,7 +72,8 @@ class MavlinkSampler:
         self._landed_state = 0
         self._quaternions = False
         self._status_at: MonoNs | None = None
-        self._vessel_clock = ClockMap(ClockMapOptions(wrap_ns=MS_WRAP_NS, resolution_s=0.001, floor_sigma_s=0.05))
+        self._vessel_clock = ClockMap(replace(_SHIP_CLOCK, wrap_ns=MS_WRAP_NS))
+        self._follow_clock = ClockMap(_SHIP_CLOCK)
         self._table: dict[str, Callable[[Message, MonoNs], list[Sample]]] = {
             "HEARTBEAT": self._heartbeat,
             "EXTENDED_SYS_STATE": self._extended,
@@ -75,6 +81,7 @@ class MavlinkSampler:
             "ATTITUDE_QUATERNION": self._attitude,
             "ATTITUDE": self._attitude_angles,
             "LOCAL_POSITION_NED": self._position,
+            "GLOBAL_POSITION_INT": self._global,
             "RAW_IMU": self._raw_imu,
             "HIGHRES_IMU": self._highres_imu,
             "DISTANCE_SENSOR": self._distance,
@@ -93,23 +100,47 @@ class MavlinkSampler:
             return []
 
     def vessel(self, message: Message, received_at: MonoNs) -> list[Sample]:
-        """GLOBAL_POSITION_INT of the ship's own system."""
-        if message.get_type() != "GLOBAL_POSITION_INT":
+        """GLOBAL_POSITION_INT or FOLLOW_TARGET of the ship's own system."""
+        name = message.get_type()
+        if name not in ("GLOBAL_POSITION_INT", "FOLLOW_TARGET"):
             return []
+        try:
+            return self._vessel_position(message, received_at) if name[0] == "G" else self._follow_target(message, received_at)
+        except ValueError:
+            self.refused[name] += 1
+            return []
+
+    def _vessel_position(self, message: Message, received_at: MonoNs) -> list[Sample]:
         if message.hdg > _HEADING_MAX_CDEG and message.hdg != _NO_HEADING:
             self.refused[message.get_type()] += 1
             return []
+        place = _place(message.lat, message.lon, 1e-3 * message.alt)
+        v_ned = _within(_SPEED_MAX_M_S, *(0.01 * v for v in (message.vx, message.vy, message.vz)))
         stamp = self._vessel_clock.stamp(boot_ms(message.time_boot_ms), received_at)
         known = message.hdg != _NO_HEADING
         return [
+            *([] if place is None else [GeoFix(stamp, "vessel", place, self._o.sigma_vessel_fix_m, v_ned)]),
             VesselReport(
                 stamp,
-                np.array([message.vx, message.vy, message.vz]) * 0.01,
+                v_ned,
                 np.eye(3) * self._o.sigma_vessel_velocity_m_s**2,
                 math.radians(message.hdg * 0.01) if known else None,
                 self._o.sigma_vessel_heading_rad if known else None,
-            )
+            ),
         ]
+
+    def _follow_target(self, m: Message, received_at: MonoNs) -> list[Sample]:
+        """What a ground station on board, or a beacon, sends of the ship's place; its covariances count if they are larger."""
+        place = _place(m.lat, m.lon, _within(_PLACE_MAX_M, m.alt)[0]) if m.est_capabilities & _HAS_PLACE else None
+        v_ned = _within(_SPEED_MAX_M_S, *m.vel) if m.est_capabilities & _HAS_VELOCITY else None
+        claimed_m = m.position_cov[0] if math.isfinite(m.position_cov[0]) else 0.0
+        stamp = self._follow_clock.stamp(m.timestamp * 1_000_000, received_at)
+        out: list[Sample] = []
+        if place is not None:
+            out.append(GeoFix(stamp, "vessel", place, max(claimed_m, self._o.sigma_vessel_fix_m), v_ned))
+        if v_ned is not None:
+            out.append(VesselReport(stamp, v_ned, np.eye(3) * self._o.sigma_vessel_velocity_m_s**2, None, None))
+        return out
 
     def status(self, now: MonoNs, *, link_ok: bool) -> VehicleStatus:
         """The newest condition as a sample."""
@@ -173,6 +204,13 @@ class MavlinkSampler:
         v_level = Rotation.from_rpy(0.0, 0.0, yaw_rad).inv @ v_body_ned
         return [BodyVelocity(stamp, v_level, np.eye(3) * self._o.sigma_velocity_m_s**2)]
 
+    def _global(self, m: Message, received_at: MonoNs) -> list[Sample]:
+        place = _place(m.lat, m.lon, 1e-3 * m.alt)
+        v_ned = _within(_SPEED_MAX_M_S, *(0.01 * v for v in (m.vx, m.vy, m.vz)))
+        if place is None:
+            return []
+        return [GeoFix(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), "vehicle", place, self._o.sigma_fix_m, v_ned)]
+
     def _raw_imu(self, m: Message, received_at: MonoNs) -> list[Sample]:
         if self._stack is not Stack.ARDUPILOT:
             # Only there is "raw" known to mean milli-g and mrad/s in body axes.
@@ -206,6 +244,17 @@ class MavlinkSampler:
             raise ValueError("pressure")
         stamp = self._clock.stamp(boot_ms(m.time_boot_ms), received_at)
         return [Baro(stamp, height_of_pressure_m(100.0 * m.press_abs), self._o.sigma_baro_m)]
+
+
+def _place(lat_1e7: int, lon_1e7: int, height_m: float) -> GeoPoint | None:
+    """Return a place of MAVLink's integers; None for the one where autopilots without a fix are.
+
+    Raises:
+        ValueError: there is no such place.
+    """
+    if lat_1e7 == 0 and lon_1e7 == 0:
+        return None
+    return GeoPoint.of_degrees(1e-7 * lat_1e7, 1e-7 * lon_1e7, height_m)
 
 
 def _within(limit: float, *values: float) -> F64:

@@ -24,11 +24,30 @@ from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.vehicle import ARMED, Stack, custom_mode, mode_name
+from estimator.contracts.geodesy import moved
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.ports import Clock
+from sitl.gnss import ORIGIN
 
 EPOCH_NS = 5_000_000_000
 """The autopilot booted this long before this process' clock began."""
+
+
+def global_position(boot_ms: int, p_ned: F64, v_ned: F64, heading_deg: float | None = None) -> Message:
+    """Return the GLOBAL_POSITION_INT of a system at `p_ned`, (3,) m from the simulated world's origin.
+
+    Args:
+        v_ned: (3,) m/s.
+        heading_deg: heading, clockwise from north; None for unknown.
+    """
+    place = moved(ORIGIN, p_ned)
+    latitude, longitude = (round(1e7 * math.degrees(a)) for a in (place.latitude_rad, place.longitude_rad))
+    height_mm = 0 if place.height_m is None else round(1e3 * place.height_m)
+    heading = 65535 if heading_deg is None else round(100.0 * (heading_deg % 360.0))
+    v = [round(100.0 * float(c)) for c in v_ned]
+    return mav.MAVLink_global_position_int_message(
+        boot_ms, latitude, longitude, height_mm, round(-1e3 * float(p_ned[2])), *v, heading
+    )
 
 
 @dataclass
@@ -170,6 +189,7 @@ class FakeAutopilot:
             mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: lambda: mav.MAVLink_local_position_ned_message(
                 self.boot_ms, *self.p_ned, *self.v_ned
             ),
+            mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: lambda: global_position(self.boot_ms, self.p_ned, self.v_ned),
             mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda: mav.MAVLink_extended_sys_state_message(0, self.landed_state),
             mav.MAVLINK_MSG_ID_SYS_STATUS: lambda: mav.MAVLink_sys_status_message(0, 0, 0, 0, 12000, -1, 83, 0, 0, 0, 0, 0, 0),
             mav.MAVLINK_MSG_ID_RAW_IMU: lambda: mav.MAVLink_raw_imu_message(

@@ -136,3 +136,15 @@ async def test_velocities_go_to_the_autopilot_with_the_decks_way_on_top() -> Non
             await until(arrived)
     last = next(m for m in reversed(told()) if m.vz > 0.1)
     assert (last.vx, last.vy, last.vz) == pytest.approx((forward[0] + 1.5, forward[1] - 0.5, 0.2), abs=1e-3)
+
+
+def test_the_ship_s_report_stands_for_it_where_the_pad_was_never_seen_and_gives_way_to_sight() -> None:
+    scene = Scene(np.array([1.2, -0.9, 0.0]))
+    seen = False
+    way = DeckVelocity(lambda now: scene.believe(now) if seen else None, scene, lambda now: np.array([3.0, 1.0]))
+    assert run(way, scene, 1.0) == pytest.approx([3.0, 1.0, 0.0])
+    seen = True
+    assert run(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
+    seen = False
+    assert run(way, scene, 5.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
+    assert run(way, scene, FORGET_S) == pytest.approx([3.0, 1.0, 0.0])

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from drivers.mavlink.boot_clock import BootClock
-from drivers.mavlink.dialect import mav
+from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.samples import MavlinkSampler
 from drivers.mavlink.timesync import TimeSync
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VehicleStatus, VesselReport
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs
 
 NOW = MonoNs(9_000_000_000)
@@ -142,13 +142,58 @@ def test_status_follows_mode_motors_and_ground() -> None:
 
 
 def test_the_vessel_reports_its_velocity_and_bow() -> None:
-    (sample,) = sampler().vessel(mav.MAVLink_global_position_int_message(4000, 1, 2, 3, 4, 150, -250, 50, 12345), NOW)
+    place = (543_210_000, 102_030_000, 12_500, 4)
+    fix, sample = sampler().vessel(mav.MAVLink_global_position_int_message(4000, *place, 150, -250, 50, 12345), NOW)
+    assert isinstance(fix, GeoFix)
+    assert fix.whose == "vessel"
+    assert np.degrees([fix.place.latitude_rad, fix.place.longitude_rad]) == pytest.approx([54.321, 10.203])
+    assert fix.place.height_m == pytest.approx(12.5)
+    assert fix.v_ned == pytest.approx((1.5, -2.5, 0.5))
     assert isinstance(sample, VesselReport)
     assert sample.v_vessel_ned == pytest.approx((1.5, -2.5, 0.5))
     assert sample.heading_rad == pytest.approx(math.radians(123.45))
-    (sample,) = sampler().vessel(mav.MAVLink_global_position_int_message(4000, 1, 2, 3, 4, 150, -250, 50, 65535), NOW)
-    assert isinstance(sample, VesselReport)
+    (sample,) = sampler().vessel(mav.MAVLink_global_position_int_message(4000, 0, 0, 3, 4, 150, -250, 50, 65535), NOW)
+    assert isinstance(sample, VesselReport), "0 N 0 E is where receivers without a fix are"
     assert sample.heading_rad is None
+
+
+def follow_target(**changed: Any) -> Message:
+    fields = {
+        "timestamp": 4000, "est_capabilities": 3, "lat": 543_210_000, "lon": 102_030_000, "alt": 12.5, "vel": [1.5, -2.5, 0.5],
+        "acc": [0, 0, 0], "attitude_q": [0, 0, 0, 0], "rates": [0, 0, 0], "position_cov": [6.0, 9.0, 0], "custom_state": 0,
+    }  # fmt: skip
+    return mav.MAVLink_follow_target_message(**{**fields, **changed})
+
+
+def test_a_follow_target_is_the_ship_s_place_and_velocity_as_far_as_it_says_so() -> None:
+    fix, report = sampler().vessel(follow_target(), NOW)
+    assert isinstance(fix, GeoFix)
+    assert (fix.whose, fix.sigma_m, fix.place.height_m) == ("vessel", 6.0, 12.5)
+    assert isinstance(report, VesselReport)
+    assert report.v_vessel_ned == pytest.approx((1.5, -2.5, 0.5))
+    assert [type(s) for s in sampler().vessel(follow_target(est_capabilities=1), NOW)] == [GeoFix]
+    assert [type(s) for s in sampler().vessel(follow_target(est_capabilities=2), NOW)] == [VesselReport]
+    s = sampler()
+    for wrong in ({"alt": math.nan}, {"vel": [math.inf, 0, 0]}, {"lat": 910_000_000}):
+        assert s.vessel(follow_target(**wrong), NOW) == []
+    assert s.refused == {"FOLLOW_TARGET": 3}
+
+
+def test_a_ship_s_report_that_comes_10_s_late_says_so_for_minutes() -> None:
+    s = sampler()
+    for n in range(30):
+        s.vessel(follow_target(timestamp=1000 * n), MonoNs(NOW + n * 10**9))
+    for n in range(30, 90):
+        fix, _ = s.vessel(follow_target(timestamp=1000 * n), MonoNs(NOW + (n + 10) * 10**9))
+        assert fix.stamp.delay_s == pytest.approx(10.0, abs=0.1)
+
+
+def test_the_vehicle_s_own_place_is_a_sample() -> None:
+    message = mav.MAVLink_global_position_int_message(4000, 543_210_000, 102_030_000, 12_500, 4, 150, -250, 50, 0)
+    (fix,) = sampler().samples(message, NOW)
+    assert isinstance(fix, GeoFix)
+    assert (fix.whose, fix.place.height_m) == ("vehicle", 12.5)
+    assert sampler().samples(mav.MAVLink_global_position_int_message(4000, 0, 0, 12_500, 4, 0, 0, 0, 0), NOW) == []
 
 
 def test_what_is_not_finite_is_refused_and_counted() -> None:

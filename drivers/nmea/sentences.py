@@ -1,0 +1,231 @@
+"""Sentences of NMEA 0183 (RMC, GGA, VTG, HDT) and AIS (VDM, VDO of one ship) to samples. No I/O; nothing on the wire raises.
+
+pynmea2 and pyais take the sentences apart. Every sentence needs its checksum, every number is checked before it is used, and what
+is not taken is counted by its reason.
+
+Source: NMEA 0183 version 4.11; ITU-R M.1371-5, annex 8, tables 48 and 70 (position reports of classes A and B).
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pyais
+import pynmea2
+
+from drivers.clock_map import ClockMap, ClockMapOptions
+from estimator.contracts.geodesy import GeoPoint
+from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, VesselReport
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
+
+KNOT_M_S = 1852.0 / 3600.0
+DATAGRAM_MAX = 2048
+_LINES_MAX = 16
+_DAY_NS, _MINUTE_NS = 86_400 * NS_PER_S, 60 * NS_PER_S
+_ARRIVAL_SIGMA_S = 0.2
+"""Standard deviation of the instant of a sentence without a time."""
+_FIX_SIGMA_M = 2.5
+"""Standard deviation of a place at a dilution of precision of 1."""
+_RMC_SIGMA_M = 5.0
+"""The same of a sentence that does not tell its precision."""
+_AIS_SIGMA_M = {True: 5.0, False: 10.0}
+"""The same by the flag of AIS, which tells only whether it is better than 10 m."""
+_SPEED_SIGMA_M_S, _HEADING_SIGMA_RAD = 0.2, math.radians(2.0)
+_SPEED_MAX_KN = 102.0
+_COURSE_FROM_M_S = 0.3
+"""Speed below which a receiver may leave the course out."""
+_AIS_REPORTS = (1, 2, 3, 18)
+
+Samples = list[GeoFix | VesselReport]
+
+
+class NmeaReader:
+    """Reads the sentences of one ship.
+
+    Args:
+        mmsi: whose AIS reports are taken; 0 for nobody's.
+    """
+
+    def __init__(self, mmsi: int = 0) -> None:
+        self._mmsi = mmsi
+        # The window is long, so that a link that becomes slow is told as late reports and not as another clock.
+        self._day = ClockMap(_options(_DAY_NS, 0.01))
+        self._minute = ClockMap(_options(_MINUTE_NS, 1.0))
+        self.taken: Counter[str] = Counter()
+        """The number of sentences that gave a sample, by kind."""
+        self.refused: Counter[str] = Counter()
+        """The number of sentences that were not taken, by reason."""
+        self._table: dict[str, Callable[[Any, MonoNs], Samples]] = {
+            "RMC": self._rmc, "GGA": self._gga, "VTG": self._vtg, "HDT": self._hdt,
+        }  # fmt: skip
+
+    def samples(self, datagram: bytes, received_at: MonoNs) -> Samples:
+        """Return every sample in one datagram."""
+        out: Samples = []
+        for line in self._lines(datagram):
+            try:
+                out += self._sentence(line, received_at)
+            except _Refused as why:
+                self.refused[str(why)] += 1
+            except Exception:  # the libraries raise many kinds on damaged fields, and none of it may end the part
+                self.refused["malformed"] += 1
+        return out
+
+    def _lines(self, datagram: bytes) -> Iterator[str]:
+        if len(datagram) > DATAGRAM_MAX:
+            self.refused["too_long"] += 1
+            return
+        lines = [line for line in datagram.decode("ascii", "replace").splitlines() if line.strip()]
+        if len(lines) > _LINES_MAX:
+            self.refused["too_long"] += len(lines) - _LINES_MAX
+        yield from lines[:_LINES_MAX]
+
+    def _sentence(self, line: str, received_at: MonoNs) -> Samples:
+        line = line.strip()
+        if line.startswith("\\"):  # a TAG block of NMEA 4 before the sentence
+            line = line[1:].partition("\\")[2]
+        if not checked(line):
+            raise _Refused("checksum")
+        if line.startswith("!"):
+            return self._counted("AIS", self._ais(line, received_at))
+        kind = line[3:6]
+        if kind not in self._table:
+            self.refused["other_sentence"] += 1
+            return []
+        return self._counted(kind, self._table[kind](pynmea2.parse(line, check=True), received_at))
+
+    def _counted(self, kind: str, made: Samples) -> Samples:
+        self.taken[kind] += 1
+        return made
+
+    def _rmc(self, m: Any, received_at: MonoNs) -> Samples:
+        if m.status != "A":
+            raise _Refused("no_fix")
+        place, v = _place(m), _velocity(m.spd_over_grnd, m.true_course)
+        stamp = self._day.stamp(_time_ns(m.timestamp), received_at)
+        return [GeoFix(stamp, "vessel", place, _RMC_SIGMA_M, v), *_moving(stamp, v)]
+
+    def _gga(self, m: Any, received_at: MonoNs) -> Samples:
+        if _number(m.gps_qual) < 1:
+            raise _Refused("no_fix")
+        sigma_m = _FIX_SIGMA_M * max(1.0, _number(m.horizontal_dil))
+        place = _place(m, _number(m.altitude))
+        return [GeoFix(self._day.stamp(_time_ns(m.timestamp), received_at), "vessel", place, sigma_m)]
+
+    def _vtg(self, m: Any, received_at: MonoNs) -> Samples:
+        return _moving(_arrival(received_at), _velocity(m.spd_over_grnd_kts, m.true_track))
+
+    def _hdt(self, m: Any, received_at: MonoNs) -> Samples:
+        heading_deg = _number(m.heading)
+        if m.hdg_true != "T" or not 0.0 <= heading_deg <= 360.0:
+            raise _Refused("impossible")
+        return [VesselReport(_arrival(received_at), None, None, math.radians(heading_deg), _HEADING_SIGMA_RAD)]
+
+    def _ais(self, line: str, received_at: MonoNs) -> Samples:
+        if line.split(",")[1] != "1":
+            raise _Refused("other_sentence")  # position reports are never longer than one sentence
+        m: Any = pyais.decode(line.encode("ascii"), error_if_checksum_invalid=True)
+        if m.msg_type not in _AIS_REPORTS:
+            raise _Refused("other_sentence")
+        if self._mmsi == 0 or int(m.mmsi) != self._mmsi:
+            raise _Refused("other_ship")
+        try:
+            place = GeoPoint.of_degrees(_number(m.lat), _number(m.lon))
+        except ValueError:  # 91 and 181 say that there is no fix
+            raise _Refused("no_fix") from None
+        v = _velocity(m.speed, m.course if _number(m.course) < 360.0 else None) if _number(m.speed) <= _SPEED_MAX_KN else None
+        known = _number(m.second) < 60
+        stamp = self._minute.stamp(int(m.second) * NS_PER_S, received_at) if known else _arrival(received_at)
+        out: Samples = [GeoFix(stamp, "vessel", place, _AIS_SIGMA_M[bool(m.accuracy)], v), *_moving(stamp, v)]
+        if 0 <= _number(m.heading) < 360:
+            out.append(VesselReport(stamp, None, None, math.radians(_number(m.heading)), _HEADING_SIGMA_RAD))
+        return out
+
+
+class _Refused(Exception):
+    """A sentence is not taken; the text is the name of the counter."""
+
+
+def checked(sentence: str) -> bool:
+    """Return whether a sentence begins as one and ends with the exclusive-or of what lies between."""
+    body, star, digits = sentence[1:].rpartition("*")
+    if sentence[:1] not in ("$", "!") or not star or len(digits) != 2:
+        return False
+    check = 0
+    for letter in body:
+        check ^= ord(letter)
+    return f"{check:02X}" == digits.upper()
+
+
+def _options(wrap_ns: int, resolution_s: float) -> ClockMapOptions:
+    return ClockMapOptions(wrap_ns=wrap_ns, resolution_s=resolution_s, floor_sigma_s=0.1, window_s=600.0, jump_s=5.0)
+
+
+def _arrival(received_at: MonoNs) -> Stamp:
+    return Stamp(received_at, received_at, _ARRIVAL_SIGMA_S, "arrival")
+
+
+def _number(value: object) -> float:
+    """Return a field as a finite number.
+
+    Raises:
+        _Refused: it is none, or left out.
+    """
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        raise _Refused("malformed") from None
+    if not math.isfinite(number):
+        raise _Refused("impossible")
+    return number
+
+
+def _time_ns(value: object) -> int:
+    """Return the time of day, nanoseconds.
+
+    Raises:
+        _Refused: it is left out or none.
+    """
+    if not isinstance(value, datetime.time):
+        raise _Refused("malformed")
+    return (value.hour * 3600 + value.minute * 60 + value.second) * NS_PER_S + value.microsecond * 1000
+
+
+def _place(m: Any, height_m: float | None = None) -> GeoPoint:
+    """Return the place of a sentence.
+
+    Raises:
+        _Refused: there is no such place, or a part of it is left out.
+    """
+    if m.lat_dir not in ("N", "S") or m.lon_dir not in ("E", "W") or not m.lat or not m.lon:
+        raise _Refused("malformed")
+    try:
+        return GeoPoint.of_degrees(float(m.latitude), float(m.longitude), height_m)
+    except ValueError:
+        raise _Refused("impossible") from None
+
+
+def _velocity(speed_kn: object, course_deg: object) -> np.ndarray[tuple[int], np.dtype[np.float64]] | None:
+    """Return the velocity over the ground, (3,) m/s in ned; None if a ship that moves tells no course.
+
+    Raises:
+        _Refused: the speed is left out, or no ship's.
+    """
+    speed = KNOT_M_S * _number(speed_kn)
+    if not 0.0 <= speed <= KNOT_M_S * _SPEED_MAX_KN:
+        raise _Refused("impossible")
+    if course_deg in (None, ""):
+        return np.zeros(3) if speed < _COURSE_FROM_M_S else None
+    course = math.radians(_number(course_deg))
+    return np.array([speed * math.cos(course), speed * math.sin(course), 0.0])
+
+
+def _moving(stamp: Stamp, v: np.ndarray[tuple[int], np.dtype[np.float64]] | None) -> Samples:
+    if v is None:
+        return []
+    return [VesselReport(stamp, v, np.diag([_SPEED_SIGMA_M_S**2, _SPEED_SIGMA_M_S**2, UNKNOWN_VAR]), None, None)]
