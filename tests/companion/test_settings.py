@@ -89,7 +89,7 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
         (
             {"a b": 1},
             '"a b" is not a known key; known here are vehicle, camera, pad, vision, estimator, guidance, service, recorder, '
-            "mqtt, metrics, landing_target, bridge, operator, limits",
+            "mqtt, metrics, landing_target, bridge, operator, limits, vessel",
         ),
         ({"line\nbreak ` - at `$.vehicle.host`": 1}, None),
         ({"vision": 3}, "vision must be a table of keys, found 3"),
@@ -135,6 +135,7 @@ UNITS = {
 GAINS_AND_RATIOS = {
     "slope",
     "battery",
+    "mmsi",
     "return_charge",
     "take_off_charge_min",
     "normalized_nis",
@@ -220,9 +221,11 @@ def good_settings(draw: st.DrawFn) -> Settings:
             table.update(restart_first_s=0.1, restart_most_s=1.0)
     data.setdefault("operator", {}).update(socket="auto")
     data.setdefault("limits", {}).update(fence_polygon="")
+    data.setdefault("vessel", {}).update(age_max_s=5.0, forget_s=30.0, nmea="", nmea_from="", mmsi=0, mqtt=False)
     data["camera"].update(reconnect_first_s=0.1, reconnect_most_s=1.0, controls="", device="usb")
     data["camera"].update(draw(st.sampled_from([{"source": "v4l2"}, {"source": "stream"}, {"source": "vehicle", "device": ""}])))
     guidance.setdefault("thesis", {}).update(final_height_m=0.2, approach_height_m=1.0)
+    guidance.setdefault("rendezvous", {}).update(reached_m=1.0, range_m=8.0, spacing_m=2.0, extent_m=10.0)
     guidance.setdefault("tries", {}).update(climb_after_s=1.0, give_up_after_s=9.0)
     guidance.setdefault("cone", {}).update(gate_height_m=0.3, commit_rate_m_s=0.4, commit_s=3.0)
     return from_mapping(data, "drawn")
