@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from msgspec import structs
 
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.options import PidOptions
@@ -45,15 +46,25 @@ class PidController:
             wanted[2], along[2] = estimate.height_m, target.descent_rate_m_s
         # Whether the estimate will do is the mission's to say; the controller flies what it is given.
         given = replace(estimate, sighted=now, at=now, consistent=True)
-        memory, command = pid_step(memory, self._options, now, given, SetPoint(wanted, target.yaw_rad, along), 1.0)
+        limited = _within(self._options, target)
+        memory, command = pid_step(memory, limited, now, given, SetPoint(wanted, target.yaw_rad, along), 1.0)
         if not isinstance(command, Velocity):
             return memory, command
         v = np.array(command.v_level)
-        if target.descent_rate_m_s is None:
-            v[2] = min(target.vertical_rate_max_m_s, max(-target.vertical_rate_max_m_s, v[2]))
-        speed = float(np.hypot(v[0], v[1]))
-        if speed > target.speed_max_m_s:
-            v[:2] *= target.speed_max_m_s / speed
         if self._heaves and knowledge.deck is not None:
             v[2] += knowledge.deck.v_level[2]
         return memory, Velocity(v, command.yaw_rate_rad_s)
+
+
+def _within(options: PidOptions, target: Target) -> PidOptions:
+    """Return the options with the target's limits: the integrals must know what is truly flown."""
+    speed = min(options.speed_max_m_s, target.speed_max_m_s)
+    if target.descent_rate_m_s is not None:
+        return structs.replace(options, speed_max_m_s=speed)
+    rate = target.vertical_rate_max_m_s
+    return structs.replace(
+        options,
+        speed_max_m_s=speed,
+        climb_max_m_s=min(options.climb_max_m_s, rate),
+        descent_rate_max_m_s=min(options.descent_rate_max_m_s, rate),
+    )

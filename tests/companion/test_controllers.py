@@ -3,19 +3,23 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from msgspec import structs
 
 from companion.config.settings import camera_model, from_mapping, load, response_model
+from companion.guidance.controller import Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.follow_deck import FollowDeck
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.pid_controller import PidController
 from companion.guidance.response import response_from_mapping
 from companion.runtime.make_pilot import field_of_view, law_of
+from estimator.contracts.commands import Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.vision.camera import Camera
+from tests.companion.mission_flights import estimate, ns
 
 SETTINGS = load("sim")
 RESPONSE = response_model(SETTINGS)
@@ -30,6 +34,21 @@ def test_the_setting_chooses_the_law(name: str, kind: type) -> None:
 def test_a_controller_that_is_not_installed_is_refused_with_those_that_are() -> None:
     with pytest.raises(BadInput, match=r"no controller 'mpc'; known are follow_deck, pid"):
         make_controller(ControllerSetup(GuidanceOptions(controller="mpc"), RESPONSE))
+
+
+def test_a_way_flown_at_the_targets_own_limits_leaves_nothing_in_the_integrals_of_the_pid() -> None:
+    law = PidController(GuidanceOptions().pid)
+    memory = law.start()
+    target = Target(np.array([0.0, 0.0, 2.0]), speed_max_m_s=0.4, vertical_rate_max_m_s=0.2)
+    for n in range(500):
+        far = Knowledge(ns(0.02 * n), estimate(0.02 * n, [0.8, 0.0, 2.4]))
+        memory, command = law.step(memory, far.at, far, target)
+        assert isinstance(command, Velocity)
+        assert command.v_level == pytest.approx([0.4, 0.0, 0.2], abs=1e-9)
+    there = Knowledge(ns(10.0), estimate(10.0, [0.0, 0.0, 2.0]))
+    _, command = law.step(memory, there.at, there, target)
+    assert isinstance(command, Velocity)
+    assert command.v_level == pytest.approx([0.0, 0.0, 0.0], abs=0.01)
 
 
 @pytest.mark.parametrize(

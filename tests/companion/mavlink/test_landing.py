@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import Counter
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 import numpy as np
+import pytest
 
 import companion.config.settings as settings_of
 from companion.mavlink.make import AutopilotPart
@@ -100,6 +102,7 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
     assert landing.on_deck
     assert landing.lateral_m < 0.2
     assert landing.speed_m_s < 0.8
+    assert landing.yaw_rad == pytest.approx(math.radians(30.0), abs=0.1), "the heading of the start is kept"
 
     percents = [m.progress for m in craft.of("COMMAND_ACK") if m.command == mav.MAV_CMD_NAV_LAND]
     assert len(percents) > 3, "the landing reports on"
