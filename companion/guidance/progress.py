@@ -63,6 +63,8 @@ class Progress:
     """What keeps the gate shut."""
     place_known: MonoNs | None = None
     """Time of the newest cycle in which the ship's place was known by reports."""
+    on_way: MonoNs | None = None
+    """Time of the newest cycle on the way to the ship, where the drone leans for its own speed."""
     search_leg: int = 0
     """Number of the corner of the search pattern that the drone flies to."""
     newest_track: int | None = None

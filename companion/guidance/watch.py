@@ -30,6 +30,8 @@ _ASIDE_M = 0.3
 _BELOW_DECK_M = 0.6
 """A drone on deck without sight may be estimated some decimetres away from it."""
 _BLIND_MARGIN_M = 0.1
+_LEAN_SETTLES_S = 6.0
+"""Time after the way to the ship in which the mean lean still holds that of the drone's own speed: twice the mean's time."""
 
 
 def fit_in(state: State, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
@@ -44,6 +46,8 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     p = replace(p, last=s.at, since_last_s=since_last_s, since=s.at if p.since is None else p.since)
     if p.state not in FLOWN:
         return p
+    if p.state is State.RENDEZVOUS:
+        p = replace(p, on_way=s.at)
     if s.place is not None:
         p = replace(p, place_known=s.at)
         if p.state is State.SEARCH:
@@ -135,8 +139,8 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[H
     if p.state is State.GO_AROUND and not begins:
         return
     lean_deg = None if s.lean_rad is None else math.degrees(s.lean_rad)
-    # On the way to the ship it leans for its own speed.
-    if p.state is not State.RENDEZVOUS and lean_deg is not None and lean_deg > o.limits.wind_lean_deg:
+    slow = p.on_way is None or seconds_between(p.on_way, s.at) > _LEAN_SETTLES_S
+    if slow and lean_deg is not None and lean_deg > o.limits.wind_lean_deg:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.WIND, lean_deg, o.limits.wind_lean_deg)
     if p.state in (State.SEARCH, State.RENDEZVOUS) and isinstance(s.vessel, Reason) and fit_in(p.state, s, o) is not None:
         known = max((at for at in (p.since, p.place_known) if at is not None), default=s.at)

@@ -113,6 +113,25 @@ def test_a_ship_that_is_never_reached_is_given_up() -> None:
     assert p.state is State.GAVE_UP
 
 
+def test_the_lean_of_the_way_is_not_taken_for_wind_and_that_of_the_wind_is() -> None:
+    o = GuidanceOptions(rendezvous=OPTIONS)
+    way_s, lean = 3.0, math.radians(o.limits.wind_lean_deg + 2.0)
+    p, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
+    states = []
+    for n in range(round((way_s + 10.0) / DT)):
+        t = n * DT
+        far_away = [60.0, 0.0] if t < way_s else [OPTIONS.range_m, 0.0]
+        s = GuidanceCycle(ns(t), Knowledge(ns(t), None), lean_rad=lean if t > 0.5 else 0.0, vessel=place(far_away, t=t))
+        p, _, changes = mission_step(p, s, o, over_ground=False)
+        states.append(p.state)
+        if p.state is State.REFUSED:
+            assert changes[-1].reason.cause is ReasonCause.WIND
+            break
+    assert State.RENDEZVOUS in states
+    assert states[-1] is State.REFUSED
+    assert way_s + 5.0 < len(states) * DT < way_s + 7.0
+
+
 def test_the_square_expands_and_begins_again() -> None:
     corners = [tuple(rendezvous.expanding_square(n)) for n in range(7)]
     assert corners == [(0, 0), (1, 0), (1, 1), (-1, 1), (-1, -1), (2, -1), (2, 2)]
