@@ -1,7 +1,8 @@
-"""Fuzz what comes from a broker: commands, other drones' messages for `decklander watch`, and the spool after a crash."""
+"""Fuzz what comes from a broker: commands, a ship's reports, other drones' messages for `watch`; and the spool after a crash."""
 
 from __future__ import annotations
 
+import math
 import shutil
 import tempfile
 import zlib
@@ -29,12 +30,14 @@ from companion.mqtt.messages import (
     VehicleState,
     encode,
 )
+from companion.mqtt.ship_reports import ShipReportReader
 from companion.mqtt.signature import signed
 from companion.mqtt.spool import Spool
 from companion.mqtt.topics import ROOT, Topics, split
 from companion.mqtt.watch_model import WatchModel
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
+from estimator.contracts.samples import GeoFix
 from estimator.contracts.time import MonoNs
 from fuzz.target import SHARED_MEMORY, Choices, Target, block
 
@@ -104,6 +107,35 @@ def command_seeds() -> Iterator[bytes]:
     for row in rows[:5]:
         yield b"\1\0" + block(msgspec.json.encode(row))
     yield b"\0\2" + block(b"decklander/v1/drone/reply/x") + block(msgspec.json.encode(rows[0])) + b"\0" + block(b'{"id": "9"}')
+
+
+def run_ship_report(data: bytes) -> None:
+    """Send payloads to the topic of the ship, signed or not: each is a place on the Earth, not ahead of time, or one refusal."""
+    choices = Choices(data)
+    topics, key = Topics("drone"), KEY if choices.number(1) & 1 else None
+    reader, now, sent = ShipReportReader(topics, RUN, key), 1_000_000_000_000, 0
+    while choices:
+        how, payload = choices.number(1), choices.block()
+        if how & 2:
+            payload = signed(KEY, topics.vessel, payload)
+        samples, sent = reader.samples(payload, MonoNs(now), retained=bool(how & 1)), sent + 1
+        now += (how >> 2) * 100_000_000
+        assert not (samples and (how & 1 or (key is not None and not how & 2)))
+        for sample in samples:
+            assert sample.stamp.measured_at <= sample.stamp.received_at
+            assert not isinstance(sample, GeoFix) or abs(sample.place.latitude_rad) <= 0.5 * math.pi
+    assert sum(reader.counts.values()) == sent
+
+
+def ship_report_seeds() -> Iterator[bytes]:
+    """Yield a whole report, the least of one, a copy, and one ahead of time."""
+    least = {"run": RUN, "at_ns": 999_000_000_000, "latitude_deg": 54.4, "longitude_deg": -10.2}
+    whole = least | {
+        "at_ns": 999_500_000_000, "height_m": 6.5, "sigma_m": 2.5, "speed_m_s": 1.5, "course_deg": 350.0, "heading_deg": 359.9,
+    }  # fmt: skip
+    rows = [block(msgspec.json.encode(row)) for row in (least, whole, whole, whole | {"at_ns": 2_000_000_000_000})]
+    yield b"\0" + b"".join(b"\4" + row for row in rows)
+    yield b"\1" + b"".join(b"\6" + row for row in rows)
 
 
 def run_watch(data: bytes) -> None:
@@ -203,6 +235,7 @@ def spool_seeds() -> Iterator[bytes]:
 
 TARGETS = {
     "mqtt_command": Target(run_command, command_seeds),
+    "mqtt_ship_report": Target(run_ship_report, ship_report_seeds),
     "mqtt_watch": Target(run_watch, watch_seeds),
     "spool": Target(run_spool, spool_seeds),
 }

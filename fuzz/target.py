@@ -24,6 +24,7 @@ MODULES = {
     "mavlink_codec": "fuzz.mavlink",
     "mavlink_signing": "fuzz.mavlink",
     "mqtt_command": "fuzz.mqtt",
+    "mqtt_ship_report": "fuzz.mqtt",
     "mqtt_watch": "fuzz.mqtt",
     "spool": "fuzz.mqtt",
     "metrics": "fuzz.metrics",

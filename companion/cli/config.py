@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from companion.config import reference
 from companion.config.effect import without_effect
 from companion.config.referenced_files import check_files
-from companion.config.settings import load, shipped
+from companion.config.settings import Settings, load, shipped
+from companion.config.ship_place import contradiction
 from companion.guidance import mission_page
 from estimator.contracts.errors import BadInput
 
@@ -60,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
             except BadInput as why:
                 raise BadInput(f"{file}: {why}") from why
             sys.stdout.write(f"{file}: good{not_checked(unchecked)}\n")
-            for line in without_effect(settings):
+            for line in remarks(settings):
                 sys.stdout.write(f"{file}: {line}\n")
     elif args.action == "show":
         sys.stdout.write(reference.toml(load(args.file)))
@@ -71,6 +72,12 @@ def run(args: argparse.Namespace) -> int:
     else:
         sys.stdout.write(reference.reference())
     return 0
+
+
+def remarks(settings: Settings) -> tuple[str, ...]:
+    """Return a line for each thing in good settings that is hardly what their author meant."""
+    found = contradiction(settings)
+    return (*without_effect(settings), *(() if found is None else (f"{found.what}: {found.fix}",)))
 
 
 def not_checked(keys: Sequence[str]) -> str:

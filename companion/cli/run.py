@@ -6,8 +6,7 @@ import argparse
 import logging
 import sys
 
-from companion.cli.config import not_checked
-from companion.config.effect import without_effect
+from companion.cli.config import not_checked, remarks
 from companion.config.referenced_files import check_files
 from companion.config.settings import Settings, load, shipped
 from companion.mavlink.options import BridgeOptions
@@ -66,11 +65,11 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
             f"recorder: {'on, into ' + settings.recorder.folder if settings.recorder.enabled else 'off'}\n"
             f"mqtt: {_broker(settings)}\n"
             f"metrics: {settings.metrics.endpoint}\n"
-            f"files: found{not_checked(unchecked)}\n" + "".join(f"{line}\n" for line in without_effect(settings))
+            f"files: found{not_checked(unchecked)}\n" + "".join(f"{line}\n" for line in remarks(settings))
         )
         return 0
     log_to_stderr(settings)
-    for line in without_effect(settings):
+    for line in remarks(settings):
         log.warning(line)
     daemon = make_daemon(settings, pilot, observers=[proven], once=args.once)
     outcome = event_loop.run(live(daemon, pilot))

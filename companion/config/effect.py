@@ -10,6 +10,7 @@ from typing import Any
 
 from companion.config.model import Settings
 from companion.config.refusal import walk
+from companion.config.ship_place import sources
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput
 
@@ -56,6 +57,13 @@ _RULES = (
         lambda s: s.limits.fence != "off" and bool(s.limits.fence_polygon),
         "there is limits.fence_polygon",
     ),
+    _Rule(
+        "guidance.rendezvous.",
+        lambda s: not s.guidance.rendezvous.enabled,
+        "guidance.rendezvous.enabled is false",
+        "guidance.rendezvous.enabled",
+    ),
+    _Rule("vessel.", lambda s: not sources(s), "no source of the ship's place is set"),
     _Rule("operator.gamepad_device", lambda s: s.operator.gamepad == "off", 'operator.gamepad is "off"'),
     _Rule("landing_target.", lambda s: isinstance(s.vehicle, ArDroneOptions), 'vehicle.kind is "ardrone"'),
     _Rule("bridge.", lambda s: not s.bridge.links.strip(), "bridge.links is empty"),

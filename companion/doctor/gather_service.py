@@ -12,6 +12,7 @@ from prometheus_client.samples import Sample
 from companion.config import secret_files
 from companion.config.model import Settings
 from companion.config.settings import camera_model, pad_model
+from companion.config.ship_place import contradiction
 from companion.doctor.snapshot import ServiceSnapshot
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.video_source import open_camera
@@ -22,6 +23,11 @@ from estimator.contracts.time import seconds_between
 _FIRST_FRAME_S = 5.0
 """Longest time until a camera's first frame, seconds."""
 _WITHHELD = "withheld_"
+_PLACES = "ship_place"
+_SHIP_SOURCES = (("sentences", "refused_"), ("mqtt", "ship_reports_"))
+"""Parts that read the ship's reports, and the beginning of the names of their counters of refused ones."""
+_NOT_REFUSED = {"ship_reports_taken", "refused_other_sentence"}
+"""Counters among those that are no fault: a ship's network carries many other sentences."""
 
 
 async def examine_service(
@@ -46,7 +52,7 @@ async def examine_service(
 
 
 async def _from_settings(settings: Settings, clock: Clock, seconds: float, timeout_s: float) -> ServiceSnapshot:
-    snapshot = ServiceSnapshot()
+    snapshot = ServiceSnapshot(ship_place=contradiction(settings))
     try:
         model = camera_model(settings)
         pad_model(settings)
@@ -108,6 +114,8 @@ def _of_metrics(snapshot: ServiceSnapshot, scraped: list[Sample]) -> ServiceSnap
     medians_s = {
         s.labels["stage"]: s.value for s in scraped if s.name == "decklander_stage_seconds" and s.labels["quantile"] == "0.5"
     }
+    places = {s.labels["name"]: int(s.value) for s in scraped if s.name == "decklander_count" and s.labels["part"] == _PLACES}
+    taken = places.pop("taken", None)
     sent, ranges = counted.get("targets_sent"), counted.get("sends_ranges")
     return structs.replace(
         snapshot,
@@ -115,10 +123,26 @@ def _of_metrics(snapshot: ServiceSnapshot, scraped: list[Sample]) -> ServiceSnap
         exposure_to_belief_s=medians_s.get("exposure_to_belief"),
         targets_sent=None if sent is None else int(sent),
         sends_ranges=None if ranges is None else bool(ranges),
+        places_taken=taken,
+        places_refused=_sources_refused(scraped) | {name.replace("_", " "): n for name, n in places.items()},
         withheld={
             name.removeprefix(_WITHHELD).replace("_", " "): int(n) for name, n in counted.items() if name.startswith(_WITHHELD)
         },
     )
+
+
+def _sources_refused(scraped: list[Sample]) -> dict[str, int]:
+    """Return the number of sentences and reports of the ship that were refused before they told a place, by reason."""
+    out: dict[str, int] = {}
+    for sample in scraped:
+        if sample.name != "decklander_count":
+            continue
+        for part, prefix in _SHIP_SOURCES:
+            name = sample.labels["name"]
+            if sample.labels["part"] == part and name.startswith(prefix) and name not in _NOT_REFUSED:
+                why = name.removeprefix(prefix).replace("_", " ")
+                out[why] = out.get(why, 0) + int(sample.value)
+    return out
 
 
 async def _unreachable(host: str, port: int, timeout_s: float) -> str | None:

@@ -286,10 +286,31 @@ def drone_fault(p: Snapshot) -> Finding | None:
     return None
 
 
+def ship_place(p: Snapshot) -> Finding | None:
+    """Find settings about the ship's place that do not go together."""
+    found = p.service.ship_place
+    if found is None:
+        return None
+    return (error if found.refuses else advice)("ship-place", found.what, found.fix)
+
+
+def ship_silent(p: Snapshot) -> Finding | None:
+    """Find a running service that expects the ship's place and takes none."""
+    s = p.service
+    if s.places_taken != 0:
+        return None
+    refused = ", ".join(f"{why} {n}" for why, n in sorted(s.places_refused.items(), key=lambda i: -i[1]) if n)
+    return warning(
+        "ship-silent",
+        "the service took no place of the ship" + (f"; refused: {refused}" if refused else ": nothing arrives"),
+        "docs/rendezvous.md says what each reason means; nothing arrives: check the address, the port and the firewall",
+    )
+
+
 RULES: tuple[Rule, ...] = (
     link_down, link_silent, link_garbage, link_signature, link_old_version, link_lossy, link_unsigned,
     link_unknown_senders, no_autopilot, several_autopilots,
     stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, camera_fault, camera_device,
     camera_size, camera_slow,
-    broker_fault, drone_fault,
+    broker_fault, drone_fault, ship_place, ship_silent,
 )  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Literal
 import msgspec
 from msgspec import Struct, field
 
+from companion.config.ship_place import Contradiction
 from estimator.contracts.errors import BadInput
 
 
@@ -93,6 +94,12 @@ class ServiceSnapshot(Struct, frozen=True):
     drone: str | None = None
     """Address of the AR.Drone in the settings."""
     drone_fault: str | None = None
+    ship_place: Contradiction | None = None
+    """What does not go together in the settings about the ship's place."""
+    places_refused: dict[str, int] = field(default_factory=dict)
+    """Reports of the ship that the running service refused, by reason."""
+    places_taken: int | None = None
+    """Places of the ship that the running service took; None if no service runs, or none are expected."""
 
 
 class Snapshot(Struct, frozen=True):

@@ -198,7 +198,7 @@ class OperatorNotice(Message, frozen=True, kw_only=True):
     """Retained. What senders of commands have to know; an access list hides it from all others."""
 
     run: str
-    """Identifier of this run of the service, used only in commands: 128 random bits."""
+    """Identifier of this run of the service, used only in commands and the ship's reports: 128 random bits."""
     commands: Literal["signed", "broker"]
     """Whether commands must be signed, or the broker controls who may send them."""
 
@@ -238,6 +238,31 @@ class SetRecordingCommand(OperatorCommand, frozen=True, kw_only=True, tag="recor
     """Switch recording on or off."""
 
     on: bool
+
+
+class ShipReport(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The ship's report of her place, to the drone. Angles are degrees; speed and course need each other."""
+
+    run: Annotated[str, Meta(max_length=64)]
+    """The run that the topic `operator` names; a report for an earlier run is refused."""
+    at_ns: Annotated[int, Meta(ge=0)]
+    """Instant for which it is true, on the drone's clock, ns: the newest `at_ns` received plus the time since its arrival."""
+    latitude_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
+    longitude_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
+    height_m: Annotated[float, Meta(ge=-1000.0, le=20_000.0)] | None = None
+    """Height of the same point above mean sea level."""
+    sigma_m: Annotated[float, Meta(ge=0.01, le=1000.0)] = 5.0
+    """Standard deviation of the place on each horizontal axis."""
+    speed_m_s: Annotated[float, Meta(ge=0.0, le=100.0)] | None = None
+    """Speed over the ground; it needs the course."""
+    course_deg: Annotated[float, Meta(ge=0.0, le=360.0)] | None = None
+    """Direction of the speed, clockwise from true north."""
+    heading_deg: Annotated[float, Meta(ge=0.0, le=360.0)] | None = None
+    """Heading of the bow, clockwise from true north."""
+
+    def __post_init__(self) -> None:
+        if (self.speed_m_s is None) != (self.course_deg is None):
+            raise ValueError("speed_m_s and course_deg need each other")
 
 
 Command = StartCommand | PauseCommand | AbortCommand | SetPathCommand | SetRecordingCommand
@@ -295,7 +320,8 @@ def decode(leaf: str, payload: bytes) -> Message | None:
 
 def schema() -> str:
     """Return the JSON Schema of every message under `$defs`, with one property per line."""
-    models = (*PUBLISHED.values(), StartCommand, PauseCommand, AbortCommand, SetPathCommand, SetRecordingCommand)
+    commands = (StartCommand, PauseCommand, AbortCommand, SetPathCommand, SetRecordingCommand)
+    models = (*PUBLISHED.values(), *commands, ShipReport)
     _, definitions = msgspec.json.schema_components(models, ref_template="#/$defs/{name}")
     whole = []
     for name, definition in sorted(definitions.items()):

@@ -22,10 +22,12 @@ from companion.mqtt.events import Changes, PendingEvent, order_event
 from companion.mqtt.messages import Message, OperatorNotice, StatusMessage, encode
 from companion.mqtt.outbox import Outbox
 from companion.mqtt.settings import MqttSettings
+from companion.mqtt.ship_reports import ShipReportReader
 from companion.mqtt.topics import Topics
 from companion.operator.orders import HandledOrder, OrderSource
 from companion.runtime.health import Health
 from companion.runtime.observer import Decision, ProcessedFrame
+from drivers.mailbox import Line
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.fusion import FusionResult
@@ -49,6 +51,7 @@ class MqttPart:
     Args:
         session: the id of this run of the service.
         version: the software's version, for the status.
+        ship: the reader of the ship's reports, and where its samples are put; None where none are taken.
     """
 
     def __init__(
@@ -62,6 +65,7 @@ class MqttPart:
         *,
         session: str,
         version: str,
+        ship: tuple[ShipReportReader, Line[Sample]] | None = None,
     ) -> None:
         self._settings = settings
         self._endpoint = endpoint
@@ -72,6 +76,7 @@ class MqttPart:
         self._clock = clock
         self._session = session
         self._version = version
+        self._ship = ship
         self._started = clock.now()
         self._started_unix_s = time.time()
         self._changes = Changes()
@@ -114,7 +119,8 @@ class MqttPart:
     def counts(self) -> Mapping[str, float]:
         """Return the counters for health."""
         commands = {f"commands_{name}": n for name, n in self._command_handler.counts.items()}
-        return {**self._counts, **commands, **self._outbox.counts()}
+        reports = {} if self._ship is None else {f"ship_reports_{name}": n for name, n in self._ship[0].counts.items()}
+        return {**self._counts, **commands, **reports, **self._outbox.counts()}
 
     async def run(self) -> None:
         """Serve the broker until cancelled; then send what is left to the broker if it is there, else to disk."""
@@ -163,6 +169,8 @@ class MqttPart:
                 session=self._session, at_ns=self._clock.now(), run=self._command_handler.run, commands=self._settings.commands
             )
             await connection.publish_message(self._topics.operator, encode(notice), qos=1, retain=True)
+            if self._ship is not None:
+                await connection.subscribe_to(self._topics.vessel, qos=1)
         await connection.publish_message(self._topics.status, encode(self._status("up")), qos=1, retain=True)
         self._counts["connections"] += 1
         self._broker_down = False
@@ -171,7 +179,7 @@ class MqttPart:
         s = self._settings
         async with asyncio.TaskGroup() as group:
             group.create_task(self._outbox.deliver(connection))
-            group.create_task(self._take_commands(connection))
+            group.create_task(self._take_publications(connection))
             for leaf, rate_hz, newest in (
                 ("state", s.state_hz, self._newest_state),
                 ("sighting", s.sighting_hz, self._newest_sighting),
@@ -212,16 +220,26 @@ class MqttPart:
     def _newest_health(self) -> Message:
         return encoding.health(self._session, self._health.snapshot())
 
-    async def _take_commands(self, connection: Connection) -> None:
-        recent: deque[MonoNs] = deque(maxlen=self._settings.commands_max_hz)
+    async def _take_publications(self, connection: Connection) -> None:
+        most = self._settings.commands_max_hz
+        recent: dict[bool, deque[MonoNs]] = {False: deque(maxlen=most), True: deque(maxlen=most)}
         async for publication in connection.publications():
-            now = self._clock.now()
-            if len(recent) == recent.maxlen and seconds_between(recent[0], now) < 1.0:
+            now, of_ship = self._clock.now(), publication.topic == self._topics.vessel
+            before = recent[of_ship]
+            if len(before) == most and seconds_between(before[0], now) < 1.0:
                 self._counts["floods"] += 1
-                raise Recoverable(f"flooded: more than {recent.maxlen} commands a second")
-            recent.append(now)
-            if self._settings.commands != "off":
+                raise Recoverable(f"flooded: more than {most} {'reports of the ship' if of_ship else 'commands'} a second")
+            before.append(now)
+            if of_ship:
+                self._take_report(publication, now)
+            elif self._settings.commands != "off":
                 await self._take(connection, publication, now)
+
+    def _take_report(self, publication: Publication, now: MonoNs) -> None:
+        if self._ship is not None:
+            reader, line = self._ship
+            for sample in reader.samples(publication.payload, now, retained=publication.retained):
+                line.offer(sample)
 
     async def _take(self, connection: Connection, publication: Publication, now: MonoNs) -> None:
         handled = self._command_handler.take(

@@ -52,7 +52,9 @@ class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         number("longest back-off; each is twice the one before, reduced by a random part of up to one half", "s", 0.05, 600.0),
     ] = 30.0
-    commands_max_hz: Annotated[int, number("rate of commands above which the connection is closed", "Hz", 1, 60)] = 10
+    commands_max_hz: Annotated[
+        int, number("rate of commands, or of the ship's reports, that closes the connection", "Hz", 1, 60)
+    ] = 10
     spool: Annotated[
         str,
         text(

@@ -59,6 +59,10 @@ class Topics:
         return self.of("operator")
 
     @property
+    def vessel(self) -> str:
+        return self.of("vessel")
+
+    @property
     def reply(self) -> str:
         return self.of("reply")
 

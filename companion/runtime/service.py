@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from companion.config.model import Settings
+from companion.config.ship_place import sources
 from companion.operator.local_socket import OperatorSocket
 from companion.operator.orders import OperatorOrder, OrderSender, OrderSource
 from companion.operator.pilot_operator import PilotOperator
@@ -72,13 +73,14 @@ def make_daemon(
         sentences = SentencesPart(settings.vessel, reports, ticking)
         extras["sentences"] = sentences.run
         health.counters("sentences", sentences.counted)
-    if tells_ship_s_place(settings):
+    if sources(settings):
         health.awaited = frozenset({SHIP_PLACE})
         health.counters("ship_place", pilot.vessel_counts)
     if settings.mqtt.transport != "off":
         from companion.mqtt.make import make_mqtt
 
-        mqtt = RestartablePart("mqtt", lambda: make_mqtt(settings.mqtt, pilot, health, ticking, recording))
+        ship = reports if settings.vessel.mqtt else None
+        mqtt = RestartablePart("mqtt", lambda: make_mqtt(settings.mqtt, pilot, health, ticking, recording, ship))
         watching.append(mqtt)
         extras["mqtt"] = mqtt.run
     if (path := socket_path(settings)) is not None:
@@ -115,12 +117,6 @@ def make_daemon(
         extras=extras,
         reports=reports,
     )
-
-
-def tells_ship_s_place(settings: Settings) -> bool:
-    """Return whether the settings name a source of the ship's place."""
-    by_link = isinstance(settings.vehicle, AutopilotOptions) and settings.vehicle.vessel_id != 0
-    return by_link or bool(settings.vessel.nmea) or settings.vessel.mqtt
 
 
 def _pulse(pilot: Pilot, health: Health, clock: Clock) -> Pulse | None:

@@ -26,6 +26,11 @@ ACL = """
 user drone
 topic write decklander/v1/deck/#
 topic read decklander/v1/deck/command
+topic read decklander/v1/deck/vessel
+user ship
+topic read decklander/v1/+/operator
+topic read decklander/v1/+/health
+topic write decklander/v1/+/vessel
 user ground
 topic read decklander/v1/#
 topic write decklander/v1/+/command
@@ -79,11 +84,11 @@ class Broker:
 
     def write_files(self) -> None:
         (self.folder / "acl").write_text(ACL)
-        (self.folder / "passwords").write_text("".join(f"{user}:{user}-secret\n" for user in ("drone", "ground", "mute")))
+        (self.folder / "passwords").write_text("".join(f"{user}:{user}-secret\n" for user in ("drone", "ship", "ground", "mute")))
         tool = shutil.which("mosquitto_passwd")
         assert tool is not None
         subprocess.run([tool, "-U", "passwords"], cwd=self.folder, check=True, capture_output=True)
-        for user in ("drone", "ground", "mute", "wrong"):
+        for user in ("drone", "ship", "ground", "mute", "wrong"):
             (self.folder / f"{user}.password").write_text(f"{user}-secret\n")
             (self.folder / f"{user}.password").chmod(0o600)
         for name in ("acl", "passwords"):

@@ -32,6 +32,11 @@ AUTOPILOT: dict[str, Any] = ARDRONE | {"vehicle": {"kind": "mavlink", "links": "
         (ARDRONE | {"mqtt": {"host": "127.0.0.1"}}, ()),
         (ARDRONE | {"bridge": {"system_id": 7}}, ("bridge.system_id: without effect, as bridge.links is empty",)),
         (ARDRONE | {"metrics": {"port": 1}}, ('metrics.port: without effect, as metrics.endpoint is "off"',)),
+        (ARDRONE | {"vessel": {"jump_m": 20.0}}, ("vessel.jump_m: without effect, as no source of the ship's place is set",)),
+        (
+            ARDRONE | {"guidance": {"rendezvous": {"range_m": 9.0}}, "vessel": {"nmea": "127.0.0.1:10110", "mmsi": 7}},
+            ("guidance.rendezvous.range_m: without effect, as guidance.rendezvous.enabled is false",),
+        ),
         (
             AUTOPILOT | {"landing_target": {"ranges": "off", "range_rate_hz": 5.0}},
             ('landing_target.range_rate_hz: without effect, as landing_target.ranges is "off"',),
@@ -61,6 +66,29 @@ def test_check_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().out == f'{file}: good\n{file}: mqtt.host: without effect, as mqtt.transport is "off"\n'
     assert main(["run", "--check", "--config", str(file)]) == 0
     assert 'mqtt.host: without effect, as mqtt.transport is "off"' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ("guidance.rendezvous.enabled = true", "nothing tells where the ship is: set a source (vessel.nmea, vessel.mqtt)"),
+        ('vessel.nmea = "127.0.0.1:10110"', "vessel.nmea: the ship's velocity and heading are used, her place is not"),
+        (
+            'vessel.nmea = "127.0.0.1:10110"\nvessel.mmsi = 211234560\nguidance.rendezvous.enabled = true',
+            "vessel.age_max_s is 5 s, but AIS reports of a ship under way come every 10 s",
+        ),
+        ('vessel.nmea = "127.0.0.1:10110"\nguidance.rendezvous.enabled = true', None),
+    ],
+)
+def test_what_does_not_go_together_about_the_ship_s_place_is_told(
+    lines: str, said: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "own.toml"
+    file.write_text(f'vehicle.kind = "ardrone"\ncamera.file = "sim"\npad.file = "thesis"\n{lines}\n')
+    assert main(["config", "check", str(file)]) == 0
+    told = capsys.readouterr().out.splitlines()[1:]
+    assert [line for line in told if said is not None and said in line] == told
+    assert len(told) == (0 if said is None else 1)
 
 
 @pytest.mark.parametrize(("kd", "told"), [(0.0, 0), (0.3, 1)])

@@ -122,6 +122,9 @@ async def test_a_service_that_runs_is_asked() -> None:
         health.beat("Frame")
         health.delay("exposure_to_belief", 0.08)
     health.counters("mavlink", lambda: {"targets_sent": 0.0, "sends_ranges": 1.0, "withheld_not_seen": 12.0})
+    health.counters("sentences", lambda: {"taken_HDT": 3.0, "refused_checksum": 7.0, "refused_other_sentence": 90.0})
+    health.counters("mqtt", lambda: {"ship_reports_other_run": 2.0, "ship_reports_taken": 1.0, "commands_expired": 5.0})
+    health.counters("ship_place", lambda: {"taken": 0.0, "vessel_stale": 1.0})
     endpoint = MetricsEndpoint(MetricsSettings("http", HOST, 0), health)
     serving = asyncio.create_task(endpoint.run())
     await until(lambda: endpoint.port is not None)
@@ -132,6 +135,7 @@ async def test_a_service_that_runs_is_asked() -> None:
     assert service.exposure_to_belief_s == 0.08
     assert service.frame_rate_hz
     assert (service.targets_sent, service.sends_ranges, service.withheld) == (0, True, {"not seen": 12})
+    assert (service.places_taken, service.places_refused) == (0, {"checksum": 7, "other run": 2, "vessel stale": 1})
 
 
 def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:

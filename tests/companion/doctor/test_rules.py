@@ -7,6 +7,9 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from companion.config.model import Settings
+from companion.config.settings import from_mapping
+from companion.config.ship_place import contradiction
 from companion.doctor.diagnose import RULES, diagnose
 from companion.doctor.finding import Severity
 from companion.doctor.rules_px4 import event_id
@@ -100,6 +103,15 @@ def test_a_cable_and_loopback_need_no_signature() -> None:
     assert diagnose(link(url="udpin://0.0.0.0:14550", signed=True)) == ()
 
 
+def settings_of(**tables: dict[str, Any]) -> Settings:
+    return from_mapping(
+        {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}, **tables}, "mine.toml"
+    )
+
+
+NO_SOURCE = contradiction(settings_of(guidance={"rendezvous": {"enabled": True}}))
+UNUSED = contradiction(settings_of(vessel={"nmea": "127.0.0.1:10110"}))
+
 BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     # what is broken: the rule that names it, the frame, a word of the cure
     "serial port without permission": ("link-down", link(down="[Errno 13] Permission denied: '/dev/ttyAMA0'"), "usermod"),
@@ -129,6 +141,10 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "camera unplugged": ("camera-slow", service(frame_rate_hz=0.0), "cable"),
     "broker not running": ("broker", service(broker_fault="Connect call failed"), "start the broker"),
     "not in the drone's Wi-Fi": ("drone", service(drone_fault="no answer within 2 s"), "Wi-Fi"),
+    "rendezvous without a source": ("ship-place", service(ship_place=NO_SOURCE), "vessel.nmea"),
+    "a place that nobody flies to": ("ship-place", service(ship_place=UNUSED), "enabled = true"),
+    "the ship is silent": ("ship-silent", service(places_taken=0), "firewall"),
+    "her sentences are damaged": ("ship-silent", service(places_taken=0, places_refused={"checksum": 9}), "rendezvous.md"),
     "firmware without precision landing": (
         "plnd-missing",
         ardupilot(parameters=without(*(n for n in ARDUPILOT.parameters if n.startswith("PLND_"))), absent=("PLND_ENABLED",)),

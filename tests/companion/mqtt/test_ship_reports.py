@@ -1,0 +1,118 @@
+"""The ship's reports from a broker: any bytes are samples or a counted refusal; copies, old ones and strangers' are refused."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.mqtt.messages import ShipReport
+from companion.mqtt.ship_reports import REPORT_MAX_BYTES, ShipReportReader
+from companion.mqtt.signature import signed
+from companion.mqtt.topics import Topics
+from estimator.contracts.samples import GeoFix, VesselReport
+from estimator.contracts.time import MonoNs
+from sitl.testing.mqtt_service import RUN
+
+KEY = bytes(range(32))
+NOW = MonoNs(5_000_000_000)
+TOPICS = Topics("deck")
+
+
+def report(**changes: object) -> bytes:
+    fields = {"run": RUN, "at_ns": NOW - 300_000_000, "latitude_deg": 54.4, "longitude_deg": 10.2, **changes}
+    return json.dumps({key: value for key, value in fields.items() if value is not ...}).encode()
+
+
+def test_each_field_goes_where_it_belongs() -> None:
+    whole = report(height_m=6.5, sigma_m=2.5, speed_m_s=2.0, course_deg=30.0, heading_deg=20.0)
+    fix, moving = ShipReportReader(TOPICS, RUN).samples(whole, NOW)
+    assert isinstance(fix, GeoFix)
+    assert isinstance(moving, VesselReport)
+    assert (fix.whose, fix.sigma_m, fix.place.height_m) == ("vessel", 2.5, 6.5)
+    assert (math.degrees(fix.place.latitude_rad), math.degrees(fix.place.longitude_rad)) == pytest.approx((54.4, 10.2))
+    assert fix.stamp == moving.stamp
+    assert (fix.stamp.measured_at, fix.stamp.received_at) == (NOW - 300_000_000, NOW)
+    assert fix.v_ned is not None
+    assert moving.v_vessel_ned is not None
+    assert fix.v_ned == pytest.approx([2.0 * math.cos(math.pi / 6), 1.0, 0.0])
+    assert moving.v_vessel_ned == pytest.approx(fix.v_ned)
+    assert moving.heading_rad == pytest.approx(math.radians(20.0))
+
+
+def test_what_is_left_out_is_not_made_up() -> None:
+    (fix,) = ShipReportReader(TOPICS, RUN).samples(report(), NOW)
+    assert isinstance(fix, GeoFix)
+    assert (fix.v_ned, fix.place.height_m) == (None, None)
+    _, bow = ShipReportReader(TOPICS, RUN).samples(report(heading_deg=0.0), NOW)
+    assert isinstance(bow, VesselReport)
+    assert (bow.v_vessel_ned, bow.heading_rad) == (None, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("payload", "retained", "reason"),
+    [
+        (b"", False, "malformed"),
+        (b"$GPRMC,081836", False, "malformed"),
+        (report(latitude_deg=...), False, "malformed"),
+        (report(latitude_deg=90.1), False, "malformed"),
+        (report(longitude_deg="10.2"), False, "malformed"),
+        (report(longitude_deg=math.nan), False, "malformed"),
+        (report(sigma_m=0.0), False, "malformed"),
+        (report(speed_m_s=2.0), False, "malformed"),
+        (report(knots=2.0), False, "malformed"),
+        (report(at_ns=-1), False, "malformed"),
+        (report() + b" " * REPORT_MAX_BYTES, False, "too_long"),
+        (report(), True, "retained"),
+        (report(run="another"), False, "other_run"),
+        (report(run="\ud800"), False, "malformed"),
+        (report(at_ns=NOW + 1), False, "ahead"),
+    ],
+)
+def test_a_refusal_is_counted_by_its_reason(payload: bytes, retained: bool, reason: str) -> None:
+    reader = ShipReportReader(TOPICS, RUN)
+    assert reader.samples(payload, NOW, retained=retained) == []
+    assert reader.counts == {reason: 1}
+
+
+def test_a_copy_and_an_overtaken_report_are_refused() -> None:
+    reader = ShipReportReader(TOPICS, RUN)
+    assert reader.samples(report(), NOW)
+    assert reader.samples(report(), NOW) == []
+    assert reader.samples(report(at_ns=NOW - 400_000_000), NOW) == []
+    assert reader.samples(report(at_ns=NOW), NOW)
+    assert reader.counts == {"taken": 2, "not_newer": 2}
+
+
+def test_with_a_key_the_signature_must_be_of_this_topic() -> None:
+    reader = ShipReportReader(TOPICS, RUN, KEY)
+    assert reader.samples(report(), NOW) == []
+    assert reader.samples(signed(KEY, TOPICS.command, report()), NOW) == []
+    assert reader.samples(signed(bytes(32), TOPICS.vessel, report()), NOW) == []
+    assert reader.samples(signed(KEY, TOPICS.vessel, report()), NOW)
+    assert reader.counts == {"unsigned": 1, "bad_signature": 2, "taken": 1}
+    assert KEY.hex() not in repr(reader)
+
+
+FIELDS = st.fixed_dictionaries(
+    {},
+    optional={
+        name: st.one_of(st.none(), st.floats(allow_nan=False), st.integers(), st.text(max_size=4), st.floats(-200.0, 200.0))
+        for name in ShipReport.__struct_fields__
+    },
+)
+
+
+@given(st.one_of(st.binary(max_size=60), FIELDS.map(lambda changes: report(**changes))))
+def test_any_bytes_are_a_place_on_the_earth_or_one_counted_refusal(payload: bytes) -> None:
+    reader = ShipReportReader(TOPICS, RUN)
+    for sample in reader.samples(payload, NOW):
+        assert sample.stamp.measured_at <= NOW
+        if isinstance(sample, GeoFix):
+            assert abs(sample.place.latitude_rad) <= 0.5 * math.pi
+            assert sample.v_ned is None or np.all(np.isfinite(sample.v_ned))
+    assert sum(reader.counts.values()) == 1
