@@ -18,6 +18,9 @@ class Loops:
     """Largest roll or pitch that any loop may ask for."""
     yaw_rate_p: float = 2.0
     """1/s."""
+    disturbance_s: float = 0.1
+    """Time in which the loops take up a torque that they did not ask for (`sitl.torque_observer`; assumed). The thesis' loops
+    have no such part and overturn with one motor at 80 %; autopilots have an integral (ATC_RAT_RLL_I, MC_ROLLRATE_I)."""
     velocity_p: float = 5.0
     """1/s: acceleration per m/s of horizontal velocity error while hovering."""
     velocity_d: float = 1.0

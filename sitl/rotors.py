@@ -82,10 +82,14 @@ def thrusts(airframe: Airframe, thrust_n: Num, torque_n_m: Vec) -> Thrusts:
     return tuple(t - r.right * x + r.forward * y + r.spin * z for r in each)
 
 
-def delivered(airframe: Airframe, thrust_n: Num, torque_n_m: Vec, shares: tuple[Num, ...]) -> tuple[Num, Vec]:
-    """Return the thrust and torque that result when each rotor gives only its share of the requested thrust."""
+def delivered(m: MathBackend, airframe: Airframe, thrust_n: Num, torque_n_m: Vec, shares: tuple[Num, ...]) -> tuple[Num, Vec]:
+    """Return the thrust and torque that result when each rotor gives only its share of the requested thrust.
+
+    No rotor is driven harder than to its part of `thrust_max_n`, and none pushes downwards.
+    """
     f = airframe
-    given = tuple(h * n for h, n in zip(shares, thrusts(f, thrust_n, torque_n_m), strict=True))
+    most = f.thrust_max_n / len(shares)
+    given = tuple(h * m.clip(n, 0.0, most) for h, n in zip(shares, thrusts(f, thrust_n, torque_n_m), strict=True))
     if f.layout == "quad_x":
         a, b, c, d = given
         return a + b + c + d, (f.arm_m * (a - b - c + d), f.arm_m * (a + b - c - d), f.yaw_torque_per_thrust_m * (a - b + c - d))

@@ -35,6 +35,7 @@ from sitl.contact import DEEPEST_M, DeckShape, Ground, Relative, Rows, buoyancy,
 from sitl.disturbances import Disturbances, Wind
 from sitl.rotors import Thrusts, delivered, ground_effect, ground_effect_by_rotor, rotors, thrusts
 from sitl.sea import GRAVITY_M_S2
+from sitl.torque_observer import TorqueObserver
 
 Quaternion = tuple[Num, Num, Num, Num]
 DECK, SEA = 1.0, 2.0
@@ -110,6 +111,7 @@ class Vehicle:
         self.flow: tuple[Num, Num] = (zero, zero)
         """m/s forward and right: the velocity the drone itself believes in."""
         self._integral = (zero, zero, zero)
+        self._unasked = TorqueObserver(airframe, step_s, zero)
         self._z_hold: Num = zero
         self.phase: Num = zero
         self.tied: Flag = self._never
@@ -278,10 +280,10 @@ class Vehicle:
         if f.ground_effect == "rotors":
             cushion = ground_effect_by_rotor(m, f, self.shape, r, ground.sea_z - ahead[2])
             shares = tuple(h * k for h, k in zip(self.rotor_health, cushion, strict=True))
-            lift, turn = delivered(f, lift, turn, shares)
+            lift, turn = delivered(m, f, lift, turn, shares)
         else:
             if self.rotor_health != self._healthy:
-                lift, turn = delivered(f, lift, turn, self.rotor_health)
+                lift, turn = delivered(m, f, lift, turn, self.rotor_health)
             lift = lift * ground_effect(m, f, height)
 
         g, u = self.gust, self.extra_wind
@@ -352,10 +354,12 @@ class Vehicle:
         rate_asked = m.where(flying, yaw * limits.yaw_rate_max_rad_s, 0.0)
         x_max, y_max, z_max = f.torque_max_n_m
         ix_, iy_, iz_ = f.inertia_kg_m2
+        motors = (self.phase != VehiclePhase.LANDED) & (self.phase != VehiclePhase.EMERGENCY)
+        ux, uy, uz = self._unasked.step(m, self.w, self.torque_n_m, motors & (self.contact_s <= 0.0))
         torque = (
-            m.clip(ix_ * (k.tilt_p * (phi_asked - phi) - k.tilt_d * self.w[0]), -x_max, x_max),
-            m.clip(iy_ * (k.tilt_p * (theta_asked - theta) - k.tilt_d * self.w[1]), -y_max, y_max),
-            m.clip(iz_ * k.yaw_rate_p * (rate_asked - self.w[2]), -z_max, z_max),
+            m.clip(ix_ * (k.tilt_p * (phi_asked - phi) - k.tilt_d * self.w[0] - ux), -x_max, x_max),
+            m.clip(iy_ * (k.tilt_p * (theta_asked - theta) - k.tilt_d * self.w[1] - uy), -y_max, y_max),
+            m.clip(iz_ * (k.yaw_rate_p * (rate_asked - self.w[2]) - uz), -z_max, z_max),
         )
 
         z, vz = self.p[2], self.v[2]
