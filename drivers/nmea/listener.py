@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -10,6 +11,8 @@ from contextlib import asynccontextmanager
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
+
+log = logging.getLogger(__name__)
 
 HELD_S = 30.0
 """Silence after which another sender is listened to, unless the settings name one."""
@@ -33,14 +36,21 @@ class SentenceListener(asyncio.DatagramProtocol):
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         now, source = self._clock.now(), (addr[0], addr[1])
         if self._sender and source[0] != self._sender:
-            self.refused["wrong_sender"] += 1
+            self._refuse(source, self._sender)
             return
         held = self._held
         if held is not None and held[0] != source and seconds_between(held[1], now) <= HELD_S:
-            self.refused["wrong_sender"] += 1
+            self._refuse(source, "{}:{}".format(*held[0]))
             return
         self._held = (source, now)
         self._received(data, now)
+
+    def _refuse(self, source: tuple[str, int], listened_to: str) -> None:
+        if not self.refused["wrong_sender"]:
+            log.warning(
+                "sentences from %s:%d are refused, those from %s are taken; the next ones are counted only", *source, listened_to
+            )
+        self.refused["wrong_sender"] += 1
 
     def connection_lost(self, exc: Exception | None) -> None:
         if not self.lost.done():

@@ -1,139 +1,134 @@
-"""The ship's reports through the whole service: over UDP or MAVLink in, the way to the ship out as setpoints."""
+"""The ship's reports through the whole service: over UDP or MAVLink in, the way to the ship out as setpoints that are flown."""
 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 import socket
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+import time
+from collections.abc import Callable
 
 import msgspec
 import numpy as np
 import pytest
 
-from companion.config.model import CameraSettings, Settings
-from companion.config.settings import from_mapping, load
+from companion.config.settings import from_mapping
 from companion.guidance.mission import State
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.missing_inputs import missing_inputs
-from companion.runtime.pilot import Pilot
-from companion.runtime.service import make_daemon
+from companion.metrics import exposition
 from drivers.clock import SystemClock
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, open_links
-from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.vehicle import Stack
+from drivers.nmea.sentences import KNOT_M_S
 from estimator.contracts.errors import BadInput
-from estimator.contracts.geodesy import moved
-from sitl.gnss import ORIGIN
+from estimator.contracts.geometry import F64
 from sitl.testing.fake_ardrone import until
-from sitl.testing.fake_autopilot import FakeAutopilot, global_position
-
-HOST = "127.0.0.1"
-SHIP_NED = np.array([48.0, 36.0, -2.0])
-SHIP = 42
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind((HOST, 0))
-        return int(probe.getsockname()[1])
-
-
-def settings_of(port: int, **vessel: object) -> Settings:
-    settings = load("sim")
-    vehicle = AutopilotOptions(links=f"udpin://{HOST}:{port}", command_period_s=0.02, vessel_id=0 if vessel else SHIP)
-    rendezvous = msgspec.structs.replace(settings.guidance.rendezvous, enabled=True)
-    return msgspec.structs.replace(
-        settings,
-        vehicle=vehicle,
-        camera=CameraSettings(settings.camera.file),
-        guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous, controller="pid"),
-        vessel=msgspec.structs.replace(settings.vessel, **vessel),
-        operator=msgspec.structs.replace(settings.operator, socket="off"),
-    )
-
-
-def sentence(body: str) -> bytes:
-    check = 0
-    for letter in body:
-        check ^= ord(letter)
-    return f"${body}*{check:02X}\r\n".encode()
-
-
-def rmc(second: int) -> bytes:
-    at = moved(ORIGIN, SHIP_NED)
-
-    def part(angle_rad: float, width: int, letters: str) -> str:
-        minutes = abs(math.degrees(angle_rad)) * 60.0
-        return f"{int(minutes // 60):0{width}d}{minutes % 60.0:07.4f},{letters[angle_rad < 0.0]}"
-
-    place = f"{part(at.latitude_rad, 2, 'NS')},{part(at.longitude_rad, 3, 'EW')}"
-    return sentence(f"GPRMC,0818{second % 60:02d}.00,A,{place},004.0,090.0,130926,,")
-
-
-@asynccontextmanager
-async def flying(settings: Settings, port: int) -> AsyncIterator[tuple[Pilot, FakeAutopilot, Callable[[], tuple[str, ...]]]]:
-    """The service with an autopilot in the air, 10 m up at the origin, and a landing ordered."""
-    pilot = make_pilot(settings)
-    daemon = make_daemon(settings, pilot)
-    fake = FakeAutopilot(Stack.ARDUPILOT, mode="guided")
-    fake.armed, fake.landed_state, fake.p_ned = True, 2, np.array([0.0, 0.0, -10.0])
-    running = asyncio.create_task(daemon.run())
-    try:
-        async with fake.talking_to(f"udpout://{HOST}:{port}"):
-            await until(lambda: pilot.state is not State.STANDBY)
-            pilot.begin()
-            yield pilot, fake, lambda: missing_inputs(daemon.health.snapshot())
-    finally:
-        daemon.stop()
-        await running
-
-
-def towards_ship(fake: FakeAutopilot) -> bool:
-    """Whether the newest setpoint leads to the ship, with her velocity on top, and not down."""
-    asked = fake.of("SET_POSITION_TARGET_LOCAL_NED")
-    return bool(asked) and asked[-1].vz <= 0.0 and asked[-1].vx > 0.8 and asked[-1].vy > 2.0
+from sitl.testing.fake_autopilot import global_position
+from tests.companion.ship_flights import HOST, SHIP, SHIP_NED, Flying, flying, free_port, rmc, sentence, settings_of
 
 
 async def test_sentences_over_udp_lead_the_drone_to_the_ship() -> None:
     port, nmea = free_port(), free_port()
-    async with flying(settings_of(port, nmea=f"{HOST}:{nmea}"), port) as (pilot, fake, missing):
-        assert "no place from the ship yet" in missing()
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ship:
+    async with flying(settings_of(port, nmea=f"{HOST}:{nmea}"), port) as service:
+        assert "no place from the ship yet" in service.missing()
+        with udp() as ship:
             for tenth in range(300):
                 if tenth % 10 == 0:
                     ship.sendto(rmc(tenth // 10) + sentence("HEHDT,090.0,T"), (HOST, nmea))
                 await asyncio.sleep(0.1)
-                if towards_ship(fake):
+                if service.towards_ship():
                     break
-        assert towards_ship(fake), (pilot.phase, pilot.reason, pilot.vessel_counts())
-        assert pilot.state is State.RENDEZVOUS
-        assert not [words for words in missing() if "ship" in words]
-        assert pilot.vessel_counts()["taken"] >= 1
+        assert service.towards_ship(), (service.pilot.phase, service.pilot.reason, service.pilot.vessel_counts())
+        assert service.pilot.state is State.RENDEZVOUS
+        assert not [words for words in service.missing() if "ship" in words]
+        assert service.pilot.vessel_counts()["taken"] >= 1
 
 
 async def test_the_ship_s_own_mavlink_system_leads_it_there_and_no_other_system() -> None:
     port, clock = free_port(), SystemClock()
     link = LinkOptions(parse_endpoint(f"udpout://{HOST}:{port}"))
 
-    async def send_for(system: int, seconds: float, fake: FakeAutopilot) -> None:
+    async def send_for(system: int, seconds: float, service: Flying) -> None:
         async with open_links([link], clock, (system, 1)) as links:
             for _ in range(round(seconds / 0.1)):
                 boot_ms = clock.now() // 1_000_000 & 0xFFFFFFFF
                 links.send(global_position(boot_ms, SHIP_NED, np.array([0.0, 2.0, 0.0]), 90.0))
                 await asyncio.sleep(0.1)
-                if towards_ship(fake):
+                if service.towards_ship():
                     return
 
-    async with flying(settings_of(port), port) as (pilot, fake, missing):
-        await send_for(SHIP + 1, 1.0, fake)
-        assert pilot.vessel_counts()["taken"] == 0
-        assert "no place from the ship yet" in missing()
-        await send_for(SHIP, 30.0, fake)
-        assert towards_ship(fake), (pilot.phase, pilot.reason, pilot.vessel_counts())
-        assert pilot.state is State.RENDEZVOUS
+    async with flying(settings_of(port), port) as service:
+        await send_for(SHIP + 1, 1.0, service)
+        assert service.pilot.vessel_counts()["taken"] == 0
+        assert "no place from the ship yet" in service.missing()
+        await send_for(SHIP, 30.0, service)
+        assert service.towards_ship(), (service.pilot.phase, service.pilot.reason, service.pilot.vessel_counts())
+        assert service.pilot.state is State.RENDEZVOUS
+
+
+GARBAGE = {
+    b"\x00\xff\x80 no sentence\r\n": "checksum",
+    b"$GPRMC,0818": "checksum",
+    sentence("GPRMC,081836.00,A,9924.0180,N,01012.0660,E,002.9,004.0,211126,,"): "impossible",
+    sentence("GPRMC,,V,,,,,,,211126,,"): "no_fix",
+    sentence("GPRMC,noon,A,5424.0180,N,01012.0660,E,slow,,,,"): "malformed",
+    sentence("AIVDM,1,1,,A,139Lg0?P0O0fdB0O8<01i1NIP000,0", "!"): "other_ship",
+    b"x" * 4000: "too_long",
+}
+"""Datagrams from the ship that are no place of hers, and what they are counted as."""
+
+
+async def test_among_garbage_it_flies_astern_of_her_searches_and_waits_level_when_she_falls_silent(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The way of the whole service, from datagrams to a vehicle that moves."""
+    port, nmea, speed_m_s = free_port(), free_port(), 2.0
+    settings = settings_of(port, nmea=f"{HOST}:{nmea}", age_max_s=2.0)
+    way = msgspec.structs.replace(
+        settings.guidance.rendezvous, range_m=6.0, reached_m=3.0, speed_m_s=8.0, search_speed_m_s=3.0, lost_s=1.5
+    )
+    settings = msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, rendezvous=way))
+    begun = time.monotonic()
+
+    def ship_s_place() -> F64:
+        return np.array([30.0, 20.0 + speed_m_s * (time.monotonic() - begun), 0.0])
+
+    async def tell(wire: socket.socket, enough: Callable[[], bool]) -> None:
+        for datagram in itertools.cycle(GARBAGE):
+            wire.sendto(datagram, (HOST, nmea))
+            wire.sendto(rmc(time.monotonic() - begun, ship_s_place(), speed_m_s / KNOT_M_S), (HOST, nmea))
+            await asyncio.sleep(0.15)
+            if enough():
+                return
+
+    async with flying(settings, port) as service, asyncio.timeout(60):
+        fake, pilot = service.fake, service.pilot
+        with udp() as ship, udp() as forger:
+            await tell(ship, lambda: pilot.state is State.RENDEZVOUS)
+            forger.sendto(rmc(30.0, np.array([-900.0, 0.0, 0.0])), (HOST, nmea))
+            await tell(ship, lambda: pilot.state is State.SEARCH)
+            from_astern = (fake.p_ned - ship_s_place())[:2] - (0.0, -way.range_m)
+            assert math.hypot(*from_astern) < way.reached_m + 2.0, "the hold-off point"
+            await tell(ship, lambda: math.hypot(*(fake.p_ned - ship_s_place())[:2]) < 2.5)
+        assert pilot.state is State.SEARCH
+        await until(lambda: pilot.state is State.REFUSED)
+        assert "no rendezvous: the ship's newest place is" in pilot.reason
+        assert fake.p_ned[2] <= -10.0
+        assert all(v[2] <= 0.0 for v in service.setpoints)
+        counted = service.counted("sentences")
+        assert len(GARBAGE) < service.counted("ship_place")["taken"] <= counted["taken_RMC"]
+        metrics = exposition.text(service.daemon.health.snapshot()).decode()
+    for reason in {*GARBAGE.values(), "wrong_sender"}:
+        assert counted[f"refused_{reason}"] >= 1
+        assert f'name="refused_{reason}",part="sentences"' in metrics
+    for reason in set(GARBAGE.values()):
+        told = [line for line in caplog.messages if f"was refused ({reason.replace('_', ' ')})" in line]
+        assert len(told) == 1, reason
+    assert any("are refused, those from" in line for line in caplog.messages)
+
+
+def udp() -> socket.socket:
+    return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,61 @@
+"""The ship's place through a real broker, by the script of the page: the service flies to it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import re
+import sys
+from pathlib import Path
+
+import msgspec
+
+from companion.config.settings import load
+from companion.guidance.mission import State
+from companion.mqtt.connection import BrokerEndpoint, connect
+from sitl.testing.fake_ardrone import until
+from sitl.testing.mosquitto import Broker
+from tests.companion.ship_flights import SHIP_NED, flying, free_port, place_of, settings_of
+
+ROOT = Path(__file__).parents[3]
+KEY = bytes(range(32))
+
+
+async def test_the_script_of_the_page_leads_the_drone_to_the_ship_and_nobody_without_its_key(
+    broker: Broker, tmp_path: Path
+) -> None:
+    match = re.search(r"```python\n(# ship\.py.*?)```", (ROOT / "docs/rendezvous.md").read_text(), re.DOTALL)
+    assert match is not None
+    (tmp_path / "ship.py").write_text(match[1])
+    key_file = tmp_path / "command.key"
+    key_file.touch(0o600)
+    key_file.write_bytes(KEY)
+    port = free_port()
+    mqtt = broker.settings(commands="signed", command_key_file=str(key_file), health_hz=10.0)
+    settings = msgspec.structs.replace(settings_of(port, mqtt=True), mqtt=mqtt)
+    settings = msgspec.structs.replace(settings, recorder=msgspec.structs.replace(load("sim").recorder, enabled=False))
+    at = place_of(SHIP_NED)
+    line = f"{math.degrees(at.latitude_rad):.7f} {math.degrees(at.longitude_rad):.7f} 2.0 90.0 90.0\n".encode()
+    words = ["localhost", str(broker.port), str(broker.certificates / "ca.crt"), "ship", str(broker.folder / "ship.password")]
+    gateway = connect(BrokerEndpoint.of(broker.settings("ship")), "gateway")
+    async with flying(settings, port) as service, gateway as without_key, asyncio.timeout(90):
+        assert "no place from the ship yet" in service.missing()
+        await until(lambda: service.counted("mqtt").get("connections", 0) == 1)
+        forged = {"run": "0" * 32, "at_ns": 1, "latitude_deg": 54.4, "longitude_deg": 10.2}
+        await without_key.publish_message("decklander/v1/deck/vessel", json.dumps(forged).encode(), qos=1)
+        child = await asyncio.create_subprocess_exec(
+            *(sys.executable, str(tmp_path / "ship.py"), *words, "deck", str(key_file)), stdin=asyncio.subprocess.PIPE
+        )
+        assert child.stdin is not None
+        try:
+            while not service.towards_ship():
+                child.stdin.write(line)
+                await asyncio.sleep(0.3)
+        finally:
+            child.stdin.close()
+            await child.wait()
+        assert service.pilot.state is State.RENDEZVOUS
+        assert service.counted("mqtt")["ship_reports_unsigned"] == 1
+        assert service.counted("ship_place")["taken"] >= 1
+        assert not [words for words in service.missing() if "ship" in words]
