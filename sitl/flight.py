@@ -118,7 +118,7 @@ class Flight:
             raise BadInput("service_killed comes back after for_s, and this flight cannot make the service anew")
         self._renew = renew or (lambda: pilot)
         self._contain = contain
-        self._grader = FlightGrader(self.world, settings)
+        self._grader = FlightGrader(self.world, settings, ardrone_options(settings).com_watchdog_s)
         self._person = SimulatedPerson(self.world.faults)
         self._reporter = VesselReporter(self.world)
         self._views: dict[int, RenderedFrame] = {}

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
-from companion.config.model import Settings, ardrone_options
+from companion.config.model import Settings
 from companion.guidance.mission import State
 from companion.operator.precedence import ControlSituation
 from companion.runtime.health import Health
 from companion.runtime.observer import Decision
 from companion.runtime.pilot import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.time import seconds_between
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.fault_timer import FaultTimer
+from sitl.faulty_streams import VehicleStreams
 from sitl.safety import (
     BLIND_DESCENT_MAX_M,
     GO_AROUND_PHASES,
@@ -23,8 +26,39 @@ from sitl.safety import (
     on_pad_m,
     unreached_descent_max_m,
 )
+from sitl.scenario import Scenario
 from sitl.truth import RenderedFrame, Touchdown, Truth
-from sitl.world import World
+
+
+class GradedWorld(Protocol):
+    """What the grader needs of a flight's world."""
+
+    @property
+    def scenario(self) -> Scenario: ...
+
+    @property
+    def started(self) -> MonoNs: ...
+
+    @property
+    def now(self) -> MonoNs: ...
+
+    @property
+    def at(self) -> MonoNs:
+        """Instant of the newest step of the physics."""
+        ...
+
+    @property
+    def faults(self) -> FaultTimer: ...
+
+    @property
+    def streams(self) -> VehicleStreams: ...
+
+    @property
+    def guidance_phase(self) -> str | None: ...
+
+    def active(self, kind: str) -> bool: ...
+
+    def truth(self) -> Truth: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,14 +98,15 @@ class FlightGrader:
     Args:
         world: the flight's world.
         settings: the settings that are flown.
+        com_watchdog_s: time for which the vehicle flies on with its last command when nothing reaches it.
     """
 
-    def __init__(self, world: World, settings: Settings) -> None:
+    def __init__(self, world: GradedWorld, settings: Settings, com_watchdog_s: float) -> None:
         self.died: str | None = None
         """Why the service died; None if it did not."""
         self._world = world
         self._watch = SightWatch(world.now)
-        self._unreached_max_m = unreached_descent_max_m(settings.guidance, ardrone_options(settings).com_watchdog_s)
+        self._unreached_max_m = unreached_descent_max_m(settings.guidance, com_watchdog_s)
         self._reason = ""
         self._go_arounds = 0
 

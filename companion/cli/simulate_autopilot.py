@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from companion.cli.progress import ProgressObserver
@@ -23,9 +24,14 @@ from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.autopilots.follow import FollowEnd
 from sitl.autopilots.program import executable
 from sitl.ending import Contact, Ending
+from sitl.one_flight import ending_of as graded_ending
 from sitl.one_flight import settings_for
 from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
+from sitl.stream_faults import STREAMS
+
+CARRIED = frozenset({*STREAMS, "link_lost"})
+"""Kinds of faults that act on a flight with an autopilot program: those of its streams."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--report and --record do not go with --autopilot; --keep DIR keeps the program's own logs")
     binary = executable(args.binary, args.autopilot)
     scenario = load_scenario(args.scenario)
-    refuse_faults(args.scenario, scenario)
+    refuse_faults(args.scenario, scenario, CARRIED)
     settings = settings_for(scenario, args.config)
     progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]
@@ -49,6 +55,9 @@ def run(args: argparse.Namespace) -> int:
     if progress is not None:
         progress.close()
     ending = ending_of(args.scenario, args.seed, end)
+    if end.result is not None:
+        cpu_s = time.process_time()
+        ending = replace(graded_ending(args.scenario, args.seed, scenario, end.result, cpu_s), started=flight.graded.started)
     if args.json:
         sys.stdout.write(json.dumps({**ending.as_json(), "autopilot": args.autopilot, "failure": end.failure or None}) + "\n")
     else:
@@ -56,17 +65,22 @@ def run(args: argparse.Namespace) -> int:
         sys.stdout.write(
             f"{ending.duration_s:.1f} s from the order to land; {time.monotonic() - began:.0f} s on the wall clock\n"
         )
-    return 0 if ending.on_pad else 1
+    return 0 if ending.good else 1
 
 
-def refuse_faults(name: str, scenario: Scenario) -> None:
-    """Refuse a scenario with faults, which only the simulated AR.Drone can have.
+def refuse_faults(name: str, scenario: Scenario, carried: frozenset[str] = frozenset()) -> None:
+    """Refuse a scenario with faults that only the simulated AR.Drone can have.
+
+    Args:
+        carried: kinds of faults that this flight can have.
 
     Raises:
-        BadInput: the scenario has some.
+        BadInput: the scenario has some others.
     """
-    if scenario.faults:
-        raise BadInput(f"{name}: its faults ({', '.join(f.kind for f in scenario.faults)}) are for the simulated AR.Drone alone")
+    others = [f.kind for f in scenario.faults if f.kind not in carried]
+    if others:
+        can = f"; here only {', '.join(sorted(carried))} act" if carried else ""
+        raise BadInput(f"{name}: its faults ({', '.join(others)}) are for the simulated AR.Drone alone{can}")
 
 
 def parameters(given: Sequence[str]) -> tuple[tuple[str, float], ...]:

@@ -103,4 +103,5 @@ class AutopilotPart:
             out |= link_counters(self._links, component.refusals)
         if self._open is not None:
             out["implausible"] = self._open.refused
+            out["out_of_order"] = self._open.out_of_order
         return out

@@ -112,6 +112,11 @@ class Autopilot:
         return 0 if self._known is None else self._known.sampler.refused.total()
 
     @property
+    def out_of_order(self) -> int:
+        """The number of messages of the autopilot that a newer one had overtaken, or that came twice."""
+        return 0 if self._known is None else self._known.sampler.out_of_order.total()
+
+    @property
     def sync(self) -> TimeSync | None:
         return None if self._known is None else self._known.sync
 

@@ -21,7 +21,7 @@ from drivers.mavlink.vehicle import ARMED, Condition, Stack, flying_of, mode_nam
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
-from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 
 G_M_S2 = 9.80665
 DOWN = 25
@@ -31,6 +31,8 @@ _NO_HEADING, _HEADING_MAX_CDEG = 65535, 36_000
 _ANGLE_MAX_RAD = 4.0 * math.pi
 _TURN_MAX_RAD_S, _FORCE_MAX_M_S2 = 100.0, 400.0
 """Beyond what a multicopter's inertial sensors can measure: 4,000 degrees/s and 32 g are the widest there are."""
+_RESTART_NS = NS_PER_S
+"""A stamp that is this much older than the newest is that of an autopilot that has booted, as `BootClock` has it."""
 _SHIP_CLOCK = ClockMapOptions(resolution_s=0.001, floor_sigma_s=0.05, window_s=600.0, jump_s=5.0)
 """The ship's clock over a radio link. The window is long, so that a link that becomes slow is told as late reports."""
 _HAS_PLACE, _HAS_VELOCITY = 1 << 0, 1 << 1
@@ -69,6 +71,10 @@ class MavlinkSampler:
         """The newest local positions, oldest first."""
         self.refused: Counter[str] = Counter()
         """Messages that made no sense, by name."""
+        self.out_of_order: Counter[str] = Counter()
+        """Messages that a newer one overtook on the way, or that came twice, by name."""
+        self._newest: dict[tuple[str, int], tuple[int, bytes]] = {}
+        """The newest message of each kind and sensor: its stamp since boot, ns, and its bytes."""
         self._landed_state = 0
         self._quaternions = False
         self._status_at: MonoNs | None = None
@@ -93,8 +99,14 @@ class MavlinkSampler:
         handle = self._table.get(message.get_type())
         if handle is None:
             return []
+        key, place = (message.get_type(), getattr(message, "id", 0)), _place_in_order(message)
+        if _overtaken(place, self._newest.get(key)):
+            self.out_of_order[message.get_type()] += 1
+            return []
         try:
-            return handle(message, received_at)
+            out = handle(message, received_at)
+            self._newest[key] = place
+            return out
         except ValueError:  # the contracts refuse what is not finite or not possible
             self.refused[message.get_type()] += 1
             return []
@@ -244,6 +256,19 @@ class MavlinkSampler:
             raise ValueError("pressure")
         stamp = self._clock.stamp(boot_ms(m.time_boot_ms), received_at)
         return [Baro(stamp, height_of_pressure_m(100.0 * m.press_abs), self._o.sigma_baro_m)]
+
+
+def _place_in_order(m: Message) -> tuple[int, bytes]:
+    """Return a message's stamp since boot, ns, 0 where it has none, and the bytes that came, none where it came by no wire."""
+    boot_ns = 1_000_000 * m.time_boot_ms if hasattr(m, "time_boot_ms") else 1_000 * getattr(m, "time_usec", 0)
+    return boot_ns, bytes(m.get_msgbuf() or b"")
+
+
+def _overtaken(place: tuple[int, bytes], newest: tuple[int, bytes] | None) -> bool:
+    """Return whether a newer message, or the very same one, came before; an autopilot that has booted starts again."""
+    if newest is None or place[0] == 0:
+        return False
+    return newest[0] - _RESTART_NS < place[0] < newest[0] or (place == newest and place[1] != b"")
 
 
 def _place(lat_1e7: int, lon_1e7: int, height_m: float) -> GeoPoint | None:

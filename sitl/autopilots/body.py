@@ -142,6 +142,11 @@ class Body:
         """Whether the vehicle can still fly: it is neither turned over nor in the water."""
         return self._vehicle.phase != VehiclePhase.EMERGENCY
 
+    @property
+    def flying(self) -> bool:
+        """Whether its motors turn."""
+        return self._vehicle.phase == VehiclePhase.FLYING
+
     def expose(self) -> Callable[[], RenderedFrame]:
         """Fix the scene now and return a function that renders its frame. Only one such function may run at a time."""
         if self._renderer is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, after
 from sitl.autopilots.body import Body
 from sitl.autopilots.lock_step import LockStepClock
+from sitl.faulty_streams import FaultyStream, InTransit
 from sitl.truth import RenderedFrame
 
 _STAMP_SIGMA_S = 0.002
@@ -37,6 +37,7 @@ class LockStepCamera:
         offer: receives each frame when it has arrived.
         concluded: returns how many of the frames were processed.
         pool: executor that renders frames.
+        stream: what becomes of the frames on their way.
     """
 
     def __init__(
@@ -45,6 +46,7 @@ class LockStepCamera:
         offer: Callable[[Frame], object],
         concluded: Callable[[], int],
         pool: Executor,
+        stream: FaultyStream,
         timing: CameraTiming | None = None,
     ) -> None:
         self.on = False
@@ -54,7 +56,7 @@ class LockStepCamera:
         self._clock, self._offer, self._concluded, self._pool = clock, offer, concluded, pool
         self._timing = timing or CameraTiming()
         self._due: MonoNs | None = None
-        self._on_the_way: deque[tuple[MonoNs, asyncio.Future[RenderedFrame]]] = deque()
+        self._on_the_way: InTransit[tuple[MonoNs, asyncio.Future[RenderedFrame]]] = InTransit(stream)
         self._looking_until: MonoNs | None = None
 
     def stepped(self, body: Body) -> None:
@@ -63,14 +65,17 @@ class LockStepCamera:
         if not self.on or (self._due is not None and now < self._due):
             return
         self._due = after(self._due or now, self._timing.period_s)
-        image = asyncio.get_running_loop().run_in_executor(self._pool, body.expose())
-        self._on_the_way.append((now, image))
+
+        def exposed() -> tuple[MonoNs, asyncio.Future[RenderedFrame]]:
+            return now, asyncio.get_running_loop().run_in_executor(self._pool, body.expose())
+
+        self._on_the_way.send(exposed, now, self._timing.delay_s)
 
     async def settle(self) -> None:
         """Wait until every due frame has arrived and every frame due to be processed was processed."""
         now = self._clock.now()
-        while self._on_the_way and after(self._on_the_way[0][0], self._timing.delay_s) <= now:
-            measured_at, developing = self._on_the_way.popleft()
+        while (arrived := self._on_the_way.arrived(now)) is not None:
+            measured_at, developing = arrived[1]
             image = await developing
             self.frames += 1
             self._offer(Frame(Stamp(measured_at, now, _STAMP_SIGMA_S, "sim"), self.frames, image.px, image.exposure_s))

@@ -38,14 +38,19 @@ from sitl.autopilots.ardupilot_json import CURVE, JsonBackend, serve_json
 from sitl.autopilots.beside import FlightDaemon, beside_autopilot
 from sitl.autopilots.body import Body, Landing
 from sitl.autopilots.camera import LockStepCamera
+from sitl.autopilots.faulty_link import FaultyLink
+from sitl.autopilots.graded_body import GradedBody
 from sitl.autopilots.lock_step import LockStepClock
 from sitl.autopilots.program import Program, free_udp_port, running
 from sitl.autopilots.px4_hil import HilBackend, serve_hil
 from sitl.autopilots.station import STATION, GroundStation, OperatorView, Task
+from sitl.flight_grader import FlightResult
 from sitl.scenario import Scenario
 
 Name = Literal["arducopter", "px4"]
 HOST = "127.0.0.1"
+COM_WATCHDOG_S: dict[Name, float] = {"arducopter": 3.0, "px4": px4.PARAMETERS["COM_OF_LOSS_T"]}
+"""Time for which each program flies on with the last setpoint; ArduCopter's is the default of GUID_TIMEOUT."""
 _STATION_S = 0.05
 _AFTER_S = 1.5
 """Time that the flight continues after its end, so that a later contact is recorded."""
@@ -80,6 +85,8 @@ class FlightEnd:
     upright: bool
     failure: str = ""
     """The reason why no landing took place."""
+    result: FlightResult | None = None
+    """The graded result of a scenario with faults; None without."""
 
 
 @dataclass(slots=True)
@@ -97,12 +104,17 @@ class AutopilotFlight:
     clock: LockStepClock = field(default_factory=LockStepClock)
     body: Body | None = None
     station: GroundStation = field(init=False)
+    graded: GradedBody = field(init=False)
+    link: FaultyLink = field(init=False)
     _camera: LockStepCamera | None = None
     _stepped_at: float = 0.0
 
     def __post_init__(self) -> None:
         stack = Stack.PX4 if self.autopilot.name == "px4" else Stack.ARDUPILOT
         self.station = GroundStation(stack, height_m=self.height_m, flies_there=stack is Stack.ARDUPILOT)
+        watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
+        self.graded = GradedBody(self.scenario, self.seed, self.settings, self.clock, watchdog_s)
+        self.link = FaultyLink(self.graded.streams, self.clock)
 
     @property
     def height_m(self) -> float:
@@ -117,19 +129,22 @@ class AutopilotFlight:
             Recoverable: the program ended by itself or hangs.
         """
         cv2.setNumThreads(1)
-        to_daemon, to_station = px4.MAVLINK_PORTS if self.autopilot.name == "px4" else (free_udp_port(), free_udp_port())
+        from_program, to_station = px4.MAVLINK_PORTS if self.autopilot.name == "px4" else (free_udp_port(), free_udp_port())
+        to_daemon = free_udp_port() if self.scenario.faults else from_program
         settings = beside_autopilot(self.settings, f"udpin://{HOST}:{to_daemon}")
         pilot = make_pilot(settings)
-        side = FlightDaemon(settings, pilot, self.clock, self.observers)
+        side = FlightDaemon(settings, pilot, self.clock, (*self.observers, self.graded))
         link = LinkOptions(parse_endpoint(f"udpin://{HOST}:{to_station}"))
         failed: Recoverable | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
-            self._camera = LockStepCamera(self.clock, side.offer, side.concluded, pool)
+            self._camera = LockStepCamera(self.clock, side.offer, side.concluded, pool, self.graded.streams.frames)
             async with AsyncExitStack() as stack:
                 links = await stack.enter_async_context(
                     open_links((link,), self.clock, STATION, access=NamedSenders(everybody=True))
                 )
-                program = await stack.enter_async_context(self._program((to_daemon, to_station)))
+                if self.scenario.faults:
+                    await stack.enter_async_context(self.link.relaying(HOST, from_program, to_daemon))
+                program = await stack.enter_async_context(self._program((from_program, to_station)))
                 self._stepped_at = time.monotonic()
                 try:
                     async with asyncio.TaskGroup() as group:
@@ -181,6 +196,7 @@ class AutopilotFlight:
             texts,
             self.body is not None and self.body.upright,
             station.failure,
+            self.graded.result(pilot, side.daemon.health),
         )
 
     def _view(self, body: Body) -> OperatorView:
@@ -225,6 +241,8 @@ class AutopilotFlight:
     def _stepped(self, body: Body) -> None:
         self._stepped_at = time.monotonic()
         self.clock.advance(body.step_s)
+        self.graded.stepped(body, self.station.began)
+        self.link.deliver()
         assert self._camera is not None
         self._camera.stepped(body)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.mavlink.boot_clock import BootClock
+from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.samples import MavlinkSampler
 from drivers.mavlink.timesync import TimeSync
@@ -229,3 +230,26 @@ def test_a_bow_beyond_the_circle_is_refused() -> None:
     s = sampler()
     assert s.vessel(mav.MAVLink_global_position_int_message(4000, 1, 2, 3, 4, 150, -250, 50, 36_001), NOW) == []
     assert s.refused == {"GLOBAL_POSITION_INT": 1}
+
+
+def test_a_message_that_came_twice_or_was_overtaken_is_counted_and_makes_no_sample() -> None:
+    s, codec = sampler(), Codec(1, 1)
+
+    def at(boot_ms: int) -> Any:
+        q = Rotation.from_rpy(0.0, 0.0, 1e-5 * boot_ms).quat_wxyz
+        return codec.feed(codec.pack(mav.MAVLink_attitude_quaternion_message(boot_ms, *q, 0.0, 0.0, 0.0)))[0]
+
+    twice = at(5000)
+    assert len(s.samples(twice, NOW)) == 1
+    assert s.samples(twice, NOW) == []
+    assert len(s.samples(at(5020), NOW)) == 1
+    assert s.samples(at(5010), NOW) == []
+    assert s.attitude is not None
+    assert s.attitude.R_ned_body.rpy_rad[2] == pytest.approx(1e-5 * 5020, abs=1e-6)
+    assert s.out_of_order == {"ATTITUDE_QUATERNION": 2}
+    broken = at(5900)
+    broken.q1 = math.nan
+    assert s.samples(broken, NOW) == []
+    assert len(s.samples(at(5040), NOW)) == 1, "a message that makes no sense moves nothing"
+    assert len(s.samples(at(300), NOW)) == 1, "the autopilot has booted"
+    assert len(s.samples(at(320), NOW)) == 1

@@ -30,6 +30,8 @@ from tests.sitl.autopilots.pilot import Cascade
 
 HOST = "127.0.0.1"
 STEP_S = 0.00125
+GUIDED_TIMEOUT_S = 3.0
+"""A velocity setpoint older than this makes it stand still, as ArduCopter's GUID_TIMEOUT does."""
 NOT_READY_S = 1.0
 """Arming is refused until then, as long as the filter has no place."""
 
@@ -42,7 +44,7 @@ class StandIn(FakeAutopilot):
         self.parameters = dict(parameters)
         self._cascade = Cascade(Airframe(), CURVE, STEP_S, most_m_s2=1.5)
         self._began_s = self.now_s
-        self._wanted = np.zeros(3)
+        self._wanted, self._wanted_s = np.zeros(3), self.now_s
         self._hold: Any = None
         self._take_off_to: float | None = None
         self._target: Any = None
@@ -70,7 +72,7 @@ class StandIn(FakeAutopilot):
 
     def _on_set_position_target_local_ned(self, m: Message, received: ReceivedMessage) -> None:
         if self.mode == "guided" and m.coordinate_frame == 1 and m.type_mask == 0x05C7:
-            self._take_off_to, self._wanted = None, np.array([m.vx, m.vy, m.vz])
+            self._take_off_to, self._wanted, self._wanted_s = None, np.array([m.vx, m.vy, m.vz]), self.now_s
 
     def _on_landing_target(self, m: Message, received: ReceivedMessage) -> None:
         if m.frame == 12 and m.position_valid == 1 and m.distance > 0:
@@ -108,7 +110,7 @@ class StandIn(FakeAutopilot):
             return (0.0, 0.0, 0.0, 0.0)
         if self.landed_state == 1:
             return (0.1, 0.1, 0.1, 0.1)
-        wanted = self._wanted
+        wanted = self._wanted if self.now_s - self._wanted_s < GUIDED_TIMEOUT_S else np.zeros(3)
         if self._take_off_to is not None:
             wanted = np.array([0.0, 0.0, max(-1.0, -(self._take_off_to + self.p_ned[2]))])
         if self.mode == "land":

@@ -84,6 +84,9 @@ class Px4(FakeAutopilot):
         s = self._body.state()
         if self._body.landing() is not None and self.landed_state == 2:
             self.landed_state, self.armed = 1, False
+        if self.mode == "offboard" and self.now_s - self.setpoints[-1][0] > px4.PARAMETERS["COM_OF_LOSS_T"]:
+            self.set_mode("auto.loiter")  # COM_OBL_RC_ACT 5: hold
+            self._wanted = np.zeros(3)
         motors = (0.0, 0.0, 0.0, 0.0)
         if self.armed and self.landed_state == 2:
             wanted = self._wanted

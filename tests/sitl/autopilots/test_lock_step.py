@@ -17,6 +17,8 @@ from sitl.autopilots.body import Body
 from sitl.autopilots.camera import CameraTiming, LockStepCamera
 from sitl.autopilots.lock_step import LockStepClock
 from sitl.autopilots.program import executable, running
+from sitl.fault_timer import FaultTimer
+from sitl.faulty_streams import VehicleStreams
 from sitl.scenario import load
 from sitl.testing.fake_ardrone import until
 from sitl.testing.processes import alive
@@ -66,7 +68,7 @@ async def filmed(timing: CameraTiming, eyes_s: float | None, seconds: float) -> 
             loop.call_later(eyes_s, lambda: done.__setitem__(0, done[0] + 1))
 
     with ThreadPoolExecutor(1) as pool:
-        camera = LockStepCamera(clock, offer, lambda: done[0], pool, timing)
+        camera = LockStepCamera(clock, offer, lambda: done[0], pool, VehicleStreams(FaultTimer(()), 1).frames, timing)
         camera.on = True
         for _ in range(round(seconds / STEP_S)):
             body.step((0.4, 0.4, 0.4, 0.4))

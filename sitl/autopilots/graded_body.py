@@ -1,0 +1,119 @@
+"""A body that an autopilot program flies, as the grader of simulated flights sees a world, and the faults of its streams."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from companion.config.model import Settings
+from companion.runtime.health import Health
+from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
+from companion.runtime.pilot import Pilot
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.autopilots.body import Body, Landing
+from sitl.fault_timer import FaultTimer
+from sitl.faulty_streams import VehicleStreams
+from sitl.flight_grader import FlightGrader, FlightResult
+from sitl.scenario import Scenario
+from sitl.truth import RenderedFrame, Touchdown, Truth
+from sitl.vehicle import VehiclePhase
+
+_WATCH_EACH_S = 0.05
+_NO_PIXELS = np.empty((0, 0, 3), np.uint8)
+
+
+class GradedBody(NullObserver):
+    """The faults of one flight with an autopilot program; they begin by the time since the order to land.
+
+    As an observer of the daemon it learns guidance's phase, in which faults may begin, and what became of each frame.
+
+    Args:
+        settings: the daemon's.
+        com_watchdog_s: time for which the program flies on with its last setpoint.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, settings: Settings, clock: Clock, com_watchdog_s: float) -> None:
+        self.scenario = scenario
+        self.faults = FaultTimer(scenario.faults, seed)
+        self.streams = VehicleStreams(self.faults, seed)
+        self.guidance_phase: str | None = None
+        """Phase of guidance; None before its first decision."""
+        self._settings, self._com_watchdog_s = settings, com_watchdog_s
+        self._grader: FlightGrader | None = None
+        self._clock = clock
+        self.started = clock.now()
+        """Instant of the order to land."""
+        self._body: Body | None = None
+        self._contacts: list[Touchdown] = []
+        self._newest: Landing | None = None
+        self._watched: MonoNs | None = None
+
+    @property
+    def now(self) -> MonoNs:
+        """The flight's time."""
+        return self._clock.now()
+
+    at = now
+
+    def active(self, kind: str) -> bool:
+        """Return whether a fault of this kind is active."""
+        return self.faults.active(kind)
+
+    def stepped(self, body: Body, began: MonoNs | None) -> None:
+        """Note a step of the physics.
+
+        Args:
+            began: instant of the order to land; nothing is wrong and nothing is graded before it.
+        """
+        if began is None or not self.faults:
+            return
+        self._body, self.started = body, began
+        if self._grader is None:
+            self._grader = FlightGrader(self, self._settings, self._com_watchdog_s)
+        now, state = self._clock.now(), body.state()
+        height_m = float(body.R_ned_pad.matrix[:, 2] @ (body.p_pad_ned - state.p_ned))
+        self.faults.update(seconds_between(began, now), height_m, self.guidance_phase)
+        landing = body.landing()
+        if landing is not None and (self._newest is None or landing.t_s != self._newest.t_s):
+            self._newest = landing
+            self._contacts.append(self._contact(body, landing, now))
+        if self._watched is None or seconds_between(self._watched, now) >= _WATCH_EACH_S:
+            self._watched = now
+            self._grader.step()
+
+    def result(self, pilot: Pilot, health: Health) -> FlightResult | None:
+        """Return the graded result; None without faults or without an order to land."""
+        if self._grader is None:
+            return None
+        return self._grader.result(pilot.outcome, pilot.operator.situation(self._clock.now()), health)
+
+    def truth(self) -> Truth:
+        """Return the true state at the newest step; call it after one."""
+        body = self._body
+        assert body is not None
+        s = body.state()
+        phase = VehiclePhase.FLYING if body.flying else VehiclePhase.LANDED if body.upright else VehiclePhase.EMERGENCY
+        contacts = tuple(self._contacts)
+        return Truth(
+            self._clock.now(), s.p_ned, s.v_ned, s.R_ned_body, body.p_pad_ned, body.v_pad_ned, body.R_ned_pad, phase,
+            contacts[-1] if contacts else None, contacts, w_body=s.w_body,
+        )  # fmt: skip
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        stamp = processed.frame.stamp
+        if self._grader is not None:
+            self._grader.on_verdict(RenderedFrame(_NO_PIXELS, stamp.measured_at, processed.frame.exposure_s), processed.verdict)
+
+    def on_decision(self, decision: Decision) -> None:
+        if self._grader is not None:
+            self._grader.on_decision(decision)
+        self.guidance_phase = decision.phase
+
+    def _contact(self, body: Body, t: Landing, now: MonoNs) -> Touchdown:
+        surface: Literal["pad", "deck", "water"] = "pad" if t.on_pad else "deck" if t.on_deck else "water"
+        p_pad = body.R_ned_pad.inv @ (body.state().p_ned - body.p_pad_ned)
+        return Touchdown(
+            now, surface, p_pad, t.lateral_m, t.yaw_rad, t.speed_m_s, t.slide_m_s, VehiclePhase.FLYING, True, self.guidance_phase
+        )
