@@ -50,18 +50,22 @@ def begun(z: AxisMeasured, n: int, before: TiltAxis | None = None) -> TiltAxis:
     """Return the memory at the first cycle, or after a silence: what was learned of the wind is kept.
 
     Args:
-        n: number of commands under way.
+        n: number of commands to remember.
     """
     d, b = (0.0, 0.0) if before is None else (before.seen.d, before.seen.b)
     return TiltAxis(Observed(z.p, z.w, d, b), z.lean, 0.0, z.lean, (z.lean,) * n)
 
 
-def observed(axis: TiltAxis, z: AxisMeasured, dt: float, gains: ObserverGains, tilt: TiltResponse) -> TiltAxis:
-    """Return the memory after `dt` s with this cycle's measurement."""
+def observed(axis: TiltAxis, z: AxisMeasured, dt: float, gains: ObserverGains, tilt: TiltResponse, arrived: float) -> TiltAxis:
+    """Return the memory after `dt` s with this cycle's measurement.
+
+    Args:
+        arrived: the commanded tilt that acts on the vehicle now, m/s^2.
+    """
     seen = disturbance.observed(axis.seen, gains, dt, z.a_deck, 0.5 * (z.lean + axis.lean), z.p, z.w, z.a_body)
     d = min(_DISTURBANCE_MAX_M_S2, max(-_DISTURBANCE_MAX_M_S2, seen.d))
     keep = math.exp(-dt / tilt.lag_s) if tilt.lag_s > 1e-4 else 0.0
-    lag = keep * axis.lag + (1.0 - keep) * axis.under_way[-1]
+    lag = keep * axis.lag + (1.0 - keep) * arrived
     w = tilt.frequency_rad_s
     rate = axis.rate + dt * (w * w * (axis.lag - axis.lean) - 2.0 * tilt.damping * w * axis.rate)
     rate += _GYRO_SHARE * (z.rate - rate)

@@ -13,6 +13,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from companion.guidance.response_watch import ResponseInUse
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
@@ -51,6 +52,8 @@ class Knowledge:
     """The deck at `HORIZONS_S` after `forecast.at`, which may be some cycles before `at`."""
     impact: Impact | None = None
     """The newest contact since take-off; None while there was none."""
+    response: ResponseInUse | None = None
+    """The vehicle's response as this flight knows it; None if it is not identified: the response file holds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

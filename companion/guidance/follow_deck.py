@@ -8,6 +8,7 @@ do not turn with the nose.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,7 +21,9 @@ from companion.guidance.heave import STILL, DeckAhead, deck_ahead
 from companion.guidance.pid import Pid
 from companion.guidance.pid_controller import PidController
 from companion.guidance.response import Response
-from companion.guidance.tilt_law import TiltWeights, tilt_gains
+from companion.guidance.response_watch import DELAY_MAX_S
+from companion.guidance.tilt_law import TiltGains, TiltWeights
+from companion.guidance.tuning import AS_GIVEN, SOFTER_LONGER_S, TiltTuning, TuningChoice, chosen_tuning, tuned
 from companion.guidance.view import FieldOfView, lean_in_view
 from estimator.contracts.commands import Command, Hover, Lean
 from estimator.contracts.estimates import RelativeState
@@ -32,8 +35,8 @@ _GAP_MAX_S = 0.5
 """A silence longer than this makes the observer begin again at what is measured; what it has learned of the wind it keeps."""
 _TURN_MAX_RAD_S = 0.6
 _HEADING_GAIN_1_S = 0.8
-_STIFF_M = 0.01
-"""Standard deviation of the place up to which the regulator is as stiff as its weights say, m."""
+_BLEND_S = 1.0
+"""Time in which the command goes over from one set of gains to another, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +49,12 @@ class FollowDeckMemory:
     """What accelerates the body beside its answer to climb commands."""
     climbs: tuple[float, ...] = ()
     """Commanded vertical speeds, newest first, m/s down."""
+    tuning: TuningChoice = AS_GIVEN
+    """The gains that are flown by."""
+    tuning_before: TuningChoice = AS_GIVEN
+    """Those before them, from which the command goes over."""
+    share: float = 1.0
+    """Share of the former, 0 to 1."""
     plain: Pid = field(default_factory=Pid.start)
     """The memory of the fallback."""
 
@@ -69,7 +78,7 @@ class _Frame:
 
 
 class FollowDeck:
-    """The controller. Gains are solved once, here.
+    """The controller. Gains are solved once for each response that is flown by: those of the file here, others when they are.
 
     Args:
         response: how the vehicle answers.
@@ -101,18 +110,47 @@ class FollowDeck:
     ) -> None:
         self._fallback = fallback
         self.response, self.period_s, self.view = response, period_s, view
-        least = weights or TiltWeights()
-        # Higher up the place is known to decimetres, and a stiff loop would only fly after its errors.
-        scaled = [least._replace(p_m=least.p_m * max(1.0, sigma / _STIFF_M)) for sigma in disturbance.SIGMAS_P_M]
-        self.gains = tuple(tilt_gains(response.tilt, each, period_s, delay_line=delay_line) for each in scaled)
+        self._weights, self._delay_line = weights or TiltWeights(), delay_line
+        self._tunings: dict[TuningChoice, TiltTuning] = {}
+        for soft in (False, True):
+            self._tuning(TuningChoice(0.0, soft)).solve()
         self.observers = disturbance.observer_gains(noise or ObserverNoise(), period_s)
         self._forecast = forecast
-        self._under_way = max(1, math.ceil(response.tilt.delay_s / period_s - 1e-9))
-        self._climbs = max(1, round(response.climb.delay_s / period_s))
+        longest_s = max(DELAY_MAX_S, response.tilt.delay_s, response.climb.delay_s)
+        self._remembered = math.ceil((longest_s + SOFTER_LONGER_S) / period_s) + 1
 
     def start(self) -> FollowDeckMemory:
         """Return the memory before the first cycle."""
-        return FollowDeckMemory(climbs=(0.0,) * self._climbs)
+        return FollowDeckMemory(climbs=(0.0,) * self._remembered)
+
+    def _tuning(self, choice: TuningChoice) -> TiltTuning:
+        """Return the gains of a choice, kept once they are made."""
+        if choice not in self._tunings:
+            response, weights = tuned(self.response.tilt, self._weights, choice)
+            self._tunings[choice] = TiltTuning(response, weights, self.period_s, delay_line=self._delay_line)
+        return self._tunings[choice]
+
+    def _retuned(self, memory: FollowDeckMemory, now: MonoNs, wanted: TuningChoice) -> FollowDeckMemory:
+        """Return the memory with the gains that are wanted: at once before the first cycle, otherwise little by little."""
+        if memory.at is None:
+            return replace(memory, tuning=wanted, tuning_before=wanted, share=1.0)
+        share = min(1.0, memory.share + max(0.0, seconds_between(memory.at, now)) / _BLEND_S)
+        if share == 1.0 and wanted != memory.tuning:
+            return replace(memory, tuning=wanted, tuning_before=memory.tuning, share=0.0)
+        return memory if share == memory.share else replace(memory, share=share)
+
+    def _blended(self, memory: FollowDeckMemory, of: Callable[[TuningChoice], float]) -> float:
+        """Return a number of the gains that are flown by: while they change, one between the earlier and the later."""
+        after = of(memory.tuning)
+        return after if memory.share == 1.0 else memory.share * after + (1.0 - memory.share) * of(memory.tuning_before)
+
+    def _slowness_s(self, choice: TuningChoice) -> float:
+        return self._tuning(choice).response.slowness_s
+
+    def _climbs(self, memory: FollowDeckMemory, choice: TuningChoice) -> tuple[float, ...]:
+        """Return the climb commands under way: what delays the tilt longer than its file says delays the climb as well."""
+        delay_s = self.response.climb.delay_s + choice.longer_s
+        return memory.climbs[: max(1, min(self._remembered, round(delay_s / self.period_s)))]
 
     def step(
         self, memory: FollowDeckMemory, now: MonoNs, knowledge: Knowledge, target: Target | None
@@ -126,21 +164,23 @@ class FollowDeck:
             plain, given = self._fallback.step(memory.plain, now, knowledge, target)
             return replace(memory, plain=plain), given
         frame = _Frame.of(body)
+        memory = self._retuned(memory, now, chosen_tuning(knowledge.response))
         here = self._deck_ahead(deck, knowledge, 0.0)
         axes = self._axes(memory, now, relative, body, here, frame)
         v_down = (0.0 if deck is None else float(deck.v_level[2])) - float(relative.v_pad_level[2])
+        arrived = self._blended(memory, lambda choice: self._climbs(memory, choice)[-1])
         pushed = climb_law.pushed(
-            memory.pushed_down_m_s2, float(body.a_level[2]), v_down, memory.climbs[-1], self.period_s, self.response.climb
+            memory.pushed_down_m_s2, float(body.a_level[2]), v_down, arrived, self.period_s, self.response.climb
         )
-        memory = FollowDeckMemory(now, axes, pushed, memory.climbs, memory.plain)
+        memory = replace(memory, at=now, axes=axes, pushed_down_m_s2=pushed)
         if target is None:
             return self._noted(memory, (axes[0].lean, axes[1].lean), v_down), Hover()
-        forward, right, trim = self._lean(axes, relative, knowledge, target, here, frame)
-        down = self._down(memory, relative, knowledge, target, v_down)
+        forward, right, trim = self._lean(memory, relative, knowledge, target, here, frame)
+        down = self._blended(memory, lambda choice: self._down(memory, choice, relative, knowledge, target, v_down))
         memory = self._noted(memory, frame.ned(forward, right), down)
         v, a = relative.v_pad_level.tolist(), np.array([forward - trim[0], right - trim[1]])
         # A vehicle that takes velocities gets the one that it will have: it goes that way even where it ignores accelerations.
-        soon = self.response.tilt.slowness_s
+        soon = self._blended(memory, self._slowness_s)
         along = [0.0, 0.0] if deck is None else [float(deck.v_level[k] + soon * a[k]) - v[k] for k in range(2)]
         return memory, Lean(a, np.array(trim), np.array([*along, down]), _turn(relative, target))
 
@@ -158,15 +198,19 @@ class FollowDeck:
         dt = 0.0 if memory.at is None else seconds_between(memory.at, now)
         if memory.axes is None or not 0.0 < dt <= _GAP_MAX_S:
             x, y = (None, None) if memory.axes is None else memory.axes
-            return begun(north, self._under_way, x), begun(east, self._under_way, y)
+            return begun(north, self._remembered, x), begun(east, self._remembered, y)
         gains = disturbance.chosen(self.observers, _sigma_m(relative))
-        x, y = memory.axes
         tilt = self.response.tilt
-        return observed(x, north, dt, gains, tilt), observed(y, east, dt, gains, tilt)
+
+        def after(axis: TiltAxis, z: AxisMeasured) -> TiltAxis:
+            arrived = self._blended(memory, lambda choice: axis.under_way[self._tuning(choice).under_way - 1])
+            return observed(axis, z, dt, gains, tilt, arrived)
+
+        return after(memory.axes[0], north), after(memory.axes[1], east)
 
     def _lean(
         self,
-        axes: tuple[TiltAxis, TiltAxis],
+        memory: FollowDeckMemory,
         relative: RelativeState,
         knowledge: Knowledge,
         target: Target,
@@ -174,21 +218,22 @@ class FollowDeck:
         frame: _Frame,
     ) -> tuple[float, float, tuple[float, float]]:
         """Return the lean to command, m/s^2 forward and right, and the part of it that is trim."""
-        g, tilt = disturbance.chosen(self.gains, _sigma_m(relative)), self.response.tilt
-        then = self._deck_ahead(knowledge.deck, knowledge, tilt.slowness_s)
-        a_now, a_then = frame.ned(*here.a_m_s2[:2]), frame.ned(*then.a_m_s2[:2])
+        axes, sigma_m = memory.axes, _sigma_m(relative)
+        assert axes is not None
+        then = self._deck_ahead(knowledge.deck, knowledge, self._blended(memory, self._slowness_s))
+        ahead = frame.ned(*here.a_m_s2[:2]), frame.ned(*then.a_m_s2[:2])
         want = target.d_body_pad_level.tolist()
         offset = frame.ned(want[0], want[1])
-        far = [axes[k].seen.p - offset[k] for k in range(2)]
-        # A place far off asks for no more than the speed that is allowed.
-        size, reach = math.hypot(*far), target.speed_max_m_s * g.w / g.p
-        shrink = reach / size if size > reach else 1.0
-        u = [command(axes[k], g, shrink * far[k], a_now[k], a_then[k]) for k in range(2)]
+        far = axes[0].seen.p - offset[0], axes[1].seen.p - offset[1]
+        u = _regulated(axes, self._tuning(memory.tuning).gains(sigma_m), far, target.speed_max_m_s, *ahead)
+        if memory.share < 1.0:
+            before = _regulated(axes, self._tuning(memory.tuning_before).gains(sigma_m), far, target.speed_max_m_s, *ahead)
+            u = tuple(memory.share * x + (1.0 - memory.share) * y for x, y in zip(u, before, strict=True))
         trim = frame.level(*(reference(axes[k], 0.0) for k in range(2)))
         forward, right = frame.level(*u)
         if self.view is not None:
             forward, right = lean_in_view(self.view, (forward, right), trim, relative.d_body_pad_level.tolist())
-        most = tilt.max_m_s2
+        most = self.response.tilt.max_m_s2
         if target.lean_max_rad is not None:
             most = min(most, G_M_S2 * math.tan(target.lean_max_rad))
         size = math.hypot(forward, right)
@@ -196,12 +241,18 @@ class FollowDeck:
         return cut * forward, cut * right, trim
 
     def _down(
-        self, memory: FollowDeckMemory, relative: RelativeState, knowledge: Knowledge, target: Target, v_down: float
+        self,
+        memory: FollowDeckMemory,
+        choice: TuningChoice,
+        relative: RelativeState,
+        knowledge: Knowledge,
+        target: Target,
+        v_down: float,
     ) -> float:
-        """Return the vertical speed to command, m/s down."""
-        climb, pushed = self.response.climb, memory.pushed_down_m_s2
-        v_then, way = climb_law.predicted(v_down, pushed, memory.climbs, self.period_s, climb)
-        then = self._deck_ahead(knowledge.deck, knowledge, self._climbs * self.period_s)
+        """Return the vertical speed to command by one choice, m/s down."""
+        climb, pushed, under_way = self.response.climb, memory.pushed_down_m_s2, self._climbs(memory, choice)
+        v_then, way = climb_law.predicted(v_down, pushed, under_way, self.period_s, climb)
+        then = self._deck_ahead(knowledge.deck, knowledge, len(under_way) * self.period_s)
         height_then = relative.height_m + then.moved_m[2] - way
         down = climb_law.climb_command(
             climb, v_then, pushed, then.v_m_s[2], then.a_m_s2[2],
@@ -216,6 +267,21 @@ class FollowDeck:
         north, east = memory.axes
         axes = (commanded(north, u[0]), commanded(east, u[1]))
         return replace(memory, axes=axes, climbs=(down, *memory.climbs[:-1]))
+
+
+def _regulated(
+    axes: tuple[TiltAxis, TiltAxis],
+    gains: TiltGains,
+    far_m: tuple[float, float],
+    speed_max_m_s: float,
+    a_deck: tuple[float, float],
+    a_deck_then: tuple[float, float],
+) -> tuple[float, ...]:
+    """Return the tilt that one set of gains commands north and east, m/s^2, not limited yet."""
+    # A place far off asks for no more than the speed that is allowed.
+    size, reach = math.hypot(*far_m), speed_max_m_s * gains.w / gains.p
+    shrink = reach / size if size > reach else 1.0
+    return tuple(command(axes[k], gains, shrink * far_m[k], a_deck[k], a_deck_then[k]) for k in range(2))
 
 
 def _sigma_m(relative: RelativeState) -> float:

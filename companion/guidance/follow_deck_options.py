@@ -26,6 +26,16 @@ class FollowDeckOptions(Struct, frozen=True, forbid_unknown_fields=True):
             4096,
         ),
     ] = _AUTO
+    identify: Annotated[
+        bool,
+        choice(
+            "whether the response is identified in flight: the gains are softer until the delay is known, and a delay that "
+            "contradicts the file takes its place"
+        ),
+    ] = True
+    delay_known_s: Annotated[
+        float, number("standard deviation up to which the delay of the tilt counts as known", "s", 0.005, 0.2)
+    ] = 0.04
     accelerometer: Annotated[
         bool, choice("whether gusts are felt by the accelerometer; without it they show a second later in place and speed")
     ] = True

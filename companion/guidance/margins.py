@@ -97,7 +97,7 @@ def margins(
         s = state.tolist()
         axis = TiltAxis(Observed(*s[:4]), s[4], s[5], s[6], tuple(s[7:]))
         p, w, lean, rate, a_body = z.tolist()
-        axis = observed(axis, AxisMeasured(p, w, lean, rate, a_body), PERIOD_S, seeing, told)
+        axis = observed(axis, AxisMeasured(p, w, lean, rate, a_body), PERIOD_S, seeing, told, axis.under_way[-1])
         u = command(axis, gains, axis.seen.p, 0.0, 0.0)
         axis = commanded(axis, u)
         return np.array([*axis.seen, axis.lean, axis.rate, axis.lag, *axis.under_way]), u

@@ -1,10 +1,10 @@
 """How a vehicle answers, from what was asked of it and what it reported: delay, tilt frequency and damping, vertical lag.
 
 The model's output is computed from the asked course alone (output error) and compared with the reported one. Gauss-Newton steps
-from the best delay of a grid minimise the squared residuals, which are whitened by a first-order autoregression: the error of a
-reported attitude lasts for a second. A weak prior keeps what a flight does not tell near where the search began, with a large
-sigma. The covariance is the larger of two: of the residuals as they should be, and of the scores summed over a second each, which
-also holds where model or whitening do not fit.
+from the delay of the largest correlation minimise the squared residuals, which are whitened by a first-order autoregression: the
+error of a reported attitude lasts for a second. A weak prior keeps what a flight does not tell near where the search began, with
+a large sigma. The covariance is the larger of two: of the residuals as they should be, and of the scores summed over a second
+each, which also holds where model or whitening do not fit.
 Sources: Ljung, System Identification, 2nd ed., 1999, sec. 4.3 (output error), 7.2 (prediction error), 10.2 (Gauss-Newton);
 White, A heteroskedasticity-consistent covariance matrix estimator, Econometrica 48(4), 1980 (the second covariance).
 """
@@ -30,11 +30,12 @@ _PRIOR_DELAY_S = 0.25
 _PRIOR_SHAPE = 0.5
 """Standard deviation of the prior of frequency, damping and lag, as a natural logarithm."""
 _PRIOR_GAIN = 0.2
-_ITERATIONS = 12
+_STEPS = 12
 _BLOCK_S = 1.0
 _LEAST_BLOCKS = 4
 """Fewer seconds than these are no flight to identify from."""
-_GRID_S = 0.08
+_NEAR_S = 0.15
+"""A fit whose delay is known better than this is near enough to go on from, s."""
 _SETTLED_S = 8.0
 """The response to what was asked is over after this time, s."""
 _FLOOR_S = 0.004
@@ -67,6 +68,8 @@ class Fitted(NamedTuple):
     """(n, axes), what the report is off by: its offset or drift."""
     residual: float
     """Standard deviation of reported less modelled."""
+    rho: float
+    """Coefficient of the residuals' autoregression."""
     seconds: float
     """Length of what was compared."""
 
@@ -98,12 +101,14 @@ _Transfer = Callable[[F64, _C128], tuple[_C128, _C128]]
 """Takes parameters and s = j w, (m,); returns the transfer function, (m,), and its derivatives, (parameters, m)."""
 
 
-def fit_tilt(course: FlightCourse, start: TiltResponse) -> TiltFit | None:
+def fit_tilt(course: FlightCourse, start: TiltResponse, begin: TiltFit | None = None, steps: int = _STEPS) -> TiltFit | None:
     """Return the response of the tilt; None if the course is too short.
 
     Args:
         course: asked and reported tilt forward and right, as accelerations, (n, 2) m/s^2.
         start: where the search begins; its lag and its limit are kept, since lag and delay can hardly be told apart.
+        begin: an earlier fit of the same flight to begin from instead; the prior stays that of `start`.
+        steps: largest number of steps.
     """
 
     def transfer(x: F64, s: _C128) -> tuple[_C128, _C128]:
@@ -114,7 +119,8 @@ def fit_tilt(course: FlightCourse, start: TiltResponse) -> TiltFit | None:
         return H, np.stack([-s * H, d_frequency, -H * (2.0 * z * w) * s / below, H])
 
     first = np.array([start.delay_s, math.log(start.frequency_rad_s), math.log(start.damping), 0.0])
-    found = _fit(course, transfer, first, np.array([_PRIOR_DELAY_S, _PRIOR_SHAPE, _PRIOR_SHAPE, _PRIOR_GAIN]))
+    prior_sigma = np.array([_PRIOR_DELAY_S, _PRIOR_SHAPE, _PRIOR_SHAPE, _PRIOR_GAIN])
+    found = _fit(course, transfer, first, prior_sigma, None if begin is None else begin.fitted, steps)
     if found is None:
         return None
     delay, (w, z, gain) = float(found.values[0]), (math.exp(x) for x in found.values[1:].tolist())
@@ -161,15 +167,20 @@ def fit_climb(course: FlightCourse, start: ClimbResponse) -> ClimbFit | None:
     return ClimbFit(response, gain, found)
 
 
-def _fit(course: FlightCourse, transfer: _Transfer, first: F64, prior_sigma: F64) -> Fitted | None:
+def _fit(
+    course: FlightCourse, transfer: _Transfer, first: F64, prior_sigma: F64, begin: Fitted | None = None, steps: int = _STEPS
+) -> Fitted | None:
     compared = course.counts[1:] & course.counts[:-1]
     if np.count_nonzero(compared) * STEP_S < _LEAST_BLOCKS * _BLOCK_S:
         return None
     loop, prior = _Loop(course, transfer, compared), prior_sigma**-2.0
-    x, rho = first.copy(), 0.9
-    x[0] = loop.best_delay(first)
+    if begin is None or begin.cov[0, 0] > _NEAR_S**2:
+        x, rho = first.copy(), 0.9
+        x[0] = loop.best_delay(first)
+    else:
+        x, rho = begin.values.copy(), begin.rho
     stride = np.array([0.1, *(0.4,) * (first.size - 1)])
-    for k in range(_ITERATIONS):
+    for k in range(steps):
         whitened = loop.whitened(x, rho)
         A = whitened.information + np.diag(prior)
         dx = np.linalg.solve(A, whitened.score + prior * (first - x))
@@ -178,9 +189,9 @@ def _fit(course: FlightCourse, transfer: _Transfer, first: F64, prior_sigma: F64
         rho = whitened.next_rho
         if k > 1 and float(np.abs(dx).max()) < 1e-3:
             break
-    cov = _covariance(loop.whitened(x, rho), prior)
+    cov = _covariance(whitened, prior)
     cov[0, 0] += _FLOOR_S**2 + course.stamp_sigma_s**2
-    return Fitted(x, cov, *loop.output(x), float(np.count_nonzero(compared) * STEP_S))
+    return Fitted(x, cov, *loop.output(x), rho, float(np.count_nonzero(compared) * STEP_S))
 
 
 def _covariance(of: _Whitened, prior: F64) -> F64:
@@ -226,16 +237,13 @@ class _Loop:
         return np.asarray(out[..., : self._reported.shape[0]])
 
     def best_delay(self, x: F64) -> float:
-        """Return the delay of a grid with which the other parameters fit best, whatever the gain."""
-        grid = np.arange(0.0, _DELAY_MAX_S + 1e-9, _GRID_S)
+        """Return the delay with which the other parameters fit best, whatever the gain: where the correlation is largest."""
         H, _ = self._transfer(np.array([0.0, *x[1:]]), self._s)
-        out = self._filtered(H * np.exp(-self._s * grid[:, None]))
         # The difference whitens well enough to find the delay.
-        modelled = np.diff(out, axis=-1)[..., self._compared]
-        told = np.diff(self._reported, axis=0).T[:, self._compared]
-        modelled, told = modelled - modelled.mean(axis=-1, keepdims=True), told - told.mean(axis=-1, keepdims=True)
-        both, own = (modelled * told).sum(axis=(1, 2)), (modelled**2).sum(axis=(1, 2))
-        return float(grid[int(np.argmax(np.maximum(0.0, both) ** 2 / (own + 1e-12)))])
+        told = np.where(self._compared[:, None], np.diff(self._reported, axis=0), 0.0)
+        spectrum = np.fft.rfft(told, self._size, axis=0).T * np.conj(H * self._U * (1.0 - np.exp(-self._s * STEP_S)))
+        lags = np.fft.irfft(spectrum, self._size, axis=-1).sum(axis=0)[: round(_DELAY_MAX_S / STEP_S)]
+        return float(STEP_S * np.argmax(lags))
 
     def whitened(self, x: F64, rho: float) -> _Whitened:
         """Return residuals and derivatives whitened by an autoregression with the coefficient `rho`."""

@@ -21,6 +21,7 @@ from functools import partial
 from importlib import metadata
 
 from companion.guidance.mission import State
+from companion.guidance.response_watch import ResponseState
 from companion.mavlink.commands import CommandServer, Offered
 from companion.mavlink.computer import ComputerReader, computer_status
 from companion.mavlink.operator import Operator
@@ -207,6 +208,8 @@ class Component(NullObserver):
         self._decided = decision.at
         if self._believe is None:
             self._belief = decision.belief
+        if decision.response is not None and decision.response.state is ResponseState.IDENTIFIED:
+            self.texts.say(MavSeverity.WARNING, f"Decklander: {decision.response.text}", decision.at)
         if decision.phase != self._phase:
             self._phase = decision.phase
             severity = _SEVERITIES.get(decision.phase, MavSeverity.INFO)

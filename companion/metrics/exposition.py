@@ -114,10 +114,13 @@ def _mission(mission: MissionHealth) -> Iterator[Metric]:
     if mission.phase:
         phase.add_metric([mission.phase], 1.0)
     yield phase
+    delay_s, longer_s = (None, None) if mission.response is None else (mission.response.delay_s, mission.response.longer_s)
     numbers = (
         ("decklander_height_metres", "Height over the pad by the steering estimate.", mission.height_m),
         ("decklander_error_metres", "Horizontal distance from the pad's centre by the steering estimate.", mission.error_m),
         ("decklander_battery_ratio", "The vehicle's charge, 0 to 1.", mission.battery),
+        ("decklander_response_delay_seconds", "Delay of the vehicle's tilt that is flown with, once identified.", delay_s),
+        ("decklander_response_longer_seconds", "By how much that is longer than the response file says.", longer_s),
     )
     for name, words, value in numbers:
         family = GaugeMetricFamily(name, words)

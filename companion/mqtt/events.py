@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from companion.guidance.mission import StateChange
+from companion.guidance.response_watch import ResponseInUse
 from companion.operator.orders import HandledOrder
 from companion.runtime.health import HealthSnapshot
 from companion.runtime.observer import Decision, ProcessedFrame
@@ -45,6 +46,16 @@ def _changed(change: StateChange, place: Mapping[str, str | float | bool | None]
     return PendingEvent(change.at, "phase", f"{change.target.value}: {why.text}", data)
 
 
+def _response(at: MonoNs, of: ResponseInUse) -> PendingEvent:
+    data: dict[str, str | float | bool | None] = {
+        "response": of.state.value,
+        "delay_s": of.delay_s,
+        "sigma_s": of.sigma_s,
+        "longer_s": of.longer_s,
+    }
+    return PendingEvent(at, "vehicle", of.text, data)
+
+
 def order_event(handled: HandledOrder) -> PendingEvent:
     """Return the event of a person's order and its answer."""
     data: dict[str, str | float | bool | None] = {
@@ -72,7 +83,8 @@ class Changes:
 
     def decision(self, decision: Decision) -> list[PendingEvent]:
         """Return an event for a new phase of guidance, and one for limits that begin or end."""
-        return [*self._new_phase(decision), *self._new_limit(decision)]
+        response = [] if decision.response is None else [_response(decision.at, decision.response)]
+        return [*self._new_phase(decision), *self._new_limit(decision), *response]
 
     def _new_limit(self, decision: Decision) -> list[PendingEvent]:
         before, self._limit = self._limit, decision.limit

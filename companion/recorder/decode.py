@@ -10,6 +10,7 @@ import numpy as np
 
 from companion.guidance.mission import Event, State, StateChange
 from companion.guidance.reason import Reason, ReasonCause
+from companion.guidance.response_watch import ResponseInUse, ResponseState
 from companion.recorder import records as rec
 from companion.recorder.encode import COMMANDS
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
@@ -165,6 +166,13 @@ def command(of: rec.DecisionRecord) -> Command | None:
         if kind is simple:
             return simple()
     raise ValueError(f"no such command: {of.command!r}")
+
+
+def response(of: rec.ResponseRecord | None) -> ResponseInUse | None:
+    """Return a recorded response of the vehicle. Raises ValueError if there is no such state."""
+    if of is None:
+        return None
+    return ResponseInUse(ResponseState(of.state), of.delay_s, of.sigma_s, of.longer_s)
 
 
 def transition(of: rec.TransitionRecord) -> StateChange:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.guidance.mission import StateChange
+from companion.guidance.response_watch import ResponseInUse
 from companion.operator.orders import HandledOrder
 from companion.recorder import records as rec
 from companion.runtime.health import HealthSnapshot
@@ -147,16 +148,25 @@ def fusion(at: MonoNs, of: FusionResult) -> rec.FusionRecord:
 def decision(of: Decision) -> rec.DecisionRecord:
     """Return the record of a decision."""
     steering = None if of.belief is None else of.belief.path
-    changes = [transition(change) for change in of.transitions]
+    changes, found = [transition(change) for change in of.transitions], response(of.response)
     if isinstance(of.command, Velocity):
         v, turn = of.command.v_level.tolist(), of.command.yaw_rate_rad_s
-        return rec.DecisionRecord(int(of.at), of.phase, steering, "velocity", v, turn, of.reason, None, None, changes)
+        return rec.DecisionRecord(int(of.at), of.phase, steering, "velocity", v, turn, of.reason, None, None, changes, found)
     if isinstance(of.command, Lean):
         lean = of.command
         v, a, trim = lean.v_level.tolist(), lean.a_level.tolist(), lean.trim_level.tolist()
-        return rec.DecisionRecord(int(of.at), of.phase, steering, "lean", v, lean.yaw_rate_rad_s, of.reason, a, trim, changes)
+        return rec.DecisionRecord(
+            int(of.at), of.phase, steering, "lean", v, lean.yaw_rate_rad_s, of.reason, a, trim, changes, found
+        )
     simple = None if of.command is None else COMMANDS[type(of.command)]
-    return rec.DecisionRecord(int(of.at), of.phase, steering, simple, reason=of.reason, transitions=changes)
+    return rec.DecisionRecord(int(of.at), of.phase, steering, simple, reason=of.reason, transitions=changes, response=found)
+
+
+def response(of: ResponseInUse | None) -> rec.ResponseRecord | None:
+    """Return the record of a vehicle's response."""
+    if of is None:
+        return None
+    return rec.ResponseRecord(of.state.value, of.delay_s, of.sigma_s, of.longer_s)
 
 
 def transition(of: StateChange) -> rec.TransitionRecord:

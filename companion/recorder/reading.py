@@ -276,6 +276,7 @@ class _Assembly:
             shadows,
             message.reason,
             transitions=tuple(decode.transition(change) for change in message.transitions),
+            response=decode.response(message.response),
         )
 
 

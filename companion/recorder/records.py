@@ -209,6 +209,17 @@ class TransitionRecord(Struct, frozen=True, omit_defaults=True):
     text: str = ""
 
 
+class ResponseRecord(Struct, frozen=True, omit_defaults=True):
+    """The vehicle's response as a flight has come to know it."""
+
+    state: str
+    """assumed, known, or identified where the flight contradicts the response file."""
+    delay_s: float
+    sigma_s: float | None = None
+    longer_s: float = 0.0
+    """By how much the delay is longer than the response file says."""
+
+
 class DecisionRecord(Struct, frozen=True, omit_defaults=True):
     """One guidance cycle; the estimates that it used are the messages of the same instant that precede it."""
 
@@ -228,6 +239,8 @@ class DecisionRecord(Struct, frozen=True, omit_defaults=True):
     """What a lean adds against wind and drag, m/s^2 forward and right."""
     transitions: list[TransitionRecord] = []
     """What changed since the previous decision, in order."""
+    response: ResponseRecord | None = None
+    """The vehicle's response, where this cycle has come to know it otherwise than before."""
 
 
 class OrderRecord(Struct, frozen=True, omit_defaults=True):

@@ -19,6 +19,7 @@ from typing import Protocol
 import cv2
 
 from companion.guidance.mission import FAULTS
+from companion.guidance.response_watch import ResponseState
 from companion.operator.orders import HandledOrder
 from companion.runtime.containment import Audience
 from companion.runtime.health import Health
@@ -260,6 +261,9 @@ class Daemon:
         for change in decision.transitions:
             level = logging.WARNING if change.event in FAULTS else logging.INFO
             log.log(level, "%s: %s (from %s)", change.target.value, change.reason.text, change.source.value)
+        if decision.response is not None:
+            level = logging.WARNING if decision.response.state is ResponseState.IDENTIFIED else logging.INFO
+            log.log(level, "%s", decision.response.text)
         entry = (decision.phase, decision.reason)
         if entry != self._logged and not decision.transitions:
             log.log(logging.WARNING if decision.reason else logging.INFO, "%s", ": ".join(filter(None, entry)))

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from companion.guidance.mission import ENDED
+from companion.guidance.response_watch import ResponseInUse
 from companion.runtime.observer import Decision
 from estimator.contracts.errors import in_words
 from estimator.contracts.estimates import PathName, Verdict
@@ -176,6 +177,8 @@ class MissionHealth:
     """Number of changes of state by source, target, event and cause."""
     flights: Mapping[str, int] = field(default_factory=dict)
     """Number of ended flights by outcome."""
+    response: ResponseInUse | None = None
+    """The vehicle's response, once a flight has said something of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,6 +227,7 @@ class Health:
         self._decided: tuple[Decision, float | None] | None = None
         self._transitions: Counter[tuple[str, str, str, str]] = Counter()
         self._flights: Counter[str] = Counter()
+        self._response: ResponseInUse | None = None
         self.contained: Counter[str] = Counter()
         """Failures of callees that the flight does not need, by callee."""
 
@@ -279,6 +283,7 @@ class Health:
     def decision(self, decision: Decision, vehicle: VehicleStatus | None) -> None:
         """Note a guidance cycle and count its changes of state."""
         self._decided = decision, None if vehicle is None else vehicle.battery_fraction
+        self._response = decision.response or self._response
         for change in decision.transitions:
             why = change.event.name.lower(), change.reason.cause.name.lower()
             self._transitions[change.source.value, change.target.value, *why] += 1
@@ -291,7 +296,9 @@ class Health:
         decision, battery = self._decided
         belief = decision.belief
         height_m, error_m = (None, None) if belief is None else (belief.height_m, belief.lateral_m)
-        return MissionHealth(decision.phase, height_m, error_m, battery, dict(self._transitions), dict(self._flights))
+        return MissionHealth(
+            decision.phase, height_m, error_m, battery, dict(self._transitions), dict(self._flights), self._response
+        )
 
     def delay(self, stage: str, seconds: float) -> None:
         self.delays.setdefault(stage, Delays()).add(seconds)

@@ -45,6 +45,7 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
         law=law_of(settings),
         over_ground=_over_ground(settings),
         reports=settings.vessel,
+        tilt=response_model(settings).tilt,
     )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from companion.guidance.mission import StateChange
+from companion.guidance.response_watch import ResponseInUse
 from companion.operator.orders import HandledOrder
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import RelativeState, Verdict
@@ -49,6 +50,8 @@ class Decision:
     """The limits that changed the command, or why they ended the landing; empty while there are none."""
     transitions: tuple[StateChange, ...] = ()
     """What changed since the previous decision, in order."""
+    response: ResponseInUse | None = None
+    """The vehicle's response, where this cycle has come to know it otherwise than before."""
 
 
 class Observer(Protocol):

@@ -27,6 +27,8 @@ from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
 from companion.guidance.reason import Reason
 from companion.guidance.rendezvous_options import ReportLimits
+from companion.guidance.response import TiltResponse
+from companion.guidance.response_course import reported_lean
 from companion.guidance.situation import GuidanceCycle, VesselPosition, fit_to_steer
 from companion.guidance.steer import asks_to_descend
 from companion.guidance.vessel_track import VesselTrack
@@ -34,6 +36,7 @@ from companion.operator.arbiter import OperatorArbiter
 from companion.operator.limit_options import LimitOptions
 from companion.operator.options import ManualOptions
 from companion.runtime.observer import Decision
+from companion.runtime.response_identifier import ResponseIdentifier
 from estimator import pipeline
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
@@ -109,6 +112,7 @@ class Pilot:
         limits: the limits of every command.
         over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
         reports: what is believed of the places that ship and vehicle report.
+        tilt: how the vehicle's tilt answers, by its file; by default an AR.Drone's.
     """
 
     def __init__(
@@ -124,6 +128,7 @@ class Pilot:
         limits: LimitOptions | None = None,
         over_ground: bool = False,
         reports: ReportLimits | None = None,
+        tilt: TiltResponse | None = None,
     ) -> None:
         self._tracker = tracker
         self._tracker_memory = TrackerMemory()
@@ -134,6 +139,7 @@ class Pilot:
         self._law = self._make_law(guidance)
         self._law_memory = self._law.start()
         self._over_ground = over_ground
+        self._response = ResponseIdentifier(tilt or shipped_response("ardrone2").tilt, guidance)
         self._changes: list[StateChange] = []
         self._status: VehicleStatus | None = None
         self._now = MonoNs(0)
@@ -238,6 +244,7 @@ class Pilot:
         if guidance != self._guidance:
             self._law = self._make_law(guidance)
             self._law_memory = self._law.start()
+            self._response.retune(guidance)
         self._guidance = guidance
         options = structs.replace(self._memory.options, min_confidence=min_confidence, max_delay_s=max_delay_s)
         self._memory = replace(self._memory, options=options)
@@ -264,7 +271,7 @@ class Pilot:
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
             self._forecast = self.forecast(now, HORIZONS_S)
-        return Knowledge(now, self.believed(now), body, deck, self._forecast, self._impact)
+        return Knowledge(now, self.believed(now), body, deck, self._forecast, self._impact, self._response.in_use)
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
         """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
@@ -297,7 +304,9 @@ class Pilot:
             if isinstance(sample, GeoFix):
                 return ()
         if isinstance(sample, Attitude):
-            self._lean = _leant(self._lean, sample)
+            lean = reported_lean(sample.R_ned_body)
+            self._lean = _leant(self._lean, sample.stamp.measured_at, lean)
+            self._response.on_attitude(sample.stamp, lean)
         return self._fuse(sample)
 
     def _on_status(self, status: VehicleStatus) -> None:
@@ -308,6 +317,7 @@ class Pilot:
         if any(change.event is Event.TAKEN_OFF for change in changes):
             self._contact, self._impact, self._forecast = ContactWatch(), None, None
             self._law_memory = self._law.start()
+            self._response.on_take_off()
         self._changes += changes
 
     def _fuse(self, sample: Sample) -> tuple[FusionResult, ...]:
@@ -364,10 +374,11 @@ class Pilot:
         steering = self._memory.options.path
         belief = next((b for b in believed if b.path == steering), None)
         chosen = self.operator.choose(now, self._command(now), belief)
+        response = self._response.on_command(now, chosen.command, self.state)
         shadows = tuple(b for b in believed if b.path != steering)
         changes, self._changes = tuple(self._changes), []
         phase, why = chosen.phase or self.phase, chosen.limit or chosen.reason or self._why(belief)
-        return Decision(now, phase, chosen.command, belief, shadows, why, chosen.limit, changes)
+        return Decision(now, phase, chosen.command, belief, shadows, why, chosen.limit, changes, response)
 
     def _why(self, belief: RelativeState | None) -> str:
         """Return the machine's reason and the estimate's alerts as text."""
@@ -395,11 +406,9 @@ class Pilot:
         return blind_hold.never_lower(command, knowledge, fit=fit, over_ground=self._over_ground)
 
 
-def _leant(mean: tuple[MonoNs, F64] | None, attitude: Attitude) -> tuple[MonoNs, F64]:
+def _leant(mean: tuple[MonoNs, F64] | None, at: MonoNs, lean_m_s2: tuple[float, float]) -> tuple[MonoNs, F64]:
     """Return the mean lean as an acceleration, (2,) m/s^2 forward and right, after one more attitude."""
-    at = attitude.stamp.measured_at
-    roll, pitch, _ = attitude.R_ned_body.rpy_rad
-    lean = G_M_S2 * np.array([-math.tan(pitch), math.tan(roll) / math.cos(pitch)])
+    lean = np.array(lean_m_s2)
     if mean is None:
         return at, lean
     weight = 1.0 - math.exp(-max(0.0, seconds_between(mean[0], at)) / _LEAN_TIME_S)

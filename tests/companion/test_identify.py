@@ -19,6 +19,8 @@ from companion.config.settings import SHIPPED, camera_model, shipped_response
 from companion.guidance.response import TiltResponse, response_from_mapping, tilt_model
 from companion.guidance.response_course import Track, course_of
 from companion.guidance.response_fit import STEP_S, FlightCourse, TiltFit, fit_climb, fit_tilt
+from companion.guidance.response_watch import ResponseState
+from companion.recorder.reading import open_recording
 from companion.recorder.setup import about, recorder_to_file
 from companion.runtime.observer import Decision
 from estimator.contracts.commands import Lean
@@ -193,6 +195,14 @@ def test_a_longer_delay_of_the_commands_is_found(recordings: dict[str, Path], ca
     assert main(["identify", str(recordings["late"]), "--json"]) == 0
     tilt = json.loads(capsys.readouterr().out)["tilt"]
     assert abs(tilt["delay_s"] - truth()[0] - 0.1) < 3.0 * tilt["delay_sigma_s"] < 0.12
+
+
+def test_the_flight_itself_found_the_longer_delay_and_flew_by_it(recordings: dict[str, Path]) -> None:
+    told = [e.response for e in open_recording([recordings["late"]]).events() if isinstance(e, Decision) and e.response]
+    assert [one.state for one in told] == [ResponseState.ASSUMED, ResponseState.IDENTIFIED]
+    assert told[-1].delay_s == pytest.approx(truth()[0] + 0.1, abs=0.04)
+    told = [e.response for e in open_recording([recordings["rough"]]).events() if isinstance(e, Decision) and e.response]
+    assert [one.state for one in told] == [ResponseState.ASSUMED, ResponseState.KNOWN]
 
 
 def test_what_cannot_be_identified_is_said_in_one_line(

@@ -1,0 +1,200 @@
+"""Identify the vehicle's response in flight, and decide which one the control law flies by.
+
+Every second or two the newest `_WINDOW_S` of asked and reported tilt are fitted, beginning from the fit before. A fit whose delay
+is sure to `known_s` and within `CONTRADICTION_S` of the delay in use confirms it; one that is off by more than that and by more
+than three standard deviations takes its place. Either counts when the next fit says the same. What lies between decides nothing.
+A fit whose model is not the vehicle's counts for nothing: the response in use stays.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from companion.guidance.response import TiltResponse
+from companion.guidance.response_course import Track, asked_lean, course_of
+from companion.guidance.response_fit import FlightCourse, TiltFit, fit_tilt
+from estimator.contracts.commands import Command
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
+
+CONTRADICTION_S = 0.04
+"""A difference of the delay up to this is none, s: the margins stand it."""
+DELAY_MAX_S = 0.4
+"""Longest delay that is flown with, s: the margin of 60 ms is kept up to it. A fit beyond it counts for nothing."""
+_WINDOW_S = 12.0
+_EACH_S, _EACH_KNOWN_S = 1.0, 2.0
+"""Time between two fits, and the same while the response is known and not doubted, s."""
+_STEPS = 1
+"""Steps of the search in each fit: the next one goes on from there."""
+_APART_S = 0.008
+"""Reports that follow closer than this are left out, s."""
+_REPORTS_MAX = 500
+"""Number of reports that are kept between two fits."""
+_LATE_S = 1.0
+"""Reports that are older than this on arrival are left out, s."""
+_EXPLAINED = 0.7
+"""Least share of the reported motion that a fit has to explain."""
+_GAIN_OFF = 0.35
+"""A vehicle that flies so much less or more than what is asked is at a limit of its own, or speaks other units."""
+_COURSE_OFF_S = 0.15
+"""A tilt that follows by so much slower or quicker than the file says, beside the delay, is another vehicle's, s."""
+
+
+class ResponseState(Enum):
+    """Whether the vehicle's response is known."""
+
+    ASSUMED = "assumed"
+    """Neither its file nor the flight says how well the delay is known."""
+    KNOWN = "known"
+    """The delay of its file holds, by the file's own word or by the flight's."""
+    IDENTIFIED = "identified"
+    """The flight contradicts the delay of its file and takes its place."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseInUse:
+    """The response that the control law flies by."""
+
+    state: ResponseState
+    delay_s: float
+    """Delay of the tilt that is flown with."""
+    sigma_s: float | None
+    """How well it is known; None if nobody says."""
+    longer_s: float = 0.0
+    """By how much it is longer than its file says."""
+
+    @property
+    def text(self) -> str:
+        """The state for the operator."""
+        ms = f"{1e3 * self.delay_s:.0f} ms (sigma {1e3 * (self.sigma_s or 0.0):.0f})"
+        if self.state is ResponseState.IDENTIFIED:
+            way = "longer" if self.longer_s > 0.0 else "shorter"
+            return f"the vehicle answers {1e3 * abs(self.longer_s):.0f} ms {way} than its response file says: {ms} is flown with"
+        if self.state is ResponseState.KNOWN:
+            return f"the vehicle's response is known: delay {ms}"
+        return f"the vehicle's response is assumed: delay {1e3 * self.delay_s:.0f} ms, softer gains"
+
+
+class ResponseWatch(NamedTuple):
+    """The memory of the identification."""
+
+    given: TiltResponse
+    in_use: ResponseInUse
+    fit: TiltFit | None = None
+    """The newest fit."""
+    doubt: ResponseInUse | None = None
+    """What the newest fit says against the response in use."""
+    asked: tuple[tuple[float, float, float], ...] = ()
+    reported: tuple[tuple[float, float, float], ...] = ()
+    """Instants, s, and tilt forward and right, m/s^2, since the newest fit."""
+    asked_before: Track | None = None
+    reported_before: Track | None = None
+    """The same from before it."""
+    stamp_sigma_s: float = 0.0
+    due: MonoNs = MonoNs(0)
+
+
+def begun(given: TiltResponse, known_s: float) -> ResponseWatch:
+    """Return the memory before the first flight.
+
+    Args:
+        given: the response of the vehicle's file.
+        known_s: standard deviation up to which a delay counts as known.
+    """
+    sigma = given.delay_sigma_s
+    known = sigma is not None and sigma <= known_s
+    state = ResponseState.KNOWN if known else ResponseState.ASSUMED
+    return ResponseWatch(given, ResponseInUse(state, given.delay_s, sigma))
+
+
+def landed(watch: ResponseWatch) -> ResponseWatch:
+    """Return the memory for another flight: what is known stays, the courses begin again."""
+    return watch._replace(doubt=None, asked=(), reported=(), asked_before=None, reported_before=None)
+
+
+def reported(watch: ResponseWatch, stamp: Stamp, lean: tuple[float, float]) -> ResponseWatch:
+    """Take a reported tilt, m/s^2 forward and right."""
+    t = stamp.measured_at / NS_PER_S
+    newest = watch.reported[-1][0] if watch.reported else -math.inf
+    if watch.reported_before is not None and not watch.reported:
+        newest = float(watch.reported_before.t_s[-1])
+    if not t - newest >= _APART_S or not 0.0 <= stamp.received_at / NS_PER_S - t <= _LATE_S:
+        return watch
+    rows = (*watch.reported, (t, *lean))[-_REPORTS_MAX:]
+    return watch._replace(reported=rows, stamp_sigma_s=stamp.sigma_s)
+
+
+def asked(watch: ResponseWatch, now: MonoNs, command: Command | None, known_s: float) -> ResponseWatch:
+    """Take the command of a guidance cycle, and fit when it is time.
+
+    Args:
+        command: what was commanded in flight; None if the vehicle stands, or nobody commands.
+        known_s: standard deviation up to which a delay counts as known.
+    """
+    watch = watch._replace(asked=(*watch.asked, (now / NS_PER_S, *asked_lean(command))))
+    if now < watch.due:
+        return watch
+    since = now / NS_PER_S - _WINDOW_S
+    u, y = _appended(watch.asked_before, watch.asked, since), _appended(watch.reported_before, watch.reported, since)
+    calm = watch.doubt is None and watch.in_use.state is not ResponseState.ASSUMED
+    due = MonoNs(now + round((_EACH_KNOWN_S if calm else _EACH_S) * NS_PER_S))
+    watch = watch._replace(asked=(), reported=(), asked_before=u, reported_before=y, due=due)
+    course = None if u is None or y is None else course_of(u, y, watch.stamp_sigma_s)
+    return watch if course is None else _fitted(watch, course, known_s)
+
+
+def _fitted(watch: ResponseWatch, course: FlightCourse, known_s: float) -> ResponseWatch:
+    fit = fit_tilt(course, watch.given, begin=watch.fit, steps=_STEPS)
+    if fit is None:
+        return watch
+    watch = watch._replace(fit=fit)
+    says = judged(watch.in_use, watch.given, fit, known_s) if _trusted(watch.given, course, fit) else watch.in_use
+    if says is watch.in_use:
+        return watch._replace(doubt=None)
+    agreed = watch.doubt is not None and watch.doubt.state is says.state
+    if agreed and watch.doubt is not None and abs(watch.doubt.delay_s - says.delay_s) <= CONTRADICTION_S:
+        return watch._replace(in_use=says, doubt=None)
+    return watch._replace(doubt=says)
+
+
+def judged(in_use: ResponseInUse, given: TiltResponse, fit: TiltFit, known_s: float) -> ResponseInUse:
+    """Return the response to fly by after a fit: the one in use itself as long as the fit does not say otherwise."""
+    sigma, delay_s = fit.delay_sigma_s, fit.response.delay_s
+    off = abs(delay_s - in_use.delay_s)
+    if sigma > known_s:
+        return in_use
+    if off <= CONTRADICTION_S:
+        return replace(in_use, state=ResponseState.KNOWN, sigma_s=sigma) if in_use.state is ResponseState.ASSUMED else in_use
+    if off <= 3.0 * sigma:
+        return in_use
+    if abs(delay_s - given.delay_s) <= CONTRADICTION_S:
+        return ResponseInUse(ResponseState.KNOWN, given.delay_s, sigma)
+    return ResponseInUse(ResponseState.IDENTIFIED, delay_s, sigma, delay_s - given.delay_s)
+
+
+def _trusted(given: TiltResponse, course: FlightCourse, fit: TiltFit) -> bool:
+    """Whether the fit's model is the vehicle's: it flies what is asked as its file says, only later, and little beside it."""
+    of = fit.response
+    if not 0.0 < of.delay_s <= DELAY_MAX_S or abs(fit.gain - 1.0) > _GAIN_OFF:
+        return False
+    if abs((of.slowness_s - of.delay_s) - (given.slowness_s - given.delay_s)) > _COURSE_OFF_S:
+        return False
+    told = np.asarray((course.reported - fit.fitted.offset)[course.counts])
+    moved = float((told - told.mean(axis=0)).std())
+    return fit.fitted.residual**2 <= (1.0 - _EXPLAINED) * moved**2
+
+
+def _appended(before: Track | None, rows: tuple[tuple[float, float, float], ...], since_s: float) -> Track | None:
+    """Return the track with more rows, without what is older than the window."""
+    if not rows:
+        return before
+    table = np.array(rows)
+    t, values = table[:, 0], table[:, 1:]
+    if before is not None:
+        keep = before.t_s >= since_s
+        t, values = np.concatenate([before.t_s[keep], t]), np.concatenate([before.values[keep], values])
+    return Track(t, values)

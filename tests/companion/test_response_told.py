@@ -1,0 +1,78 @@
+"""A response that a flight has found reaches recording, events, metrics and the ground station."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from companion.guidance.response_watch import ResponseInUse, ResponseState
+from companion.mavlink.component import Component, ComponentOptions
+from companion.mavlink.status_texts import MavSeverity
+from companion.metrics.exposition import text
+from companion.mqtt.events import Changes
+from companion.recorder import decode, encode, records
+from companion.runtime.health import Health
+from companion.runtime.observer import Decision
+from estimator.contracts.time import MonoNs
+from tests.companion.metrics.test_metrics import Clock, value
+
+ASSUMED = ResponseInUse(ResponseState.ASSUMED, 0.05, None)
+KNOWN = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02)
+LATER = ResponseInUse(ResponseState.IDENTIFIED, 0.15, 0.012, 0.1)
+ALL = (ASSUMED, KNOWN, LATER)
+
+
+def decision(response: ResponseInUse | None, at: int = 7) -> Decision:
+    return Decision(MonoNs(at), "descend", None, None, response=response)
+
+
+@pytest.mark.parametrize("response", [*ALL, None])
+def test_it_is_recorded_whole(response: ResponseInUse | None) -> None:
+    wire = msgspec.json.encode(encode.decision(decision(response)))
+    read = decode.response(msgspec.json.decode(wire, type=records.DecisionRecord).response)
+    assert read == response
+
+
+def test_a_recorded_response_that_nobody_knows_is_refused() -> None:
+    with pytest.raises(ValueError, match="guessed"):
+        decode.response(records.ResponseRecord("guessed", 0.05))
+
+
+def test_it_is_an_event_once() -> None:
+    changes = Changes()
+    changes.decision(decision(None))
+    (event,) = changes.decision(decision(LATER))
+    assert event.kind == "vehicle"
+    assert event.text == "the vehicle answers 100 ms longer than its response file says: 150 ms (sigma 12) is flown with"
+    assert event.data == {"response": "identified", "delay_s": 0.15, "sigma_s": 0.012, "longer_s": 0.1}
+    (event,) = changes.decision(decision(ASSUMED))
+    assert event.data["sigma_s"] is None
+    assert changes.decision(decision(None)) == []
+
+
+def test_the_delay_that_is_flown_with_stays_on_the_page_of_metrics() -> None:
+    health = Health(Clock())
+    health.decision(decision(None), None)
+    assert value(text(health.snapshot()), "decklander_response_delay_seconds") is None
+    health.decision(decision(LATER), None)
+    health.decision(decision(None), None)
+    page = text(health.snapshot())
+    assert value(page, "decklander_response_delay_seconds") == 0.15
+    assert value(page, "decklander_response_longer_seconds") == 0.1
+
+
+def test_the_ground_station_hears_of_a_contradiction_only() -> None:
+    class Nobody:
+        def __getattr__(self, name: str) -> Any:
+            raise AssertionError(name)
+
+    component = Component(ComponentOptions(0.39, 0.5), Nobody(), None, healthy=lambda: None, clock=Clock())  # type: ignore[arg-type]
+    said: list[tuple[MavSeverity, str]] = []
+    component.texts.say = lambda severity, words, now: said.append((severity, words))  # type: ignore[method-assign,assignment]
+    for response in (ASSUMED, KNOWN, LATER):
+        component.on_decision(decision(response))
+    (only,) = [one for one in said if "answers" in one[1] or "response" in one[1]]
+    assert only[0] is MavSeverity.WARNING
+    assert LATER.text in only[1]

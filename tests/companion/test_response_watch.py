@@ -1,0 +1,345 @@
+"""The response identified in flight: true or unchanged, never by one fit alone, and without a bump in the command."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec import structs
+
+from companion.config.settings import load, shipped, shipped_response
+from companion.guidance.controller import Knowledge, Target
+from companion.guidance.follow_deck import FollowDeck, FollowDeckMemory
+from companion.guidance.follow_deck_options import FollowDeckOptions
+from companion.guidance.margins import margins
+from companion.guidance.mission import State
+from companion.guidance.options import GuidanceOptions
+from companion.guidance.response import TiltResponse, tilt_model
+from companion.guidance.response_fit import TiltFit, fit_tilt
+from companion.guidance.response_watch import (
+    CONTRADICTION_S,
+    DELAY_MAX_S,
+    ResponseInUse,
+    ResponseState,
+    ResponseWatch,
+    asked,
+    begun,
+    judged,
+    landed,
+    reported,
+)  # fmt: skip
+from companion.guidance.tilt_law import TiltWeights
+from companion.guidance.tuning import AS_GIVEN, TuningChoice, chosen_tuning, tuned
+from companion.runtime.response_identifier import ResponseIdentifier
+from estimator.contracts.commands import Hover, Lean
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.motion import BodyMotion, DeckMotion
+from estimator.contracts.time import MonoNs, Stamp
+from tests.companion.test_identify import flown, gauss_markov
+
+GIVEN = shipped_response("ardrone2")
+SURE = structs.replace(GIVEN.tilt, delay_sigma_s=0.02)
+KNOWN_S = 0.04
+T = 0.02
+ASSUMED = ResponseInUse(ResponseState.ASSUMED, GIVEN.tilt.delay_s, None)
+
+
+def ns(seconds: float) -> MonoNs:
+    return MonoNs(round(1e9 * seconds))
+
+
+def leans(seed: int, seconds: float, size_m_s2: float) -> F64:
+    """What guidance asks for against gusts, one row a cycle."""
+    rng, n = np.random.default_rng(seed), round(seconds / T)
+    keep = math.exp(-T / 1.0)
+    out = np.zeros((n, 2))
+    for k in range(1, n):
+        out[k] = keep * out[k - 1] + size_m_s2 * math.sqrt(1.0 - keep * keep) * rng.standard_normal(2)
+    return out
+
+
+def answers(true: TiltResponse, u: F64, seed: int) -> F64:
+    """What the vehicle reports at each cycle, with errors that last for a second."""
+    model, rng = tilt_model(true, T), np.random.default_rng(seed + 1)
+    out = np.zeros_like(u)
+    for axis in range(2):
+        x = np.zeros(model.A.shape[0])
+        for k in range(u.shape[0]):
+            out[k, axis] = x[2]
+            x = model.A @ x + model.B * u[k, axis]
+        out[:, axis] += 0.05 + gauss_markov(rng, u.shape[0], 0.05, 2.0)
+    return out
+
+
+def watched(watch: ResponseWatch, u: F64, y: F64, late_s: float = 0.01) -> Iterator[tuple[ResponseWatch, ResponseWatch]]:
+    """Yield the memory before and after each cycle."""
+    for k in range(u.shape[0]):
+        measured_at = ns(k * T)
+        watch = reported(watch, Stamp(measured_at, MonoNs(measured_at + ns(late_s)), 0.002, "synced"), (y[k, 0], y[k, 1]))
+        before, watch = watch, asked(watch, ns(k * T), Lean(u[k], np.zeros(2), np.zeros(3), 0.0), KNOWN_S)
+        yield before, watch
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(st.integers(0, 1_000_000), st.floats(0.02, 0.35))
+def test_the_delay_flown_with_comes_to_the_vehicles_own_and_never_by_one_fit(seed: int, delay_s: float) -> None:
+    u = leans(seed, 16.0, 0.6)
+    y = answers(structs.replace(GIVEN.tilt, delay_s=delay_s), u, seed)
+    watch = begun(GIVEN.tilt, KNOWN_S)
+    for before, after in watched(watch, u, y):
+        if after.in_use is not before.in_use:
+            assert before.doubt is not None
+            assert before.doubt.state is after.in_use.state
+            assert abs(before.doubt.delay_s - after.in_use.delay_s) <= CONTRADICTION_S
+        watch = after
+    if watch.in_use.state is ResponseState.ASSUMED:
+        # A delay between agreement and contradiction leaves the gains soft.
+        assert CONTRADICTION_S - 0.03 < abs(delay_s - GIVEN.tilt.delay_s) < 0.12
+        return
+    assert watch.in_use.sigma_s is not None
+    assert abs(watch.in_use.delay_s - delay_s) < CONTRADICTION_S + 3.0 * watch.in_use.sigma_s
+    if watch.in_use.state is ResponseState.KNOWN:
+        assert watch.in_use.delay_s == GIVEN.tilt.delay_s
+    else:
+        assert watch.in_use.longer_s == pytest.approx(watch.in_use.delay_s - GIVEN.tilt.delay_s)
+
+
+def course(kind: str) -> tuple[F64, F64, float]:
+    u = leans(5, 16.0, 0.6)
+    y = answers(structs.replace(GIVEN.tilt, delay_s=0.2), u, 5)
+    rng = np.random.default_rng(9)
+    if kind == "held by hand":
+        return u, np.column_stack([gauss_markov(rng, u.shape[0], 0.5, 1.0) for _ in range(2)]), 0.01
+    if kind == "standing still":
+        return u, np.zeros_like(u), 0.01
+    if kind == "degrees for radians":
+        return u, np.degrees(y), 0.01
+    if kind == "turned the wrong way":
+        return u, -y, 0.01
+    if kind == "axes swapped":
+        return u, y[:, ::-1], 0.01
+    if kind == "at its limit of tilt":
+        return 5.0 * u, np.clip(5.0 * y, -0.6, 0.6), 0.01
+    if kind == "reports two seconds old":
+        return u, y, 2.0
+    if kind == "another attitude loop":
+        return u, answers(structs.replace(GIVEN.tilt, frequency_rad_s=2.0), u, 5), 0.01
+    if kind == "later than may be flown with":
+        return u, answers(structs.replace(GIVEN.tilt, delay_s=0.5), u, 5), 0.01
+    raise ValueError(kind)
+
+
+@pytest.mark.parametrize("given_tilt", [GIVEN.tilt, SURE])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "held by hand", "standing still", "degrees for radians", "turned the wrong way", "axes swapped", "at its limit of tilt",
+        "reports two seconds old", "another attitude loop", "later than may be flown with",
+    ],
+)  # fmt: skip
+def test_what_is_not_this_vehicles_flight_changes_nothing(kind: str, given_tilt: TiltResponse) -> None:
+    first = begun(given_tilt, KNOWN_S)
+    for _, after in watched(first, *course(kind)):
+        assert after.in_use is first.in_use
+
+
+def test_the_same_course_without_the_nonsense_is_identified() -> None:
+    u = leans(5, 16.0, 0.6)
+    *_, (_, after) = watched(begun(SURE, KNOWN_S), u, answers(structs.replace(GIVEN.tilt, delay_s=0.2), u, 5))
+    assert after.in_use.state is ResponseState.IDENTIFIED
+    assert after.in_use.delay_s == pytest.approx(0.2, abs=0.04)
+    assert landed(after).in_use is after.in_use, "the next flight begins with it"
+
+
+@functools.cache
+def some_fit() -> TiltFit:
+    fit = fit_tilt(flown(1, 0.5)[1], GIVEN.tilt)
+    assert fit is not None
+    return fit
+
+
+def fit_of(delay_s: float, sigma_s: float) -> TiltFit:
+    fit = some_fit()
+    cov = fit.fitted.cov.copy()
+    cov[0, 0] = sigma_s**2
+    return structs.replace(fit, response=structs.replace(fit.response, delay_s=delay_s), fitted=fit.fitted._replace(cov=cov))
+
+
+@settings(deadline=None)
+@given(st.floats(0.0, DELAY_MAX_S), st.floats(0.0, 0.2), st.sampled_from([None, 0.02, 0.1]), st.floats(0.0, DELAY_MAX_S))
+def test_a_fit_confirms_contradicts_or_decides_nothing(
+    delay_s: float, sigma_s: float, file_sigma_s: float | None, flown_with_s: float
+) -> None:
+    tilt = structs.replace(GIVEN.tilt, delay_sigma_s=file_sigma_s)
+    found = ResponseInUse(ResponseState.IDENTIFIED, flown_with_s, 0.01, flown_with_s - tilt.delay_s)
+    for in_use in (begun(tilt, KNOWN_S).in_use, found):
+        said = judged(in_use, tilt, fit_of(delay_s, sigma_s), KNOWN_S)
+        if said is in_use:
+            continue
+        assert sigma_s <= KNOWN_S + 1e-12
+        assert said.state is not ResponseState.ASSUMED, "nothing known is forgotten"
+        if said.state is ResponseState.KNOWN:
+            assert said.delay_s == tilt.delay_s
+            assert said.longer_s == 0.0
+        assert abs(said.delay_s - delay_s) <= CONTRADICTION_S
+        if said.delay_s != in_use.delay_s:
+            assert abs(delay_s - in_use.delay_s) > max(CONTRADICTION_S, 3.0 * sigma_s)
+
+
+def test_a_delay_that_may_be_longer_is_not_taken_for_the_files() -> None:
+    # Why: 80 ms more with a sigma of 35 ms is no contradiction yet, and stiff gains do not stand it.
+    assert judged(ASSUMED, GIVEN.tilt, fit_of(0.13, 0.035), KNOWN_S) is ASSUMED
+    assert judged(ASSUMED, GIVEN.tilt, fit_of(0.13, 0.025), KNOWN_S).state is ResponseState.IDENTIFIED
+    assert judged(ASSUMED, GIVEN.tilt, fit_of(0.06, 0.035), KNOWN_S).state is ResponseState.KNOWN
+
+
+# --- the gains -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", shipped("responses"))
+def test_every_response_that_may_be_flown_by_keeps_the_margin_of_60_ms(name: str) -> None:
+    tilt = shipped_response(name).tilt
+    for delay_s in (0.0, 0.1, 0.2, 0.3, DELAY_MAX_S):
+        longer_s = delay_s - tilt.delay_s
+        response, weights = tuned(tilt, TiltWeights(), TuningChoice(longer_s))
+        found = margins(response, structs.replace(tilt, delay_s=delay_s), weights=weights)
+        assert found.stable
+        assert found.delay_s >= 0.06
+    soft, weights = tuned(tilt, TiltWeights(), TuningChoice(soft=True))
+    assert margins(soft, tilt, weights=weights).delay_s > 1.8 * margins(tilt).delay_s
+    late = structs.replace(tilt, delay_s=tilt.delay_s + 0.1)
+    assert margins(soft, late, weights=weights).stable
+
+
+def test_a_file_with_the_longest_delay_has_gains() -> None:
+    slow = structs.replace(GIVEN, tilt=structs.replace(GIVEN.tilt, delay_s=0.6), climb=structs.replace(GIVEN.climb, delay_s=0.6))
+    law = FollowDeck(slow, T)
+    memory, known = law.start(), over(0, ASSUMED)
+    for _ in range(3):
+        memory, command = law.step(memory, known.at, known, TARGET)
+        assert isinstance(command, Lean)
+
+
+TARGET = Target(np.array([0.0, 0.0, 1.0]))
+
+
+def over(k: int, response: ResponseInUse | None) -> Knowledge:
+    """A drone that sways over a deck that heaves."""
+    at, t = ns(k * T), k * T
+    d = np.array([0.1 * math.sin(0.5 * t), 0.08 * math.cos(0.4 * t), 1.05 + 0.1 * math.sin(0.6 * t)])
+    v = np.array([0.05 * math.cos(0.5 * t), -0.032 * math.sin(0.4 * t), 0.06 * math.cos(0.6 * t)])
+    lean = Rotation.from_rpy(0.02 * math.sin(0.8 * t), 0.02 * math.cos(0.7 * t), 0.4)
+    body = BodyMotion(
+        at, 0.4, np.array([0.2 * math.sin(2.0 * t), 0.1, 0.1]), 1e-4 * np.eye(3), np.zeros(3), lean, 1e-4 * np.eye(3)
+    )
+    rising = np.array([0.0, 0.0, 0.3 * math.sin(0.8 * t)])
+    deck = DeckMotion(at, rising, np.array([0.0, 0.0, 0.24 * math.cos(0.8 * t)]), 1e-4 * np.eye(6), *(0.0,) * 4, np.zeros((4, 4)))
+    return Knowledge(at, RelativeState(at, "ekf", d, v, 0.0, 1e-4 * np.eye(7), at, True), body, deck, response=response)
+
+
+def differences(before: ResponseInUse | None, after: ResponseInUse | None, cycles: int) -> F64:
+    """How a law that learns of another response differs from one that does not, lean and vertical speed, cycle by cycle."""
+    law = FollowDeck(GIVEN, T)
+    memory: FollowDeckMemory = law.start()
+    for k in range(100):
+        memory, _ = law.step(memory, over(k, before).at, over(k, before), TARGET)
+    stays, turns, out = memory, memory, []
+    for k in range(100, 100 + cycles):
+        stays, a = law.step(stays, over(k, before).at, over(k, before), TARGET)
+        turns, b = law.step(turns, over(k, after).at, over(k, after), TARGET)
+        assert isinstance(a, Lean)
+        assert isinstance(b, Lean)
+        lean = float(np.hypot(*(b.a_level + b.trim_level - a.a_level - a.trim_level)))
+        out.append([lean, abs(float(b.v_level[2] - a.v_level[2])), float(np.hypot(*(b.v_level - a.v_level)[:2]))])
+        # The two go on from the same commands, so that what differs is this cycle's alone.
+        stays = replace(stays, axes=turns.axes, climbs=turns.climbs, pushed_down_m_s2=turns.pushed_down_m_s2)
+    return np.array(out)
+
+
+KNOWN = replace(ASSUMED, state=ResponseState.KNOWN, sigma_s=0.02)
+LATER = ResponseInUse(ResponseState.IDENTIFIED, 0.2, 0.02, 0.15)
+
+
+@pytest.mark.parametrize(("before", "after"), [(ASSUMED, KNOWN), (ASSUMED, LATER), (KNOWN, LATER), (None, LATER)])
+def test_other_gains_come_without_a_bump(before: ResponseInUse | None, after: ResponseInUse) -> None:
+    off = differences(before, after, 120)
+    assert off[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9), "the cycle of the switch commands what it would have"
+    assert off[50:].max(axis=0)[0] > 0.1, "after a second the gains are others"
+    assert (np.abs(np.diff(off, axis=0)).max(axis=0) <= 0.1 * off.max(axis=0)).all(), "a jump would be all of it in one cycle"
+
+
+def test_what_is_known_before_the_first_cycle_is_flown_by_from_it_on() -> None:
+    law = FollowDeck(GIVEN, T)
+    memory, _ = law.step(law.start(), over(0, LATER).at, over(0, LATER), TARGET)
+    assert memory.tuning == TuningChoice(pytest.approx(0.15), False)
+    assert memory.share == 1.0
+    assert chosen_tuning(None) == AS_GIVEN
+    assert chosen_tuning(ASSUMED) == TuningChoice(0.0, True)
+
+
+# --- the pilot's part ------------------------------------------------------------------------------------------------------
+
+
+def identified_by(guidance: GuidanceOptions, tilt: TiltResponse, **other: Any) -> tuple[ResponseIdentifier, list[ResponseInUse]]:
+    identifier, told = ResponseIdentifier(tilt, guidance), []
+    u = leans(5, 16.0, 0.6)
+    y = answers(structs.replace(GIVEN.tilt, delay_s=0.2), u, 5)
+    for k in range(u.shape[0]):
+        identifier.on_attitude(Stamp(ns(k * T), ns(k * T + 0.01), 0.002, "synced"), (y[k, 0], y[k, 1]))
+        command = other.get("command") or Lean(u[k], np.zeros(2), np.zeros(3), 0.0)
+        found = identifier.on_command(ns(k * T), command, other.get("state", State.DESCEND))
+        told += [] if found is None else [found]
+    return identifier, told
+
+
+def test_softer_gains_and_a_contradiction_are_told_once_each() -> None:
+    identifier, told = identified_by(GuidanceOptions(), GIVEN.tilt)
+    assert [one.state for one in told] == [ResponseState.ASSUMED, ResponseState.IDENTIFIED]
+    assert identifier.in_use is told[-1]
+    assert "softer gains" in told[0].text
+    assert "ms longer than its response file says" in told[1].text
+    _, told = identified_by(GuidanceOptions(), SURE)
+    assert [one.state for one in told] == [ResponseState.IDENTIFIED], "that the file holds is nothing to tell"
+
+
+@pytest.mark.parametrize("state", [State.STANDBY, State.PRESS, State.DOWN, State.LANDED])
+def test_a_drone_that_touches_something_tells_nothing(state: State) -> None:
+    identifier, told = identified_by(GuidanceOptions(), GIVEN.tilt, state=state)
+    assert told == []
+    assert identifier.in_use == ASSUMED
+
+
+def test_a_hover_asks_for_no_tilt_and_tells_nothing() -> None:
+    _, told = identified_by(GuidanceOptions(), GIVEN.tilt, command=Hover())
+    assert [one.state for one in told] == [ResponseState.ASSUMED]
+
+
+@pytest.mark.parametrize(
+    "guidance", [GuidanceOptions(follow_deck=FollowDeckOptions(identify=False)), GuidanceOptions(controller="pid")]
+)
+def test_without_identification_the_file_is_flown_as_it_is(guidance: GuidanceOptions) -> None:
+    identifier, told = identified_by(guidance, GIVEN.tilt)
+    assert told == []
+    assert identifier.in_use is None
+
+
+def test_reports_do_not_pile_up_while_nobody_decides() -> None:
+    watch = begun(GIVEN.tilt, KNOWN_S)
+    for k in range(3000):
+        watch = reported(watch, Stamp(ns(k * T), ns(k * T), 0.002, "synced"), (0.0, 0.0))
+    assert len(watch.reported) <= 500
+
+
+def test_every_shipped_response_is_only_assumed() -> None:
+    # Why: nobody has flown these vehicles to measure them, and a file that claims more gets stiff gains from the first second.
+    known_s = load("sim").guidance.follow_deck.delay_known_s
+    for name in shipped("responses"):
+        assert begun(shipped_response(name).tilt, known_s).in_use.state is ResponseState.ASSUMED
