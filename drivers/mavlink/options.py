@@ -181,9 +181,9 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
     command_timeout_s: Annotated[
         float, number("age above which a commanded velocity is replaced by a hold", "s", 0.05, 2.0, "twelve commands of guidance")
     ] = 0.25
-    attitude_timeout_s: Annotated[float, number("age of the newest heading above which no setpoint is sent", "s", 0.05, 5.0)] = (
-        0.5
-    )
+    attitude_timeout_s: Annotated[
+        float, number("age of the newest heading above which the vehicle only holds or climbs", "s", 0.05, 5.0)
+    ] = 0.5
     prestream_s: Annotated[
         float,
         number(

@@ -83,7 +83,7 @@ class SetpointStreamer:
         self._attitude: Attitude | None = None
         self.hand = Hand.IDLE
         self.blind_periods = 0
-        """The number of periods without a setpoint because no recent heading was known."""
+        """The number of periods without a recent heading, in which it was only held over the surface below, or climbed."""
         self.stale_periods = 0
         """The number of periods in which a velocity was too old to be flown."""
         self.landings_called_off = 0
@@ -322,8 +322,13 @@ class SetpointStreamer:
 
     def _setpoint(self, now: MonoNs, velocity: Velocity | Lean) -> list[Message]:
         attitude = self._attitude
-        if attitude is None or seconds_between(attitude.stamp.measured_at, now) > self._o.attitude_timeout_s:
-            self.blind_periods += 1
+        if attitude is not None and seconds_between(attitude.stamp.measured_at, now) <= self._o.attitude_timeout_s:
+            return [velocity_setpoint(now // 1_000_000, self._id.address, velocity, attitude.R_ned_body.rpy_rad[2])]
+        self.blind_periods += 1
+        if attitude is None or self.hand is Hand.TAKING:
             return []
-        yaw_rad = attitude.R_ned_body.rpy_rad[2]
-        return [velocity_setpoint(now // 1_000_000, self._id.address, velocity, yaw_rad)]
+        # Without any setpoint the autopilot would fly on with the last one, downwards too. The velocity of the surface below was
+        # given by that old heading and turns back with it.
+        up = np.array([0.0, 0.0, min(0.0, float(velocity.v_level[2]))])
+        level = Velocity(self._held(now).v_level + up, 0.0)
+        return [velocity_setpoint(now // 1_000_000, self._id.address, level, attitude.R_ned_body.rpy_rad[2])]

@@ -165,13 +165,29 @@ def test_a_velocity_grows_stale_and_is_flown_as_standing_still() -> None:
     assert flight.streamer.hand is Hand.OURS
 
 
-def test_without_a_heading_nothing_is_sent() -> None:
+@pytest.mark.parametrize(("down", "flown"), [(0.125, 0.0), (-0.5, -0.5)])
+def test_without_a_heading_it_holds_over_the_deck_or_climbs_and_never_descends(down: float, flown: float) -> None:
+    """WHY: an autopilot that hears nothing flies on with its last setpoint, ArduCopter for 3 s: most of a metre down."""
     flight = Flight(Stack.ARDUPILOT, "guided")
     flight.periods(0.2, GO)
     flight.told("guided")
     flight.periods(0.6, GO, seen=False)
-    assert flight.periods(1.0, GO, seen=False) == []
+    command, v_deck = Velocity(np.array([0.5, -0.25, down]), 0.3), np.array([0.8, 0.1, 0.2])
+    for _ in range(25):
+        flight.now = MonoNs(flight.now + S // 25)
+        flight.streamer.take(command, flight.now, v_deck)
+        ((north, east, below, yaw_rate),) = velocities(flight.streamer.period(flight.now))
+        # The nose was to the east: forward is east, right is south.
+        assert (north, east, below, yaw_rate) == pytest.approx((-0.1, 0.8, flown, 0.0))
     assert flight.streamer.blind_periods >= 25
+
+
+def test_without_a_heading_a_vehicle_is_not_taken() -> None:
+    flight = Flight(Stack.ARDUPILOT)
+    assert flight.periods(1.0, GO, seen=False) == []
+    flight.periods(0.04, GO)
+    flight.periods(0.6, GO, seen=False)
+    assert velocities(flight.periods(1.0, GO, seen=False)) == []
 
 
 def test_ardupilot_lands_by_its_own_mode() -> None:

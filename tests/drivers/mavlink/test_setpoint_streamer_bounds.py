@@ -94,8 +94,8 @@ def test_a_velocity_is_flown_up_to_its_age_and_without_a_way_it_then_stands_stil
 def test_a_heading_may_be_half_a_second_old() -> None:
     flight = ours()
     assert len(flight.sends(500, blind=True)[0]) == 1
-    assert flight.sends(500.001, blind=True) == ([], [])
-    assert flight.sends(501, blind=True) == ([], [])
+    assert flight.sends(500.001, blind=True) == ([STILL], [])
+    assert flight.sends(501, blind=True) == ([STILL], [])
     assert flight.streamer.blind_periods == 2
 
 
