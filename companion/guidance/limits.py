@@ -64,9 +64,12 @@ def gate(
     return _first(comparisons)
 
 
-def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: LandingLimits) -> Reason | None:
+def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: LandingLimits, cone: ConeOptions) -> Reason | None:
     """Return the limit that ends a commit, or None."""
-    tilt_deg = None if knowledge.deck is None else math.degrees(knowledge.deck.tilt_rad)
+    # Just over the deck a climb begins after the contact, which then comes with the motors at full thrust.
+    late_s = 0.0 if knowledge.response is None else max(0.0, knowledge.response.longer_s)
+    turns = estimate.height_m > (cone.no_return_s + late_s) * cone.commit_rate_m_s
+    tilt_deg = math.degrees(knowledge.deck.tilt_rad) if turns and knowledge.deck is not None else None
     return _first(
         [
             (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.commit_sighting_age_s),

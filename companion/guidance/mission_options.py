@@ -30,6 +30,16 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
     commit_s: Annotated[
         float, number("longest time from the gate to a felt contact; after it the drone goes around", "s", 0.5, 30.0)
     ] = 3.0
+    no_return_s: Annotated[
+        float,
+        number(
+            "time to the contact below which a deck that tilts no longer ends the commit, since a climb would begin after the "
+            "contact; a delay that is identified in flight adds to it",
+            "s",
+            0.0,
+            1.0,
+        ),
+    ] = 0.2
     press_s: Annotated[
         float, number("time for which it presses on level after the contact before the motors stop", "s", 0.0, 3.0)
     ] = 0.4

@@ -159,7 +159,7 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     estimate = s.estimate
     match p.state:
         case State.COMMIT:
-            return None if estimate is None else limits.commit(s.at, estimate, s.knowledge, o.limits)
+            return None if estimate is None else limits.commit(s.at, estimate, s.knowledge, o.limits, o.cone)
         case State.DOWN:
             return _lease(p, s, o)
         case State.INTERCEPT | State.DESCEND | State.GATE | State.HOLD_BLIND:

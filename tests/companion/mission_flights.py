@@ -14,6 +14,7 @@ from companion.guidance.mission import Event, State, StateChange
 from companion.guidance.mission_step import mission_step, ordered, reported
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
+from companion.guidance.response_watch import ResponseInUse
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim
 from estimator.contracts.commands import Hover, Land, Velocity
@@ -54,6 +55,9 @@ class PointFlight:
     sight: Callable[[float, F64], bool] = lambda t, d: True
     track: Callable[[float], int] = lambda t: 1
     pad_v: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rolled: Callable[[float, F64], float] = lambda t, d: 0.0
+    """The deck's roll, rad."""
+    response: ResponseInUse | None = None
     stands: bool = True
     feels: bool = True
     over_ground: bool = False
@@ -87,8 +91,9 @@ class PointFlight:
             self.seen_at = self.t
         elif self.seen is not None:
             self.seen = estimate(self.t, self.d, relative_v, age=self.t - self.seen_at, track=self.track(self.t), sigma=0.1)
-        deck = DeckMotion(ns(self.t), np.array(self.pad_v), np.zeros(3), 0.01 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
-        s = GuidanceCycle(ns(self.t), Knowledge(ns(self.t), self.seen, deck=deck, impact=self.impact))
+        roll = self.rolled(self.t, self.d)
+        deck = DeckMotion(ns(self.t), np.array(self.pad_v), np.zeros(3), 0.01 * np.eye(6), roll, 0, 0, 0, 1e-4 * np.eye(4))
+        s = GuidanceCycle(ns(self.t), Knowledge(ns(self.t), self.seen, deck=deck, impact=self.impact, response=self.response))
         self.progress, aim, changes = mission_step(self.progress, s, self.options, over_ground=self.over_ground)
         self.changes += changes
         self.rows.append((self.t, self.d.copy(), aim, self.progress.state))

@@ -16,8 +16,10 @@ from companion.guidance.mission_step import mission_step, ordered, reported
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
 from companion.guidance.reason import ReasonCause
+from companion.guidance.response_watch import ResponseInUse, ResponseState
 from companion.guidance.situation import GuidanceCycle, unfit
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
+from estimator.contracts.geometry import F64
 from estimator.contracts.motion import DeckMotion
 from tests.companion.mission_flights import DT, PointFlight, estimate, guided, ns, status
 
@@ -129,6 +131,24 @@ def test_a_gate_that_does_not_open_ends_in_a_refusal_that_says_what_kept_it_shut
     assert flight.progress.fault is not None
     assert flight.progress.fault.cause is ReasonCause.RELATIVE_SPEED
     assert "m/s against the deck (limit 0.02 m/s)" in flight.progress.fault.text
+
+
+@pytest.mark.parametrize(
+    ("below_m", "longer_s", "ends"), [(0.2, 0.0, True), (0.07, 0.0, False), (0.12, 0.0, True), (0.12, 0.1, False)]
+)
+def test_a_deck_that_tilts_ends_the_commit_while_a_climb_comes_before_the_contact(
+    below_m: float, longer_s: float, ends: bool
+) -> None:
+    def rolled(t: float, d: F64) -> float:
+        return math.radians(3.0) if d[2] < below_m else 0.0
+
+    response = ResponseInUse(ResponseState.IDENTIFIED, 0.05 + longer_s, 0.01, longer_s)
+    flight = PointFlight([0.0, 0.0, 2.0], rolled=rolled, response=response).run(30)
+    assert (State.GO_AROUND in flight.states) is ends
+    if ends:
+        assert causes(flight, State.GO_AROUND)[0] is ReasonCause.DECK_TILT
+    else:
+        assert flight.progress.state is State.LANDED
 
 
 def test_wind_and_battery_refuse_with_their_numbers() -> None:
