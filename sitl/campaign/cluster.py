@@ -44,7 +44,7 @@ class ClusterWorkers:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it reports is said here, in one line
         self._plan, self._bases = plan, dict[str, bytes]()
         self._code, self._address, self._flyer = code, address, flyer
-        self._run = uuid.uuid4().hex[:8]
+        self._run, self._orders = uuid.uuid4().hex[:8], 0
         try:
             self._client: Any = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
         except OSError as why:
@@ -85,7 +85,15 @@ class ClusterWorkers:
                     return
                 self._await(done)
                 future = next(done)
-                yield self._result(future, under_way.pop(future.key))
+                job = under_way.pop(future.key)
+                flight = self._result(future, job)
+                if flight is not None:
+                    yield flight
+                    continue
+                self._await_connection()
+                again = self._submit(job)
+                under_way[again.key] = job
+                done.add(again)
         finally:
             done.clear()
 
@@ -108,11 +116,25 @@ class ClusterWorkers:
                     f"(dask worker {self._address}), and the same command goes on from what is kept"
                 )
 
+    def _await_connection(self) -> None:
+        """Wait until the client is connected again.
+
+        Raises:
+            Recoverable: the scheduler is gone.
+        """
+        begun = time.monotonic()
+        while self._client.status != "running":
+            if self._client.status != "connecting" or time.monotonic() - begun > _CONNECT_S:
+                raise self._gone()
+            time.sleep(_POLL_S)
+
     def _submit(self, job: Job) -> Any:
         order = Order(job, base_of(self._plan, job, self._bases), self._code, self._flyer)
-        return self._client.submit(fly_order, order, key=f"fly-{self._run}-{job.key}", pure=False)
+        self._orders += 1  # a key that was cancelled stays so, and a job may be ordered again
+        return self._client.submit(fly_order, order, key=f"fly-{self._run}-{self._orders}-{job.key}", pure=False)
 
-    def _result(self, future: Any, job: Job) -> Flight:
+    def _result(self, future: Any, job: Job) -> Flight | None:
+        """Return the result; None if the order was lost: the client cancels its orders when its connection breaks."""
         if future.status == "finished":
             return self._fetched(future)
         error = future.exception(timeout=_CONNECT_S) if future.status == "error" else None
@@ -125,18 +147,19 @@ class ClusterWorkers:
         if isinstance(error, BaseException):
             said = f"{type(error).__name__}: {in_words(error)}"
             raise Recoverable(f"--scheduler {self._address}: a worker could not fly: {said}") from error
-        raise self._gone()
+        return None
 
-    def _fetched(self, future: Any) -> Flight:
+    def _fetched(self, future: Any) -> Flight | None:
         """Return a finished result; if its worker died meanwhile, another flies it again and this waits."""
-        while True:
+        while future.status not in ("cancelled", "lost"):
             try:
                 flight: Flight = future.result(timeout=_CONNECT_S)
             except (OSError, TimeoutError, CancelledError) as why:
-                if self._client.status != "running":
+                if self._client.status not in ("running", "connecting"):
                     raise self._gone() from why
             else:
                 return flight
+        return None
 
     def _gone(self) -> Recoverable:
         return Recoverable(f"--scheduler {self._address}: the scheduler is gone; the same command goes on from what is kept")

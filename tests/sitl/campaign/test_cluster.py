@@ -72,6 +72,22 @@ def test_a_cluster_gives_the_same_results_although_a_worker_is_killed() -> None:
     assert tally(flights).errors == 1
 
 
+def test_orders_that_a_broken_connection_cancelled_are_given_again() -> None:
+    own = plan(start={"height_m": 2.2})
+    seeds = range(RAISES + 1, RAISES + 13)
+    with ExitStack() as stack:
+        _, address = stack.enter_context(scheduler())
+        stack.enter_context(worker(address, "one"))
+        with ClusterWorkers(own, code_version(), address, fake_fly) as cluster:
+            flights = []
+            for flight in cluster.results(map(Job, seeds)):
+                flights.append(flight)
+                if len(flights) == 3:
+                    client = cluster._client
+                    client.loop.add_callback(client.scheduler_comm.comm.abort)
+    assert sorted(flight["seed"] for flight in flights) == list(seeds)
+
+
 def test_a_scheduler_that_dies_is_one_clear_line() -> None:
     own = plan(start={"height_m": 2.3})
     with ExitStack() as stack:
