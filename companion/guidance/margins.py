@@ -68,7 +68,7 @@ class LoopMargins(NamedTuple):
 
 
 def margins(
-    told: TiltResponse,
+    assumed: TiltResponse,
     true: TiltResponse | None = None,
     *,
     weights: TiltWeights | None = None,
@@ -79,16 +79,16 @@ def margins(
     """Return the loop of one axis.
 
     Args:
-        told: the response that the law is made for.
+        assumed: the response that the law is made for.
         true: the vehicle's own; None for the same.
         weights, noise, delay_line: of the law.
         around: what disturbs it.
     """
     around = around or AxisDisturbances()
-    gains = tilt_gains(told, weights or TiltWeights(), PERIOD_S, delay_line=delay_line)
+    gains = tilt_gains(assumed, weights or TiltWeights(), PERIOD_S, delay_line=delay_line)
     seeing = chosen(observer_gains(noise or ObserverNoise(), PERIOD_S), _SIGMA_P_M)
-    vehicle = tilt_model(true or told, PERIOD_S)
-    n = max(1, math.ceil(told.delay_s / PERIOD_S - 1e-9))
+    vehicle = tilt_model(true or assumed, PERIOD_S)
+    n = max(1, math.ceil(assumed.delay_s / PERIOD_S - 1e-9))
     a_plant, own = vehicle.A.shape[0], 7 + n
     A = vehicle.A.copy()
     A[1, 1] -= PERIOD_S * around.drag_1_s
@@ -97,7 +97,7 @@ def margins(
         s = state.tolist()
         axis = TiltAxis(Observed(*s[:4]), s[4], s[5], s[6], tuple(s[7:]))
         p, w, lean, rate, a_body = z.tolist()
-        axis = observed(axis, AxisMeasured(p, w, lean, rate, a_body), PERIOD_S, seeing, told, axis.under_way[-1])
+        axis = observed(axis, AxisMeasured(p, w, lean, rate, a_body), PERIOD_S, seeing, assumed, axis.under_way[-1])
         u = command(axis, gains, axis.seen.p, 0.0, 0.0)
         axis = commanded(axis, u)
         return np.array([*axis.seen, axis.lean, axis.rate, axis.lag, *axis.under_way]), u

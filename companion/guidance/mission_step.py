@@ -10,7 +10,7 @@ from companion.guidance.progress import Progress, entered
 from companion.guidance.reason import Reason, ReasonCause
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim, aim
-from companion.guidance.watch import account, happenings
+from companion.guidance.watch import account, events
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs
 
@@ -73,7 +73,7 @@ def _taken(p: Progress, event: Event, reason: Reason, at: MonoNs, o: GuidanceOpt
 
 def _first(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Progress, StateChange | None]:
     """Take the first event of the cycle that leads to another state."""
-    for event, reason in happenings(p, s, o):
+    for event, reason in events(p, s, o):
         moved, changes = _taken(p, event, reason, s.at, o)
         if changes:
             return moved, changes[0]

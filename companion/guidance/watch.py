@@ -17,7 +17,7 @@ from companion.guidance.situation import GuidanceCycle, of_frames, unfit
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs, seconds_between
 
-Happening = tuple[Event, Reason]
+EventWithReason = tuple[Event, Reason]
 
 NEAR_SAFE_M = 0.25
 """A height at most this far below the safe height counts as the safe height, metres."""
@@ -76,7 +76,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     )  # fmt: skip
 
 
-def happenings(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Happening]:
+def events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     """Yield what happens in the present state, the most important first."""
     state, estimate = p.state, s.estimate
     if state not in FLOWN:
@@ -124,7 +124,7 @@ def _climbed_blind_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float
     return seconds_between(max(begun), s.at) * o.tries.climb_m_s if begun else 0.0
 
 
-def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: float) -> Iterator[Happening]:
+def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: float) -> Iterator[EventWithReason]:
     felt = s.knowledge.impact
     if p.state is State.COMMIT and felt is not None and p.since is not None and felt.at >= p.since:
         by_vehicle = math.isnan(felt.size_m_s2)
@@ -133,7 +133,7 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
         yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, o.cone.press_s)
 
 
-def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Happening]:
+def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     """Yield what ends the flight's tries: at once for the wind, before the next try for the rest."""
     begins = p.state in (State.SEARCH, State.RENDEZVOUS) or (p.state is State.GO_AROUND and clear(p, s, o))
     if p.state is State.GO_AROUND and not begins:
@@ -194,7 +194,7 @@ def _lease(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     return Reason(ReasonCause.LOST_LOW, p.seen_height_m) if lost and p.seen_height_m > blind_below_m else None
 
 
-def _time_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: float) -> Iterator[Happening]:
+def _time_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: float) -> Iterator[EventWithReason]:
     tries = o.tries
     if p.state in (State.HOLD_BLIND, State.SEARCH):
         limit_s, cause = (
@@ -224,7 +224,7 @@ def _time_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: fl
         yield Event.TIMEOUT, p.blocked or Reason(cause, in_state_s, limit_s)
 
 
-def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Iterator[Happening]:
+def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Iterator[EventWithReason]:
     if o.mission == "thesis":
         yield from _way_points(p, s, o, estimate)
         return
@@ -241,7 +241,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
         yield Event.GATE_OPEN, Reason(ReasonCause.ALL_LIMITS_HOLD)
 
 
-def _way_points(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Iterator[Happening]:
+def _way_points(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Iterator[EventWithReason]:
     way = o.thesis
     if p.state is State.INTERCEPT and near(estimate, way.pad_ahead_m, way.approach_height_m, way.approach_reached_m):
         yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, estimate.lateral_m, way.approach_reached_m)
@@ -299,7 +299,7 @@ def _asked(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     return replace(p, newest_track=estimate.track, good_since=s.at if steady is None else steady)
 
 
-def _question(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Happening]:
+def _question(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     waited_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
     if waited_s > o.tries.operator_wait_s:
         yield Event.TIMEOUT, Reason(ReasonCause.NOBODY_DECIDED, waited_s, o.tries.operator_wait_s)

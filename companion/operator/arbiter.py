@@ -150,14 +150,14 @@ class OperatorArbiter:
         """The sender that flies by hand; None while there is none."""
         return self._control.hand
 
-    def heard(self, now: MonoNs) -> VehicleStatus | None:
+    def newest_status(self, now: MonoNs) -> VehicleStatus | None:
         """Return the vehicle's status, or None if it has not reported one lately."""
         status = self._guided.vehicle
         return status if status is not None and seconds_between(status.stamp.received_at, now) <= _STATUS_FRESH_S else None
 
     def situation(self, now: MonoNs) -> ControlSituation:
         """Return the situation that decides about an order."""
-        status, control = self.heard(now), self._control
+        status, control = self.newest_status(now), self._control
         if status is not None and status.emergency:
             return ControlSituation.EMERGENCY
         if control.landing is not None:
@@ -205,7 +205,7 @@ class OperatorArbiter:
         control, status = self._control, self._guided.vehicle
         if control.hand is not None:
             if control.sticks_at is None or seconds_between(control.sticks_at, now) > self._o.silence_s:
-                self._hold(control.hand, now, f"nothing heard of it for {self._o.silence_s:g} s")
+                self._hold(control.hand, now, f"nothing received from it for {self._o.silence_s:g} s")
             else:
                 self._guided.pause()
         if control.called_off is not None and seconds_between(control.called_off.at, now) > _CALL_OFF_S:

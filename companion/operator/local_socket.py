@@ -118,7 +118,7 @@ class OperatorSocket(NullObserver):
     def state(self, sender: OrderSender) -> FlightState:
         """Return the present state as this terminal sees it."""
         now, decision = self.clock.now(), self._decision
-        status = self.pilot.operator.heard(now)
+        status = self.pilot.operator.newest_status(now)
         belief = None if decision is None else decision.belief
         height_m = None if belief is None else belief.height_m
         if height_m is None and self._range is not None and seconds_between(self._range.stamp.received_at, now) < _RANGE_S:

@@ -75,12 +75,16 @@ class ClusterWorkers:
         distributed: Any = importlib.import_module("distributed")
         under_way: dict[str, Job] = {}
         done = distributed.as_completed(loop=self._client.loop)
+
+        def order(job: Job) -> None:
+            future = self._submit(job)
+            under_way[future.key] = job
+            done.add(future)
+
         try:
             while True:
                 while len(under_way) < _ORDERS_EACH * self.threads and (job := next(jobs, None)) is not None:
-                    future = self._submit(job)
-                    under_way[future.key] = job
-                    done.add(future)
+                    order(job)
                 if not under_way:
                     return
                 self._await(done)
@@ -91,9 +95,7 @@ class ClusterWorkers:
                     yield flight
                     continue
                 self._await_connection()
-                again = self._submit(job)
-                under_way[again.key] = job
-                done.add(again)
+                order(job)
         finally:
             done.clear()
 
