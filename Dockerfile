@@ -2,7 +2,7 @@
 
 FROM debian:bookworm-slim AS build
 RUN apt-get update \
- && apt-get install --yes --no-install-recommends python3 python3-venv binutils
+ && apt-get install --yes --no-install-recommends python3 python3-venv binutils gcc libc6-dev
 WORKDIR /src
 COPY requirements requirements
 RUN python3 -m venv /opt/build \
@@ -15,6 +15,7 @@ COPY drivers drivers
 COPY estimator estimator
 COPY sitl sitl
 COPY configs configs
+COPY supply supply
 RUN /opt/build/bin/pip wheel --no-cache-dir --no-deps --no-build-isolation --wheel-dir /wheels . \
  && /opt/decklander/bin/pip install --no-cache-dir --no-deps /wheels/decklander-*.whl
 # What nobody here uses goes, and the installer itself.
@@ -22,7 +23,6 @@ RUN sh requirements/slim.sh /opt/decklander \
  && /opt/decklander/bin/pip uninstall --yes setuptools pip \
  && for command in demo run record replay doctor soak; do /opt/decklander/bin/decklander $command --help > /dev/null || exit 1; done
 # The bill of materials travels with what it describes. Its maker stays in this stage.
-COPY supply supply
 RUN /opt/build/bin/pip install --no-cache-dir --require-hashes -r requirements/supply.txt \
  && /opt/build/bin/python -m supply.sbom --environment /opt/decklander --out /opt/decklander/share/decklander/sbom.cdx.json
 

@@ -8,9 +8,11 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 WORKERS := -n logical --maxprocesses 8
 BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
-.PHONY: demo check test test-image test-v4l2 lint bench docs fuzz mutants sbom licences audit pins
+CORE := estimator/core/libdecklander.so
 
-demo: $(VENV)/.report
+.PHONY: core demo check test test-image test-v4l2 lint bench docs fuzz mutants sbom licences audit pins
+
+demo: $(VENV)/.report $(CORE)
 	$(BIN)/decklander demo
 
 # Before each commit: lint, types, and every test but those of the slow files that tests/conftest.py names.
@@ -20,22 +22,29 @@ check: lint
 test: lint
 	$(BIN)/pytest $(WORKERS)
 
+# The native core (estimator/core), with cc where there is one, else with zig's compiler.
+core: $(CORE)
+
+$(CORE): $(wildcard estimator/core/*.[ch]) supply/core.py | $(VENV)/.runtime
+	@command -v cc >/dev/null || $(PIP) install --require-hashes -r requirements/compiler.txt
+	$(BIN)/python -m supply.core
+
 # The V4L2 driver on the kernel's own test camera, in a virtual machine by software emulation.
-test-v4l2: $(VENV)/.dev
+test-v4l2: $(VENV)/.dev $(CORE)
 	@$(BIN)/python -c 'import sys; from tests.v4l2_vm.machine import missing; sys.exit(missing())'
 	$(BIN)/pytest tests/v4l2_vm
 
 # The images' own steps without an engine, up to a landing in them. As root, with debootstrap and a Debian mirror in reach.
-test-image: $(VENV)/.dev
+test-image: $(VENV)/.dev $(CORE)
 	$(BIN)/python -m tests.packaging.image
 
-lint: $(VENV)/.dev
+lint: $(VENV)/.dev $(CORE)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(VENV)/.dev
+bench: $(VENV)/.dev $(CORE)
 	@for bench in $(subst /,.,$(BENCHES)); do echo "== $$bench"; $(BIN)/python -m $$bench || exit 1; done
 
 # The documentation as a site in site/; a broken link or a page outside the navigation fails it. A preview while writing: .venv/bin/mkdocs serve.
@@ -43,11 +52,11 @@ docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 # Every parser against bytes of a fuzzer's making: make fuzz SECONDS=60, or HOURS=8, CPU=1 for CPU time. ONLY="pave at" for some targets, JOBS=1 for one core.
-fuzz: $(VENV)/.fuzz
+fuzz: $(VENV)/.fuzz $(CORE)
 	$(BIN)/python -m fuzz $(if $(HOURS),--hours $(HOURS)) $(if $(SECONDS),--seconds $(SECONDS)) $(if $(JOBS),--jobs $(JOBS)) $(if $(CPU),--cpu) $(if $(ONLY),--only $(ONLY))
 
 # Filter, guidance and command streamers changed in one place at a time: how many of the changes do the tests notice? SHARE=0.1 for a sample.
-mutants: $(VENV)/.dev
+mutants: $(VENV)/.dev $(CORE)
 	$(BIN)/python -m mutants $(if $(SHARE),--share $(SHARE)) $(if $(SEED),--seed $(SEED)) $(if $(ONLY),--only $(ONLY))
 
 # What is shipped: bill of materials (CycloneDX JSON), licences, known weaknesses (of PyPI's advisories, or of ADVISORIES=FILE without a network).
@@ -109,3 +118,4 @@ pins:
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/docs.txt requirements/docs.in
+	$(PIN) -o requirements/compiler.txt requirements/compiler.in

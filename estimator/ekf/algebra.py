@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
+from estimator.core.interface import ORDER_MAX, ROWS_MAX
+from estimator.core.library import CORE, address
 
 
 class Correction(NamedTuple):
@@ -51,49 +53,60 @@ def nis_of(innov: Sequence[float] | F64, S: F64) -> float | None:
     return nis if math.isfinite(nis) else None
 
 
+_PREDICT, _CORRECT = CORE.function("kalman_predict"), CORE.function("kalman_correct")
+
+
 class Algebra:
-    """Linear algebra for error states of one size.
+    """Linear algebra for error states of one size, done by the native core (estimator/core/kalman.c).
 
     Source: Labbe, Kalman and Bayesian Filters in Python, 2020, ch. 11; Joseph form: Bar-Shalom, Li, Kirubarajan, Estimation
     with Applications to Tracking and Navigation, 2001, eq. 5.2.3-18.
+
+    Raises:
+        ValueError: the core has no room for so many states.
     """
 
     def __init__(self, n: int) -> None:
-        self._identity = np.eye(n)
-        self._identity.setflags(write=False)
+        if not 0 < n <= ORDER_MAX:
+            raise ValueError(f"the core takes 1 to {ORDER_MAX} states, not {n}")
+        self._n = n
 
     def predict(self, P: F64, F: F64, Q: F64) -> F64:
-        """Return the symmetric part of `F P F' + Q`; all matrices are (n, n)."""
-        moved = F.dot(P).dot(F.T) + Q
-        return np.asarray(0.5 * (moved + moved.T))
+        """Return the symmetric part of `F P F' + Q`; all matrices are (n, n), and P is symmetric.
+
+        Raises:
+            ValueError: a matrix has another shape.
+        """
+        self._check(P=P, F=F, Q=Q)
+        P, F, Q = (np.ascontiguousarray(matrix) for matrix in (P, F, Q))
+        after = np.empty_like(P)
+        _PREDICT(self._n, address(P), address(F), address(Q), address(after))
+        return after
 
     def correct(self, P: F64, innov: F64, H: F64, R: F64) -> Correction | None:
-        """Return the Kalman correction, or None if S cannot be inverted.
+        """Return the Kalman correction, or None if S is not positive definite.
 
         Args:
             P: (n, n) covariance before the correction.
-            innov: (m,) innovation.
+            innov: (m,) innovation; m is at most `ROWS_MAX`.
             H: (m, n) Jacobian of the measurement.
             R: (m, m) covariance of the measurement noise.
+
+        Raises:
+            ValueError: an argument has another shape, or there are too many rows.
         """
-        # Units and variances differ by many orders of magnitude: rows scaled to unit innovation variance keep S well conditioned.
-        var = np.einsum("ij,ij->i", H.dot(P), H) + R.diagonal()
-        if not all(0.0 < v < math.inf for v in var.tolist()):
+        n, m = self._n, innov.size
+        self._check(P=P)
+        if not 0 < m <= ROWS_MAX or H.shape != (m, n) or R.shape != (m, m):
+            raise ValueError(f"a correction by {m} numbers with H {H.shape} and R {R.shape}; the core takes 1 to {ROWS_MAX} rows")
+        P, innov, H, R = (np.ascontiguousarray(part, dtype=np.float64) for part in (P, innov, H, R))
+        dx, after, S, nis = np.empty(n), np.empty((n, n)), np.empty((m, m)), np.empty(1)
+        results = address(dx), address(after), address(S), address(nis)
+        if not _CORRECT(n, m, address(P), address(innov), address(H), address(R), *results):
             return None
-        scale = 1.0 / np.sqrt(var)
-        both = scale[:, None] * scale
-        y, H, R = innov * scale, H * scale[:, None], R * both
-        cross = P.dot(H.T)
-        S = H.dot(cross) + R
-        try:
-            inverse = np.linalg.inv(S)
-        except np.linalg.LinAlgError:
-            return None
-        K = cross.dot(inverse)
-        dx = K.dot(y)
-        nis = float(y.dot(inverse).dot(y))
-        if not (math.isfinite(nis) and nis >= 0.0 and math.isfinite(float(dx.dot(dx)))):
-            return None
-        kept = self._identity - K.dot(H)
-        after = kept.dot(P).dot(kept.T) + K.dot(R).dot(K.T)
-        return Correction(dx, 0.5 * (after + after.T), S / both, nis)
+        return Correction(dx, after, S, nis.item())
+
+    def _check(self, **matrices: F64) -> None:
+        for name, matrix in matrices.items():
+            if matrix.shape != (self._n, self._n):
+                raise ValueError(f"{name} has shape {matrix.shape}, not {(self._n, self._n)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import re
 import shutil
 import subprocess
@@ -76,6 +77,8 @@ def test_wheel_and_source_archive_hold_what_they_should(tmp_path: Path) -> None:
     (wheel,) = (tmp_path / "dist").glob("*.whl")
     (archive,) = (tmp_path / "dist").glob("*.tar.gz")
     names = zipfile.ZipFile(wheel).namelist()
+    assert wheel.stem.endswith(f"-py3-none-linux_{platform.machine()}")
+    assert {"estimator/core/libdecklander.so", "estimator/core/interface.h", "estimator/core/kalman.c"} <= set(names)
     tops = {name.split("/")[0] for name in names if ".dist-info/" not in name}
     assert tops == {"companion", "drivers", "estimator", "sitl", "configs"}
     assert [name for name in names if name.startswith("sitl/testing") or "/test_" in name] == []
@@ -92,5 +95,7 @@ def test_wheel_and_source_archive_hold_what_they_should(tmp_path: Path) -> None:
         "Makefile",
         "tests/test_house.py",
         "requirements/runtime.txt",
+        "supply/wheel.py",
     } <= inside
+    assert [name for name in inside if name.endswith(".so")] == []
     assert [name for name in inside if name.startswith((".venv", ".git/", "dist/", "report/"))] == []

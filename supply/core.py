@@ -1,0 +1,93 @@
+"""Build the native core: `python -m supply.core` compiles `estimator/core/*.c` into the library beside them.
+
+The compiler is `cc` where there is one, else zig's, from `requirements/compiler.txt`. `--header` writes `interface.h` from
+`interface.py`. This module needs only the standard library: a build environment has no other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import runpy
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+FOLDER = Path(__file__).parents[1] / "estimator/core"
+LIBRARY = FOLDER / "libdecklander.so"
+HEADER = FOLDER / "interface.h"
+FLAGS = ("-std=c99", "-O2", "-fPIC", "-Wall", "-Wextra", "-Werror", "-Wmissing-prototypes", "-ffp-contract=off")
+"""Without contraction and without fast-math, machines of one architecture compute the same bits."""
+NO_COMPILER = (
+    "the native core needs a C compiler, and there is neither `cc` (on Debian: apt install gcc libc6-dev) "
+    "nor zig's (pip install --require-hashes -r requirements/compiler.txt)"
+)
+
+
+class BuildError(Exception):
+    """The library could not be built; the text says why and what helps."""
+
+
+def compiler() -> list[str]:
+    """Return the command that compiles C.
+
+    Raises:
+        BuildError: there is none.
+    """
+    if shutil.which("cc") is not None:
+        return ["cc"]
+    if importlib.util.find_spec("ziglang") is not None:
+        return [sys.executable, "-m", "ziglang", "cc"]
+    raise BuildError(NO_COMPILER)
+
+
+def build(out: Path = LIBRARY, extra: Sequence[str] = ()) -> Path:
+    """Compile the library. It replaces an older one at once, so that a process that runs keeps the file it has opened.
+
+    Args:
+        out: the file to write.
+        extra: further flags for the compiler.
+
+    Raises:
+        BuildError: there is no compiler, or it refuses a source.
+    """
+    sources = [str(path) for path in sorted(FOLDER.glob("*.c"))]
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=".core-") as folder:
+        made = Path(folder, out.name)
+        command = [*compiler(), *FLAGS, "-shared", *extra, *sources, "-o", str(made), "-lm"]
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=False, env={**os.environ, "ZIG_LOCAL_CACHE_DIR": folder}
+        )
+        if done.returncode != 0:
+            raise BuildError(f"{' '.join(command)}\n{done.stderr.strip()}")
+        made.replace(out)
+    return out
+
+
+def header() -> str:
+    """Return the C header of the interface that `estimator/core/interface.py` describes."""
+    return str(runpy.run_path(str(FOLDER / "interface.py"))["header"]())
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command."""
+    parser = argparse.ArgumentParser(prog="python -m supply.core", description="Build the native core.")
+    parser.add_argument("--header", action="store_true", help="write interface.h from interface.py, and build nothing")
+    args = parser.parse_args(argv)
+    if args.header:
+        HEADER.write_text(header())
+        return 0
+    try:
+        build()
+    except BuildError as why:
+        print(f"{why}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
