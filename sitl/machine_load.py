@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from estimator.contracts.estimates import Verdict
 
 STOOD_STILL_MAX_S = 1.0
-FILMED_MIN, REPLACED_MAX, NO_ATTITUDE_MAX = 0.5, 0.4, 0.15
-"""Limits on shares of a flight's frames: rendered in time, replaced before vision processed them, without an attitude since the
-samples came late."""
+FILMED_MIN, REPLACED_MAX, SKIPPED_MAX, NO_ATTITUDE_MAX = 0.5, 0.4, 0.7, 0.15
+"""Limits on shares of a flight's frames: rendered in time, replaced before vision processed them, left out by vision to keep its
+share of a core, without an attitude since the samples came late."""
 GUIDANCE_LATE_MAX_S = 0.02
 """Limit on the median delay of guidance cycles: one period of the shipped settings, at which guidance runs at half its rate."""
 _FRAMES_HZ = 30.0
@@ -41,6 +41,8 @@ class Load:
         every = max(1, self.frames.total())
         if (share := self.frames[Verdict.REPLACED] / every) > REPLACED_MAX:
             said.append(f"{share:.0%} of the frames were overtaken by newer ones")
+        if (share := self.frames[Verdict.SKIPPED] / every) > SKIPPED_MAX:
+            said.append(f"{share:.0%} of the frames were skipped")
         if (share := self.frames[Verdict.NO_ATTITUDE] / every) > NO_ATTITUDE_MAX:
             said.append(f"{share:.0%} of the frames had no attitude")
         if self.guidance_late_s is not None and self.guidance_late_s > GUIDANCE_LATE_MAX_S:

@@ -165,9 +165,8 @@ async def cpu_at(rate_hz: int, scenario: Scenario, settings: Settings, duration_
     every = sum(counted.values())
     delay = daemon.health.delays.get("exposure_to_belief")
     p50_s = None if delay is None else delay.quantile(0.5)
-    return Cost(
-        share, 1.0 - counted.get(Verdict.REPLACED, 0) / every if every else 0.0, None if p50_s is None else p50_s - _DELAY_S
-    )
+    unseen = counted.get(Verdict.REPLACED, 0) + counted.get(Verdict.SKIPPED, 0)
+    return Cost(share, 1.0 - unseen / every if every else 0.0, None if p50_s is None else p50_s - _DELAY_S)
 
 
 def _back_and_forth(n: int, length: int) -> int:

@@ -49,6 +49,15 @@ class VisionSettings(TrackerOptions, frozen=True, forbid_unknown_fields=True):
     """The processing of frames."""
 
     threads: Annotated[int, number("threads OpenCV may use for one frame", "threads", 1, 64)] = 1
+    core_fraction: Annotated[
+        float,
+        number(
+            "largest fraction of a core that looking at frames may take; beyond it frames are skipped; 1 skips none",
+            "1",
+            0.1,
+            1.0,
+        ),
+    ] = 0.7
 
 
 class ServiceSettings(RestartOptions, frozen=True, forbid_unknown_fields=True):

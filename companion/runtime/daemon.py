@@ -22,12 +22,14 @@ from companion.guidance.mission import FAULTS
 from companion.guidance.response_watch import ResponseState
 from companion.operator.orders import HandledOrder
 from companion.runtime.containment import Audience
+from companion.runtime.garbage import GroundedCollector, no_full_collections
 from companion.runtime.health import Health
 from companion.runtime.missing_inputs import SHIP_PLACE, missing_inputs
 from companion.runtime.observer import Decision, Observer, ProcessedFrame
 from companion.runtime.pilot import FlightOutcome, Pilot
 from companion.runtime.restart_options import RestartOptions
 from companion.runtime.supervise import Body, run, uncancelled
+from companion.runtime.vision_share import VisionShare
 from companion.runtime.worker import Worker
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command
@@ -72,6 +74,7 @@ class Daemon:
         guidance_rate_hz: the rate of guidance cycles.
         health_period_s: the time between two log lines of health; 0 logs none.
         threads: the number of threads that OpenCV may use for one frame.
+        core_fraction: the largest share of the time that looking at frames may take; 1 skips none.
         once: whether `run` ends with the first flight; otherwise it waits for the next one.
         health: the health that is shared with parts made before the daemon; if absent, a new one is made.
         extras: parts by name that run beside the flight. Their failures do not affect it.
@@ -88,6 +91,7 @@ class Daemon:
         guidance_rate_hz: float,
         health_period_s: float = 0.0,
         threads: int = 1,
+        core_fraction: float = 1.0,
         observers: Sequence[Observer] = (),
         once: bool = False,
         health: Health | None = None,
@@ -101,6 +105,8 @@ class Daemon:
         self._period_s = 1.0 / guidance_rate_hz
         self._health_period_s = health_period_s
         self._threads = threads
+        self._share = VisionShare(core_fraction)
+        self._collector = GroundedCollector()
         self._once = once
         self._link: VehicleLink | None = None
         self._ended = asyncio.Event()
@@ -127,7 +133,8 @@ class Daemon:
             beside["health"] = self._log_health
         self._tracker = Worker("vision")
         try:
-            await run(vital, self._restart, self.health, self._clock, until=self._ended, beside=beside)
+            with no_full_collections():
+                await run(vital, self._restart, self.health, self._clock, until=self._ended, beside=beside)
         finally:
             self._tracker.close()
         return self._pilot.outcome
@@ -174,6 +181,9 @@ class Daemon:
                 self._judged(Verdict.REPLACED)
             overtaken = link.frames.replaced
             self.health.beat("Frame")
+            if not self._share.admits(self._clock.now()):
+                self.health.frame(Verdict.SKIPPED)
+                continue
             try:
                 processed = await self._process(frame)
             except asyncio.CancelledError:
@@ -204,15 +214,20 @@ class Daemon:
             verdict = Verdict.NO_ATTITUDE
         else:
             assert self._tracker is not None
+            looked_from = self._clock.now()
             detection = await self._tracker.run(self._pilot.detect, frame, attitude)
+            self._share.looked(looked_from, seconds_between(looked_from, self._clock.now()))
             verdict, results = self._pilot.on_detection(detection)
         return ProcessedFrame(frame, attitude, detection, verdict, began, self._clock.now(), results)
 
     async def _attitude_of(self, frame: Frame) -> Attitude | None:
-        """Return the attitude at the exposure, or None; while samples are still queued, wait a little for one that covers it."""
+        """Return the attitude at the exposure, or None; wait a little for one that covers it.
+
+        On a busy machine the vehicle's samples may still be in a socket when the frame is decoded.
+        """
         for _ in range(_ATTITUDE_TRIES):
             attitude = self._pilot.attitude_at(frame.stamp)
-            if attitude is not None or self._link is None or not len(self._link.samples):
+            if attitude is not None or self._link is None:
                 return attitude
             await self._clock.sleep(_ATTITUDE_PAUSE_S)
         return None
@@ -244,6 +259,8 @@ class Daemon:
             self._tell(decision)
             self.health.decision(decision, self._pilot.vehicle)
             self._audience.on_decision(decision)
+            vehicle = self._pilot.vehicle
+            self._collector.tick(began, None if vehicle is None else vehicle.flying)
             if self._pilot.outcome is not None and self._once:
                 self._ended.set()
                 return

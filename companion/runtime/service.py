@@ -111,6 +111,7 @@ def make_daemon(
         guidance_rate_hz=settings.guidance.rate_hz,
         health_period_s=settings.service.health_period_s,
         threads=settings.vision.threads,
+        core_fraction=settings.vision.core_fraction,
         observers=watching,
         once=once,
         health=health,

@@ -33,6 +33,8 @@ class Verdict(Enum):
     """A frame in which no pad was found."""
     REPLACED = "replaced"
     """A newer frame replaced this one before it was processed."""
+    SKIPPED = "skipped"
+    """This machine is too slow to look at each frame, and this one was left out."""
     NO_ATTITUDE = "no_attitude"
     """No attitude sample covers the frame's exposure."""
     FAILED = "failed"

@@ -1,6 +1,7 @@
 """The service over a fake vehicle: every frame counted once, a lost link back alone, a bug loud, and always a hover left."""
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 
@@ -23,6 +24,7 @@ from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import Stamp, after
 from estimator.options import EstimatorOptions
 from estimator.vision.options import TrackerOptions
+from estimator.vision.thesis.detection import Detection
 from estimator.vision.tracker import TrackerConfig
 
 SIM = load("sim")
@@ -126,6 +128,50 @@ async def test_every_frame_offered_ends_in_exactly_one_verdict() -> None:
     assert daemon.health.frames[Verdict.REPLACED] == vehicle.frames.replaced > 0
     assert daemon.health.frames[Verdict.NO_PAD] > 0
     assert len(diary.frames) == 60 - vehicle.frames.replaced
+
+
+async def test_a_frame_waits_for_an_attitude_that_is_still_in_a_socket() -> None:
+    vehicle, diary = FakeVehicle(), Diary()
+    daemon = daemon_of(vehicle.open, diary=diary)
+    async with asyncio.TaskGroup() as group:
+        group.create_task(daemon.run())
+        await until(lambda: vehicle.opened == 1)
+        vehicle.say(flying=True)
+        await asyncio.sleep(0.1)
+        vehicle.film(1, late_s=0.0)  # its exposure lies beyond what the newest attitude reaches, and no sample is queued
+        await asyncio.sleep(0.01)
+        vehicle.say(flying=True)
+        await until(lambda: daemon.health.frames.total() == 1)
+        daemon.stop()
+    assert daemon.health.frames == {Verdict.NO_PAD: 1}
+
+
+class SlowPilot(Pilot):
+    """A pilot on a machine that needs 50 ms for a frame."""
+
+    def detect(self, frame: Frame, attitude: Attitude) -> Detection:
+        time.sleep(0.05)
+        return super().detect(frame, attitude)
+
+
+async def test_a_slow_machine_leaves_frames_out_and_counts_them() -> None:
+    vehicle = FakeVehicle()
+    pilot = SlowPilot(EYES, EstimatorOptions(), GuidanceOptions())
+    daemon = Daemon(
+        vehicle.open, pilot, CLOCK, restart=RestartOptions(0.01, 1.0, 0.01, 5.0), guidance_rate_hz=50.0, core_fraction=0.4
+    )
+    async with asyncio.TaskGroup() as group:
+        group.create_task(daemon.run())
+        await until(lambda: vehicle.opened == 1)
+        for seq in range(1, 60):
+            vehicle.say(flying=True)
+            vehicle.film(seq)
+            await asyncio.sleep(0.01)
+        await until(lambda: daemon.health.frames.total() == vehicle.frames.offered)
+        daemon.stop()
+    frames = daemon.health.frames
+    assert frames[Verdict.SKIPPED] > frames[Verdict.NO_PAD] > 0
+    assert frames.total() == 59
 
 
 async def test_a_lost_vehicle_comes_back_alone_while_guidance_goes_on() -> None:

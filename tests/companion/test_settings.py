@@ -133,6 +133,7 @@ UNITS = {
     "id": "_id", "ppm": "_ppm", "MB": "_mb", "KiB": "_kib", "records": "_records", "frames": "_frames",
 }  # fmt: skip
 GAINS_AND_RATIOS = {
+    "core_fraction",
     "slope",
     "battery",
     "mmsi",
