@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
+from msgspec import Struct, field, structs
 
 from companion.operator.fence import Corners, within
 from companion.operator.limit_options import LimitOptions
@@ -34,9 +35,11 @@ class Limit(Enum):
     RETURN = "a low battery: no farther away"
 
 
-@dataclass(frozen=True, slots=True)
-class PlaceMemory:
-    """Where the vehicle is from its start, by its own velocity, and how high."""
+class PlaceMemory(Struct, frozen=True, eq=False):
+    """Where the vehicle is from its start, by its own velocity, and how high.
+
+    It is replaced for each sample, and a Struct is replaced faster than a dataclass.
+    """
 
     p_start_ned: F64 = field(default_factory=lambda: np.zeros(2))
     """(2,) m north and east of the place where it was first seen to fly."""
@@ -56,24 +59,24 @@ def place_step(memory: PlaceMemory, sample: Sample) -> PlaceMemory:
     match sample:
         case VehicleStatus():
             flying = sample.flying is True
-            memory = replace(memory, flying=flying, charge=sample.battery_fraction)
+            memory = structs.replace(memory, flying=flying, charge=sample.battery_fraction)
             if not flying:
-                return replace(memory, p_start_ned=np.zeros(2), ground_baro_m=memory.baro_m)
+                return structs.replace(memory, p_start_ned=np.zeros(2), ground_baro_m=memory.baro_m)
             return memory
         case Attitude():
-            return replace(memory, attitude=sample)
+            return structs.replace(memory, attitude=sample)
         case Range():
-            return replace(memory, range=sample)
+            return structs.replace(memory, range=sample)
         case Baro():
             ground_m = sample.height_m if memory.ground_baro_m is None else memory.ground_baro_m
-            return replace(memory, baro_m=sample.height_m, ground_baro_m=ground_m)
+            return structs.replace(memory, baro_m=sample.height_m, ground_baro_m=ground_m)
         case BodyVelocity():
             before, p_start_ned = memory.velocity, memory.p_start_ned
             if before is not None and memory.attitude is not None and memory.flying:
                 dt_s = seconds_between(before.stamp.measured_at, sample.stamp.measured_at)
                 if 0.0 < dt_s <= _GAP_S:
                     p_start_ned = p_start_ned + _turned(sample.v_level[:2], memory.attitude.R_ned_body.rpy_rad[2]) * dt_s
-            return replace(memory, velocity=sample, p_start_ned=p_start_ned)
+            return structs.replace(memory, velocity=sample, p_start_ned=p_start_ned)
     return memory
 
 

@@ -133,7 +133,7 @@ def time_us(navdata: Navdata) -> int | None:
 
 
 def _finite(values: tuple[float, ...]) -> bool:
-    return all(math.isfinite(v) for v in values)
+    return all(map(math.isfinite, values))
 
 
 def _imu(navdata: Navdata, stamp: Stamp) -> Imu | None:

@@ -28,7 +28,7 @@ def _vector(name: str, value: F64, shape: tuple[int, ...]) -> F64:
 
 def _covariance(name: str, value: F64, n: int) -> F64:
     a = _vector(name, value, (n, n))
-    gap = 0.0 if (a == a.T).all() else float(np.abs(a - a.T).max())
+    gap = 0.0 if a.tolist() == a.T.tolist() else float(np.abs(a - a.T).max())
     if min(a.diagonal().tolist()) < 0.0 or (gap > 1e-9 and gap > 1e-9 * float(np.abs(a).max())):
         raise ValueError(f"{name} must be symmetric with a non-negative diagonal, got {value!r}")
     return a
