@@ -15,7 +15,9 @@ import cv2
 import numpy as np
 
 from companion.config.model import Settings, ardrone_options
+from companion.guidance.mission import FLOWN
 from companion.operator.orders import HandledOrder
+from companion.operator.precedence import ControlSituation
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer, ProcessedFrame
 from companion.runtime.pilot import Pilot
@@ -88,6 +90,7 @@ class Flight:
         renew: makes the pilot of a service that restarts after it was killed.
         perception: the way in which the pilot, which must be its own, perceives the pad; rendered frames if None.
         contain: whether a bug of the service ends the flight and is part of the result, instead of being raised.
+        overtime_s: how much longer than the scenario's time a flight may last whose guidance is still trying to land.
 
     Raises:
         BadInput: the scenario kills the service for a while and there is no `renew`.
@@ -107,6 +110,7 @@ class Flight:
         renew: Callable[[], Pilot] | None = None,
         contain: bool = False,
         perception: Perception | None = None,
+        overtime_s: float = 0.0,
     ) -> None:
         cv2.setNumThreads(1)
         self.world = World(scenario, seed)
@@ -124,7 +128,7 @@ class Flight:
         self._views: dict[int, RenderedFrame] = {}
         self._observers = tuple(observers)
         self._timing = timing or Timing()
-        self._limit_s = scenario.duration_limit_s
+        self._limit_s, self._overtime_s = scenario.duration_limit_s, overtime_s
         self._options = ardrone_options(settings)
         self._arbiter = CommandArbiter(self._options.hold_s)
         self._sequence = self._ticks = 0
@@ -174,7 +178,12 @@ class Flight:
             place = traceback.extract_tb(why.__traceback__)[-1]
             self._grader.died = f"{type(why).__name__}: {why} ({place.filename.rpartition('/')[2]}:{place.lineno})"
             return False
-        return self._pilot.outcome is None and seconds_between(self.world.started, now) < self._limit_s
+        left_s = self._limit_s - seconds_between(self.world.started, now)
+        return self._pilot.outcome is None and left_s > (-self._overtime_s if self._tries(now) else 0.0)
+
+    def _tries(self, now: MonoNs) -> bool:
+        """Return whether guidance commands and is trying to land, so that an outcome will come."""
+        return self._pilot.state in FLOWN and self._pilot.operator.situation(now) is ControlSituation.GUIDED
 
     def _serve(self, now: MonoNs) -> None:
         """Run the service for one tick."""

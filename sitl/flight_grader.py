@@ -21,6 +21,7 @@ from sitl.safety import (
     BlindDescent,
     Grade,
     SightWatch,
+    UnreachedContacts,
     dangers,
     grade,
     on_pad_m,
@@ -106,13 +107,16 @@ class FlightGrader:
         """Why the service died; None if it did not."""
         self._world = world
         self._watch = SightWatch(world.now)
+        self._unreached = UnreachedContacts()
         self._unreached_max_m = unreached_descent_max_m(settings.guidance, com_watchdog_s)
         self._reason = ""
         self._go_arounds = 0
 
     def step(self) -> None:
         """Note the true state; call it in order of time."""
-        self._watch.step(self._world.truth(), reached=not self._world.streams.commands.silent)
+        truth, reached = self._world.truth(), not self._world.streams.commands.silent
+        self._watch.step(truth, reached=reached)
+        self._unreached.step(truth, reached=reached)
 
     def on_verdict(self, view: RenderedFrame, verdict: Verdict) -> None:
         """Note the service's verdict on a frame."""
@@ -133,8 +137,10 @@ class FlightGrader:
             health: of the service.
         """
         world, truth, unreached_m = self._world, self._world.truth(), self._watch.unreached_m
-        unsafe = dangers(self._watch.worst, truth.contacts, self.died, unreached_m, self._unreached_max_m)
         scenario, refused = world.scenario, self._refused(outcome)
+        self._unreached.step(truth, reached=not world.streams.commands.silent)
+        unreached = self._unreached.at if scenario.unreached_contacts else ()
+        unsafe = dangers(self._watch.worst, truth.contacts, self.died, unreached_m, self._unreached_max_m, unreached=unreached)
         worth, because = grade(
             outcome,
             on_pad_m(truth.contacts),
@@ -145,9 +151,18 @@ class FlightGrader:
             held=outcome is FlightOutcome.ABORTED or situation in (ControlSituation.HELD, ControlSituation.MANUAL),
             go_arounds=self._go_arounds,
             refusal=(scenario.refusal, refused or ""),
+            put_down=bool(truth.contacts) and truth.contacts[-1].at in unreached,
         )
         if unreached_m > BLIND_DESCENT_MAX_M and not unsafe:
             because += f"; came down {unreached_m:.2f} m while nothing reached it"
+        if unreached and not unsafe:
+            because += (
+                "; touched "
+                + ", ".join(
+                    f"the {c.surface} {c.lateral_m:.2f} m from the pad's centre" for c in truth.contacts if c.at in unreached
+                )
+                + " then"
+            )
         return FlightResult(
             outcome,
             seconds_between(world.started, world.at),

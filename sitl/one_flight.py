@@ -82,6 +82,7 @@ def fly(
     on_start: Callable[[Health], None] | None = None,
     on_truth: Callable[[Truth], None] | None = None,
     render_beside: bool = False,
+    overtime_s: float = 0.0,
 ) -> Ending:
     """Fly a scenario once and return how it ended.
 
@@ -94,6 +95,7 @@ def fly(
         shadows: estimator paths that run beside the steering one; they do not change the flight.
         on_start: receives the counters of the flight's health before the first step.
         on_truth: receives the true state every 20 ms, at every exposure of a frame, and at the end.
+        overtime_s: how much longer than the scenario's time a flight may last whose guidance is still trying to land.
         render_beside: frames are rendered in a process of their own. The same bits, sooner where a second core is idle.
 
     Raises:
@@ -106,7 +108,10 @@ def fly(
     seen_by = perceive(perception, perception_model)
     renew = partial(seen_by.pilot, settings, shadows)
     began_s = _cpu_s()
-    flight = Flight(scenario, seed, settings, renew(), observers=observers, renew=renew, contain=True, perception=seen_by)
+    flight = Flight(
+        scenario, seed, settings, renew(), observers=observers, renew=renew, contain=True, perception=seen_by,
+        overtime_s=overtime_s,
+    )  # fmt: skip
     if on_start is not None:
         on_start(flight.health)
     with ExitStack() as stack:

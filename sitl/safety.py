@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
@@ -18,7 +18,7 @@ from companion.guidance.options import GuidanceOptions
 from companion.operator.arbiter import BY_HAND, LANDING_FOR_PERSON
 from companion.runtime.pilot import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.truth import Touchdown, Truth
 from sitl.vehicle import VehiclePhase
 
@@ -28,6 +28,8 @@ BLIND_DESCENT_MAX_M = 0.5
 """Descent without sight that is allowed: what wind and the vehicle's own landing cause, and no more."""
 UNREACHED_STOP_M = 0.3
 """Way down that an AR.Drone needs to stop when nothing reaches it and it begins to hover by itself."""
+CLIMB_OUT_S = 1.0
+"""Time that a vehicle needs to climb out of a deck's reach when it is reached again."""
 STAMP_ERROR_MAX_S = 0.5
 """Error of a frame's stamp beyond which the frame says nothing about the pad's present position."""
 COMMIT_PHASES = frozenset(state.value for state in CONTACT_INTENDED)
@@ -135,6 +137,7 @@ def dangers(
     unreached_max_m: float = UNREACHED_STOP_M,
     *,
     phases_known: bool = True,
+    unreached: Collection[MonoNs] = (),
 ) -> tuple[str, ...]:
     """Return the unsafe events, one line each; the result is empty for a safe flight.
 
@@ -145,6 +148,8 @@ def dangers(
         unreached_m: the deepest descent while nothing reached the vehicle, metres.
         unreached_max_m: the result of `unreached_descent_max_m`.
         phases_known: whether the contacts have the phase of guidance, so that those which it did not intend are told.
+        unreached: instants of the contacts that no order could prevent, where the scenario allows them: of these only those with
+            water are unsafe.
     """
     out = []
     if died is not None:
@@ -161,6 +166,8 @@ def dangers(
         stray = f", outside commit ({phase})" if phases_known and _outside_commit(contact) else ""
         if contact.surface == "water":
             out.append(f"in the water, {contact.lateral_m:.2f} m from the pad's centre{stray}")
+        elif contact.at in unreached:
+            continue
         elif contact.surface == "deck" or stray:
             out.append(f"touched the {contact.surface} {contact.lateral_m:.2f} m from the pad's centre{stray}")
     return tuple(out)
@@ -173,6 +180,38 @@ def outside_commit(contacts: Sequence[Touchdown]) -> int:
 
 def _outside_commit(contact: Touchdown) -> bool:
     return contact.motors and contact.guidance_phase not in COMMIT_PHASES | PERSON_PHASES
+
+
+class UnreachedContacts:
+    """Notes the contacts that no order could prevent, because nothing reached the vehicle when it came down.
+
+    A contact is one of them while nothing reaches the vehicle, for `CLIMB_OUT_S` after that, and until a landing that the
+    vehicle began meanwhile has ended.
+    """
+
+    def __init__(self) -> None:
+        self.at: list[MonoNs] = []
+        """Instants of these contacts."""
+        self._count = 0
+        self._until: MonoNs | None = None
+        self._lands = False
+
+    def step(self, truth: Truth, *, reached: bool) -> None:
+        """Note the true state at an instant; call it in order of time.
+
+        Args:
+            reached: whether the service's commands reach the vehicle.
+        """
+        if not reached:
+            self._until = after(truth.at, CLIMB_OUT_S)
+        until = self._until
+        self._lands |= truth.phase is VehiclePhase.LANDING and until is not None and truth.at <= until
+        for contact in truth.contacts[self._count :]:
+            lands = self._lands and contact.phase is VehiclePhase.LANDING
+            if lands or (until is not None and contact.at <= until):
+                self.at.append(contact.at)
+        self._count = len(truth.contacts)
+        self._lands &= truth.phase in (VehiclePhase.LANDING, VehiclePhase.LANDED)
 
 
 class Grade(Enum):
@@ -199,6 +238,7 @@ def grade(
     held: bool = False,
     go_arounds: int = 0,
     refusal: tuple[str, str] = ("", ""),
+    put_down: bool = False,
 ) -> tuple[Grade, str]:
     """Return the grade of a flight and the reason for it.
 
@@ -212,6 +252,7 @@ def grade(
         held: at the end a person held it, flew it, or had ended the landing.
         go_arounds: how often it went around.
         refusal: words that the reason of a refusal must hold, and the reason that it gave.
+        put_down: it stands because it landed by itself while nothing reached it, and the scenario allows that.
     """
     if unsafe:
         return Grade.FAILED, "; ".join(unsafe)
@@ -223,6 +264,8 @@ def grade(
         if expect == "go_around" and not go_arounds:
             return Grade.FAILED, f"landed {100 * landed_m:.1f} cm from the centre without going around first"
         return Grade.ON_PAD, f"{100 * landed_m:.1f} cm from the centre"
+    if put_down and outcome is FlightOutcome.LANDED_BY_OTHERS:
+        return Grade.REFUSED_RIGHTLY, "landed by itself while nothing reached it"
     if outcome in REFUSALS or (outcome is None and (left_alone or asks)):
         said = "hovered without a service" if left_alone else "hovered and waited for the operator"
         if outcome is not None:

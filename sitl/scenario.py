@@ -129,6 +129,13 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
             "it holds for the operator, or it either lands or refuses"
         ),
     ] = "land"
+    unreached_contacts: Annotated[
+        bool,
+        choice(
+            "whether it may touch pad or deck while nothing reaches it, and in the landing that it then begins by itself: "
+            "for faults in which no order could prevent it"
+        ),
+    ] = False
     refusal: Annotated[str, text("words that the reason of a refusal must hold; empty for any reason", 100, shortest=0)] = ""
     because: Annotated[str, text("one line that says why that is right", 300, shortest=0)] = ""
 

@@ -22,6 +22,7 @@ from companion.cli.soak_parts import cpu_at, start_time_s
 from companion.cli.soak_plot import plot
 from companion.config.model import Settings
 from companion.config.settings import shipped
+from companion.guidance.mission_options import TryOptions
 from companion.report.drawing import require_drawing
 from companion.runtime import event_loop
 from companion.runtime.health import Health
@@ -66,7 +67,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     length.add_argument("--flights", type=int, metavar="N", help="fly this many flights instead (needs --virtual)")
     parser.add_argument("--virtual", action="store_true", help="fly in virtual time, without sockets")
-    parser.add_argument("--no-faults", action="store_true", help="fly without faults")
+    faults = parser.add_mutually_exclusive_group()
+    faults.add_argument("--no-faults", action="store_true", help="fly without faults")
+    faults.add_argument("--fault", metavar="NAME", help="fly this fault in every flight (needs --virtual; default: at random)")
     parser.add_argument(
         "--scenario",
         default="demo",
@@ -149,12 +152,16 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput(f"--hours must lie in 0.001 to 1000, got {args.hours:g}")
     if args.flights is not None and (args.flights < 1 or not args.virtual):
         raise BadInput("--flights needs --virtual, and is 1 or more")
+    if args.fault is not None and not args.virtual:
+        raise BadInput("--fault needs --virtual; in real time the drone chooses its faults by its seeds")
     if args.failed_max < 0:
         raise BadInput(f"--failed-max must be 0 or more, got {args.failed_max}")
     perception = perception_level(args.perception)
     if perception != "pixels" and not args.virtual:
         raise BadInput("--perception needs --virtual; in real time the drone sends images")
     scenario = load_scenario(args.scenario)
+    if args.fault is not None:
+        faulty(scenario, args.seed, virtual=True, name=args.fault)
     settings = flown_settings(scenario, args.config)
     if args.plot is not None:
         require_drawing("--plot")
@@ -198,11 +205,21 @@ def flown_settings(scenario: Scenario, config: str | None) -> Settings:
     return msgspec.structs.replace(settings, service=service, guidance=guidance)
 
 
+def overtime_s(tries: TryOptions) -> float:
+    """Return for how long a flight may go on after its scenario's time while guidance still tries to land: all tries that it has.
+
+    A flight is graded when it has ended; one that is cut in its third try shows nothing about the fourth.
+    """
+    return (tries.go_arounds_max + 1) * tries.try_s
+
+
 def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings, perception: Perception, tally: Tally) -> None:
     seed = args.seed
     while tally.flights < args.flights if args.flights is not None else tally.flown_s < 3600.0 * args.hours:
-        wanted = scenario if args.no_faults else faulty(scenario, seed, virtual=True)
-        ending = fly(args.scenario, wanted, seed, settings, perception)
+        wanted = scenario if args.no_faults else faulty(scenario, seed, virtual=True, name=args.fault)
+        # A fault costs tries, and the scenario's time was chosen without it.
+        longer_s = 0.0 if args.no_faults else overtime_s(settings.guidance.tries)
+        ending = fly(args.scenario, wanted, seed, settings, perception, overtime_s=longer_s)
         flight = virtual(time.monotonic() - tally.began, wanted.title, ending)
         tally.flown("time is up" if ending.outcome is None else ending.outcome.value, flight)
         tally.flown_s += ending.duration_s

@@ -109,6 +109,10 @@ class Outcomes:
         for flight in self.flights:
             if flight.worth in (Class.FAILED, Class.STARVED):
                 lines.append(f"  seed {flight.seed}, {fault_of(flight.title)}: {flight.worth.value}: {flight.because}")
+        failed = next((flight for flight in self.flights if flight.worth is Class.FAILED and "; " in flight.title), None)
+        if failed is not None:
+            again = f"decklander soak --virtual --flights 1 --seed {failed.seed} --fault {fault_of(failed.title)} --no-cpu"
+            lines.append(f"  to fly the first failed one again: {again}")
         return lines
 
 

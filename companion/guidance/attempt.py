@@ -24,6 +24,8 @@ class Attempt:
     """Number of losses of sight below the safe height."""
     blind_descent_m: float = 0.0
     without_sight_s: float = 0.0
+    at_gate_s: float = 0.0
+    """Time at the gate, all visits together."""
     with_sight_s: float = 0.0
     """Time of unbroken sight, seconds."""
 
@@ -37,6 +39,10 @@ class Attempt:
         """Add one guidance cycle without sight of the pad."""
         without = self.without_sight_s + min(max(0.0, since_last_s), _GAP_MAX_S)
         return replace(self, with_sight_s=0.0, without_sight_s=without)
+
+    def at_gate(self, since_last_s: float) -> Attempt:
+        """Add one guidance cycle at the gate."""
+        return replace(self, at_gate_s=self.at_gate_s + min(max(0.0, since_last_s), _GAP_MAX_S))
 
     def lost(self) -> Attempt:
         """Add one loss of sight."""

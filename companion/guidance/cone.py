@@ -30,13 +30,15 @@ def outside(error_m: float, height_m: float, options: ConeOptions) -> bool:
     return error_m > math.sqrt(OUT) * radius_m(height_m, options)
 
 
-def descent_rate_m_s(error_m: float, height_m: float, options: ConeOptions) -> float:
-    """Return the rate against the deck, m/s, down positive; it falls to zero at the gate and never passes below it.
+def descent_rate_m_s(error_m: float, height_m: float, options: ConeOptions, least_m: float | None = None) -> float:
+    """Return the rate against the deck, m/s, down positive; it falls to zero at the least height and is negative below it.
 
     Args:
         error_m: distance from the axis.
         height_m: height over the deck.
+        least_m: the height at which the descent ends; None for that of the gate.
     """
+    ends_m = options.gate_height_m if least_m is None else least_m
     share = INSIDE - (error_m / radius_m(height_m, options)) ** 2
     rate = options.descent_rate_m_s * max(-1.0, min(1.0, share))
-    return min(rate, _TAPER_1_S * (height_m - options.gate_height_m))
+    return min(rate, _TAPER_1_S * (height_m - ends_m))

@@ -54,6 +54,8 @@ class Knowledge:
     """The newest contact since take-off; None while there was none."""
     response: ResponseInUse | None = None
     """The vehicle's response as this flight knows it; None if it is not identified: the response file holds."""
+    climb_max_m_s: float | None = None
+    """The fastest climb that the controller asks for; None if it does not say."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +100,14 @@ class Controller(Protocol[Memory]):
 
     @property
     def name(self) -> str: ...
+
+    @property
+    def climb_max_m_s(self) -> float | None:
+        """The fastest climb that it asks for, m/s; None where somebody else limits it.
+
+        Where the deck is about to rise faster, the mission keeps the drone higher.
+        """
+        ...
 
     def start(self) -> Memory: ...
 

@@ -119,6 +119,11 @@ class FollowDeck:
         longest_s = max(DELAY_MAX_S, response.tilt.delay_s, response.climb.delay_s)
         self._remembered = math.ceil((longest_s + SOFTER_LONGER_S) / period_s) + 1
 
+    @property
+    def climb_max_m_s(self) -> float:
+        """The fastest climb that it asks for, m/s."""
+        return self.response.climb.max_m_s
+
     def start(self) -> FollowDeckMemory:
         """Return the memory before the first cycle."""
         return FollowDeckMemory(climbs=(0.0,) * self._remembered)

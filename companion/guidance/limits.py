@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.guidance.clearance import rise_beyond_climb_m
 from companion.guidance.controller import Knowledge
 from companion.guidance.mission_options import ConeOptions, LandingLimits
 from companion.guidance.reason import Reason, ReasonCause
@@ -57,6 +58,7 @@ def gate(
         (ReasonCause.ERROR, estimate.lateral_m, limits.error_m),
         (ReasonCause.RELATIVE_SPEED, speed, limits.relative_speed_m_s),
         *_of_the_deck(knowledge, limits, to_contact_s),
+        (ReasonCause.DECK_RISE, rise_beyond_climb_m(knowledge), limits.deck_rise_m),
     ]
     if aligned:
         off_rad = math.pi if estimate.yaw_rad is None else abs(wrap_pi(estimate.yaw_rad))

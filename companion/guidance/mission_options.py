@@ -25,7 +25,7 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.22
     gate_height_m: Annotated[float, number("height over the deck at which it waits until every limit holds", "m", 0.1, 3.0)] = 0.3
     gate_dwell_s: Annotated[float, number("time for which every limit must have held", "s", 0.0, 10.0)] = 0.1
-    gate_s: Annotated[float, number("longest wait there; after it the drone goes around", "s", 1.0, 600.0)] = 20.0
+    gate_s: Annotated[float, number("longest wait there in one try; after it the drone goes around", "s", 1.0, 600.0)] = 20.0
     commit_rate_m_s: Annotated[float, number("rate against the deck from the gate to the contact", "m/s", 0.1, 2.0)] = 0.45
     commit_s: Annotated[
         float, number("longest time from the gate to a felt contact; after it the drone goes around", "s", 0.5, 30.0)
@@ -73,6 +73,12 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("largest tilt of the deck that is forecast for the contact", "deg", 0.1, 45.0)
     ] = 1.5
     deck_rate_m_s: Annotated[float, number("largest vertical speed of the deck at the gate", "m/s", 0.05, 10.0)] = 1.2
+    deck_rise_m: Annotated[
+        float,
+        number(
+            "how far at most the deck is forecast to rise above a drone that climbs as fast as it can, at the gate", "m", 0.0, 5.0
+        ),
+    ] = 0.1
     normalized_nis: Annotated[
         float,
         number("largest recent mean of the sightings' innovations over their claimed variance, at the gate", "1", 1.0, 100.0),
@@ -84,7 +90,10 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
         float, number('largest heading off the arrow at the gate if heading is "align"', "deg", 1.0, 180.0)
     ] = 12.0
     wind_lean_deg: Annotated[float, number("largest mean lean against the wind", "deg", 1.0, 45.0)] = 15.0
-    battery: Annotated[float, number("least charge with which a try begins; one that has begun goes on", "1", 0.0, 1.0)] = 0.1
+    battery: Annotated[
+        float,
+        number("least charge with which a landing begins; one that has begun goes on, after a go-around too", "1", 0.0, 1.0),
+    ] = 0.1
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -28,6 +28,8 @@ class PidController:
     """
 
     name = "pid"
+    climb_max_m_s: None = None
+    """The deck's own speed is added after its limits; the vehicle alone limits the sum."""
 
     def __init__(self, options: PidOptions, *, heaves: bool = True) -> None:
         self._options, self._heaves = options, heaves

@@ -45,6 +45,8 @@ class Progress:
     """Time of the newest estimate that was fit to steer by."""
     seen_height_m: float = math.inf
     """Height at that time."""
+    unheard_s: float = 0.0
+    """Time since then, and in this state, in which the vehicle was silent: it may not have climbed."""
     in_sight: bool = False
     track: int | None = None
     """Track of the pad that this try flies to."""
@@ -80,7 +82,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
     """Return the memory after a transition."""
     p = replace(
         p, state=change.target, since=change.at, reason=change.reason, held=None, held_yaw_rad=None, good_since=None,
-        blocked=None, entered_height_m=p.seen_height_m,
+        blocked=None, unheard_s=0.0, entered_height_m=p.seen_height_m,
         begun=change.target in FLOWN or (p.begun and change.event is not Event.TAKEN_OFF),
     )  # fmt: skip
     match change.event:

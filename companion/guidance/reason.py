@@ -66,6 +66,7 @@ class ReasonCause(Enum):
     RELATIVE_SPEED = "{measured:.2f} m/s against the deck (limit {limit:g} m/s)"
     DECK_TILT = "the deck tilts by {measured:.1f} deg (limit {limit:g} deg)"
     DECK_RATE = "the deck moves at {measured:.2f} m/s (limit {limit:g} m/s)"
+    DECK_RISE = "the deck will rise {measured:.2f} m more than the drone can climb (limit {limit:g} m)"
     SIGHTING_AGE = "the newest sighting is {measured:.2f} s old (limit {limit:g} s)"
     NIS = "innovations are {measured:.1f} times their claimed size (limit {limit:g})"
     TIME_LOCK = "the frames' time is known to {measured:.3f} s (limit {limit:g} s)"
@@ -80,6 +81,7 @@ CONDITIONS = frozenset(
         ReasonCause.RELATIVE_SPEED,
         ReasonCause.DECK_TILT,
         ReasonCause.DECK_RATE,
+        ReasonCause.DECK_RISE,
         ReasonCause.WIND,
         ReasonCause.BATTERY,
         ReasonCause.TIME_LOCK,

@@ -55,6 +55,8 @@ class GuidanceCycle:
     """Number of frames by verdict since the newest that was fused."""
     vessel: VesselPosition | Reason | None = None
     """The ship's place by reports, or why it is not known; None where the drone does not fly to it."""
+    silent_s: float = 0.0
+    """Time since the newest sample of the vehicle: while it is silent, nobody knows that it obeys."""
 
     @property
     def place(self) -> VesselPosition | None:

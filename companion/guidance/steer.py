@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from companion.guidance import blind_hold, cone, heading, rendezvous
+from companion.guidance.clearance import rise_beyond_climb_m
 from companion.guidance.controller import Target
 from companion.guidance.mission import GROUND, State
 from companion.guidance.options import GuidanceOptions
@@ -23,6 +24,8 @@ Aim = Target | Command | None
 """Where to be, a finished command, or nothing: guidance leaves the vehicle alone."""
 
 _HOLD_SPEED_M_S = 0.5
+_AWAY_M_S = 5.0
+"""Largest rate against the deck with which the drone goes up before a deck that will rise faster than it can climb: no limit."""
 
 
 def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim]:
@@ -39,7 +42,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
     estimate = s.estimate
     match p.state:
         case State.INTERCEPT | State.DESCEND | State.GATE | State.COMMIT if estimate is not None:
-            return p, _way_down(p, o, estimate)
+            return p, _way_down(p, s, o, estimate)
         case State.PRESS if estimate is not None:
             level = np.array(estimate.d_body_pad_level)
             return p, Target(level, descent_rate_m_s=o.cone.commit_rate_m_s, lean_max_rad=0.0)
@@ -56,7 +59,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
     return _still(p, s, o, climb_m_s=0.0, over_ground=over_ground)
 
 
-def _way_down(p: Progress, o: GuidanceOptions, estimate: RelativeState) -> Target:
+def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Target:
     yaw = heading.wanted_rad(p.heading, estimate) if o.tries.heading == "align" else None
     if o.mission == "thesis":
         way = o.thesis
@@ -64,18 +67,21 @@ def _way_down(p: Progress, o: GuidanceOptions, estimate: RelativeState) -> Targe
         over = np.array([way.pad_ahead_m, 0.0, height_m])
         return Target(over, vertical_rate_max_m_s=way.speed_m_s, speed_max_m_s=way.speed_m_s, yaw_rad=yaw)
     height_m, error_m, fast = estimate.height_m, estimate.lateral_m, o.cone.intercept_speed_m_s
+    rise_m = rise_beyond_climb_m(s.knowledge)
+    least_m = o.cone.gate_height_m + rise_m
     match p.state:
         case State.INTERCEPT:
             # A cone that is wide enough for the error is higher up; and higher up the pad stays in view.
             wide_m = min(o.tries.safe_height_m, error_m / o.cone.slope)
-            over = np.array([0.0, 0.0, max(min(height_m, p.entered_height_m), wide_m, o.cone.gate_height_m)])
+            over = np.array([0.0, 0.0, max(min(height_m, p.entered_height_m), wide_m, least_m)])
             return Target(over, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=fast, yaw_rad=yaw)
         case State.DESCEND:
-            rate = cone.descent_rate_m_s(error_m, height_m, o.cone)
-            return Target(np.array([0.0, 0.0, o.cone.gate_height_m]), descent_rate_m_s=rate, speed_max_m_s=fast, yaw_rad=yaw)
+            rate = cone.descent_rate_m_s(error_m, height_m, o.cone, least_m)
+            return Target(np.array([0.0, 0.0, least_m]), descent_rate_m_s=rate, speed_max_m_s=fast, yaw_rad=yaw)
         case State.COMMIT:
             return Target(np.zeros(3), descent_rate_m_s=o.cone.commit_rate_m_s)
-    return Target(np.array([0.0, 0.0, o.cone.gate_height_m]), vertical_rate_max_m_s=o.tries.climb_m_s, yaw_rad=yaw)
+    rate_max = o.tries.climb_m_s if rise_m == 0.0 or height_m > least_m else _AWAY_M_S
+    return Target(np.array([0.0, 0.0, least_m]), vertical_rate_max_m_s=rate_max, yaw_rad=yaw)
 
 
 def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim]:
@@ -105,7 +111,8 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
         held, speed = np.array([0.0, 0.0, held[2]]), o.cone.intercept_speed_m_s
     p = replace(p, held=held, held_yaw_rad=estimate.yaw_rad)
     # A drone that was lifted stays up: without sight nothing asks it to come down again.
-    wanted = np.array([held[0], held[1], max(float(held[2]), estimate.height_m)])
+    least_m = min(o.tries.safe_height_m, o.cone.gate_height_m + rise_beyond_climb_m(s.knowledge))
+    wanted = np.array([held[0], held[1], max(float(held[2]), estimate.height_m, least_m)])
     rate = -climb_m_s if climb_m_s > 0.0 else None
     return p, Target(wanted, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed)
 

@@ -21,6 +21,8 @@ EventWithReason = tuple[Event, Reason]
 
 NEAR_SAFE_M = 0.25
 """A height at most this far below the safe height counts as the safe height, metres."""
+SILENT_S = 0.3
+"""Time without a sample of the vehicle after which it counts as silent, seconds."""
 _CLIMB_PATIENCE, _CLIMB_PATIENCE_S = 3.0, 10.0
 """A go-around that takes this many times the expected time plus this many seconds is not climbing."""
 _AT_GATE_M = 0.08
@@ -30,6 +32,8 @@ _ASIDE_M = 0.3
 _BELOW_DECK_M = 0.6
 """A drone on deck without sight may be estimated some decimetres away from it."""
 _BLIND_MARGIN_M = 0.1
+_TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
+"""Causes of a hold without sight that say more than its length."""
 _LEAN_SETTLES_S = 6.0
 """Time after the way to the ship in which the mean lean still holds that of the drone's own speed: twice the mean's time."""
 
@@ -44,10 +48,14 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     """Charge the guidance cycle to the try, and note what was seen."""
     since_last_s = 0.0 if p.last is None else max(0.0, seconds_between(p.last, s.at))
     p = replace(p, last=s.at, since_last_s=since_last_s, since=s.at if p.since is None else p.since)
+    if s.silent_s > SILENT_S:
+        p = replace(p, unheard_s=p.unheard_s + since_last_s)
     if p.state not in FLOWN:
         return p
     if p.state is State.RENDEZVOUS:
         p = replace(p, on_way=s.at)
+    if p.state is State.GATE:
+        p = replace(p, attempt=p.attempt.at_gate(since_last_s))
     if s.place is not None:
         p = replace(p, place_known=s.at)
         if p.state is State.SEARCH:
@@ -68,7 +76,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     turning, turned = heading.watch(p.heading, estimate)
     return _judged(
         replace(
-            p, attempt=attempt, in_sight=True, seen=s.at, seen_height_m=estimate.height_m, track=estimate.track,
+            p, attempt=attempt, in_sight=True, seen=s.at, unheard_s=0.0, seen_height_m=estimate.height_m, track=estimate.track,
             heading=turning, turned=turned or p.turned,
         ),
         s,
@@ -121,7 +129,7 @@ def _height_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
 
 def _climbed_blind_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
     begun = [at for at in (p.since, p.seen) if at is not None]
-    return seconds_between(max(begun), s.at) * o.tries.climb_m_s if begun else 0.0
+    return max(0.0, seconds_between(max(begun), s.at) - p.unheard_s) * o.tries.climb_m_s if begun else 0.0
 
 
 def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: float) -> Iterator[EventWithReason]:
@@ -134,9 +142,8 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
 
 
 def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
-    """Yield what ends the flight's tries: at once for the wind, before the next try for the rest."""
-    begins = p.state in (State.SEARCH, State.RENDEZVOUS) or (p.state is State.GO_AROUND and clear(p, s, o))
-    if p.state is State.GO_AROUND and not begins:
+    """Yield what ends the flight's tries: the wind at once, the battery before the first try, the rest before the next."""
+    if p.state is State.GO_AROUND and not clear(p, s, o):
         return
     lean_deg = None if s.lean_rad is None else math.degrees(s.lean_rad)
     slow = p.on_way is None or seconds_between(p.on_way, s.at) > _LEAN_SETTLES_S
@@ -146,6 +153,8 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
         known = max((at for at in (p.since, p.place_known) if at is not None), default=s.at)
         if seconds_between(known, s.at) > o.rendezvous.lost_s:
             yield Event.NO_CONDITIONS, s.vessel
+    # A landing that has begun is the nearest way down: after a go-around a low battery is one reason more to try again.
+    begins = p.state in (State.SEARCH, State.RENDEZVOUS)
     if begins and s.battery is not None and s.battery < o.limits.battery:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.BATTERY, 100.0 * s.battery, 100.0 * o.limits.battery)
     if p.state is State.GO_AROUND and p.fault is not None:
@@ -204,7 +213,7 @@ def _time_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: fl
         )
         spent_s = p.attempt.without_sight_s if p.state is State.HOLD_BLIND else in_state_s
         if spent_s > limit_s:
-            yield Event.TIMEOUT, of_frames(s.frames) or p.fault or Reason(cause, spent_s, limit_s)
+            yield Event.TIMEOUT, of_frames(s.frames) or _why_blind(p) or Reason(cause, spent_s, limit_s)
         return
     if p.state is State.GO_AROUND:
         to_climb_m = max(0.0, tries.safe_height_m - p.entered_height_m)
@@ -220,8 +229,15 @@ def _time_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: fl
             State.PRESS: (o.cone.press_s + o.cone.commit_s, ReasonCause.STATE_TIME),
             State.DOWN: (o.land_timeout_s, ReasonCause.NO_LANDING),
         }[p.state]
-    if in_state_s > limit_s:
-        yield Event.TIMEOUT, p.blocked or Reason(cause, in_state_s, limit_s)
+    # A gust that takes the drone out of the gate does not give it another wait there.
+    spent_s = p.attempt.at_gate_s if p.state is State.GATE else in_state_s
+    if spent_s > limit_s:
+        yield Event.TIMEOUT, p.blocked or Reason(cause, spent_s, limit_s)
+
+
+def _why_blind(p: Progress) -> Reason | None:
+    """Return why the sight ended where that says more than that the pad is out of sight; None if it does not."""
+    return p.reason if p.state is State.HOLD_BLIND and p.reason is not None and p.reason.cause in _TELLING else None
 
 
 def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Iterator[EventWithReason]:
@@ -313,5 +329,5 @@ def _question(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Eve
 
 def climbs_from_question(p: Progress, now: MonoNs, o: GuidanceOptions) -> bool:
     """Return whether the drone is still on its way up to the safe height while the operator is asked."""
-    climbed_m = 0.0 if p.since is None else seconds_between(p.since, now) * o.tries.climb_m_s
+    climbed_m = 0.0 if p.since is None else (seconds_between(p.since, now) - p.unheard_s) * o.tries.climb_m_s
     return climbed_m < o.tries.safe_height_m - p.entered_height_m

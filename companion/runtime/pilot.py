@@ -143,6 +143,8 @@ class Pilot:
         self._changes: list[StateChange] = []
         self._status: VehicleStatus | None = None
         self._now = MonoNs(0)
+        self._heard: MonoNs | None = None
+        """When the newest sample of the vehicle itself was received."""
         self.engage: Callable[[], None] = lambda: None
         """Called when the operator begins, so that the driver may take back a vehicle that a person had taken over."""
         self._contact = ContactWatch()
@@ -271,7 +273,9 @@ class Pilot:
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
             self._forecast = self.forecast(now, HORIZONS_S)
-        return Knowledge(now, self.believed(now), body, deck, self._forecast, self._impact, self._response.in_use)
+        return Knowledge(
+            now, self.believed(now), body, deck, self._forecast, self._impact, self._response.in_use, self._law.climb_max_m_s
+        )
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
         """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
@@ -293,6 +297,8 @@ class Pilot:
         """Process a sample. Return its fusion results, path by path."""
         self.operator.on_sample(sample)
         self._now = max(self._now, sample.stamp.received_at)
+        if not isinstance(sample, VesselReport):
+            self._heard = sample.stamp.received_at
         if isinstance(sample, VehicleStatus):
             self._on_status(sample)
             return ()
@@ -393,7 +399,8 @@ class Pilot:
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
             place = vessel_track.position(self._vessel_track, now)
         self._no_place = place if isinstance(place, Reason) else None
-        s = GuidanceCycle(now, knowledge, battery, lean, self._quality, self._frames, place)
+        silent_s = 0.0 if self._heard is None else max(0.0, seconds_between(self._heard, now))
+        s = GuidanceCycle(now, knowledge, battery, lean, self._quality, self._frames, place, silent_s)
         self._mission, aim, changes = mission_step(self._mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes
         target = aim if isinstance(aim, Target) else None

@@ -171,7 +171,9 @@ class CommandStreamer:
         if self._unknown(now):
             return None
         if self.flying and self._control is ControlState.LANDING:
-            if self._watch.calls_off(now, ORDERED_ABOVE_M if self._landing_called_off else SILENT_ABOVE_M):
+            # Guidance that flies has an estimate and takes the drone further; without it the drone would only hover there.
+            flies = self._motion is not None and seconds_between(self._motion.asked_at, now) <= self._o.command_timeout_s
+            if self._watch.calls_off(now, ORDERED_ABOVE_M if self._landing_called_off or flies else SILENT_ABOVE_M):
                 self._counters.landings_called_off += 1
                 return STAY_UP
             return None

@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 
 from companion.config.settings import shipped
+from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import seconds_between
 from sitl.ardrone.server import ArDroneServer
@@ -46,23 +47,31 @@ class PauseBetweenFlights:
     commands the motors off."""
 
 
-def faulty(scenario: Scenario, seed: int, *, virtual: bool = False) -> Scenario:
+def faulty(scenario: Scenario, seed: int, *, virtual: bool = False, name: str | None = None) -> Scenario:
     """Return the scenario with the faults and the expectation of a shipped fault scenario, selected by the seed.
 
     Args:
         scenario: the scenario to which the faults are added.
         seed: selects the fault scenario.
         virtual: also select faults that only a flight in virtual time can have.
+        name: the fault scenario to take instead; a seed selects another one when fault scenarios are added.
+
+    Raises:
+        BadInput: none of that name can be added to the scenario.
     """
     start = scenario.start
     highest_m = math.inf if start.where == "pad" else start.height_m
     choices = [
         (name, other) for name, other in _choices(virtual) if all((f.below_height_m or 0.0) <= highest_m for f in other.faults)
     ]
+    if name is not None:
+        choices = [choice for choice in choices if choice[0] == name.removeprefix(f"{FAULTS}/")]
+        if not choices:
+            raise BadInput(f"{FAULTS}/{name}: not a fault scenario that can be added to {scenario.title!r}")
     name, fault = choices[int(np.random.default_rng([seed, 0xFA]).integers(len(choices)))]
     title = f"{scenario.title}; {FAULTS}/{name}"[:120]
     faults = (*scenario.faults, *fault.faults)
-    right = {"expect": fault.expect, "refusal": fault.refusal, "because": fault.because}
+    right = {name: getattr(fault, name) for name in ("expect", "unreached_contacts", "refusal", "because")}
     return msgspec.structs.replace(scenario, title=title, faults=faults, **right)
 
 

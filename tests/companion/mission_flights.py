@@ -58,6 +58,9 @@ class PointFlight:
     rolled: Callable[[float, F64], float] = lambda t, d: 0.0
     """The deck's roll, rad."""
     response: ResponseInUse | None = None
+    battery: float | None = None
+    silent_s: float = 0.0
+    """Time since the newest sample of the vehicle."""
     stands: bool = True
     feels: bool = True
     over_ground: bool = False
@@ -93,7 +96,8 @@ class PointFlight:
             self.seen = estimate(self.t, self.d, relative_v, age=self.t - self.seen_at, track=self.track(self.t), sigma=0.1)
         roll = self.rolled(self.t, self.d)
         deck = DeckMotion(ns(self.t), np.array(self.pad_v), np.zeros(3), 0.01 * np.eye(6), roll, 0, 0, 0, 1e-4 * np.eye(4))
-        s = GuidanceCycle(ns(self.t), Knowledge(ns(self.t), self.seen, deck=deck, impact=self.impact, response=self.response))
+        knowledge = Knowledge(ns(self.t), self.seen, deck=deck, impact=self.impact, response=self.response)
+        s = GuidanceCycle(ns(self.t), knowledge, self.battery, silent_s=self.silent_s)
         self.progress, aim, changes = mission_step(self.progress, s, self.options, over_ground=self.over_ground)
         self.changes += changes
         self.rows.append((self.t, self.d.copy(), aim, self.progress.state))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from companion.guidance.mission import DESCENDS, Event, State
 from companion.guidance.mission_step import mission_step, ordered, reported
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.reason import ReasonCause
+from companion.guidance.reason import Reason, ReasonCause
 from companion.guidance.response_watch import ResponseInUse, ResponseState
 from companion.guidance.situation import GuidanceCycle, unfit
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
@@ -170,6 +171,67 @@ def test_a_battery_that_runs_low_on_the_way_down_does_not_keep_it_from_landing()
         s = GuidanceCycle(ns(t), Knowledge(ns(t), estimate(t, [0, 0, 2.0])), battery)
         progress, _, _ = mission_step(progress, s, o, over_ground=False)
     assert progress.state is State.DESCEND
+
+
+def test_a_low_battery_does_not_end_a_landing_that_went_around() -> None:
+    """WHY: hovering on with 5 % ends in the water; the pad is the nearest way down."""
+    flight = PointFlight([0.0, 0.0, 2.0], rolled=lambda t, d: math.radians(3.0) if d[2] < 0.2 and t < 8.0 else 0.0)
+    while flight.t < 60.0 and flight.progress.state is not State.LANDED:
+        flight.battery = 0.05 if flight.d[2] < 1.5 else flight.battery
+        flight.cycle()
+    assert State.GO_AROUND in flight.states
+    assert flight.battery == 0.05
+    assert flight.progress.state is State.LANDED
+
+
+def test_the_waits_at_the_gate_of_one_try_add_up() -> None:
+    """WHY: with a noisy heading the drone left the gate every few seconds and came back to a fresh wait, for ever."""
+    options = guided(limits={"relative_speed_m_s": 0.02}, cone={"gate_s": 3.0}, tries={"go_arounds_max": 0})
+    flight, at_gate_s = PointFlight([0.0, 0.0, 2.0], options), 0.0
+    while flight.t < 60.0 and State.GO_AROUND not in flight.states:
+        flight.v[0] += 0.08 * math.sin(4.0 * flight.t)
+        out = (flight.t % 2.0) < DT and flight.progress.state is State.GATE
+        flight.d[0] += 0.2 if out else 0.0
+        at_gate_s += DT if flight.progress.state is State.GATE else 0.0
+        flight.cycle()
+    assert flight.states.count(State.GATE) > 1
+    assert at_gate_s == pytest.approx(3.0, abs=0.3)
+    assert causes(flight, State.GO_AROUND)[0] in (ReasonCause.RELATIVE_SPEED, ReasonCause.STATE_TIME)
+
+
+def test_a_climb_that_nobody_confirms_is_not_believed() -> None:
+    """WHY: after a lost link guidance took itself to be two metres up by the clock, while the drone hovered at 0.2 m."""
+    flight = PointFlight([0.0, 0.0, 2.5], sight=lambda t, d: not 2.5 < t < 9.0)
+    while flight.t < 2.5 or flight.progress.state not in (State.GO_AROUND, State.GAVE_UP):
+        flight.cycle()
+    began = flight.t
+    while flight.t < began + 4.0:
+        flight.silent_s = flight.t - began
+        flight.d[2], flight.v[2] = 0.4, 0.0
+        flight.cycle()
+    assert flight.progress.state is State.GO_AROUND, "two metres by the clock are none while the vehicle is silent"
+    flight.silent_s = 0.0
+    flight.cycle()
+    _, _, aim, _ = flight.rows[-1]
+    assert isinstance(aim, Target | Velocity), "it goes on climbing"
+    assert flight.run(40).progress.state is State.LANDED
+
+
+@pytest.mark.parametrize(("blind", "cause"), [("contradicts", ReasonCause.INCONSISTENT), ("dark", ReasonCause.NOT_FOUND_AGAIN)])
+def test_giving_up_says_why_the_hold_began_and_not_what_ended_an_earlier_try(blind: str, cause: ReasonCause) -> None:
+    o = GuidanceOptions()
+    earlier = Reason(ReasonCause.DECK_TILT, 3.0, 2.5)
+    progress, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
+    progress = replace(progress, fault=earlier)
+    for i in range(1, 900):
+        t = i * DT
+        seen = estimate(t, [0, 0, 2.5], age=0.0 if t < 2.0 or blind != "dark" else t - 2.0, consistent=t < 2.0 or blind == "dark")
+        progress, _, _ = mission_step(progress, GuidanceCycle(ns(t), Knowledge(ns(t), seen)), o, over_ground=False)
+        if progress.state is State.GAVE_UP:
+            break
+    assert progress.state is State.GAVE_UP
+    assert progress.fault is not None
+    assert progress.fault.cause is cause
 
 
 def test_height_lost_without_sight_ends_the_try() -> None:

@@ -260,6 +260,16 @@ def test_a_landing_for_our_silence_is_called_off_when_we_are_back(cockpit: Cockp
     assert cockpit.sends(6) == [FLY, HOVER], "the bit is down, as we answered it, and the reason is remembered"
 
 
+@pytest.mark.parametrize(("altitude_m", "flies", "called_off"), [(0.3, True, True), (0.3, False, False), (0.14, True, False)])
+def test_guidance_that_flies_takes_the_drone_out_of_a_landing_for_our_silence_from_lower_down(
+    cockpit: Cockpit, altitude_m: float, flies: bool, called_off: bool
+) -> None:
+    """WHY: after four silent seconds the drone was at 0.3 m, and landed 0.9 m beside the pad although guidance was back."""
+    landing_at(cockpit, 0, altitude_m, nd.NavdataState.COM_WATCHDOG)
+    cockpit.streamer.take(FORWARD if flies else Hover(), ms(1))
+    assert (FLY in cockpit.sends(2)) is called_off
+
+
 def test_a_word_ends_with_the_guidance_cycle_that_it_came_from(cockpit: Cockpit) -> None:
     """The period that repeats it does not make it younger; the sender flies hover 120 ms after guidance spoke last."""
     cockpit.options = ArDroneOptions()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -17,6 +18,7 @@ from sitl.safety import (
     BlindDescent,
     Grade,
     SightWatch,
+    UnreachedContacts,
     dangers,
     grade,
     on_pad_m,
@@ -106,6 +108,35 @@ def test_a_heaving_deck_under_a_hovering_vehicle_is_no_descent() -> None:
         up = 1.0 * np.sin(0.3 * n)
         watch.step(truth(0.5 * n, 2.0 - up, deck_up_m=up))
     assert watch.worst.descent_m == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_contact_that_no_order_could_prevent_is_told_apart() -> None:
+    """WHAT: the link is lost from 1 s to 4 s; contacts before, then, in the landing begun then, and long after."""
+
+    def touched(at_s: float, phase: VehiclePhase = VehiclePhase.FLYING, surface: Literal["deck", "water"] = "deck") -> Touchdown:
+        return Touchdown(after(START, at_s), surface, np.zeros(3), 0.5, 0.0, 0.4, 0.0, phase, True, "hold blind")
+
+    def unreached(*contacts: Touchdown, landing: tuple[float, float] = (0.0, 0.0)) -> list[MonoNs]:
+        watch = UnreachedContacts()
+        for n in range(200):
+            t = 0.05 * n
+            phase = VehiclePhase.LANDING if landing[0] < t < landing[1] else VehiclePhase.FLYING
+            now = replace(truth(t, 1.0), phase=phase, contacts=tuple(c for c in contacts if c.at <= after(START, t)))
+            watch.step(now, reached=not 1.0 <= t < 4.0)
+        return watch.at
+
+    before, then, climbing, late = (touched(t) for t in (0.5, 2.0, 4.5, 6.0))
+    assert unreached(before, then, climbing, late) == [then.at, climbing.at]
+    down = touched(6.0, VehiclePhase.LANDING)
+    assert unreached(down, landing=(3.9, 6.02)) == [down.at], "in the landing that it began without us"
+    assert unreached(down, landing=(5.5, 6.02)) == [], "that landing somebody ordered"
+    strays = [then, touched(2.5, surface="water")]
+    assert dangers(SAFE, strays, None, unreached=[c.at for c in strays]) == (
+        "in the water, 0.50 m from the pad's centre, outside commit (hold blind)",
+    )
+    assert len(dangers(SAFE, strays, None)) == 2, "where the scenario does not allow it"
+    put = grade(FlightOutcome.LANDED_BY_OTHERS, None, (), "either", put_down=True)
+    assert put == (Grade.REFUSED_RIGHTLY, "landed by itself while nothing reached it")
 
 
 def test_dangers_name_contacts_beside_the_pad_descents_without_sight_and_a_dead_service() -> None:

@@ -1,0 +1,106 @@
+"""How much higher the drone stays because the deck will rise faster than it can climb."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from companion.guidance import cone
+from companion.guidance.clearance import rise_beyond_climb_m
+from companion.guidance.controller import HORIZONS_S, Knowledge, Target
+from companion.guidance.limits import InputQuality, gate
+from companion.guidance.mission import State
+from companion.guidance.options import GuidanceOptions
+from companion.guidance.progress import Progress
+from companion.guidance.reason import ReasonCause
+from companion.guidance.situation import GuidanceCycle
+from companion.guidance.steer import aim
+from estimator.contracts.geometry import F64
+from estimator.ekf import Forecast
+from tests.companion.mission_flights import estimate, ns
+
+CLIMB_M_S = 1.0
+PERIOD_S = 9.0
+OMEGA = math.tau / PERIOD_S
+
+
+def forecast(rise_m_s: F64, at_s: float = 0.0, sigma_m_s: float = 0.0) -> Forecast:
+    n = len(HORIZONS_S)
+    flat, still = np.zeros(n), np.zeros((n, 3))
+    v = np.column_stack([flat, flat, -rise_m_s])
+    return Forecast(
+        ns(at_s), np.array(HORIZONS_S), still, np.zeros((n, 3, 3)), v, flat, flat, rise_m_s, np.full(n, sigma_m_s),
+        flat, flat, flat, flat,
+    )  # fmt: skip
+
+
+def swell(largest_m_s: float, t_s: float = 0.0) -> F64:
+    """The rate at the horizons after `t_s`, whose largest comes 1.5 s after 0."""
+    return largest_m_s * np.cos(OMEGA * (np.array(HORIZONS_S) + t_s - 1.5))
+
+
+def knowledge(
+    ahead: Forecast | None, at_s: float = 0.0, climb_m_s: float | None = CLIMB_M_S, height_m: float = 0.35
+) -> Knowledge:
+    return Knowledge(ns(at_s), estimate(at_s, [0.0, 0.0, height_m]), forecast=ahead, climb_max_m_s=climb_m_s)
+
+
+def gained_m(largest_m_s: float) -> float:
+    """What a swell of this rate gains on a climb at the limit: 2 (V sin a - c a) / w with cos a = c / V."""
+    a = math.acos(CLIMB_M_S / largest_m_s)
+    return 2.0 * (largest_m_s * math.sin(a) - CLIMB_M_S * a) / OMEGA
+
+
+def test_a_deck_that_the_drone_can_follow_asks_for_nothing() -> None:
+    assert rise_beyond_climb_m(knowledge(forecast(swell(0.95)))) == 0.0
+    assert rise_beyond_climb_m(knowledge(None)) == 0.0
+    assert rise_beyond_climb_m(knowledge(forecast(swell(1.6)), climb_m_s=None)) == 0.0, "somebody else limits the climb"
+    falls = np.array([1.6 - 0.6 * t for t in HORIZONS_S])
+    assert rise_beyond_climb_m(knowledge(forecast(falls))) == pytest.approx(0.3, abs=0.01)
+    assert rise_beyond_climb_m(knowledge(forecast(swell(1.6)), at_s=0.6)) == 0.0, "a forecast that old says nothing"
+
+
+@pytest.mark.parametrize("largest_m_s", [1.2, 1.4, 1.6])
+def test_it_is_what_a_swell_gains_on_a_climb_at_the_limit(largest_m_s: float) -> None:
+    assert rise_beyond_climb_m(knowledge(forecast(swell(largest_m_s)))) == pytest.approx(gained_m(largest_m_s), rel=0.1)
+
+
+def test_what_is_uncertain_counts_as_rising_faster() -> None:
+    sure, unsure = (rise_beyond_climb_m(knowledge(forecast(swell(1.2), sigma_m_s=s))) for s in (0.0, 0.1))
+    assert unsure > sure + 0.1
+
+
+def test_a_drone_that_keeps_this_height_is_not_reached_by_a_swell_that_it_cannot_follow() -> None:
+    """WHAT: a perfect follower with a limit of 1 m/s under whom the rate of the deck swings to 1.6 m/s, for two minutes."""
+    dt, height_m, lowest_m, needed_m = 0.02, 2.0, math.inf, 0.0
+    for i in range(6000):
+        t = i * dt
+        needed_m = rise_beyond_climb_m(knowledge(forecast(swell(1.6, t)))) if i % 10 == 0 else needed_m
+        rise = 1.6 * math.cos(OMEGA * (t - 1.5))
+        rate = cone.descent_rate_m_s(0.0, height_m, GuidanceOptions().cone, 0.3 + needed_m)
+        height_m += dt * (min(CLIMB_M_S, rise - rate) - rise)
+        lowest_m = min(lowest_m, height_m)
+    assert 0.25 < lowest_m < 0.4, "not reached, and as low as the gate between two seas"
+
+
+def test_the_gate_stays_shut_and_the_drone_goes_up_before_such_a_sea_comes() -> None:
+    o, rough = GuidanceOptions(), knowledge(forecast(swell(1.6)))
+    assert rough.relative is not None
+    kept_shut = gate(ns(0.0), rough.relative, rough, InputQuality(), o.limits, o.cone, aligned=False)
+    assert kept_shut is not None
+    assert kept_shut.cause is ReasonCause.DECK_RISE
+    assert "the deck will rise 0.95 m more than the drone can climb" in kept_shut.text
+    open_to = knowledge(forecast(swell(0.9)))
+    assert gate(ns(0.0), rough.relative, open_to, InputQuality(), o.limits, o.cone, aligned=False) is None
+    for state in (State.INTERCEPT, State.DESCEND, State.GATE, State.HOLD_BLIND):
+        p = replace(Progress.start(automatic=True), state=state, begun=True, entered_height_m=0.35, seen_height_m=0.35, track=1)
+        _, high = aim(p, GuidanceCycle(ns(0.0), rough), o, over_ground=False)
+        _, low = aim(p, GuidanceCycle(ns(0.0), open_to), o, over_ground=False)
+        assert isinstance(high, Target)
+        assert isinstance(low, Target)
+        assert high.d_body_pad_level[2] > 1.2
+        assert low.d_body_pad_level[2] < 0.4
+        assert high.descent_rate_m_s is None or high.descent_rate_m_s < -0.9
