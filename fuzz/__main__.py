@@ -28,7 +28,8 @@ _PROGRESS = re.compile(r"#(\d+)\s.*\bcov: (\d+) ft: (\d+) corp: (\d+)")
 _EXECUTED = re.compile(r"stat::number_of_executed_units:\s*(\d+)")
 _NATIVE = re.compile(r"ERROR: libFuzzer: (.*)")
 _SLOWEST = 6.0
-"""Multiple of the time limit after which a target ends by the clock if CPU time is the measure."""
+"""Multiple of a time limit that the clock may show if CPU time is the measure."""
+_HANG_S = 20.0
 _GRACE_S = 60.0
 """Time after its limit at which a process is ended, seconds: it hangs where no alarm reaches it."""
 
@@ -59,10 +60,11 @@ def run_target(name: str, seconds: float, work: Path, cpu: bool) -> Result:
     """Run one target for so long, its start included: seconds of the clock, or with `cpu` of its own CPU time."""
     crashes = work / "crashes"
     began, began_wall = time.monotonic(), time.time()
-    most = seconds * (_SLOWEST if cpu else 1.0)
+    longer = _SLOWEST if cpu else 1.0
+    most = seconds * longer
     command = [
         sys.executable, "-m", "fuzz.one", name, "--until", str(began + most), "--work", str(work / "corpus" / name),
-        "--crashes", str(crashes),
+        "--crashes", str(crashes), "--hang", str(round(_HANG_S * longer)),
     ]  # fmt: skip
     executions = edges = features = corpus = 0
     tail: list[str] = []

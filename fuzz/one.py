@@ -21,7 +21,6 @@ ROOT = Path(__file__).parents[1]
 OURS = ("companion", "drivers", "estimator", "sitl")
 _OTHERS = {"mcap_bytes": ("mcap",), "dataflash": ("pymavlink.DFReader",), "ulog": ("pyulog",)}
 """Pure Python libraries that parse a format for us; their coverage guides the fuzzer through it."""
-_HANG_S = 20
 _MEMORY_MB = 2500
 
 
@@ -32,6 +31,7 @@ def main() -> None:
     parser.add_argument("--until", type=float, required=True, help="instant of CLOCK_MONOTONIC, s")
     parser.add_argument("--work", type=Path, required=True, help="folder of the growing corpus")
     parser.add_argument("--crashes", type=Path, required=True)
+    parser.add_argument("--hang", type=int, required=True, help="time after which an input hangs, s of the clock on the wall")
     args = parser.parse_args()
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("ignore")
@@ -57,7 +57,7 @@ def main() -> None:
     left_s = max(1, round(args.until - time.monotonic()))
     options = [
         sys.argv[0], str(args.work), str(target.CORPUS / args.name), f"-max_total_time={left_s}", f"-max_len={chosen.max_len}",
-        f"-timeout={_HANG_S}", f"-rss_limit_mb={_MEMORY_MB}", "-print_final_stats=1",
+        f"-timeout={args.hang}", f"-rss_limit_mb={_MEMORY_MB}", "-print_final_stats=1",
         f"-artifact_prefix={args.crashes}/{args.name}-",
     ]  # fmt: skip
     atheris.Setup(options, one, internal_libfuzzer=True)
