@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from estimator import ekf
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64
+from estimator.ekf.state import N
 from estimator.paths import DeadReckoningPath, MedianMeanPath
 from sitl.testing.approach_settings import DURATION_S, OPTIONS, setting
 from sitl.testing.estimator_truth import TruthFlight, events, ns
@@ -177,20 +178,11 @@ def foretell(memory: ekf.Ekf, flight: TruthFlight, now_s: float, covered: dict[t
 
 
 def memory_of(memory: ekf.Ekf) -> tuple[int, int]:
-    """Return the bytes of all distinct arrays in the history, and its length."""
-    seen: dict[int, int] = {}
-
-    def visit(x: object) -> None:
-        if isinstance(x, np.ndarray):
-            seen[id(x)] = x.nbytes + 112
-        elif isinstance(x, tuple) and id(x) not in seen:
-            seen[id(x)] = 56 + 8 * len(x)
-            for y in x:
-                visit(y)
-
-    for node in memory.history.nodes:
-        visit(node.after)
-    return sum(seen.values()), len(memory.history.nodes)
+    """Return the bytes of the history's beliefs and of their distinct covariances, and its length."""
+    nodes = memory.history.nodes
+    blocks = {id(node.snapshot.numbers.block): node.snapshot.numbers.block.nbytes for node in nodes if node.snapshot is not None}
+    covariances = {node.snapshot.P.address for node in nodes if node.snapshot is not None}
+    return sum(blocks.values()) + len(covariances) * N * N * 8, len(nodes)
 
 
 def report(results: Sequence[Result]) -> None:

@@ -48,6 +48,8 @@ SLOW = (
     "tests/estimator/ekf/test_history.py",
     "tests/estimator/ekf/test_sea.py",
     "tests/estimator/vision/test_registration.py",
+    "tests/estimator/ekf/test_core.py",
+    "tests/estimator/core/test_library.py",
     "tests/sitl/test_vehicle.py",
     "tests/drivers/test_link.py",
     "tests/sitl/test_one_flight.py",

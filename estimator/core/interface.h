@@ -4,18 +4,149 @@
 
 #include <stdint.h>
 
+#define N 54
+#define ATT_ERR 0
+#define POS_REL 3
+#define VEL 6
+#define GYRO_BIAS 9
+#define ACCEL_BIAS 12
+#define VEL_SCALE 15
+#define VESSEL_VEL 16
+#define WAVES 18
+#define PAD_YAW 38
+#define YAW_RATE 39
+#define DECK_TRIM 40
+#define CAMERA_DELAY 42
+#define CAMERA_MOUNT 43
+#define BARO_OFFSET 46
+#define ATT_BIAS 47
+#define RANGE_OFFSET 49
+#define WAVE_YAW 50
+#define TURN_RATE 51
+#define SWAY_PER_HEAVE 52
 #define ORDER_MAX 54
 #define ROWS_MAX 9
+#define COLUMNS_MAX 14
+#define KINDS 4
+#define ATTITUDE 0
+#define VELOCITY 1
+#define RANGE 2
+#define HEIGHT 3
+#define IMU 4
+#define FUSED 0
+#define GATED 1
+#define SINGULAR 2
+#define OVER_GROUND 0
+#define OVER_PAD 1
+#define OVER_EITHER 2
+#define STATE_ALONE 0
+#define WITH_COVARIANCE 1
+#define WITH_AIDING 2
+
+typedef struct {
+    int64_t hold_ns;
+    int64_t velocity_is_over;
+    double tick_s;
+    double forget_s;
+    double aiding_period_s;
+    double accel_step_m_s2;
+    double gyro_step_rad_s;
+    double deck_radius_m;
+    double not_measured_var;
+    double correlation_s[4];
+    double nis_max[9];
+    double psd[54];
+    double psd_accel;
+    double psd_coast;
+    double psd_coast_turn;
+    double wave_yaw_rad_s;
+    double sigma_wave_yaw_rate_rad_s;
+} filter_params;
+
+typedef struct {
+    int64_t fused;
+    int64_t refused;
+    int64_t n;
+    int64_t since;
+    int64_t m;
+    int64_t axes;
+    double deck_weight;
+    double innov[3];
+    double R[9];
+    double ambiguity[9];
+    double spread[9];
+    double H[42];
+} aid;
+
+typedef struct {
+    int64_t t;
+    int64_t t_cov;
+    int64_t t_imu;
+    int64_t t_velocity;
+    int64_t sighted;
+    int64_t agreed;
+    int64_t is_levelled;
+    int64_t heading_is_given;
+    int64_t rejected_n;
+    int64_t rejected_since;
+    int64_t rejected_last;
+    double rejected_offset_ned[3];
+    double rejected_var_m2;
+    double R[9];
+    double x[54];
+    double R_cov[9];
+    double dv[3];
+    double dp[3];
+    double turned[9];
+    double coast_s;
+    double w[3];
+    double w_smooth[3];
+    double f[3];
+    double levelled_by[9];
+    double cov_levelled_by[9];
+    double ins_p[3];
+    double ins_v[3];
+    double ins_var_m2_s2;
+    double jolt_var_m2_s2;
+    double jolt_var_rad2;
+    double over_pad;
+    double wave_w[5];
+    double wave_zeta[5];
+    double wave_sigma[5];
+    aid aids[4];
+} belief;
+
+typedef struct {
+    int64_t kind;
+    int64_t t;
+    double value[18];
+} event;
+
+typedef struct {
+    int64_t verdict;
+    int64_t m;
+    int64_t axes;
+    double innov[3];
+    double S[9];
+    double nis;
+    double nis_max;
+} outcome;
 
 /* core.c */
 uint32_t core_digest(void);
 
+/* filter.c */
+int32_t filter_run(const filter_params *o, int32_t n, const event *events, const belief *before, const double *P_before, belief *after, double *P_after, int64_t *P_index, outcome *first);
+int32_t filter_propagate(const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before, belief *after, double *P_after);
+void filter_settle(const filter_params *o, const belief *before, belief *after, double *F, double *Q);
+
 /* kalman.c */
+int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis);
 void kalman_predict(int32_t n, const double *P, const double *F, const double *Q, double *P_after);
 int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx, double *P_after, double *S, double *nis);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 1415976200u
+#define INTERFACE_DIGEST 4122753365u
 #endif
 
 #endif

@@ -7,16 +7,87 @@ where no library is built yet.
 
 from __future__ import annotations
 
+import itertools
 import zlib
 from typing import NamedTuple
 
-ORDER_MAX = 54
+STATE = {
+    "ATT_ERR": 3, "POS_REL": 3, "VEL": 3, "GYRO_BIAS": 3, "ACCEL_BIAS": 3, "VEL_SCALE": 1, "VESSEL_VEL": 2, "WAVES": 20,
+    "PAD_YAW": 1, "YAW_RATE": 1, "DECK_TRIM": 2, "CAMERA_DELAY": 1, "CAMERA_MOUNT": 3, "BARO_OFFSET": 1, "ATT_BIAS": 2,
+    "RANGE_OFFSET": 1, "WAVE_YAW": 1, "TURN_RATE": 1, "SWAY_PER_HEAVE": 2,
+}  # fmt: skip
+"""The parts of the filter's state and their sizes, in order. `estimator.ekf.state` says what they are."""
+N = sum(STATE.values())
+STATE_AT = dict(zip(STATE, itertools.accumulate(STATE.values(), initial=0), strict=False))
+"""Index of the first component of each part."""
+
+ORDER_MAX = N
 """The largest number of states that a linear-algebra function takes."""
 ROWS_MAX = 9
 """The largest number of measured numbers that a linear-algebra function takes."""
+COLUMNS_MAX = 14
+"""The largest number of states on which one kind of aiding depends."""
+KINDS = 4
+"""Number of kinds of aiding."""
 
-CONSTANTS = {"ORDER_MAX": ORDER_MAX, "ROWS_MAX": ROWS_MAX}
-"""Numbers that C and Python share, by their names in the header."""
+CONSTANTS = {
+    "N": N, **STATE_AT, "ORDER_MAX": ORDER_MAX, "ROWS_MAX": ROWS_MAX, "COLUMNS_MAX": COLUMNS_MAX, "KINDS": KINDS,
+    "ATTITUDE": 0, "VELOCITY": 1, "RANGE": 2, "HEIGHT": 3, "IMU": 4,
+    "FUSED": 0, "GATED": 1, "SINGULAR": 2,
+    "OVER_GROUND": 0, "OVER_PAD": 1, "OVER_EITHER": 2,
+    "STATE_ALONE": 0, "WITH_COVARIANCE": 1, "WITH_AIDING": 2,
+}  # fmt: skip
+"""Numbers that C and Python share, by their names in the header: the state's indices, kinds of samples (the first are those of
+aiding), verdicts, surfaces below a velocity sensor, and how much `filter_propagate` does."""
+
+
+class Field(NamedTuple):
+    """A member of a structure: an integer, a double, another structure, or an array of one of them."""
+
+    name: str
+    type: str
+    length: int = 1
+
+
+def _doubles(**lengths: int) -> tuple[Field, ...]:
+    return tuple(Field(name, "double", length) for name, length in lengths.items())
+
+
+def _integers(*names: str) -> tuple[Field, ...]:
+    return tuple(Field(name, "int64_t") for name in names)
+
+
+STRUCTS = {
+    "filter_params": (
+        *_integers("hold_ns", "velocity_is_over"),
+        *_doubles(
+            tick_s=1, forget_s=1, aiding_period_s=1, accel_step_m_s2=1, gyro_step_rad_s=1, deck_radius_m=1, not_measured_var=1,
+            correlation_s=KINDS, nis_max=ROWS_MAX, psd=N, psd_accel=1, psd_coast=1, psd_coast_turn=1, wave_yaw_rad_s=1,
+            sigma_wave_yaw_rate_rad_s=1,
+        ),
+    ),
+    "aid": (
+        *_integers("fused", "refused", "n", "since", "m", "axes"),
+        *_doubles(deck_weight=1, innov=3, R=9, ambiguity=9, spread=9, H=3 * COLUMNS_MAX),
+    ),
+    "belief": (
+        *_integers(
+            "t", "t_cov", "t_imu", "t_velocity", "sighted", "agreed", "is_levelled", "heading_is_given",
+            "rejected_n", "rejected_since", "rejected_last",
+        ),
+        *_doubles(
+            rejected_offset_ned=3, rejected_var_m2=1,
+            R=9, x=N, R_cov=9, dv=3, dp=3, turned=9, coast_s=1, w=3, w_smooth=3, f=3, levelled_by=9, cov_levelled_by=9,
+            ins_p=3, ins_v=3, ins_var_m2_s2=1, jolt_var_m2_s2=1, jolt_var_rad2=1, over_pad=1,
+            wave_w=5, wave_zeta=5, wave_sigma=5,
+        ),
+        Field("aids", "aid", KINDS),
+    ),
+    "event": (*_integers("kind", "t"), *_doubles(value=18)),
+    "outcome": (*_integers("verdict", "m", "axes"), *_doubles(innov=3, S=9, nis=1, nis_max=1)),
+}  # fmt: skip
+"""The structures, without padding: every member is of eight bytes. Members mean what those of `Belief`, `Aid` and `Gathered` in
+`estimator.ekf.state` of the same names mean; matrices are in rows, instants are in ns."""
 
 
 class Function(NamedTuple):
@@ -33,6 +104,7 @@ class Function(NamedTuple):
 
 FUNCTIONS = (
     Function("core_digest", "uint32_t", "void", "core.c"),
+    Function("nis_of", "int32_t", "int32_t m, const double *innov, const double *S, double *nis", "kalman.c"),
     Function(
         "kalman_predict",
         "void",
@@ -46,6 +118,26 @@ FUNCTIONS = (
         "double *dx, double *P_after, double *S, double *nis",
         "kalman.c",
     ),
+    Function(
+        "filter_run",
+        "int32_t",
+        "const filter_params *o, int32_t n, const event *events, const belief *before, const double *P_before, "
+        "belief *after, double *P_after, int64_t *P_index, outcome *first",
+        "filter.c",
+    ),
+    Function(
+        "filter_propagate",
+        "int32_t",
+        "const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before, belief *after, "
+        "double *P_after",
+        "filter.c",
+    ),
+    Function(
+        "filter_settle",
+        "void",
+        "const filter_params *o, const belief *before, belief *after, double *F, double *Q",
+        "filter.c",
+    ),
 )
 """Every function that Python calls. Matrices are row-major; what a function writes overlaps nothing that it reads."""
 
@@ -55,13 +147,20 @@ def prototype(function: Function) -> str:
     return f"{function.result} {function.name}({function.parameters});"
 
 
+def struct(name: str) -> str:
+    """Return a structure's definition in C."""
+    members = "".join(f"    {m.type} {m.name}{f'[{m.length}]' if m.length > 1 else ''};\n" for m in STRUCTS[name])
+    return f"typedef struct {{\n{members}}} {name};\n"
+
+
 def _body() -> str:
     constants = "\n".join(f"#define {name} {value}" for name, value in CONSTANTS.items())
+    structs = "\n".join(map(struct, STRUCTS))
     files = sorted({function.source for function in FUNCTIONS})
     prototypes = "\n\n".join(
         "\n".join([f"/* {file} */", *(prototype(one) for one in FUNCTIONS if one.source == file)]) for file in files
     )
-    return f"#include <stdint.h>\n\n{constants}\n\n{prototypes}\n"
+    return f"#include <stdint.h>\n\n{constants}\n\n{structs}\n{prototypes}\n"
 
 
 def digest() -> int:

@@ -97,6 +97,27 @@ void kalman_predict(int32_t n, const double *P, const double *F, const double *Q
     symmetrize(n, P_after);
 }
 
+/* The normalised innovation squared, innov' inv(S) innov. */
+int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis)
+{
+    double L[ROWS_MAX][ROWS_MAX], y[ROWS_MAX];
+    for (int i = 0; i < m; i++) {
+        y[i] = innov[i];
+        for (int j = 0; j < m; j++) {
+            L[i][j] = S[i * m + j];
+        }
+    }
+    if (cholesky(m, L) == NOT_POSITIVE) {
+        return NOT_POSITIVE;
+    }
+    solve_lower(m, L, y);
+    *nis = 0.0;
+    for (int i = 0; i < m; i++) {
+        *nis += y[i] * y[i];
+    }
+    return isfinite(*nis) ? DONE : NOT_POSITIVE;
+}
+
 /* C = P H', (n, m). Most entries of a Jacobian are zero. */
 static void by_jacobian(int n, int m, const double *P, double H[ROWS_MAX][ORDER_MAX], double C[ORDER_MAX][ROWS_MAX])
 {

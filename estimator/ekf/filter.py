@@ -22,7 +22,9 @@ from estimator.ekf.algebra import Algebra
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.history import History, put
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.propagate import Event, FilterParams, Outcome, propagated, propagated_with_covariance, result
+from estimator.ekf.outcome import Outcome
+from estimator.ekf.propagate import Event, FilterParams, result
+from estimator.ekf.snapshot import STATE_ALONE, WITH_COVARIANCE
 from estimator.ekf.state import (
     ACCEL_BIAS,
     ATT_ERR,
@@ -119,7 +121,8 @@ def _settled(ekf: Ekf, now: MonoNs) -> Settled | None:
     before = ekf.history.before(now)
     if before is None:
         return None
-    b, F, Q = motion.moved(propagated(before, now, ekf.params), ekf.params.process_noise)
+    noise = ekf.params.process_noise
+    b, F, Q = before.propagated(now, noise, STATE_ALONE).settled(noise)
     return Settled(b, F, Q, *measure.aligned(b))
 
 
@@ -207,10 +210,10 @@ def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Foreca
     h = np.asarray(horizons_s, dtype=float).reshape(-1)
     if not (np.all(np.isfinite(h)) and np.all(h >= 0.0)):
         raise ValueError(f"horizons must be seconds of 0 or more, got {horizons_s!r}")
-    b = ekf.history.before(now)
-    if b is None or not _tracked(b, now, ekf.options):
+    before = ekf.history.before(now)
+    if before is None or not _tracked(before.belief, now, ekf.options):
         return None
-    b = propagated_with_covariance(b, now, ekf.params)
+    b = before.propagated(now, ekf.params.process_noise, WITH_COVARIANCE).belief
     x, T = measure.aligned(b)
     b = b._replace(x=x, P=T.dot(b.P).dot(T.T))
     return forecasting.forecast(b, now, h, ekf.options)

@@ -11,8 +11,10 @@ from typing import NamedTuple
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
+from estimator.ekf.outcome import Outcome
 from estimator.ekf.process_event import process_event
-from estimator.ekf.propagate import Event, FilterParams, Outcome, result
+from estimator.ekf.propagate import Event, FilterParams, result
+from estimator.ekf.snapshot import Sample, Snapshot, packed_sample
 from estimator.ekf.state import Belief
 
 _RANK = {Imu: 0, Attitude: 1, BodyVelocity: 2, Range: 3, Baro: 4, VesselReport: 5, Sighting: 6}
@@ -24,7 +26,15 @@ class Node(NamedTuple):
     key: tuple[int, int, int, str]
     """Sort key (instant in ns, rank of the type, sequence number, method), the same for every order of arrival."""
     event: Event
-    after: Belief | None
+    packed: bytes | None
+    """The event as the core reads it; None if Python processes it."""
+    snapshot: Snapshot | None
+    """The belief after the event as the core holds it; None before the first attitude."""
+
+    @property
+    def after(self) -> Belief | None:
+        """The belief after the event, or None before the first attitude."""
+        return None if self.snapshot is None else self.snapshot.belief
 
 
 class Leap(NamedTuple):
@@ -39,7 +49,7 @@ class Leap(NamedTuple):
 class History(NamedTuple):
     """The recent events and the beliefs after them."""
 
-    base: Belief | None = None
+    base: Snapshot | None = None
     """The belief before the first node."""
     nodes: tuple[Node, ...] = ()
     """The events, oldest first."""
@@ -52,13 +62,14 @@ class History(NamedTuple):
 
     def newest(self) -> Belief | None:
         """Return the belief after the last event, or None before the first attitude."""
-        return self.nodes[-1].after if self.nodes else self.base
+        snapshot = self.nodes[-1].snapshot if self.nodes else self.base
+        return None if snapshot is None else snapshot.belief
 
-    def before(self, t: int) -> Belief | None:
+    def before(self, t: int) -> Snapshot | None:
         """Return the belief after the last event not later than `t` (ns), or None if the history does not reach back so far."""
         for node in reversed(self.nodes):
             if node.key[0] <= t:
-                return node.after
+                return node.snapshot
         return self.base if self.base is not None and self.base.t <= t else None
 
 
@@ -97,14 +108,43 @@ def put(history: History, event: Event, params: FilterParams) -> tuple[History, 
     i = len(nodes)
     while i > 0 and nodes[i - 1].key > key:
         i -= 1
-    b, outcome = process_event(nodes[i - 1].after if i else history.base, event, params)
-    again = [Node(key, event, b)]
-    for node in nodes[i:]:
-        b, _ = process_event(b, node.event, params)
-        again.append(Node(node.key, node.event, b))
+    packed = packed_sample(event) if isinstance(event, Sample) else None
+    inserted = [Node(key, event, packed, None), *nodes[i:]]
+    again, outcome = _processed(nodes[i - 1].snapshot if i else history.base, inserted, params)
     nodes = nodes[:i] + tuple(again)
     history = History(history.base, nodes, history.forgotten, received_at, history.leapt)
     return _trimmed(history, round(o.history_s * 1e9)), result(event, outcome)
+
+
+def _processed(snapshot: Snapshot | None, nodes: list[Node], params: FilterParams) -> tuple[list[Node], Outcome]:
+    """Return the nodes with the beliefs after their events, and the outcome of the first event.
+
+    The core processes the vehicle's samples in a row; sightings, vessel reports and what begins a belief stop it.
+    """
+    made: list[Node] = []
+    outcome = None
+    while len(made) < len(nodes):
+        here, row = len(made), []
+        for node in nodes[here:] if snapshot is not None else ():
+            if node.packed is None:
+                break
+            row.append(node.packed)
+        if row and snapshot is not None:
+            followed, first = snapshot.follow(params.process_noise, row)
+            for after, node in zip(followed, nodes[here:], strict=False):
+                made.append(Node(node.key, node.event, node.packed, after))
+        else:
+            followed = []
+        if followed:
+            snapshot = followed[-1]
+        else:
+            node = nodes[here]
+            b, first = process_event(None if snapshot is None else snapshot.belief, node.event, params)
+            snapshot = None if b is None else Snapshot.of(b)
+            made.append(Node(node.key, node.event, node.packed, snapshot))
+        outcome = outcome or first
+    assert outcome is not None
+    return made, outcome
 
 
 def _trimmed(history: History, span_ns: int) -> History:
@@ -116,4 +156,4 @@ def _trimmed(history: History, span_ns: int) -> History:
     if i == 0:
         return history
     gone = nodes[i - 1]
-    return history._replace(base=gone.after, nodes=nodes[i:], forgotten=gone.key[0])
+    return history._replace(base=gone.snapshot, nodes=nodes[i:], forgotten=gone.key[0])

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.estimates import Sighting
 from estimator.contracts.fusion import COMPONENTS, FusionResult, components_of, source_of
 from estimator.contracts.geometry import F64, skew
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.ekf import measure, motion, so3
 from estimator.ekf.algebra import Algebra, Correction
 from estimator.ekf.options import EkfOptions
+from estimator.ekf.outcome import Outcome
+from estimator.ekf.snapshot import STATE_ALONE, WITH_AIDING, WITH_COVARIANCE, Snapshot
 from estimator.ekf.state import ATT_ERR, PAD_YAW, VEL_SCALE, Belief, RejectionStreak
 
 Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
@@ -26,21 +26,6 @@ class FilterParams(NamedTuple):
     options: EkfOptions
     process_noise: motion.ProcessNoise
     algebra: Algebra
-
-
-class Outcome(NamedTuple):
-    """What became of one event. Re-propagation repeats many events whose outcomes nobody asks for, so it holds no more."""
-
-    verdict: Verdict
-    innovation: Sequence[float] | F64 | None = None
-    """(m,) measured minus predicted, None where nothing was compared."""
-    innovation_cov: F64 | None = None
-    """(m, m) covariance of the innovation."""
-    nis: float = math.nan
-    nis_max: float = math.nan
-    """The gate's limit of the NIS."""
-    axes: tuple[int, ...] = ()
-    """Indices of the m components among those of the event's source; by default the first m."""
 
 
 def result(event: Event, outcome: Outcome) -> FusionResult:
@@ -65,19 +50,20 @@ def propagated(b: Belief, t: int, params: FilterParams) -> Belief:
 
     The covariance is propagated as often as the options ask.
     """
-    o = params.options
-    hold_ns = round(o.hold_s * 1e9)
-    if b.t_imu >= 0 and b.t < b.t_imu + hold_ns < t:
-        b = motion.propagate_state(b, b.t_imu + hold_ns, b.w, b.f, hold_ns)
-    b = motion.propagate_state(b, t, b.w, b.f, hold_ns)
-    if (b.t - b.t_cov) * 1e-9 >= o.tick_s:
-        b = motion.propagate_covariance(b, params.process_noise, params.algebra)
-    return b
+    return Snapshot.of(b).propagated(t, params.process_noise, STATE_ALONE).belief
 
 
 def propagated_with_covariance(b: Belief, t: int, params: FilterParams) -> Belief:
     """Propagate the state as `propagated` does, and the covariance to `t` as well."""
-    return motion.propagate_covariance(propagated(b, t, params), params.process_noise, params.algebra)
+    return Snapshot.of(b).propagated(t, params.process_noise, WITH_COVARIANCE).belief
+
+
+def ready_to_fuse(b: Belief, t: int, params: FilterParams) -> Belief:
+    """Propagate state and covariance to `t`, ns, and fuse the means of all gathered samples together.
+
+    Gathered samples must be fused before any other correction; otherwise that correction would be applied twice.
+    """
+    return Snapshot.of(b).propagated(t, params.process_noise, WITH_AIDING).belief
 
 
 def forgotten(b: Belief, o: EkfOptions) -> Belief:

@@ -8,75 +8,87 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
+from estimator.core.interface import STATE, STATE_AT
 from estimator.ekf.deck_motion_bank import DeckMotionBank
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.so3 import Vec3
 
+
+def _part(name: str) -> slice:
+    return slice(STATE_AT[name], STATE_AT[name] + STATE[name])
+
+
+N = sum(STATE.values())
+"""Number of states."""
 GRAVITY_M_S2 = 9.80665
 G_NED = np.array([0.0, 0.0, GRAVITY_M_S2])
 G_NED.setflags(write=False)
 
-ATT_ERR = slice(0, 3)
+ATT_ERR = _part("ATT_ERR")
 """Attitude error, rad, in `body`: `R_true = R @ exp(x[ATT_ERR])`. `Belief.R` is the nominal, so `x[ATT_ERR]` is always zero."""
-ATT_AXES = range(3)
+ATT_AXES = range(N)[ATT_ERR]
 """Indices of the components of `ATT_ERR`."""
-POS_REL = slice(3, 6)
+POS_REL = _part("POS_REL")
 """d_body_pad_ned, m."""
-POS_NORTH, POS_EAST, POS_DOWN = POS_AXES = range(3, 6)
+POS_NORTH, POS_EAST, POS_DOWN = POS_AXES = range(N)[POS_REL]
 """Indices of the components of `POS_REL`."""
 POS_HORIZONTAL = slice(POS_NORTH, POS_DOWN)
 """North and east of `POS_REL`."""
-VEL = slice(6, 9)
+VEL = _part("VEL")
 """v_body_ned, m/s over the ground."""
-VEL_NORTH, VEL_EAST, VEL_DOWN = VEL_AXES = range(6, 9)
+VEL_NORTH, VEL_EAST, VEL_DOWN = VEL_AXES = range(N)[VEL]
 """Indices of the components of `VEL`."""
-GYRO_BIAS = slice(9, 12)
+GYRO_BIAS = _part("GYRO_BIAS")
 """Gyro bias, rad/s, in `body`: measured minus true."""
-ACCEL_BIAS = slice(12, 15)
+ACCEL_BIAS = _part("ACCEL_BIAS")
 """Accelerometer bias, m/s^2, in `body`: measured minus true."""
-VEL_SCALE = 15
+VEL_SCALE = STATE_AT["VEL_SCALE"]
 """Scale of the horizontal velocity: measured over true."""
-VESSEL_VEL = slice(16, 18)
+VESSEL_VEL = _part("VESSEL_VEL")
 """The vessel's steady velocity, north and east, m/s."""
-VESSEL_NORTH, VESSEL_EAST = 16, 17
+VESSEL_NORTH, VESSEL_EAST = range(N)[VESSEL_VEL]
 """Indices of the components of `VESSEL_VEL`."""
-WAVES = 18 + np.arange(20).reshape(5, 4)
+WAVES = np.arange(N)[_part("WAVES")].reshape(5, 4)
 """(5, 4) indices of [displacement, rate, force, rate of the force] for the pad's motion north, east, down (m) and the deck's
 roll and pitch (rad)."""
 DECK_DISP, DECK_RATE = WAVES[:, 0], WAVES[:, 1]
-PAD_YAW = 38
+PAD_YAW = STATE_AT["PAD_YAW"]
 """Heading of the pad's arrow, rad clockwise from north."""
-YAW_RATE = 39
+YAW_RATE = STATE_AT["YAW_RATE"]
 """Rate of the pad's yaw on waves, rad/s; the steady turn is `TURN_RATE`."""
-DECK_TRIM = np.arange(40, 42)
+DECK_TRIM = np.arange(N)[_part("DECK_TRIM")]
 """Constant list and trim of the deck, rad."""
-CAMERA_DELAY = 42
+CAMERA_DELAY = STATE_AT["CAMERA_DELAY"]
 """Camera delay, s: sightings show the world this much later than their stamps say."""
-CAMERA_MOUNT = slice(43, 46)
+CAMERA_MOUNT = _part("CAMERA_MOUNT")
 """Rotation vector, rad, in `body`: the camera is rotated by `exp(x[CAMERA_MOUNT])` from the mounting in its file."""
-BARO_OFFSET = 46
+BARO_OFFSET = STATE_AT["BARO_OFFSET"]
 """Height that the barometer shows minus the height over the pad's mean level, m."""
-ATT_BIAS = np.arange(47, 49)
+ATT_BIAS = np.arange(N)[_part("ATT_BIAS")]
 """Constant error of the vehicle's own attitude about the body's x and y axes, rad: measured minus true."""
-RANGE_OFFSET = 49
+RANGE_OFFSET = STATE_AT["RANGE_OFFSET"]
 """Constant error of the range sensor, m: measured minus true. The sensor's position and the air temperature cause it."""
-WAVE_YAW = 50
+WAVE_YAW = STATE_AT["WAVE_YAW"]
 """The vessel's yaw on waves, rad; it is a part of `PAD_YAW`."""
-TURN_RATE = 51
+TURN_RATE = STATE_AT["TURN_RATE"]
 """Steady rate at which the vessel turns, rad/s clockwise from above. Its velocity turns with it (coordinated turn)."""
-SWAY_PER_HEAVE = slice(52, 54)
+SWAY_PER_HEAVE = _part("SWAY_PER_HEAVE")
 """Metres that the pad moves north and east in phase with each metre that it moves down. A pad away from the centre of motion
 moves so when the deck rolls or pitches."""
-SWAY_NORTH, SWAY_EAST = 52, 53
+SWAY_NORTH, SWAY_EAST = range(N)[SWAY_PER_HEAVE]
 """Indices of the components of `SWAY_PER_HEAVE`."""
-N = 54
-"""Number of states."""
-
 LOST_VAR_M2 = 1e4
 """Variance of the pad's relative position before the first sighting, per axis."""
 
 ATTITUDE, VELOCITY, RANGE, HEIGHT = range(4)
 """Kinds of aiding that are averaged before they are fused."""
+SAMPLE_COLUMNS = (
+    [*ATT_AXES, *ATT_BIAS],
+    [*ATT_AXES, *VEL_AXES, *range(N)[VESSEL_VEL], *DECK_RATE[:3], *range(N)[SWAY_PER_HEAVE], VEL_SCALE],
+    [*ATT_AXES, *POS_AXES, DECK_DISP[3], DECK_TRIM[0], DECK_DISP[4], DECK_TRIM[1], PAD_YAW, RANGE_OFFSET],
+    [POS_DOWN, DECK_DISP[2], BARO_OFFSET],
+)
+"""The states on which each kind of aiding depends, in the order of the core's Jacobians."""
 
 
 NO_VEC3: Vec3 = (0.0, 0.0, 0.0)

@@ -9,10 +9,10 @@ import numpy as np
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64
 from estimator.ekf import deck_jolt, deck_motion_bank, gate, measure, so3
-from estimator.ekf.aiding import aided
 from estimator.ekf.algebra import Correction
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.propagate import FilterParams, Outcome, corrected, forgotten, partial, propagated_with_covariance
+from estimator.ekf.outcome import Outcome
+from estimator.ekf.propagate import FilterParams, corrected, forgotten, partial, ready_to_fuse
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,
@@ -49,7 +49,7 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
     o, t = params.options, event.stamp.measured_at
     if event.confidence < o.min_confidence:
         return b, Outcome(Verdict.GATED)
-    b = forgotten(aided(propagated_with_covariance(b, t, params), params), o)
+    b = forgotten(ready_to_fuse(b, t, params), o)
     fresh = b.sighted < 0
     if fresh:
         b = _initialized(b, event, o, reset=False)

@@ -3,6 +3,7 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "interface.h"
 
@@ -50,6 +51,116 @@ static void algebra(int n, int m, double poison)
     }
 }
 
+static void parameters(filter_params *o, int surface)
+{
+    memset(o, 0, sizeof *o);
+    o->hold_ns = 60000000;
+    o->velocity_is_over = surface;
+    o->tick_s = 0.1, o->forget_s = 1.0, o->aiding_period_s = 0.05;
+    o->accel_step_m_s2 = 15.0, o->gyro_step_rad_s = 4.0, o->deck_radius_m = 2.0, o->not_measured_var = 1e5;
+    o->psd_accel = 1e-3, o->psd_coast = 2.0, o->psd_coast_turn = 0.1, o->wave_yaw_rad_s = 1.0, o->sigma_wave_yaw_rate_rad_s = 0.04;
+    for (int i = 0; i < KINDS; i++) {
+        o->correlation_s[i] = 0.2;
+    }
+    for (int i = 0; i < ROWS_MAX; i++) {
+        o->nis_max[i] = 15.0 + 2.0 * i;
+    }
+    for (int i = 0; i < N; i++) {
+        o->psd[i] = 1e-4;
+    }
+}
+
+static void hover(belief *b, double *P)
+{
+    memset(b, 0, sizeof *b);
+    b->sighted = b->is_levelled = b->heading_is_given = 1;
+    for (int i = 0; i < 3; i++) {
+        b->R[4 * i] = b->R_cov[4 * i] = b->levelled_by[4 * i] = 1.0;
+    }
+    b->x[VEL_SCALE] = 1.0;
+    b->x[POS_REL + 2] = 2.0;
+    for (int i = 0; i < 5; i++) {
+        b->wave_w[i] = 0.8, b->wave_zeta[i] = 0.3, b->wave_sigma[i] = 0.2;
+    }
+    for (int i = 0; i < KINDS; i++) {
+        b->aids[i].fused = b->aids[i].refused = -1;
+    }
+    for (int i = 0; i < N * N; i++) {
+        P[i] = i % (N + 1) == 0 ? 1e-3 : 0.0;
+    }
+}
+
+/* A sample of any kind; one in ten is beyond anything. */
+static void sample(event *e, int64_t t)
+{
+    const double size = rand() % 10 == 0 ? 1e3 : 0.1;
+    e->kind = rand() % (IMU + 2);
+    e->t = t;
+    for (int i = 0; i < 18; i++) {
+        e->value[i] = size * uniform();
+    }
+    if (e->kind == ATTITUDE) {
+        for (int i = 0; i < 9; i++) {
+            e->value[i] = i % 4 == 0;
+        }
+    }
+    if (e->kind == ATTITUDE || e->kind == VELOCITY) {
+        double *cov = e->value + (e->kind == ATTITUDE ? 9 : 3);
+        for (int i = 0; i < 9; i++) {
+            cov[i] = i % 4 == 0 ? (rand() % 5 == 0 ? 1e6 : 1e-3) : 0.0;
+        }
+    }
+}
+
+static void fly(int surface, int rounds, double poison)
+{
+    enum { LENGTH = 60 };
+    filter_params *o = malloc(sizeof *o);
+    event *events = malloc(LENGTH * sizeof *events);
+    belief *before = malloc(sizeof *before), *after = malloc(LENGTH * sizeof *after);
+    double *P = numbers(N * N), *P_after = numbers(LENGTH * N * N), *F = numbers(N * N), *Q = numbers(N * N);
+    int64_t *index = malloc(LENGTH * sizeof *index), t = 0;
+    outcome *first = malloc(sizeof *first);
+    parameters(o, surface);
+    hover(before, P);
+    P[N + 1] *= poison;
+    for (int round = 0; round < rounds; round++) {
+        for (int i = 0; i < LENGTH; i++) {
+            t += rand() % 10 == 0 ? 200000000 : rand() % 5000000;
+            sample(&events[i], t);
+        }
+        const int done = filter_run(o, LENGTH, events, before, P, after, P_after, index, first);
+        if (done > 0) {
+            *before = after[done - 1];
+            if (index[done - 1] >= 0) {
+                memcpy(P, P_after + index[done - 1] * N * N, N * N * sizeof *P);
+            }
+        }
+        filter_settle(o, before, after, F, Q);
+        if (filter_propagate(o, round % 3, t + 1000, before, P, after, P_after)) {
+            *before = after[0];
+            memcpy(P, P_after, N * N * sizeof *P);
+        }
+        if (round % 20 == 19) {
+            hover(before, P);
+            before->t = before->t_cov = before->t_imu = before->sighted = t;
+        }
+    }
+    void *all[] = {o, events, before, after, P, P_after, F, Q, index, first};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
+        free(all[i]);
+    }
+}
+
+static void gate(int m, double poison)
+{
+    double *innov = numbers(m), *S = covariance(m), nis;
+    S[0] *= poison;
+    nis_of(m, innov, S, &nis);
+    free(innov);
+    free(S);
+}
+
 int main(void)
 {
     printf("core_digest %u\n", core_digest());
@@ -57,9 +168,16 @@ int main(void)
     for (int n = 1; n <= ORDER_MAX; n += 7) {
         for (int m = 1; m <= ROWS_MAX; m++) {
             algebra(n, m, poisons[(n + m) % 6]);
+            gate(m, poisons[n % 6]);
         }
     }
     algebra(ORDER_MAX, ROWS_MAX, 1.0);
-    printf("kalman_predict kalman_correct\n");
+    printf("kalman_predict kalman_correct nis_of\n");
+    for (int surface = OVER_GROUND; surface <= OVER_EITHER; surface++) {
+        fly(surface, 200, 1.0);
+        fly(surface, 3, NAN);
+        fly(surface, 3, -1e300);
+    }
+    printf("filter_run filter_propagate filter_settle\n");
     return 0;
 }

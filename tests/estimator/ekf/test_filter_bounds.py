@@ -16,6 +16,7 @@ from estimator.ekf import Ekf, EkfOptions, at, deck_motion_bank, forecast, movin
 from estimator.ekf.forecast import probability_of_motion
 from estimator.ekf.history import History
 from estimator.ekf.propagate import propagated_with_covariance
+from estimator.ekf.snapshot import Snapshot
 from estimator.ekf.state import (
     ACCEL_BIAS,
     BARO_OFFSET,
@@ -40,7 +41,7 @@ NOW = MonoNs(T)
 
 
 def holding(b: Belief | None) -> Ekf:
-    return Ekf(OPTIONS, TOOLS, History(base=b))
+    return Ekf(OPTIONS, TOOLS, History(base=None if b is None else Snapshot.of(b)))
 
 
 def told(b: Belief, now: int = T) -> RelativeState:
@@ -161,7 +162,7 @@ def test_it_is_consistent_while_the_place_is_known_to_a_metre_along_each_axis(ax
     for sigma_m, wanted in ((0.499, True), (0.501, False)):
         P[3 + axis, 3 + axis] = sigma_m**2
         chosen = params(consistent_sigma_m=0.5)
-        found = at(Ekf(chosen.options, chosen, History(base=belief(P=P))), NOW)
+        found = at(Ekf(chosen.options, chosen, History(base=Snapshot.of(belief(P=P)))), NOW)
         assert found is not None
         assert found.consistent is wanted
     P[6 + axis, 6 + axis] = 9.0
@@ -262,7 +263,8 @@ def test_a_step_makes_a_new_memory_and_leaves_the_old_one() -> None:
     new, outcomes = step(old, Baro(stamp(T), 1.0, 0.5))
     assert [outcome.verdict for outcome in outcomes] == [Verdict.FUSED]
     assert len(new.history.nodes) == 1
-    assert old.history == History(base=old.belief)
+    assert old.history == History(base=old.history.base)
+    assert old.belief is old.history.base.belief
     assert (new.options, new.params) == (old.options, old.params)
     for f in fields(Ekf):
         assert f.name in ("history", "imu") or getattr(new, f.name) is getattr(old, f.name)

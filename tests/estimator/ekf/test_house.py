@@ -23,6 +23,7 @@ def test_imports() -> None:
                     "copy",
                     "dataclasses",
                     "math",
+                    "struct",
                     "typing",
                     "numpy",
                     "estimator",

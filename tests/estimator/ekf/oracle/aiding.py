@@ -1,7 +1,4 @@
-"""Aiding by the vehicle's own sensors: samples are averaged over a short period and fused together.
-
-A sensor that was rejected for too long is accepted again, with what it contradicts made uncertain.
-"""
+"""Aiding by the vehicle's own sensors in numpy: samples are averaged over a short period and fused together."""
 
 from __future__ import annotations
 
@@ -11,11 +8,13 @@ import numpy as np
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
-from estimator.contracts.samples import Baro, BodyVelocity, Range, VesselReport
-from estimator.ekf import gate, measure, motion
+from estimator.contracts.samples import Baro, BodyVelocity, Range
+from estimator.ekf import gate
 from estimator.ekf.algebra import nis_of
+from estimator.ekf.measure import LinearizedMeasurement, pad_velocity
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.propagate import FilterParams, Outcome, corrected, propagated, propagated_with_covariance
+from estimator.ekf.outcome import Outcome
+from estimator.ekf.propagate import FilterParams, corrected
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -45,6 +44,8 @@ from estimator.ekf.state import (
     Gathered,
     N,
 )  # fmt: skip
+from tests.estimator.ekf.oracle import measure, motion
+from tests.estimator.ekf.oracle.propagate import propagated
 
 _STUCK_S = 1.0
 """Length of a rejection streak after which a kind of aiding is accepted again, with what it contradicts made uncertain."""
@@ -76,7 +77,7 @@ def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple
         return b, Outcome(Verdict.GATED)
     over = motion.peek_velocity(b)
     if deck_weight > 0.0:
-        (x, y, z), (north, east, down) = over, measure.pad_velocity(b.x)
+        (x, y, z), (north, east, down) = over, pad_velocity(b.x)
         over = x - deck_weight * north, y - deck_weight * east, z - deck_weight * down
     expected = measure.measured_velocity(over, b.R, b.x.item(VEL_SCALE))
     innov = tuple([v.item(i) - expected[i] for i in axes])
@@ -114,7 +115,7 @@ def _seen_below(b: Belief, event: BodyVelocity, o: EkfOptions) -> Belief:
     return b._replace(over_pad=max(-6.0, min(6.0, odds)), t_velocity=b.t)
 
 
-def _for_the_deck(ground: measure.LinearizedMeasurement, deck: measure.LinearizedMeasurement, P: F64) -> float:
+def _for_the_deck(ground: LinearizedMeasurement, deck: LinearizedMeasurement, P: F64) -> float:
     """Return the log-odds, -3..3, by which one sample favours a velocity over the deck against one over the ground."""
     by_ground, by_deck = (row.H.dot(P).dot(row.H.T) + row.R for row in (ground, deck))
     misfit_ground, misfit_deck = nis_of(ground.innov, by_ground), nis_of(deck.innov, by_deck)
@@ -304,35 +305,3 @@ def _inflated(b: Belief, kind: int, innov: F64) -> Belief:
     elif kind == HEIGHT:
         P[BARO_OFFSET, BARO_OFFSET] += float(innov[0]) ** 2
     return b._replace(P=P)
-
-
-def fuse_vessel(b: Belief, event: VesselReport, params: FilterParams) -> tuple[Belief, Outcome]:
-    """Fuse a vessel's report: its velocity, its heading, or both."""
-    o = params.options
-    b = aided(propagated_with_covariance(b, event.stamp.measured_at, params), params)
-    rows = []
-    axes: tuple[int, ...] = ()
-    if event.v_vessel_ned is not None and event.cov_v_ned is not None:
-        axes += (0, 1, 2)
-        rows.append(measure.vessel_velocity(b.x, event.v_vessel_ned, event.cov_v_ned))
-    if event.heading_rad is not None and event.sigma_heading_rad is not None:
-        axes += (3,)
-        rows.append(measure.vessel_heading(b.x, event.heading_rad + o.pad_yaw_in_vessel_rad, event.sigma_heading_rad))
-    if not rows:
-        return b, Outcome(Verdict.GATED)
-    n = sum(r.innov.size for r in rows)
-    R = np.zeros((n, n))
-    at = 0
-    for r in rows:
-        R[at : at + len(r.R), at : at + len(r.R)] = r.R
-        at += len(r.R)
-    innov = np.concatenate([r.innov for r in rows])
-    fix = params.algebra.correct(b.P, innov, np.concatenate([r.H for r in rows]), R)
-    if fix is None:
-        return b, Outcome(Verdict.SINGULAR, innov, axes=axes)
-    nis_max = gate.nis_max(o.gate_probability, n)
-    if fix.nis > nis_max:
-        return b, Outcome(Verdict.GATED, innov, fix.S, fix.nis, nis_max, axes)
-    b = corrected(b, fix.dx, fix.P)
-    b = b._replace(heading_known=b.heading_known or event.heading_rad is not None)
-    return b, Outcome(Verdict.FUSED, innov, fix.S, fix.nis, nis_max, axes)

@@ -1,0 +1,292 @@
+"""Beliefs as the native core holds them, and the calls of the core that make one of another.
+
+A snapshot is a belief in the layout of `estimator.core.interface`: the numbers that samples change, the covariance, and the
+Python belief from which the rest (the deck motion bank, the heading's record) is taken. It becomes a `Belief` when one asks.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
+from estimator.core.interface import COLUMNS_MAX, CONSTANTS, KINDS, ROWS_MAX, STRUCTS
+from estimator.core.library import CORE, address
+from estimator.ekf import gate
+from estimator.ekf.outcome import Outcome
+from estimator.ekf.state import ATTITUDE, HEIGHT, RANGE, SAMPLE_COLUMNS, VELOCITY, Aid, Belief, Gathered, N, RejectionStreak
+
+if TYPE_CHECKING:
+    from estimator.ekf.motion import ProcessNoise
+
+Sample = Imu | Attitude | BodyVelocity | Range | Baro
+"""What the core processes."""
+STATE_ALONE, WITH_COVARIANCE, WITH_AIDING = (CONSTANTS[name] for name in ("STATE_ALONE", "WITH_COVARIANCE", "WITH_AIDING"))
+"""How far `propagate` goes: the covariance as often as the options ask, to the instant, or with all gathered samples fused."""
+
+_RUN, _PROPAGATE, _SETTLE = (CORE.function(name) for name in ("filter_run", "filter_propagate", "filter_settle"))
+_VERDICTS = {CONSTANTS[v.name]: v for v in (Verdict.FUSED, Verdict.GATED, Verdict.SINGULAR)}
+
+
+def _words(name: str) -> int:
+    """Return the size of a structure in words of eight bytes."""
+    return sum(member.length * (_words(member.type) if member.type in STRUCTS else 1) for member in STRUCTS[name])
+
+
+def _places(name: str) -> dict[str, slice]:
+    """Return where the members of a structure lie, in words."""
+    found, at = {}, 0
+    for member in STRUCTS[name]:
+        size = member.length * (_words(member.type) if member.type in STRUCTS else 1)
+        found[member.name] = slice(at, at + size)
+        at += size
+    return found
+
+
+_BELIEF, _AID, _OUTCOME = _places("belief"), _places("aid"), _places("outcome")
+_SIZE, _AID_SIZE, _OUTCOME_SIZE = _words("belief"), _words("aid"), _words("outcome")
+_P_SIZE = N * N
+_PLAIN = ("ins_var_m2_s2", "jolt_var_m2_s2", "jolt_var_rad2", "over_pad", "coast_s")
+_INTEGERS = ("t", "t_cov", "t_imu", "t_velocity", "sighted", "agreed")
+_MATRICES = ("R", "R_cov", "turned", "cov_levelled_by")
+_VECTORS = ("x", "ins_p", "ins_v")
+_TUPLES = ("dv", "dp", "w", "w_smooth", "f")
+_EVENT = struct.Struct("2q18d")
+_NO_VALUES = (0.0,) * 18
+
+
+class Place(NamedTuple):
+    """A place in a block of words of eight bytes."""
+
+    block: F64
+    at: int
+    """Index of its first word in the block."""
+    address: int
+    """Address of its first word."""
+
+    def words(self, size: int) -> F64:
+        """Return so many of its words, for reading."""
+        found = self.block[self.at : self.at + size]
+        found.setflags(write=False)
+        return found
+
+
+def _place(block: F64, at: int, start: int) -> Place:
+    """Return the place at a word of a block that begins at the address `start`."""
+    return Place(block, at, start + 8 * at)
+
+
+class Snapshot:
+    """A belief in the core's layout. It is immutable, as a belief is.
+
+    Attributes:
+        numbers: place of the core's `belief`.
+        P: place of its covariance.
+    """
+
+    __slots__ = ("P", "_belief", "_rest", "numbers")
+
+    def __init__(self, numbers: Place, P: Place, rest: Belief) -> None:
+        self.numbers, self.P, self._rest = numbers, P, rest
+        self._belief: Belief | None = None
+
+    @classmethod
+    def of(cls, b: Belief) -> Snapshot:
+        """Return the snapshot of a belief."""
+        words = np.zeros(_SIZE)
+        P = np.ascontiguousarray(b.P)
+        _write(words, b)
+        made = cls(Place(words, 0, address(words)), Place(P.reshape(-1), 0, address(P)), b)
+        made._belief = b
+        return made
+
+    @property
+    def t(self) -> int:
+        """The belief's instant, ns."""
+        return int(self.numbers.words(_SIZE)[_BELIEF["t"]].view(np.int64).item())
+
+    @property
+    def belief(self) -> Belief:
+        """The belief."""
+        if self._belief is None:
+            P = self.P.words(_P_SIZE).reshape(N, N)
+            self._belief = _read(self.numbers.words(_SIZE), P, self._rest)
+        return self._belief
+
+    def follow(self, noise: ProcessNoise, events: Sequence[bytes]) -> tuple[list[Snapshot], Outcome]:
+        """Return the snapshots after each of the events, which are in order, and the first one's outcome.
+
+        They are fewer than the events where the next one is not the core's to process.
+        """
+        n = len(events)
+        block, covariances = np.empty(_OUTCOME_SIZE + n + n * _SIZE), np.empty(n * _P_SIZE)
+        start, P_start = address(block), address(covariances)
+        at = _OUTCOME_SIZE + n
+        done = _RUN(
+            noise.packed_address, n, b"".join(events), self.numbers.address, self.P.address,
+            start + 8 * at, P_start, start + 8 * _OUTCOME_SIZE, start,
+        )  # fmt: skip
+        made = []
+        P, slot_before = self.P, -1
+        for i, slot in enumerate(block[_OUTCOME_SIZE : _OUTCOME_SIZE + done].view(np.int64).tolist()):
+            if slot != slot_before:
+                P, slot_before = _place(covariances, slot * _P_SIZE, P_start), slot
+            made.append(Snapshot(_place(block, at + i * _SIZE, start), P, self._rest))
+        return made, _outcome(block[:_OUTCOME_SIZE]) if made else Outcome(Verdict.GATED)
+
+    def propagated(self, t: int, noise: ProcessNoise, how_far: int) -> Snapshot:
+        """Return the snapshot at instant `t`, ns; `how_far` is one of `STATE_ALONE`, `WITH_COVARIANCE`, `WITH_AIDING`."""
+        block = np.empty(_SIZE + _P_SIZE)
+        start = address(block)
+        P = _place(block, _SIZE, start)
+        changed = _PROPAGATE(noise.packed_address, how_far, t, self.numbers.address, self.P.address, start, P.address)
+        return Snapshot(Place(block, 0, start), P if changed else self.P, self._rest)
+
+    def settled(self, noise: ProcessNoise) -> tuple[Belief, F64, F64]:
+        """Return the belief with everything but `P` propagated from `t_cov` to `t`, and the (N, N) F and Q that propagate `P`."""
+        block, F, Q = np.empty(_SIZE), np.empty((N, N)), np.empty((N, N))
+        start = address(block)
+        _SETTLE(noise.packed_address, self.numbers.address, start, address(F), address(Q))
+        return Snapshot(Place(block, 0, start), self.P, self._rest).belief, F, Q
+
+
+def packed_params(noise: ProcessNoise) -> F64:
+    """Return the core's `filter_params` for these options and noises."""
+    o, places = noise.options, _places("filter_params")
+    words = np.zeros(_words("filter_params"))
+    integers = words.view(np.int64)
+    surface = {"auto": "OVER_EITHER", "either": "OVER_EITHER", "pad": "OVER_PAD"}.get(o.velocity_is_over, "OVER_GROUND")
+    integers[places["hold_ns"]] = round(o.hold_s * 1e9)
+    integers[places["velocity_is_over"]] = CONSTANTS[surface]
+    for name in (
+        "tick_s",
+        "forget_s",
+        "aiding_period_s",
+        "accel_step_m_s2",
+        "gyro_step_rad_s",
+        "deck_radius_m",
+        "sigma_wave_yaw_rate_rad_s",
+    ):
+        words[places[name]] = getattr(o, name)
+    for name in ("psd", "psd_accel", "psd_coast", "psd_coast_turn", "not_measured_var"):
+        words[places[name]] = getattr(noise, name)
+    words[places["correlation_s"]] = (
+        o.attitude_correlation_s, o.velocity_correlation_s, o.range_correlation_s, o.baro_correlation_s,
+    )  # fmt: skip
+    words[places["nis_max"]] = [gate.nis_max(o.gate_probability, dof) for dof in range(1, ROWS_MAX + 1)]
+    words[places["wave_yaw_rad_s"]] = 2.0 * np.pi / o.wave_yaw_period_s
+    words.setflags(write=False)
+    return words
+
+
+def packed_sample(sample: Sample) -> bytes:
+    """Return a sample as the core's `event`."""
+    t = sample.stamp.measured_at
+    match sample:
+        case Imu():
+            kind, values = CONSTANTS["IMU"], (*sample.w_body.tolist(), *sample.f_body.tolist())
+        case Attitude():
+            kind, values = ATTITUDE, (*sample.R_ned_body.matrix.ravel().tolist(), *sample.cov_body.ravel().tolist())
+        case BodyVelocity():
+            kind, values = VELOCITY, (*sample.v_level.tolist(), *sample.cov_level.ravel().tolist())
+        case Range():
+            kind, values = RANGE, (sample.range_m, sample.sigma_m)
+        case Baro():
+            kind, values = HEIGHT, (sample.height_m, sample.sigma_m)
+    return _EVENT.pack(kind, t, *values, *_NO_VALUES[len(values) :])
+
+
+def _outcome(words: F64) -> Outcome:
+    verdict, m, axes = words[: _OUTCOME["axes"].stop].view(np.int64).tolist()
+    if m == 0:
+        return Outcome(_VERDICTS[verdict])
+    start = _OUTCOME["S"].start
+    S = words[start : start + m * m].reshape(m, m).copy()
+    innov = words[_OUTCOME["innov"]][:m].copy()
+    nis, nis_max = words[_OUTCOME["nis"].start :].tolist()
+    return Outcome(_VERDICTS[verdict], innov, S, nis, nis_max, _axes(axes))
+
+
+def _axes(mask: int) -> tuple[int, ...]:
+    return tuple([i for i in range(3) if mask >> i & 1])
+
+
+def _write(words: F64, b: Belief) -> None:
+    """Write the core's `belief`."""
+    integers = words.view(np.int64)
+    for name in _INTEGERS:
+        integers[_BELIEF[name]] = getattr(b, name)
+    integers[_BELIEF["heading_is_given"]] = b.heading_is_given
+    streak = b.rejections
+    for name, value in (("rejected_n", streak.n), ("rejected_since", streak.since), ("rejected_last", streak.last)):
+        integers[_BELIEF[name]] = value
+    words[_BELIEF["rejected_offset_ned"]], words[_BELIEF["rejected_var_m2"]] = streak.offset_ned, streak.var_m2
+    for name in (*_PLAIN, *_TUPLES, *_VECTORS):
+        words[_BELIEF[name]] = getattr(b, name)
+    for name in _MATRICES:
+        words[_BELIEF[name]] = getattr(b, name).ravel()
+    if b.levelled_by is not None:
+        integers[_BELIEF["is_levelled"]] = 1
+        words[_BELIEF["levelled_by"]] = b.levelled_by.ravel()
+    words[_BELIEF["wave_w"]], words[_BELIEF["wave_zeta"]], words[_BELIEF["wave_sigma"]] = b.sea.w_rad_s, b.sea.zeta, b.sea.sigma
+    for kind, aid in enumerate(b.aids):
+        at = _BELIEF["aids"].start + kind * _AID_SIZE
+        _write_aid(words[at : at + _AID_SIZE], kind, aid)
+
+
+def _write_aid(words: F64, kind: int, aid: Aid) -> None:
+    integers, some = words.view(np.int64), aid.gathered
+    integers[_AID["fused"]], integers[_AID["refused"]] = aid.fused, aid.refused
+    if some is None:
+        return
+    m = len(some.innov)
+    mask = sum(1 << axis for axis in some.axes)
+    for name, value in (("n", some.n), ("since", some.since), ("m", m), ("axes", mask)):
+        integers[_AID[name]] = value
+    words[_AID["deck_weight"]] = some.deck_weight
+    words[_AID["innov"]][:m] = some.innov
+    for name, matrix in (("R", some.R), ("ambiguity", some.ambiguity), ("spread", some.spread)):
+        words[_AID[name]][: m * m] = np.broadcast_to(matrix, (m, m)).ravel()
+    columns = SAMPLE_COLUMNS[kind]
+    words[_AID["H"]].reshape(3, COLUMNS_MAX)[:m, : len(columns)] = some.H[:, columns]
+
+
+def _read(words: F64, P: F64, rest: Belief) -> Belief:
+    """Return the core's `belief`, with what it does not hold taken from `rest`."""
+    integers = words.view(np.int64)
+    fields: dict[str, object] = {name: integers.item(_BELIEF[name].start) for name in _INTEGERS}
+    fields |= {name: words.item(_BELIEF[name].start) for name in _PLAIN}
+    fields |= {name: tuple(words[_BELIEF[name]].tolist()) for name in _TUPLES}
+    fields |= {name: words[_BELIEF[name]] for name in _VECTORS}
+    fields |= {name: words[_BELIEF[name]].reshape(3, 3) for name in _MATRICES}
+    n, since, last = (integers.item(_BELIEF[f"rejected_{name}"].start) for name in ("n", "since", "last"))
+    x, y, z = words[_BELIEF["rejected_offset_ned"]].tolist()
+    start = _BELIEF["aids"].start
+    return rest.changed(
+        **fields,
+        P=P,
+        heading_is_given=bool(integers.item(_BELIEF["heading_is_given"].start)),
+        levelled_by=words[_BELIEF["levelled_by"]].reshape(3, 3) if integers.item(_BELIEF["is_levelled"].start) else None,
+        rejections=RejectionStreak(n, since, last, (x, y, z), words.item(_BELIEF["rejected_var_m2"].start)),
+        aids=tuple(
+            [_read_aid(words[start + k * _AID_SIZE : start + (k + 1) * _AID_SIZE], k) for k in range(KINDS)],
+        ),
+    )
+
+
+def _read_aid(words: F64, kind: int) -> Aid:
+    fused, refused, n, since, m, axes = words[: _AID["axes"].stop].view(np.int64).tolist()
+    if n == 0:
+        return Aid(None, fused, refused)
+    H = np.zeros((m, N))
+    columns = SAMPLE_COLUMNS[kind]
+    H[:, columns] = words[_AID["H"]].reshape(3, COLUMNS_MAX)[:m, : len(columns)]
+    R, ambiguity, spread = (words[_AID[name]][: m * m].reshape(m, m) for name in ("R", "ambiguity", "spread"))
+    innov = tuple(words[_AID["innov"]][:m].tolist())
+    some = Gathered(n, since, _axes(axes), words.item(_AID["deck_weight"].start), H, ambiguity, spread, innov, R)
+    return Aid(some, fused, refused)
