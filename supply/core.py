@@ -20,7 +20,7 @@ from pathlib import Path
 FOLDER = Path(__file__).parents[1] / "estimator/core"
 LIBRARY = FOLDER / "libdecklander.so"
 HEADER = FOLDER / "interface.h"
-FLAGS = ("-std=c99", "-O2", "-fPIC", "-Wall", "-Wextra", "-Werror", "-Wmissing-prototypes", "-ffp-contract=off")
+FLAGS = ("-std=c99", "-O3", "-fPIC", "-Wall", "-Wextra", "-Werror", "-Wmissing-prototypes", "-ffp-contract=off")
 """Without contraction and without fast-math, machines of one architecture compute the same bits."""
 NO_COMPILER = (
     "the native core needs a C compiler, and there is neither `cc` (on Debian: apt install gcc libc6-dev) "

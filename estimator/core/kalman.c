@@ -55,46 +55,33 @@ static void solve_upper(int m, double L[ROWS_MAX][ROWS_MAX], double b[ROWS_MAX])
     }
 }
 
-/* out = F M for a symmetric M, transposed. Most entries of a transition are zero. */
-static void transposed_product(int n, const double *F, const double *M, double *out)
+/* The symmetric part of F P F' + Q, for a symmetric P. Most entries of a transition are zero. */
+void kalman_predict(int32_t n, const double *P, const double *F, const double *Q, double *P_after)
 {
-    double row[ORDER_MAX];
+    double FP[ORDER_MAX][ORDER_MAX];
+    int column[ORDER_MAX][ORDER_MAX], count[ORDER_MAX];
     for (int i = 0; i < n; i++) {
-        memset(row, 0, sizeof row);
+        count[i] = 0;
+        memset(FP[i], 0, sizeof FP[i]);
         for (int k = 0; k < n; k++) {
             const double f = F[i * n + k];
             if (f != 0.0) {
+                column[i][count[i]++] = k;
                 for (int j = 0; j < n; j++) {
-                    row[j] += f * M[k * n + j];
+                    FP[i][j] += f * P[k * n + j];
                 }
             }
         }
-        for (int j = 0; j < n; j++) {
-            out[j * n + i] = row[j];
+    }
+    for (int j = 0; j < n; j++) {
+        for (int i = 0; i <= j; i++) {
+            double sum = 0.5 * (Q[i * n + j] + Q[j * n + i]);
+            for (int k = 0; k < count[j]; k++) {
+                sum += FP[i][column[j][k]] * F[j * n + column[j][k]];
+            }
+            P_after[i * n + j] = P_after[j * n + i] = sum;
         }
     }
-}
-
-/* A <- (A + A') / 2 */
-static void symmetrize(int n, double *A)
-{
-    for (int i = 0; i < n; i++) {
-        for (int j = 0; j < i; j++) {
-            A[i * n + j] = A[j * n + i] = 0.5 * (A[i * n + j] + A[j * n + i]);
-        }
-    }
-}
-
-/* The symmetric part of F P F' + Q. */
-void kalman_predict(int32_t n, const double *P, const double *F, const double *Q, double *P_after)
-{
-    double PF[ORDER_MAX * ORDER_MAX];
-    transposed_product(n, F, P, PF);
-    transposed_product(n, F, PF, P_after);
-    for (int i = 0; i < n * n; i++) {
-        P_after[i] += Q[i];
-    }
-    symmetrize(n, P_after);
 }
 
 /* The normalised innovation squared, innov' inv(S) innov. */
@@ -118,80 +105,71 @@ int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis)
     return isfinite(*nis) ? DONE : NOT_POSITIVE;
 }
 
-/* C = P H', (n, m). Most entries of a Jacobian are zero. */
-static void by_jacobian(int n, int m, const double *P, double H[ROWS_MAX][ORDER_MAX], double C[ORDER_MAX][ROWS_MAX])
+/* The error state's correction dx = K y and (I - K H) P (I - K H)' + K R K', with K = P H' inv(S), S = H P H' + R.
+ *
+ * Multiplied out the latter is P - K C' + (K S - C) K' with C = P H'. The bracket vanishes but for the errors of K, which so enter
+ * in the second order alone, as they do in Joseph's form. */
+int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx,
+                       double *P_after, double *S, double *nis)
 {
-    for (int i = 0; i < n; i++) {
+    double y[ROWS_MAX], scale[ROWS_MAX], s[ROWS_MAX][ROWS_MAX], L[ROWS_MAX][ROWS_MAX];
+    double C[ROWS_MAX][ORDER_MAX], K[ROWS_MAX][ORDER_MAX], rest[ROWS_MAX][ORDER_MAX];
+
+    /* C', row by row: most entries of a Jacobian are zero, and P is symmetric. */
+    for (int i = 0; i < m; i++) {
         memset(C[i], 0, sizeof C[i]);
-    }
-    for (int j = 0; j < m; j++) {
         for (int k = 0; k < n; k++) {
-            const double h = H[j][k];
+            const double h = H[i * n + k];
             if (h != 0.0) {
-                for (int i = 0; i < n; i++) {
-                    C[i][j] += P[i * n + k] * h;
+                for (int j = 0; j < n; j++) {
+                    C[i][j] += h * P[k * n + j];
                 }
             }
         }
     }
-}
-
-/* The error state's correction dx = K y and (I - K H) P (I - K H)' + K R K', with K = P H' inv(S), S = H P H' + R. */
-int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx,
-                       double *P_after, double *S, double *nis)
-{
-    double h[ROWS_MAX][ORDER_MAX], r[ROWS_MAX][ROWS_MAX], y[ROWS_MAX], scale[ROWS_MAX], L[ROWS_MAX][ROWS_MAX];
-    double C[ORDER_MAX][ROWS_MAX], K[ORDER_MAX][ROWS_MAX], D[ORDER_MAX][ROWS_MAX];
-
-    for (int i = 0; i < m; i++) {
-        memcpy(h[i], H + i * n, (size_t)n * sizeof(double));
-    }
-    by_jacobian(n, m, P, h, C);
     /* Units and variances differ by many orders of magnitude: rows of unit innovation variance keep S well conditioned. */
     for (int i = 0; i < m; i++) {
-        double var = R[i * m + i];
-        for (int k = 0; k < n; k++) {
-            var += h[i][k] * C[k][i];
+        for (int j = 0; j < m; j++) {
+            double sum = R[i * m + j];
+            for (int k = 0; k < n; k++) {
+                sum += C[i][k] * H[j * n + k];
+            }
+            S[i * m + j] = sum;
         }
+        const double var = S[i * m + i];
         if (!(var > 0.0) || !isfinite(var)) {
             return NOT_POSITIVE;
         }
         scale[i] = 1.0 / sqrt(var);
-    }
-    for (int i = 0; i < m; i++) {
         y[i] = innov[i] * scale[i];
         for (int k = 0; k < n; k++) {
-            h[i][k] *= scale[i];
-            C[k][i] *= scale[i];
-        }
-        for (int j = 0; j < m; j++) {
-            r[i][j] = R[i * m + j] * scale[i] * scale[j];
+            C[i][k] *= scale[i];
         }
     }
     for (int i = 0; i < m; i++) {
         for (int j = 0; j < m; j++) {
-            L[i][j] = r[i][j];
-            for (int k = 0; k < n; k++) {
-                L[i][j] += h[i][k] * C[k][j];
-            }
-            S[i * m + j] = L[i][j] / (scale[i] * scale[j]);
+            L[i][j] = s[i][j] = S[i * m + j] * scale[i] * scale[j];
         }
     }
     if (cholesky(m, L) == NOT_POSITIVE) {
         return NOT_POSITIVE;
     }
-    for (int i = 0; i < n; i++) {
-        memcpy(K[i], C[i], sizeof K[i]);
-        solve_lower(m, L, K[i]);
-        solve_upper(m, L, K[i]);
+    for (int k = 0; k < n; k++) {
+        double gain[ROWS_MAX];
+        for (int i = 0; i < m; i++) {
+            gain[i] = C[i][k];
+        }
+        solve_lower(m, L, gain);
+        solve_upper(m, L, gain);
+        dx[k] = 0.0;
+        for (int i = 0; i < m; i++) {
+            K[i][k] = gain[i];
+            dx[k] += gain[i] * y[i];
+        }
     }
     double size = 0.0;
-    for (int i = 0; i < n; i++) {
-        dx[i] = 0.0;
-        for (int j = 0; j < m; j++) {
-            dx[i] += K[i][j] * y[j];
-        }
-        size += dx[i] * dx[i];
+    for (int k = 0; k < n; k++) {
+        size += dx[k] * dx[k];
     }
     solve_lower(m, L, y);
     *nis = 0.0;
@@ -201,34 +179,26 @@ int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *inno
     if (!isfinite(*nis) || !isfinite(size)) {
         return NOT_POSITIVE;
     }
-    /* A = (I - K H) P = P - K C', in P_after; then A (I - K H)' + K R K' = A + (K R - A H') K'. */
+    for (int i = 0; i < m; i++) {
+        for (int k = 0; k < n; k++) {
+            rest[i][k] = -C[i][k];
+            for (int j = 0; j < m; j++) {
+                rest[i][k] += s[i][j] * K[j][k];
+            }
+        }
+    }
     for (int i = 0; i < n; i++) {
-        double *row = P_after + i * n;
+        double row[ORDER_MAX];
         memcpy(row, P + i * n, (size_t)n * sizeof(double));
         for (int j = 0; j < m; j++) {
-            const double gain = K[i][j];
-            for (int k = 0; k < n; k++) {
-                row[k] -= gain * C[k][j];
+            const double gain = K[j][i], left = rest[j][i];
+            for (int k = i; k < n; k++) {
+                row[k] += left * K[j][k] - gain * C[j][k];
             }
         }
-        for (int j = 0; j < m; j++) {
-            D[i][j] = 0.0;
-            for (int k = 0; k < m; k++) {
-                D[i][j] += K[i][k] * r[k][j];
-            }
-            for (int k = 0; k < n; k++) {
-                D[i][j] -= row[k] * h[j][k];
-            }
+        for (int k = i; k < n; k++) {
+            P_after[i * n + k] = P_after[k * n + i] = row[k];
         }
     }
-    for (int i = 0; i < n; i++) {
-        for (int j = 0; j < m; j++) {
-            const double d = D[i][j];
-            for (int k = 0; k < n; k++) {
-                P_after[i * n + k] += d * K[k][j];
-            }
-        }
-    }
-    symmetrize(n, P_after);
     return DONE;
 }
