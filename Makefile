@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 WORKERS := -n logical --maxprocesses 8
 BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
-CORE := estimator/core/libdecklander.so
+CORE := estimator/core/libdecklander.so.1
 
 .PHONY: core demo check test test-image test-v4l2 lint bench docs fuzz mutants sbom licences audit pins
 

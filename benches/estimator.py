@@ -180,8 +180,8 @@ def foretell(memory: ekf.Ekf, flight: TruthFlight, now_s: float, covered: dict[t
 def memory_of(memory: ekf.Ekf) -> tuple[int, int]:
     """Return the bytes of the history's beliefs and of their distinct covariances, and its length."""
     nodes = memory.history.nodes
-    blocks = {id(node.snapshot.numbers.block): node.snapshot.numbers.block.nbytes for node in nodes if node.snapshot is not None}
-    covariances = {node.snapshot.P.address for node in nodes if node.snapshot is not None}
+    blocks = {id(node.packed.numbers.block): node.packed.numbers.block.nbytes for node in nodes if node.packed is not None}
+    covariances = {node.packed.P.address for node in nodes if node.packed is not None}
     return sum(blocks.values()) + len(covariances) * N * N * 8, len(nodes)
 
 

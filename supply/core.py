@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 FOLDER = Path(__file__).parents[1] / "estimator/core"
-LIBRARY = FOLDER / "libdecklander.so"
+LIBRARY = FOLDER / "libdecklander.so.1"
 HEADER = FOLDER / "interface.h"
 FLAGS = ("-std=c99", "-O3", "-fPIC", "-Wall", "-Wextra", "-Werror", "-Wmissing-prototypes", "-ffp-contract=off")
 """Without contraction and without fast-math, machines of one architecture compute the same bits."""

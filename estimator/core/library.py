@@ -15,8 +15,8 @@ from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.geometry import F64
 from estimator.core.interface import FUNCTIONS, Function, digest
 
-FILE = f"{__file__.rpartition('/')[0]}/libdecklander.so"
-"""Where `python -m supply.core` puts the library."""
+FILE = f"{__file__.rpartition('/')[0]}/libdecklander.so.1"
+"""Where `python -m supply.core` puts the library. Python would take a name that ends with ".so" for an extension module."""
 _CURE = "build it: `make core` in a checkout, or install decklander again"
 _TYPES = {
     "double": ctypes.c_double,

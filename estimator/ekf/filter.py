@@ -23,8 +23,8 @@ from estimator.ekf.forecast import Forecast
 from estimator.ekf.history import History, put
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
+from estimator.ekf.packed_belief import STATE_ALONE, WITH_COVARIANCE
 from estimator.ekf.propagate import Event, FilterParams, result
-from estimator.ekf.snapshot import STATE_ALONE, WITH_COVARIANCE
 from estimator.ekf.state import (
     ACCEL_BIAS,
     ATT_ERR,

@@ -12,9 +12,9 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.ekf.outcome import Outcome
+from estimator.ekf.packed_belief import PackedBelief, Sample, packed_sample
 from estimator.ekf.process_event import process_event
 from estimator.ekf.propagate import Event, FilterParams, result
-from estimator.ekf.snapshot import Sample, Snapshot, packed_sample
 from estimator.ekf.state import Belief
 
 _RANK = {Imu: 0, Attitude: 1, BodyVelocity: 2, Range: 3, Baro: 4, VesselReport: 5, Sighting: 6}
@@ -26,15 +26,15 @@ class Node(NamedTuple):
     key: tuple[int, int, int, str]
     """Sort key (instant in ns, rank of the type, sequence number, method), the same for every order of arrival."""
     event: Event
-    packed: bytes | None
+    sample: bytes | None
     """The event as the core reads it; None if Python processes it."""
-    snapshot: Snapshot | None
+    packed: PackedBelief | None
     """The belief after the event as the core holds it; None before the first attitude."""
 
     @property
     def after(self) -> Belief | None:
         """The belief after the event, or None before the first attitude."""
-        return None if self.snapshot is None else self.snapshot.belief
+        return None if self.packed is None else self.packed.belief
 
 
 class Leap(NamedTuple):
@@ -49,7 +49,7 @@ class Leap(NamedTuple):
 class History(NamedTuple):
     """The recent events and the beliefs after them."""
 
-    base: Snapshot | None = None
+    base: PackedBelief | None = None
     """The belief before the first node."""
     nodes: tuple[Node, ...] = ()
     """The events, oldest first."""
@@ -62,14 +62,14 @@ class History(NamedTuple):
 
     def newest(self) -> Belief | None:
         """Return the belief after the last event, or None before the first attitude."""
-        snapshot = self.nodes[-1].snapshot if self.nodes else self.base
-        return None if snapshot is None else snapshot.belief
+        packed = self.nodes[-1].packed if self.nodes else self.base
+        return None if packed is None else packed.belief
 
-    def before(self, t: int) -> Snapshot | None:
+    def before(self, t: int) -> PackedBelief | None:
         """Return the belief after the last event not later than `t` (ns), or None if the history does not reach back so far."""
         for node in reversed(self.nodes):
             if node.key[0] <= t:
-                return node.snapshot
+                return node.packed
         return self.base if self.base is not None and self.base.t <= t else None
 
 
@@ -108,15 +108,14 @@ def put(history: History, event: Event, params: FilterParams) -> tuple[History, 
     i = len(nodes)
     while i > 0 and nodes[i - 1].key > key:
         i -= 1
-    packed = packed_sample(event) if isinstance(event, Sample) else None
-    inserted = [Node(key, event, packed, None), *nodes[i:]]
-    again, outcome = _processed(nodes[i - 1].snapshot if i else history.base, inserted, params)
+    inserted = [Node(key, event, packed_sample(event) if isinstance(event, Sample) else None, None), *nodes[i:]]
+    again, outcome = _processed(nodes[i - 1].packed if i else history.base, inserted, params)
     nodes = nodes[:i] + tuple(again)
     history = History(history.base, nodes, history.forgotten, received_at, history.leapt)
     return _trimmed(history, round(o.history_s * 1e9)), result(event, outcome)
 
 
-def _processed(snapshot: Snapshot | None, nodes: list[Node], params: FilterParams) -> tuple[list[Node], Outcome]:
+def _processed(packed: PackedBelief | None, nodes: list[Node], params: FilterParams) -> tuple[list[Node], Outcome]:
     """Return the nodes with the beliefs after their events, and the outcome of the first event.
 
     The core processes the vehicle's samples in a row; sightings, vessel reports and what begins a belief stop it.
@@ -125,23 +124,23 @@ def _processed(snapshot: Snapshot | None, nodes: list[Node], params: FilterParam
     outcome = None
     while len(made) < len(nodes):
         here, row = len(made), []
-        for node in nodes[here:] if snapshot is not None else ():
-            if node.packed is None:
+        for node in nodes[here:] if packed is not None else ():
+            if node.sample is None:
                 break
-            row.append(node.packed)
-        if row and snapshot is not None:
-            followed, first = snapshot.follow(params.process_noise, row)
+            row.append(node.sample)
+        if row and packed is not None:
+            followed, first = packed.follow(params.process_noise, row)
             for after, node in zip(followed, nodes[here:], strict=False):
-                made.append(Node(node.key, node.event, node.packed, after))
+                made.append(Node(node.key, node.event, node.sample, after))
         else:
             followed = []
         if followed:
-            snapshot = followed[-1]
+            packed = followed[-1]
         else:
             node = nodes[here]
-            b, first = process_event(None if snapshot is None else snapshot.belief, node.event, params)
-            snapshot = None if b is None else Snapshot.of(b)
-            made.append(Node(node.key, node.event, node.packed, snapshot))
+            b, first = process_event(None if packed is None else packed.belief, node.event, params)
+            packed = None if b is None else PackedBelief.of(b)
+            made.append(Node(node.key, node.event, node.sample, packed))
         outcome = outcome or first
     assert outcome is not None
     return made, outcome
@@ -156,4 +155,4 @@ def _trimmed(history: History, span_ns: int) -> History:
     if i == 0:
         return history
     gone = nodes[i - 1]
-    return history._replace(base=gone.snapshot, nodes=nodes[i:], forgotten=gone.key[0])
+    return history._replace(base=gone.packed, nodes=nodes[i:], forgotten=gone.key[0])

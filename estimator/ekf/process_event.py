@@ -12,8 +12,8 @@ from estimator.contracts.samples import Attitude, Imu, VesselReport
 from estimator.ekf import deck_motion_bank, measure, so3
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
+from estimator.ekf.packed_belief import PackedBelief, packed_sample
 from estimator.ekf.propagate import Event, FilterParams, propagated_with_covariance
-from estimator.ekf.snapshot import Snapshot, packed_sample
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ATT_BIAS,
@@ -48,7 +48,7 @@ def process_event(b: Belief | None, event: Event, params: FilterParams) -> tuple
             return fuse_sighting(b, event, params)
         case VesselReport():
             return fuse_vessel(b, event, params)
-    followed, outcome = Snapshot.of(b).follow(params.process_noise, [packed_sample(event)])
+    followed, outcome = PackedBelief.of(b).follow(params.process_noise, [packed_sample(event)])
     if followed:
         return followed[0].belief, outcome
     assert isinstance(event, Attitude)

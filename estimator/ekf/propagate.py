@@ -14,7 +14,7 @@ from estimator.ekf import measure, motion, so3
 from estimator.ekf.algebra import Algebra, Correction
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.snapshot import STATE_ALONE, WITH_AIDING, WITH_COVARIANCE, Snapshot
+from estimator.ekf.packed_belief import STATE_ALONE, WITH_AIDING, WITH_COVARIANCE, PackedBelief
 from estimator.ekf.state import ATT_ERR, PAD_YAW, VEL_SCALE, Belief, RejectionStreak
 
 Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
@@ -50,12 +50,12 @@ def propagated(b: Belief, t: int, params: FilterParams) -> Belief:
 
     The covariance is propagated as often as the options ask.
     """
-    return Snapshot.of(b).propagated(t, params.process_noise, STATE_ALONE).belief
+    return PackedBelief.of(b).propagated(t, params.process_noise, STATE_ALONE).belief
 
 
 def propagated_with_covariance(b: Belief, t: int, params: FilterParams) -> Belief:
     """Propagate the state as `propagated` does, and the covariance to `t` as well."""
-    return Snapshot.of(b).propagated(t, params.process_noise, WITH_COVARIANCE).belief
+    return PackedBelief.of(b).propagated(t, params.process_noise, WITH_COVARIANCE).belief
 
 
 def ready_to_fuse(b: Belief, t: int, params: FilterParams) -> Belief:
@@ -63,7 +63,7 @@ def ready_to_fuse(b: Belief, t: int, params: FilterParams) -> Belief:
 
     Gathered samples must be fused before any other correction; otherwise that correction would be applied twice.
     """
-    return Snapshot.of(b).propagated(t, params.process_noise, WITH_AIDING).belief
+    return PackedBelief.of(b).propagated(t, params.process_noise, WITH_AIDING).belief
 
 
 def forgotten(b: Belief, o: EkfOptions) -> Belief:

@@ -13,9 +13,9 @@ from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
 from estimator.core import interface
 from estimator.ekf import state as names
 from estimator.ekf.outcome import Outcome
+from estimator.ekf.packed_belief import PackedBelief, Sample, packed_sample
 from estimator.ekf.process_event import process_event
 from estimator.ekf.propagate import FilterParams, ready_to_fuse
-from estimator.ekf.snapshot import Sample, Snapshot, packed_sample
 from estimator.ekf.state import PAD_YAW, POS_REL, Belief, N
 from sitl.testing.estimator_truth import Setting, TruthFlight, events
 from tests.estimator.ekf.hand import MS, TILTED, TOOLS, T, belief, correlated, params, stamp, state
@@ -118,7 +118,7 @@ def _over_the_pad() -> F64:
 def test_each_sample_has_the_oracle_s_outcome_and_belief(seed: int, chosen: FilterParams, wild: float, gap_ms: float) -> None:
     oracle = beginning(seed)
     for one in row(seed, 20, wild, gap_ms):
-        made, outcome = Snapshot.of(oracle).follow(chosen.process_noise, [packed_sample(one)])
+        made, outcome = PackedBelief.of(oracle).follow(chosen.process_noise, [packed_sample(one)])
         if not made:
             assert isinstance(one, Attitude), "an attitude that sets a diverged belief's"
             return
@@ -131,12 +131,12 @@ def test_each_sample_has_the_oracle_s_outcome_and_belief(seed: int, chosen: Filt
 @settings(max_examples=20, deadline=None)
 def test_a_row_in_one_call_is_one_call_for_each(seed: int, chosen: FilterParams) -> None:
     samples = row(seed, 40, 0.1, 3.0)
-    one_by_one = Snapshot.of(beginning(seed))
+    one_by_one = PackedBelief.of(beginning(seed))
     together, _ = one_by_one.follow(chosen.process_noise, [packed_sample(one) for one in samples])
     assert len(together) == len(samples)
     for one, after in zip(samples, together, strict=True):
         (one_by_one,), _ = one_by_one.follow(chosen.process_noise, [packed_sample(one)])
-        assert one_by_one.numbers.words(300).tobytes() == after.numbers.words(300).tobytes()
+        assert one_by_one.numbers.read(300).tobytes() == after.numbers.read(300).tobytes()
         assert one_by_one.belief.P.tobytes() == after.belief.P.tobytes()
 
 
@@ -184,7 +184,7 @@ def test_transition_and_noise_are_the_oracle_s(seed: int, since_ms: int) -> None
         jolt_var_m2_s2=0.3, jolt_var_rad2=0.01, turned=np.eye(3) * 0.02, dv=(0.1, 0.2, 0.3), dp=(0.01, 0.0, 0.1)
     )
     b = b._replace(t=T + since_ms * MS, coast_s=0.01)
-    after, F, Q = Snapshot.of(b).settled(TOOLS.process_noise)
+    after, F, Q = PackedBelief.of(b).settled(TOOLS.process_noise)
     expected, F_oracle, Q_oracle = motion.moved(b, TOOLS.process_noise)
     same(after, expected)
     close(F, F_oracle, "F")
@@ -216,7 +216,7 @@ def test_a_snapshot_gives_back_its_belief() -> None:
     b = beginning(3)
     for one in row(3, 6, 0.0, 2.0):
         b, _ = process_sample(b, one, EITHER)
-    read = Snapshot.of(b)
+    read = PackedBelief.of(b)
     read._belief = None
     same(read.belief, b)
 

@@ -15,8 +15,8 @@ from estimator.contracts.time import MonoNs
 from estimator.ekf import Ekf, EkfOptions, at, deck_motion_bank, forecast, moving, so3, start, step
 from estimator.ekf.forecast import probability_of_motion
 from estimator.ekf.history import History
+from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.propagate import propagated_with_covariance
-from estimator.ekf.snapshot import Snapshot
 from estimator.ekf.state import (
     ACCEL_BIAS,
     BARO_OFFSET,
@@ -41,7 +41,7 @@ NOW = MonoNs(T)
 
 
 def holding(b: Belief | None) -> Ekf:
-    return Ekf(OPTIONS, TOOLS, History(base=None if b is None else Snapshot.of(b)))
+    return Ekf(OPTIONS, TOOLS, History(base=None if b is None else PackedBelief.of(b)))
 
 
 def told(b: Belief, now: int = T) -> RelativeState:
@@ -162,7 +162,7 @@ def test_it_is_consistent_while_the_place_is_known_to_a_metre_along_each_axis(ax
     for sigma_m, wanted in ((0.499, True), (0.501, False)):
         P[3 + axis, 3 + axis] = sigma_m**2
         chosen = params(consistent_sigma_m=0.5)
-        found = at(Ekf(chosen.options, chosen, History(base=Snapshot.of(belief(P=P)))), NOW)
+        found = at(Ekf(chosen.options, chosen, History(base=PackedBelief.of(belief(P=P)))), NOW)
         assert found is not None
         assert found.consistent is wanted
     P[6 + axis, 6 + axis] = 9.0

@@ -124,7 +124,7 @@ def test_sightings_of_one_instant_lie_by_number_and_method() -> None:
 def test_the_belief_before_an_instant_is_the_one_after_the_last_event_not_later() -> None:
     level = Attitude(stamp(T), Rotation.identity(), 1e-4 * np.eye(3))
     history, _ = after(level, baro(T + 10 * MS), baro(T + 20 * MS))
-    a, b, c = (node.snapshot for node in history.nodes)
+    a, b, c = (node.packed for node in history.nodes)
     assert [history.before(T + t * MS) for t in (10, 19, 20, 99)] == [b, b, c, c]
     assert history.before(T) is a
     assert history.before(T - 1) is None

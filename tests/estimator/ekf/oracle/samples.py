@@ -11,8 +11,8 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
+from estimator.ekf.packed_belief import Sample
 from estimator.ekf.propagate import FilterParams, forgotten
-from estimator.ekf.snapshot import Sample
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ATTITUDE,

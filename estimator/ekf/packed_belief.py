@@ -1,6 +1,6 @@
 """Beliefs as the native core holds them, and the calls of the core that make one of another.
 
-A snapshot is a belief in the layout of `estimator.core.interface`: the numbers that samples change, the covariance, and the
+A packed belief is one in the layout of `estimator.core.interface`: the numbers that samples change, the covariance, and the
 Python belief from which the rest (the deck motion bank, the heading's record) is taken. It becomes a `Belief` when one asks.
 """
 
@@ -60,8 +60,8 @@ _EVENT = struct.Struct("2q18d")
 _NO_VALUES = (0.0,) * 18
 
 
-class Place(NamedTuple):
-    """A place in a block of words of eight bytes."""
+class Words(NamedTuple):
+    """Words at a place in a block of words of eight bytes."""
 
     block: F64
     at: int
@@ -69,57 +69,57 @@ class Place(NamedTuple):
     address: int
     """Address of its first word."""
 
-    def words(self, size: int) -> F64:
-        """Return so many of its words, for reading."""
+    def read(self, size: int) -> F64:
+        """Return so many words."""
         found = self.block[self.at : self.at + size]
         found.setflags(write=False)
         return found
 
 
-def _place(block: F64, at: int, start: int) -> Place:
-    """Return the place at a word of a block that begins at the address `start`."""
-    return Place(block, at, start + 8 * at)
+def _words_at(block: F64, at: int, start: int) -> Words:
+    """Return the words from an index of a block that begins at the address `start`."""
+    return Words(block, at, start + 8 * at)
 
 
-class Snapshot:
+class PackedBelief:
     """A belief in the core's layout. It is immutable, as a belief is.
 
     Attributes:
-        numbers: place of the core's `belief`.
-        P: place of its covariance.
+        numbers: the core's `belief`.
+        P: its covariance.
     """
 
     __slots__ = ("P", "_belief", "_rest", "numbers")
 
-    def __init__(self, numbers: Place, P: Place, rest: Belief) -> None:
+    def __init__(self, numbers: Words, P: Words, rest: Belief) -> None:
         self.numbers, self.P, self._rest = numbers, P, rest
         self._belief: Belief | None = None
 
     @classmethod
-    def of(cls, b: Belief) -> Snapshot:
-        """Return the snapshot of a belief."""
+    def of(cls, b: Belief) -> PackedBelief:
+        """Return a belief as the core holds it."""
         words = np.zeros(_SIZE)
         P = np.ascontiguousarray(b.P)
         _write(words, b)
-        made = cls(Place(words, 0, address(words)), Place(P.reshape(-1), 0, address(P)), b)
+        made = cls(Words(words, 0, address(words)), Words(P.reshape(-1), 0, address(P)), b)
         made._belief = b
         return made
 
     @property
     def t(self) -> int:
         """The belief's instant, ns."""
-        return int(self.numbers.words(_SIZE)[_BELIEF["t"]].view(np.int64).item())
+        return int(self.numbers.read(_SIZE)[_BELIEF["t"]].view(np.int64).item())
 
     @property
     def belief(self) -> Belief:
         """The belief."""
         if self._belief is None:
-            P = self.P.words(_P_SIZE).reshape(N, N)
-            self._belief = _read(self.numbers.words(_SIZE), P, self._rest)
+            P = self.P.read(_P_SIZE).reshape(N, N)
+            self._belief = _read(self.numbers.read(_SIZE), P, self._rest)
         return self._belief
 
-    def follow(self, noise: ProcessNoise, events: Sequence[bytes]) -> tuple[list[Snapshot], Outcome]:
-        """Return the snapshots after each of the events, which are in order, and the first one's outcome.
+    def follow(self, noise: ProcessNoise, events: Sequence[bytes]) -> tuple[list[PackedBelief], Outcome]:
+        """Return the beliefs after each of the events, which are in order, and the first one's outcome.
 
         They are fewer than the events where the next one is not the core's to process.
         """
@@ -135,24 +135,24 @@ class Snapshot:
         P, slot_before = self.P, -1
         for i, slot in enumerate(block[_OUTCOME_SIZE : _OUTCOME_SIZE + done].view(np.int64).tolist()):
             if slot != slot_before:
-                P, slot_before = _place(covariances, slot * _P_SIZE, P_start), slot
-            made.append(Snapshot(_place(block, at + i * _SIZE, start), P, self._rest))
+                P, slot_before = _words_at(covariances, slot * _P_SIZE, P_start), slot
+            made.append(PackedBelief(_words_at(block, at + i * _SIZE, start), P, self._rest))
         return made, _outcome(block[:_OUTCOME_SIZE]) if made else Outcome(Verdict.GATED)
 
-    def propagated(self, t: int, noise: ProcessNoise, how_far: int) -> Snapshot:
-        """Return the snapshot at instant `t`, ns; `how_far` is one of `STATE_ALONE`, `WITH_COVARIANCE`, `WITH_AIDING`."""
+    def propagated(self, t: int, noise: ProcessNoise, how_far: int) -> PackedBelief:
+        """Return the belief at instant `t`, ns; `how_far` is one of `STATE_ALONE`, `WITH_COVARIANCE`, `WITH_AIDING`."""
         block = np.empty(_SIZE + _P_SIZE)
         start = address(block)
-        P = _place(block, _SIZE, start)
+        P = _words_at(block, _SIZE, start)
         changed = _PROPAGATE(noise.packed_address, how_far, t, self.numbers.address, self.P.address, start, P.address)
-        return Snapshot(Place(block, 0, start), P if changed else self.P, self._rest)
+        return PackedBelief(Words(block, 0, start), P if changed else self.P, self._rest)
 
     def settled(self, noise: ProcessNoise) -> tuple[Belief, F64, F64]:
         """Return the belief with everything but `P` propagated from `t_cov` to `t`, and the (N, N) F and Q that propagate `P`."""
         block, F, Q = np.empty(_SIZE), np.empty((N, N)), np.empty((N, N))
         start = address(block)
         _SETTLE(noise.packed_address, self.numbers.address, start, address(F), address(Q))
-        return Snapshot(Place(block, 0, start), self.P, self._rest).belief, F, Q
+        return PackedBelief(Words(block, 0, start), self.P, self._rest).belief, F, Q
 
 
 def packed_params(noise: ProcessNoise) -> F64:
