@@ -71,6 +71,8 @@ def step(memory: Memory, event: Event) -> tuple[Memory, tuple[FusionResult, ...]
         source, stamp = source_of(event), event.stamp
         refused = (FusionResult(path.name, source, refusal, stamp.measured_at, stamp.received_at) for path in memory.paths)
         return replace(memory, guard=guard), tuple(refused)
+    if isinstance(event, Attitude):
+        guard, event = integrity.steadied(guard, event)
     attitudes = memory.attitudes.add(event) if isinstance(event, Attitude) else memory.attitudes
     paths: list[Path] = []
     results: list[FusionResult] = []
@@ -130,7 +132,11 @@ def _dressed(state: RelativeState, guard: integrity.IntegrityGuard, now: MonoNs)
         track=guard.tracks.number,
         alerts=alerts,
         consistent=state.consistent and not alerts,
-        details=(*state.details, ("range_agrees", float(guard.heights.confirmed(now)))),
+        details=(
+            *state.details,
+            ("range_agrees", float(guard.heights.confirmed(now))),
+            ("heading_off_rad", guard.heading.off_rad),
+        ),
     )
 
 

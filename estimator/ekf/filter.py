@@ -126,6 +126,12 @@ def _settled(ekf: Ekf, now: MonoNs) -> Settled | None:
     return Settled(b, F, Q, *measure.aligned(b))
 
 
+def forget_answers() -> None:
+    """Drop the cached answers. They keep the filters alive that they were asked of, with all their history."""
+    _settled.cache_clear()
+    at.cache_clear()
+
+
 def _tracked(b: Belief, now: MonoNs, o: EkfOptions) -> bool:
     return b.sighted >= 0 and (now - b.sighted) * 1e-9 <= o.forget_s
 

@@ -11,7 +11,7 @@ from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sightin
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Baro, Frame, GeoFix, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs
-from estimator.integrity import clock, frames, heights, sensors, tracks, view
+from estimator.integrity import clock, frames, heading, heights, sensors, tracks, view
 from estimator.integrity.options import IntegrityOptions
 
 _OLD_NS = 1_000_000_000
@@ -29,6 +29,7 @@ class IntegrityGuard:
     view: view.ViewWatch = field(default_factory=view.ViewWatch)
     tracks: tracks.Tracks = field(default_factory=tracks.Tracks)
     heights: heights.HeightWatch = field(default_factory=heights.HeightWatch)
+    heading: heading.HeadingWatch = field(default_factory=heading.HeadingWatch)
     flying: bool = True
     """False only after the vehicle reported that it is on the ground."""
 
@@ -52,9 +53,16 @@ def admit(guard: IntegrityGuard, event: Sample) -> tuple[IntegrityGuard, Verdict
         against = heights.ranged(against, event, o)
     elif verdict is None and isinstance(event, Baro):
         against = heights.weighed(against, event, o)
+    turn = heading.turned(guard.heading, event) if verdict is None and isinstance(event, Imu) else guard.heading
     # One copy for all that changed: there are hundreds of samples a second.
     every = MappingProxyType({**guard.sensors, type(event): seen})
-    return IntegrityGuard(o, watch, every, guard.frames, guard.view, guard.tracks, against, guard.flying), verdict
+    return IntegrityGuard(o, watch, every, guard.frames, guard.view, guard.tracks, against, turn, guard.flying), verdict
+
+
+def steadied(guard: IntegrityGuard, event: Attitude) -> tuple[IntegrityGuard, Attitude]:
+    """Return an admitted attitude, with the heading that the gyro holds if the reported one turns otherwise."""
+    watch, event = heading.steadied(guard.heading, event, guard.options)
+    return replace(guard, heading=watch), event
 
 
 def admit_frame(guard: IntegrityGuard, frame: Frame) -> tuple[IntegrityGuard, Verdict | None]:
@@ -138,6 +146,6 @@ def _sigmas(cov: F64) -> tuple[float, float]:
 def _fixed(d_level: F64, attitude: Attitude | None) -> tuple[float, float, float]:
     """Rotate from the level frame to one of fixed heading, as far as a heading is known."""
     x, y, z = d_level.tolist()
-    heading = 0.0 if attitude is None else attitude.R_ned_body.rpy_rad[2]
-    c, s = math.cos(heading), math.sin(heading)
+    heading_rad = 0.0 if attitude is None else attitude.R_ned_body.rpy_rad[2]
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
     return (c * x - s * y, s * x + c * y, z)

@@ -49,6 +49,26 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("time after which a step that persists is accepted, because it is not a spike", "s", 0.01, 60.0)
     ] = 0.5
 
+    heading_tolerance_deg: Annotated[
+        float,
+        number(
+            "difference between the reported heading and the one that the gyro holds above which the latter is taken",
+            "deg",
+            0.5,
+            180.0,
+        ),
+    ] = 6.0
+    heading_slip_deg_s: Annotated[
+        float,
+        number(
+            "rate at which the gyro's heading follows the reported one, a quarter of it beyond the tolerance: more than the "
+            "gyro's bias, less than a compass beside steel",
+            "deg/s",
+            0.0,
+            360.0,
+        ),
+    ] = 2.0
+
     imu_frozen_s: Annotated[
         float, number("time after which an IMU that repeats the same bits is refused", "s", 0.02, 10.0, "5 ms on a real AR.Drone")
     ] = 0.15

@@ -70,6 +70,8 @@ class Pyramid:
 
     def __init__(self, px: U8) -> None:
         self._levels = [px]
+        self.sizes = tuple(self.size(level) for level in range(_LEVELS + 1))
+        """Columns and rows of every level that is sampled."""
 
     def __getitem__(self, level: int) -> U8:
         while len(self._levels) <= level:
@@ -283,9 +285,18 @@ def _box(pad: Pad) -> F64:
     return pad.circle(1.15 * pad.disc_radius_m, 24)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=4)
+def _grids(camera: Camera, sizes: tuple[tuple[int, int], ...]) -> tuple[F32, ...]:
+    """Return the grid of every pyramid level; all at once, so that no frame in flight waits for one or takes memory for it.
+
+    Args:
+        sizes: columns and rows of each level.
+    """
+    return tuple(_grid(camera, 1 << level, width, height) for level, (width, height) in enumerate(sizes))
+
+
 def _grid(camera: Camera, k: int, width: int, height: int) -> F32:
-    """Return (3, height, width): x/z, y/z and 1 at the pixel centres of a frame `k` times smaller; the result is cached."""
+    """Return (3, height, width): x/z, y/z and 1 at the pixel centres of a frame `k` times smaller."""
     u, v = np.meshgrid((np.arange(width) + 0.5) * k - 0.5, (np.arange(height) + 0.5) * k - 0.5)
     rays = camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)).T.reshape(2, height, width)
     return np.concatenate([rays, np.ones((1, height, width))]).astype(np.float32)
@@ -318,7 +329,7 @@ def _gather(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, most: int
     side = float(k * pose.t_cam_pad[2] / camera.fx)
     root = cv2.LUT(patch, _ROOT)
     local = root - cv2.GaussianBlur(root, (0, 0), LOCAL_M / side, borderType=cv2.BORDER_REPLICATE)
-    rays = _grid(camera, k, width, height)[:, top:below, left:right].reshape(3, -1)
+    rays = _grids(camera, pyramid.sizes)[level][:, top:below, left:right].reshape(3, -1)
     return _Samples(rays, _channels(cv2.LUT(patch, _LINEAR)), _channels(local), side)
 
 
