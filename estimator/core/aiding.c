@@ -287,7 +287,13 @@ void take_attitude(const filter_params *o, belief *b, covariance *c, const doubl
     innov[0] -= b->x[ATT_BIAS];
     innov[1] -= b->x[ATT_BIAS + 1];
     if (!continues(o, b, ATTITUDE, 0, 0.0)) {
-        const double H[3 * COLUMNS_MAX] = {[0] = 1.0, [3] = 1.0, [COLUMNS_MAX + 1] = 1.0, [COLUMNS_MAX + 4] = 1.0, [2 * COLUMNS_MAX + 2] = 1.0};
+        double H[3 * COLUMNS_MAX] = {0.0};
+        for (int i = 0; i < 3; i++) {
+            H[i * COLUMNS_MAX + i] = 1.0;
+        }
+        for (int i = 0; i < 2; i++) {
+            H[i * COLUMNS_MAX + 3 + i] = 1.0;
+        }
         begin(&begun, b, c, ATTITUDE, 3, 0, 0.0, H, NULL);
     }
     gather(o, b, c, ATTITUDE, &begun, innov, cov, out);
@@ -342,11 +348,13 @@ static int distance(const double R[9], const double x[N], double *r, double H[3 
         reach[i] = (x[POS_REL + i] - *r * c[i]) / cosine;
     }
     /* The axes, in ned, about which roll, pitch and heading turn the pad. */
-    const double s = sin(yaw), k = cos(yaw), axes[3][3] = {{k * cos(pitch), s * cos(pitch), -sin(pitch)}, {-s, k, 0.0}, {0.0, 0.0, 1.0}};
-    const double turned[3] = {n[1] * reach[2] - n[2] * reach[1], n[2] * reach[0] - n[0] * reach[2], n[0] * reach[1] - n[1] * reach[0]};
-    H[6] = H[7] = dot(turned, axes[0]);
-    H[8] = H[9] = dot(turned, axes[1]);
-    H[10] = dot(turned, axes[2]);
+    const double s = sin(yaw), k = cos(yaw), by_roll[3] = {k * cos(pitch), s * cos(pitch), -sin(pitch)}, by_pitch[3] = {-s, k, 0.0};
+    double cross[9], turned[3];
+    skew(n, cross);
+    rotated(cross, reach, turned);
+    H[6] = H[7] = dot(turned, by_roll);
+    H[8] = H[9] = dot(turned, by_pitch);
+    H[10] = turned[2];
     H[11] = 1.0;
     return 1;
 }

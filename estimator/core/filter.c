@@ -134,8 +134,8 @@ int32_t filter_run(const filter_params *o, int32_t n, const event *events, const
     return n;
 }
 
-int32_t filter_propagate(const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before, belief *after,
-                         double *P_after)
+int32_t filter_propagate(const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before,
+                         belief *after, double *P_after)
 {
     double places[2][N * N];
     covariance c = {P_before, {places[0], places[1]}};

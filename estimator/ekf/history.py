@@ -6,6 +6,7 @@ The result equals the one of events received in order: the history keeps every r
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import NamedTuple
 
 from estimator.contracts.estimates import Sighting, Verdict
@@ -20,11 +21,15 @@ from estimator.ekf.state import Belief
 _RANK = {Imu: 0, Attitude: 1, BodyVelocity: 2, Range: 3, Baro: 4, VesselReport: 5, Sighting: 6}
 
 
+Key = tuple[int, int, int, str]
+"""Instant in ns, rank of the type, sequence number, method: they order events in the same way for every order of arrival."""
+_CHUNK = 32
+
+
 class Node(NamedTuple):
     """An event and the belief after it."""
 
-    key: tuple[int, int, int, str]
-    """Sort key (instant in ns, rank of the type, sequence number, method), the same for every order of arrival."""
+    key: Key
     event: Event
     sample: bytes | None
     """The event as the core reads it; None if Python processes it."""
@@ -35,6 +40,9 @@ class Node(NamedTuple):
     def after(self) -> Belief | None:
         """The belief after the event, or None before the first attitude."""
         return None if self.packed is None else self.packed.belief
+
+
+Chunks = tuple[tuple[Node, ...], ...]
 
 
 class Leap(NamedTuple):
@@ -51,8 +59,8 @@ class History(NamedTuple):
 
     base: PackedBelief | None = None
     """The belief before the first node."""
-    nodes: tuple[Node, ...] = ()
-    """The events, oldest first."""
+    chunks: Chunks = ()
+    """The events, oldest first, by at most `_CHUNK` together: one more event copies one chunk and not all events."""
     forgotten: int = -1
     """Instant of the newest event that was dropped, ns; -1 if none was."""
     received_at: int = -1
@@ -60,16 +68,21 @@ class History(NamedTuple):
     leapt: Leap | None = None
     """The consecutive events whose time of reception is far from `received_at`, if there are any."""
 
+    @property
+    def nodes(self) -> tuple[Node, ...]:
+        """The events, oldest first."""
+        return tuple(chain.from_iterable(self.chunks))
+
     def newest(self) -> Belief | None:
         """Return the belief after the last event, or None before the first attitude."""
-        packed = self.nodes[-1].packed if self.nodes else self.base
+        packed = self.chunks[-1][-1].packed if self.chunks else self.base
         return None if packed is None else packed.belief
 
     def before(self, t: int) -> PackedBelief | None:
         """Return the belief after the last event not later than `t` (ns), or None if the history does not reach back so far."""
-        for node in reversed(self.nodes):
-            if node.key[0] <= t:
-                return node.packed
+        for chunk in reversed(self.chunks):
+            if chunk[0].key[0] <= t:
+                return next(node.packed for node in reversed(chunk) if node.key[0] <= t)
         return self.base if self.base is not None and self.base.t <= t else None
 
 
@@ -104,15 +117,45 @@ def put(history: History, event: Event, params: FilterParams) -> tuple[History, 
     if t <= history.forgotten:
         return history._replace(received_at=received_at), result(event, Outcome(Verdict.TOO_OLD))
     key = (t, rank, event.seq, event.method) if isinstance(event, Sighting) else (t, rank, 0, "")
-    nodes = history.nodes
-    i = len(nodes)
-    while i > 0 and nodes[i - 1].key > key:
-        i -= 1
-    inserted = [Node(key, event, packed_sample(event) if isinstance(event, Sample) else None, None), *nodes[i:]]
-    again, outcome = _processed(nodes[i - 1].packed if i else history.base, inserted, params)
-    nodes = nodes[:i] + tuple(again)
-    history = History(history.base, nodes, history.forgotten, received_at, history.leapt)
-    return _trimmed(history, round(o.history_s * 1e9)), result(event, outcome)
+    chunks, later = _split(history.chunks, key)
+    inserted = [Node(key, event, packed_sample(event) if isinstance(event, Sample) else None, None), *later]
+    again, outcome = _processed(chunks[-1][-1].packed if chunks else history.base, inserted, params)
+    chunks = _joined(chunks, again)
+    oldest = chunks[-1][-1].key[0] - round(o.history_s * 1e9)
+    base, chunks, forgotten = _trimmed(history.base, chunks, history.forgotten, oldest)
+    return History(base, chunks, forgotten, received_at, history.leapt), result(event, outcome)
+
+
+def _split(chunks: Chunks, key: Key) -> tuple[Chunks, list[Node]]:
+    """Return the nodes up to a key as chunks, and the later ones."""
+    later: list[Node] = []
+    while chunks and chunks[-1][-1].key > key:
+        last = chunks[-1]
+        i = len(last) - 1
+        while i > 0 and last[i - 1].key > key:
+            i -= 1
+        later[:0] = last[i:]
+        chunks = (*chunks[:-1], last[:i]) if i > 0 else chunks[:-1]
+    return chunks, later
+
+
+def _joined(chunks: Chunks, nodes: list[Node]) -> Chunks:
+    """Return the chunks with these nodes after them."""
+    if chunks and len(chunks[-1]) < _CHUNK:
+        chunks, nodes = chunks[:-1], [*chunks[-1], *nodes]
+    return (*chunks, *[tuple(nodes[i : i + _CHUNK]) for i in range(0, len(nodes), _CHUNK)])
+
+
+def _trimmed(base: PackedBelief | None, chunks: Chunks, forgotten: int, oldest: int) -> tuple[PackedBelief | None, Chunks, int]:
+    """Return base, chunks and the instant of the newest event dropped, without the events before the instant `oldest`, ns."""
+    while chunks[0][0].key[0] < oldest:
+        first = chunks[0]
+        gone = 1
+        while gone < len(first) and first[gone].key[0] < oldest:
+            gone += 1
+        base, forgotten = first[gone - 1].packed, first[gone - 1].key[0]
+        chunks = chunks[1:] if gone == len(first) else (first[gone:], *chunks[1:])
+    return base, chunks, forgotten
 
 
 def _processed(packed: PackedBelief | None, nodes: list[Node], params: FilterParams) -> tuple[list[Node], Outcome]:
@@ -144,15 +187,3 @@ def _processed(packed: PackedBelief | None, nodes: list[Node], params: FilterPar
         outcome = outcome or first
     assert outcome is not None
     return made, outcome
-
-
-def _trimmed(history: History, span_ns: int) -> History:
-    nodes = history.nodes
-    oldest = nodes[-1].key[0] - span_ns
-    i = 0
-    while nodes[i].key[0] < oldest:
-        i += 1
-    if i == 0:
-        return history
-    gone = nodes[i - 1]
-    return history._replace(base=gone.packed, nodes=nodes[i:], forgotten=gone.key[0])

@@ -16,7 +16,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
 from estimator.core.interface import COLUMNS_MAX, CONSTANTS, KINDS, ROWS_MAX, STRUCTS
-from estimator.core.library import CORE, address
+from estimator.core.library import CORE, address, start_of
 from estimator.ekf import gate
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.state import ATTITUDE, HEIGHT, RANGE, SAMPLE_COLUMNS, VELOCITY, Aid, Belief, Gathered, N, RejectionStreak
@@ -58,6 +58,8 @@ _VECTORS = ("x", "ins_p", "ins_v")
 _TUPLES = ("dv", "dp", "w", "w_smooth", "f")
 _EVENT = struct.Struct("2q18d")
 _NO_VALUES = (0.0,) * 18
+_OUTCOME_WORDS = struct.Struct(f"3q{_OUTCOME_SIZE - 3}d")
+_WITHOUT_COMPARISON = {verdict: Outcome(verdict) for verdict in _VERDICTS.values()}
 
 
 class Words(NamedTuple):
@@ -101,7 +103,7 @@ class PackedBelief:
         words = np.zeros(_SIZE)
         P = np.ascontiguousarray(b.P)
         _write(words, b)
-        made = cls(Words(words, 0, address(words)), Words(P.reshape(-1), 0, address(P)), b)
+        made = cls(Words(words, 0, start_of(words)), Words(P.reshape(-1), 0, address(P)), b)
         made._belief = b
         return made
 
@@ -124,9 +126,9 @@ class PackedBelief:
         They are fewer than the events where the next one is not the core's to process.
         """
         n = len(events)
-        block, covariances = np.empty(_OUTCOME_SIZE + n + n * _SIZE), np.empty(n * _P_SIZE)
-        start, P_start = address(block), address(covariances)
         at = _OUTCOME_SIZE + n
+        block, covariances = np.empty(at + n * _SIZE), np.empty(n * _P_SIZE)
+        start, P_start = start_of(block), start_of(covariances)
         done = _RUN(
             noise.packed_address, n, b"".join(events), self.numbers.address, self.P.address,
             start + 8 * at, P_start, start + 8 * _OUTCOME_SIZE, start,
@@ -137,12 +139,12 @@ class PackedBelief:
             if slot != slot_before:
                 P, slot_before = _words_at(covariances, slot * _P_SIZE, P_start), slot
             made.append(PackedBelief(_words_at(block, at + i * _SIZE, start), P, self._rest))
-        return made, _outcome(block[:_OUTCOME_SIZE]) if made else Outcome(Verdict.GATED)
+        return made, _outcome(block) if made else _WITHOUT_COMPARISON[Verdict.GATED]
 
     def propagated(self, t: int, noise: ProcessNoise, how_far: int) -> PackedBelief:
         """Return the belief at instant `t`, ns; `how_far` is one of `STATE_ALONE`, `WITH_COVARIANCE`, `WITH_AIDING`."""
         block = np.empty(_SIZE + _P_SIZE)
-        start = address(block)
+        start = start_of(block)
         P = _words_at(block, _SIZE, start)
         changed = _PROPAGATE(noise.packed_address, how_far, t, self.numbers.address, self.P.address, start, P.address)
         return PackedBelief(Words(block, 0, start), P if changed else self.P, self._rest)
@@ -150,8 +152,8 @@ class PackedBelief:
     def settled(self, noise: ProcessNoise) -> tuple[Belief, F64, F64]:
         """Return the belief with everything but `P` propagated from `t_cov` to `t`, and the (N, N) F and Q that propagate `P`."""
         block, F, Q = np.empty(_SIZE), np.empty((N, N)), np.empty((N, N))
-        start = address(block)
-        _SETTLE(noise.packed_address, self.numbers.address, start, address(F), address(Q))
+        start = start_of(block)
+        _SETTLE(noise.packed_address, self.numbers.address, start, start_of(F), start_of(Q))
         return PackedBelief(Words(block, 0, start), self.P, self._rest).belief, F, Q
 
 
@@ -201,19 +203,18 @@ def packed_sample(sample: Sample) -> bytes:
     return _EVENT.pack(kind, t, *values, *_NO_VALUES[len(values) :])
 
 
-def _outcome(words: F64) -> Outcome:
-    verdict, m, axes = words[: _OUTCOME["axes"].stop].view(np.int64).tolist()
+def _outcome(block: F64) -> Outcome:
+    """Return the core's `outcome` at the beginning of a block."""
+    verdict, m, axes, *numbers = _OUTCOME_WORDS.unpack_from(block.data)
     if m == 0:
-        return Outcome(_VERDICTS[verdict])
-    start = _OUTCOME["S"].start
-    S = words[start : start + m * m].reshape(m, m).copy()
-    innov = words[_OUTCOME["innov"]][:m].copy()
-    nis, nis_max = words[_OUTCOME["nis"].start :].tolist()
-    return Outcome(_VERDICTS[verdict], innov, S, nis, nis_max, _axes(axes))
+        return _WITHOUT_COMPARISON[_VERDICTS[verdict]]
+    innov, S, (nis, nis_max) = numbers[:m], numbers[3 : 3 + m * m], numbers[-2:]
+    return Outcome(_VERDICTS[verdict], innov, np.array(S).reshape(m, m), nis, nis_max, _AXES[axes])
 
 
-def _axes(mask: int) -> tuple[int, ...]:
-    return tuple([i for i in range(3) if mask >> i & 1])
+_AXES = tuple(tuple([i for i in range(3) if mask >> i & 1]) for mask in range(8))
+
+"""The axes of a velocity, by the bits of the core's mask."""
 
 
 def _write(words: F64, b: Belief) -> None:
@@ -288,5 +289,5 @@ def _read_aid(words: F64, kind: int) -> Aid:
     H[:, columns] = words[_AID["H"]].reshape(3, COLUMNS_MAX)[:m, : len(columns)]
     R, ambiguity, spread = (words[_AID[name]][: m * m].reshape(m, m) for name in ("R", "ambiguity", "spread"))
     innov = tuple(words[_AID["innov"]][:m].tolist())
-    some = Gathered(n, since, _axes(axes), words.item(_AID["deck_weight"].start), H, ambiguity, spread, innov, R)
+    some = Gathered(n, since, _AXES[axes], words.item(_AID["deck_weight"].start), H, ambiguity, spread, innov, R)
     return Aid(some, fused, refused)

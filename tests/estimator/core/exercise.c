@@ -58,7 +58,8 @@ static void parameters(filter_params *o, int surface)
     o->velocity_is_over = surface;
     o->tick_s = 0.1, o->forget_s = 1.0, o->aiding_period_s = 0.05;
     o->accel_step_m_s2 = 15.0, o->gyro_step_rad_s = 4.0, o->deck_radius_m = 2.0, o->not_measured_var = 1e5;
-    o->psd_accel = 1e-3, o->psd_coast = 2.0, o->psd_coast_turn = 0.1, o->wave_yaw_rad_s = 1.0, o->sigma_wave_yaw_rate_rad_s = 0.04;
+    o->psd_accel = 1e-3, o->psd_coast = 2.0, o->psd_coast_turn = 0.1;
+    o->wave_yaw_rad_s = 1.0, o->sigma_wave_yaw_rate_rad_s = 0.04;
     for (int i = 0; i < KINDS; i++) {
         o->correlation_s[i] = 0.2;
     }
