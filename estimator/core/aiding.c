@@ -348,7 +348,8 @@ static int distance(const double R[9], const double x[N], double *r, double H[3 
         reach[i] = (x[POS_REL + i] - *r * c[i]) / cosine;
     }
     /* The axes, in ned, about which roll, pitch and heading turn the pad. */
-    const double s = sin(yaw), k = cos(yaw), by_roll[3] = {k * cos(pitch), s * cos(pitch), -sin(pitch)}, by_pitch[3] = {-s, k, 0.0};
+    const double by_roll[3] = {cos(yaw) * cos(pitch), sin(yaw) * cos(pitch), -sin(pitch)};
+    const double by_pitch[3] = {-sin(yaw), cos(yaw), 0.0};
     double cross[9], turned[3];
     skew(n, cross);
     rotated(cross, reach, turned);

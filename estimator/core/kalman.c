@@ -107,8 +107,8 @@ int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis)
 
 /* The error state's correction dx = K y and (I - K H) P (I - K H)' + K R K', with K = P H' inv(S), S = H P H' + R.
  *
- * Multiplied out the latter is P - K C' + (K S - C) K' with C = P H'. The bracket vanishes but for the errors of K, which so enter
- * in the second order alone, as they do in Joseph's form. */
+ * Multiplied out the latter is P - K C' + (K S - C) K' with C = P H'. The bracket vanishes but for the errors of K, which so
+ * enter in the second order alone, as they do in Joseph's form. */
 int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx,
                        double *P_after, double *S, double *nis)
 {
