@@ -75,7 +75,7 @@ def classes() -> Iterator[type]:
     """Every options class of the packages that fly."""
     for package in (companion, drivers, estimator):
         for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            if found.name.startswith("companion.cli") or found.name.endswith(("__main__", ".libdecklander")):
+            if found.name.startswith("companion.cli") or found.name.endswith("__main__"):
                 continue
             module = importlib.import_module(found.name)
             for name, kind in vars(module).items():
