@@ -47,6 +47,8 @@ class Progress:
     """Height at that time."""
     unheard_s: float = 0.0
     """Time since then, and in this state, in which the vehicle was silent: it may not have climbed."""
+    was_silent: bool = False
+    """The vehicle was silent since the newest sight: it may have flown on with its last command, down to the deck."""
     in_sight: bool = False
     track: int | None = None
     """Track of the pad that this try flies to."""
@@ -97,7 +99,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
             p = replace(p, refusing=True)
         case Event.CLEAR:
             climbed_to_m = p.seen_height_m if change.reason.measured is None else change.reason.measured
-            p = replace(p, attempt=p.attempt.again(), seen_height_m=max(p.seen_height_m, climbed_to_m))
+            p = replace(p, attempt=p.attempt.again(), seen_height_m=max(p.seen_height_m, climbed_to_m), was_silent=False)
         case _:
             pass
     match change.target:
@@ -118,5 +120,5 @@ def _fresh(p: Progress) -> Progress:
     """Return the memory without anything of earlier tries."""
     return replace(
         p, fault=None, refusing=False, attempt=Attempt(), seen=None, seen_height_m=math.inf, in_sight=False, track=None,
-        heading=HeadingMemory(), turned=None, newest_track=None,
+        heading=HeadingMemory(), turned=None, newest_track=None, was_silent=False,
     )  # fmt: skip

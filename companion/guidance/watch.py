@@ -49,7 +49,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     since_last_s = 0.0 if p.last is None else max(0.0, seconds_between(p.last, s.at))
     p = replace(p, last=s.at, since_last_s=since_last_s, since=s.at if p.since is None else p.since)
     if s.silent_s > SILENT_S:
-        p = replace(p, unheard_s=p.unheard_s + since_last_s)
+        p = replace(p, unheard_s=p.unheard_s + since_last_s, was_silent=True)
     if p.state not in FLOWN:
         return p
     if p.state is State.RENDEZVOUS:
@@ -76,7 +76,8 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     turning, turned = heading.watch(p.heading, estimate)
     return _judged(
         replace(
-            p, attempt=attempt, in_sight=True, seen=s.at, unheard_s=0.0, seen_height_m=estimate.height_m, track=estimate.track,
+            p, attempt=attempt, in_sight=True, seen=s.at, unheard_s=0.0, was_silent=False,
+            seen_height_m=estimate.height_m, track=estimate.track,
             heading=turning, turned=turned or p.turned,
         ),
         s,
@@ -120,11 +121,15 @@ def clear(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
     """Return whether a go-around is high enough: by sight, or by the time that it has climbed since the newest sight."""
     if p.in_sight:
         return p.seen_height_m >= o.tries.safe_height_m - NEAR_SAFE_M
-    return _climbed_blind_m(p, s, o) >= o.tries.safe_height_m - min(p.seen_height_m, o.tries.safe_height_m)
+    return _height_m(p, s, o) >= o.tries.safe_height_m
 
 
 def _height_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
-    return p.seen_height_m if p.in_sight else min(p.seen_height_m, o.tries.safe_height_m) + _climbed_blind_m(p, s, o)
+    """Return the height over the pad: the one that is seen, or the least that the climb since the newest sight has made."""
+    if p.in_sight:
+        return p.seen_height_m
+    from_m = 0.0 if p.was_silent else min(p.seen_height_m, o.tries.safe_height_m)
+    return from_m + _climbed_blind_m(p, s, o)
 
 
 def _climbed_blind_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
