@@ -16,15 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
+from estimator.core.interface import GAIN_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.drops import Drops, wet_lens
-from sitl.light import FULL_SCALE, I16, Development, Light, Sensor, counts
-from sitl.projection import F32, SHIFT, lens_of
-from sitl.render_deck import WEAR_ONE, DeckPainter, draw, drone_shadow
-from sitl.render_lens import GAIN_ONE, moved, row_map, smear, vignette
+from sitl.light import FULL_SCALE, I16, U16, Development, Light, PadInImage, Sensor, counts, scene_of
+from sitl.projection import F32, lens_of
+from sitl.render_deck import DeckPainter, draw, drone_shadow
+from sitl.render_lens import moved, moved_scene, row_map, smear, vignette
 from sitl.render_light import Lamps, glint, mast_shadow, through_haze
-from sitl.render_pad import PadInImage, PadPainter, Pose, Stroke
+from sitl.render_pad import PadPainter, Pose, Stroke
 from sitl.render_sea import SeaPainter
 from sitl.render_ship import hull_side, on_water
 from sitl.surroundings import Surroundings
@@ -82,13 +83,21 @@ class Renderer:
         self.sensor = sensor if sensor is not None else Sensor()
         self._lens = lens_of(camera)
         self._pad = PadPainter(self._lens, pad) if pad is not None else None
-        self._sea = SeaPainter(self._lens, self.surroundings, self.light)
+        self._sea = SeaPainter(self._lens, self.surroundings, self.light, self.sensor.blend)
         deck = self.surroundings.deck
-        self._deck = DeckPainter(self._lens, deck, self.light) if deck is not None else None
+        self._deck = DeckPainter(self._lens, deck, self.light, self.sensor.blend) if deck is not None else None
         self.lamps, self.drops = lamps if lamps is not None else Lamps(), drops
         self._development = self.development(self.light, self.sensor)
         self._vignette = vignette(self._lens, self.light.vignetting)
-        self._decals = [(decal.on, decal.polygons()) for decal in self.surroundings.decals]
+        self._even = np.full_like(self._vignette, GAIN_ONE)
+        # The largest arrays of a frame: asking for their memory each time costs as much as filling it.
+        self._scene = np.empty((camera.height, camera.width, 4), np.uint16)
+        self._room = np.empty(camera.height * camera.width * 3 + 1, np.int16)
+        self._pad_scene = _pad_scene(pad, self.sensor.blend) if pad is not None else None
+        self._decals = [
+            (decal.on, [(points, scene_of(rgb[::-1], self.sensor.blend)) for points, rgb in decal.polygons()])
+            for decal in self.surroundings.decals
+        ]
         e, a = self.light.sun_elevation_rad, self.light.sun_azimuth_rad
         self._to_sun = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), -math.sin(e)])
 
@@ -107,40 +116,33 @@ class Renderer:
 
     def radiance(self, shot: Exposure) -> F32:
         """Return the linear light on the sensor before noise and tone curve, (H, W, 3) BGR; 1 is full scale, clipped at 4."""
-        return self._light_on_sensor(shot, self._development) * np.float32(1.0 / FULL_SCALE)
+        development = self._development
+        return development.blur(self._light_on_sensor(shot, development)) * np.float32(1.0 / FULL_SCALE)
 
     def _light_on_sensor(self, shot: Exposure, development: Development) -> I16:
-        """Return `radiance` in counts."""
+        """Return the light before the blur of the lens, (H, W, 3) in counts."""
         poses = [_pose(shot, self.camera, 0.0)]
         R_cam_pad, t_cam_pad = poses[0]
         exposure_s = development.sensor.exposure_s
         ends = [_pose(shot, self.camera, s * exposure_s) for s in (-0.5, 0.5)] if exposure_s > 0 else []
 
-        canvas, gain, added = self._scenery(shot, R_cam_pad, t_cam_pad)
+        scene, gain, added = self._scenery(shot, R_cam_pad, t_cam_pad)
         if ends:
-            canvas = smear(canvas, self._lens, poses[0], ends)
+            scene = smear(scene, self._lens, poses[0], ends)
         half = development.sensor.readout_s / 2
         rows = None
         if half > 0:
-            rows = row_map(self._lens, _pose(shot, self.camera, -half), poses[0], _pose(shot, self.camera, half))
-        if rows is not None:
-            canvas, gain = np.asarray(moved(canvas, rows), np.uint8), np.asarray(moved(gain, rows), np.int16)
-            added = None if added is None else np.asarray(moved(added, rows), np.float32)
+            cells = row_map(self._lens, _pose(shot, self.camera, -half), poses[0], _pose(shot, self.camera, half))
+            if cells is not None:
+                rows, scene = self._lens.spread(cells), moved_scene(scene, cells)
+                gain = np.asarray(moved(gain, rows), np.int16)
+                added = None if added is None else np.asarray(moved(added, rows), np.float32)
         placed = self._place(shot, poses[0], ends, development.sensor)
-        behind = None
-        if placed is not None and self.pad is not None:
-            behind = development.expose(canvas.reshape(-1, 1, 3).take(placed.pixels, axis=0))[:, 0]
-            codes = _paint_codes(self.pad)
-            for paint, polygon in placed.fills:
-                cv2.fillPoly(canvas, [polygon], codes[paint].tolist(), cv2.LINE_8, SHIFT)
-        light = development.expose(canvas)
-        if placed is not None and behind is not None and self.pad is not None:
-            paints = development.table[0][_paint_codes(self.pad)[1:], np.arange(3)].astype(np.float32)
-            mixed = placed.shares[1:].T @ paints
-            mixed += placed.shares[0][:, None] * behind
-            mixed += np.float32(0.5)
-            light.reshape(-1, 3)[placed.pixels] = mixed.astype(np.int16)
-        cv2.multiply(light, self._gains(gain, development, R_cam_pad, t_cam_pad), dst=light, scale=1.0 / GAIN_ONE)
+        # Floodlights differ in colour from the sky: their light and the sky's are added up for each channel.
+        even = self._even if self.lamps.floods else gain
+        light = development.expose(scene, even, placed, self._pad_scene, self._room)
+        if self.lamps.floods:
+            cv2.multiply(light, self._gains(gain, development, R_cam_pad, t_cam_pad), dst=light, scale=1.0 / GAIN_ONE)
         if added is not None:
             cv2.add(light, counts(cv2.merge([added * g for g in development.gains_bgr])), dst=light)
         if self.lamps.pad_lamps:
@@ -151,12 +153,12 @@ class Renderer:
             cv2.add(light, counts(cv2.merge([own * g * level for g in development.gains_bgr])), dst=light)
         if self.drops is not None:
             wet_lens(light, self.drops.present(shot.t_s, self.camera.width, self.camera.height))
-        return development.blur(light)
+        return light
 
     def _gains(self, gain: I16, development: Development, R_cam_pad: F64, t_cam_pad: F64) -> I16:
-        """Return the factors (H, W, 3) on the light from those under the sky alone (H, W)."""
+        """Return the factors (H, W, 3) on the light of sky and floodlights from those under the sky alone (H, W)."""
         plane = self._lens.plane_from_ray(np.stack([R_cam_pad[:, 0], R_cam_pad[:, 1], t_cam_pad], axis=1))
-        if self.lamps.floods and plane is not None and float(R_cam_pad[:, 2] @ t_cam_pad) > 1e-3:
+        if plane is not None and float(R_cam_pad[:, 2] @ t_cam_pad) > 1e-3:
             # Shadows are the sun's: what the lamps add is not darker in them.
             lamp = self.lamps.on_plane(self._lens, plane) * (self._vignette * np.float32(1.0))
             each = [
@@ -164,10 +166,8 @@ class Renderer:
                 for ratio, lifted in zip(self.lamps.ratios_bgr(self.light), development.lifted_bgr, strict=True)
             ]
             return np.asarray(cv2.merge(each), dtype=np.int16)
-        if self.lamps.floods:
-            each = [(gain / lifted).astype(np.int16) for lifted in development.lifted_bgr]
-            return np.asarray(cv2.merge(each), dtype=np.int16)
-        return cv2.cvtColor(gain.view(np.uint16), cv2.COLOR_GRAY2BGR).view(np.int16)
+        each = [(gain / lifted).astype(np.int16) for lifted in development.lifted_bgr]
+        return np.asarray(cv2.merge(each), dtype=np.int16)
 
     def _place(self, shot: Exposure, middle: Pose, ends: list[Pose], sensor: Sensor) -> PadInImage | None:
         """Return the pad in the frame; the exposure is divided into parts so short that the pad's way is straight in each."""
@@ -181,17 +181,17 @@ class Renderer:
         way = self._pad.travel_px(*ends) if ends else np.zeros(2)
         travel = float(way.max())
         if not travel > 0.3:
-            return self._pad.place([Stroke.still(middle, rows(0.0))], np.zeros(2))
+            return self._pad.place([Stroke.still(middle, rows(0.0))])
         n = 1 if travel < 6.0 else 3 if travel < 20.0 else 5
         if n == 1:
-            return self._pad.place([Stroke(ends[0], middle, ends[1], rows(0.0))], way)
+            return self._pad.place([Stroke(ends[0], middle, ends[1], rows(0.0))])
         times = (np.arange(2 * n + 1) / (2 * n) - 0.5) * sensor.exposure_s
         poses = [_pose(shot, self.camera, float(s)) for s in times]
         strokes = [Stroke(poses[2 * i], poses[2 * i + 1], poses[2 * i + 2], rows(float(times[2 * i + 1]))) for i in range(n)]
-        return self._pad.place(strokes, way)
+        return self._pad.place(strokes)
 
-    def _scenery(self, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64) -> tuple[U8, I16, F32 | None]:
-        """Return the paint values of everything except the pad, the factors on its light, and the added light."""
+    def _scenery(self, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64) -> tuple[U16, I16, F32 | None]:
+        """Return the scene (H, W, 4) of everything except the pad, the factors on its light, and the added light."""
         h, w = self.camera.height, self.camera.width
         gain = self._vignette
         added: F32 | None = None
@@ -202,36 +202,25 @@ class Renderer:
         if deck is not None and plane is not None and not deck.fills(plane):
             mask = deck.mask(R_cam_pad, t_cam_pad)
             mask = None if int(mask.min()) == 255 else mask
-        canvas = None if deck is not None and mask is None else self._water(shot, mask)
+        scene = self._scene
+        if deck is None or mask is not None:
+            self._paint_water(scene, shot, mask)
         if deck is not None and plane is not None and (mask is None or mask.any()):
             x, y, bw, bh = cv2.boundingRect(mask) if mask is not None else (0, 0, w, h)
             part = slice(y, y + bh), slice(x, x + bw)
             footprint = normal_distance / self.camera.fx
-            painted = deck.paint(part, plane, footprint)
-            paint, worn = cv2.cvtColor(painted, cv2.COLOR_BGRA2BGR), cv2.extractChannel(painted, 3)
-            cover = mask[part] if mask is not None else None
-            if canvas is None or cover is None:
-                canvas = np.asarray(paint, dtype=np.uint8)
-            else:
-                cv2.copyTo(paint, cv2.inRange(cover, 255, 255), canvas[part])
-                edges = np.flatnonzero(cv2.inRange(cover, 1, 254) != 0)
-                r, c = np.divmod(edges, bw)
-                share = cover[r, c, None].astype(np.float32) / np.float32(255.0)
-                edge = canvas[part]
-                edge[r, c] = np.round(share * paint[r, c] + (1 - share) * edge[r, c])
-                worn = cv2.copyTo(worn, cover, np.full_like(worn, WEAR_ONE))
-            gain = gain.copy()
-            cv2.multiply(gain[part], worn.astype(np.int16), dst=gain[part], scale=1.0 / WEAR_ONE)
+            deck.paint(scene, part, plane, footprint, mask)
             wet = deck.wet(part, plane, footprint)
             if wet is not None:
-                covered = np.float32(1.0) if cover is None else cover.astype(np.float32) * np.float32(1.0 / 255.0)
+                covered = np.float32(1.0) if mask is None else mask[part].astype(np.float32) * np.float32(1.0 / 255.0)
+                gain = gain.copy()
                 gain[part] = np.round(gain[part] * ((wet[0] - np.float32(1.0)) * covered + np.float32(1.0)))
                 added = np.zeros((h, w), np.float32)
                 added[part] = wet[1] * covered
             for on, polygons in self._decals:
                 if on == "deck":
-                    for points, rgb in polygons:
-                        draw(canvas, self._lens, np.c_[points, np.zeros(len(points))] @ R_cam_pad.T + t_cam_pad, rgb)
+                    for points, colour in polygons:
+                        draw(scene, self._lens, np.c_[points, np.zeros(len(points))] @ R_cam_pad.T + t_cam_pad, colour)
         if normal_distance > 1e-3 and plane is not None and (deck is not None or self._pad is not None):
             gain = self._cast_shadow(gain, shot, R_cam_pad, t_cam_pad, mask)
             if self.light.glare > 0:
@@ -240,15 +229,13 @@ class Renderer:
             added = self._add_glint(added, shot, R_cam_pad, plane if deck is not None else None, mask)
         if math.isfinite(self.light.visibility_m):
             gain, added = self._haze(gain, added, shot, R_cam_pad, normal_distance if deck is not None else None)
-        assert canvas is not None
-        return canvas, gain, added
+        return scene, gain, added
 
-    def _water(self, shot: Exposure, mask: U8 | None) -> U8:
-        """Return the sea and what floats on it, (H, W, 3) BGR, where the deck does not cover all; elsewhere it is black."""
+    def _paint_water(self, scene: U16, shot: Exposure, mask: U8 | None) -> None:
+        """Paint the sea and what floats on it, where the deck does not cover all; elsewhere the scene stays as it is."""
         h, w = self.camera.height, self.camera.width
         R_ned_cam = shot.R_ned_body.matrix @ self.camera.T_body_cam.R.matrix
         p_cam_ned = shot.p_body_ned + shot.R_ned_body.matrix @ self.camera.T_body_cam.t
-        canvas = np.zeros((h, w, 3), np.uint8)
         rows, cols = slice(0, h), slice(0, w)
         if mask is not None:
             x, y, bw, bh = cv2.boundingRect(cv2.inRange(mask, 0, 254))
@@ -258,14 +245,13 @@ class Renderer:
             R_ned_pad = shot.R_ned_pad.matrix
             rim = self._deck.rim_pad() @ R_ned_pad.T + shot.p_pad_ned
             ship = on_water(self.surroundings.deck, rim, R_ned_pad, self._to_sun, self.surroundings.wake_speed_m_s)
-        canvas[rows, cols] = self._sea.paint(R_ned_cam, p_cam_ned, shot.t_s, rows, cols, ship)
+        self._sea.paint(scene, R_ned_cam, p_cam_ned, shot.t_s, rows, cols, ship)
         for on, polygons in self._decals:
             if on == "sea":
-                for points, rgb in polygons:
-                    draw(canvas, self._lens, (np.c_[points, np.zeros(len(points))] - p_cam_ned) @ R_ned_cam, rgb)
+                for points, colour in polygons:
+                    draw(scene, self._lens, (np.c_[points, np.zeros(len(points))] - p_cam_ned) @ R_ned_cam, colour)
         if ship:
-            hull_side(canvas, self._lens, rim, ship[0], R_ned_cam, p_cam_ned)
-        return canvas
+            hull_side(scene, self._lens, rim, ship[0], R_ned_cam, p_cam_ned, self.sensor.blend)
 
     def _cast_shadow(self, gain: I16, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64, mask: U8 | None) -> I16:
         R_pad_ned = shot.R_ned_pad.matrix.T
@@ -366,8 +352,8 @@ def _pose(shot: Exposure, camera: Camera, later_s: float) -> tuple[F64, F64]:
     return R_ned_cam.T @ R_ned_pad, R_ned_cam.T @ (p_pad - p_cam)
 
 
-def _paint_codes(pad: Pad) -> NDArray[np.intp]:
-    """Return the colours (5, 3) BGR of background (unused), rim, disc, orange, white."""
+def _pad_scene(pad: Pad, blend: str) -> U16:
+    """Return the paints (5, 4) of the background (unused), rim, disc, orange, white, as pixels of a scene."""
     c = pad.colours
     rim = c.rim if c.rim is not None else c.disc
-    return np.array([(0, 0, 0), rim[::-1], c.disc[::-1], c.ring[::-1], c.h[::-1]], dtype=np.intp)
+    return scene_of(np.array([(0, 0, 0), rim[::-1], c.disc[::-1], c.ring[::-1], c.h[::-1]]), blend)

@@ -8,6 +8,7 @@ bright paint. `Sensor.blend = "srgb"` does just that, for comparison with render
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -17,10 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput
+from estimator.core.interface import PAINTS, SCENE_ONE
+from sitl.native import address, render_blur, render_expose, render_frame, render_mix
 from sitl.projection import F32
 
 U8 = NDArray[np.uint8]
 I16 = NDArray[np.int16]
+U16 = NDArray[np.uint16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,10 +193,10 @@ class _Noise:
 
     steps: int
     """Steps to one standard deviation."""
-    even: I16
-    """(1, 65536) transformed light by the count of light."""
+    even: U16
+    """(65536,) transformed light by the count of light."""
     frame: U8
-    """(1, 65536) value of the frame by the bits of transformed light with noise."""
+    """(65536,) value of the frame by the bits of transformed light with noise."""
 
 
 @lru_cache(maxsize=16)
@@ -216,16 +220,51 @@ def _noise(well: float, read_noise_e: float, blend: str) -> _Noise | None:
     back = g * (g / (4.0 * well) + read) if math.isfinite(well) else g * read
     # Below the vertex of the parabola, some read noise under black, everything is black.
     back = np.where(g < -2.0 * well * read, 0.0, back)
-    table = np.concatenate([even, np.zeros(32768)]) * steps + low
+    table = np.concatenate([even, np.full(32768, even[-1])]) * steps + low
     frame = np.empty(65536, np.uint8)
     frame[codes & 0xFFFF] = _encode(blend, back)
-    return _Noise(steps, np.round(np.minimum(table, 32767.0)).astype(np.int16)[None], frame[None])
+    return _Noise(steps, np.round(np.minimum(table, 32767.0)).astype(np.int16).view(np.uint16), frame)
 
 
 @lru_cache(maxsize=2)
 def _clean(blend: str) -> U8:
-    """Return (1, 65536) the value of the frame by the count of light, without noise."""
-    return _encode(blend, np.concatenate([np.arange(32768), np.zeros(32768)]) / FULL_SCALE)[None]
+    """Return (65536,) the value of the frame by the count of light, without noise."""
+    return _encode(blend, np.arange(65536) / FULL_SCALE)
+
+
+@lru_cache(maxsize=16)
+def _taps(sigma_px: float) -> U16:
+    """Return a Gaussian's weights from its middle outwards, (radius + 1,), parts of 65536; radius 0 is no blur."""
+    if sigma_px < 0.05:
+        return np.zeros(1, np.uint16)
+    radius = math.ceil(3.0 * sigma_px)
+    taps = np.round(65536.0 * cv2.getGaussianKernel(2 * radius + 1, sigma_px)[radius:, 0])
+    taps[0] = min(65535.0, 65536.0 - 2.0 * taps[1:].sum())
+    return np.asarray(taps, dtype=np.uint16)
+
+
+@lru_cache(maxsize=2)
+def _reflected(blend: str) -> U16:
+    """Return what a paint value reflects, (256,), parts of `SCENE_ONE`."""
+    return np.round(SCENE_ONE * _decode(blend)).astype(np.uint16)
+
+
+def scene_of(bgr: U8 | Sequence[int], blend: str) -> U16:
+    """Return pixels of a scene (..., 4), without wear, for paint values (..., 3) in blue, green, red."""
+    light = _reflected(blend)[np.asarray(bgr, dtype=np.intp)]
+    return np.concatenate([light, np.full((*light.shape[:-1], 1), SCENE_ONE, np.uint16)], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PadInImage:
+    """The pad in one frame."""
+
+    kinds: U8
+    """(H, W) paint of each pixel in the order of `PAINTS`, or `PAD_EDGE` where there are several."""
+    edges: NDArray[np.int32]
+    """(N,) numbers of the pixels that edges touch, row by row through the frame."""
+    shares: F32
+    """(N, 5) coverage of these by the paints in the order of `PAINTS`; each row sums to 1."""
 
 
 class Development:
@@ -235,43 +274,80 @@ class Development:
         self.sensor = sensor
         self.gains_bgr = light.gains_bgr() if sensor.blend == "linear" else light.gains_bgr() ** np.float32(1 / 2.2)
         self.lifted_bgr: F32 = np.ones(3, np.float32)
-        """Factors by which `table` holds more than the light of the sky, where lamps add to it."""
+        """Factors by which `exposure` holds more than the light of the sky, where lamps add to it."""
         if most_bgr is not None:
             self.lifted_bgr = np.maximum(np.minimum(most_bgr, 3.9 / np.maximum(self.gains_bgr, 1e-6)), 1e-3).astype(np.float32)
-        gains = self.gains_bgr * self.lifted_bgr
-        table = _decode(sensor.blend)[None, :, None] * gains
-        self.table: I16 = counts(table)
-        """Light (1, 256, 3) of every paint value under this light and exposure, in counts."""
-        even = np.ptp(gains) == 0.0
-        self._exposing: I16 = np.ascontiguousarray(self.table[..., 0]) if even else self.table
+        gains = self.gains_bgr * self.lifted_bgr * np.float32(FULL_SCALE / SCENE_ONE)
+        self._exposure: F32 = np.append(gains, np.float32(0.0)).astype(np.float32)
         self._noise = _noise(sensor.full_well_e, sensor.read_noise_e, sensor.blend)
         self._clean = _clean(sensor.blend)
+        self._taps = _taps(sensor.psf_sigma_px)
 
-    def expose(self, paint: U8) -> I16:
-        """Return the light of (H, W, 3) paint values, in counts."""
-        return np.asarray(cv2.LUT(paint, self._exposing), dtype=np.int16) if paint.size else np.empty(paint.shape, np.int16)
+    def expose(
+        self, scene: U16, gain: I16, pad: PadInImage | None = None, pad_scene: U16 | None = None, room: I16 | None = None
+    ) -> I16:
+        """Return the light of a scene, (H, W, 3) in counts.
+
+        Args:
+            scene: (H, W, 4) what blue, green and red reflect, and the wear of the paint, parts of `SCENE_ONE`.
+            gain: (H, W) factors on the light, parts of `GAIN_ONE`.
+            pad: the pad on top of the scene, if it is in the frame.
+            pad_scene: (5, 4) the pad's paints, as pixels of a scene, if there is a pad.
+            room: (H * W * 3 + 1,) room for the result; a new one if it is None.
+        """
+        h, w = gain.shape
+        # The core writes four numbers a pixel, of which the next pixel covers the last.
+        light = (np.empty(h * w * 3 + 1, np.int16) if room is None else room)[:-1].reshape(h, w, 3)
+        pixels, factors = address(scene, np.uint16, (h, w, 4)), address(gain, np.int16)
+        exposure, out = address(self._exposure, np.float32), address(light, np.int16)
+        paints = address(pad_scene, np.uint16, (len(PAINTS), 4))
+        kinds = address(pad.kinds if pad is not None else None, np.uint8, (h, w))
+        render_expose(h * w, pixels, kinds, factors, exposure, paints, out)
+        if pad is not None and len(pad.edges):
+            where, shares = address(pad.edges, np.int32), address(pad.shares, np.float32, (len(pad.edges), len(PAINTS)))
+            render_mix(len(pad.edges), where, shares, pixels, factors, exposure, paints, out)
+        return light
 
     def blur(self, light: I16) -> I16:
-        """Return the light after the blur of the lens."""
-        sigma = self.sensor.psf_sigma_px
-        if sigma < 0.05:
-            return light
-        size = 2 * math.ceil(3.0 * sigma) + 1
-        return np.asarray(cv2.GaussianBlur(light, (size, size), sigma, borderType=cv2.BORDER_REPLICATE), dtype=np.int16)
+        """Return the light (H, W, 3) after the blur of the lens."""
+        h, w = light.shape[:2]
+        blurred, scratch = np.empty_like(light), self._scratch(w)
+        taps = address(self._taps, np.uint16)
+        render_blur(
+            h, w, address(light, np.int16), len(self._taps) - 1, taps, address(scratch, np.uint16), address(blurred, np.int16)
+        )
+        return blurred
 
     def sensor_image(self, light: I16, rng: np.random.Generator) -> U8:
-        """Return the frame of eight bits: add shot and read noise and apply the tone curve.
+        """Return the frame of eight bits: blur the light (H, W, 3), add shot and read noise and apply the tone curve.
 
-        One number is drawn from `rng`. The function modifies `light`.
+        One number is drawn from `rng`.
         """
-        noise = self._noise
-        if noise is None:
-            return np.asarray(cv2.LUT(light.view(np.uint16), self._clean), dtype=np.uint8)
-        bank = _noise_bank(noise.steps)
-        start = int(rng.integers(bank.size - light.size))
-        cv2.LUT(light.view(np.uint16), noise.even, dst=light)
-        cv2.add(light, bank[start : start + light.size].reshape(light.shape), dst=light)
-        return np.asarray(cv2.LUT(light.view(np.uint16), noise.frame), dtype=np.uint8)
+        h, w = light.shape[:2]
+        noise, frame, scratch = self._noise, np.empty((h, w, 3), np.uint8), self._scratch(w)
+        part = None
+        if noise is not None:
+            bank = _noise_bank(noise.steps)
+            start = int(rng.integers(bank.size - light.size))
+            part = bank[start : start + light.size]
+        render_frame(
+            h,
+            w,
+            address(light, np.int16),
+            len(self._taps) - 1,
+            address(self._taps, np.uint16),
+            address(noise.even if noise is not None else None, np.uint16),
+            address(part, np.int16),
+            address(noise.frame if noise is not None else self._clean, np.uint8),
+            address(scratch, np.uint16),
+            address(frame, np.uint8),
+        )
+        return frame
+
+    def _scratch(self, width: int) -> U16:
+        """Return room for the rows that the blur works on."""
+        radius, row = len(self._taps) - 1, 3 * width + 16
+        return np.zeros((2 * radius + 2) * row + 6 * radius, np.uint16)
 
 
 def counts(light: F32) -> I16:

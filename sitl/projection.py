@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from estimator.core.interface import CELL_PX
 from estimator.vision.camera import Camera
 
 F32 = NDArray[np.float32]
@@ -20,10 +21,8 @@ SHIFT = 6
 _NEAR_M = 0.002
 """Least distance at which anything is drawn, m; `Camera.project` refuses points nearer than half of it."""
 
-CELL_PX = 8
-"""Distance between the rays of `Lens.coarse`, px."""
-
-_FAR_M = 1e5
+FAR_M = 1e5
+"""Distance beyond which a plane is not followed."""
 
 _FAR_PX = 8000.0
 """Largest coordinate of a vertex, px. OpenCV clips polygons to the frame reliably only if their fixed-point coordinates fit into
@@ -102,7 +101,7 @@ class Lens:
         r0, r1 = rows.start // CELL_PX, -(-rows.stop // CELL_PX) + 2
         c0, c1 = cols.start // CELL_PX, -(-cols.stop // CELL_PX) + 2
         places = cv2.perspectiveTransform(np.ascontiguousarray(self.coarse[r0:r1, c0:c1]), plane_from_ray)
-        np.clip(places, -_FAR_M, _FAR_M, out=places)
+        np.clip(places, -FAR_M, FAR_M, out=places)
         cell = CELL_PX // coarser
         whole = cv2.resize(places, ((c1 - c0) * cell, (r1 - r0) * cell), interpolation=cv2.INTER_LINEAR)
         y, x = rows.start // coarser - (r0 - 1) * cell, cols.start // coarser - (c0 - 1) * cell

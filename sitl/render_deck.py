@@ -11,18 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from sitl.light import Light
+from estimator.core.interface import SCENE_ONE
+from sitl.light import U16, Light, scene_of
+from sitl.native import address, render_deck, render_fill
 from sitl.projection import F32, SHIFT, Lens, fixed_point
-from sitl.surroundings import RGB, Deck, draw_deck
+from sitl.surroundings import Deck, draw_deck
 from sitl.textures import grain
 
 U8 = NDArray[np.uint8]
-
-_NONE = np.empty(0, np.float32)
-
-
-WEAR_ONE = 128
-"""Value of the fourth channel of a drawing where wear does not change the light."""
 
 _NEAR_M, _NEAR_PPM = 1.2, 500.0
 """Half side and resolution of the drawing for pictures from near by."""
@@ -32,20 +28,21 @@ _NEAR_M, _NEAR_PPM = 1.2, 500.0
 class WornDrawing:
     """A deck's drawing with the wear of its paint as fourth channel, in several resolutions."""
 
-    levels: tuple[tuple[U8, F64], ...]
-    """Drawings and the homographies from the deck's axes to texels, the finest first; that covers the pad's surroundings."""
+    levels: tuple[tuple[U16, F64], ...]
+    """Drawings as pixels of a scene, and the homographies from the deck's axes to texels. The first covers the pad's
+    surroundings, the others all of the deck, each one coarser than the one before."""
     texels_per_m: float
     """Resolution of the second level; each one after it has half of that of the one before."""
 
 
 @lru_cache(maxsize=4)
-def worn(deck: Deck, wear: float) -> WornDrawing:
-    """Return the drawing of a deck whose paint's brightness has the standard deviation `wear`."""
+def worn(deck: Deck, wear: float, blend: str) -> WornDrawing:
+    """Return the drawing of a deck whose paint's brightness has the standard deviation `wear`; `blend` as in `Sensor`."""
     drawing = draw_deck(deck)
-    whole = _with_wear(drawing.paint, drawing.corner_m, drawing.texels_per_m, deck.seed, wear)
+    whole = _with_wear(drawing.paint, drawing.corner_m, drawing.texels_per_m, deck.seed, wear, blend)
     levels = [whole]
     while min(levels[-1].shape[:2]) >= 32:
-        levels.append(np.asarray(cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint8))
+        levels.append(np.asarray(cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint16))
     (x0, y0), ppm = drawing.corner_m, drawing.texels_per_m
     placed = []
     for level in levels:
@@ -57,30 +54,32 @@ def worn(deck: Deck, wear: float) -> WornDrawing:
     whole_from_near = (placed[0][1] @ np.linalg.inv(near_from_deck))[:2]
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     paint = cv2.warpAffine(drawing.paint, whole_from_near, (side, side), flags=flags, borderMode=cv2.BORDER_REFLECT)
-    near = _with_wear(np.asarray(paint, dtype=np.uint8), (-_NEAR_M, -_NEAR_M), _NEAR_PPM, deck.seed, wear)
+    near = _with_wear(np.asarray(paint, dtype=np.uint8), (-_NEAR_M, -_NEAR_M), _NEAR_PPM, deck.seed, wear, blend)
     return WornDrawing(((near, near_from_deck), *placed), ppm)
 
 
-def _with_wear(paint: U8, corner_m: tuple[float, float], texels_per_m: float, seed: int, wear: float) -> U8:
-    """Return a drawing with its wear as fourth channel: paint wears in patches of two texels or more."""
+def _with_wear(paint: U8, corner_m: tuple[float, float], texels_per_m: float, seed: int, wear: float, blend: str) -> U16:
+    """Return a drawing as pixels of a scene: paint wears in patches of two texels or more."""
     h, w = paint.shape[:2]
     rows, cols = (h + 1) // 2, (w + 1) // 2
     step = 2.0 / texels_per_m
     y, x = np.meshgrid(corner_m[1] + (np.arange(cols) + 0.5) * step, corner_m[0] + (np.arange(rows) + 0.5) * step)
     gain = 1.0 + wear * grain(seed).read(np.stack([x, y], axis=-1).astype(np.float32), step)
-    coarse = np.round(np.clip(WEAR_ONE * gain, 0.05 * WEAR_ONE, 255.0)).astype(np.uint8)
-    return np.dstack([paint, np.asarray(cv2.resize(coarse, (2 * cols, 2 * rows))[:h, :w], dtype=np.uint8)])
+    each = cv2.resize(np.clip(gain, 0.05, 64000.0 / SCENE_ONE).astype(np.float32), (2 * cols, 2 * rows))[:h, :w]
+    return np.asarray(np.round(scene_of(paint, blend) * each[..., None]), dtype=np.uint16)
 
 
 class DeckPainter:
     """Renders a deck through one lens."""
 
-    def __init__(self, lens: Lens, deck: Deck, light: Light) -> None:
+    def __init__(self, lens: Lens, deck: Deck, light: Light, blend: str) -> None:
         self._lens, self._deck, self._light = lens, deck, light
-        self._drawing = worn(deck, light.wear)
+        self._drawing = worn(deck, light.wear, blend)
         self._grain = grain(deck.seed)
         outline = deck.outline()
         self._rim = np.concatenate([outline, np.zeros((len(outline), 1))], axis=1)
+        self._side = np.roll(outline, -1, axis=0) - outline
+        self._border = np.c_[lens.border_rays, np.ones(len(lens.border_rays))]
         c, s = math.cos(deck.pad_yaw_rad), math.sin(deck.pad_yaw_rad)
         self._R_deck_pad = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -90,12 +89,12 @@ class DeckPainter:
 
     def fills(self, pad_from_ray: F64) -> bool:
         """Whether the deck certainly covers all of the frame; near its edges the answer may be False even so."""
-        q = np.c_[self._lens.border_rays, np.ones(len(self._lens.border_rays))] @ (self._R_deck_pad @ pad_from_ray).T
+        q = self._border @ (self._R_deck_pad @ pad_from_ray).T
         if q[:, 2].min() <= 0:
             return False
         p, corner = q[:, None, :2] / q[:, None, 2:], self._rim[:, :2]
-        side, off = np.roll(corner, -1, axis=0) - corner, p - corner
-        return bool((side[:, 0] * off[..., 1] - side[:, 1] * off[..., 0]).min() > 0)
+        off = p - corner
+        return bool((self._side[:, 0] * off[..., 1] - self._side[:, 1] * off[..., 0]).min() > 0)
 
     def mask(self, R_cam_pad: F64, t_cam_pad: F64) -> U8:
         """Return the deck's coverage of each pixel, (H, W), 0..255; OpenCV's drawing antialiases the edges."""
@@ -106,13 +105,15 @@ class DeckPainter:
             cv2.fillPoly(out, [fixed_point(uv)], 255, cv2.LINE_AA, SHIFT)
         return out
 
-    def paint(self, part: tuple[slice, slice], pad_from_ray: F64, footprint_m: float) -> U8:
-        """Return the paint and its wear (h, w, 4) where the rays of a part of the frame meet the deck.
+    def paint(self, scene: U16, part: tuple[slice, slice], pad_from_ray: F64, footprint_m: float, mask: U8 | None = None) -> None:
+        """Put the deck on a scene (H, W, 4) where the rays of a part of the frame meet it.
 
         Args:
+            scene: what lies around the deck.
             part: rows and columns.
             pad_from_ray: homography from rays to `pad`.
             footprint_m: size of a pixel on the deck.
+            mask: coverage of each pixel by the deck, (H, W) 0..255; None where it covers all.
         """
         drawing = self._drawing
         deck_from_ray = self._R_deck_pad @ pad_from_ray
@@ -122,12 +123,13 @@ class DeckPainter:
         if whole == 0 and footprint_m * _NEAR_PPM < 0.75 and self._near(deck_from_ray):
             level = 0
         image, texel_from_deck = drawing.levels[level]
-        index = self._lens.meet(texel_from_deck @ deck_from_ray, part)
-        corners = index[[0, 0, -1, -1], [0, -1, 0, -1]]
-        if np.abs(corners).max() > 1e4 or (deck_from_ray[2, :2] @ self._lens.corner_rays.T + deck_from_ray[2, 2]).min() <= 0:
-            # Near the horizon texels are far away; OpenCV's border mode would reflect them back one length at a time.
-            np.clip(index, -1e4, 1e4, out=index)
-        return np.asarray(cv2.remap(image, index, _NONE, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT), dtype=np.uint8)
+        cells = cv2.perspectiveTransform(self._lens.coarse, texel_from_deck @ deck_from_ray)
+        rows, columns = part
+        render_deck(
+            scene.shape[1], columns.start, columns.stop, rows.start, rows.stop,
+            address(cells, np.float32), cells.shape[1], address(image, np.uint16), *image.shape[:2],
+            address(mask, np.uint8, scene.shape[:2]), address(scene, np.uint16),
+        )  # fmt: skip
 
     def _near(self, deck_from_ray: F64) -> bool:
         """Whether all of the frame shows the pad's surroundings."""
@@ -162,6 +164,7 @@ _DRONE = (
     ),
 )
 """Hull and rotors of the drone, outlines (N, 3) m in `body`."""
+_DRONE_POINTS, _DRONE_SHAPES = np.concatenate(_DRONE), np.cumsum([len(shape) for shape in _DRONE])[:-1]
 
 
 def drone_shadow(
@@ -174,11 +177,9 @@ def drone_shadow(
     """
     if to_sun_pad[2] > -0.05 or p_body_pad[2] > -0.01:
         return None
-    cast = []
-    for shape in _DRONE:
-        p = shape @ R_pad_body.T + p_body_pad
-        cast.append((p - to_sun_pad * (p[:, 2:] / to_sun_pad[2])) @ R_cam_pad.T + t_cam_pad)
-    return soft_shadow(lens, cast, float(-p_body_pad[2] / -to_sun_pad[2]), float(t_cam_pad[2]))
+    p = _DRONE_POINTS @ R_pad_body.T + p_body_pad
+    cast = (p - to_sun_pad * (p[:, 2:] / to_sun_pad[2])) @ R_cam_pad.T + t_cam_pad
+    return soft_shadow(lens, np.split(cast, _DRONE_SHAPES), float(-p_body_pad[2] / -to_sun_pad[2]), float(t_cam_pad[2]))
 
 
 def soft_shadow(lens: Lens, polygons_cam: list[F64], away_m: float, depth_m: float) -> tuple[U8, slice, slice] | None:
@@ -203,7 +204,7 @@ def soft_shadow(lens: Lens, polygons_cam: list[F64], away_m: float, depth_m: flo
     if x1 - x0 < 2 or y1 - y0 < 2:
         return None
     # A blurred shape needs no more resolution than its blur.
-    coarser = 4 if sigma >= 3.2 else 2 if sigma >= 1.6 else 1
+    coarser = 4 if sigma >= 2.4 else 2 if sigma >= 0.9 else 1
     size = (max(2, (x1 - x0) // coarser), max(2, (y1 - y0) // coarser))
     scale = np.array([size[0] / (x1 - x0), size[1] / (y1 - y0)])
     canvas = np.zeros(size[::-1], np.uint8)
@@ -215,8 +216,16 @@ def soft_shadow(lens: Lens, polygons_cam: list[F64], away_m: float, depth_m: flo
     return np.asarray(cv2.resize(soft, (x1 - x0, y1 - y0)), np.uint8), slice(y0, y1), slice(x0, x1)
 
 
-def draw(canvas: U8, lens: Lens, points_cam: F64, rgb: RGB) -> None:
-    """Fill a polygon (N, 3) m in `cam` on the frame, antialiased by OpenCV's drawing."""
+def draw(scene: U16, lens: Lens, points_cam: F64, colour: U16) -> None:
+    """Fill a polygon (N, 3) m in `cam` on a scene (H, W, 4), antialiased by OpenCV's drawing."""
     uv = lens.outline(points_cam, 6)
-    if len(uv) >= 3:
-        cv2.fillPoly(canvas, [fixed_point(uv)], rgb[::-1], cv2.LINE_AA, SHIFT)
+    if len(uv) < 3:
+        return
+    h, w = scene.shape[:2]
+    x0, y0 = (int(np.clip(math.floor(low) - 1, 0, most)) for low, most in zip(uv.min(axis=0), (w, h), strict=True))
+    x1, y1 = (int(np.clip(math.ceil(high) + 2, 0, most)) for high, most in zip(uv.max(axis=0), (w, h), strict=True))
+    if x1 <= x0 or y1 <= y0:
+        return
+    mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    cv2.fillPoly(mask, [fixed_point(uv - (x0, y0))], 255, cv2.LINE_AA, SHIFT)
+    render_fill(w, x0, x1, y0, y1, address(mask, np.uint8), address(colour, np.uint16, (4,)), address(scene, np.uint16))

@@ -10,40 +10,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from sitl.light import I16
-from sitl.projection import CELL_PX, F32, Lens
+from estimator.core.interface import CELL_PX, GAIN_ONE
+from sitl.light import I16, U16
+from sitl.native import address, render_deck, render_smear
+from sitl.projection import F32, Lens
 from sitl.render_pad import Pose, in_row, pad_from_ray
 
-U8 = NDArray[np.uint8]
 
-GAIN_ONE = 16384
-"""Value of a factor of one on the light."""
-
-
-def smear(canvas: U8, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64, F64]]) -> U8:
-    """Return the scenery blurred along its motion in the middle of the frame, if that is a pixel or more."""
+def smear(scene: U16, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64, F64]]) -> U16:
+    """Return the scenery (H, W, 4) blurred along its motion in the middle of the frame, if that is a pixel or more."""
     camera = lens.camera
     R, t = middle
     axis = np.array([0.0, 0.0, 1.0])
     depth = float(R[:, 2] @ t) / max(0.05, float(R[:, 2] @ axis))
     if not 0 < depth < 1e4:
-        return canvas
+        return scene
     on_pad = R.T @ (axis * depth - t)
     uv = camera.project(np.stack([r @ on_pad + p for r, p in ends]))
     way = uv[1] - uv[0]
     length = float(np.hypot(*way))
     if not length >= 1.0:
-        return canvas
+        return scene
     way = way * min(1.0, 31.0 / length)
     half = math.floor(min(length, 31.0) / 2) + 1
-    kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
+    kernel = np.zeros((2 * half + 1, 2 * half + 1))
     for s in (np.arange(64) + 0.5) / 64 - 0.5:
         x, y = half + way[0] * s, half + way[1] * s
         i, j = math.floor(x), math.floor(y)
         fx, fy = x - i, y - j
         for dj, di, share in ((0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy)):
             kernel[j + dj, i + di] += share / 64
-    return np.asarray(cv2.filter2D(canvas, -1, kernel, borderType=cv2.BORDER_REPLICATE), dtype=np.uint8)
+    weights = np.floor(65536.0 * kernel)
+    rows, columns = np.nonzero(weights)
+    shifts = np.stack([columns - half, rows - half], axis=1).astype(np.int32)
+    taps = weights[rows, columns].astype(np.uint16)
+    h, w = scene.shape[:2]
+    smeared = np.empty_like(scene)
+    render_smear(
+        h, w, address(scene, np.uint16), len(taps), address(shifts, np.int32), address(taps, np.uint16), half,
+        address(smeared, np.uint16),
+    )  # fmt: skip
+    return smeared
 
 
 def vignette(lens: Lens, loss: float) -> I16:
@@ -54,7 +61,7 @@ def vignette(lens: Lens, loss: float) -> I16:
 
 
 def row_map(lens: Lens, first: Pose, middle: Pose, last: Pose) -> F32 | None:
-    """Return where in the frame of one instant each pixel of a rolling shutter looks, (H, W, 2) px; the deck's plane is seen.
+    """Return where in the frame of one instant a rolling shutter looks, px; the deck's plane is seen.
 
     Args:
         first: pose of the pad while the first row is exposed.
@@ -62,14 +69,14 @@ def row_map(lens: Lens, first: Pose, middle: Pose, last: Pose) -> F32 | None:
         last: pose while the last row is exposed.
 
     Returns:
-        None if the deck's plane is not in front of the camera.
+        Positions for the cells of `Lens.coarse`, (R, C, 2), or None if the deck's plane is not in front of the camera.
     """
     R, t = middle
     if not float(R[:, 2] @ t) > 0.02:
         return None
     coarse, c = lens.coarse, lens.camera
     s = (CELL_PX * np.arange(-1, len(coarse) - 1) + (CELL_PX - 1) / 2) * 2.0 / (c.height - 1) - 1.0
-    M = in_row(pad_from_ray(first), pad_from_ray(middle), pad_from_ray(last), s.astype(np.float32)[:, None])
+    M = in_row(pad_from_ray(first, middle, last), s.astype(np.float32)[:, None])
     x, y = coarse[..., 0], coarse[..., 1]
     q = [M[i, 0] * x + M[i, 1] * y + M[i, 2] for i in range(3)]
     there = np.stack([R[:, 0], R[:, 1], t], axis=1).astype(np.float32) @ np.stack(q).reshape(3, -1)
@@ -77,9 +84,18 @@ def row_map(lens: Lens, first: Pose, middle: Pose, last: Pose) -> F32 | None:
     # Beyond the horizon the plane says nothing: those pixels look where they are.
     at = np.stack(np.meshgrid(*(CELL_PX * np.arange(-1, n - 1) + (CELL_PX - 1) / 2 for n in coarse.shape[1::-1])), axis=-1)
     sane = np.isfinite(uv).all(axis=-1) & (np.abs(uv - at).max(axis=-1) < 60.0) & (q[2] > 0) & (there[2] > 0).reshape(q[2].shape)
-    return lens.spread(np.where(sane[..., None], uv, at).astype(np.float32))
+    return np.where(sane[..., None], uv, at).astype(np.float32)
+
+
+def moved_scene(scene: U16, cells: F32) -> U16:
+    """Return a scene (H, W, 4) as the rows of a rolling shutter see it; `cells` are the result of `row_map`."""
+    h, w = scene.shape[:2]
+    seen = np.empty_like(scene)
+    out = address(seen, np.uint16)
+    render_deck(w, 0, w, 0, h, address(cells, np.float32), cells.shape[1], address(scene, np.uint16), h, w, 0, out)
+    return seen
 
 
 def moved(image: NDArray[Any], rows: F32) -> NDArray[Any]:
-    """Return an image as the rows of a rolling shutter see it."""
+    """Return an image as the rows of a rolling shutter see it; `rows` are the positions for all pixels, (H, W, 2)."""
     return np.asarray(cv2.remap(image, rows, np.empty(0, np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))

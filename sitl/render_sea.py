@@ -9,18 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from sitl.light import Light
-from sitl.projection import CELL_PX, F32, SHIFT, Lens, fixed_point
+from estimator.core.interface import CELL_PX
+from sitl.light import U16, Light, scene_of
+from sitl.native import address, render_sea, render_water
+from sitl.projection import F32, FAR_M, SHIFT, Lens, fixed_point
 from sitl.surroundings import Surroundings
 from sitl.textures import foam, ripples
 
-U8 = NDArray[np.uint8]
+_SKY = (214, 200, 186)
+"""Colour of the sky at the horizon, BGR."""
 
 
 class SeaPainter:
     """Renders the sea's surface through one lens. It lies in the plane of calm water; waves show only by their slope."""
 
-    def __init__(self, lens: Lens, surroundings: Surroundings, light: Light) -> None:
+    def __init__(self, lens: Lens, surroundings: Surroundings, light: Light, blend: str) -> None:
         self._lens, self._around = lens, surroundings
         waves = surroundings.waves
         self._swell = waves.longest(24) if waves is not None and float(waves.hs_m[0]) > 0 else None
@@ -31,48 +34,55 @@ class SeaPainter:
         self._to_sun = np.array(
             [cos_e * math.cos(light.sun_azimuth_rad), cos_e * math.sin(light.sun_azimuth_rad), -math.sin(light.sun_elevation_rad)]
         )
-        self._table = _water_table(surroundings.water)
+        self._table, self._sky = scene_of(_water_table(surroundings.water), blend), scene_of(_SKY, blend)
         self._ripples, self._foam = ripples(surroundings.seed), foam(surroundings.seed)
 
-    def paint(self, R_ned_cam: F64, p_cam_ned: F64, t_s: float, rows: slice, cols: slice, ship: list[F64]) -> U8:
-        """Return (h, w, 3) BGR of the part `rows`, `cols` of the frame, which begin and end at even numbers.
+    def paint(self, scene: U16, R_ned_cam: F64, p_cam_ned: F64, t_s: float, rows: slice, cols: slice, ship: list[F64]) -> None:
+        """Paint the part `rows`, `cols` of a scene (H, W, 4); they begin and end at even numbers.
 
         Args:
             ship: outlines on the water, (N, 3) m ned: none, or the hull at the waterline, its shadow, and its wake if it makes
                 way.
         """
         lens = self._lens
-        h, w = rows.stop - rows.start, cols.stop - cols.start
+        h, w = (rows.stop - rows.start) // 2, (cols.stop - cols.start) // 2
         plane = np.stack([R_ned_cam[0], R_ned_cam[1], -(R_ned_cam.T @ p_cam_ned)], axis=1)
         inverse = lens.plane_from_ray(plane)
         if inverse is None or p_cam_ned[2] > 0:
-            return np.full((h, w, 3), self._table[90, 0], np.uint8)
-        # Water has no sharp edges: rendering at half the resolution takes a quarter of the time.
-        where = lens.meet_halves(inverse, (rows, cols))
-        half = where.shape[1::-1]
+            scene[rows, cols] = self._table[90]
+            return
         footprint = 2.0 * -float(p_cam_ned[2]) / lens.camera.fx
-        slow = cv2.resize(self._slow(R_ned_cam, inverse, t_s, rows, cols), half)
-        level, glint = slow[..., 0], slow[..., 1]
+        cells = np.clip(cv2.perspectiveTransform(lens.coarse, inverse), -FAR_M, FAR_M)
+        slow = cv2.resize(self._slow(R_ned_cam, inverse, t_s, rows, cols), (w, h))
+        shade, white = self._ship_on_water(footprint, R_ned_cam, p_cam_ned, rows, cols, ship) if ship else (None, None)
         wind = 1.1 * t_s
-        small = self._ripples.read(where, footprint, 0.43, (-0.5 * wind, -0.35 * wind))
-        large = self._ripples.read(where, footprint, 1.9, (-0.3 * wind, -0.9 * wind))
-        rough = self._roughness
-        value: F32 = np.asarray(cv2.addWeighted(small, 0.6 * rough, large, 0.8 * rough, 0.0), dtype=np.float32)
-        value *= glint
-        value += level
-        if math.isfinite(self._whitecaps):
-            caps = self._foam.read(where, footprint, 1.0, (-0.4 * wind, -0.4 * wind))
-            caps = np.clip((caps + 0.5 * large - np.float32(self._whitecaps)) * np.float32(3.0), 0.0, 1.0)
-            value += np.float32(120.0) * caps
-        if ship:
-            self._ship_on_water(value, where, footprint, R_ned_cam, p_cam_ned, rows, cols, t_s, ship)
-        codes = cv2.convertScaleAbs(np.maximum(value, np.float32(0.0), out=value))
-        painted = cv2.applyColorMap(cv2.resize(codes, (w, h)), self._table)
+        # Ripples of two sizes, whitecaps, and the streaks of foam beside the ship.
+        layers = [
+            self._ripples.layer(footprint, 0.43, (-0.5 * wind, -0.35 * wind)),
+            self._ripples.layer(footprint, 1.9, (-0.3 * wind, -0.9 * wind)),
+            self._foam.layer(footprint, 1.0, (-0.4 * wind, -0.4 * wind)),
+            self._foam.layer(footprint, 0.25, (-0.2 * t_s, 0.1 * t_s)),
+        ]
+        drift = np.array([where for _, where in layers])
+        sizes = np.array([len(texels) - 1 for texels, _ in layers], np.int32)
+        breaking = math.isfinite(self._whitecaps)
+        weights = np.array(
+            [0.6 * self._roughness, 0.8 * self._roughness, self._whitecaps if breaking else 0.0, 120.0 * breaking], np.float32
+        )
+        codes = np.empty((h, w), np.uint8)
+        render_sea(
+            cols.start // 2, cols.stop // 2, rows.start // 2, rows.stop // 2, address(cells, np.float32), cells.shape[1],
+            *(address(texels, np.float32) for texels, _ in layers), address(sizes, np.int32), address(drift, np.float64),
+            address(weights, np.float32), address(slow, np.float32, (h, w, 2)), address(shade, np.float32, (h, w)),
+            address(white, np.float32, (h, w)), address(codes, np.uint8),
+        )  # fmt: skip
+        part = cols.start, cols.stop, rows.start, rows.stop
+        colours = address(self._table, np.uint16, (256, 4))
+        render_water(scene.shape[1], *part, address(codes, np.uint8), colours, address(scene, np.uint16))
         below = lens.corner_rays @ R_ned_cam[2, :2] + R_ned_cam[2, 2]
         if below.min() < 0.02:
             down = lens.rays[rows, cols] @ R_ned_cam[2, :2].astype(np.float32) + np.float32(R_ned_cam[2, 2])
-            painted[down < 0.02] = (214, 200, 186)
-        return np.asarray(painted, dtype=np.uint8)
+            scene[rows, cols][down < 0.02] = self._sky
 
     def _slow(self, R_ned_cam: F64, inverse: F64, t_s: float, rows: slice, cols: slice) -> F32:
         """Return brightness level and ripple contrast, (R, C, 2), each 16 pixels, from swell, mirrored sky and sun."""
@@ -92,15 +102,18 @@ class SeaPainter:
         return np.stack([level + 22.0 * glitter, 26.0 + 70.0 * glitter], axis=-1).astype(np.float32)
 
     def _ship_on_water(
-        self, value: F32, where: F32, footprint: float, R_ned_cam: F64, p_cam_ned: F64, rows: slice, cols: slice, t_s: float,
-        ship: list[F64],
-    ) -> None:  # fmt: skip
-        h, w = value.shape
+        self, footprint: float, R_ned_cam: F64, p_cam_ned: F64, rows: slice, cols: slice, ship: list[F64]
+    ) -> tuple[F32 | None, F32 | None]:
+        """Return the share of light that the ship's shadow takes from the water, and the brightness of foam beside and behind it.
+
+        Both are for squares of 2 x 2 pixels; None where there is none in the part of the frame.
+        """
+        w, h = (cols.stop - cols.start) // 2, (rows.stop - rows.start) // 2
         small = (max(2, w // 2), max(2, h // 2))
         scale = (small[0] / (cols.stop - cols.start), small[1] / (rows.stop - rows.start))
 
         def mask(points_ned: F64, sigma: float, most: float) -> F32 | None:
-            """Return the polygon with a soft edge, `most` inside, (h, w)."""
+            """Return the polygon with a soft edge, `most` inside, a quarter of the part's size."""
             uv = self._lens.outline((points_ned - p_cam_ned) @ R_ned_cam, 4)
             if not len(uv):
                 return None
@@ -108,23 +121,20 @@ class SeaPainter:
             here = (uv - (cols.start, rows.start)) * scale
             cv2.fillPoly(canvas, [fixed_point(here)], 255, cv2.LINE_8, SHIFT)
             size = 2 * math.ceil(1.7 * sigma) + 1
-            soft = cv2.resize(cv2.blur(cv2.blur(canvas, (size, size)), (size, size)), (w, h))
+            soft = cv2.blur(cv2.blur(canvas, (size, size)), (size, size))
             return soft * np.float32(most / 255.0)
 
         px_per_m = 0.5 / footprint
-        shadow = mask(ship[1], float(np.clip(0.06 * px_per_m, 0.6, 12.0)), 0.5)
-        if shadow is not None:
-            value *= np.float32(1.0) - shadow
+        shade = mask(ship[1], float(np.clip(0.06 * px_per_m, 0.6, 12.0)), 0.5)
         wash = mask(ship[0], float(np.clip(0.10 * px_per_m, 0.6, 20.0)), 55.0 if len(ship) == 2 else 110.0)
         wake = mask(ship[2], float(np.clip(0.25 * px_per_m, 0.8, 30.0)), 130.0) if len(ship) > 2 else None
         white = wash if wake is None else wake if wash is None else wash + wake
-        if white is not None:
-            streaks = self._foam.read(where, footprint, 0.25, (-0.2 * t_s, 0.1 * t_s))
-            value += white * np.clip(streaks * np.float32(0.5) + np.float32(0.35), 0.0, 1.0)
+        each = (None if part is None else np.asarray(cv2.resize(part, (w, h)), dtype=np.float32) for part in (shade, white))
+        return next(each), next(each)
 
 
-def _water_table(water: tuple[int, int, int]) -> U8:
-    """Return the (256, 1, 3) BGR colours from troughs through mirrored sky to foam."""
+def _water_table(water: tuple[int, int, int]) -> NDArray[np.uint8]:
+    """Return the (256, 3) BGR colours from troughs through mirrored sky to foam."""
     r, g, b = water
     stops = [0, 50, 110, 175, 225, 255]
     red = [0.35 * r, r, 1.9 * r + 12, 138, 208, 240]
@@ -132,4 +142,4 @@ def _water_table(water: tuple[int, int, int]) -> U8:
     blue = [0.50 * b, b, 1.30 * b + 18, 178, 222, 244]
     v = np.arange(256)
     table = np.stack([np.interp(v, stops, channel) for channel in (blue, green, red)], axis=-1)
-    return np.clip(np.round(table), 0, 255).astype(np.uint8)[:, None]
+    return np.clip(np.round(table), 0, 255).astype(np.uint8)

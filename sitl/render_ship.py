@@ -6,14 +6,15 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from sitl.light import U16, scene_of
 from sitl.projection import Lens
 from sitl.render_deck import draw
 from sitl.surroundings import Deck
 
-U8 = NDArray[np.uint8]
+_SIDE = (74, 58, 46)
+"""Paint of the hull's sides, BGR."""
 
 
 def on_water(deck: Deck, rim_ned: F64, R_ned_pad: F64, to_sun: F64, wake_speed_m_s: float) -> list[F64]:
@@ -45,7 +46,7 @@ def on_water(deck: Deck, rim_ned: F64, R_ned_pad: F64, to_sun: F64, wake_speed_m
     return out
 
 
-def hull_side(canvas: U8, lens: Lens, rim_ned: F64, line: F64, R_ned_cam: F64, p_cam_ned: F64) -> None:
+def hull_side(scene: U16, lens: Lens, rim_ned: F64, line: F64, R_ned_cam: F64, p_cam_ned: F64, blend: str) -> None:
     """Paint the sides of the hull between the deck's rim and the waterline, both (N, 3) m, where the camera sees them."""
     rim = rim_ned
     below = np.roll(line, -1, axis=0)
@@ -53,4 +54,4 @@ def hull_side(canvas: U8, lens: Lens, rim_ned: F64, line: F64, R_ned_cam: F64, p
     outward = along[:, [1, 2, 0]] * down[:, [2, 0, 1]] - along[:, [2, 0, 1]] * down[:, [1, 2, 0]]
     for i in np.nonzero(((rim - p_cam_ned) * outward).sum(axis=1) < 0)[0]:
         quad = np.array([rim[i], rim[(i + 1) % len(rim)], below[i], line[i]])
-        draw(canvas, lens, (quad - p_cam_ned) @ R_ned_cam, (46, 58, 74))
+        draw(scene, lens, (quad - p_cam_ned) @ R_ned_cam, scene_of(_SIDE, blend))

@@ -25,6 +25,21 @@ class Tile:
             n = level.shape[0] // 2
             level = level.reshape(n, 2, n, 2).mean(axis=(1, 3))
 
+    def level(self, footprint_m: float, stretch: float = 1.0) -> F32:
+        """Return the texels, (n + 1, n + 1) with the first row and column repeated, that are of about the size of a pixel.
+
+        Args:
+            footprint_m: size of a pixel on the plane.
+            stretch: factor on the length of the tile's side.
+        """
+        finest = self.side_m * stretch / (self._levels[0].shape[0] - 1)
+        return self._levels[min(len(self._levels) - 1, max(0, round(math.log2(max(footprint_m / finest, 1e-3)))))]
+
+    def layer(self, footprint_m: float, stretch: float, shift_m: tuple[float, float]) -> tuple[F32, tuple[float, float, float]]:
+        """Return `level`, and what turns positions on the plane into periods of the tile: periods a metre, and the shift."""
+        side_m = self.side_m * stretch
+        return self.level(footprint_m, stretch), (1.0 / side_m, shift_m[0] / side_m, shift_m[1] / side_m)
+
     def read(self, where_m: F32, footprint_m: float, stretch: float = 1.0, shift_m: tuple[float, float] = (0.0, 0.0)) -> F32:
         """Return the texture's values, (H, W), at positions (H, W, 2) m on the plane.
 
@@ -34,9 +49,7 @@ class Tile:
             stretch: factor on the length of the tile's side.
             shift_m: offset added to the positions, m.
         """
-        side_m = self.side_m * stretch
-        finest = side_m / (self._levels[0].shape[0] - 1)
-        level = self._levels[min(len(self._levels) - 1, max(0, round(math.log2(max(footprint_m / finest, 1e-3)))))]
+        side_m, level = self.side_m * stretch, self.level(footprint_m, stretch)
         n = level.shape[0] - 1
         t = where_m * np.float32(1.0 / side_m)
         # As complex numbers: numpy adds a pair to each of many pairs ten times slower.

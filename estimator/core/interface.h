@@ -42,6 +42,32 @@
 #define STATE_ALONE 0
 #define WITH_COVARIANCE 1
 #define WITH_AIDING 2
+#define GAIN_ONE 16384
+#define SCENE_ONE 32768
+#define CELL_PX 8
+#define BLUR_RADIUS_MAX 30
+#define SMEAR_MAX 256
+#define PAD_PAINTS 5
+#define PAD_EDGE 255
+#define STROKE_NUMBERS 36
+#define PAD_NONE 0
+#define PAD_RIM 1
+#define PAD_DISC 2
+#define PAD_ORANGE 3
+#define PAD_WHITE 4
+#define PAD_DISC_RADIUS 0
+#define PAD_RIM_INNER 1
+#define PAD_RING_OUTER 2
+#define PAD_RING_INNER 3
+#define PAD_ARROW_TIP 4
+#define PAD_ARROW_BASE 5
+#define PAD_ARROW_COS 6
+#define PAD_ARROW_SIN 7
+#define PAD_H_HALF_LENGTH 8
+#define PAD_H_HALF_WIDTH 9
+#define PAD_H_INNER 10
+#define PAD_BAR_HALF 11
+#define PAD_CLEAR_RADIUS 12
 
 typedef struct {
     int64_t hold_ns;
@@ -145,8 +171,29 @@ int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis);
 void kalman_predict(int32_t n, const double *P, const double *F, const double *Q, double *P_after);
 int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx, double *P_after, double *S, double *nis);
 
+/* render_deck.c */
+void render_deck(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const uint16_t *texels, int32_t texel_rows, int32_t texel_columns, const uint8_t *mask, uint16_t *scene);
+void render_fill(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *mask, const uint16_t *colour, uint16_t *scene);
+
+/* render_light.c */
+void render_expose(int32_t pixels, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int16_t *light);
+void render_mix(int32_t edges, const int32_t *where, const float *shares, const uint16_t *scene, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int16_t *light);
+void render_blur(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, uint16_t *scratch, int16_t *blurred);
+void render_frame(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const uint16_t *even, const int16_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
+
+/* render_pad.c */
+int32_t render_pad_kinds(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *whole, int32_t rolling, const float *pad, uint8_t *kinds, int32_t *edges);
+void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes, const float *stroke_numbers, int32_t rolling, const float *pad, int32_t fine, int32_t count, const int32_t *edges, float *shares);
+
+/* render_sea.c */
+void render_sea(int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const float *small_texels, const float *large_texels, const float *caps_texels, const float *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, const float *shade, const float *white, uint8_t *codes);
+void render_water(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours, uint16_t *scene);
+
+/* render_smear.c */
+void render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights, int32_t reach, uint16_t *smeared);
+
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 4122753365u
+#define INTERFACE_DIGEST 4205438129u
 #endif
 
 #endif

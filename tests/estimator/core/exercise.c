@@ -162,6 +162,8 @@ static void gate(int m, double poison)
     free(S);
 }
 
+#include "exercise_render.h"
+
 int main(void)
 {
     printf("core_digest %u\n", core_digest());
@@ -180,5 +182,6 @@ int main(void)
         fly(surface, 3, -1e300);
     }
     printf("filter_run filter_propagate filter_settle\n");
+    renderer();
     return 0;
 }

@@ -1,0 +1,100 @@
+/* The renderer's functions with random scenes of many sizes, each array exactly as long as it must be. */
+
+static void *room(size_t bytes)
+{
+    unsigned char *made = malloc(bytes);
+    for (size_t i = 0; i < bytes; i++) {
+        made[i] = (unsigned char)rand();
+    }
+    return made;
+}
+
+static float *floats(int n, float scale)
+{
+    float *made = malloc((size_t)n * sizeof(float));
+    for (int i = 0; i < n; i++) {
+        made[i] = scale * (float)uniform();
+    }
+    return made;
+}
+
+static int16_t *light_of(int n)
+{
+    int16_t *made = room((size_t)n * 2);
+    for (int i = 0; i < n; i++) {
+        made[i] &= 32767;
+    }
+    return made;
+}
+
+static void surface(int h, int w, float scale, int with_mask)
+{
+    const int columns = (w + CELL_PX - 1) / CELL_PX + 2, rows = (h + CELL_PX - 1) / CELL_PX + 2, tile = 16;
+    float *cells = floats(2 * rows * columns, scale), *slow = floats(h * w / 2, 300.0f), *shade = floats(h * w / 4, 1.0f);
+    float *texels = floats((tile + 1) * (tile + 1), 3.0f);
+    uint16_t *scene = room((size_t)h * w * 8), *drawing = room(8 * 20 * 30), *smeared = room((size_t)h * w * 8);
+    uint8_t *mask = room((size_t)h * w), *codes = room((size_t)h * w / 4), *colour = room(256 * 8);
+    const int32_t sizes[4] = {tile, tile, tile, tile}, shifts[6] = {-3, 2, 0, 0, 3, -2};
+    const uint16_t weights[3] = {20000, 25535, 20000};
+    const double drift[12] = {0.3, 1e3, -1e3, 2.0, 0.1, 0.2, 1.0, 0.0, 0.0, 4.0, -0.5, 0.5};
+    const float strength[4] = {0.5f, 0.8f, 1.0f, 120.0f};
+    render_deck(w, 1, w - 1, 1, h - 1, cells, columns, drawing, 20, 30, with_mask ? mask : 0, scene);
+    render_fill(w, 0, w, 0, h, mask, (const uint16_t *)colour, scene);
+    render_smear(h, w, scene, 3, shifts, weights, 3, smeared);
+    render_sea(0, w / 2, 0, h / 2, cells, columns, texels, texels, texels, texels, sizes, drift, strength, slow,
+               with_mask ? shade : 0, with_mask ? shade : 0, codes);
+    render_water(w, 0, w, 0, h, codes, (const uint16_t *)colour, scene);
+    void *all[] = {cells, slow, shade, texels, scene, drawing, smeared, mask, codes, colour};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
+        free(all[i]);
+    }
+}
+
+static void pad_in_light(int h, int w, float height_m, int rolling, int radius)
+{
+    const float drawing[] = {0.39f, 0.39f, 0.261f, 0.243f, 0.3f, 0.252f, 0.7071f, 0.7071f, 0.14f, 0.1f, 0.06f, 0.02f, 0.243f};
+    const float change[4] = {1.0f / 100.0f, 0.0f, 0.0f, 1.0f / 100.0f}, exposure[4] = {0.2f, 0.2f, 0.2f, 0.0f};
+    float *rays = malloc((size_t)h * w * 2 * sizeof(float)), *strokes = floats(2 * STROKE_NUMBERS, 0.02f);
+    for (int i = 0; i < h * w; i++) {
+        rays[2 * i] = ((float)(i % w) - 0.5f * (float)w) * change[0];
+        rays[2 * i + 1] = ((float)(i / w) - 0.5f * (float)h) * change[3];
+    }
+    for (int part = 0; part < 2 * STROKE_NUMBERS; part += 9) {
+        const float sign = part % STROKE_NUMBERS == 9 ? 0.05f : 1.0f;
+        strokes[part] += sign;
+        strokes[part + 4] += sign;
+        strokes[part + 8] += sign / height_m;
+    }
+    const int values = 3 * w, stride = (values + 15) / 16 * 16;
+    uint8_t *kinds = room((size_t)h * w), *frame = room((size_t)h * values), *codes = room(65536);
+    int32_t *edges = room((size_t)h * w * 4);
+    uint16_t *scene = room((size_t)h * w * 8), *pad_scene = room(PAD_PAINTS * 8), *even = room(65536 * 2), *taps = room(62);
+    uint16_t *scratch = calloc((size_t)((2 * radius + 2) * stride + 6 * radius), 2);
+    int16_t *gain = light_of(h * w), *light = light_of(h * values + 1), *noise = (int16_t *)room((size_t)h * values * 2);
+    const int count = render_pad_kinds(h, w, rays, change, 0, strokes, rolling, drawing, kinds, edges);
+    float *shares = malloc((size_t)count * PAD_PAINTS * sizeof(float) + 1);
+    render_pad_shares(h, w, rays, change, 0, 2, strokes, rolling, drawing, 3, count, edges, shares);
+    render_expose(h * w, scene, kinds, gain, exposure, pad_scene, light);
+    render_mix(count, edges, shares, scene, gain, exposure, pad_scene, light);
+    for (int t = 0; t <= radius; t++) {
+        taps[t] = (uint16_t)(65535 / (2 * radius + 1));
+    }
+    render_frame(h, w, light, radius, taps, even, radius % 2 ? noise : 0, codes, scratch, frame);
+    render_blur(h, w, light, radius, taps, scratch, noise);
+    void *all[] = {rays, strokes, kinds, frame, codes, edges, scene, pad_scene, even, taps, scratch, gain, light, noise, shares};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
+        free(all[i]);
+    }
+}
+
+static void renderer(void)
+{
+    const float scales[] = {1.0f, 30.0f, 1e3f, 1e5f};
+    for (int i = 0; i < 24; i++) {
+        const int h = 2 * (2 + rand() % 20), w = 2 * (8 + rand() % 30);
+        surface(h, w, scales[i % 4], i % 3);
+        pad_in_light(h, w, 0.1f + 0.3f * (float)(i % 7), i % 2, i % (BLUR_RADIUS_MAX / 4));
+    }
+    printf("render_deck render_fill render_smear render_sea render_water render_pad_kinds render_pad_shares render_expose "
+           "render_mix render_frame render_blur\n");
+}
