@@ -16,7 +16,9 @@ from companion.cli.soak_plot import plot
 from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
+from sitl.ardrone.repeated_flights import faulty
 from sitl.machine_load import Load
+from sitl.scenario import load
 from tests.sitl.near import NEAR
 
 GOOD = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 50})
@@ -104,6 +106,23 @@ def test_the_plot_is_written_and_a_place_that_takes_none_is_named(tmp_path: Path
 def test_wrong_words_are_one_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["soak", *words]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_flight_that_failed_is_flown_again_by_its_fault_and_seed(capsys: pytest.CaptureFixture[str]) -> None:
+    """WHY: a seed selects another fault as soon as fault scenarios are added, so the seed alone does not tell the flight."""
+    outcomes = Outcomes([flown(Class.ON_PAD, 6), flown(Class.FAILED, 7, "a ferry; faults/link_lost_4_s")])
+    assert outcomes.in_words()[-1].endswith(
+        "decklander soak --virtual --flights 1 --seed 7 --fault faults/link_lost_4_s --no-cpu"
+    )
+    named = faulty(load("demo"), 7, virtual=True, name="faults/link_lost_4_s")
+    assert named.faults == load("faults/link_lost_4_s").faults
+    assert named.unreached_contacts
+    for words, why in (
+        (["--virtual", "--fault", "none"], "not a fault scenario"),
+        (["--fault", "link_lost_4_s"], "needs --virtual"),
+    ):
+        assert cli.main(["soak", *words]) == 2
+        assert why in capsys.readouterr().err
 
 
 def test_a_virtual_soak_names_the_flight_that_failed(

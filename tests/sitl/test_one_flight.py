@@ -10,11 +10,13 @@ from companion.cli import main as cli
 from companion.config.settings import load as load_settings
 from companion.guidance.mission import State
 from companion.runtime.make_pilot import make_pilot
+from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.errors import BadInput
+from sitl.ardrone.repeated_flights import faulty
 from sitl.flight import Flight
 from sitl.one_flight import TRUTH_EACH, fly, perception_level, settings_for
 from sitl.safety import Grade
-from sitl.scenario import Scenario, from_mapping
+from sitl.scenario import Scenario, from_mapping, load
 from sitl.truth import Truth
 from tests.sitl.near import NEAR
 
@@ -74,3 +76,34 @@ def test_a_question_to_the_operator_that_is_open_when_time_ends_is_a_refusal() -
     assert flight.result().grade is Grade.FAILED
     flight.world.guidance_phase = State.ANOTHER_PAD.value
     assert flight.result().grade is Grade.REFUSED_RIGHTLY
+
+
+def test_a_flight_whose_guidance_still_tries_goes_on_in_overtime_and_no_other() -> None:
+    """WHY: a soak cut flights in their third try and called them failed."""
+    scenario = short(duration_limit_s=2.0)
+    settings = settings_for(scenario, None)
+    cut, whole = (fly("near", scenario, 3, settings, "truth", overtime_s=longer_s) for longer_s in (0.0, 30.0))
+    assert (cut.outcome, cut.duration_s) == (None, 2.0)
+    assert whole.outcome is FlightOutcome.LANDED
+    held = [{"kind": "operator", "order": "hold", "at_s": 1.0}]
+    paused = short(duration_limit_s=2.0, faults=held, expect="hold", because="a person holds it")
+    assert fly("near", paused, 3, settings, "truth", overtime_s=30.0).duration_s == 2.0
+
+
+def test_a_link_lost_in_the_descent_ends_on_the_pad_and_what_touched_meanwhile_is_told() -> None:
+    """WHY: it landed by itself up to 1.8 m beside the pad, while guidance took itself to be two metres up."""
+    scenario = faulty(load("demo"), 5028, virtual=True, name="link_lost_4_s")
+    ending = fly("demo", scenario, 5028, settings_for(scenario, None), "truth")
+    assert ending.judged is not None
+    assert ending.outcome is FlightOutcome.LANDED
+    assert ending.judged.unsafe == ()
+    assert ending.judged.contacts_outside_commit == 1, "two seconds with the last command end on the deck; it is counted"
+    assert "touched the deck" in ending.judged.because
+
+
+def test_a_sea_that_rises_faster_than_the_drone_climbs_does_not_reach_it_at_the_gate() -> None:
+    scenario = load("sea_state_5")
+    ending = fly("sea_state_5", scenario, 204, settings_for(scenario, None), "truth")
+    assert ending.judged is not None
+    assert ending.judged.contacts_outside_commit == 0
+    assert ending.outcome is FlightOutcome.LANDED
