@@ -48,10 +48,16 @@ def missing(ratios: InnovationRatios, cov_ned: F64) -> F64 | None:
     """Return the (3,) variance, m^2, by which the claimed one falls short along north, east, down; None if it does nowhere."""
     if len(ratios.t) < _NEEDED or ratios.t[-1] - ratios.t[0] < _SPAN_NS:
         return None
-    excess = np.median(np.array(ratios.values), axis=0) - RATIO_MAX
+    excess = np.array([_median(axis) for axis in zip(*ratios.values, strict=True)]) - RATIO_MAX
     if float(excess.max()) <= 0.0:
         return None
     return np.asarray(np.maximum(excess, 0.0) * np.diagonal(cov_ned))
+
+
+def _median(values: tuple[float, ...]) -> float:
+    """Return the median; numpy's takes ten times as long for the few values of a third of a second."""
+    ordered, half = sorted(values), len(values) // 2
+    return ordered[half] if len(values) % 2 else 0.5 * (ordered[half - 1] + ordered[half])
 
 
 def widened(P: F64, x: F64, var_ned: F64) -> F64:

@@ -56,6 +56,10 @@ _INTEGERS = ("t", "t_cov", "t_imu", "t_velocity", "sighted", "agreed")
 _MATRICES = ("R", "R_cov", "turned", "cov_levelled_by")
 _VECTORS = ("x", "ins_p", "ins_v")
 _TUPLES = ("dv", "dp", "w", "w_smooth", "f")
+_AID_INTEGERS = ("fused", "refused", "n", "since", "m", "axes")
+_AIDS = _BELIEF["aids"].start + _AID_SIZE * np.arange(KINDS)[:, None] + [_AID[name].start for name in _AID_INTEGERS]
+"""(KINDS, 6) places of the integers of every kind of aiding."""
+_NONE_GATHERED = (0, 0, 0, 0)
 _EVENT = struct.Struct("2q18d")
 _NO_VALUES = (0.0,) * 18
 _OUTCOME_WORDS = struct.Struct(f"3q{_OUTCOME_SIZE - 3}d")
@@ -76,11 +80,6 @@ class Words(NamedTuple):
         found = self.block[self.at : self.at + size]
         found.setflags(write=False)
         return found
-
-
-def _words_at(block: F64, at: int, start: int) -> Words:
-    """Return the words from an index of a block that begins at the address `start`."""
-    return Words(block, at, start + 8 * at)
 
 
 class PackedBelief:
@@ -137,15 +136,16 @@ class PackedBelief:
         P, slot_before = self.P, -1
         for i, slot in enumerate(block[_OUTCOME_SIZE : _OUTCOME_SIZE + done].view(np.int64).tolist()):
             if slot != slot_before:
-                P, slot_before = _words_at(covariances, slot * _P_SIZE, P_start), slot
-            made.append(PackedBelief(_words_at(block, at + i * _SIZE, start), P, self._rest))
+                P, slot_before = Words(covariances, slot * _P_SIZE, P_start + 8 * slot * _P_SIZE), slot
+            here = at + i * _SIZE
+            made.append(PackedBelief(Words(block, here, start + 8 * here), P, self._rest))
         return made, _outcome(block) if made else _WITHOUT_COMPARISON[Verdict.GATED]
 
     def propagated(self, t: int, noise: ProcessNoise, how_far: int) -> PackedBelief:
         """Return the belief at instant `t`, ns; `how_far` is one of `STATE_ALONE`, `WITH_COVARIANCE`, `WITH_AIDING`."""
         block = np.empty(_SIZE + _P_SIZE)
         start = start_of(block)
-        P = _words_at(block, _SIZE, start)
+        P = Words(block, _SIZE, start + 8 * _SIZE)
         changed = _PROPAGATE(noise.packed_address, how_far, t, self.numbers.address, self.P.address, start, P.address)
         return PackedBelief(Words(block, 0, start), P if changed else self.P, self._rest)
 
@@ -235,20 +235,21 @@ def _write(words: F64, b: Belief) -> None:
         integers[_BELIEF["is_levelled"]] = 1
         words[_BELIEF["levelled_by"]] = b.levelled_by.ravel()
     words[_BELIEF["wave_w"]], words[_BELIEF["wave_zeta"]], words[_BELIEF["wave_sigma"]] = b.sea.w_rad_s, b.sea.zeta, b.sea.sigma
+    integers[_AIDS] = [(aid.fused, aid.refused, *_gathered_integers(aid.gathered)) for aid in b.aids]
     for kind, aid in enumerate(b.aids):
-        at = _BELIEF["aids"].start + kind * _AID_SIZE
-        _write_aid(words[at : at + _AID_SIZE], kind, aid)
+        if aid.gathered is not None:
+            at = _BELIEF["aids"].start + kind * _AID_SIZE
+            _write_gathered(words[at : at + _AID_SIZE], kind, aid.gathered)
 
 
-def _write_aid(words: F64, kind: int, aid: Aid) -> None:
-    integers, some = words.view(np.int64), aid.gathered
-    integers[_AID["fused"]], integers[_AID["refused"]] = aid.fused, aid.refused
+def _gathered_integers(some: Gathered | None) -> tuple[int, int, int, int]:
     if some is None:
-        return
+        return _NONE_GATHERED
+    return some.n, some.since, len(some.innov), sum(1 << axis for axis in some.axes)
+
+
+def _write_gathered(words: F64, kind: int, some: Gathered) -> None:
     m = len(some.innov)
-    mask = sum(1 << axis for axis in some.axes)
-    for name, value in (("n", some.n), ("since", some.since), ("m", m), ("axes", mask)):
-        integers[_AID[name]] = value
     words[_AID["deck_weight"]] = some.deck_weight
     words[_AID["innov"]][:m] = some.innov
     for name, matrix in (("R", some.R), ("ambiguity", some.ambiguity), ("spread", some.spread)):
@@ -275,19 +276,18 @@ def _read(words: F64, P: F64, rest: Belief) -> Belief:
         levelled_by=words[_BELIEF["levelled_by"]].reshape(3, 3) if integers.item(_BELIEF["is_levelled"].start) else None,
         rejections=RejectionStreak(n, since, last, (x, y, z), words.item(_BELIEF["rejected_var_m2"].start)),
         aids=tuple(
-            [_read_aid(words[start + k * _AID_SIZE : start + (k + 1) * _AID_SIZE], k) for k in range(KINDS)],
+            [
+                Aid(_read_gathered(words[start + k * _AID_SIZE :], k, *gathered) if gathered[0] else None, fused, refused)
+                for k, (fused, refused, *gathered) in enumerate(integers[_AIDS].tolist())
+            ]
         ),
     )
 
 
-def _read_aid(words: F64, kind: int) -> Aid:
-    fused, refused, n, since, m, axes = words[: _AID["axes"].stop].view(np.int64).tolist()
-    if n == 0:
-        return Aid(None, fused, refused)
+def _read_gathered(words: F64, kind: int, n: int, since: int, m: int, axes: int) -> Gathered:
     H = np.zeros((m, N))
     columns = SAMPLE_COLUMNS[kind]
     H[:, columns] = words[_AID["H"]].reshape(3, COLUMNS_MAX)[:m, : len(columns)]
     R, ambiguity, spread = (words[_AID[name]][: m * m].reshape(m, m) for name in ("R", "ambiguity", "spread"))
     innov = tuple(words[_AID["innov"]][:m].tolist())
-    some = Gathered(n, since, _AXES[axes], words.item(_AID["deck_weight"].start), H, ambiguity, spread, innov, R)
-    return Aid(some, fused, refused)
+    return Gathered(n, since, _AXES[axes], words.item(_AID["deck_weight"].start), H, ambiguity, spread, innov, R)
