@@ -245,7 +245,7 @@ class Renderer:
             R_ned_pad = shot.R_ned_pad.matrix
             rim = self._deck.rim_pad() @ R_ned_pad.T + shot.p_pad_ned
             ship = on_water(self.surroundings.deck, rim, R_ned_pad, self._to_sun, self.surroundings.wake_speed_m_s)
-        self._sea.paint(scene, R_ned_cam, p_cam_ned, shot.t_s, rows, cols, ship)
+        self._sea.paint(scene, R_ned_cam, p_cam_ned, shot.t_s, (rows, cols), ship, mask)
         for on, polygons in self._decals:
             if on == "sea":
                 for points, colour in polygons:

@@ -16,6 +16,8 @@ from sitl.projection import F32, FAR_M, SHIFT, Lens, fixed_point
 from sitl.surroundings import Surroundings
 from sitl.textures import foam, ripples
 
+U8 = NDArray[np.uint8]
+
 _SKY = (214, 200, 186)
 """Colour of the sky at the horizon, BGR."""
 
@@ -37,14 +39,18 @@ class SeaPainter:
         self._table, self._sky = scene_of(_water_table(surroundings.water), blend), scene_of(_SKY, blend)
         self._ripples, self._foam = ripples(surroundings.seed), foam(surroundings.seed)
 
-    def paint(self, scene: U16, R_ned_cam: F64, p_cam_ned: F64, t_s: float, rows: slice, cols: slice, ship: list[F64]) -> None:
-        """Paint the part `rows`, `cols` of a scene (H, W, 4); they begin and end at even numbers.
+    def paint(
+        self, scene: U16, R_ned_cam: F64, p_cam_ned: F64, t_s: float, part: tuple[slice, slice], ship: list[F64], mask: U8 | None
+    ) -> None:
+        """Paint a part of a scene (H, W, 4).
 
         Args:
+            part: rows and columns, which begin and end at even numbers.
             ship: outlines on the water, (N, 3) m ned: none, or the hull at the waterline, its shadow, and its wake if it makes
                 way.
+            mask: how much of each pixel, (H, W) 0..255, something covers later; None if nothing does.
         """
-        lens = self._lens
+        lens, (rows, cols) = self._lens, part
         h, w = (rows.stop - rows.start) // 2, (cols.stop - cols.start) // 2
         plane = np.stack([R_ned_cam[0], R_ned_cam[1], -(R_ned_cam.T @ p_cam_ned)], axis=1)
         inverse = lens.plane_from_ray(plane)
@@ -69,16 +75,25 @@ class SeaPainter:
         weights = np.array(
             [0.6 * self._roughness, 0.8 * self._roughness, self._whitecaps if breaking else 0.0, 120.0 * breaking], np.float32
         )
-        codes = np.empty((h, w), np.uint8)
+        codes = np.zeros((h, w), np.uint8)
         render_sea(
+            *scene.shape[:2], address(mask, np.uint8, scene.shape[:2]),
             cols.start // 2, cols.stop // 2, rows.start // 2, rows.stop // 2, address(cells, np.float32), cells.shape[1],
             *(address(texels, np.float32) for texels, _ in layers), address(sizes, np.int32), address(drift, np.float64),
             address(weights, np.float32), address(slow, np.float32, (h, w, 2)), address(shade, np.float32, (h, w)),
             address(white, np.float32, (h, w)), address(codes, np.uint8),
         )  # fmt: skip
-        part = cols.start, cols.stop, rows.start, rows.stop
         colours = address(self._table, np.uint16, (256, 4))
-        render_water(scene.shape[1], *part, address(codes, np.uint8), colours, address(scene, np.uint16))
+        render_water(
+            scene.shape[1],
+            cols.start,
+            cols.stop,
+            rows.start,
+            rows.stop,
+            address(codes, np.uint8),
+            colours,
+            address(scene, np.uint16),
+        )
         below = lens.corner_rays @ R_ned_cam[2, :2] + R_ned_cam[2, 2]
         if below.min() < 0.02:
             down = lens.rays[rows, cols] @ R_ned_cam[2, :2].astype(np.float32) + np.float32(R_ned_cam[2, 2])

@@ -186,14 +186,14 @@ int32_t render_pad_kinds(int32_t h, int32_t w, const float *rays, const float *c
 void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes, const float *stroke_numbers, int32_t rolling, const float *pad, int32_t fine, int32_t count, const int32_t *edges, float *shares);
 
 /* render_sea.c */
-void render_sea(int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const float *small_texels, const float *large_texels, const float *caps_texels, const float *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, const float *shade, const float *white, uint8_t *codes);
+void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const float *small_texels, const float *large_texels, const float *caps_texels, const float *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, const float *shade, const float *white, uint8_t *codes);
 void render_water(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours, uint16_t *scene);
 
 /* render_smear.c */
 void render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights, int32_t reach, uint16_t *smeared);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 4205438129u
+#define INTERFACE_DIGEST 3807987922u
 #endif
 
 #endif

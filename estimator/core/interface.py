@@ -187,10 +187,10 @@ FUNCTIONS = (
     Function(
         "render_sea",
         "void",
-        "int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, "
-        "const float *small_texels, const float *large_texels, const float *caps_texels, const float *streak_texels, "
-        "const int32_t *sizes, const double *drift, const float *weights, const float *slow, const float *shade, "
-        "const float *white, uint8_t *codes",
+        "int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, "
+        "int32_t columns, const float *small_texels, const float *large_texels, const float *caps_texels, "
+        "const float *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, "
+        "const float *shade, const float *white, uint8_t *codes",
         "render_sea.c",
     ),
     Function(

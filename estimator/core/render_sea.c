@@ -98,10 +98,25 @@ static int any(const float *values, int32_t n)
     return 0;
 }
 
-void render_sea(int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns,
-                const float *small_texels, const float *large_texels, const float *caps_texels, const float *streak_texels,
-                const int32_t *sizes, const double *drift, const float *weights, const float *slow, const float *shade,
-                const float *white, uint8_t *codes)
+/* Whether something lies over all of the pixels around the squares `from` to `to` of a row, as far as interpolation reaches. */
+static int hidden(const uint8_t *mask, int32_t h, int32_t w, int32_t row, int32_t from, int32_t to)
+{
+    const int32_t left = 2 * from - 2 > 0 ? 2 * from - 2 : 0, right = 2 * to + 2 < w ? 2 * to + 2 : w;
+    const int32_t top = 2 * row - 2 > 0 ? 2 * row - 2 : 0, end = 2 * row + 4 < h ? 2 * row + 4 : h;
+    for (int32_t y = top; y < end; y++) {
+        for (int32_t x = left; x < right; x++) {
+            if (mask[(int64_t)y * w + x] != UINT8_MAX) {
+                return 0;
+            }
+        }
+    }
+    return 1;
+}
+
+void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells,
+                int32_t columns, const float *small_texels, const float *large_texels, const float *caps_texels, const float
+                *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, const
+                float *shade, const float *white, uint8_t *codes)
 {
     const tile small = tile_of(small_texels, sizes[0], drift), large = tile_of(large_texels, sizes[1], drift + 3);
     const tile caps = tile_of(caps_texels, sizes[2], drift + 6), streaks = tile_of(streak_texels, sizes[3], drift + 9);
@@ -116,8 +131,12 @@ void render_sea(int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cel
             a[0] = b[0];
             a[1] = b[1];
             place_at(upper, lower, f, cell + 1, b);
-            const walk on_small = walk_of(&small, a, b), on_large = walk_of(&large, a, b);
             const int32_t from = begin < x0 ? x0 : begin, to = begin + SPAN < x1 ? begin + SPAN : x1;
+            if (mask && hidden(mask, h, w, row, from, to)) {
+                i += to - from;
+                continue;
+            }
+            const walk on_small = walk_of(&small, a, b), on_large = walk_of(&large, a, b);
             float fine[SPAN], coarse[SPAN], cap[SPAN] = {0}, streak[SPAN] = {0};
             read_tile(&small, &on_small, fine);
             read_tile(&large, &on_large, coarse);

@@ -41,7 +41,7 @@ static void surface(int h, int w, float scale, int with_mask)
     render_deck(w, 1, w - 1, 1, h - 1, cells, columns, drawing, 20, 30, with_mask ? mask : 0, scene);
     render_fill(w, 0, w, 0, h, mask, (const uint16_t *)colour, scene);
     render_smear(h, w, scene, 3, shifts, weights, 3, smeared);
-    render_sea(0, w / 2, 0, h / 2, cells, columns, texels, texels, texels, texels, sizes, drift, strength, slow,
+    render_sea(h, w, with_mask ? mask : 0, 0, w / 2, 0, h / 2, cells, columns, texels, texels, texels, texels, sizes, drift, strength, slow,
                with_mask ? shade : 0, with_mask ? shade : 0, codes);
     render_water(w, 0, w, 0, h, codes, (const uint16_t *)colour, scene);
     void *all[] = {cells, slow, shade, texels, scene, drawing, smeared, mask, codes, colour};
