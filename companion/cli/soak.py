@@ -8,6 +8,7 @@ import json
 import sys
 import time
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from io import FileIO
@@ -40,6 +41,8 @@ from sitl.scenario import load as load_scenario
 
 WARM_UP_SHARE, WARM_UP_MOST_S = 0.2, 900.0
 """Warm-up as a share of the run, and its limit: textures, caches and the allocator's arenas are filled by then."""
+WARM_UP_FLIGHTS = 30
+"""Number of flights after which the faults have gone most ways through the code once, and its caches and arenas are full."""
 FRAME_RATES_HZ = (30, 60)
 OPERATOR_WAIT_S = 15.0
 """How long the pilot waits for an operator at most: nobody is there, and a scenario's time must not end before the wait."""
@@ -178,7 +181,7 @@ def run(args: argparse.Namespace) -> int:
             interrupted = why
     found = None
     if tally.readings:
-        found = findings(tally.readings, min(WARM_UP_MOST_S, WARM_UP_SHARE * tally.readings[-1].at_s))
+        found = findings(tally.readings, warm_up_s(tally.readings))
     extra: dict[str, Any] = {}
     if not args.no_cpu and interrupted is None:
         extra["start_s"] = start_time_s(args.config or "sim")
@@ -203,6 +206,14 @@ def flown_settings(scenario: Scenario, config: str | None) -> Settings:
     tries = msgspec.structs.replace(own, operator_wait_s=min(own.operator_wait_s, OPERATOR_WAIT_S))
     guidance = msgspec.structs.replace(settings.guidance, tries=tries)
     return msgspec.structs.replace(settings, service=service, guidance=guidance)
+
+
+def warm_up_s(readings: Sequence[Reading]) -> float:
+    """Return the length of the warm-up: a share of the run, and in a long one at least its first `WARM_UP_FLIGHTS` flights."""
+    usual_s = min(WARM_UP_MOST_S, WARM_UP_SHARE * readings[-1].at_s)
+    if readings[-1].flights < 2 * WARM_UP_FLIGHTS:
+        return usual_s
+    return max(usual_s, next(reading.at_s for reading in readings if reading.flights >= WARM_UP_FLIGHTS))
 
 
 def overtime_s(tries: TryOptions) -> float:
