@@ -297,7 +297,8 @@ class Pilot:
         """Process a sample. Return its fusion results, path by path."""
         self.operator.on_sample(sample)
         self._now = max(self._now, sample.stamp.received_at)
-        if not isinstance(sample, VesselReport):
+        of_ship = isinstance(sample, VesselReport) or (isinstance(sample, GeoFix) and sample.whose == "vessel")
+        if not of_ship:
             self._heard = sample.stamp.received_at
         if isinstance(sample, VehicleStatus):
             self._on_status(sample)

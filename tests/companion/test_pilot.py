@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,11 +11,15 @@ from hypothesis import strategies as st
 
 from companion.config.settings import camera_model, load, pad_model
 from companion.guidance.options import GuidanceOptions
+from companion.guidance.progress import Progress
+from companion.guidance.situation import GuidanceCycle
+from companion.runtime import pilot as pilot_module
 from companion.runtime.pilot import FlightOutcome, Pilot
 from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu, VehicleStatus
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, GeoFix, Imu, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
 from estimator.vision.options import TrackerOptions
@@ -188,3 +193,23 @@ def fly_until(cockpit: Cockpit, done: Callable[[], bool], seconds: float = 30.0)
         if done():
             return
     raise AssertionError(f"not within {seconds} s; phase {cockpit.pilot.phase}")
+
+
+def test_the_ship_s_own_word_does_not_break_the_vehicle_s_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    cockpit = Cockpit()
+    cockpit.tick(sighted=True)
+    cycles: list[GuidanceCycle] = []
+    step = pilot_module.mission_step
+
+    def seen(progress: Progress, s: GuidanceCycle, *args: Any, **kwargs: Any) -> Any:
+        cycles.append(s)
+        return step(progress, s, *args, **kwargs)
+
+    monkeypatch.setattr(pilot_module, "mission_step", seen)
+    for _ in range(50):
+        cockpit.now = now = after(cockpit.now, TICK_S)
+        stamp = Stamp(now, now, 0.001, "sim")
+        cockpit.pilot.on_sample(GeoFix(stamp, "vessel", GeoPoint(0.9, 0.1, 0.0), 2.0))
+        cockpit.pilot.on_sample(VesselReport(stamp, None, None, 0.5, 0.1))
+        cockpit.pilot.decide(now)
+    assert cycles[-1].silent_s == pytest.approx(50 * TICK_S)
