@@ -11,6 +11,7 @@ import hashlib
 import importlib
 import json
 import os
+import shutil
 import signal
 import sys
 import tempfile
@@ -20,8 +21,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from mutants import child
+from mutants.c_operators import c_mutants
 from mutants.operators import Mutant, mutants
 from mutants.table import TARGETS
+from supply import core
 
 ROOT = Path(__file__).parents[1]
 LIBRARIES = (
@@ -87,6 +90,8 @@ def judge(path: str, tests: Sequence[str], share: float, seed: int, *, root: Pat
     Raises:
         SystemExit: the tests fail on the original file.
     """
+    if path.endswith(".c"):
+        return judge_native(path, tests, share, seed, root=root)
     file = root / path
     source = file.read_text()
     name = path.removesuffix(".py").replace("/", ".")
@@ -119,6 +124,47 @@ def judge(path: str, tests: Sequence[str], share: float, seed: int, *, root: Pat
             print(f"  survives, line {mutant.line}: {mutant.change}", flush=True)
         else:
             tally.killed += 1
+    return tally
+
+
+def judge_native(path: str, tests: Sequence[str], share: float, seed: int, *, root: Path = ROOT) -> Tally:
+    """Test every mutant of one C file of the core, or a sample. The tests load a library that is built with it.
+
+    Raises:
+        SystemExit: the tests fail on the original file.
+    """
+    door = root / "estimator/core/library.py"
+    ids = [str(root / test) for test in tests]
+    tally = Tally(path)
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder, core.LIBRARY.name)
+        sources = Path(folder, "core")
+        shutil.copytree(root / "estimator/core", sources, ignore=shutil.ignore_patterns("*.so.*", "__pycache__"))
+        loading = f"{door.read_text()}".replace("CORE = load()", f"CORE = load({str(library)!r})")
+
+        def run() -> int | None:
+            return in_child(lambda: child.on_mutant("estimator.core.library", door, loading, ids), patience_s)
+
+        began, patience_s = time.monotonic(), 900.0
+        core.build(library, ["-O1"], sources)
+        if (code := run()) != 0:
+            sys.exit(f"{path}: its tests do not pass as it is (exit code {code}): {' '.join(tests)}")
+        patience_s = _PATIENCE_S + _PATIENCE * (time.monotonic() - began)
+        print(f"{path}: tests took {time.monotonic() - began:.0f} s", flush=True)
+        changed = sources / Path(path).name
+        for mutant in c_mutants(changed.read_text()):
+            if not chosen(path, mutant, share, seed):
+                continue
+            changed.write_text(mutant.source)
+            try:
+                core.build(library, ["-O1"], sources)
+            except core.BuildError:
+                continue
+            if run() == 0:
+                tally.survivors.append(mutant)
+                print(f"  survives, line {mutant.line}: {mutant.change}", flush=True)
+            else:
+                tally.killed += 1
     return tally
 
 

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 _GATE = ("tests/estimator/ekf/test_gate_bounds.py", "tests/estimator/ekf/test_gate.py")
+_CORE = ("tests/estimator/ekf/test_core.py", "tests/estimator/ekf/test_algebra.py")
 _INTEGRITY = ("tests/estimator/integrity",)
 
 TARGETS: dict[str, tuple[str, ...]] = {
+    "estimator/core/filter.c": _CORE,
+    "estimator/core/aiding.c": _CORE,
+    "estimator/core/propagate.c": _CORE,
+    "estimator/core/kalman.c": _CORE,
     "estimator/ekf/gate.py": _GATE,
     "estimator/ekf/process_event.py": (
         "tests/estimator/ekf/test_process_event_bounds.py",
@@ -21,6 +26,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/integrity/guard.py": _INTEGRITY,
     "estimator/integrity/clock.py": _INTEGRITY,
     "estimator/integrity/frames.py": _INTEGRITY,
+    "estimator/integrity/heading.py": _INTEGRITY,
     "estimator/integrity/heights.py": _INTEGRITY,
     "estimator/integrity/sensors.py": _INTEGRITY,
     "estimator/integrity/tracks.py": _INTEGRITY,
@@ -29,6 +35,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/watch.py": ("tests/companion/test_mission_flights.py",),
     "companion/guidance/limits.py": ("tests/companion/test_mission_flights.py",),
     "companion/guidance/attempt.py": ("tests/companion/test_mission_flights.py",),
+    "companion/guidance/clearance.py": ("tests/companion/test_clearance.py",),
     "companion/guidance/pid.py": ("tests/companion/test_pid_bounds.py", "tests/companion/test_pid.py"),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter_bounds.py", "tests/drivers/test_arbiter.py"),
     "drivers/ardrone/landing_watch.py": (

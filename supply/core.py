@@ -45,20 +45,21 @@ def compiler() -> list[str]:
     raise BuildError(NO_COMPILER)
 
 
-def build(out: Path = LIBRARY, extra: Sequence[str] = ()) -> Path:
+def build(out: Path = LIBRARY, extra: Sequence[str] = (), sources: Path = FOLDER) -> Path:
     """Compile the library. It replaces an older one at once, so that a process that runs keeps the file it has opened.
 
     Args:
         out: the file to write.
         extra: further flags for the compiler.
+        sources: the folder of the C files.
 
     Raises:
         BuildError: there is no compiler, or it refuses a source.
     """
-    sources = [str(path) for path in sorted(FOLDER.glob("*.c"))]
+    files = [str(path) for path in sorted(sources.glob("*.c"))]
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".core-") as folder:
         made = Path(folder, out.name)
-        command = [*compiler(), *FLAGS, "-shared", *extra, *sources, "-o", str(made), "-lm"]
+        command = [*compiler(), *FLAGS, "-shared", *extra, *files, "-o", str(made), "-lm"]
         done = subprocess.run(
             command, capture_output=True, text=True, check=False, env={**os.environ, "ZIG_LOCAL_CACHE_DIR": folder}
         )

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.config.settings import camera_model, load, pad_model
+from companion.guidance.mission_step import mission_step
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
-from companion.runtime import pilot as pilot_module
 from companion.runtime.pilot import FlightOutcome, Pilot
 from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.estimates import Sighting, Verdict
@@ -199,13 +199,12 @@ def test_the_ship_s_own_word_does_not_break_the_vehicle_s_silence(monkeypatch: p
     cockpit = Cockpit()
     cockpit.tick(sighted=True)
     cycles: list[GuidanceCycle] = []
-    step = pilot_module.mission_step
 
     def seen(progress: Progress, s: GuidanceCycle, *args: Any, **kwargs: Any) -> Any:
         cycles.append(s)
-        return step(progress, s, *args, **kwargs)
+        return mission_step(progress, s, *args, **kwargs)
 
-    monkeypatch.setattr(pilot_module, "mission_step", seen)
+    monkeypatch.setattr("companion.runtime.pilot.mission_step", seen)
     for _ in range(50):
         cockpit.now = now = after(cockpit.now, TICK_S)
         stamp = Stamp(now, now, 0.001, "sim")

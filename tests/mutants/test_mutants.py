@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from mutants.__main__ import chosen
+from mutants.c_operators import c_mutants
 from mutants.operators import Mutant, mutants
 from mutants.table import TARGETS
 
@@ -33,6 +34,32 @@ def test_each_change_is_one_and_texts_are_left_alone() -> None:
     assert all(m.source.count("told {1 + 1}") == 1 and "At most 2.0." in m.source for m in found)
     assert len({m.source for m in found}) == len(found)
     assert all(compile(m.source, "mutant", "exec") for m in found)
+
+
+C_SOURCE = """/* 1.0 + 2.0 */
+#define SIZE 3
+static const double LIMIT = 2.0;
+
+int good(const double *x, int n)
+{
+    double w[3] = {0.0};
+    w[0] = x[1] * -1.0;
+    return w[0] < LIMIT && n > 0;
+}
+"""
+
+
+def test_each_change_of_a_c_source_is_one_and_leaves_comments_and_sizes_alone() -> None:
+    found = list(c_mutants(C_SOURCE))
+    changes = {m.change for m in found}
+    assert "w[0] = x[1] * -1.0;  ->  w[0] = x[1] / -1.0;" in changes
+    assert "return w[0] < LIMIT && n > 0;  ->  return w[0] <= LIMIT && n > 0;" in changes
+    assert "return w[0] < LIMIT && n > 0;  ->  return w[0] < LIMIT || n > 0;" in changes
+    assert "static const double LIMIT = 2.0;  ->  static const double LIMIT = 0.0;" in changes
+    assert all(m.source.startswith("/* 1.0 + 2.0 */\n#define SIZE 3\n") for m in found)
+    assert not any("w[4]" in change or "double /x" in change for change in changes)
+    assert len({m.source for m in found}) == len(found)
+    assert {m.line for m in found} == {3, 7, 8, 9}
 
 
 def test_a_sample_is_the_same_for_the_same_seed_and_of_the_share_asked_for() -> None:
