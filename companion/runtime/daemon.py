@@ -223,11 +223,12 @@ class Daemon:
     async def _attitude_of(self, frame: Frame) -> Attitude | None:
         """Return the attitude at the exposure, or None; wait a little for one that covers it.
 
-        On a busy machine the vehicle's samples may still be in a socket when the frame is decoded.
+        On a busy machine the vehicle's samples may still be in a socket when the frame is decoded. There is nothing to wait
+        for before the first attitude.
         """
         for _ in range(_ATTITUDE_TRIES):
             attitude = self._pilot.attitude_at(frame.stamp)
-            if attitude is not None or self._link is None:
+            if attitude is not None or self._link is None or "Attitude" not in self.health.flows:
                 return attitude
             await self._clock.sleep(_ATTITUDE_PAUSE_S)
         return None
