@@ -95,7 +95,9 @@ def failed(times: int) -> Callable[[RunningPart], bool]:
 def undisturbed(flight: Flight) -> None:
     assert flight.rounds > 5
     assert flight.blocking == []
-    assert flight.busy_s < 0.3
+    began = time.thread_time()
+    sum(range(3_000_000))
+    assert flight.busy_s < max(0.3, 10.0 * (time.thread_time() - began)), "0.3 s, and as much longer as this machine is slower"
 
 
 @pytest.mark.parametrize(
