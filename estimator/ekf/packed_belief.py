@@ -59,6 +59,8 @@ _TUPLES = ("dv", "dp", "w", "w_smooth", "f")
 _AID_INTEGERS = ("fused", "refused", "n", "since", "m", "axes")
 _AIDS = _BELIEF["aids"].start + _AID_SIZE * np.arange(KINDS)[:, None] + [_AID[name].start for name in _AID_INTEGERS]
 """(KINDS, 6) places of the integers of every kind of aiding."""
+_AXES = tuple(tuple([i for i in range(3) if mask >> i & 1]) for mask in range(8))
+"""The axes of a velocity, by the bits of the core's mask."""
 _NONE_GATHERED = (0, 0, 0, 0)
 _EVENT = struct.Struct("2q18d")
 _NO_VALUES = (0.0,) * 18
@@ -210,11 +212,6 @@ def _outcome(block: F64) -> Outcome:
         return _WITHOUT_COMPARISON[_VERDICTS[verdict]]
     innov, S, (nis, nis_max) = numbers[:m], numbers[3 : 3 + m * m], numbers[-2:]
     return Outcome(_VERDICTS[verdict], innov, np.array(S).reshape(m, m), nis, nis_max, _AXES[axes])
-
-
-_AXES = tuple(tuple([i for i in range(3) if mask >> i & 1]) for mask in range(8))
-
-"""The axes of a velocity, by the bits of the core's mask."""
 
 
 def _write(words: F64, b: Belief) -> None:

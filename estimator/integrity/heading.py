@@ -17,8 +17,6 @@ from estimator.integrity.options import IntegrityOptions
 
 _GAP_S = 0.1
 """Time without an accepted gyro sample after which nothing says how the body turned, s."""
-
-
 _APART = 0.25
 """Share of the slip with which a report beyond the tolerance is followed: it is not the gyro's bias that took it there."""
 
