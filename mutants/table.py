@@ -11,6 +11,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/aiding.c": _CORE,
     "estimator/core/propagate.c": _CORE,
     "estimator/core/kalman.c": _CORE,
+    "estimator/core/oscillator.c": _CORE,
     "estimator/ekf/gate.py": _GATE,
     "estimator/ekf/process_event.py": (
         "tests/estimator/ekf/test_process_event_bounds.py",

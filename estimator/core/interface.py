@@ -116,6 +116,21 @@ STRUCTS = {
 `estimator.ekf.state` of the same names mean; matrices are in rows, instants are in ns."""
 
 
+def size_of(name: str) -> int:
+    """Return the size of a structure in words of eight bytes."""
+    return sum(member.length * (size_of(member.type) if member.type in STRUCTS else 1) for member in STRUCTS[name])
+
+
+def places_of(name: str) -> dict[str, slice]:
+    """Return where the members of a structure lie, in words."""
+    found, at = {}, 0
+    for member in STRUCTS[name]:
+        size = member.length * (size_of(member.type) if member.type in STRUCTS else 1)
+        found[member.name] = slice(at, at + size)
+        at += size
+    return found
+
+
 class Function(NamedTuple):
     """One function of the library."""
 

@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "oscillator.h"
 #include "rotation.h"
 
 #define AT(M, row, column) ((M)[(row) * N + (column)])
@@ -67,52 +68,16 @@ void propagate_state(const filter_params *o, belief *b, int64_t t, const double 
     b->t = t;
 }
 
-/* One direction of the sea over T: A and the noise q for its size. docs/estimator.md, section "Waves". */
+/* One direction of the sea over T: A, and q for its size with what waves too short for the oscillators add as white acceleration. */
 static void wave_transition(double w, double zeta, double sigma, double T, double A[4][4], double q[4][4])
 {
-    const double delta = zeta * w, w2 = w * w, wd2 = w * w - delta * delta, wd = sqrt(wd2), e = exp(-delta * T);
-    const double c = e * cos(wd * T), s = e * sin(wd * T) / wd;
-    const double cc = 0.5 * (T * c + s), cs = 0.5 * T * s, ss = 0.5 * (s - T * c) / wd2;
-    /* [[fa, fb], [fc, fd]] is the integral for a drive by f; multiplied by J it becomes the integral for a drive by f'. */
-    const double fa = cs + delta * ss, fb = ss, fc = cc - delta * delta * ss, fd = cs - delta * ss;
-    const double a[4][4] = {
-        {c + delta * s, s, -w2 * fb, fa - 2.0 * delta * fb},
-        {-w2 * s, c - delta * s, -w2 * fd, fc - 2.0 * delta * fd},
-        {0.0, 0.0, c + delta * s, s},
-        {0.0, 0.0, -w2 * s, c - delta * s},
-    };
-    /* The stationary covariance of a unit displacement, by the Lyapunov equation. */
-    const double force = 8.0 * delta * delta, across = 2.0 * delta;
-    const double P[4][4] = {
-        {1.0, 0.0, across, 0.0},
-        {0.0, w2, 0.0, across * w2},
-        {across, 0.0, force, 0.0},
-        {0.0, across * w2, 0.0, force * w2},
-    };
-    double AP[4][4], lost[4][4];
-    memcpy(A, a, sizeof a);
-    for (int i = 0; i < 4; i++) {
-        for (int j = 0; j < 4; j++) {
-            AP[i][j] = 0.0;
-            for (int k = 0; k < 4; k++) {
-                AP[i][j] += a[i][k] * P[k][j];
-            }
-        }
-    }
-    for (int i = 0; i < 4; i++) {
-        for (int j = 0; j < 4; j++) {
-            lost[i][j] = P[i][j];
-            for (int k = 0; k < 4; k++) {
-                lost[i][j] -= AP[i][k] * a[j][k];
-            }
-        }
-    }
     const double psd = 4.0 * SHORT_FRACTION * zeta * w * w * w;
     const double white[2][2] = {{psd * T * T * T / 3.0, psd * T * T / 2.0}, {psd * T * T / 2.0, psd * T}};
+    oscillator_transition(w, zeta, T, A, q);
     for (int i = 0; i < 4; i++) {
         for (int j = 0; j < 4; j++) {
             const double more = i < 2 && j < 2 ? white[i][j] : 0.0;
-            q[i][j] = sigma * sigma * (0.5 * (lost[i][j] + lost[j][i]) + more);
+            q[i][j] = sigma * sigma * (q[i][j] + more);
         }
     }
 }
@@ -127,19 +92,6 @@ static void yaw_transition(double w, double T, double A[2][2], double q[2][2])
     q[0][0] = at_rest - (a * a * at_rest + b * b);
     q[0][1] = q[1][0] = -(a * d * at_rest + b * f);
     q[1][1] = 1.0 - (d * d * at_rest + f * f);
-}
-
-/* A steady turn for T seconds of a horizontal vector: the rotation, and its integral over time, s. */
-static void steady_turn(double rate, double T, double by[2][2], double reach[2][2])
-{
-    const double angle = rate * T, s = sin(angle), c = cos(angle);
-    double along = T * (1.0 - angle * angle / 6.0), across = 0.5 * T * angle;
-    if (fabs(angle) > 1e-3) {
-        along = s / rate;
-        across = (1.0 - c) / rate;
-    }
-    by[0][0] = by[1][1] = c, by[0][1] = -s, by[1][0] = s;
-    reach[0][0] = reach[1][1] = along, reach[0][1] = -across, reach[1][0] = across;
 }
 
 /* M[row.., column..] = scale B, three by three */
@@ -158,7 +110,7 @@ static void set_symmetric(double *M, int row, int column, double value)
 }
 
 /* The parts of F and Q that belong to sea and yaw, which are moved on. */
-static void move_deck(const filter_params *o, belief *b, double T, double moved[3], double *heave_noise, double *F, double *Q)
+static void move_deck(const filter_params *o, belief *b, double T, double moved[3], double *F, double *Q)
 {
     for (int k = 0; k < 5; k++) {
         const int at = WAVES + 4 * k;
@@ -180,9 +132,6 @@ static void move_deck(const filter_params *o, belief *b, double T, double moved[
                 AT(F, POS_REL + k, at + j) = A[0][j] - (j == 0);
                 set_symmetric(Q, POS_REL + k, at + j, q[0][j]);
             }
-        }
-        if (k == 2) {
-            memcpy(heave_noise, q[0], sizeof q[0]);
         }
     }
     double A[2][2], q[2][2];
@@ -207,9 +156,10 @@ static void move_deck(const filter_params *o, belief *b, double T, double moved[
 }
 
 /* The vessel's turn and the sway in phase with its heave, after the sea was moved on by `moved`. */
-static void move_vessel(belief *b, double T, double moved[3], const double heave_noise[4], double *F, double *Q)
+static void move_vessel(belief *b, double T, double moved[3], double *F, double *Q)
 {
     const int heave = WAVES + 8;
+    const double *heave_noise = &AT(Q, heave, heave);
     const double heaved = moved[2], rate = b->x[TURN_RATE];
     const double u[2] = {b->x[VESSEL_VEL], b->x[VESSEL_VEL + 1]};
     const double sway[2] = {b->x[SWAY_PER_HEAVE], b->x[SWAY_PER_HEAVE + 1]};
@@ -303,7 +253,7 @@ static void move_dead_reckoning(const filter_params *o, belief *b, double T)
 void propagated_belief(const filter_params *o, belief *b, double *F, double *Q)
 {
     const double T = seconds(b->t_cov, b->t);
-    double moved[3], heave_noise[4], v[3];
+    double moved[3], v[3];
     memset(F, 0, N * N * sizeof *F);
     memset(Q, 0, N * N * sizeof *Q);
     for (int i = 0; i < N; i++) {
@@ -313,8 +263,8 @@ void propagated_belief(const filter_params *o, belief *b, double *F, double *Q)
     add_noise(o, b, T, Q);
     move_body(b, T, F);
     move_dead_reckoning(o, b, T);
-    move_deck(o, b, T, moved, heave_noise, F, Q);
-    move_vessel(b, T, moved, heave_noise, F, Q);
+    move_deck(o, b, T, moved, F, Q);
+    move_vessel(b, T, moved, F, Q);
     for (int i = 0; i < 3; i++) {
         b->x[POS_REL + i] += moved[i] - v[i] * T - b->dp[i];
         b->x[VEL + i] += b->dv[i];

@@ -15,7 +15,7 @@ import numpy as np
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
-from estimator.core.interface import COLUMNS_MAX, CONSTANTS, KINDS, ROWS_MAX, STRUCTS
+from estimator.core.interface import COLUMNS_MAX, CONSTANTS, KINDS, ROWS_MAX, places_of, size_of
 from estimator.core.library import CORE, address, start_of
 from estimator.ekf import gate
 from estimator.ekf.outcome import Outcome
@@ -33,23 +33,8 @@ _RUN, _PROPAGATE, _SETTLE = (CORE.function(name) for name in ("filter_run", "fil
 _VERDICTS = {CONSTANTS[v.name]: v for v in (Verdict.FUSED, Verdict.GATED, Verdict.SINGULAR)}
 
 
-def _words(name: str) -> int:
-    """Return the size of a structure in words of eight bytes."""
-    return sum(member.length * (_words(member.type) if member.type in STRUCTS else 1) for member in STRUCTS[name])
-
-
-def _places(name: str) -> dict[str, slice]:
-    """Return where the members of a structure lie, in words."""
-    found, at = {}, 0
-    for member in STRUCTS[name]:
-        size = member.length * (_words(member.type) if member.type in STRUCTS else 1)
-        found[member.name] = slice(at, at + size)
-        at += size
-    return found
-
-
-_BELIEF, _AID, _OUTCOME = _places("belief"), _places("aid"), _places("outcome")
-_SIZE, _AID_SIZE, _OUTCOME_SIZE = _words("belief"), _words("aid"), _words("outcome")
+_BELIEF, _AID, _OUTCOME = places_of("belief"), places_of("aid"), places_of("outcome")
+_SIZE, _AID_SIZE, _OUTCOME_SIZE = size_of("belief"), size_of("aid"), size_of("outcome")
 _P_SIZE = N * N
 _PLAIN = ("ins_var_m2_s2", "jolt_var_m2_s2", "jolt_var_rad2", "over_pad", "coast_s")
 _INTEGERS = ("t", "t_cov", "t_imu", "t_velocity", "sighted", "agreed")
@@ -161,8 +146,8 @@ class PackedBelief:
 
 def packed_params(noise: ProcessNoise) -> F64:
     """Return the core's `filter_params` for these options and noises."""
-    o, places = noise.options, _places("filter_params")
-    words = np.zeros(_words("filter_params"))
+    o, places = noise.options, places_of("filter_params")
+    words = np.zeros(size_of("filter_params"))
     integers = words.view(np.int64)
     surface = {"auto": "OVER_EITHER", "either": "OVER_EITHER", "pad": "OVER_PAD"}.get(o.velocity_is_over, "OVER_GROUND")
     integers[places["hold_ns"]] = round(o.hold_s * 1e9)
