@@ -114,7 +114,7 @@ def fly(seed: int) -> Result:
             low, high = CHI2_NIS[outcome.innovation.size]
             nis.append((outcome.nis / outcome.innovation.size, low <= outcome.nis <= high))
         for name, path in others.items():
-            others[name] = path.step(event)[0]
+            others[name] = path.step(event)[0] if isinstance(event, Sighting) else path.step_samples([event])[0]
     for name, rows in squares.items():
         out.position[name], out.velocity[name] = (float(x) for x in np.mean(rows, axis=0))
     out.nees = float(np.mean(nees)) / 7.0

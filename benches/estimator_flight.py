@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.contracts.estimates import RelativeState
+from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 from estimator.paths import DeadReckoningPath, MedianMeanPath
@@ -35,7 +35,7 @@ class OtherPath:
         self.path = path
 
     def step(self, event: Event) -> None:
-        self.path = self.path.step(event)[0]
+        self.path = self.path.step(event)[0] if isinstance(event, Sighting) else self.path.step_samples([event])[0]
 
     def at(self, now: MonoNs) -> RelativeState | None:
         return self.path.at(now)

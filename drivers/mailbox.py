@@ -94,6 +94,13 @@ class Line(Generic[T]):
                 raise self._end
             self._ready.clear()
 
+    async def together(self) -> AsyncIterator[list[T]]:
+        """Wait for items, and yield all that wait together, the oldest first."""
+        while True:
+            items = [await self.get(), *self._items]
+            self._items.clear()
+            yield items
+
     async def __aiter__(self) -> AsyncIterator[T]:
         while True:
             yield await self.get()

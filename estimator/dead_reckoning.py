@@ -113,7 +113,7 @@ def step(state: DeadReckoning, event: Sample | Sighting) -> tuple[DeadReckoning,
     """
     match event:
         case Sighting():
-            return _sighted(state, event)
+            return sighted(state, event)
         case Attitude():
             return _attitude(state, event), None
         case BodyVelocity():
@@ -237,7 +237,8 @@ def _imu(state: DeadReckoning, sample: Imu) -> DeadReckoning:
     return replace(state, a_rel=-a, a_t=sample.stamp.measured_at, a_vertical_mean=float(mean), a_samples=n)
 
 
-def _sighted(state: DeadReckoning, sighting: Sighting) -> tuple[DeadReckoning, Verdict]:
+def sighted(state: DeadReckoning, sighting: Sighting) -> tuple[DeadReckoning, Verdict]:
+    """Process one (filtered) sighting, as `step` does."""
     measured_at = sighting.stamp.measured_at
     last = state.anchor
     if state.R_ned_body is None:

@@ -1,4 +1,4 @@
-"""The estimator paths behind one interface: `step(event) -> path, result` and `at(now) -> belief`."""
+"""The estimator paths behind one interface: `step_samples(samples)`, `step(sighting) -> path, result`, `at(now) -> belief`."""
 
 from __future__ import annotations
 
@@ -19,18 +19,25 @@ from estimator.ekf import Forecast
 Event = Sample | Sighting
 
 
+_UNUSED_BY_EKF = (VehicleStatus, GeoFix)
+
+
 class Path(Protocol):
     """One estimator path from samples and sightings to a belief. Immutable."""
 
     @property
     def name(self) -> PathName: ...
 
-    def step(self, event: Event) -> tuple[Self, FusionResult | None]:
-        """Process one event; return the next path and the result.
+    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, list[FusionResult | None]]:
+        """Process samples in the order in which they were received; return the next path and each sample's result.
 
         The result is None for a kind of sample that this path does not use. Otherwise it holds the verdict and, if the path
         compares the measurement with a prediction, the innovation.
         """
+        ...
+
+    def step(self, sighting: Sighting) -> tuple[Self, FusionResult]:
+        """Process one sighting; return the next path and the result."""
         ...
 
     def at(self, now: MonoNs) -> RelativeState | None:
@@ -63,15 +70,16 @@ class MedianMeanPath:
     def name(self) -> PathName:
         return "median_mean"
 
-    def step(self, event: Event) -> tuple[Self, FusionResult | None]:
-        if not isinstance(event, Sighting):
-            return self, None
+    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, list[FusionResult | None]]:
+        return self, [None] * len(samples)
+
+    def step(self, sighting: Sighting) -> tuple[Self, FusionResult]:
         memory, out = filters.step(
-            self.filter, event.stamp.measured_at, event.d_body_pad_level, event.yaw_rad, event.yaw_ambiguous
+            self.filter, sighting.stamp.measured_at, sighting.d_body_pad_level, sighting.yaw_rad, sighting.yaw_ambiguous
         )
         if out is None:
-            return self, _uncompared(self.name, event, Verdict.TOO_OLD)
-        return replace(self, filter=memory, newest=out, sighting=event), _uncompared(self.name, event, Verdict.FUSED)
+            return self, _uncompared(self.name, sighting, Verdict.TOO_OLD)
+        return replace(self, filter=memory, newest=out, sighting=sighting), _uncompared(self.name, sighting, Verdict.FUSED)
 
     def at(self, now: MonoNs) -> RelativeState | None:
         if self.newest is None or self.sighting is None:
@@ -113,16 +121,18 @@ class DeadReckoningPath:
     def name(self) -> PathName:
         return "dead_reckoning"
 
-    def step(self, event: Event) -> tuple[Self, FusionResult | None]:
-        if not isinstance(event, Sighting):
-            state, _ = dead_reckoning.step(self.state, event)
-            return replace(self, state=state), None
-        memory, smooth = filters.smooth(self.filter, event)
+    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, list[FusionResult | None]]:
+        state = self.state
+        for sample in samples:
+            state, _ = dead_reckoning.step(state, sample)
+        return replace(self, state=state), [None] * len(samples)
+
+    def step(self, sighting: Sighting) -> tuple[Self, FusionResult]:
+        memory, smooth = filters.smooth(self.filter, sighting)
         if smooth is None:
-            return self, _uncompared(self.name, event, Verdict.TOO_OLD)
-        state, verdict = dead_reckoning.step(self.state, smooth)
-        result = None if verdict is None else _uncompared(self.name, event, verdict)
-        return replace(self, filter=memory, state=state), result
+            return self, _uncompared(self.name, sighting, Verdict.TOO_OLD)
+        state, verdict = dead_reckoning.sighted(self.state, smooth)
+        return replace(self, filter=memory, state=state), _uncompared(self.name, sighting, verdict)
 
     def at(self, now: MonoNs) -> RelativeState | None:
         return dead_reckoning.at(self.state, now)
@@ -144,10 +154,16 @@ class EkfPath:
     def name(self) -> PathName:
         return "ekf"
 
-    def step(self, event: Event) -> tuple[Self, FusionResult | None]:
-        if isinstance(event, VehicleStatus | GeoFix):
-            return self, None
-        memory, results = ekf.step(self.filter, event)
+    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, list[FusionResult | None]]:
+        used: list[ekf.Event] = [s for s in samples if not isinstance(s, VehicleStatus) and not isinstance(s, GeoFix)]
+        if not used:
+            return self, [None] * len(samples)
+        memory, made = ekf.step_all(self.filter, used)
+        results = iter(made)
+        return type(self)(memory), [None if isinstance(s, _UNUSED_BY_EKF) else next(results) for s in samples]
+
+    def step(self, sighting: Sighting) -> tuple[Self, FusionResult]:
+        memory, results = ekf.step(self.filter, sighting)
         return type(self)(memory), results[0]
 
     def at(self, now: MonoNs) -> RelativeState | None:

@@ -1,4 +1,4 @@
-"""The entry point of the estimator: `step(memory, event) -> memory, results`, and `belief(memory, now)`.
+"""The entry point of the estimator: `step(memory, event) -> memory, results`, `step_samples`, and `belief(memory, now)`.
 
 The guard (`estimator.integrity`) runs before any path: an input that is not fresh, not possible or not about the tracked pad
 reaches no path and gets a verdict of its own. Several paths can run on the same events; one steers, and the others are for
@@ -17,7 +17,7 @@ from estimator.attitude_history import AttitudeHistory
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, source_of
 from estimator.contracts.motion import BodyMotion, DeckMotion
-from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf import Forecast
 from estimator.options import EstimatorOptions
@@ -53,37 +53,58 @@ def on_frame(memory: Memory, frame: Frame) -> tuple[Memory, Verdict | None]:
 
 
 def step(memory: Memory, event: Event) -> tuple[Memory, tuple[FusionResult, ...]]:
-    """Process one event; return the new memory and the results.
+    """Process one event; return the new memory and its results, path by path.
 
     A sighting gives one result for each path. A sample gives one result for each path that uses it, and one for each path if it
     is refused before the paths.
     """
-    attitude, guard = None, memory.guard
     if isinstance(event, Sighting):
-        attitude = attitude_at(memory, event.stamp)
-        refusal = _refusal(memory.options, event)
-        if refusal is None:
-            before = memory.paths[0].at(event.stamp.measured_at)
-            guard, refusal = integrity.admit_sighting(guard, event, attitude, before)
-    else:
-        guard, refusal = integrity.admit(guard, event)
-    if refusal is not None:
-        source, stamp = source_of(event), event.stamp
-        refused = (FusionResult(path.name, source, refusal, stamp.measured_at, stamp.received_at) for path in memory.paths)
-        return replace(memory, guard=guard), tuple(refused)
-    if isinstance(event, Attitude):
-        guard, event = integrity.steadied(guard, event)
-    attitudes = memory.attitudes.add(event) if isinstance(event, Attitude) else memory.attitudes
-    paths: list[Path] = []
-    results: list[FusionResult] = []
+        return _sighted(memory, event)
+    memory, (results,) = step_samples(memory, (event,))
+    return memory, results
+
+
+def step_samples(memory: Memory, samples: Sequence[Sample]) -> tuple[Memory, list[tuple[FusionResult, ...]]]:
+    """Process the samples of one datagram, or all that wait; return the new memory and each sample's results, path by path.
+
+    Memory and results are those of `step` with one sample after the other.
+    """
+    guard, admitted = integrity.admit(memory.guard, samples)
+    passed = [sample for sample in admitted if not isinstance(sample, Verdict)]
+    attitudes, paths, by_path = memory.attitudes, [], []
+    for sample in passed:
+        if isinstance(sample, Attitude):
+            attitudes = attitudes.add(sample)
     for path in memory.paths:
-        stepped, result = path.step(event)
+        stepped, of_path = path.step_samples(passed)
         paths.append(stepped)
-        if result is not None:
-            results.append(result)
-    if isinstance(event, Sighting) and results[0].verdict is Verdict.FUSED:
-        guard = integrity.fused(guard, event, attitude)
-    return Memory(memory.options, attitudes, tuple(paths), guard), tuple(results)
+        by_path.append(of_path)
+    by_sample = zip(*by_path, strict=True)
+    results = [
+        _refused(memory, sample, found) if isinstance(found, Verdict) else tuple([r for r in next(by_sample) if r is not None])
+        for sample, found in zip(samples, admitted, strict=True)
+    ]
+    return Memory(memory.options, attitudes, tuple(paths), guard), results
+
+
+def _sighted(memory: Memory, sighting: Sighting) -> tuple[Memory, tuple[FusionResult, ...]]:
+    attitude, guard = attitude_at(memory, sighting.stamp), memory.guard
+    refusal = _refusal(memory.options, sighting)
+    if refusal is None:
+        before = memory.paths[0].at(sighting.stamp.measured_at)
+        guard, refusal = integrity.admit_sighting(guard, sighting, attitude, before)
+    if refusal is not None:
+        return replace(memory, guard=guard), _refused(memory, sighting, refusal)
+    paths, results = zip(*[path.step(sighting) for path in memory.paths], strict=True)
+    if results[0].verdict is Verdict.FUSED:
+        guard = integrity.fused(guard, sighting, attitude)
+    return Memory(memory.options, memory.attitudes, paths, guard), results
+
+
+def _refused(memory: Memory, event: Event, verdict: Verdict) -> tuple[FusionResult, ...]:
+    """Return the results of an event that reaches no path."""
+    source, stamp = source_of(event), event.stamp
+    return tuple([FusionResult(path.name, source, verdict, stamp.measured_at, stamp.received_at) for path in memory.paths])
 
 
 def steer_by(memory: Memory, name: PathName) -> Memory:

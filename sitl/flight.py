@@ -189,8 +189,8 @@ class Flight:
         """Run the service for one tick."""
         for navdata, measured_at, received_at in self._navdata(now):
             self._deliver_samples(navdata, measured_at, received_at)
-        for report in self._reporter.reports(now):
-            self._take(report)
+        if reports := self._reporter.reports(now):
+            self._take(reports)
         self._film(now)
         self._process(now)
         if now >= self._due_guidance:
@@ -268,19 +268,18 @@ class Flight:
 
     def _deliver_samples(self, navdata: Navdata, measured_at: MonoNs, received_at: MonoNs) -> None:
         self._streamer.on_navdata(navdata, received_at)
-        for sample in self._sampler.samples(navdata, _stamp(measured_at, received_at)):
+        samples = self._sampler.samples(navdata, _stamp(measured_at, received_at))
+        for sample in samples:
             self._streamer.on_sample(sample)
-            self._take(sample)
+        self._take(samples)
 
-    def _take(self, sample: Sample) -> None:
-        results = self._pilot.on_sample(sample)
-        for result in results:
-            self.health.input(type(sample).__name__, result.verdict)
-            self.health.fusion(result)
-        for observer in self._observers:
-            observer.on_sample(sample)
-            for result in results:
-                observer.on_fusion(sample.stamp.received_at, result)
+    def _take(self, samples: Sequence[Sample]) -> None:
+        for sample, results in zip(samples, self._pilot.on_samples(samples), strict=True):
+            self.health.fused(sample, results)
+            for observer in self._observers:
+                observer.on_sample(sample)
+                for result in results:
+                    observer.on_fusion(sample.stamp.received_at, result)
 
     def _film(self, now: MonoNs) -> None:
         if now < self._due_frame:

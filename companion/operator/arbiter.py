@@ -6,7 +6,7 @@ who ordered a landing, replaces it. Losing the sender that has the hand leads to
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Protocol
@@ -196,9 +196,9 @@ class OperatorArbiter:
         if sender == self._control.hand:
             self._hold(sender, now, why)
 
-    def on_sample(self, sample: Sample) -> None:
-        """Take a sample of the vehicle, which the limits need."""
-        self._place = place_step(self._place, sample)
+    def on_samples(self, samples: Sequence[Sample]) -> None:
+        """Take samples of the vehicle, which the limits need."""
+        self._place = place_step(self._place, samples)
 
     def tick(self, now: MonoNs) -> None:
         """Follow the time and the vehicle's status; call it before each cycle of guidance."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
-from msgspec import Struct, field, structs
+from msgspec import Struct, field
 
 from companion.operator.fence import Corners, within
 from companion.operator.limit_options import LimitOptions
@@ -36,10 +37,7 @@ class Limit(Enum):
 
 
 class PlaceMemory(Struct, frozen=True, eq=False):
-    """Where the vehicle is from its start, by its own velocity, and how high.
-
-    It is replaced for each sample, and a Struct is replaced faster than a dataclass.
-    """
+    """Where the vehicle is from its start, by its own velocity, and how high."""
 
     p_start_ned: F64 = field(default_factory=lambda: np.zeros(2))
     """(2,) m north and east of the place where it was first seen to fly."""
@@ -54,30 +52,30 @@ class PlaceMemory(Struct, frozen=True, eq=False):
     """The battery's charge, 0 to 1."""
 
 
-def place_step(memory: PlaceMemory, sample: Sample) -> PlaceMemory:
-    """Process a sample of the vehicle."""
-    match sample:
-        case VehicleStatus():
-            flying = sample.flying is True
-            memory = structs.replace(memory, flying=flying, charge=sample.battery_fraction)
-            if not flying:
-                return structs.replace(memory, p_start_ned=np.zeros(2), ground_baro_m=memory.baro_m)
-            return memory
-        case Attitude():
-            return structs.replace(memory, attitude=sample)
-        case Range():
-            return structs.replace(memory, range=sample)
-        case Baro():
-            ground_m = sample.height_m if memory.ground_baro_m is None else memory.ground_baro_m
-            return structs.replace(memory, baro_m=sample.height_m, ground_baro_m=ground_m)
-        case BodyVelocity():
-            before, p_start_ned = memory.velocity, memory.p_start_ned
-            if before is not None and memory.attitude is not None and memory.flying:
-                dt_s = seconds_between(before.stamp.measured_at, sample.stamp.measured_at)
-                if 0.0 < dt_s <= _GAP_S:
-                    p_start_ned = p_start_ned + _turned(sample.v_level[:2], memory.attitude.R_ned_body.rpy_rad[2]) * dt_s
-            return structs.replace(memory, velocity=sample, p_start_ned=p_start_ned)
-    return memory
+def place_step(memory: PlaceMemory, samples: Sequence[Sample]) -> PlaceMemory:
+    """Process samples of the vehicle, in the order in which they were received."""
+    p_start_ned, velocity, attitude, flying = memory.p_start_ned, memory.velocity, memory.attitude, memory.flying
+    baro_m, ground_baro_m, newest_range, charge = memory.baro_m, memory.ground_baro_m, memory.range, memory.charge
+    for sample in samples:
+        match sample:
+            case Attitude():
+                attitude = sample
+            case BodyVelocity():
+                if velocity is not None and attitude is not None and flying:
+                    dt_s = seconds_between(velocity.stamp.measured_at, sample.stamp.measured_at)
+                    if 0.0 < dt_s <= _GAP_S:
+                        p_start_ned = p_start_ned + _turned(sample.v_level[:2], attitude.R_ned_body.rpy_rad[2]) * dt_s
+                velocity = sample
+            case Baro():
+                baro_m = sample.height_m
+                ground_baro_m = baro_m if ground_baro_m is None else ground_baro_m
+            case Range():
+                newest_range = sample
+            case VehicleStatus():
+                flying, charge = sample.flying is True, sample.battery_fraction
+                if not flying:
+                    p_start_ned, ground_baro_m = np.zeros(2), baro_m
+    return PlaceMemory(p_start_ned, velocity, attitude, flying, baro_m, ground_baro_m, newest_range, charge)
 
 
 def limited(

@@ -156,23 +156,21 @@ class Daemon:
                 self._link = None
 
     async def _read_samples(self, link: VehicleLink) -> None:
-        async for sample in link.samples:
-            self._take(sample)
+        async for samples in link.samples.together():
+            self._take(samples)
 
     async def _read_reports(self, reports: Line[Sample]) -> None:
-        async for sample in reports:
-            self._take(sample)
+        async for samples in reports.together():
+            self._take(samples)
 
-    def _take(self, sample: Sample) -> None:
-        kind = type(sample).__name__
-        self.health.beat(SHIP_PLACE if isinstance(sample, GeoFix) and sample.whose == "vessel" else kind)
-        results = self._pilot.on_sample(sample)
-        for result in results:
-            self.health.input(kind, result.verdict)
-            self.health.fusion(result)
-        self._audience.on_sample(sample)
-        for result in results:
-            self._audience.on_fusion(sample.stamp.received_at, result)
+    def _take(self, samples: Sequence[Sample]) -> None:
+        for sample, results in zip(samples, self._pilot.on_samples(samples), strict=True):
+            place_of_ship = isinstance(sample, GeoFix) and sample.whose == "vessel"
+            self.health.beat(SHIP_PLACE if place_of_ship else type(sample).__name__)
+            self.health.fused(sample, results)
+            self._audience.on_sample(sample)
+            for result in results:
+                self._audience.on_fusion(sample.stamp.received_at, result)
 
     async def _read_frames(self, link: VehicleLink) -> None:
         overtaken = 0

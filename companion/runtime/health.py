@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from companion.guidance.mission import ENDED
@@ -17,7 +17,7 @@ from estimator.contracts.errors import in_words
 from estimator.contracts.estimates import PathName, Verdict
 from estimator.contracts.fusion import FusionResult, Source
 from estimator.contracts.ports import Clock
-from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.samples import Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 
 NIS_WINDOW = 200
@@ -256,6 +256,12 @@ class Health:
 
     def frame(self, verdict: Verdict) -> None:
         self.frames[verdict] += 1
+
+    def fused(self, sample: Sample, results: Sequence[FusionResult]) -> None:
+        """Count the results of one sample, path by path."""
+        for result in results:
+            self.input(type(sample).__name__, result.verdict)
+            self.fusion(result)
 
     def input(self, kind: str, verdict: Verdict) -> None:
         tally = self.inputs.get(kind)

@@ -92,6 +92,7 @@ _PLAIN = (
 _BY_REPORTS = (State.SEARCH, State.RENDEZVOUS)
 """States in which the drone flies by the reports of ship and vehicle, where it may."""
 _FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
+_NOT_FUSED = (VehicleStatus, GeoFix)
 _OUTCOMES = {outcome.value: outcome for outcome in FlightOutcome}
 REFUSALS = (FlightOutcome.GAVE_UP, FlightOutcome.REFUSED)
 """Outcomes in which it did not land by its own decision; the operator may begin again in the air."""
@@ -150,7 +151,8 @@ class Pilot:
         self._contact = ContactWatch()
         self._impact: Impact | None = None
         self._forecast: Forecast | None = None
-        self._lean: tuple[MonoNs, F64] | None = None
+        self._lean: tuple[MonoNs, float, float] | None = None
+        """Instant of the newest attitude; mean lean as an acceleration, m/s^2 forward and right."""
         self._quality = InputQuality()
         self._frames: Counter[Verdict] = Counter()
         self._vessel_track = VesselTrack(reports or ReportLimits())
@@ -293,28 +295,33 @@ class Pilot:
         """Return the velocity that the ship reports, (2,) m/s north and east; None if there is no fresh report of it."""
         return vessel_track.velocity_ned(self._vessel_track, now)
 
+    def on_samples(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
+        """Process samples in the order in which they were received. Return the fusion results of each, path by path."""
+        self.operator.on_samples(samples)
+        for sample in samples:
+            self._now = max(self._now, sample.stamp.received_at)
+            match sample:
+                case Imu():
+                    if self.state not in GROUND:
+                        self._contact = watched(self._contact, sample)
+                        self._impact = self._contact.newest or self._impact
+                case Attitude():
+                    lean = reported_lean(sample.R_ned_body)
+                    self._lean = _leant(self._lean, sample.stamp.measured_at, lean)
+                    self._response.on_attitude(sample.stamp, lean)
+                    self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
+                case VehicleStatus():
+                    self._on_status(sample)
+                case GeoFix() | VesselReport():
+                    self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
+            if not of_ship(sample):
+                self._heard = sample.stamp.received_at
+        results = iter(self._fuse([sample for sample in samples if not isinstance(sample, _NOT_FUSED)]))
+        return [() if isinstance(sample, _NOT_FUSED) else next(results) for sample in samples]
+
     def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
-        """Process a sample. Return its fusion results, path by path."""
-        self.operator.on_sample(sample)
-        self._now = max(self._now, sample.stamp.received_at)
-        of_ship = isinstance(sample, VesselReport) or (isinstance(sample, GeoFix) and sample.whose == "vessel")
-        if not of_ship:
-            self._heard = sample.stamp.received_at
-        if isinstance(sample, VehicleStatus):
-            self._on_status(sample)
-            return ()
-        if isinstance(sample, Imu) and self.state not in GROUND:
-            self._contact = watched(self._contact, sample)
-            self._impact = self._contact.newest or self._impact
-        if isinstance(sample, GeoFix | VesselReport | Attitude):
-            self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
-            if isinstance(sample, GeoFix):
-                return ()
-        if isinstance(sample, Attitude):
-            lean = reported_lean(sample.R_ned_body)
-            self._lean = _leant(self._lean, sample.stamp.measured_at, lean)
-            self._response.on_attitude(sample.stamp, lean)
-        return self._fuse(sample)
+        """Process one sample. Return its fusion results, path by path."""
+        return self.on_samples((sample,))[0]
 
     def _on_status(self, status: VehicleStatus) -> None:
         self._status = status
@@ -327,8 +334,8 @@ class Pilot:
             self._response.on_take_off()
         self._changes += changes
 
-    def _fuse(self, sample: Sample) -> tuple[FusionResult, ...]:
-        self._memory, results = pipeline.step(self._memory, sample)
+    def _fuse(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
+        self._memory, results = pipeline.step_samples(self._memory, samples)
         return results
 
     def attitude_at(self, stamp: Stamp) -> Attitude | None:
@@ -394,7 +401,7 @@ class Pilot:
 
     def _command(self, now: MonoNs) -> Command | None:
         knowledge = self.knowledge(now)
-        lean = None if self._lean is None else math.atan(float(np.hypot(*self._lean[1])) / G_M_S2)
+        lean = None if self._lean is None else math.atan(float(np.hypot(*self._lean[1:])) / G_M_S2)
         battery = None if self._status is None else self._status.battery_fraction
         place: VesselPosition | Reason | None = None
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
@@ -414,10 +421,16 @@ class Pilot:
         return blind_hold.never_lower(command, knowledge, fit=fit, over_ground=self._over_ground)
 
 
-def _leant(mean: tuple[MonoNs, F64] | None, at: MonoNs, lean_m_s2: tuple[float, float]) -> tuple[MonoNs, F64]:
-    """Return the mean lean as an acceleration, (2,) m/s^2 forward and right, after one more attitude."""
-    lean = np.array(lean_m_s2)
+def of_ship(sample: Sample) -> bool:
+    """Return whether a sample tells of the ship and not of the vehicle."""
+    return isinstance(sample, VesselReport) or (isinstance(sample, GeoFix) and sample.whose == "vessel")
+
+
+def _leant(mean: tuple[MonoNs, float, float] | None, at: MonoNs, lean_m_s2: tuple[float, float]) -> tuple[MonoNs, float, float]:
+    """Return the mean lean after one more attitude."""
+    ahead, aside = lean_m_s2
     if mean is None:
-        return at, lean
-    weight = 1.0 - math.exp(-max(0.0, seconds_between(mean[0], at)) / _LEAN_TIME_S)
-    return at, mean[1] + weight * (lean - mean[1])
+        return at, ahead, aside
+    before, mean_ahead, mean_aside = mean
+    weight = 1.0 - math.exp(-max(0.0, seconds_between(before, at)) / _LEAN_TIME_S)
+    return at, mean_ahead + weight * (ahead - mean_ahead), mean_aside + weight * (aside - mean_aside)

@@ -130,11 +130,11 @@ class Rotation:
     @property
     def rpy_rad(self) -> tuple[float, float, float]:
         """(roll, pitch, yaw) of `from_rpy`; pitch in [-pi/2, pi/2]; at the gimbal lock roll is given as 0."""
-        m = self.matrix
-        pitch = math.asin(min(1.0, max(-1.0, -float(m[2, 0]))))
-        if abs(m[2, 0]) > 1.0 - 1e-12:
-            return 0.0, pitch, math.atan2(-float(m[0, 1]), float(m[1, 1]))
-        return math.atan2(float(m[2, 1]), float(m[2, 2])), pitch, math.atan2(float(m[1, 0]), float(m[0, 0]))
+        (a, b, _), (d, e, _), (g, h, i) = self.matrix.tolist()
+        pitch = math.asin(min(1.0, max(-1.0, -g)))
+        if abs(g) > 1.0 - 1e-12:
+            return 0.0, pitch, math.atan2(-b, e)
+        return math.atan2(h, i), pitch, math.atan2(d, a)
 
     @property
     def rotvec_rad(self) -> F64:

@@ -9,9 +9,22 @@ state = at(ekf, now)
 
 from __future__ import annotations
 
-from estimator.ekf.filter import Ekf, at, forecast, forget_answers, motion_at, moving, start, step
+from estimator.ekf.filter import Ekf, at, forecast, forget_answers, motion_at, moving, start, step, step_all
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.propagate import Event
 
-__all__ = ["Ekf", "EkfOptions", "Event", "Forecast", "at", "forecast", "forget_answers", "motion_at", "moving", "start", "step"]
+__all__ = [
+    "Ekf",
+    "EkfOptions",
+    "Event",
+    "Forecast",
+    "at",
+    "forecast",
+    "forget_answers",
+    "motion_at",
+    "moving",
+    "start",
+    "step",
+    "step_all",
+]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -80,25 +80,34 @@ def start(options: EkfOptions | None = None, limits: IntegrityOptions | None = _
 
 
 def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[FusionResult]]:
-    """Process one sample or sighting; events may be out of sequence.
+    """Process one sample or sighting, as `step_all` does."""
+    return step_all(ekf, (event,))
+
+
+def step_all(ekf: Ekf, events: Sequence[Event]) -> tuple[Ekf, list[FusionResult]]:
+    """Process samples and sightings in the order in which they were received; they may be out of sequence.
 
     Returns:
-        The next filter, and a list of one result. Its verdict is FUSED; GATED (implausible, or nothing to compare it with yet);
-        IMPOSSIBLE (an IMU sample beyond the limits); FROZEN (an IMU sample that has repeated itself for too long); TOO_OLD
+        The next filter, and the result of each event. Its verdict is FUSED; GATED (implausible, or nothing to compare it with
+        yet); IMPOSSIBLE (an IMU sample beyond the limits); FROZEN (an IMU sample that has repeated itself for too long); TOO_OLD
         (before the history); TOO_NEW (measured after every time of reception so far); SINGULAR; or NO_ATTITUDE (no sample has
         shown which way is down yet). A measurement that was compared with a prediction has its innovation, the innovation's
         covariance, NIS and test ratio, whatever the verdict.
 
     Raises:
-        TypeError: the event is not a measurement (a frame, for example).
+        TypeError: an event is not a measurement (a frame, for example).
     """
-    imu = ekf.imu
-    if ekf.limits is not None and isinstance(event, Imu):
-        imu, refusal = sensors.watch(imu, event, ekf.limits, flying=True)
-        if refusal is not None:
-            return replace(ekf, imu=imu), [result(event, Outcome(refusal))]
-    history, outcome = put(ekf.history, event, ekf.params)
-    return Ekf(ekf.options, ekf.params, history, ekf.limits, imu), [outcome]
+    history, imu, results = ekf.history, ekf.imu, []
+    for event in events:
+        refusal = None
+        if ekf.limits is not None and isinstance(event, Imu):
+            imu, refusal = sensors.watch(imu, event, ekf.limits, flying=True)
+        if refusal is None:
+            history, outcome = put(history, event, ekf.params)
+        else:
+            outcome = result(event, Outcome(refusal))
+        results.append(outcome)
+    return Ekf(ekf.options, ekf.params, history, ekf.limits, imu), results
 
 
 class Settled(NamedTuple):

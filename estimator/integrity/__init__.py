@@ -1,8 +1,7 @@
 """Input checks before every estimator path: whether an input is fresh, possible, and about the tracked pad.
 
-    guard, verdict = admit(guard, sample)               # None: the sample may pass
-    guard, attitude = steadied(guard, attitude)         # its heading, where the gyro contradicts it
-    guard, verdict = admit_frame(guard, frame)
+    guard, admitted = admit(guard, samples)             # for each what may pass, or a verdict
+    guard, verdict = admit_frame(guard, frame)          # None: the frame may pass
     guard, verdict = admit_sighting(guard, sighting, attitude, belief)
     alerts(guard, now)                                  # reasons not to descend by the estimate
 
@@ -10,7 +9,7 @@ The functions are pure. Freshness concerns the content and not the packet: a fra
 content is refused, so that the estimate ages.
 """
 
-from estimator.integrity.guard import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, fused, steadied
+from estimator.integrity.guard import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, fused
 from estimator.integrity.options import IntegrityOptions
 
-__all__ = ["IntegrityGuard", "IntegrityOptions", "admit", "admit_frame", "admit_sighting", "alerts", "fused", "steadied"]
+__all__ = ["IntegrityGuard", "IntegrityOptions", "admit", "admit_frame", "admit_sighting", "alerts", "fused"]

@@ -28,7 +28,7 @@ class _Rival(NamedTuple):
     kinds: frozenset[str]
 
 
-class _Delay(NamedTuple):
+class Delay(NamedTuple):
     """The delay of one stream."""
 
     median_s: float
@@ -43,7 +43,7 @@ class ClockWatch(NamedTuple):
     now: int | None = None
     """The newest confirmed arrival, ns."""
     rival: _Rival | None = None
-    delays: Mapping[str, _Delay] = MappingProxyType({})
+    delays: Mapping[str, Delay] = MappingProxyType({})
 
     def off(self, kind: str) -> bool:
         """Return whether the delay of the newest sample of a kind was refused."""
@@ -75,22 +75,24 @@ def watch_delay(
     state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float, settle_s: float
 ) -> tuple[ClockWatch, Verdict | None]:
     """Process a delay; return TOO_NEW or TOO_OLD if it is far from its stream's running median and has not been so for long."""
+    delay, verdict = delay_after(state.delays.get(kind), stamp, step_max_s, settle_s)
+    return ClockWatch(state.now, state.rival, {**state.delays, kind: delay}), verdict
+
+
+def delay_after(delay: Delay | None, stamp: Stamp, step_max_s: float, settle_s: float) -> tuple[Delay, Verdict | None]:
+    """Process a delay of one stream, as `watch_delay` does; `delay` is None before the stream's first sample."""
     d = stamp.delay_s
-    delay = state.delays.get(kind)
-    verdict = None
     if delay is None:
-        delay = _Delay(d)
-    elif abs(d - delay.median_s) <= step_max_s:
+        return Delay(d), None
+    median_s, n, off_since = delay
+    off_s = d - median_s
+    if abs(off_s) <= step_max_s:
         # The median moves in small steps, so that an outlier has no more effect than any other sample.
-        step = max(_MEDIAN_STEP_S, abs(d - delay.median_s) / (delay.n + 1) if delay.n < _FIRST_FEW else 0.0)
-        delay = _Delay(delay.median_s + max(-step, min(step, d - delay.median_s)), delay.n + 1)
-    elif delay.n < _FIRST_FEW:
-        delay = _Delay(d)
-    else:
-        since = stamp.received_at if delay.off_since is None else delay.off_since
-        if (stamp.received_at - since) * 1e-9 >= settle_s:
-            delay = _Delay(d)
-        else:
-            verdict = Verdict.TOO_OLD if d > delay.median_s else Verdict.TOO_NEW
-            delay = delay._replace(off_since=since)
-    return ClockWatch(state.now, state.rival, MappingProxyType({**state.delays, kind: delay})), verdict
+        step = max(_MEDIAN_STEP_S, abs(off_s) / (n + 1)) if n < _FIRST_FEW else _MEDIAN_STEP_S
+        return Delay(median_s + max(-step, min(step, off_s)), n + 1), None
+    if n < _FIRST_FEW:
+        return Delay(d), None
+    since = stamp.received_at if off_since is None else off_since
+    if (stamp.received_at - since) * 1e-9 >= settle_s:
+        return Delay(d), None
+    return Delay(median_s, n, since), Verdict.TOO_OLD if off_s > 0.0 else Verdict.TOO_NEW

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64
@@ -16,6 +15,7 @@ from estimator.integrity.options import IntegrityOptions
 
 _OLD_NS = 1_000_000_000
 """Age after which an alert about a silent stream is dropped, because the silence itself is reported."""
+_UNSEEN = sensors.SensorWatch()
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class IntegrityGuard:
 
     options: IntegrityOptions = field(default_factory=IntegrityOptions)
     clock: clock.ClockWatch = field(default_factory=clock.ClockWatch)
-    sensors: Mapping[type, sensors.SensorWatch] = field(default_factory=lambda: MappingProxyType({}))
+    sensors: Mapping[type, sensors.SensorWatch] = field(default_factory=dict)
     frames: frames.FrameWatch = field(default_factory=frames.FrameWatch)
     view: view.ViewWatch = field(default_factory=view.ViewWatch)
     tracks: tracks.Tracks = field(default_factory=tracks.Tracks)
@@ -34,35 +34,48 @@ class IntegrityGuard:
     """False only after the vehicle reported that it is on the ground."""
 
 
-def admit(guard: IntegrityGuard, event: Sample) -> tuple[IntegrityGuard, Verdict | None]:
-    """Check one sample; return None if it may go to the estimator."""
-    o, kind = guard.options, type(event).__name__
-    watch, verdict = clock.watch_arrival(guard.clock, kind, event.stamp, o.clock_step_max_s)
-    if verdict is None:
-        watch, verdict = clock.watch_delay(watch, kind, event.stamp, o.sample_delay_step_max_s, o.sample_delay_settle_s)
-    if verdict is not None:
-        return replace(guard, clock=watch), verdict
-    if isinstance(event, VehicleStatus):
-        return replace(guard, clock=watch, flying=event.flying is not False), None
-    if isinstance(event, GeoFix):
-        return replace(guard, clock=watch), None
-    seen = guard.sensors.get(type(event)) or sensors.SensorWatch()
-    seen, verdict = sensors.watch(seen, event, o, guard.flying)
-    against = guard.heights
-    if verdict is None and isinstance(event, Range):
-        against = heights.ranged(against, event, o)
-    elif verdict is None and isinstance(event, Baro):
-        against = heights.weighed(against, event, o)
-    turn = heading.turned(guard.heading, event) if verdict is None and isinstance(event, Imu) else guard.heading
-    # One copy for all that changed: there are hundreds of samples a second.
-    every = MappingProxyType({**guard.sensors, type(event): seen})
-    return IntegrityGuard(o, watch, every, guard.frames, guard.view, guard.tracks, against, turn, guard.flying), verdict
+def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGuard, list[Sample | Verdict]]:
+    """Check samples in the order in which they were received.
 
-
-def steadied(guard: IntegrityGuard, event: Attitude) -> tuple[IntegrityGuard, Attitude]:
-    """Return an admitted attitude, with the heading that the gyro holds if the reported one turns otherwise."""
-    watch, event = heading.steadied(guard.heading, event, guard.options)
-    return replace(guard, heading=watch), event
+    Returns:
+        The new guard; and for each sample either what may go to the estimator, or the verdict that refuses it. What may go is the
+        sample itself, except for an attitude whose heading the gyro contradicts: it has the heading that the gyro holds.
+    """
+    # There are hundreds of samples a second, so what changes is kept in the open until the last of them.
+    o, watch, delays, seen = guard.options, guard.clock, dict(guard.clock.delays), dict(guard.sensors)
+    turn, against, flying = guard.heading, guard.heights, guard.flying
+    admitted: list[Sample | Verdict] = []
+    for sample in samples:
+        kind, stamp = type(sample), sample.stamp
+        verdict = None
+        # One more arrival at the known time changes nothing: the samples of one datagram share theirs.
+        if stamp.received_at != watch.now or watch.rival is not None:
+            known = watch._replace(delays=delays)
+            watch, verdict = clock.watch_arrival(known, kind.__name__, stamp, o.clock_step_max_s)
+            delays = dict(watch.delays)
+        if verdict is None:
+            before, settle_s = delays.get(kind.__name__), o.sample_delay_settle_s
+            delays[kind.__name__], verdict = clock.delay_after(before, stamp, o.sample_delay_step_max_s, settle_s)
+        if verdict is not None:
+            admitted.append(verdict)
+            continue
+        if isinstance(sample, VehicleStatus):
+            flying = sample.flying is not False
+        elif not isinstance(sample, GeoFix):
+            seen[kind], verdict = sensors.watch(seen.get(kind, _UNSEEN), sample, o, flying)
+            if verdict is None:
+                match sample:
+                    case Imu():
+                        turn = heading.turned(turn, sample)
+                    case Attitude():
+                        turn, sample = heading.steadied(turn, sample, o)
+                    case Range():
+                        against = heights.ranged(against, sample, o)
+                    case Baro():
+                        against = heights.weighed(against, sample, o)
+        admitted.append(sample if verdict is None else verdict)
+    watch = clock.ClockWatch(watch.now, watch.rival, delays)
+    return IntegrityGuard(o, watch, seen, guard.frames, guard.view, guard.tracks, against, turn, flying), admitted
 
 
 def admit_frame(guard: IntegrityGuard, frame: Frame) -> tuple[IntegrityGuard, Verdict | None]:

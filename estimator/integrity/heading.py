@@ -47,7 +47,8 @@ def turned(watch: HeadingWatch, imu: Imu) -> HeadingWatch:
         return watch._replace(turned_at=t, rate_rad_s=rate, held_rad=None)
     if dt <= 0.0:
         return watch
-    return watch._replace(turned_rad=watch.turned_rad + 0.5 * (rate + watch.rate_rad_s) * dt, turned_at=t, rate_rad_s=rate)
+    turn = watch.turned_rad + 0.5 * (rate + watch.rate_rad_s) * dt
+    return HeadingWatch(turn, t, rate, watch.down, watch.held_rad, watch.held_at, watch.off_rad)
 
 
 def steadied(watch: HeadingWatch, event: Attitude, o: IntegrityOptions) -> tuple[HeadingWatch, Attitude]:
@@ -67,7 +68,7 @@ def steadied(watch: HeadingWatch, event: Attitude, o: IntegrityOptions) -> tuple
     off -= step
     held = wrap_pi(watch.held_rad + step)
     if abs(off) <= math.radians(o.heading_tolerance_deg):
-        return watch._replace(down=(x, y, z), held_rad=held, held_at=t, off_rad=0.0), event
+        return HeadingWatch(watch.turned_rad, watch.turned_at, watch.rate_rad_s, (x, y, z), held, t, 0.0), event
     # Turning about the vertical leaves roll and pitch, and the last row, as they are.
     R = Rotation.from_rpy(0.0, 0.0, -off) @ event.R_ned_body
     return watch._replace(down=(x, y, z), held_rad=held, held_at=t, off_rad=off), replace(event, R_ned_body=R)

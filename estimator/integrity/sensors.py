@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
@@ -52,16 +53,14 @@ def watch(state: SensorWatch, event: Reading, o: IntegrityOptions, flying: bool)
         The new state, and IMPOSSIBLE, FROZEN, or None. FROZEN applies in flight only; on the ground a velocity stays zero.
     """
     t = event.stamp.measured_at
-    value, frozen_s = _bits(event, o)
-    repeat = Repeat(value, t)
-    if state.repeat is not None and state.repeat.value == value:
-        repeat = Repeat(value, min(state.repeat.since, t))
-    before, refused_since = state.plausible, state.refused_since
-    if _beyond(event, o):
+    value, numbers, beyond, frozen_s = _READ[type(event)](event, o)
+    repeat, _, before, refused_since = state
+    since = t if repeat is None or repeat.value != value else min(repeat.since, t)
+    repeat = Repeat(value, since)
+    if beyond:
         return SensorWatch(repeat, False, before, refused_since), Verdict.IMPOSSIBLE
-    if flying and (t - repeat.since) * 1e-9 > frozen_s:
+    if flying and (t - since) * 1e-9 > frozen_s:
         return SensorWatch(repeat, True, before, refused_since), Verdict.FROZEN
-    numbers = _numbers(event)
     if before is not None and t > before.at and numbers and _step(event, numbers, before, o):
         since = t if refused_since is None else refused_since
         if (t - since) * 1e-9 < o.spike_s:
@@ -69,61 +68,58 @@ def watch(state: SensorWatch, event: Reading, o: IntegrityOptions, flying: bool)
     return SensorWatch(repeat, False, Plausible(numbers, t), None), None
 
 
-def _bits(event: Reading, o: IntegrityOptions) -> tuple[bytes | float, float]:
-    """Return the value that must change, and the longest time without a change; infinity if it need not."""
-    match event:
-        case Imu():
-            return event.w_body.tobytes() + event.f_body.tobytes(), o.imu_frozen_s
-        case Attitude():
-            return event.R_ned_body.matrix.tobytes(), o.attitude_frozen_s
-        case BodyVelocity():
-            return event.v_level.tobytes(), o.velocity_frozen_s
-        case Range():
-            return event.range_m, o.range_frozen_s
-        case Baro():
-            return event.height_m, o.baro_frozen_s
-        case VesselReport():
-            return b"", math.inf
+class _Read(NamedTuple):
+    """What the checks need of a reading."""
+
+    value: bytes | float
+    """What must change."""
+    numbers: tuple[float, ...]
+    """The numbers that `_step` compares."""
+    beyond: bool
+    """Whether a value is more than the vehicle can do."""
+    frozen_s: float
+    """Longest time without a change; infinity if it need not change."""
 
 
-def _beyond(event: Reading, o: IntegrityOptions) -> bool:
-    match event:
-        case Imu():
-            f, w = _size(event.f_body.tolist()), _size(event.w_body.tolist())
-            return f > o.specific_force_max_m_s2 or w > o.turn_rate_max_rad_s
-        case BodyVelocity():
-            return _size(_numbers(event)) > o.speed_max_m_s
-        case VesselReport():
-            return event.v_vessel_ned is not None and _size(event.v_vessel_ned.tolist()) > o.speed_max_m_s
-        case _:
-            return False
+def _imu(event: Imu, o: IntegrityOptions) -> _Read:
+    w, f = event.w_body, event.f_body
+    beyond = math.hypot(*f.tolist()) > o.specific_force_max_m_s2 or math.hypot(*w.tolist()) > o.turn_rate_max_rad_s
+    return _Read(w.tobytes() + f.tobytes(), (), beyond, o.imu_frozen_s)
 
 
-def _numbers(event: Reading) -> tuple[float, ...]:
-    match event:
-        case BodyVelocity():
-            var = event.cov_level.diagonal().tolist()
-            return tuple([v if of < _UNMEASURED_VAR else 0.0 for v, of in zip(event.v_level.tolist(), var, strict=True)])
-        case Attitude():
-            return tuple(event.R_ned_body.matrix[2].tolist())
-        case Baro():
-            return (event.height_m,)
-        case _:
-            return ()
+def _attitude(event: Attitude, o: IntegrityOptions) -> _Read:
+    m = event.R_ned_body.matrix
+    return _Read(m.tobytes(), tuple(m[2].tolist()), False, o.attitude_frozen_s)
+
+
+def _velocity(event: BodyVelocity, o: IntegrityOptions) -> _Read:
+    v, var = event.v_level, event.cov_level.diagonal().tolist()
+    numbers = tuple([x if of < _UNMEASURED_VAR else 0.0 for x, of in zip(v.tolist(), var, strict=True)])
+    return _Read(v.tobytes(), numbers, math.hypot(*numbers) > o.speed_max_m_s, o.velocity_frozen_s)
+
+
+def _vessel(event: VesselReport, o: IntegrityOptions) -> _Read:
+    v = event.v_vessel_ned
+    return _Read(b"", (), v is not None and math.hypot(*v.tolist()) > o.speed_max_m_s, math.inf)
+
+
+_READ: dict[type[Reading], Callable[[Any, IntegrityOptions], _Read]] = {
+    Imu: _imu,
+    Attitude: _attitude,
+    BodyVelocity: _velocity,
+    Range: lambda event, o: _Read(event.range_m, (), False, o.range_frozen_s),
+    Baro: lambda event, o: _Read(event.height_m, (event.height_m,), False, o.baro_frozen_s),
+    VesselReport: _vessel,
+}
 
 
 def _step(event: Reading, numbers: tuple[float, ...], before: Plausible, o: IntegrityOptions) -> bool:
     """Return whether the step since the last plausible reading is more than the vehicle can do."""
     dt = min((event.stamp.measured_at - before.at) * 1e-9, _STEP_OVER_S)
     step = math.dist(numbers, before.numbers)
-    match event:
-        case BodyVelocity():
-            return step > o.velocity_step_m_s + o.acceleration_max_m_s2 * dt
-        case Attitude():
-            return 2.0 * math.asin(min(1.0, 0.5 * step)) > o.tilt_step_rad + o.tilt_rate_max_rad_s * dt
-        case _:
-            return step > o.height_step_m + o.height_rate_max_m_s * dt
-
-
-def _size(v: list[float] | tuple[float, ...]) -> float:
-    return math.hypot(*v)
+    kind = type(event)
+    if kind is BodyVelocity:
+        return step > o.velocity_step_m_s + o.acceleration_max_m_s2 * dt
+    if kind is Attitude:
+        return 2.0 * math.asin(min(1.0, 0.5 * step)) > o.tilt_step_rad + o.tilt_rate_max_rad_s * dt
+    return step > o.height_step_m + o.height_rate_max_m_s * dt

@@ -192,10 +192,12 @@ class TruthPilot(Pilot):
             self._true_motion = self._level.true_motion()
         return self._true_motion
 
-    def _fuse(self, sample: Sample) -> tuple[FusionResult, ...]:
+    def _fuse(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
         """Keep the attitude that the vehicle reports; no other sample is of use without a filter."""
-        self._reported = sample if isinstance(sample, Attitude) else self._reported
-        return ()
+        for sample in samples:
+            if isinstance(sample, Attitude):
+                self._reported = sample
+        return [()] * len(samples)
 
     def attitude_at(self, stamp: Stamp) -> Attitude | None:
         """Return the true attitude now; nothing is computed from it."""

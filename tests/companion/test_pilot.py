@@ -19,7 +19,7 @@ from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, GeoFix, Imu, VehicleStatus, VesselReport
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, GeoFix, Imu, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
 from estimator.vision.options import TrackerOptions
@@ -212,3 +212,32 @@ def test_the_ship_s_own_word_does_not_break_the_vehicle_s_silence(monkeypatch: p
         cockpit.pilot.on_sample(VesselReport(stamp, None, None, 0.5, 0.1))
         cockpit.pilot.decide(now)
     assert cycles[-1].silent_s == pytest.approx(50 * TICK_S)
+
+
+@settings(deadline=None, max_examples=10)
+@given(cuts=st.lists(st.integers(1, 9), min_size=1, max_size=8), flies_from=st.integers(0, 30), seed=st.integers(0, 9))
+def test_samples_together_fly_as_samples_one_by_one(cuts: list[int], flies_from: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pilots = [Cockpit(automatic=True).pilot for _ in range(2)]
+    samples: list[Sample] = []
+    for n in range(60):
+        stamp = Stamp(MonoNs(n * 5_000_000), MonoNs(n * 5_000_000 + 1_000_000), 0.001, "sim")
+        push = 40.0 if rng.uniform() < 0.05 else 0.0
+        roll, pitch, yaw = rng.normal(0.0, 0.05, 3)
+        samples += [
+            VehicleStatus(stamp, n >= flies_from, "hovering", 0.9, False, True),
+            Attitude(stamp, Rotation.from_rpy(roll, pitch, yaw), 1e-5 * np.eye(3)),
+            Imu(stamp, rng.normal(0.0, 1e-3, 3), np.array([0.0, 0.0, -9.80665 - push])),
+            BodyVelocity(stamp, np.array([*rng.normal(0.0, 0.5, 2), 0.0]), np.diag([0.01, 0.01, UNKNOWN_VAR])),
+            GeoFix(stamp, "vehicle" if n % 2 else "vessel", GeoPoint(0.9, 0.1, 2.0), 2.0),
+        ]
+    while samples:
+        n = cuts[len(samples) % len(cuts)]
+        some, samples = samples[:n], samples[n:]
+        together, one_by_one = pilots[0].on_samples(some), [pilots[1].on_sample(sample) for sample in some]
+        assert [[r.verdict for r in of_one] for of_one in together] == [[r.verdict for r in of_one] for of_one in one_by_one]
+        now = after(some[-1].stamp.received_at, 0.001)
+        decisions = [pilot.decide(now) for pilot in pilots]
+        assert repr(decisions[0]) == repr(decisions[1])
+        assert repr(pilots[0].knowledge(now)) == repr(pilots[1].knowledge(now))
+        assert pilots[0].vessel_counts() == pilots[1].vessel_counts()

@@ -31,6 +31,27 @@ async def test_line_keeps_order_and_counts_what_it_dropped():
     assert (line.offered, line.dropped) == (5, 2)
 
 
+async def test_what_waits_in_a_line_is_read_together_and_then_its_error():
+    line, read = Line[int](3), list[list[int]]()
+    for i in range(5):
+        line.offer(i)
+
+    async def reading() -> None:
+        async for items in line.together():
+            read.append(items)
+
+    reader = asyncio.create_task(reading())
+    await asyncio.sleep(0)
+    line.offer(5)
+    await asyncio.sleep(0)
+    line.offer(6)
+    line.fail(Recoverable("gone"))
+    with pytest.raises(Recoverable):
+        await asyncio.wait_for(reader, 60)
+    assert read == [[2, 3, 4], [5], [6]]
+    assert (line.offered, line.dropped, len(line)) == (7, 2, 0)
+
+
 @pytest.mark.parametrize("make", BOXES)
 @pytest.mark.parametrize("turns", range(6))
 async def test_cancelling_a_reader_at_any_turn_of_the_loop_loses_nothing(make, turns):

@@ -199,10 +199,10 @@ def test_the_place_is_the_integral_of_the_velocity_since_the_start() -> None:
     now = NOW
     for n in range(201):
         now = after(now, 0.02)
-        memory = place_step(memory, Attitude(at(now), Rotation.from_rpy(0.0, 0.0, math.radians(90.0)), np.eye(3)))
-        memory = place_step(memory, Baro(at(now), 100.0 if n < 100 else 103.0, 0.5))
-        memory = place_step(memory, VehicleStatus(at(now), n >= 100, "", 0.5, False, True))
-        memory = place_step(memory, BodyVelocity(at(now), np.array([1.0, 0.0, 0.0]), np.eye(3)))
+        memory = place_step(memory, [Attitude(at(now), Rotation.from_rpy(0.0, 0.0, math.radians(90.0)), np.eye(3))])
+        memory = place_step(memory, [Baro(at(now), 100.0 if n < 100 else 103.0, 0.5)])
+        memory = place_step(memory, [VehicleStatus(at(now), n >= 100, "", 0.5, False, True)])
+        memory = place_step(memory, [BodyVelocity(at(now), np.array([1.0, 0.0, 0.0]), np.eye(3))])
     assert memory.p_start_ned == pytest.approx([0.0, 2.02])
     assert memory.baro_m is not None
     assert memory.ground_baro_m == 100.0

@@ -9,7 +9,7 @@ import pytest
 
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Attitude, Baro, Frame, Imu, Range, VehicleStatus
+from estimator.contracts.samples import Attitude, Baro, Frame, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.integrity import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, fused
 from estimator.integrity.clock import ClockWatch
@@ -45,10 +45,15 @@ def status(t: int, flying: bool | None) -> VehicleStatus:
     return VehicleStatus(stamp(t), flying, "flying", None, False, True)
 
 
+def admit_one(guard: IntegrityGuard, sample: Sample) -> tuple[IntegrityGuard, Verdict | None]:
+    guard, (admitted,) = admit(guard, [sample])
+    return guard, admitted if isinstance(admitted, Verdict) else None
+
+
 def test_a_vehicle_flies_until_it_says_that_it_does_not() -> None:
     assert IntegrityGuard().flying
     for flying, then in ((True, True), (False, False), (None, True)):
-        guard, verdict = admit(IntegrityGuard(flying=not then), status(T, flying))
+        guard, verdict = admit_one(IntegrityGuard(flying=not then), status(T, flying))
         assert (guard.flying, verdict) == (then, None)
 
 
@@ -56,35 +61,35 @@ def test_a_reading_that_repeats_is_refused_in_flight_alone() -> None:
     for flying, said in ((True, Verdict.FROZEN), (False, None)):
         guard = IntegrityGuard(flying=flying)
         for i in range(4):
-            guard, verdict = admit(guard, Baro(stamp(T + i * S), 1.0, 0.5))
+            guard, verdict = admit_one(guard, Baro(stamp(T + i * S), 1.0, 0.5))
         assert verdict is said
 
 
 def test_arrival_delay_and_reading_are_judged_in_turn() -> None:
-    guard, verdict = admit(IntegrityGuard(), Imu(stamp(T), np.zeros(3), np.array([0.0, 0.0, -9.8])))
+    guard, verdict = admit_one(IntegrityGuard(), Imu(stamp(T), np.zeros(3), np.array([0.0, 0.0, -9.8])))
     assert verdict is None
     assert set(guard.sensors) == {Imu}
-    late, verdict = admit(guard, Baro(stamp(T + 2 * S), 1.0, 0.5))
+    late, verdict = admit_one(guard, Baro(stamp(T + 2 * S), 1.0, 0.5))
     assert (verdict, Baro in late.sensors, late.clock.rival is not None) == (Verdict.TOO_NEW, False, True)
     for i in range(10):
-        guard, verdict = admit(guard, Baro(stamp(T + i * MS), float(i), 0.5))
+        guard, verdict = admit_one(guard, Baro(stamp(T + i * MS), float(i), 0.5))
         assert verdict is None
-    delayed, verdict = admit(guard, Baro(stamp(T + 10 * MS, delay=S), 1.0, 0.5))
+    delayed, verdict = admit_one(guard, Baro(stamp(T + 10 * MS, delay=S), 1.0, 0.5))
     assert (verdict, delayed.clock.off("Baro"), delayed.sensors) == (Verdict.TOO_OLD, True, guard.sensors)
     assert set(guard.sensors) == {Imu, Baro}
-    _, verdict = admit(guard, Imu(stamp(T + 10 * MS), np.zeros(3), np.array([0.0, 0.0, -99.0])))
+    _, verdict = admit_one(guard, Imu(stamp(T + 10 * MS), np.zeros(3), np.array([0.0, 0.0, -99.0])))
     assert verdict is Verdict.IMPOSSIBLE
 
 
 def test_range_and_barometer_are_compared_with_the_camera_unless_they_are_refused() -> None:
     seen = IntegrityGuard(heights=HeightWatch(seen_at=T, d_level=(0.0, 0.0, 2.0)))
-    guard, _ = admit(seen, Range(stamp(T), 2.0, 0.01))
+    guard, _ = admit_one(seen, Range(stamp(T), 2.0, 0.01))
     assert guard.heights.agreed_at == T
-    guard, _ = admit(seen, Baro(stamp(T), 32.0, 0.5))
+    guard, _ = admit_one(seen, Baro(stamp(T), 32.0, 0.5))
     assert guard.heights.rise_now == 30.0
     for kind, reading in ((Range, Range(stamp(T), 2.0, 0.01)), (Baro, Baro(stamp(T), 2.0, 0.5))):
         held = replace(seen, sensors=MappingProxyType({kind: SensorWatch(Repeat(2.0, T - 3 * S))}))
-        guard, verdict = admit(held, reading)
+        guard, verdict = admit_one(held, reading)
         assert (verdict, guard.heights) == (Verdict.FROZEN, seen.heights)
 
 
