@@ -10,7 +10,7 @@ BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
 CORE := estimator/core/libdecklander.so.1
 
-.PHONY: core demo check test test-image test-v4l2 lint bench docs fuzz mutants sbom licences audit pins
+.PHONY: core demo check test test-aarch64 test-image test-v4l2 wheels lint bench docs fuzz mutants sbom licences audit pins
 
 demo: $(VENV)/.report $(CORE)
 	$(BIN)/decklander demo
@@ -26,8 +26,16 @@ test: lint
 core: $(CORE)
 
 $(CORE): $(wildcard estimator/core/*.[ch]) supply/core.py | $(VENV)/.runtime
-	@command -v cc >/dev/null || $(PIP) install --require-hashes -r requirements/compiler.txt
+	@command -v cc >/dev/null || $(MAKE) --no-print-directory $(VENV)/.compiler
 	$(BIN)/python -m supply.core
+
+# The core's calls as a Raspberry Pi computes them: cross-built by zig, under qemu-aarch64 (apt install qemu-user).
+test-aarch64: $(VENV)/.dev $(VENV)/.compiler $(CORE)
+	$(BIN)/pytest tests/estimator/core/test_aarch64.py
+
+# Wheels for x86-64 and aarch64 in dist/, which need no compiler where they are installed.
+wheels: $(VENV)/.dev $(VENV)/.compiler
+	$(BIN)/python -m supply.wheels
 
 # The V4L2 driver on the kernel's own test camera, in a virtual machine by software emulation.
 test-v4l2: $(VENV)/.dev $(CORE)
@@ -51,7 +59,7 @@ bench: $(VENV)/.dev $(CORE)
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
-# Every parser against bytes of a fuzzer's making: make fuzz SECONDS=60, or HOURS=8, CPU=1 for CPU time. ONLY="pave at" for some targets, JOBS=1 for one core.
+# Every parser, and every entry of the core where there is clang, against bytes of a fuzzer's making: make fuzz SECONDS=60, or HOURS=8, CPU=1 for CPU time. ONLY="pave at" for some targets, JOBS=1 for one core.
 fuzz: $(VENV)/.fuzz $(CORE)
 	$(BIN)/python -m fuzz $(if $(HOURS),--hours $(HOURS)) $(if $(SECONDS),--seconds $(SECONDS)) $(if $(JOBS),--jobs $(JOBS)) $(if $(CPU),--cpu) $(if $(ONLY),--only $(ONLY))
 
@@ -73,6 +81,11 @@ $(VENV)/.runtime: pyproject.toml requirements/build.txt requirements/runtime.txt
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip --upgrade >/dev/null
 	$(PIP) install --require-hashes -r requirements/build.txt -r requirements/runtime.txt
 	$(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $@
+
+# zig's compiler, which builds for other machines and where there is no `cc`.
+$(VENV)/.compiler: requirements/compiler.txt | $(BIN)/python
+	$(PIP) install --require-hashes -r requirements/compiler.txt
 	@touch $@
 
 # The drawings of demo's report, calibrate and soak.

@@ -21,12 +21,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
 
+from fuzz import native
 from fuzz.target import MODULES
+from supply import core
 
 WORK = Path(".fuzz")
 _PROGRESS = re.compile(r"#(\d+)\s.*\bcov: (\d+) ft: (\d+) corp: (\d+)")
 _EXECUTED = re.compile(r"stat::number_of_executed_units:\s*(\d+)")
-_NATIVE = re.compile(r"ERROR: libFuzzer: (.*)")
+_NATIVE = re.compile(r"ERROR: (?:libFuzzer|AddressSanitizer): (.*)|(\S+: runtime error: .*)")
+TARGETS = (*MODULES, native.NAME)
 _SLOWEST = 6.0
 """Multiple of a time limit that the clock may show if CPU time is the measure."""
 _HANG_S = 20.0
@@ -62,10 +65,13 @@ def run_target(name: str, seconds: float, work: Path, cpu: bool) -> Result:
     began, began_wall = time.monotonic(), time.time()
     longer = _SLOWEST if cpu else 1.0
     most = seconds * longer
+    hang_s = round(_HANG_S * longer)
     command = [
         sys.executable, "-m", "fuzz.one", name, "--until", str(began + most), "--work", str(work / "corpus" / name),
-        "--crashes", str(crashes), "--hang", str(round(_HANG_S * longer)),
+        "--crashes", str(crashes), "--hang", str(hang_s),
     ]  # fmt: skip
+    if name == native.NAME:
+        command = native.command(work, most, hang_s)
     executions = edges = features = corpus = 0
     tail: list[str] = []
     with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, env=_environment()) as process:
@@ -84,8 +90,8 @@ def run_target(name: str, seconds: float, work: Path, cpu: bool) -> Result:
                 process.kill()
     faults = [path.read_text(encoding="utf-8").partition("\n")[0] for path in _new(crashes, f"{name}-*.txt", began_wall)]
     if process.returncode != 0:
-        native = next((found[1] for line in tail if (found := _NATIVE.search(line))), f"exit code {process.returncode}")
-        faults.append(f"{name}: {native}")
+        said = next((found[1] or found[2] for line in tail if (found := _NATIVE.search(line))), None)
+        faults.append(f"{name}: {said or f'exit code {process.returncode}'}")
         crashes.mkdir(parents=True, exist_ok=True)
         (crashes / f"{name}-last-words.log").write_text("\n".join(tail) + "\n")
     return Result(name, executions, edges, features, corpus, time.monotonic() - began, tuple(faults))
@@ -141,11 +147,21 @@ def main() -> int:
     parser.add_argument("--hours", type=float, default=0.0)
     parser.add_argument("--cpu", action="store_true", help="count CPU time instead, for a busy machine")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1))
-    parser.add_argument("--only", nargs="+", choices=sorted(MODULES), metavar="TARGET", help=f"of {', '.join(MODULES)}")
+    parser.add_argument("--only", nargs="+", choices=sorted(TARGETS), metavar="TARGET", help=f"of {', '.join(TARGETS)}")
     parser.add_argument("--work", type=Path, default=WORK)
     args = parser.parse_args()
     seconds = args.seconds + 3600.0 * args.hours
-    return run(args.only or list(MODULES), seconds or 60.0, max(1, args.jobs), args.work, args.cpu)
+    names = args.only or list(TARGETS)
+    if native.NAME in names and native.missing():
+        print(native.NO_CLANG, file=sys.stderr)
+        if args.only:
+            return 2
+        names.remove(native.NAME)
+    try:
+        return run(names, seconds or 60.0, max(1, args.jobs), args.work, args.cpu)
+    except core.BuildError as why:
+        print(why, file=sys.stderr)
+        return 2
 
 
 if __name__ == "__main__":

@@ -52,14 +52,17 @@ _WORDS = (
     "exposure=1, gain=true",
 )
 
+_DEEP = 50
+"""The deepest nesting of a value. The reader of TOML refuses what is nested much deeper."""
+
 
 @cache
 def _files(folder: str) -> tuple[dict[str, Any], ...]:
     return tuple(read_toml(SHIPPED / folder / f"{name}.toml") for name in shipped(folder))
 
 
-def _value(choices: Choices) -> Any:
-    how = choices.number(1)
+def _value(choices: Choices, deep: int = 0) -> Any:
+    how = choices.number(1) if deep < _DEEP else 0
     kind, pick = how & 7, how >> 3
     if kind == 0:
         return _NUMBERS[pick % len(_NUMBERS)]
@@ -75,7 +78,9 @@ def _value(choices: Choices) -> Any:
         return choices.real()
     if kind == 6:
         return bool(pick & 1)
-    return [_value(choices) for _ in range(pick % 6)] if pick & 16 else {_WORDS[pick % len(_WORDS)]: _value(choices)}
+    if pick & 16:
+        return [_value(choices, deep + 1) for _ in range(pick % 6)]
+    return {_WORDS[pick % len(_WORDS)]: _value(choices, deep + 1)}
 
 
 def _keys(table: dict[str, Any], before: tuple[str, ...] = ()) -> list[tuple[str, ...]]:

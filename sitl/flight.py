@@ -62,7 +62,8 @@ _WATCH_EACH = 10
 class Timing:
     """The delays of the simulated service."""
 
-    frame_period_s: float = 1.0 / 30.0
+    frame_period_s: float | None = None
+    """None: as the drone is configured (`video:codec_fps`)."""
     frame_delay_s: float = 0.09
     """Delay from mid-exposure to the frame's arrival: half the exposure, encoder, link, decoder."""
     vision_s: float = 0.01
@@ -284,7 +285,8 @@ class Flight:
     def _film(self, now: MonoNs) -> None:
         if now < self._due_frame:
             return
-        self._due_frame = after(self._due_frame, self._timing.frame_period_s)
+        own = self._timing.frame_period_s
+        self._due_frame = after(self._due_frame, own or 1.0 / self._drone.state.config.number("video:codec_fps"))
         self._frames_under_way.send(self._expose, self.world.at, self._timing.frame_delay_s)
 
     def _expose(self) -> Callable[[], RenderedFrame]:

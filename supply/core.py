@@ -28,6 +28,12 @@ NO_COMPILER = (
 )
 
 
+ARCHITECTURE = "DECKLANDER_WHEEL_FOR"
+"""Name of the environment variable that tells a wheel's build hook for which architecture to build."""
+GLIBC = (2, 17)
+"""The oldest glibc on which a cross-built library runs."""
+
+
 class BuildError(Exception):
     """The library could not be built; the text says why and what helps."""
 
@@ -45,13 +51,25 @@ def compiler() -> list[str]:
     raise BuildError(NO_COMPILER)
 
 
-def build(out: Path = LIBRARY, extra: Sequence[str] = (), sources: Path = FOLDER) -> Path:
+def cross_compiler(architecture: str) -> list[str]:
+    """Return the command that compiles C for another architecture, and for every glibc that is not older than `GLIBC`.
+
+    Raises:
+        BuildError: zig's compiler is missing.
+    """
+    if importlib.util.find_spec("ziglang") is None:
+        raise BuildError("building for another architecture needs zig's compiler (requirements/compiler.txt)")
+    return [sys.executable, "-m", "ziglang", "cc", "-target", f"{architecture}-linux-gnu.{'.'.join(map(str, GLIBC))}"]
+
+
+def build(out: Path = LIBRARY, extra: Sequence[str] = (), sources: Path = FOLDER, architecture: str | None = None) -> Path:
     """Compile the library. It replaces an older one at once, so that a process that runs keeps the file it has opened.
 
     Args:
         out: the file to write.
         extra: further flags for the compiler.
         sources: the folder of the C files.
+        architecture: for what machine, as Linux names it; by default for this one.
 
     Raises:
         BuildError: there is no compiler, or it refuses a source.
@@ -59,7 +77,8 @@ def build(out: Path = LIBRARY, extra: Sequence[str] = (), sources: Path = FOLDER
     files = [str(path) for path in sorted(sources.glob("*.c"))]
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".core-") as folder:
         made = Path(folder, out.name)
-        command = [*compiler(), *FLAGS, "-shared", *extra, *files, "-o", str(made), "-lm"]
+        used = compiler() if architecture is None else cross_compiler(architecture)
+        command = [*used, *FLAGS, "-shared", *extra, *files, "-o", str(made), "-lm"]
         done = subprocess.run(
             command, capture_output=True, text=True, check=False, env={**os.environ, "ZIG_LOCAL_CACHE_DIR": folder}
         )

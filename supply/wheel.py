@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import sysconfig
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +19,24 @@ class CoreHook(BuildHookInterface[Any]):
     """The hook. An editable install uses the library of its checkout, which `make core` builds."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Build the library before the wheel is packed.
+        """Build the library before the wheel is packed: for this machine, or for the architecture that the environment names.
 
         Raises:
             BuildError: there is no compiler, or it refuses a source.
         """
         if self.target_name != "wheel" or version == "editable":
             return
-        core.build()
-        build_data["artifacts"].append(str(core.LIBRARY.relative_to(self.root)))
+        architecture = os.environ.get(core.ARCHITECTURE)
+        platform = sysconfig.get_platform()
+        if architecture is not None:
+            platform = f"manylinux_{core.GLIBC[0]}_{core.GLIBC[1]}_{architecture}"
+        self._folder = tempfile.TemporaryDirectory()
+        library = core.build(Path(self._folder.name, core.LIBRARY.name), architecture=architecture)
+        build_data["force_include"][str(library)] = str(core.LIBRARY.relative_to(self.root))
         build_data["pure_python"] = False
-        build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+        build_data["tag"] = f"py3-none-{platform.replace('-', '_').replace('.', '_')}"
+
+    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
+        """Remove the library that the wheel holds by now."""
+        if hasattr(self, "_folder"):
+            self._folder.cleanup()

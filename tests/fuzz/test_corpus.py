@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from fuzz import __main__ as fuzz
+from fuzz import native
 from fuzz.finds import Finds, signature
 from fuzz.target import CORPUS, MODULES, Choices, block, target
 
@@ -100,6 +101,32 @@ def test_the_command_shows_a_fault_and_a_hang_and_ends_with_1(tmp_path: Path, ca
     assert "15000 executions, 231 edges, 2 faults" in said
     assert "at: KeyError at a.py:1" in said
     assert "pave: timeout after 21 seconds" in said
+
+
+def test_a_fault_of_the_native_core_is_shown_with_its_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = "core/sea.c:33:22: runtime error: -nan is outside the range of representable values of type 'long'"
+    code = f"import sys; print({said!r}, file=sys.stderr); sys.exit(1)"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(native, "command", lambda *_: [sys.executable, "-c", code])
+        assert fuzz.run(["core"], 1.0, 1, tmp_path) == 1
+    assert f"core: {said}" in capsys.readouterr().out
+
+
+def test_without_clang_the_other_targets_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    ran: list[str] = []
+
+    def run(names: list[str], *_: object) -> int:
+        ran.extend(names)
+        return 0
+
+    monkeypatch.setattr(native, "missing", lambda: True)
+    monkeypatch.setattr(fuzz, "run", run)
+    monkeypatch.setattr(sys, "argv", ["fuzz"])
+    assert fuzz.main() == 0
+    assert ran == list(MODULES)
+    assert "apt install clang" in capsys.readouterr().err
+    monkeypatch.setattr(sys, "argv", ["fuzz", "--only", "core"])
+    assert fuzz.main() == 2
 
 
 def test_make_runs_it_and_says_where_it_cannot() -> None:

@@ -17,6 +17,7 @@ from estimator.contracts.estimates import Verdict
 from sitl.faults import KINDS, LensCovered
 from sitl.flight import Flight
 from sitl.flight_grader import FlightResult
+from sitl.perception.levels import perceive
 from sitl.render_worker import render_worker
 from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
@@ -62,6 +63,17 @@ def fly(scenario: Scenario, seed: int, limit_s: float | None = None) -> tuple[Fl
     diary = Diary()
     flight = Flight(scenario, seed, SIM, make_pilot(SIM, shadows=("median_mean",)), observers=[diary])
     return flight.run(), diary, flight
+
+
+@pytest.mark.parametrize("frames_per_s", [15, 30])
+def test_frames_come_as_often_as_the_drone_is_configured_to_send_them(frames_per_s: int) -> None:
+    vehicle = msgspec.structs.replace(SIM.vehicle, further_configuration=f"video:codec_fps={frames_per_s}")
+    settings = msgspec.structs.replace(SIM, vehicle=vehicle)
+    level = perceive("truth", None)
+    flight = Flight(LOW, 3, settings, level.pilot(settings), perception=level)
+    while flight.world.now < flight.world.started + 2_000_000_000:
+        flight.step()
+    assert flight.exposures == pytest.approx(2 * frames_per_s, abs=1)
 
 
 @cache

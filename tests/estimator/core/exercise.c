@@ -1,15 +1,28 @@
-/* Calls every function of the core with random arguments of every size, for the sanitizers to watch; prints what it called. */
+/* Calls every function of the core with random arguments of every size, for the sanitizers to watch, and says what it called and
+ * what came of it. Compiled with FUZZED it takes a fuzzer's arguments instead. */
 
-#include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 
+#include "draws.h"
 #include "interface.h"
 
-static double uniform(void)
+static double found;
+
+/* Fold results into one number, which two machines must agree about; they may differ about what is not finite. */
+static void fold(const double *values, int n)
 {
-    return 2.0 * rand() / RAND_MAX - 1.0;
+    for (int i = 0; i < n; i++) {
+        if (isfinite(values[i]) && fabs(values[i]) < 1e12) {
+            found += values[i] * (1 + i % 7);
+        }
+    }
+}
+
+static void fold_bytes(const void *values, size_t n)
+{
+    for (size_t i = 0; i < n; i++) {
+        found += ((const uint8_t *)values)[i];
+    }
 }
 
 /* Exactly as long as it must be, so that the sanitizer sees one step beyond. */
@@ -43,8 +56,12 @@ static void algebra(int n, int m, double poison)
     double *P = covariance(n), *F = numbers(n * n), *Q = covariance(n), *after = numbers(n * n);
     double *innov = numbers(m), *H = numbers(m * n), *R = covariance(m), *dx = numbers(n), *S = numbers(m * m), nis;
     P[0] *= poison;
+    poisoned(P, n * n), poisoned(F, n * n), poisoned(Q, n * n), poisoned(innov, m), poisoned(H, m * n), poisoned(R, m * m);
     kalman_predict(n, P, F, Q, after);
-    kalman_correct(n, m, P, innov, H, R, dx, after, S, &nis);
+    fold(after, n * n);
+    if (kalman_correct(n, m, P, innov, H, R, dx, after, S, &nis)) {
+        fold(dx, n), fold(after, n * n), fold(S, m * m), fold(&nis, 1);
+    }
     double *all[] = {P, F, Q, after, innov, H, R, dx, S};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
@@ -94,8 +111,8 @@ static void hover(belief *b, double *P)
 /* A sample of any kind; one in ten is beyond anything. */
 static void sample(event *e, int64_t t)
 {
-    const double size = rand() % 10 == 0 ? 1e3 : 0.1;
-    e->kind = rand() % (IMU + 2);
+    const double size = draw() % 10 == 0 ? 1e3 : 0.1;
+    e->kind = draw() % (IMU + 2);
     e->t = t;
     for (int i = 0; i < 18; i++) {
         e->value[i] = size * uniform();
@@ -108,9 +125,10 @@ static void sample(event *e, int64_t t)
     if (e->kind == ATTITUDE || e->kind == VELOCITY) {
         double *cov = e->value + (e->kind == ATTITUDE ? 9 : 3);
         for (int i = 0; i < 9; i++) {
-            cov[i] = i % 4 == 0 ? (rand() % 5 == 0 ? 1e6 : 1e-3) : 0.0;
+            cov[i] = i % 4 == 0 ? (draw() % 5 == 0 ? 1e6 : 1e-3) : 0.0;
         }
     }
+    poisoned(e->value, 18);
 }
 
 static void fly(int surface, int rounds, double poison)
@@ -125,9 +143,10 @@ static void fly(int surface, int rounds, double poison)
     parameters(o, surface);
     hover(before, P);
     P[N + 1] *= poison;
+    poisoned(P, N * N), poisoned(before->x, N), poisoned(before->R, 9), poisoned(before->f, 3);
     for (int round = 0; round < rounds; round++) {
         for (int i = 0; i < LENGTH; i++) {
-            t += rand() % 10 == 0 ? 200000000 : rand() % 5000000;
+            t += draw() % 10 == 0 ? 200000000 : draw() % 5000000;
             sample(&events[i], t);
         }
         const int done = filter_run(o, LENGTH, events, before, P, after, P_after, index, first);
@@ -136,6 +155,7 @@ static void fly(int surface, int rounds, double poison)
             if (index[done - 1] >= 0) {
                 memcpy(P, P_after + index[done - 1] * N * N, N * N * sizeof *P);
             }
+            fold(before->x, N), fold(P, N * N), fold(first->innov, 3), fold(&first->nis, 1);
         }
         filter_settle(o, before, after, F, Q);
         if (filter_propagate(o, round % 3, t + 1000, before, P, after, P_after)) {
@@ -157,16 +177,71 @@ static void gate(int m, double poison)
 {
     double *innov = numbers(m), *S = covariance(m), nis;
     S[0] *= poison;
-    nis_of(m, innov, S, &nis);
+    poisoned(innov, m), poisoned(S, m * m);
+    if (nis_of(m, innov, S, &nis)) {
+        fold(&nis, 1);
+    }
     free(innov);
     free(S);
 }
 
 #include "exercise_render.h"
 
-int main(void)
+static void fuzz_one(const uint8_t *bytes, size_t size)
 {
-    printf("core_digest %u\n", core_digest());
+    begin(bytes, size);
+    const int what = fuzzed_byte() % 4;
+    if (what == 0) {
+        const int n = 1 + draw() % ORDER_MAX, m = 1 + draw() % ROWS_MAX;
+        algebra(n, m, 1.0);
+    } else if (what == 1) {
+        gate(1 + draw() % ROWS_MAX, 1.0);
+    } else if (what == 2) {
+        const int surface = draw() % (OVER_EITHER + 1);
+        fly(surface, 2, 1.0);
+    } else {
+        scenes(1);
+    }
+}
+
+#ifdef FUZZED
+int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size);
+
+int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
+{
+    fuzz_one(bytes, size);
+    return 0;
+}
+#else
+static void report(const char *functions)
+{
+    printf("%.17g %s\n", found, functions);
+    found = 0.0;
+}
+
+/* A fuzzer's input from a file, as the fuzzer would give it. */
+static int again(const char *file)
+{
+    static uint8_t bytes[65536];
+    FILE *opened = fopen(file, "rb");
+    if (!opened) {
+        return 1;
+    }
+    fuzz_one(bytes, fread(bytes, 1, sizeof bytes, opened));
+    return fclose(opened) != 0;
+}
+
+int main(int count, char **files)
+{
+    for (int i = 1; i < count; i++) {
+        if (again(files[i])) {
+            return 1;
+        }
+    }
+    if (count > 1) {
+        return 0;
+    }
+    printf("%u core_digest\n", core_digest());
     const double poisons[] = {1.0, 0.0, -1e300, 1e300, NAN, INFINITY};
     for (int n = 1; n <= ORDER_MAX; n += 7) {
         for (int m = 1; m <= ROWS_MAX; m++) {
@@ -175,13 +250,16 @@ int main(void)
         }
     }
     algebra(ORDER_MAX, ROWS_MAX, 1.0);
-    printf("kalman_predict kalman_correct nis_of\n");
+    report("kalman_predict kalman_correct nis_of");
     for (int surface = OVER_GROUND; surface <= OVER_EITHER; surface++) {
         fly(surface, 200, 1.0);
         fly(surface, 3, NAN);
         fly(surface, 3, -1e300);
     }
-    printf("filter_run filter_propagate filter_settle\n");
-    renderer();
+    report("filter_run filter_propagate filter_settle");
+    scenes(24);
+    report("render_deck render_fill render_smear render_sea render_water render_pad_kinds render_pad_shares render_expose "
+           "render_mix render_frame render_blur");
     return 0;
 }
+#endif

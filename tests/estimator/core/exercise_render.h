@@ -4,7 +4,7 @@ static void *room(size_t bytes)
 {
     unsigned char *made = malloc(bytes);
     for (size_t i = 0; i < bytes; i++) {
-        made[i] = (unsigned char)rand();
+        made[i] = (unsigned char)next_random();
     }
     return made;
 }
@@ -14,6 +14,10 @@ static float *floats(int n, float scale)
     float *made = malloc((size_t)n * sizeof(float));
     for (int i = 0; i < n; i++) {
         made[i] = scale * (float)uniform();
+    }
+    /* Finite, as every scene is: the renderer believes its caller, the simulator. */
+    for (int left = fuzzed ? fuzzed_byte() % 8 : 0; left > 0; left--) {
+        made[draw() % n] = 1e6f * (float)(fuzzed_byte() - 128) / 128.0f;
     }
     return made;
 }
@@ -44,6 +48,7 @@ static void surface(int h, int w, float scale, int with_mask)
     render_sea(h, w, with_mask ? mask : 0, 0, w / 2, 0, h / 2, cells, columns, texels, texels, texels, texels, sizes, drift, strength, slow,
                with_mask ? shade : 0, with_mask ? shade : 0, codes);
     render_water(w, 0, w, 0, h, codes, (const uint16_t *)colour, scene);
+    fold_bytes(scene, (size_t)h * w * 8), fold_bytes(smeared, (size_t)h * w * 8), fold_bytes(codes, (size_t)h * w / 4);
     void *all[] = {cells, slow, shade, texels, scene, drawing, smeared, mask, codes, colour};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
@@ -80,21 +85,22 @@ static void pad_in_light(int h, int w, float height_m, int rolling, int radius)
         taps[t] = (uint16_t)(65535 / (2 * radius + 1));
     }
     render_frame(h, w, light, radius, taps, even, radius % 2 ? noise : 0, codes, scratch, frame);
+    fold_bytes(frame, (size_t)h * values), fold_bytes(kinds, (size_t)h * w);
     render_blur(h, w, light, radius, taps, scratch, noise);
+    fold_bytes(noise, (size_t)h * values * 2);
     void *all[] = {rays, strokes, kinds, frame, codes, edges, scene, pad_scene, even, taps, scratch, gain, light, noise, shares};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
     }
 }
 
-static void renderer(void)
+static void scenes(int count)
 {
     const float scales[] = {1.0f, 30.0f, 1e3f, 1e5f};
-    for (int i = 0; i < 24; i++) {
-        const int h = 2 * (2 + rand() % 20), w = 2 * (8 + rand() % 30);
-        surface(h, w, scales[i % 4], i % 3);
-        pad_in_light(h, w, 0.1f + 0.3f * (float)(i % 7), i % 2, i % (BLUR_RADIUS_MAX / 4));
+    for (int i = 0; i < count; i++) {
+        const int kind = fuzzed ? draw() : i;
+        const int h = 2 * (2 + draw() % 20), w = 2 * (8 + draw() % 30);
+        surface(h, w, scales[kind % 4], kind % 3);
+        pad_in_light(h, w, 0.1f + 0.3f * (float)(kind % 7), kind % 2, kind % (BLUR_RADIUS_MAX / 4));
     }
-    printf("render_deck render_fill render_smear render_sea render_water render_pad_kinds render_pad_shares render_expose "
-           "render_mix render_frame render_blur\n");
 }

@@ -1,0 +1,85 @@
+"""Make the wheels that need no compiler where they are installed: `python -m supply.wheels`, or `make wheels`.
+
+One for each architecture that flies, for every glibc from 2.17 on (manylinux_2_17), cross-built by zig's compiler.
+Source: PEP 600, Future manylinux platform tags.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import struct
+import subprocess
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+
+from supply import core
+
+ROOT = Path(__file__).parents[1]
+ARCHITECTURES = {"x86_64": 62, "aarch64": 183}
+"""Each with its number in an ELF file (e_machine)."""
+_GLIBC = re.compile(rb"GLIBC_(\d+)\.(\d+)")
+
+
+class WheelError(Exception):
+    """A wheel could not be made, or does not fit its tag; the text says why."""
+
+
+def make(architecture: str, out: Path) -> Path:
+    """Make the wheel for one architecture, check its library, and return its file.
+
+    Raises:
+        WheelError: it cannot be built, or the library in it is for another machine or a newer glibc than its tag says.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        command = [
+            sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "wheel", "--no-deps", "--no-build-isolation",
+            "--wheel-dir", folder, str(ROOT),
+        ]  # fmt: skip
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=False, env={**os.environ, core.ARCHITECTURE: architecture}
+        )
+        if done.returncode != 0:
+            raise WheelError(f"no wheel for {architecture}: {done.stderr.strip()[-2000:]}")
+        (made,) = Path(folder).glob("*.whl")
+        with zipfile.ZipFile(made) as wheel:
+            (library,) = (name for name in wheel.namelist() if name.endswith(core.LIBRARY.name))
+            check(wheel.read(library), architecture)
+        out.mkdir(parents=True, exist_ok=True)
+        return made.replace(out / made.name)
+
+
+def check(library: bytes, architecture: str) -> None:
+    """Hold a library to the tag of its wheel.
+
+    Raises:
+        WheelError: it is for another machine, or needs a newer glibc.
+    """
+    (machine,) = struct.unpack_from("<H", library, 18)
+    if machine != ARCHITECTURES[architecture]:
+        raise WheelError(f"the library for {architecture} is built for ELF machine {machine}, not {ARCHITECTURES[architecture]}")
+    newest = max((tuple(map(int, found)) for found in _GLIBC.findall(library)), default=(0, 0))
+    if newest > core.GLIBC:
+        raise WheelError(f"the library for {architecture} needs glibc {newest[0]}.{newest[1]}, its tag says 2.17")
+
+
+def main() -> int:
+    """Run the command."""
+    parser = argparse.ArgumentParser(prog="python -m supply.wheels", description="Make a wheel for each architecture.")
+    parser.add_argument("--out", type=Path, default=Path("dist"))
+    args = parser.parse_args()
+    try:
+        for architecture in ARCHITECTURES:
+            made = make(architecture, args.out)
+            print(f"{made} ({made.stat().st_size / 1e3:.0f} kB)", flush=True)
+    except WheelError as why:
+        print(why, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
