@@ -3,9 +3,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "correction.h"
 #include "rotation.h"
-
-#define AT(M, row, column) ((M)[(row) * N + (column)])
 
 /* Length of a rejection streak after which a kind of aiding is accepted again, with what it contradicts made uncertain. */
 static const double STUCK_S = 1.0;
@@ -16,7 +15,6 @@ static const double OVER_EXPECTED = 3.0;
 /* NIS above which a hypothesis is refuted by its own covariance; one true sample in twenty exceeds it. */
 static const double REFUTED = 6.0;
 
-enum { SURGING = WAVES + 1, SWAYING = WAVES + 5, HEAVE = WAVES + 8, HEAVING = WAVES + 9, ROLL = WAVES + 12, PITCH = WAVES + 16 };
 enum { ALL_AXES = 7 };
 
 /* The states on which each kind of aiding depends; a row of a Jacobian holds their derivatives in this order. */
@@ -49,44 +47,6 @@ static void spread_of(int m, int kind, const double *H, const double *P, double 
             }
         }
     }
-}
-
-/* b and its covariance after the correction dx, P; the covariance is rewritten about the turned attitude. */
-static void correct(belief *b, covariance *c, const double dx[N], double *P)
-{
-    double turn[9], R[9], half[3], G[9];
-    for (int i = 0; i < N; i++) {
-        b->x[i] += dx[i];
-    }
-    memset(b->x + ATT_ERR, 0, 3 * sizeof(double));
-    b->x[PAD_YAW] = remainder(b->x[PAD_YAW], 2.0 * acos(-1.0));
-    b->x[VEL_SCALE] = fmin(fmax(b->x[VEL_SCALE], 0.2), 3.0);
-    exp_rotation(dx + ATT_ERR, turn);
-    product(b->R, turn, R);
-    memcpy(b->R, R, sizeof R);
-    memcpy(b->R_cov, R, sizeof R);
-    /* The error is an error about the turned attitude, so its axes turn by half the step (Sola, Quaternion kinematics for the
-     * error-state Kalman filter, 2017, eq. 287). */
-    for (int i = 0; i < 3; i++) {
-        half[i] = -0.5 * dx[ATT_ERR + i];
-    }
-    skew(half, G);
-    for (int i = 0; i < 9; i++) {
-        G[i] += i % 4 == 0;
-    }
-    for (int k = 0; k < N; k++) {
-        const double column[3] = {AT(P, ATT_ERR, k), AT(P, ATT_ERR + 1, k), AT(P, ATT_ERR + 2, k)};
-        for (int i = 0; i < 3; i++) {
-            AT(P, ATT_ERR + i, k) = dot(G + 3 * i, column);
-        }
-    }
-    for (int k = 0; k < N; k++) {
-        const double row[3] = {AT(P, k, ATT_ERR), AT(P, k, ATT_ERR + 1), AT(P, k, ATT_ERR + 2)};
-        for (int i = 0; i < 3; i++) {
-            AT(P, k, ATT_ERR + i) = dot(G + 3 * i, row);
-        }
-    }
-    c->P = P;
 }
 
 /* Samples from before a pause: their innovations belong to a state long past. */
@@ -135,7 +95,7 @@ void fuse_gathered(const filter_params *o, belief *b, covariance *c)
     }
     double *place = free_place(c);
     if (m > 0 && kalman_correct(N, m, c->P, innov, H, R, dx, place, S, &nis)) {
-        correct(b, c, dx, place);
+        correct_belief(b, c, dx, place);
     }
 }
 
@@ -154,10 +114,8 @@ static void inflate_along(double *P, const double g[N], double var)
 /* Make uncertain what a rejected sensor contradicts, in directions that leave the pad's position certain. */
 static void inflate(const belief *b, covariance *c, int kind, const double *innov)
 {
-    double *P = free_place(c), g[N] = {0.0};
+    double *P = changeable(c), g[N] = {0.0};
     const double *x = b->x;
-    memcpy(P, c->P, N * N * sizeof *P);
-    c->P = P;
     if (kind == ATTITUDE) {
         /* All directions turn together about the vertical, as they do when the attitude source redefines north. */
         const int turning[] = {POS_REL, VEL, VESSEL_VEL, SWAY_PER_HEAVE};
@@ -191,15 +149,6 @@ static void inflate(const belief *b, covariance *c, int kind, const double *inno
     } else if (kind == HEIGHT) {
         AT(P, BARO_OFFSET, BARO_OFFSET) += innov[0] * innov[0];
     }
-}
-
-static void tell(outcome *out, int verdict, int m, int axes, const double *innov, const double *S)
-{
-    out->verdict = verdict;
-    out->m = m;
-    out->axes = axes;
-    memcpy(out->innov, innov, (size_t)m * sizeof *innov);
-    memcpy(out->S, S, (size_t)(m * m) * sizeof *S);
 }
 
 /* Begin to gather a kind of sample: the prediction's Jacobian and covariance hold for the whole period. */
@@ -347,10 +296,8 @@ static int distance(const double R[9], const double x[N], double *r, double H[3 
         H[3 + i] = n[i] / cosine;
         reach[i] = (x[POS_REL + i] - *r * c[i]) / cosine;
     }
-    /* The axes, in ned, about which roll, pitch and heading turn the pad. */
-    const double by_roll[3] = {cos(yaw) * cos(pitch), sin(yaw) * cos(pitch), -sin(pitch)};
-    const double by_pitch[3] = {-sin(yaw), cos(yaw), 0.0};
-    double cross[9], turned[3];
+    double cross[9], turned[3], by_roll[3], by_pitch[3];
+    pad_axes(pitch, yaw, by_roll, by_pitch);
     skew(n, cross);
     rotated(cross, reach, turned);
     H[6] = H[7] = dot(turned, by_roll);
@@ -380,13 +327,6 @@ void take_range(const filter_params *o, belief *b, covariance *c, double range_m
         begin(&begun, b, c, RANGE, 1, 0, 0.0, H, NULL);
     }
     gather(o, b, c, RANGE, &begun, &innov, &var, out);
-}
-
-static void pad_velocity(const double x[N], double v[3])
-{
-    v[0] = x[SURGING] + x[VESSEL_VEL] + x[SWAY_PER_HEAVE] * x[HEAVING];
-    v[1] = x[SWAYING] + x[VESSEL_VEL + 1] + x[SWAY_PER_HEAVE + 1] * x[HEAVING];
-    v[2] = x[HEAVING];
 }
 
 /* What a sensor with that scale measures of a velocity, m/s in `level`. */

@@ -1,11 +1,14 @@
-/* The processing of the vehicle's samples in the order of their instants, one after the other in one call. */
+/* The processing of events in the order of their instants, one after the other in one call. */
 
 #include <math.h>
 #include <string.h>
 
 #include "aiding.h"
+#include "gate.h"
 #include "interface.h"
 #include "propagate.h"
+#include "vessel.h"
+#include "vision.h"
 
 /* Time constant of the smoothed body rate, s. */
 static const double SMOOTH_S = 0.03;
@@ -33,9 +36,8 @@ static void forget_the_pad(const filter_params *o, belief *b)
 {
     if (b->sighted >= 0 && seconds(b->sighted, b->t) > o->forget_s) {
         b->sighted = -1;
-        b->agreed = b->rejected_n = b->rejected_since = b->rejected_last = 0;
-        memset(b->rejected_offset_ned, 0, sizeof b->rejected_offset_ned);
-        b->rejected_var_m2 = 0.0;
+        b->agreed = 0;
+        streak_end(b);
     }
 }
 
@@ -78,11 +80,17 @@ static int sets_the_attitude(const belief *b, const double *P)
     return !b->heading_is_given || var > DIVERGED_VAR;
 }
 
-static int take(const filter_params *o, belief *b, covariance *c, const event *e, outcome *out)
+/* State and covariance at t, with the means of all gathered samples fused: otherwise another correction would count twice. */
+static void ready_to_fuse(const filter_params *o, belief *b, covariance *c, int64_t t)
 {
-    memset(out, 0, sizeof *out);
-    out->nis = out->nis_max = NAN;
-    out->verdict = FUSED;
+    propagate_to(o, b, c, t);
+    propagate_covariance(o, b, c);
+    fuse_gathered(o, b, c);
+}
+
+/* One of the vehicle's samples; returns 0 if it is none of ours. */
+static int take_sample(const filter_params *o, belief *b, covariance *c, const event *e, outcome *out)
+{
     if (e->kind == IMU) {
         take_imu(o, b, c, e);
         return 1;
@@ -109,17 +117,45 @@ static int take(const filter_params *o, belief *b, covariance *c, const event *e
     }
 }
 
-int32_t filter_run(const filter_params *o, int32_t n, const event *events, const belief *before, const double *P_before,
-                   belief *after, double *P_after, int64_t *P_index, outcome *first)
+static int take(const filter_params *o, belief *b, covariance *c, sea_ref *bank, const event *e, const sighting *s, outcome *out)
+{
+    memset(out, 0, sizeof *out);
+    out->nis = out->nis_max = NAN;
+    out->verdict = FUSED;
+    if (e->kind == VESSEL) {
+        ready_to_fuse(o, b, c, e->t);
+        take_vessel(o, b, c, e->value, out);
+        return 1;
+    }
+    if (e->kind != SIGHTING) {
+        return take_sample(o, b, c, e, out);
+    }
+    if (s->confidence < o->min_confidence) {
+        out->verdict = GATED;
+        return 1;
+    }
+    ready_to_fuse(o, b, c, e->t);
+    forget_the_pad(o, b);
+    take_sighting(o, b, c, bank, s, out);
+    return 1;
+}
+
+/* The events in their order, of which those of kind SIGHTING take the sightings one by one. Returns how many were processed: the
+ * next one is none of ours. A covariance or a bank that an event changed is written once; its index says which of those written
+ * belongs to the belief after an event, -1 the one before all of them. */
+int32_t filter_run(const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before,
+                   const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after,
+                   int64_t *P_index, int64_t *sea_index, outcome *first)
 {
     double places[2][N * N];
     const double *P = P_before;
+    sea_ref bank = {sea_before, sea_after};
     int32_t used = 0;
     for (int32_t i = 0; i < n; i++) {
         covariance c = {P, {places[0], places[1]}};
         outcome out;
         after[i] = i == 0 ? *before : after[i - 1];
-        if (!take(o, &after[i], &c, &events[i], &out)) {
+        if (!take(o, &after[i], &c, &bank, &events[i], sightings, &out)) {
             return i;
         }
         if (i == 0) {
@@ -130,6 +166,9 @@ int32_t filter_run(const filter_params *o, int32_t n, const event *events, const
             used++;
         }
         P_index[i] = used - 1;
+        sightings += events[i].kind == SIGHTING;
+        bank.place += bank.now == bank.place;
+        sea_index[i] = bank.place - sea_after - 1;
     }
     return n;
 }
@@ -140,12 +179,13 @@ int32_t filter_propagate(const filter_params *o, int32_t what, int64_t t, const 
     double places[2][N * N];
     covariance c = {P_before, {places[0], places[1]}};
     *after = *before;
-    propagate_to(o, after, &c, t);
-    if (what >= WITH_COVARIANCE) {
-        propagate_covariance(o, after, &c);
-    }
     if (what >= WITH_AIDING) {
-        fuse_gathered(o, after, &c);
+        ready_to_fuse(o, after, &c, t);
+    } else {
+        propagate_to(o, after, &c, t);
+    }
+    if (what == WITH_COVARIANCE) {
+        propagate_covariance(o, after, &c);
     }
     if (c.P != P_before) {
         memcpy(P_after, c.P, sizeof places[0]);

@@ -28,11 +28,20 @@
 #define ROWS_MAX 9
 #define COLUMNS_MAX 14
 #define KINDS 4
+#define DIRECTIONS 5
+#define MEMBERS 136
+#define MEMBER_STATES 7
+#define MEMBER_PAIRS 28
+#define SKILL_HORIZONS 3
+#define ISSUED_MAX 9
+#define RATIOS_MAX 24
 #define ATTITUDE 0
 #define VELOCITY 1
 #define RANGE 2
 #define HEIGHT 3
 #define IMU 4
+#define VESSEL 5
+#define SIGHTING 6
 #define FUSED 0
 #define GATED 1
 #define SINGULAR 2
@@ -70,8 +79,43 @@
 #define PAD_CLEAR_RADIUS 12
 
 typedef struct {
+    double w[136];
+    double zeta[136];
+    double log_zeta[136];
+    double log_prior[136];
+    double sigma[680];
+} bank_members;
+
+typedef struct {
+    int64_t t;
+    double waves[30];
+} issued_forecast;
+
+typedef struct {
+    int64_t issued_n;
+    issued_forecast issued[9];
+    double n[3];
+    double product[30];
+    double square[30];
+} forecast_skill;
+
+typedef struct {
+    int64_t t;
+    double w_rad_s[5];
+    double zeta[5];
+    double sigma[5];
+    forecast_skill skill;
+    double log_weight[680];
+    double weight[680];
+    double x[4760];
+    double P[19040];
+} sea;
+
+typedef struct {
     int64_t hold_ns;
     int64_t velocity_is_over;
+    int64_t reopen_count;
+    int64_t sighting_has_attitude_error;
     double tick_s;
     double forget_s;
     double aiding_period_s;
@@ -87,6 +131,16 @@ typedef struct {
     double psd_coast_turn;
     double wave_yaw_rad_s;
     double sigma_wave_yaw_rate_rad_s;
+    double carrying_psd_accel[5];
+    double carrying_psd_drift[5];
+    double carrying_psd_tilt[5];
+    double min_confidence;
+    double reopen_s;
+    double heading_memory_s;
+    double sigma_sway_per_heave;
+    double sigma_turn_rate_rad_s;
+    double pad_yaw_in_vessel_rad;
+    bank_members members;
 } filter_params;
 
 typedef struct {
@@ -105,6 +159,12 @@ typedef struct {
 } aid;
 
 typedef struct {
+    int64_t n;
+    int64_t t[24];
+    double values[72];
+} innovation_ratios;
+
+typedef struct {
     int64_t t;
     int64_t t_cov;
     int64_t t_imu;
@@ -116,6 +176,8 @@ typedef struct {
     int64_t rejected_n;
     int64_t rejected_since;
     int64_t rejected_last;
+    int64_t heading_known;
+    int64_t heading_seen;
     double rejected_offset_ned[3];
     double rejected_var_m2;
     double R[9];
@@ -139,7 +201,10 @@ typedef struct {
     double wave_w[5];
     double wave_zeta[5];
     double wave_sigma[5];
+    double nis_mean;
+    double heading_held_s;
     aid aids[4];
+    innovation_ratios ratios;
 } belief;
 
 typedef struct {
@@ -149,20 +214,39 @@ typedef struct {
 } event;
 
 typedef struct {
+    int64_t has_yaw;
+    int64_t yaw_ambiguous;
+    int64_t has_pose6;
+    double confidence;
+    double sigma_s;
+    double d_level[3];
+    double yaw_rad;
+    double cov[16];
+    double pose_d_level[3];
+    double pose_R[9];
+    double pose_cov[36];
+} sighting;
+
+typedef struct {
     int64_t verdict;
     int64_t m;
     int64_t axes;
-    double innov[3];
-    double S[9];
+    int64_t has_S;
+    double innov[6];
+    double S[36];
     double nis;
     double nis_max;
 } outcome;
+
+/* bank.c */
+void bank_begin(const bank_members *m, sea *after);
+void bank_observe(const filter_params *o, int64_t t, const double *y, const double *var, double ins_var, double reach_m, const sea *before, sea *after);
 
 /* core.c */
 uint32_t core_digest(void);
 
 /* filter.c */
-int32_t filter_run(const filter_params *o, int32_t n, const event *events, const belief *before, const double *P_before, belief *after, double *P_after, int64_t *P_index, outcome *first);
+int32_t filter_run(const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before, const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after, int64_t *P_index, int64_t *sea_index, outcome *first);
 int32_t filter_propagate(const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before, belief *after, double *P_after);
 void filter_settle(const filter_params *o, const belief *before, belief *after, double *F, double *Q);
 
@@ -192,8 +276,11 @@ void render_water(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, con
 /* render_smear.c */
 void render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights, int32_t reach, uint16_t *smeared);
 
+/* sighting.c */
+int32_t sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, double *innov, double *H, double *R, double *by_rate);
+
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 3807987922u
+#define INTERFACE_DIGEST 409143052u
 #endif
 
 #endif

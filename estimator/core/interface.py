@@ -29,6 +29,20 @@ COLUMNS_MAX = 14
 """The largest number of states on which one kind of aiding depends."""
 KINDS = 4
 """Number of kinds of aiding."""
+DIRECTIONS = 5
+"""Directions in which a deck moves on waves: north, east, down, roll, pitch."""
+MEMBERS = 136
+"""Number of oscillators that the bank of each direction compares."""
+MEMBER_STATES = 7
+"""Number of states of one of them: displacement, rate, force, its rate; offset of the IMU's carrying on, its rate, acceleration."""
+MEMBER_PAIRS = MEMBER_STATES * (MEMBER_STATES + 1) // 2
+"""Numbers of a member's covariance, which is symmetric: its upper triangle in rows."""
+SKILL_HORIZONS = 3
+"""Number of horizons at which past forecasts are compared with what happened."""
+RATIOS_MAX = 24
+"""The largest number of recent sightings whose innovations are compared with what the filter claimed."""
+ISSUED_MAX = 9
+"""The largest number of forecasts whose comparison is not over."""
 GAIN_ONE = 16384
 """Value of a factor of one on simulated light."""
 SCENE_ONE = 32768
@@ -55,7 +69,10 @@ STROKE_NUMBERS = 36
 
 CONSTANTS = {
     "N": N, **STATE_AT, "ORDER_MAX": ORDER_MAX, "ROWS_MAX": ROWS_MAX, "COLUMNS_MAX": COLUMNS_MAX, "KINDS": KINDS,
-    "ATTITUDE": 0, "VELOCITY": 1, "RANGE": 2, "HEIGHT": 3, "IMU": 4,
+    "DIRECTIONS": DIRECTIONS, "MEMBERS": MEMBERS, "MEMBER_STATES": MEMBER_STATES, "MEMBER_PAIRS": MEMBER_PAIRS,
+    "SKILL_HORIZONS": SKILL_HORIZONS, "ISSUED_MAX": ISSUED_MAX,
+    "RATIOS_MAX": RATIOS_MAX,
+    "ATTITUDE": 0, "VELOCITY": 1, "RANGE": 2, "HEIGHT": 3, "IMU": 4, "VESSEL": 5, "SIGHTING": 6,
     "FUSED": 0, "GATED": 1, "SINGULAR": 2,
     "OVER_GROUND": 0, "OVER_PAD": 1, "OVER_EITHER": 2,
     "STATE_ALONE": 0, "WITH_COVARIANCE": 1, "WITH_AIDING": 2,
@@ -83,37 +100,81 @@ def _integers(*names: str) -> tuple[Field, ...]:
     return tuple(Field(name, "int64_t") for name in names)
 
 
+_WAVES = SKILL_HORIZONS * DIRECTIONS * 2
 STRUCTS = {
+    "bank_members": _doubles(w=MEMBERS, zeta=MEMBERS, log_zeta=MEMBERS, log_prior=MEMBERS, sigma=DIRECTIONS * MEMBERS),
+    "issued_forecast": (*_integers("t"), *_doubles(waves=_WAVES)),
+    "forecast_skill": (
+        *_integers("issued_n"),
+        Field("issued", "issued_forecast", ISSUED_MAX),
+        *_doubles(n=SKILL_HORIZONS, product=_WAVES, square=_WAVES),
+    ),
+    "sea": (
+        *_integers("t"),
+        *_doubles(w_rad_s=DIRECTIONS, zeta=DIRECTIONS, sigma=DIRECTIONS),
+        Field("skill", "forecast_skill"),
+        *_doubles(
+            log_weight=DIRECTIONS * MEMBERS, weight=DIRECTIONS * MEMBERS,
+            x=DIRECTIONS * MEMBER_STATES * MEMBERS, P=DIRECTIONS * MEMBER_PAIRS * MEMBERS,
+        ),
+    ),
     "filter_params": (
-        *_integers("hold_ns", "velocity_is_over"),
+        *_integers("hold_ns", "velocity_is_over", "reopen_count", "sighting_has_attitude_error"),
         *_doubles(
             tick_s=1, forget_s=1, aiding_period_s=1, accel_step_m_s2=1, gyro_step_rad_s=1, deck_radius_m=1, not_measured_var=1,
             correlation_s=KINDS, nis_max=ROWS_MAX, psd=N, psd_accel=1, psd_coast=1, psd_coast_turn=1, wave_yaw_rad_s=1,
-            sigma_wave_yaw_rate_rad_s=1,
+            sigma_wave_yaw_rate_rad_s=1, carrying_psd_accel=DIRECTIONS, carrying_psd_drift=DIRECTIONS,
+            carrying_psd_tilt=DIRECTIONS, min_confidence=1, reopen_s=1, heading_memory_s=1, sigma_sway_per_heave=1,
+            sigma_turn_rate_rad_s=1, pad_yaw_in_vessel_rad=1,
         ),
+        Field("members", "bank_members"),
     ),
     "aid": (
         *_integers("fused", "refused", "n", "since", "m", "axes"),
         *_doubles(deck_weight=1, innov=3, R=9, ambiguity=9, spread=9, H=3 * COLUMNS_MAX),
     ),
+    "innovation_ratios": (
+        *_integers("n"), Field("t", "int64_t", RATIOS_MAX), *_doubles(values=3 * RATIOS_MAX),
+    ),
     "belief": (
         *_integers(
             "t", "t_cov", "t_imu", "t_velocity", "sighted", "agreed", "is_levelled", "heading_is_given",
-            "rejected_n", "rejected_since", "rejected_last",
+            "rejected_n", "rejected_since", "rejected_last", "heading_known", "heading_seen",
         ),
         *_doubles(
             rejected_offset_ned=3, rejected_var_m2=1,
             R=9, x=N, R_cov=9, dv=3, dp=3, turned=9, coast_s=1, w=3, w_smooth=3, f=3, levelled_by=9, cov_levelled_by=9,
             ins_p=3, ins_v=3, ins_var_m2_s2=1, jolt_var_m2_s2=1, jolt_var_rad2=1, over_pad=1,
-            wave_w=5, wave_zeta=5, wave_sigma=5,
+            wave_w=5, wave_zeta=5, wave_sigma=5, nis_mean=1, heading_held_s=1,
         ),
         Field("aids", "aid", KINDS),
+        Field("ratios", "innovation_ratios"),
     ),
     "event": (*_integers("kind", "t"), *_doubles(value=18)),
-    "outcome": (*_integers("verdict", "m", "axes"), *_doubles(innov=3, S=9, nis=1, nis_max=1)),
+    "sighting": (
+        *_integers("has_yaw", "yaw_ambiguous", "has_pose6"),
+        *_doubles(confidence=1, sigma_s=1, d_level=3, yaw_rad=1, cov=16, pose_d_level=3, pose_R=9, pose_cov=36),
+    ),
+    "outcome": (*_integers("verdict", "m", "axes", "has_S"), *_doubles(innov=6, S=36, nis=1, nis_max=1)),
 }  # fmt: skip
 """The structures, without padding: every member is of eight bytes. Members mean what those of `Belief`, `Aid` and `Gathered` in
-`estimator.ekf.state` of the same names mean; matrices are in rows, instants are in ns."""
+`estimator.ekf.state`, of `DeckMotionBank` and `Skill` of the same names mean; matrices are in rows, instants are in ns. In `sea`
+and `bank_members`, arrays are by direction, then by state or pair of states, then by member of the bank."""
+
+
+def size_of(name: str) -> int:
+    """Return the size of a structure in words of eight bytes."""
+    return sum(member.length * (size_of(member.type) if member.type in STRUCTS else 1) for member in STRUCTS[name])
+
+
+def places_of(name: str) -> dict[str, slice]:
+    """Return where the members of a structure lie, in words of eight bytes."""
+    found, at = {}, 0
+    for member in STRUCTS[name]:
+        size = member.length * (size_of(member.type) if member.type in STRUCTS else 1)
+        found[member.name] = slice(at, at + size)
+        at += size
+    return found
 
 
 def size_of(name: str) -> int:
@@ -159,11 +220,20 @@ FUNCTIONS = (
         "double *dx, double *P_after, double *S, double *nis",
         "kalman.c",
     ),
+    Function("bank_begin", "void", "const bank_members *m, sea *after", "bank.c"),
+    Function(
+        "bank_observe",
+        "void",
+        "const filter_params *o, int64_t t, const double *y, const double *var, double ins_var, double reach_m, "
+        "const sea *before, sea *after",
+        "bank.c",
+    ),
     Function(
         "filter_run",
         "int32_t",
-        "const filter_params *o, int32_t n, const event *events, const belief *before, const double *P_before, "
-        "belief *after, double *P_after, int64_t *P_index, outcome *first",
+        "const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before, "
+        "const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after, int64_t *P_index, "
+        "int64_t *sea_index, outcome *first",
         "filter.c",
     ),
     Function(
@@ -178,6 +248,13 @@ FUNCTIONS = (
         "void",
         "const filter_params *o, const belief *before, belief *after, double *F, double *Q",
         "filter.c",
+    ),
+    Function(
+        "sighting_model",
+        "int32_t",
+        "const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, "
+        "double *innov, double *H, double *R, double *by_rate",
+        "sighting.c",
     ),
     Function(
         "render_deck",

@@ -6,12 +6,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "interface.h"
+#include "kalman.h"
 
-enum { NOT_POSITIVE = 0, DONE = 1 };
-
-/* S = L L', lower triangle in place of S; NOT_POSITIVE if S is not positive definite. */
-static int cholesky(int m, double S[ROWS_MAX][ROWS_MAX])
+int cholesky(int m, double S[ROWS_MAX][ROWS_MAX])
 {
     for (int j = 0; j < m; j++) {
         double pivot = S[j][j];
@@ -33,8 +30,7 @@ static int cholesky(int m, double S[ROWS_MAX][ROWS_MAX])
     return DONE;
 }
 
-/* b <- inv(L) b */
-static void solve_lower(int m, double L[ROWS_MAX][ROWS_MAX], double b[ROWS_MAX])
+void solve_lower(int m, double L[ROWS_MAX][ROWS_MAX], double b[ROWS_MAX])
 {
     for (int i = 0; i < m; i++) {
         for (int k = 0; k < i; k++) {

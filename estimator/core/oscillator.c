@@ -3,10 +3,9 @@
 #include <math.h>
 #include <string.h>
 
-/* The stationary covariance of a unit displacement, by the Lyapunov equation. */
-static void stationary(double w, double delta, double P[4][4])
+void oscillator_at_rest(double w, double zeta, double P[4][4])
 {
-    const double w2 = w * w, force = 8.0 * delta * delta, across = 2.0 * delta;
+    const double delta = zeta * w, w2 = w * w, force = 8.0 * delta * delta, across = 2.0 * delta;
     const double at_rest[4][4] = {
         {1.0, 0.0, across, 0.0},
         {0.0, w2, 0.0, across * w2},
@@ -31,7 +30,7 @@ void oscillator_transition(double w, double zeta, double T, double A[4][4], doub
     };
     double P[4][4], AP[4][4], lost[4][4];
     memcpy(A, a, sizeof a);
-    stationary(w, delta, P);
+    oscillator_at_rest(w, zeta, P);
     for (int i = 0; i < 4; i++) {
         for (int j = 0; j < 4; j++) {
             AP[i][j] = 0.0;

@@ -2,6 +2,8 @@
 #ifndef DECKLANDER_OSCILLATOR_H
 #define DECKLANDER_OSCILLATOR_H
 
+/* The stationary covariance of the states below for a unit displacement, by the Lyapunov equation. */
+void oscillator_at_rest(double w, double zeta, double P[4][4]);
 /* A damped oscillator driven by the rate of a second, equal one, over T: A, and the noise q for a unit displacement.
  * The states are [x, x', f, f']. docs/estimator.md, section "Waves". */
 void oscillator_transition(double w, double zeta, double T, double A[4][4], double q[4][4]);

@@ -47,6 +47,29 @@ double dot(const double a[3], const double b[3])
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
+void transposed(const double A[9], double At[9])
+{
+    for (int i = 0; i < 3; i++) {
+        for (int j = 0; j < 3; j++) {
+            At[3 * i + j] = A[3 * j + i];
+        }
+    }
+}
+
+void product_by_transposed(const double A[9], const double B[9], double AB[9])
+{
+    for (int i = 0; i < 3; i++) {
+        for (int j = 0; j < 3; j++) {
+            AB[3 * i + j] = dot(A + 3 * i, B + 3 * j);
+        }
+    }
+}
+
+double wrapped(double angle)
+{
+    return remainder(angle, 2.0 * acos(-1.0));
+}
+
 void exp_rotation(const double v[3], double R[9])
 {
     const double x = v[0], y = v[1], z = v[2], t2 = dot(v, v), t = sqrt(t2);
@@ -90,6 +113,21 @@ void log_rotation(const double R[9], double v[3])
     v[0] = k * sx, v[1] = k * sy, v[2] = k * sz;
 }
 
+void left_jacobian(const double v[3], double J[9])
+{
+    const double t2 = dot(v, v), t = sqrt(t2);
+    double K[9], KK[9], a = 0.5, b = 1.0 / 6.0;
+    if (t2 >= 1e-6) {
+        a = (1.0 - cos(t)) / t2;
+        b = (t - sin(t)) / (t2 * t);
+    }
+    skew(v, K);
+    product(K, K, KK);
+    for (int i = 0; i < 9; i++) {
+        J[i] = (i % 4 == 0) + a * K[i] + b * KK[i];
+    }
+}
+
 void orthonormalise(double R[9])
 {
     double left[9], step[9];
@@ -103,10 +141,29 @@ void orthonormalise(double R[9])
     }
 }
 
-void heading_by_rotation(const double R[9], double row[3])
+double heading_of(const double R[9])
+{
+    return atan2(R[3], R[0]);
+}
+
+void about_down(double angle, double R[9])
+{
+    const double c = cos(angle), s = sin(angle);
+    R[0] = c, R[1] = -s, R[2] = 0.0;
+    R[3] = s, R[4] = c, R[5] = 0.0;
+    R[6] = 0.0, R[7] = 0.0, R[8] = 1.0;
+}
+
+void heading_by_outer_rotation(const double R[9], double row[3])
 {
     const double flat = fmax(R[0] * R[0] + R[3] * R[3], 1e-12);
-    const double outer[3] = {-R[6] * R[0] / flat, -R[6] * R[3] / flat, 1.0};
+    row[0] = -R[6] * R[0] / flat, row[1] = -R[6] * R[3] / flat, row[2] = 1.0;
+}
+
+void heading_by_rotation(const double R[9], double row[3])
+{
+    double outer[3];
+    heading_by_outer_rotation(R, outer);
     rotated_back(R, outer, row);
 }
 

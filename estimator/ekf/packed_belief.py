@@ -17,7 +17,7 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
 from estimator.core.interface import COLUMNS_MAX, CONSTANTS, KINDS, ROWS_MAX, places_of, size_of
 from estimator.core.library import CORE, address, start_of
-from estimator.ekf import gate
+from estimator.ekf import deck_motion_bank, gate
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.state import ATTITUDE, HEIGHT, RANGE, SAMPLE_COLUMNS, VELOCITY, Aid, Belief, Gathered, N, RejectionStreak
 
@@ -168,6 +168,10 @@ def packed_params(noise: ProcessNoise) -> F64:
         o.attitude_correlation_s, o.velocity_correlation_s, o.range_correlation_s, o.baro_correlation_s,
     )  # fmt: skip
     words[places["nis_max"]] = [gate.nis_max(o.gate_probability, dof) for dof in range(1, ROWS_MAX + 1)]
+    by = noise.carrying
+    for name, asd in (("accel", by.asd_accel), ("drift", by.asd_drift), ("tilt", by.asd_tilt)):
+        words[places[f"carrying_psd_{name}"]] = asd**2
+    words[places["members"]] = deck_motion_bank.packed_members()
     words[places["wave_yaw_rad_s"]] = 2.0 * np.pi / o.wave_yaw_period_s
     words.setflags(write=False)
     return words

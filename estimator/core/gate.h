@@ -1,0 +1,18 @@
+/* The reset criterion for a belief that was wrong, and the recent consistency of sightings. */
+#ifndef DECKLANDER_GATE_H
+#define DECKLANDER_GATE_H
+
+#include "interface.h"
+
+/* End the streak of rejected sightings. */
+void streak_end(belief *b);
+/* One more rejected sighting, or a new streak if it contradicts the last one.
+ *
+ * offset_ned is the measured minus the predicted position, m; var_m2 the variance of one component of the measured one. */
+void streak_extend(belief *b, int64_t t, const double offset_ned[3], double var_m2);
+/* Whether the streak outweighs the belief. A belief made by few sightings is reset by few. */
+int streak_resets(const filter_params *o, const belief *b);
+/* The recent mean of NIS over degrees of freedom after one more. Some fourteen sightings renew half of it. */
+double nis_mean_of(double nis_mean, double nis, int dof);
+
+#endif
