@@ -4,6 +4,7 @@ from __future__ import annotations
 
 _GATE = ("tests/estimator/ekf/test_gate_bounds.py", "tests/estimator/ekf/test_gate.py")
 _CORE = ("tests/estimator/ekf/test_core.py", "tests/estimator/ekf/test_algebra.py")
+_SIGHTINGS = ("tests/estimator/ekf/test_core_sightings.py", "tests/estimator/ekf/test_vision_update_bounds.py")
 _INTEGRITY = ("tests/estimator/integrity",)
 
 TARGETS: dict[str, tuple[str, ...]] = {
@@ -12,14 +13,18 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/propagate.c": _CORE,
     "estimator/core/kalman.c": _CORE,
     "estimator/core/oscillator.c": _CORE,
+    "estimator/core/bank.c": _SIGHTINGS,
+    "estimator/core/skill.c": _SIGHTINGS,
+    "estimator/core/sighting.c": _SIGHTINGS,
+    "estimator/core/symmetric.c": _SIGHTINGS,
+    "estimator/core/vision.c": _SIGHTINGS,
+    "estimator/core/gate.c": _SIGHTINGS,
+    "estimator/core/deck_jolt.c": _SIGHTINGS,
+    "estimator/core/vessel.c": _SIGHTINGS,
+    "estimator/core/correction.c": _CORE,
     "estimator/ekf/gate.py": _GATE,
     "estimator/ekf/process_event.py": (
         "tests/estimator/ekf/test_process_event_bounds.py",
-        "tests/estimator/ekf/test_noise_and_inflation.py",
-    ),
-    "estimator/ekf/vision_update.py": (
-        "tests/estimator/ekf/test_vision_update_bounds.py",
-        "tests/estimator/ekf/test_vision_update_deck_motion.py",
         "tests/estimator/ekf/test_noise_and_inflation.py",
     ),
     "estimator/ekf/filter.py": ("tests/estimator/ekf/test_filter_bounds.py",),

@@ -34,7 +34,7 @@ DIRECTIONS = 5
 MEMBERS = 136
 """Number of oscillators that the bank of each direction compares."""
 MEMBER_STATES = 7
-"""Number of states of one of them: displacement, rate, force, its rate; offset of the IMU's carrying on, its rate, acceleration."""
+"""Number of states of one: displacement, rate, force, its rate; offset of the IMU's carrying on, its rate, acceleration."""
 MEMBER_PAIRS = MEMBER_STATES * (MEMBER_STATES + 1) // 2
 """Numbers of a member's covariance, which is symmetric: its upper triangle in rows."""
 SKILL_HORIZONS = 3
@@ -160,21 +160,6 @@ STRUCTS = {
 """The structures, without padding: every member is of eight bytes. Members mean what those of `Belief`, `Aid` and `Gathered` in
 `estimator.ekf.state`, of `DeckMotionBank` and `Skill` of the same names mean; matrices are in rows, instants are in ns. In `sea`
 and `bank_members`, arrays are by direction, then by state or pair of states, then by member of the bank."""
-
-
-def size_of(name: str) -> int:
-    """Return the size of a structure in words of eight bytes."""
-    return sum(member.length * (size_of(member.type) if member.type in STRUCTS else 1) for member in STRUCTS[name])
-
-
-def places_of(name: str) -> dict[str, slice]:
-    """Return where the members of a structure lie, in words of eight bytes."""
-    found, at = {}, 0
-    for member in STRUCTS[name]:
-        size = member.length * (size_of(member.type) if member.type in STRUCTS else 1)
-        found[member.name] = slice(at, at + size)
-        at += size
-    return found
 
 
 def size_of(name: str) -> int:

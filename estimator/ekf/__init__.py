@@ -12,7 +12,7 @@ from __future__ import annotations
 from estimator.ekf.filter import Ekf, at, forecast, forget_answers, motion_at, moving, start, step, step_all
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.propagate import Event
+from estimator.ekf.packed_event import Event
 
 __all__ = [
     "Ekf",

@@ -1,10 +1,6 @@
-"""Learning how the deck moves: a bank of oscillators for each direction, weighed by how well each foretold what was seen.
+"""What is learned of the deck's motion: a bank of oscillators for each direction, weighed by what each foretold.
 
-Every member is a Kalman filter of its own on one number, where the pad was seen plus where the IMU has carried the body since
-the start; the IMU's drift (an offset, its rate, a wandering acceleration) is part of each member's state. The main filter is not
-involved, so nothing it believes of the sea can confirm itself. Member 0 says that the deck stands still: it does so in all
-directions or in none, because no vessel surges without heaving.
-Source: Magill, Optimal adaptive estimation of sampled stochastic processes, IEEE Trans. Automatic Control 10(4), 1965.
+The core learns (estimator/core/bank.h); here are the members it compares, and the forecast by what it has learned.
 """
 
 from __future__ import annotations
@@ -16,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
+from estimator.core.interface import DIRECTIONS, MEMBER_PAIRS, MEMBER_STATES, MEMBERS, places_of, size_of
+from estimator.core.library import CORE, address, start_of
 from estimator.ekf import skill
 from estimator.ekf.oscillator import stationary, transition
 
@@ -25,15 +23,9 @@ SIGMAS_M = np.array([0.02, 0.055, 0.15, 0.42, 1.15])
 SIGMAS_RAD = np.radians([0.25, 0.7, 2.0, 5.5, 15.0])
 STATIC_PRIOR = 0.5
 """Probability, before the first sighting, that the deck stands still."""
-_REST_ODDS = math.log(STATIC_PRIOR / (1.0 - STATIC_PRIOR))
-MEMORY_S = 180.0
-"""Evidence fades over this time, so that another sea is learned."""
-PERIOD_S = 0.2
-"""Members look at most this often; a wave is seen dozens of times anyway."""
+REST_ODDS = math.log(STATIC_PRIOR / (1.0 - STATIC_PRIOR))
 _EVIDENCE_WEIGHT = 0.6
 """Weight that a forecast gives to the evidence for a member."""
-_NIS_MAX = 16.0
-"""NIS beyond which an innovation counts no more against a member."""
 
 
 def _grid() -> tuple[F64, F64, F64, F64]:
@@ -50,18 +42,18 @@ W, ZETA, SIGMA, LOG_PRIOR = _grid()
 """(G,) rad/s, (G,), (5, G) m or rad, (G,): the members."""
 AT_REST = stationary(W, ZETA)
 """(G, 4, 4) for sigma = 1."""
-_AHEAD = np.stack([transition(W, ZETA, h, AT_REST).A[:, :2] for h in skill.HORIZONS_S.tolist()])
-"""(3, G, 2, 4) displacement and rate at the horizons of `skill`."""
-
-DRIFT_VAR = np.array([[25.0, 9.0, 1.0]] * 3 + [[math.radians(2.0) ** 2, 0.0, 0.0]] * 2)
-"""(5, 3) prior of offset, its rate, acceleration. A deck's list is an offset that does not drift."""
-_SIZE = 7
 _PRESENT = np.array([1.0, 0.0, 0.0, 0.0])
 CARRIED = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
 """Whether the IMU's errors affect a direction, (5,); a deck's roll and pitch are measured directly."""
-_UPRIGHT = slice(2, 5)
-"""Heave, roll, pitch: they decide whether the deck is at rest. Sideways an attitude that errs looks like a deck that moves, and
-no deck surges without heaving."""
+_PAIRS = np.triu_indices(MEMBER_STATES)
+_PAIR_AT = np.zeros((MEMBER_STATES, MEMBER_STATES), dtype=int)
+_PAIR_AT[_PAIRS] = _PAIR_AT[_PAIRS[::-1]] = np.arange(MEMBER_PAIRS)
+"""(7, 7) where the upper triangle in rows has the entries of a symmetric matrix."""
+_BEGIN = CORE.function("bank_begin")
+_SEA, _SKILL, _MEMBERS = (places_of(name) for name in ("sea", "forecast_skill", "bank_members"))
+_ISSUED_SIZE = size_of("issued_forecast")
+SEA_SIZE = size_of("sea")
+"""Size of the core's `sea`, in words of eight bytes."""
 
 
 class Carrying(NamedTuple):
@@ -98,8 +90,8 @@ class DeckMotionBank(NamedTuple):
     """(5, G)"""
     x: F64
     """(5, G, 7) each member's [displacement, rate, force, its rate, offset of the IMU's carrying on, its rate, acceleration]."""
-    P: F64
-    """(5, G, 7, 7)"""
+    pairs: F64
+    """(5, 28, G) the upper triangle of each member's covariance, in rows."""
     skill: skill.Skill
     """The skill of the bank's past forecasts."""
     weight: F64
@@ -107,55 +99,109 @@ class DeckMotionBank(NamedTuple):
     w_rad_s: F64
     zeta: F64
     sigma: F64
-    at_rest: F64
-    """(5, 4, 4) stationary covariance of the summary's oscillators for sigma = 1."""
+
+    @property
+    def P(self) -> F64:
+        """(5, G, 7, 7) covariance of each member."""
+        return self.pairs[:, _PAIR_AT].transpose(0, 3, 1, 2)
+
+    @property
+    def at_rest(self) -> F64:
+        """(5, 4, 4) stationary covariance of the summary's oscillators for sigma = 1."""
+        return stationary(self.w_rad_s, self.zeta)
 
 
+class PackedSea:
+    """A bank as the core holds it, in its `sea`. It is immutable, as a bank is.
+
+    Attributes:
+        block: words of which it is a part.
+        address: where it begins.
+    """
+
+    __slots__ = ("_at", "_bank", "address", "block")
+
+    def __init__(self, block: F64, at: int, address: int) -> None:
+        self.block, self._at, self.address = block, at, address
+        self._bank: DeckMotionBank | None = None
+
+    @classmethod
+    def of(cls, bank: DeckMotionBank) -> PackedSea:
+        """Return a bank as the core holds it."""
+        block = np.zeros(SEA_SIZE)
+        _write(block, bank)
+        made = cls(block, 0, start_of(block))
+        made._bank = bank
+        return made
+
+    @property
+    def bank(self) -> DeckMotionBank:
+        """The bank, whose arrays are parts of the block."""
+        if self._bank is None:
+            self._bank = _read(self.block[self._at : self._at + SEA_SIZE])
+        return self._bank
+
+
+@lru_cache(maxsize=1)
 def unknown() -> DeckMotionBank:
     """Return a bank that has received no sighting."""
-    P = np.zeros((*SIGMA.shape, _SIZE, _SIZE))
-    P[:, :, :4, :4] = (SIGMA**2)[:, :, None, None] * AT_REST
-    for i in range(3):
-        P[:, :, 4 + i, 4 + i] = DRIFT_VAR[:, i, None]
-    log_weight = np.broadcast_to(LOG_PRIOR, SIGMA.shape)
-    return DeckMotionBank(-1, log_weight, np.zeros((*SIGMA.shape, _SIZE)), P, skill.unknown(), *_summary(log_weight))
+    block, members = np.empty(SEA_SIZE), packed_members()
+    _BEGIN(address(members), start_of(block))
+    return _read(block)
 
 
-def observe(sea: DeckMotionBank, t: int, y: F64, var: F64, by: Carrying, reach_m: float) -> DeckMotionBank:
-    """Update the bank with one sighting of the deck.
+@lru_cache(maxsize=1)
+def packed_members() -> F64:
+    """Return the core's `bank_members`."""
+    words = np.empty(size_of("bank_members"))
+    parts = {"w": W, "zeta": ZETA, "log_zeta": np.log(ZETA), "log_prior": LOG_PRIOR, "sigma": SIGMA}
+    for name, values in parts.items():
+        words[_MEMBERS[name]] = values.ravel()
+    words.setflags(write=False)
+    return words
 
-    Args:
-        t: ns.
-        y: (5,) pad north, east, down plus the body's place by the IMU alone (m); deck roll and pitch (rad).
-        var: (5,) of each; 1e6 and more where it was not seen.
-        by: how the body was carried.
-        reach_m: how far away the pad is.
-    """
-    x, P, fade = sea.x, sea.P, 1.0
-    seen = var < 1e5
-    if sea.t < 0:
-        # The first look sets the offset's origin; the prior is about it, not about the world's.
-        x = x.copy()
-        x[:3, :, 4] = np.where(seen, y, 0.0)[:3, None]
-    elif t > sea.t:
-        x, P = _carried(x, P, (t - sea.t) * 1e-9, by, reach_m)
-        fade = math.exp(-(t - sea.t) * 1e-9 / MEMORY_S)
-    PH = P[..., 0] + P[..., 4]
-    S = PH[..., 0] + PH[..., 4] + var[:, None]
-    innov = y[:, None] - x[..., 0] - x[..., 4]
-    observed = seen[:, None].astype(float)
-    K = PH * (observed / S)[..., None]
-    log_weight = fade * (sea.log_weight - LOG_PRIOR) + LOG_PRIOR
-    log_weight = log_weight - 0.5 * observed * (np.log(S) + np.minimum(innov * innov / S, _NIS_MAX))
-    log_weight = np.maximum(log_weight - log_weight.max(axis=1, keepdims=True), -30.0)
-    P = P - K[..., :, None] * PH[..., None, :]
-    x = x + K * innov[..., None]
-    summary = _summary(log_weight)
-    known = sea.skill
-    if skill.due(known, t):
-        waves = _weight_ahead(log_weight, summary[0][:, :1])[..., None] * x[..., :4]
-        known = skill.compared(known, t, waves[..., :2].sum(axis=1), np.einsum("kgri,cgi->kcr", _AHEAD, waves))
-    return DeckMotionBank(t, log_weight, x, P, known, *summary)
+
+def pairs_of(P: F64) -> F64:
+    """Return the upper triangles in rows, (5, 28, G), of covariances (5, G, 7, 7)."""
+    return np.ascontiguousarray(P[:, :, _PAIRS[0], _PAIRS[1]].transpose(0, 2, 1))
+
+
+def _read(words: F64) -> DeckMotionBank:
+    words.setflags(write=False)
+    known = words[_SEA["skill"]]
+    issued = known[_SKILL["issued"]].reshape(-1, _ISSUED_SIZE)[: known[_SKILL["issued_n"]].view(np.int64).item()]
+    waves = (skill.HORIZONS_S.size, DIRECTIONS, 2)
+    product, square = (known[_SKILL[name]].reshape(waves) for name in ("product", "square"))
+    return DeckMotionBank(
+        words[_SEA["t"]].view(np.int64).item(),
+        words[_SEA["log_weight"]].reshape(DIRECTIONS, MEMBERS),
+        words[_SEA["x"]].reshape(DIRECTIONS, MEMBER_STATES, MEMBERS).transpose(0, 2, 1),
+        words[_SEA["P"]].reshape(DIRECTIONS, MEMBER_PAIRS, MEMBERS),
+        skill.Skill(
+            tuple([skill.IssuedForecast(one[:1].view(np.int64).item(), one[1:].reshape(waves)) for one in issued]),
+            known[_SKILL["n"]],
+            product,
+            square,
+        ),
+        words[_SEA["weight"]].reshape(DIRECTIONS, MEMBERS),
+        *(words[_SEA[name]] for name in ("w_rad_s", "zeta", "sigma")),
+    )
+
+
+def _write(words: F64, bank: DeckMotionBank) -> None:
+    words[_SEA["t"]].view(np.int64)[:] = bank.t
+    for name in ("w_rad_s", "zeta", "sigma"):
+        words[_SEA[name]] = getattr(bank, name)
+    for name in ("log_weight", "weight"):
+        words[_SEA[name]] = getattr(bank, name).ravel()
+    words[_SEA["x"]] = bank.x.transpose(0, 2, 1).ravel()
+    words[_SEA["P"]] = bank.pairs.ravel()
+    known = words[_SEA["skill"]]
+    known[_SKILL["issued_n"]].view(np.int64)[:] = len(bank.skill.issued)
+    for one, into in zip(bank.skill.issued, known[_SKILL["issued"]].reshape(-1, _ISSUED_SIZE), strict=False):
+        into[:1].view(np.int64)[:], into[1:] = one.t, one.waves.ravel()
+    for name in ("n", "product", "square"):
+        known[_SKILL[name]] = getattr(bank.skill, name).ravel()
 
 
 def _weight_ahead(log_weight: F64, rest: F64) -> F64:
@@ -235,57 +281,7 @@ def _reach(horizons_s: tuple[float, ...]) -> tuple[F64, F64]:
     return reach, noise
 
 
-def _carried(x: F64, P: F64, dt: float, by: Carrying, reach_m: float) -> tuple[F64, F64]:
-    F, q = _moved_on(dt)
-    # F P F' = F (F P)' as P is symmetric, the five directions side by side: one product a member and not one each.
-    half = (F @ P.transpose(1, 2, 0, 3).reshape(W.size, _SIZE, -1)).reshape(W.size, _SIZE, 5, _SIZE)
-    P = (F @ half.transpose(0, 3, 2, 1).reshape(W.size, _SIZE, -1)).reshape(W.size, _SIZE, 5, _SIZE)
-    P = np.ascontiguousarray(P.transpose(2, 0, 1, 3))
-    P[:, :, :4, :4] += q
-    qa, qb = by.asd_accel**2, by.asd_drift**2
-    noise = np.zeros((5, 3, 3))
-    noise[:, 0, 0] = qa * dt**3 / 3 + qb * dt**5 / 20 + (reach_m * by.asd_tilt) ** 2 * dt
-    noise[:, 0, 1] = noise[:, 1, 0] = qa * dt**2 / 2 + qb * dt**4 / 8
-    noise[:, 0, 2] = noise[:, 2, 0] = qb * dt**3 / 6
-    noise[:, 1, 1] = qa * dt + qb * dt**3 / 3
-    noise[:, 1, 2] = noise[:, 2, 1] = qb * dt**2 / 2
-    noise[:, 2, 2] = qb * dt
-    P[:, :, 4:, 4:] += noise[:, None]
-    return (F @ x[..., None])[..., 0], P
-
-
-@lru_cache(maxsize=8)  # cameras keep their rate
-def _moved_on(dt: float) -> tuple[F64, F64]:
-    """(G, 7, 7) transition of the members over `dt` s, (5, G, 4, 4) noise of their oscillators."""
-    A, q = transition(W, ZETA, dt, AT_REST)
-    F = np.zeros((W.size, _SIZE, _SIZE))
-    F[:, :4, :4] = A
-    F[:, 4:, 4:] = [[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, 1.0]]
-    Q = (SIGMA**2)[:, :, None, None] * q
-    F.setflags(write=False)
-    Q.setflags(write=False)
-    return F, Q
-
-
 def log_evidence_of_rest(sea: DeckMotionBank) -> float:
     """Log of how much likelier all that was seen is from a deck at rest than from one that moves."""
     rest = min(max(float(sea.weight[0, 0]), 1e-12), 1.0 - 1e-12)
-    return math.log(rest / (1.0 - rest)) - _REST_ODDS
-
-
-def _summary(log_weight: F64) -> tuple[F64, F64, F64, F64, F64]:
-    """(5, G) weights; (5,) rad/s, damping, standard deviation: from mean variances and mean logarithm; at rest."""
-    top = log_weight.max(axis=1, keepdims=True)
-    weight = np.exp(log_weight - top)
-    moving = weight[:, 1:].sum(axis=1)
-    # Each direction's odds of rest without its prior; the prior comes in once, for all of them.
-    odds = float(np.sum((log_weight[:, 0] - top[:, 0] - np.log(moving))[_UPRIGHT]) - 2 * _REST_ODDS)
-    rest = 1.0 / (1.0 + math.exp(min(-odds, 500.0)))
-    weight[:, 1:] *= ((1.0 - rest) / moving)[:, None]
-    weight[:, 0] = rest
-    energy = weight * SIGMA**2
-    total = energy.sum(axis=1)
-    fraction = energy / total[:, None]
-    # Of the mixture's displacement and rate the variances stay: while the period is unknown, the quick members count.
-    w, zeta = np.sqrt(fraction @ W**2), np.exp(fraction @ np.log(ZETA))
-    return weight, w, zeta, np.sqrt(total), stationary(w, zeta)
+    return math.log(rest / (1.0 - rest)) - REST_ODDS

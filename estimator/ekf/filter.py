@@ -18,13 +18,13 @@ from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
 from estimator.ekf import answers, gate, measure, motion, so3
 from estimator.ekf import forecast as forecasting
-from estimator.ekf.algebra import Algebra
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.history import History, put
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.packed_belief import STATE_ALONE, WITH_COVARIANCE
-from estimator.ekf.propagate import Event, FilterParams, result
+from estimator.ekf.packed_event import Event
+from estimator.ekf.propagate import FilterParams, result
 from estimator.ekf.state import (
     ACCEL_BIAS,
     ATT_ERR,
@@ -76,7 +76,7 @@ def start(options: EkfOptions | None = None, limits: IntegrityOptions | None = _
             `estimator.integrity.admit` has already checked every sample, as in `estimator.pipeline`.
     """
     o = options or EkfOptions()
-    return Ekf(o, FilterParams(o, motion.ProcessNoise(o), Algebra(N)), History(), limits)
+    return Ekf(o, FilterParams(o, motion.ProcessNoise(o)), History(), limits)
 
 
 def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[FusionResult]]:

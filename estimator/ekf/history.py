@@ -6,6 +6,7 @@ The result equals the one of events received in order: the history keeps every r
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import chain
 from typing import NamedTuple
 
@@ -13,9 +14,10 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.packed_belief import PackedBelief, Sample, packed_sample
+from estimator.ekf.packed_belief import PackedBelief
+from estimator.ekf.packed_event import Event, PackedEvent, packed_event
 from estimator.ekf.process_event import process_event
-from estimator.ekf.propagate import Event, FilterParams, result
+from estimator.ekf.propagate import FilterParams, result
 from estimator.ekf.state import Belief
 
 _RANK = {Imu: 0, Attitude: 1, BodyVelocity: 2, Range: 3, Baro: 4, VesselReport: 5, Sighting: 6}
@@ -31,8 +33,8 @@ class Node(NamedTuple):
 
     key: Key
     event: Event
-    sample: bytes | None
-    """The event as the core reads it; None if Python processes it."""
+    record: PackedEvent
+    """The event as the core reads it."""
     packed: PackedBelief | None
     """The belief after the event as the core holds it; None before the first attitude."""
 
@@ -118,7 +120,7 @@ def put(history: History, event: Event, params: FilterParams) -> tuple[History, 
         return history._replace(received_at=received_at), result(event, Outcome(Verdict.TOO_OLD))
     key = (t, rank, event.seq, event.method) if isinstance(event, Sighting) else (t, rank, 0, "")
     chunks, later = _split(history.chunks, key)
-    inserted = [Node(key, event, packed_sample(event) if isinstance(event, Sample) else None, None), *later]
+    inserted = [Node(key, event, packed_event(event), None), *later]
     again, outcome = _processed(chunks[-1][-1].packed if chunks else history.base, inserted, params)
     chunks = _joined(chunks, again)
     oldest = chunks[-1][-1].key[0] - round(o.history_s * 1e9)
@@ -161,29 +163,20 @@ def _trimmed(base: PackedBelief | None, chunks: Chunks, forgotten: int, oldest: 
 def _processed(packed: PackedBelief | None, nodes: list[Node], params: FilterParams) -> tuple[list[Node], Outcome]:
     """Return the nodes with the beliefs after their events, and the outcome of the first event.
 
-    The core processes the vehicle's samples in a row; sightings, vessel reports and what begins a belief stop it.
+    The core processes events in a row; what begins a belief, and an attitude that sets one outright, stop it.
     """
     made: list[Node] = []
     outcome = None
     while len(made) < len(nodes):
-        here, row = len(made), []
-        for node in nodes[here:] if packed is not None else ():
-            if node.sample is None:
-                break
-            row.append(node.sample)
-        if row and packed is not None:
-            followed, first = packed.follow(params.process_noise, row)
-            for after, node in zip(followed, nodes[here:], strict=False):
-                made.append(Node(node.key, node.event, node.sample, after))
-        else:
-            followed = []
-        if followed:
-            packed = followed[-1]
-        else:
-            node = nodes[here]
-            b, first = process_event(None if packed is None else packed.belief, node.event, params)
-            packed = None if b is None else PackedBelief.of(b)
-            made.append(Node(node.key, node.event, node.sample, packed))
+        rest = nodes[len(made) :]
+        followed: Sequence[PackedBelief | None] = ()
+        if packed is not None:
+            followed, first = packed.follow(params.process_noise, [node.record for node in rest])
+        if not followed:
+            b, first = process_event(None if packed is None else packed.belief, rest[0].event, params)
+            followed = [None if b is None else PackedBelief.of(b)]
+        made += [Node(node.key, node.event, node.record, after) for node, after in zip(rest, followed, strict=False)]
+        packed = followed[-1]
         outcome = outcome or first
     assert outcome is not None
     return made, outcome

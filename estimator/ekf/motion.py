@@ -15,7 +15,7 @@ from estimator.core.library import address
 from estimator.ekf.deck_motion_bank import carrying
 from estimator.ekf.measure import NOT_MEASURED_VAR
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.packed_belief import packed_params
+from estimator.ekf.packed_params import packed_params
 from estimator.ekf.state import (
     ACCEL_BIAS,
     ATT_BIAS,

@@ -1,4 +1,4 @@
-"""Process one event: propagate the belief to its instant and fuse it. `history.py` passes events in order of their instants."""
+"""Process one event where Python does: what begins a belief, and an attitude that sets one outright. The core does the rest."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ import math
 
 import numpy as np
 
-from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, rpy_matrix
-from estimator.contracts.samples import Attitude, Imu, VesselReport
+from estimator.contracts.samples import Attitude, Imu
 from estimator.ekf import deck_motion_bank, measure, so3
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.packed_belief import PackedBelief, packed_sample
-from estimator.ekf.propagate import Event, FilterParams, propagated_with_covariance
+from estimator.ekf.packed_belief import WITH_COVARIANCE, PackedBelief
+from estimator.ekf.packed_event import Event, packed_event
+from estimator.ekf.propagate import FilterParams
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ATT_BIAS,
@@ -28,8 +29,6 @@ from estimator.ekf.state import (
     N,
     initial,
 )  # fmt: skip
-from estimator.ekf.vessel_update import fuse_vessel
-from estimator.ekf.vision_update import fuse_sighting
 
 _FORCE_AT_REST = 9.80665
 _FELT_TILT_RAD = math.radians(12.0)
@@ -37,22 +36,18 @@ _FELT_TILT_RAD = math.radians(12.0)
 
 
 def process_event(b: Belief | None, event: Event, params: FilterParams) -> tuple[Belief | None, Outcome]:
-    """Return the belief after one event, which must not be older than the belief, and the event's result.
+    """Return the belief after one event, which must not be older than the belief, and the event's outcome.
 
     A refused event leaves the belief unchanged. `b` is None before the first attitude.
     """
     if b is None:
         return _first(event, params)
-    match event:
-        case Sighting():
-            return fuse_sighting(b, event, params)
-        case VesselReport():
-            return fuse_vessel(b, event, params)
-    followed, outcome = PackedBelief.of(b).follow(params.process_noise, [packed_sample(event)])
+    packed = PackedBelief.of(b)
+    followed, outcome = packed.follow(params.process_noise, [packed_event(event)])
     if followed:
         return followed[0].belief, outcome
     assert isinstance(event, Attitude)
-    return _set_by(b, event, params)
+    return _set_by(packed.propagated(event.stamp.measured_at, params.process_noise, WITH_COVARIANCE).belief, event, params)
 
 
 def _first(event: Event, params: FilterParams) -> tuple[Belief | None, Outcome]:
@@ -98,10 +93,9 @@ def _floats(v: F64) -> Vec3:
 
 
 def _set_by(b: Belief, event: Attitude, params: FilterParams) -> tuple[Belief, Outcome]:
-    """Set the attitude outright: it is the first that gives a heading, or the belief's own has diverged."""
+    """Set the attitude of a belief at the event's instant outright: the first gives a heading, or the belief's own diverged."""
     o, R = params.options, event.R_ned_body.matrix
     given = b.heading_is_given
-    b = propagated_with_covariance(b, event.stamp.measured_at, params)
     b = _set_attitude(b, R, o) if given else _turned_to(b, R, o)
     return _levelled(_correlated(b, o), event), Outcome(Verdict.FUSED)
 

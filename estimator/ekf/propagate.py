@@ -1,4 +1,4 @@
-"""The parts that every step of the filter shares: build an event's result, propagate the belief, apply a correction."""
+"""What every step of the filter shares: its parameters, and the result of an event."""
 
 from __future__ import annotations
 
@@ -6,18 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.contracts.estimates import Sighting
 from estimator.contracts.fusion import COMPONENTS, FusionResult, components_of, source_of
-from estimator.contracts.geometry import F64, skew
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
-from estimator.ekf import measure, motion, so3
-from estimator.ekf.algebra import Algebra, Correction
+from estimator.ekf import motion
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.packed_belief import STATE_ALONE, WITH_AIDING, WITH_COVARIANCE, PackedBelief
-from estimator.ekf.state import ATT_ERR, PAD_YAW, VEL_SCALE, Belief, RejectionStreak
-
-Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
+from estimator.ekf.packed_event import Event
 
 
 class FilterParams(NamedTuple):
@@ -25,7 +18,6 @@ class FilterParams(NamedTuple):
 
     options: EkfOptions
     process_noise: motion.ProcessNoise
-    algebra: Algebra
 
 
 def result(event: Event, outcome: Outcome) -> FusionResult:
@@ -43,66 +35,3 @@ def result(event: Event, outcome: Outcome) -> FusionResult:
             array.setflags(write=False)
     stamp = event.stamp
     return FusionResult("ekf", source, verdict, stamp.measured_at, stamp.received_at, innov, S, components, nis, nis / nis_max)
-
-
-def propagated(b: Belief, t: int, params: FilterParams) -> Belief:
-    """Propagate to instant `t`, ns, by the IMU sample that holds, or coast if none does.
-
-    The covariance is propagated as often as the options ask.
-    """
-    return PackedBelief.of(b).propagated(t, params.process_noise, STATE_ALONE).belief
-
-
-def propagated_with_covariance(b: Belief, t: int, params: FilterParams) -> Belief:
-    """Propagate the state as `propagated` does, and the covariance to `t` as well."""
-    return PackedBelief.of(b).propagated(t, params.process_noise, WITH_COVARIANCE).belief
-
-
-def ready_to_fuse(b: Belief, t: int, params: FilterParams) -> Belief:
-    """Propagate state and covariance to `t`, ns, and fuse the means of all gathered samples together.
-
-    Gathered samples must be fused before any other correction; otherwise that correction would be applied twice.
-    """
-    return PackedBelief.of(b).propagated(t, params.process_noise, WITH_AIDING).belief
-
-
-def forgotten(b: Belief, o: EkfOptions) -> Belief:
-    """Return the belief without its pad if the last sighting is older than `o.forget_s`, else as it is."""
-    if b.sighted >= 0 and (b.t - b.sighted) * 1e-9 > o.forget_s:
-        return b._replace(sighted=-1, agreed=0, rejections=RejectionStreak())
-    return b
-
-
-def partial(before: F64, fix: Correction, withheld: F64, withheld_cov: F64) -> Correction:
-    """Return the fraction 1 - `withheld` of a correction for each state, with as much of its gain in certainty as is honest.
-
-    A deck's sway and heave belong to one wave, but the model takes them as independent. From their correlation over a few waves
-    it would learn a camera tilt or a delay that does not exist. With `withheld_cov` equal to `withheld` the covariance is that of
-    the smaller correction if the innovations are white. On waves they are alike for many sightings in a row, and a greater
-    `withheld_cov` counts them as fewer.
-    Source: Brink, Partial-update Schmidt-Kalman filter, J. Guidance, Control, and Dynamics 40(9), 2017.
-
-    Args:
-        before: (N, N) covariance before the correction.
-        fix: the whole correction.
-        withheld: (N,) fraction of each state's correction that is not applied.
-        withheld_cov: (N,) the same for the root of the change of covariance, not less than `withheld`.
-    """
-    P = fix.P + withheld_cov[:, None] * (before - fix.P) * withheld_cov
-    return fix._replace(dx=fix.dx * (1.0 - withheld), P=P)
-
-
-def corrected(b: Belief, dx: F64, P: F64) -> Belief:
-    """Apply a correction. Its attitude part rotates `R`, and the covariance is rewritten about the new attitude."""
-    x = b.x + dx
-    x[ATT_ERR] = 0.0
-    x[PAD_YAW] = measure.wrap(float(x[PAD_YAW]))
-    x[VEL_SCALE] = min(max(float(x[VEL_SCALE]), 0.2), 3.0)
-    turn = so3.exp(dx[ATT_ERR])
-    R = b.R.dot(turn)
-    # The error is now an error about the new attitude, so its axes turn by half the step (Sola 2017, eq. 287).
-    G = np.eye(3) - 0.5 * skew(dx[ATT_ERR])
-    P = P.copy()
-    P[ATT_ERR, :] = G.dot(P[ATT_ERR, :])
-    P[:, ATT_ERR] = P[:, ATT_ERR].dot(G.T)
-    return b.changed(x=x, P=P, R=R, R_cov=R)

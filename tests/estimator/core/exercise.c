@@ -86,6 +86,20 @@ static void parameters(filter_params *o, int surface)
     for (int i = 0; i < N; i++) {
         o->psd[i] = 1e-4;
     }
+    o->reopen_count = 3, o->reopen_s = 0.1, o->sighting_has_attitude_error = 1;
+    o->min_confidence = 0.05, o->heading_memory_s = 1.0, o->sigma_sway_per_heave = 0.2, o->sigma_turn_rate_rad_s = 0.05;
+    for (int i = 0; i < 3; i++) {
+        o->carrying_psd_accel[i] = o->carrying_psd_drift[i] = o->carrying_psd_tilt[i] = 1e-3;
+    }
+    for (int g = 0; g < MEMBERS; g++) {
+        o->members.w[g] = 0.4 + 0.02 * g;
+        o->members.zeta[g] = 0.3;
+        o->members.log_zeta[g] = log(0.3);
+        o->members.log_prior[g] = g == 0 ? log(0.5) : log(0.5 / (MEMBERS - 1));
+        for (int k = 0; k < DIRECTIONS; k++) {
+            o->members.sigma[k * MEMBERS + g] = 0.01 * (1 + g % 5);
+        }
+    }
 }
 
 static void hover(belief *b, double *P)
@@ -112,7 +126,7 @@ static void hover(belief *b, double *P)
 static void sample(event *e, int64_t t)
 {
     const double size = draw() % 10 == 0 ? 1e3 : 0.1;
-    e->kind = draw() % (IMU + 2);
+    e->kind = draw() % (SIGHTING + 2);
     e->t = t;
     for (int i = 0; i < 18; i++) {
         e->value[i] = size * uniform();
@@ -131,6 +145,47 @@ static void sample(event *e, int64_t t)
     poisoned(e->value, 18);
 }
 
+/* A sighting of any kind, of a pad below or of anything. */
+static void look(sighting *s)
+{
+    const int far = draw() % 5 == 0;
+    memset(s, 0, sizeof *s);
+    s->has_yaw = draw() % 2, s->yaw_ambiguous = draw() % 3 == 0, s->has_pose6 = draw() % 3 == 0;
+    s->confidence = 0.5 + 0.5 * uniform();
+    s->sigma_s = draw() % 2 ? 0.01 : 0.0;
+    s->yaw_rad = draw() % 4 == 0 ? 3.0 : 0.1 * uniform();
+    for (int i = 0; i < 3; i++) {
+        s->d_level[i] = s->pose_d_level[i] = (far ? 5.0 : 0.05) * uniform() + 2.0 * (i == 2);
+        s->pose_R[4 * i] = 1.0;
+    }
+    for (int i = 0; i < 4; i++) {
+        s->cov[5 * i] = 1e-3;
+    }
+    for (int i = 0; i < 6; i++) {
+        s->pose_cov[7 * i] = 1e-3;
+    }
+    s->cov[0] *= draw() % 50 == 0 ? NAN : 1.0;
+    poisoned(s->d_level, 3), poisoned(s->cov, 16), poisoned(s->pose_R, 9), poisoned(s->pose_cov, 36);
+}
+
+/* The model of a sighting and the bank by themselves. */
+static void parts(const filter_params *o, const belief *b, const sighting *s, const sea *bank, int64_t t)
+{
+    double *innov = numbers(6), *H = numbers(6 * N), *R = numbers(36), *by_rate = numbers(3 * N);
+    double *y = numbers(DIRECTIONS), *var = numbers(DIRECTIONS);
+    sea *after = malloc(sizeof *after);
+    const int m = sighting_model(b, s, b->cov_levelled_by, 0.3, draw() % 2, innov, H, R, by_rate);
+    for (int i = 0; i < DIRECTIONS; i++) {
+        var[i] = i < m ? 1e-4 : 1e6;
+    }
+    bank_observe(o, t, y, var, draw() % 2 ? 0.1 : 0.0, 2.0, bank, after);
+    fold(innov, m), fold(R, m * m), fold(after->sigma, DIRECTIONS);
+    void *all[] = {innov, H, R, by_rate, y, var, after};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
+        free(all[i]);
+    }
+}
+
 static void fly(int surface, int rounds, double poison)
 {
     enum { LENGTH = 60 };
@@ -138,26 +193,34 @@ static void fly(int surface, int rounds, double poison)
     event *events = malloc(LENGTH * sizeof *events);
     belief *before = malloc(sizeof *before), *after = malloc(LENGTH * sizeof *after);
     double *P = numbers(N * N), *P_after = numbers(LENGTH * N * N), *F = numbers(N * N), *Q = numbers(N * N);
-    int64_t *index = malloc(LENGTH * sizeof *index), t = 0;
+    int64_t *index = malloc(LENGTH * sizeof *index), *sea_index = malloc(LENGTH * sizeof *sea_index), t = 0;
+    sighting *seen = malloc(LENGTH * sizeof *seen);
+    sea *bank = malloc(sizeof *bank), *banks = malloc(LENGTH * sizeof *banks);
     outcome *first = malloc(sizeof *first);
     parameters(o, surface);
     hover(before, P);
+    bank_begin(&o->members, bank);
     P[N + 1] *= poison;
     poisoned(P, N * N), poisoned(before->x, N), poisoned(before->R, 9), poisoned(before->f, 3);
     for (int round = 0; round < rounds; round++) {
         for (int i = 0; i < LENGTH; i++) {
             t += draw() % 10 == 0 ? 200000000 : draw() % 5000000;
             sample(&events[i], t);
+            look(&seen[i]);
         }
-        const int done = filter_run(o, LENGTH, events, before, P, after, P_after, index, first);
+        const int done = filter_run(o, LENGTH, events, seen, before, P, bank, after, P_after, banks, index, sea_index, first);
         if (done > 0) {
             *before = after[done - 1];
+            if (sea_index[done - 1] >= 0) {
+                *bank = banks[sea_index[done - 1]];
+            }
             if (index[done - 1] >= 0) {
                 memcpy(P, P_after + index[done - 1] * N * N, N * N * sizeof *P);
             }
             fold(before->x, N), fold(P, N * N), fold(first->innov, 3), fold(&first->nis, 1);
         }
         filter_settle(o, before, after, F, Q);
+        parts(o, before, &seen[0], bank, t);
         if (filter_propagate(o, round % 3, t + 1000, before, P, after, P_after)) {
             *before = after[0];
             memcpy(P, P_after, N * N * sizeof *P);
@@ -167,7 +230,7 @@ static void fly(int surface, int rounds, double poison)
             before->t = before->t_cov = before->t_imu = before->sighted = t;
         }
     }
-    void *all[] = {o, events, before, after, P, P_after, F, Q, index, first};
+    void *all[] = {o, events, before, after, P, P_after, F, Q, index, first, sea_index, seen, bank, banks};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
     }
@@ -256,7 +319,7 @@ int main(int count, char **files)
         fly(surface, 3, NAN);
         fly(surface, 3, -1e300);
     }
-    report("filter_run filter_propagate filter_settle");
+    report("filter_run filter_propagate filter_settle sighting_model bank_begin bank_observe");
     scenes(24);
     report("render_deck render_fill render_smear render_sea render_water render_pad_kinds render_pad_shares render_expose "
            "render_mix render_frame render_blur");

@@ -10,12 +10,11 @@ from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf import EkfOptions, deck_motion_bank, motion
-from estimator.ekf.algebra import Algebra
 from estimator.ekf.propagate import FilterParams
 from estimator.ekf.state import CAMERA_DELAY, CAMERA_MOUNT, PAD_YAW, POS_REL, VEL, Belief, N, initial
 
 OPTIONS = EkfOptions()
-TOOLS = FilterParams(OPTIONS, motion.ProcessNoise(OPTIONS), Algebra(N))
+TOOLS = FilterParams(OPTIONS, motion.ProcessNoise(OPTIONS))
 MS = 1_000_000
 S = 1_000_000_000
 T = 500 * S
@@ -25,7 +24,7 @@ TILTED = rpy_matrix(0.1, -0.15, 0.8)
 
 def params(**changed: object) -> FilterParams:
     o = structs.replace(OPTIONS, **changed)  # type: ignore[arg-type]
-    return FilterParams(o, motion.ProcessNoise(o), TOOLS.algebra)
+    return FilterParams(o, motion.ProcessNoise(o))
 
 
 def stamp(t: int) -> Stamp:

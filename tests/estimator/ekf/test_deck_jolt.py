@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.ekf import deck_jolt
 from estimator.ekf.state import POS_DOWN, POS_EAST, POS_NORTH, SWAY_PER_HEAVE, WAVES, InnovationRatios, N
 from sitl.testing.voyage_score import fly
 from sitl.testing.voyage_truth import VoyageScene
+from tests.estimator.ekf.oracle import deck_jolt
 
 COV = np.diag([0.01, 0.02, 0.03]) ** 2
 

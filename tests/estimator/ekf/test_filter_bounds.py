@@ -15,8 +15,7 @@ from estimator.contracts.time import MonoNs
 from estimator.ekf import Ekf, EkfOptions, at, deck_motion_bank, forecast, moving, so3, start, step
 from estimator.ekf.forecast import probability_of_motion
 from estimator.ekf.history import History
-from estimator.ekf.packed_belief import PackedBelief
-from estimator.ekf.propagate import propagated_with_covariance
+from estimator.ekf.packed_belief import WITH_COVARIANCE, PackedBelief
 from estimator.ekf.state import (
     ACCEL_BIAS,
     BARO_OFFSET,
@@ -97,7 +96,7 @@ def test_the_covariance_is_what_each_error_does_to_what_is_told() -> None:
 def test_a_little_later_it_is_the_belief_carried_on_with_all_its_growing_doubt() -> None:
     b = belief(TILTED, x=state(), t_imu=T, w=np.array([0.1, 0.2, 0.3]), f=np.array([0.3, -0.2, -9.7]))
     now = T + 50 * MS
-    found, other = told(b, now), told(propagated_with_covariance(b, now, TOOLS), now)
+    found, other = told(b, now), told(PackedBelief.of(b).propagated(now, TOOLS.process_noise, WITH_COVARIANCE).belief, now)
     for name in ("d_body_pad_level", "v_pad_level", "cov"):
         np.testing.assert_allclose(getattr(found, name), getattr(other, name), atol=1e-9, err_msg=name)
     assert found.yaw_rad == pytest.approx(other.yaw_rad)

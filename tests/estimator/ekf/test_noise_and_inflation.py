@@ -9,7 +9,7 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import Ekf, EkfOptions, at, measure, so3, start, step, vision_update
+from estimator.ekf import Ekf, EkfOptions, at, measure, so3, start, step
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -25,8 +25,10 @@ from estimator.ekf.state import (
     VESSEL_VEL,
     Belief,
 )
-from tests.estimator.ekf.oracle import aiding
+from tests.estimator.ekf import flown as core
+from tests.estimator.ekf.oracle import aiding, vision_update
 from tests.estimator.ekf.oracle.measure import BY_ATTITUDE
+from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement
 
 EPOCH = 1_000_000_000_000
 REST = np.array([0.0, 0.0, -9.80665])
@@ -71,7 +73,7 @@ def test_a_stamp_that_is_not_sure_adds_what_the_image_moves_in_that_time() -> No
     x = b.x.copy()
     x[VEL] = 2.0, -1.0, 0.5
     rows = [
-        measure.sighting(x, b.R, np.array([0.0, 0.0, 0.3]), sighting(0.04, sigma_s=sigma_s), b.levelled_by, np.zeros((3, 3)), 0.1)
+        core.sighting(x, b.R, np.array([0.0, 0.0, 0.3]), sighting(0.04, sigma_s=sigma_s), b.levelled_by, np.zeros((3, 3)), 0.1)
         for sigma_s in (0.0, 0.02)
     ]
     rate = rows[0].H[:, CAMERA_DELAY]
@@ -83,7 +85,7 @@ def test_a_stamp_that_is_not_sure_adds_what_the_image_moves_in_that_time() -> No
 # While the frame's rate is poorly known
 
 
-def compared(b: Belief, ekf: Ekf) -> measure.LinearizedMeasurement:
+def compared(b: Belief, ekf: Ekf) -> LinearizedMeasurement:
     row, fix = vision_update._compared(b, sighting(1.3), ekf.params)
     assert fix is not None
     return row

@@ -11,8 +11,8 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
 from estimator.ekf import measure, so3
+from estimator.ekf.packed_event import Event
 from estimator.ekf.process_event import process_event
-from estimator.ekf.propagate import Event
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,

@@ -13,9 +13,11 @@ from scipy.linalg import expm
 
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import VesselReport
-from estimator.ekf import Ekf, at, deck_motion_bank, forecast, moving, start, step
+from estimator.ekf import Ekf, EkfOptions, at, deck_motion_bank, forecast, moving, start, step
+from estimator.ekf.motion import ProcessNoise
 from estimator.ekf.oscillator import stationary, transition
 from sitl.testing.estimator_truth import Setting, TruthFlight, events, ns, stamp
+from tests.estimator.ekf import flown
 
 QUICK = Setting(seed=3, sea=4, duration_s=20.0, imu_hz=50.0, sighting_hz=10.0, attitude_hz=10.0, velocity_hz=10.0, pose6=True)
 
@@ -44,7 +46,7 @@ def test_stationary_covariance_is_stationary(w: float, zeta: float) -> None:
     assert P[0, 0] == 1.0
 
 
-CARRIED = deck_motion_bank.carrying(0.03, 0.003, 2e-3)
+NOISE = ProcessNoise(EkfOptions())
 
 
 def test_the_bank_learns_an_oscillation_and_its_size() -> None:
@@ -58,12 +60,12 @@ def test_the_bank_learns_an_oscillation_and_its_size() -> None:
     for k in range(400):
         x = a.A @ x + L @ rng.standard_normal(4)
         drift = 3.0 + 0.5 * k * dt
-        bank = deck_motion_bank.observe(
+        bank = flown.observe(
             bank,
             round(k * dt * 1e9),
             np.array([0.0, 0.0, x[0] + drift + 0.01 * rng.standard_normal(), 0.0, 0.0]),
             var,
-            CARRIED,
+            NOISE,
             2.0,
         )
     assert 0.65 < bank.w_rad_s[2] < 1.25
@@ -77,7 +79,7 @@ def test_a_deck_at_rest_is_found_to_be_at_rest() -> None:
     bank = deck_motion_bank.unknown()
     var = np.array([1.0, 1.0, 1.0, 1.0, 1.0]) * 0.01**2
     for k in range(150):
-        bank = deck_motion_bank.observe(bank, k * 200_000_000, 0.01 * rng.standard_normal(5), var, CARRIED, 2.0)
+        bank = flown.observe(bank, k * 200_000_000, 0.01 * rng.standard_normal(5), var, NOISE, 2.0)
     assert bank.weight[:, 0].min() > 0.6
     assert bank.sigma[:3].max() < 0.05
 

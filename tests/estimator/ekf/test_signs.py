@@ -11,12 +11,13 @@ import pytest
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu
-from estimator.ekf import Ekf, EkfOptions, at, gate, measure, motion, start, step
-from estimator.ekf.algebra import Algebra
+from estimator.ekf import Ekf, EkfOptions, at, gate, motion, start, step
 from estimator.ekf.propagate import FilterParams
-from estimator.ekf.state import ATT_BIAS, ATT_ERR, BARO_OFFSET, CAMERA_DELAY, PAD_YAW, POS_REL, VEL, VEL_SCALE, VESSEL_VEL, N
-from estimator.ekf.vision_update import _compared
+from estimator.ekf.state import ATT_BIAS, ATT_ERR, BARO_OFFSET, CAMERA_DELAY, PAD_YAW, POS_REL, VEL, VEL_SCALE, VESSEL_VEL
 from sitl.testing.voyage_truth import OPTIONS, Voyage, VoyageScene, events, ns, stamp
+from tests.estimator.ekf import flown
+from tests.estimator.ekf.oracle import sighting as models
+from tests.estimator.ekf.oracle.vision_update import _compared
 from tests.estimator.ekf.test_jacobians import random_belief, sighting
 
 SCENE = VoyageScene(seed=3, sea="jonswap", duration_s=9.5, imu_hz=50.0, sighting_hz=10.0, range_hz=2.0, gaps=0, outliers=0.0)
@@ -67,7 +68,7 @@ def test_a_stamp_s_sigma_is_noise_along_what_the_image_does_meanwhile(pose6: boo
     rows = []
     for sigma_s in (0.0, 0.02):
         seen, levelled_by = sighting(5, pose6=pose6, sigma_s=sigma_s)
-        rows.append(measure.sighting(b.x, b.R, w, seen, levelled_by, np.zeros((3, 3)), 0.1))
+        rows.append(flown.sighting(b.x, b.R, w, seen, levelled_by, np.zeros((3, 3)), 0.1))
     rate = rows[0].H[:, CAMERA_DELAY]
     assert float(np.linalg.norm(rate)) > 0.1
     np.testing.assert_allclose(rows[1].R - rows[0].R, np.outer(rate, rate) * 0.02**2, atol=1e-12)
@@ -97,7 +98,7 @@ def test_the_first_sighting_s_heading_is_the_belief_s(yaw: float) -> None:
 
 
 def test_while_the_velocity_is_poorly_known_the_delay_is_noise_and_nothing_is_learned_of_it() -> None:
-    params = FilterParams(OPTIONS, motion.ProcessNoise(OPTIONS), Algebra(N))
+    params = FilterParams(OPTIONS, motion.ProcessNoise(OPTIONS))
     b = random_belief(2)._replace(heading_known=True)
     seen, _ = sighting(2, pose6=False)
     P = b.P.copy()
@@ -162,6 +163,6 @@ def test_an_attitude_taken_as_exact_leaves_a_covariance_whole() -> None:
     d, cov = np.array([0.5, 0.2, 4.0]), np.diag([0.01, 0.01, 0.02]) ** 2
     lever = -np.array([[0.0, -d[2], d[1]], [d[2], 0.0, -d[0]], [-d[1], d[0], 0.0]])
     attitude = np.diag([0.02, 0.02, 0.0]) ** 2
-    np.testing.assert_array_equal(measure.without(cov, lever, attitude), cov)
+    np.testing.assert_array_equal(models.without(cov, lever, attitude), cov)
     held = cov + 0.01 * lever @ attitude @ lever.T
-    np.testing.assert_allclose(measure.without(held, lever, 0.01 * attitude), cov, atol=1e-12)
+    np.testing.assert_allclose(models.without(held, lever, 0.01 * attitude), cov, atol=1e-12)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from estimator.ekf import skill
-from estimator.ekf.skill import HORIZONS_S, Skill
+from estimator.ekf.skill import HORIZONS_S, Skill, factor
+from tests.estimator.ekf.oracle import skill
 
 STEP_NS = 600_000_000
 SWELL = np.full(5, 0.5)
@@ -29,29 +29,29 @@ def learned(slope: float, n: int, step_ns: int = STEP_NS) -> Skill:
 
 def test_before_anything_was_compared_less_is_kept_the_more_of_a_period_a_forecast_spans() -> None:
     w = math.tau / np.array([2.0, 4.0, 8.0, 16.0, 100.0])
-    share = skill.factor(skill.unknown(), np.array([0.0, 1.0, 1.5, 3.0, 9.0]), w)
+    share = factor(skill.unknown(), np.array([0.0, 1.0, 1.5, 3.0, 9.0]), w)
     assert share.shape == (5, 5, 2)
     np.testing.assert_array_equal(share[..., 0], share[..., 1])
     np.testing.assert_allclose(share[0], 1.0)
     np.testing.assert_allclose(share[1, :, 0], 0.8 * np.exp([-0.25, -1 / 16, -1 / 64, -1 / 256, -1e-4]))
     np.testing.assert_allclose(share[3, :2, 0], 0.8 * np.exp([-2.25, -9 / 16]))
-    np.testing.assert_allclose(share[2], 0.5 * (share[1] + skill.factor(skill.unknown(), np.array([2.0]), w)[0]))
+    np.testing.assert_allclose(share[2], 0.5 * (share[1] + factor(skill.unknown(), np.array([2.0]), w)[0]))
     np.testing.assert_allclose(share[4], share[3])
     assert np.all(np.diff(share[3, :, 0]) > 0.0), "a longer wave is foretold farther"
 
 
 def test_the_share_goes_from_its_prior_to_the_slope_of_what_came_over_what_was_foretold() -> None:
     for slope, expected in ((0.5, 0.5), (1.0, 1.0), (2.0, 1.0), (1e-3, 0.0), (-1.0, 0.0)):
-        share = skill.factor(learned(slope, 200), HORIZONS_S, SWELL)
+        share = factor(learned(slope, 200), HORIZONS_S, SWELL)
         np.testing.assert_allclose(share, expected, atol=0.2)
-    few = skill.factor(learned(0.4, 12), HORIZONS_S, SWELL)
+    few = factor(learned(0.4, 12), HORIZONS_S, SWELL)
     assert np.all((few > 0.45) & (few < 0.85))
 
 
 def test_beyond_a_period_the_prior_outweighs_a_minute_of_comparisons() -> None:
     quick = np.full(5, math.tau / 2.5)
-    assert skill.factor(learned(1.0, 200), HORIZONS_S, SWELL)[2].min() > 0.9
-    assert skill.factor(learned(1.0, 200), HORIZONS_S, quick)[2].max() < 0.5
+    assert factor(learned(1.0, 200), HORIZONS_S, SWELL)[2].min() > 0.9
+    assert factor(learned(1.0, 200), HORIZONS_S, quick)[2].max() < 0.5
 
 
 def test_forecasts_are_kept_until_their_longest_horizon_has_come_and_no_longer() -> None:

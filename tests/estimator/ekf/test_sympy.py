@@ -8,7 +8,6 @@ import sympy as sp
 
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import measure
 from estimator.ekf.state import (
     ATT_ERR,
     CAMERA_DELAY,
@@ -22,6 +21,7 @@ from estimator.ekf.state import (
     VESSEL_VEL,
     WAVES,
 )
+from tests.estimator.ekf import flown
 from tests.estimator.ekf.oracle import measure as oracle
 from tests.estimator.ekf.test_jacobians import random_belief
 
@@ -64,7 +64,7 @@ def test_place_of_the_pad_in_the_image(seed: int) -> None:
     values |= dict(zip(R, b.R.ravel(), strict=True))
     stamp = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
     s = Sighting(stamp, 0, "selected", np.array([0.0, 0.0, 2.0]), None, False, np.diag([0.01, 0.01, 0.01, 3.28]), 1.0)
-    H = measure.sighting(x, b.R, w_value, s, None, np.zeros((3, 3)), 0.1).H
+    H = flown.sighting(x, b.R, w_value, s, None, np.zeros((3, 3)), 0.1).H
     columns = np.r_[ATT_ERR, POS_REL, VEL, VESSEL_VEL, CAMERA_MOUNT, GYRO_BIAS, CAMERA_DELAY]
     np.testing.assert_allclose(H[:, columns], jacobian_at(h, state, values), atol=1e-9)
 

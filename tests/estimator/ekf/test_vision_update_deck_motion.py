@@ -11,11 +11,12 @@ import pytest
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64, rpy_matrix
-from estimator.ekf import deck_motion_bank, so3, vision_update
+from estimator.ekf import deck_motion_bank, so3
 from estimator.ekf.propagate import FilterParams
 from estimator.ekf.state import CAMERA_DELAY, CAMERA_MOUNT, VEL, Belief
-from estimator.ekf.vision_update import fuse_sighting
 from tests.estimator.ekf.hand import LEVEL, MS, TILTED, TOOLS, S, T, belief, diagonal, learned, sighting, under, whole
+from tests.estimator.ekf.oracle import bank, vision_update
+from tests.estimator.ekf.oracle.vision_update import fuse_sighting
 
 
 class Detection:
@@ -23,7 +24,7 @@ class Detection:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.shown: list[tuple[int, F64, F64, deck_motion_bank.Carrying, float]] = []
-        monkeypatch.setattr(deck_motion_bank, "observe", self._look)
+        monkeypatch.setattr(bank, "observe", self._look)
 
     def _look(self, s: deck_motion_bank.DeckMotionBank, *shown: Any) -> deck_motion_bank.DeckMotionBank:
         self.shown.append(shown)

@@ -10,11 +10,10 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Baro, BodyVelocity, Range
 from estimator.ekf import gate
-from estimator.ekf.algebra import nis_of
-from estimator.ekf.measure import LinearizedMeasurement, pad_velocity
+from estimator.ekf.measure import pad_velocity
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.propagate import FilterParams, corrected
+from estimator.ekf.propagate import FilterParams
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -44,8 +43,10 @@ from estimator.ekf.state import (
     Gathered,
     N,
 )  # fmt: skip
-from tests.estimator.ekf.oracle import measure, motion
-from tests.estimator.ekf.oracle.propagate import propagated
+from tests.estimator.ekf.oracle import algebra, measure, motion
+from tests.estimator.ekf.oracle.algebra import nis_of
+from tests.estimator.ekf.oracle.propagate import corrected, propagated
+from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement
 
 _STUCK_S = 1.0
 """Length of a rejection streak after which a kind of aiding is accepted again, with what it contradicts made uncertain."""
@@ -251,7 +252,7 @@ def aided(b: Belief, params: FilterParams) -> Belief:
     o = params.options
     if not any(aid.gathered for aid in b.aids):
         return b
-    b = motion.propagate_covariance(b, params.process_noise, params.algebra)
+    b = motion.propagate_covariance(b, params.process_noise, algebra.ALGEBRA)
     innov, H, R = [], [], []
     aids = list(b.aids)
     for kind, aid in enumerate(b.aids):
@@ -274,7 +275,7 @@ def aided(b: Belief, params: FilterParams) -> Belief:
     for block in R:
         noise[at : at + len(block), at : at + len(block)] = block
         at += len(block)
-    fix = params.algebra.correct(b.P, np.concatenate(innov), np.concatenate(H), noise)
+    fix = algebra.ALGEBRA.correct(b.P, np.concatenate(innov), np.concatenate(H), noise)
     return b if fix is None else corrected(b, fix.dx, fix.P)
 
 

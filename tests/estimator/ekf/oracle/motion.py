@@ -10,7 +10,6 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, orthonormalised, skew
 from estimator.ekf import so3
-from estimator.ekf.algebra import Algebra
 from estimator.ekf.motion import QUARTER, ProcessNoise, turned
 from estimator.ekf.oscillator import transition
 from estimator.ekf.so3 import Vec3
@@ -43,6 +42,7 @@ from estimator.ekf.state import (
     Belief,
     N,
 )  # fmt: skip
+from tests.estimator.ekf.oracle.algebra import Algebra
 
 _I3 = np.eye(3)
 _IN = np.eye(N)

@@ -11,17 +11,18 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.packed_belief import Sample
-from estimator.ekf.propagate import FilterParams, forgotten
+from estimator.ekf.propagate import FilterParams
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ATTITUDE,
     Belief,
 )  # fmt: skip
-from tests.estimator.ekf.oracle import measure, motion
+from tests.estimator.ekf.oracle import algebra, measure, motion
 from tests.estimator.ekf.oracle.aiding import fuse_baro, fuse_range, fuse_velocity, gather
-from tests.estimator.ekf.oracle.propagate import propagated
+from tests.estimator.ekf.oracle.propagate import forgotten, propagated
 
+Sample = Imu | Attitude | BodyVelocity | Range | Baro
+"""One of the vehicle's own samples."""
 _SMOOTH_S = 0.03
 """Time constant of the smoothed body rate, s."""
 
@@ -60,7 +61,7 @@ def _imu(b: Belief, event: Imu, params: FilterParams) -> tuple[Belief, Outcome]:
     else:
         b = propagated(b, t, params)._replace(t_imu=t, w=w_body, w_smooth=w_body, f=f_body)
     if (b.t - b.t_cov) * 1e-9 >= o.tick_s:
-        b = motion.propagate_covariance(b, params.process_noise, params.algebra)
+        b = motion.propagate_covariance(b, params.process_noise, algebra.ALGEBRA)
     return forgotten(b, o), Outcome(Verdict.FUSED)
 
 

@@ -1,4 +1,4 @@
-"""The filter's linear algebra: covariance propagation, and the Kalman correction in Joseph form."""
+"""The core's linear algebra for numpy: covariance propagation, and the Kalman correction in Joseph form."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import ORDER_MAX, ROWS_MAX
+from estimator.core.interface import ORDER_MAX, ROWS_MAX, N
 from estimator.core.library import CORE, address
 
 
@@ -110,3 +110,7 @@ class Algebra:
         for name, matrix in matrices.items():
             if matrix.shape != (self._n, self._n):
                 raise ValueError(f"{name} has shape {matrix.shape}, not {(self._n, self._n)}")
+
+
+ALGEBRA = Algebra(N)
+"""For the filter's error state."""

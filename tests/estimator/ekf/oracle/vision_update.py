@@ -1,4 +1,4 @@
-"""The vision update: gate a sighting, reset the filter after a consistent streak of rejections, fuse, and feed the wave bank."""
+"""The vision update in numpy: gate a sighting, reset the filter after a streak of rejections, fuse, and feed the wave bank."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import numpy as np
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64
-from estimator.ekf import deck_jolt, deck_motion_bank, gate, measure, so3
-from estimator.ekf.algebra import Correction
+from estimator.ekf import measure, so3
+from estimator.ekf.deck_motion_bank import CARRIED
+from estimator.ekf.gate import nis_max
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.propagate import FilterParams, corrected, forgotten, partial, ready_to_fuse
+from estimator.ekf.propagate import FilterParams
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,
@@ -31,6 +32,9 @@ from estimator.ekf.state import (
     RejectionStreak,
     waves_unknown,
 )  # fmt: skip
+from tests.estimator.ekf.oracle import algebra, bank, deck_jolt, gate, sighting
+from tests.estimator.ekf.oracle.algebra import Correction
+from tests.estimator.ekf.oracle.propagate import corrected, forgotten, partial, ready_to_fuse
 
 _WITHHELD_MOUNT = 0.95
 """Fraction of the correction of the camera's mounting that is withheld on a rough sea, and of the covariance's root with it."""
@@ -61,12 +65,12 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
     dof = row.innov.size
     nis = fix.nis
     turned_round = False
-    if dof > 3 and b.heading_known and nis > gate.nis_max(o.gate_probability, dof):
+    if dof > 3 and b.heading_known and nis > nis_max(o.gate_probability, dof):
         place, by_place = _compared(b, event, params, place_only=True)
-        if by_place is not None and by_place.nis <= gate.nis_max(o.gate_probability, 3):
+        if by_place is not None and by_place.nis <= nis_max(o.gate_probability, 3):
             turned_round = True
             row, fix, nis, dof = place, by_place, by_place.nis, 3
-    if turned_round or (dof > 3 and nis <= gate.nis_max(o.gate_probability, dof)):
+    if turned_round or (dof > 3 and nis <= nis_max(o.gate_probability, dof)):
         b = _heading_weighed(b, event, o, agrees=not turned_round)
         if turned_round and b.heading_held_s <= 0.0:
             b = _with_new_heading(b, event)
@@ -76,12 +80,12 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
             nis, dof = fix.nis, row.innov.size
     if not fresh:
         b = b._replace(nis_mean=gate.mean_of(b.nis_mean, nis, dof))
-    if nis > gate.nis_max(o.gate_probability, dof):
+    if nis > nis_max(o.gate_probability, dof):
         offset = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]).dot(row.innov[:3]))
         streak = gate.extended(b.rejections, t, offset, float(np.trace(row.R[:3, :3])) / 3.0)
         b = b._replace(rejections=streak)
         if not gate.should_reset(streak, b.agreed, o):
-            return b, Outcome(Verdict.GATED, row.innov, fix.S, nis, gate.nis_max(o.gate_probability, dof))
+            return b, Outcome(Verdict.GATED, row.innov, fix.S, nis, nis_max(o.gate_probability, dof))
         b = _initialized(b, event, o, reset=True)._replace(nis_mean=1.0)
         row, fix = _compared(b, event, params)
         if fix is None:
@@ -94,13 +98,13 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
     b = b._replace(
         sighted=max(t, b.sighted), agreed=1 if fresh or lost else b.agreed + 1, rejections=RejectionStreak(), heading_known=known
     )
-    nis_max = gate.nis_max(o.gate_probability, row.innov.size)
-    return _learned(b, event, row, params), Outcome(Verdict.FUSED, row.innov, fix.S, nis, nis_max)
+    limit = nis_max(o.gate_probability, row.innov.size)
+    return _learned(b, event, row, params), Outcome(Verdict.FUSED, row.innov, fix.S, nis, limit)
 
 
 def _jolted(
-    b: Belief, event: Sighting, row: measure.LinearizedMeasurement, fix: Correction, params: FilterParams
-) -> tuple[Belief, measure.LinearizedMeasurement, Correction]:
+    b: Belief, event: Sighting, row: sighting.LinearizedMeasurement, fix: Correction, params: FilterParams
+) -> tuple[Belief, sighting.LinearizedMeasurement, Correction]:
     """Compare again with a wider belief if the last sightings missed the deck by more than the filter claims."""
     back = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]))
     cov_ned = back.dot(fix.S[:3, :3]).dot(back.T)
@@ -149,10 +153,10 @@ def _with_new_heading(b: Belief, event: Sighting) -> Belief:
 
 def _compared(
     b: Belief, event: Sighting, params: FilterParams, *, place_only: bool = False
-) -> tuple[measure.LinearizedMeasurement, Correction | None]:
+) -> tuple[sighting.LinearizedMeasurement, Correction | None]:
     yaw_sigma = math.sqrt(float(b.P[PAD_YAW, PAD_YAW])) if b.heading_known else math.inf
     cov = b.cov_levelled_by if params.options.sighting_has_attitude_error else np.zeros((3, 3))
-    row = measure.sighting(b.x, b.R, b.w_smooth, event, b.levelled_by, cov, yaw_sigma, place_only=place_only)
+    row = sighting.sighting(b.x, b.R, b.w_smooth, event, b.levelled_by, cov, yaw_sigma, place_only=place_only)
     # The part of an innovation that is due to the delay grows with the rate of the measured position. While that rate is
     # poorly known, the delay is not corrected and its effect counts as noise.
     cov_rate = row.G.dot(b.P).dot(row.G.T)
@@ -162,7 +166,7 @@ def _compared(
         R[:3, :3] += var * cov_rate
         H[:, CAMERA_DELAY] = 0.0
         row = row._replace(H=H, R=R)
-    return row, params.algebra.correct(b.P, row.innov, row.H, row.R)
+    return row, algebra.ALGEBRA.correct(b.P, row.innov, row.H, row.R)
 
 
 def _initialized(b: Belief, event: Sighting, o: EkfOptions, *, reset: bool) -> Belief:
@@ -171,7 +175,7 @@ def _initialized(b: Belief, event: Sighting, o: EkfOptions, *, reset: bool) -> B
     The states of the body itself stay.
     """
     P, x = b.P.copy(), b.x.copy()
-    seen = measure.seen_from_body(event, measure.levelling(b.R, b.levelled_by))
+    seen = sighting.seen_from_body(event, sighting.levelling(b.R, b.levelled_by))
     x[POS_REL] = b.R.dot(so3.exp(x[CAMERA_MOUNT]).dot(seen))
     P[POS_REL, :] = P[:, POS_REL] = 0.0
     P[POS_AXES, POS_AXES] = 1e2 + float(seen.dot(seen))
@@ -191,13 +195,13 @@ def _initialized(b: Belief, event: Sighting, o: EkfOptions, *, reset: bool) -> B
     return b._replace(x=x, P=P, rejections=RejectionStreak(), heading_held_s=0.0)
 
 
-def _learned(b: Belief, event: Sighting, row: measure.LinearizedMeasurement, params: FilterParams) -> Belief:
+def _learned(b: Belief, event: Sighting, row: sighting.LinearizedMeasurement, params: FilterParams) -> Belief:
     """Update the bank of wave oscillators with the pad's measured position and tilt."""
-    if b.sea.t >= 0 and (b.t - b.sea.t) * 1e-9 < 0.9 * deck_motion_bank.PERIOD_S:
+    if b.sea.t >= 0 and (b.t - b.sea.t) * 1e-9 < 0.9 * bank.PERIOD_S:
         return b
-    A = measure.levelling(b.R, b.levelled_by)
+    A = sighting.levelling(b.R, b.levelled_by)
     back = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]))
-    seen = measure.seen_from_body(event, A) - row.H[:3, CAMERA_DELAY] * b.x[CAMERA_DELAY]
+    seen = sighting.seen_from_body(event, A) - row.H[:3, CAMERA_DELAY] * b.x[CAMERA_DELAY]
     y, var = np.zeros(5), np.full(5, 1e6)
     y[:3] = back.dot(seen) + b.ins_p
     var[:3] = np.diag(back.dot(row.R[:3, :3]).dot(back.T))
@@ -210,6 +214,6 @@ def _learned(b: Belief, event: Sighting, row: measure.LinearizedMeasurement, par
     by = params.process_noise.carrying
     if b.ins_var_m2_s2 > 0.0 and b.sea.t >= 0:
         psd = b.ins_var_m2_s2 / ((b.t - b.sea.t) * 1e-9)
-        by = by._replace(asd_accel=np.sqrt(by.asd_accel**2 + psd * deck_motion_bank.CARRIED))
-    learned = deck_motion_bank.observe(b.sea, b.t, y, var, by, float(np.linalg.norm(seen)))
+        by = by._replace(asd_accel=np.sqrt(by.asd_accel**2 + psd * CARRIED))
+    learned = bank.observe(b.sea, b.t, y, var, by, float(np.linalg.norm(seen)))
     return b._replace(sea=learned, ins_var_m2_s2=0.0)

