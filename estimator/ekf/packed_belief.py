@@ -156,9 +156,9 @@ def _outcome(block: F64) -> Outcome:
     verdict, m, axes, has_S, *numbers = _OUTCOME_WORDS.unpack_from(block.data)
     if m == 0:
         return _WITHOUT_COMPARISON[_VERDICTS[verdict]]
-    innov, S = numbers[_INNOV][:m], numbers[_COV][: m * m]
+    innov, S, (nis, nis_max) = numbers[_INNOV][:m], numbers[_COV][: m * m], numbers[-2:]
     cov = np.array(S).reshape(m, m) if has_S else None
-    return Outcome(_VERDICTS[verdict], innov, cov, *numbers[-2:], _AXES[axes])
+    return Outcome(_VERDICTS[verdict], innov, cov, nis, nis_max, _AXES[axes])
 
 
 def _write(words: F64, b: Belief) -> None:

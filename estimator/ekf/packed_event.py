@@ -18,7 +18,7 @@ _NO_VALUES = (0.0,) * _VALUES
 _FLAGS = 3
 _SIGHTING = struct.Struct(f"{_FLAGS}q{size_of('sighting') - _FLAGS}d")
 _NO_POSE = (0.0,) * (3 + 9 + 36)
-_NO_VECTOR, _NO_MATRIX = (0.0,) * 3, (0.0,) * 9
+_NO_VELOCITY = (0.0,) * (3 + 9)
 
 
 class PackedEvent(NamedTuple):
@@ -53,12 +53,9 @@ def packed_event(event: Event) -> PackedEvent:
 
 
 def _of_vessel(report: VesselReport) -> tuple[float, ...]:
-    velocity, cov, heading, sigma = (*_NO_VECTOR,), (*_NO_MATRIX,), 0.0, 0.0
-    if report.v_vessel_ned is not None and report.cov_v_ned is not None:
-        velocity, cov = tuple(report.v_vessel_ned.tolist()), tuple(report.cov_v_ned.ravel().tolist())
-    if report.heading_rad is not None and report.sigma_heading_rad is not None:
-        heading, sigma = report.heading_rad, report.sigma_heading_rad
-    return (*velocity, *cov, heading, sigma, report.v_vessel_ned is not None, report.heading_rad is not None)
+    v, cov, heading, sigma = report.v_vessel_ned, report.cov_v_ned, report.heading_rad, report.sigma_heading_rad
+    velocity = _NO_VELOCITY if v is None or cov is None else (*v.tolist(), *cov.ravel().tolist())
+    return (*velocity, heading or 0.0, sigma or 0.0, v is not None, heading is not None)
 
 
 def _seen(s: Sighting) -> bytes:

@@ -21,6 +21,7 @@ from estimator.ekf.deck_motion_bank import (
     pairs_of,
 )
 from estimator.ekf.oscillator import transition
+from estimator.ekf.skill import HORIZONS_S
 from tests.estimator.ekf.oracle import skill
 
 MEMORY_S = 180.0
@@ -33,7 +34,7 @@ _NIS_MAX = 16.0
 """NIS beyond which an innovation counts no more against a member."""
 DRIFT_VAR = np.array([[25.0, 9.0, 1.0]] * 3 + [[math.radians(2.0) ** 2, 0.0, 0.0]] * 2)
 """(5, 3) prior of offset, its rate, acceleration. A deck's list is an offset that does not drift."""
-_AHEAD = np.stack([transition(W, ZETA, h, AT_REST).A[:, :2] for h in skill.HORIZONS_S.tolist()])
+_AHEAD = np.stack([transition(W, ZETA, h, AT_REST).A[:, :2] for h in HORIZONS_S.tolist()])
 """(3, G, 2, 4) displacement and rate at the horizons of `skill`."""
 _UPRIGHT = slice(2, 5)
 """Heave, roll, pitch: they decide whether the deck is at rest. Sideways an attitude that errs looks like a deck that moves, and
