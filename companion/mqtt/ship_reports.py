@@ -18,8 +18,9 @@ import numpy as np
 from companion.mqtt.messages import ShipReport
 from companion.mqtt.signature import Forged, Unsigned, verified
 from companion.mqtt.topics import Topics
+from drivers.nmea.sentences import COV_SPEED, HEADING_SIGMA_RAD
 from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, VesselReport
+from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs, Stamp
 
 log = logging.getLogger(__name__)
@@ -27,8 +28,6 @@ log = logging.getLogger(__name__)
 REPORT_MAX_BYTES = 1024
 _STAMP_SIGMA_S = 0.2
 """Standard deviation of the report's instant: its sender knows the drone's clock by messages that took their time to it."""
-_SPEED_SIGMA_M_S, _HEADING_SIGMA_RAD = 0.2, math.radians(2.0)
-"""Standard deviations of a GNSS receiver's speed and a ship's compass, as for her sentences."""
 
 _decoder = msgspec.json.Decoder(ShipReport)
 
@@ -103,6 +102,6 @@ def _samples(report: ShipReport, stamp: Stamp) -> Samples:
     out: Samples = [GeoFix(stamp, "vessel", place, report.sigma_m, v)]
     if v is None and report.heading_deg is None:
         return out
-    cov = None if v is None else np.diag([_SPEED_SIGMA_M_S**2, _SPEED_SIGMA_M_S**2, UNKNOWN_VAR])
+    cov = None if v is None else COV_SPEED
     heading = None if report.heading_deg is None else math.radians(report.heading_deg)
-    return [*out, VesselReport(stamp, v, cov, heading, None if heading is None else _HEADING_SIGMA_RAD)]
+    return [*out, VesselReport(stamp, v, cov, heading, None if heading is None else HEADING_SIGMA_RAD)]

@@ -35,7 +35,11 @@ _RMC_SIGMA_M = 5.0
 """The same of a sentence that does not tell its precision."""
 _AIS_SIGMA_M = {True: 5.0, False: 10.0}
 """The same by the flag of AIS, which tells only whether it is better than 10 m."""
-_SPEED_SIGMA_M_S, _HEADING_SIGMA_RAD = 0.2, math.radians(2.0)
+HEADING_SIGMA_RAD = math.radians(2.0)
+"""Standard deviation of a ship's compass."""
+COV_SPEED = np.diag([0.2**2, 0.2**2, UNKNOWN_VAR])
+"""(3, 3) (m/s)^2 covariance of a ship's velocity by her GNSS receiver, which tells no vertical one."""
+COV_SPEED.setflags(write=False)
 _SPEED_MAX_KN = 102.0
 _COURSE_FROM_M_S = 0.3
 """Speed below which a receiver may leave the course out."""
@@ -124,7 +128,7 @@ class NmeaReader:
         heading_deg = _number(m.heading)
         if m.hdg_true != "T" or not 0.0 <= heading_deg <= 360.0:
             raise _Refused("impossible")
-        return [VesselReport(_arrival(received_at), None, None, math.radians(heading_deg), _HEADING_SIGMA_RAD)]
+        return [VesselReport(_arrival(received_at), None, None, math.radians(heading_deg), HEADING_SIGMA_RAD)]
 
     def _ais(self, line: str, received_at: MonoNs) -> Samples:
         if line.split(",")[1] != "1":
@@ -143,7 +147,7 @@ class NmeaReader:
         stamp = self._minute.stamp(int(m.second) * NS_PER_S, received_at) if known else _arrival(received_at)
         out: Samples = [GeoFix(stamp, "vessel", place, _AIS_SIGMA_M[bool(m.accuracy)], v), *_moving(stamp, v)]
         if 0 <= _number(m.heading) < 360:
-            out.append(VesselReport(stamp, None, None, math.radians(_number(m.heading)), _HEADING_SIGMA_RAD))
+            out.append(VesselReport(stamp, None, None, math.radians(_number(m.heading)), HEADING_SIGMA_RAD))
         return out
 
 
@@ -228,4 +232,4 @@ def _velocity(speed_kn: object, course_deg: object) -> np.ndarray[tuple[int], np
 def _moving(stamp: Stamp, v: np.ndarray[tuple[int], np.dtype[np.float64]] | None) -> Samples:
     if v is None:
         return []
-    return [VesselReport(stamp, v, np.diag([_SPEED_SIGMA_M_S**2, _SPEED_SIGMA_M_S**2, UNKNOWN_VAR]), None, None)]
+    return [VesselReport(stamp, v, COV_SPEED, None, None)]
