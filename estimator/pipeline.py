@@ -14,7 +14,7 @@ from msgspec import structs
 
 from estimator import dead_reckoning, ekf, filters, integrity
 from estimator.attitude_history import AttitudeHistory
-from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
+from estimator.contracts.estimates import Details, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, source_of
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Attitude, Frame, Sample
@@ -147,18 +147,11 @@ def attitude_at(memory: Memory, stamp: Stamp) -> Attitude | None:
 
 
 def _dressed(state: RelativeState, guard: integrity.IntegrityGuard, now: MonoNs) -> RelativeState:
-    alerts = integrity.alerts(guard, now)
-    return replace(
-        state,
-        track=guard.tracks.number,
-        alerts=alerts,
-        consistent=state.consistent and not alerts,
-        details=(
-            *state.details,
-            ("range_agrees", float(guard.heights.confirmed(now))),
-            ("heading_off_rad", guard.heading.off_rad),
-        ),
-    )
+    def details() -> tuple[tuple[str, float], ...]:
+        agrees = float(guard.heights.confirmed(now))
+        return *state.details, ("range_agrees", agrees), ("heading_off_rad", guard.heading.off_rad)
+
+    return state.marked(guard.tracks.number, integrity.alerts(guard, now), Details(details))
 
 
 def _refusal(options: EstimatorOptions, sighting: Sighting) -> Verdict | None:

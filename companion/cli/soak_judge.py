@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from estimator.contracts.errors import SetupImpossible
-from estimator.ekf import forget_answers
 
 GROWTH_MAX = 0.01
 """Share by which memory may grow after warm-up."""
@@ -46,14 +45,12 @@ def give_back() -> float:
 
     Without this a reading says where the heap happened to be cut: the C library keeps free pages between blocks that are in use
     (some 25 MiB here), and now and then a frame's buffer that fits into none of the gaps makes the heap longer. That looks like
-    a leak of some megabytes, and would hide a small one. The filter's newest answers keep the history of the flight that has
-    ended, some megabytes more or less from flight to flight.
+    a leak of some megabytes, and would hide a small one.
 
     Raises:
         SetupImpossible: there is no /proc.
     """
     before_mib = _resident_mib()
-    forget_answers()
     gc.collect()
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # the GNU C library has it; others give pages back by themselves
     if trim is not None:

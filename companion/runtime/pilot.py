@@ -269,15 +269,13 @@ class Pilot:
         """Return every path's estimate; the steering path's comes first if it has one."""
         return pipeline.beliefs(self._memory, now)
 
-    def knowledge(self, now: MonoNs) -> Knowledge:
-        """Return what guidance knows at an instant."""
+    def _knowledge(self, now: MonoNs, relative: RelativeState | None) -> Knowledge:
+        """Return what guidance knows at an instant, with the steering path's estimate there."""
         body, deck = self.motion(now)
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
             self._forecast = self.forecast(now, HORIZONS_S)
-        return Knowledge(
-            now, self.believed(now), body, deck, self._forecast, self._impact, self._response.in_use, self._law.climb_max_m_s
-        )
+        return Knowledge(now, relative, body, deck, self._forecast, self._impact, self._response.in_use, self._law.climb_max_m_s)
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
         """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
@@ -387,7 +385,7 @@ class Pilot:
         believed = self.all_believed(now)
         steering = self._memory.options.path
         belief = next((b for b in believed if b.path == steering), None)
-        chosen = self.operator.choose(now, self._command(now), belief)
+        chosen = self.operator.choose(now, self._command(now, belief), belief)
         response = self._response.on_command(now, chosen.command, self.state)
         shadows = tuple(b for b in believed if b.path != steering)
         changes, self._changes = tuple(self._changes), []
@@ -399,8 +397,8 @@ class Pilot:
         alerts = () if belief is None else tuple(alert.value for alert in belief.alerts)
         return "; ".join(dict.fromkeys((self.reason, *alerts) if self.reason else alerts))
 
-    def _command(self, now: MonoNs) -> Command | None:
-        knowledge = self.knowledge(now)
+    def _command(self, now: MonoNs, belief: RelativeState | None) -> Command | None:
+        knowledge = self._knowledge(now, belief)
         lean = None if self._lean is None else math.atan(float(np.hypot(*self._lean[1:])) / G_M_S2)
         battery = None if self._status is None else self._status.battery_fraction
         place: VesselPosition | Reason | None = None

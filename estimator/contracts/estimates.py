@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Literal
+from typing import Literal, overload
 
 import numpy as np
 
@@ -117,6 +119,45 @@ class Sighting:
             raise ValueError(f"Sighting.confidence must lie in [0, 1], got {self.confidence}")
 
 
+class Details(Sequence[tuple[str, float]]):
+    """Named figures that are put together when they are first read: few of the many estimates are recorded or shown.
+
+    Args:
+        make: returns the figures.
+    """
+
+    __slots__ = ("_figures", "_make")
+
+    def __init__(self, make: Callable[[], tuple[tuple[str, float], ...]]) -> None:
+        self._make = make
+        self._figures: tuple[tuple[str, float], ...] | None = None
+
+    @property
+    def figures(self) -> tuple[tuple[str, float], ...]:
+        """The figures, in order."""
+        if self._figures is None:
+            self._figures = self._make()
+        return self._figures
+
+    def __len__(self) -> int:
+        return len(self.figures)
+
+    def __iter__(self) -> Iterator[tuple[str, float]]:
+        return iter(self.figures)
+
+    @overload
+    def __getitem__(self, index: int) -> tuple[str, float]: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[tuple[str, float], ...]: ...
+
+    def __getitem__(self, index: int | slice) -> tuple[str, float] | tuple[tuple[str, float], ...]:
+        return self.figures[index]
+
+    def __repr__(self) -> str:
+        return repr(self.figures)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativeState:
     """The belief about the pad at one instant, which guidance steers by."""
@@ -135,7 +176,7 @@ class RelativeState:
     """Measurement instant of the newest fused sighting."""
     consistent: bool
     """Whether recent innovations agree with the claimed covariance."""
-    details: tuple[tuple[str, float], ...] = field(default=())
+    details: Sequence[tuple[str, float]] = field(default=())
     """Named figures of the path for recording and display (biases, gates); guidance never uses them."""
     track: int = 0
     """Number of the tracked pad; it increases when the track is given up for a position that no motion explains."""
@@ -156,6 +197,17 @@ class RelativeState:
     def lateral_m(self) -> float:
         """Horizontal distance between body and pad centre, metres."""
         return float(np.hypot(self.d_body_pad_level[0], self.d_body_pad_level[1]))
+
+    def marked(self, track: int, alerts: tuple[IntegrityAlert, ...], details: Sequence[tuple[str, float]]) -> RelativeState:
+        """Return the estimate with what the guard says of it; with alerts it is not consistent.
+
+        It is a copy, not a construction: the arrays were checked when this estimate was made.
+        """
+        made = copy(self)
+        changed = (("track", track), ("alerts", alerts), ("details", details), ("consistent", self.consistent and not alerts))
+        for name, value in changed:
+            object.__setattr__(made, name, value)
+        return made
 
     def age_s(self, now: MonoNs) -> float:
         """Return the seconds since the newest fused sighting was measured."""

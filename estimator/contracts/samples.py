@@ -20,7 +20,9 @@ UNKNOWN_VAR = 1e6
 def _vector(name: str, value: F64, shape: tuple[int, ...]) -> F64:
     a = np.array(value, dtype=float)
     # In plain numbers: there are hundreds of samples a second, and numpy's calls on a few numbers take ten times as long.
-    if a.shape != shape or not all(map(math.isfinite, a.ravel().tolist())):
+    numbers = a.ravel().tolist()
+    # A sum is finite only of finite numbers; one that is not may have overflowed.
+    if a.shape != shape or not (math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))):
         raise ValueError(f"{name} needs finite numbers of shape {shape}, got {value!r}")
     a.setflags(write=False)
     return a
@@ -28,7 +30,7 @@ def _vector(name: str, value: F64, shape: tuple[int, ...]) -> F64:
 
 def _covariance(name: str, value: F64, n: int) -> F64:
     a = _vector(name, value, (n, n))
-    gap = 0.0 if a.tolist() == a.T.tolist() else float(np.abs(a - a.T).max())
+    gap = 0.0 if a.tobytes() == a.T.tobytes() else float(np.abs(a - a.T).max())
     if min(a.diagonal().tolist()) < 0.0 or (gap > 1e-9 and gap > 1e-9 * float(np.abs(a).max())):
         raise ValueError(f"{name} must be symmetric with a non-negative diagonal, got {value!r}")
     return a

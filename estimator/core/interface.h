@@ -238,6 +238,40 @@ typedef struct {
     double nis_max;
 } outcome;
 
+typedef struct {
+    int64_t has_pad;
+    int64_t has_body;
+    int64_t sighted;
+    int64_t agreed;
+    int64_t velocity_fused;
+    int64_t heading_known;
+    double nis_mean;
+    double heading;
+    double d[3];
+    double v[3];
+    double yaw;
+    double cov[49];
+    double a_body[3];
+    double cov_a_body[9];
+    double w_body[3];
+    double levelled_by[9];
+    double cov_levelled_by[9];
+    double v_deck[3];
+    double a_deck[3];
+    double cov_deck[36];
+    double tilt[4];
+    double cov_tilt[16];
+    double x[54];
+    double var[54];
+    double cov_vessel;
+    double wave_w[5];
+    double wave_zeta[5];
+    double wave_sigma[5];
+} answer;
+
+/* answer.c */
+void filter_answer(const filter_params *o, int64_t t, const belief *before, const double *P_before, answer *out);
+
 /* bank.c */
 void bank_begin(const bank_members *m, sea *after);
 void bank_observe(const filter_params *o, int64_t t, const double *y, const double *var, double ins_var, double reach_m, const sea *before, sea *after);
@@ -280,7 +314,7 @@ void render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, co
 int32_t sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, double *innov, double *H, double *R, double *by_rate);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 409143052u
+#define INTERFACE_DIGEST 3014473820u
 #endif
 
 #endif

@@ -156,10 +156,20 @@ STRUCTS = {
         *_doubles(confidence=1, sigma_s=1, d_level=3, yaw_rad=1, cov=16, pose_d_level=3, pose_R=9, pose_cov=36),
     ),
     "outcome": (*_integers("verdict", "m", "axes", "has_S"), *_doubles(innov=6, S=36, nis=1, nis_max=1)),
+    "answer": (
+        *_integers("has_pad", "has_body", "sighted", "agreed", "velocity_fused", "heading_known"),
+        *_doubles(
+            nis_mean=1, heading=1, d=3, v=3, yaw=1, cov=49,
+            a_body=3, cov_a_body=9, w_body=3, levelled_by=9, cov_levelled_by=9,
+            v_deck=3, a_deck=3, cov_deck=36, tilt=4, cov_tilt=16,
+            x=N, var=N, cov_vessel=1, wave_w=DIRECTIONS, wave_zeta=DIRECTIONS, wave_sigma=DIRECTIONS,
+        ),
+    ),
 }  # fmt: skip
 """The structures, without padding: every member is of eight bytes. Members mean what those of `Belief`, `Aid` and `Gathered` in
 `estimator.ekf.state`, of `DeckMotionBank` and `Skill` of the same names mean; matrices are in rows, instants are in ns. In `sea`
-and `bank_members`, arrays are by direction, then by state or pair of states, then by member of the bank."""
+and `bank_members`, arrays are by direction, then by state or pair of states, then by member of the bank. An `answer` has
+numbers of pad and deck where it has a pad, and of the body where it has a body; `estimator.ekf.answers` says what they are."""
 
 
 def size_of(name: str) -> int:
@@ -240,6 +250,12 @@ FUNCTIONS = (
         "const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, "
         "double *innov, double *H, double *R, double *by_rate",
         "sighting.c",
+    ),
+    Function(
+        "filter_answer",
+        "void",
+        "const filter_params *o, int64_t t, const belief *before, const double *P_before, answer *out",
+        "answer.c",
     ),
     Function(
         "render_deck",

@@ -9,7 +9,7 @@ state = at(ekf, now)
 
 from __future__ import annotations
 
-from estimator.ekf.filter import Ekf, at, forecast, forget_answers, motion_at, moving, start, step, step_all
+from estimator.ekf.filter import Ekf, at, forecast, motion_at, moving, start, step, step_all
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.packed_event import Event
@@ -21,7 +21,6 @@ __all__ = [
     "Forecast",
     "at",
     "forecast",
-    "forget_answers",
     "motion_at",
     "moving",
     "start",

@@ -1,97 +1,156 @@
-"""Motion of body and deck by a settled belief: what a control law needs beside the pad's place."""
+"""What the filter says of one instant, as the native core wrote it (estimator/core/answer.c)."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from functools import cached_property
+
 import numpy as np
 
-from estimator.contracts.geometry import Rotation, skew
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Details, RelativeState
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
-from estimator.ekf import measure, so3
-from estimator.ekf.motion import QUARTER
+from estimator.core.interface import places_of, size_of
+from estimator.core.library import CORE, start_of
+from estimator.ekf import gate
+from estimator.ekf.forecast import probability_of_motion
+from estimator.ekf.motion import ProcessNoise
 from estimator.ekf.options import EkfOptions
+from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.state import (
     ACCEL_BIAS,
-    ATT_ERR,
-    DECK_DISP,
-    DECK_RATE,
-    DECK_TRIM,
-    G_NED,
+    BARO_OFFSET,
+    CAMERA_DELAY,
+    CAMERA_MOUNT,
     GYRO_BIAS,
-    SWAY_EAST,
-    SWAY_NORTH,
-    SWAY_PER_HEAVE,
+    RANGE_OFFSET,
     TURN_RATE,
+    VEL_SCALE,
     VESSEL_VEL,
-    WAVES,
-    Belief,
-    N,
 )
 
-_IMU_HZ = 200.0
-"""Rate at which a noise density is the noise of one sample, Hz."""
+_ANSWER = CORE.function("filter_answer")
+_PLACES, _SIZE = places_of("answer"), size_of("answer")
+_INTEGERS = slice(_PLACES["has_pad"].start, _PLACES["heading_known"].stop)
 
 
-def body_motion(b: Belief, at: MonoNs, o: EkfOptions) -> BodyMotion | None:
-    """Return the body's motion by the newest IMU sample; None while there is none or no attitude was reported.
+class FilterAnswer:
+    """The pad, the body's motion and the deck's motion at one instant; each is put together when it is first asked for."""
 
-    Args:
-        b: the belief at `at`.
-    """
-    if b.t_imu < 0 or (at - b.t_imu) * 1e-9 > o.hold_s or b.levelled_by is None:
-        return None
-    R, P = b.R, b.P
-    Z = so3.about_down(-so3.heading(R))
-    f = R.dot(b.f - b.x[ACCEL_BIAS])
-    J = np.zeros((3, N))
-    J[:, ATT_ERR] = Z.dot(-skew(f)).dot(R)
-    J[:, ACCEL_BIAS] = -Z.dot(R)
-    cov = J.dot(P).dot(J.T) + np.eye(3) * (o.asd_accel_m_s2**2 * _IMU_HZ)
-    return BodyMotion(
-        at,
-        so3.heading(R),
-        Z.dot(f + G_NED),
-        0.5 * (cov + cov.T),
-        b.w - b.x[GYRO_BIAS],
-        Rotation(b.levelled_by),
-        b.cov_levelled_by,
-    )
+    def __init__(self, before: PackedBelief, now: MonoNs, noise: ProcessNoise) -> None:
+        self._now, self._options, self._evidence_of_rest = now, noise.options, before.sea.log_evidence_of_rest
+        self._words = np.empty(_SIZE)
+        _ANSWER(noise.packed_address, now, before.numbers.address, before.P.address, start_of(self._words))
+        integers = self._words[_INTEGERS].view(np.int64).tolist()
+        self._has_pad, self._has_body, self._sighted, self._agreed, self._velocity_fused, self._heading_known = integers
+
+    @cached_property
+    def pad(self) -> RelativeState | None:
+        """The estimate of the pad; None if no pad is tracked."""
+        if not self._has_pad:
+            return None
+        cov = self._matrix("cov", 7)
+        yaw: float | None = wrap_pi(self._number("yaw"))
+        if not self._heading_known:
+            yaw = None
+            cov = cov.copy()
+            cov[6, :] = cov[:, 6] = 0.0
+            cov[6, 6] = UNKNOWN_YAW_VAR
+        fits = gate.consistent(self._number("nis_mean")) and self._agreed >= 3
+        return RelativeState(
+            at=self._now,
+            path="ekf",
+            d_body_pad_level=self._vector("d"),
+            v_pad_level=self._vector("v"),
+            yaw_rad=yaw,
+            cov=cov,
+            sighted=MonoNs(self._sighted),
+            consistent=fits and self._confirmed(cov, self._options),
+            details=Details(_figures(self._words, self._evidence_of_rest)),
+        )
+
+    @cached_property
+    def body(self) -> BodyMotion | None:
+        """The body's motion by the newest IMU sample; None while there is none or no attitude was reported."""
+        if not self._has_body:
+            return None
+        return BodyMotion(
+            self._now,
+            self._number("heading"),
+            self._vector("a_body"),
+            self._matrix("cov_a_body", 3),
+            self._vector("w_body"),
+            Rotation(self._matrix("levelled_by", 3)),
+            self._matrix("cov_levelled_by", 3),
+        )
+
+    @cached_property
+    def deck(self) -> DeckMotion | None:
+        """The deck's motion by the oscillators of the main state (docs/estimator.md, section "Waves"); None without a pad.
+
+        The covariance is the one of at most `EkfOptions.tick_s` before.
+        """
+        if not self._has_pad:
+            return None
+        roll, pitch, roll_rate, pitch_rate = self._vector("tilt").tolist()
+        return DeckMotion(
+            self._now,
+            self._vector("v_deck"),
+            self._vector("a_deck"),
+            self._matrix("cov_deck", 6),
+            roll,
+            pitch,
+            roll_rate,
+            pitch_rate,
+            self._matrix("cov_tilt", 4),
+        )
+
+    def _confirmed(self, cov: F64, o: EkfOptions) -> bool:
+        """Return whether a recent aiding measurement confirms the estimate and its position is certain enough to use.
+
+        Either a sighting or a fused velocity confirms it: both bound the drift of the position.
+        """
+        newest = max(self._sighted, self._velocity_fused)
+        var_max = float(max(cov.diagonal()[:3].tolist()))
+        return (self._now - newest) * 1e-9 <= o.confirm_s and var_max <= o.consistent_sigma_m**2
+
+    def _number(self, name: str) -> float:
+        return self._words.item(_PLACES[name].start)
+
+    def _vector(self, name: str) -> F64:
+        return self._words[_PLACES[name]]
+
+    def _matrix(self, name: str, n: int) -> F64:
+        return self._words[_PLACES[name]].reshape(n, n)
 
 
-def deck_motion(b: Belief, at: MonoNs) -> DeckMotion:
-    """Return the deck's motion by the oscillators of the main state (docs/estimator.md, section "Waves").
+_AXES = "xyz"
+_CHANNELS = ("north", "east", "down", "roll", "pitch")
+_NAMES = (
+    "nis_mean", "probability_moving", "velocity_scale", "camera_delay_s", "baro_offset_m", "range_offset_m",
+    "v_vessel_north_m_s", "v_vessel_east_m_s", "turn_rate_rad_s", "sigma_velocity_scale", "sigma_camera_delay_s",
+    *(f"sigma_mount_{k}_rad" for k in _AXES), *(f"mount_{k}_rad" for k in _AXES),
+    *(f"gyro_bias_{k}_rad_s" for k in _AXES), *(f"accel_bias_{k}_m_s2" for k in _AXES),
+    *(f"period_{k}_s" for k in _CHANNELS), *(f"damping_{k}" for k in _CHANNELS), *(f"swing_{k}" for k in _CHANNELS),
+)  # fmt: skip
+_PLAIN = np.r_[VEL_SCALE, CAMERA_DELAY, BARO_OFFSET, RANGE_OFFSET, VESSEL_VEL, TURN_RATE]
+_SEA = slice(_PLACES["wave_zeta"].start, _PLACES["wave_sigma"].stop)
+_SURE = np.r_[VEL_SCALE, CAMERA_DELAY, CAMERA_MOUNT]
 
-    Args:
-        b: the belief at `at`, moved on by the camera's delay (`measure.aligned`).
-    """
-    x, P, sea = b.x, b.P, b.sea
-    Z = so3.about_down(-so3.heading(b.R))
-    w2, damp = sea.w_rad_s**2, 2.0 * sea.zeta * sea.w_rad_s
-    rows = np.zeros((5, N))
-    channel = np.arange(5)
-    rows[channel, WAVES[:, 0]] = -w2
-    rows[channel, WAVES[:, 1]] = -damp
-    rows[channel, WAVES[:, 3]] = 1.0
-    by_wave = rows[:3].dot(x)
-    sway = x[SWAY_PER_HEAVE]
 
-    J = np.zeros((10, N))
-    J[:3] = Z.dot(measure.by_v_pad_ned(x))
-    accelerate = rows[:3].copy()
-    accelerate[:2] += np.outer(sway, rows[2])
-    accelerate[[0, 1], [SWAY_NORTH, SWAY_EAST]] = by_wave[2]
-    accelerate[:2, VESSEL_VEL] = float(x[TURN_RATE]) * QUARTER
-    accelerate[:2, TURN_RATE] = QUARTER.dot(x[VESSEL_VEL])
-    J[3:6] = Z.dot(accelerate)
-    for k in range(2):
-        J[6 + k, [DECK_DISP[3 + k], DECK_TRIM[k]]] = 1.0
-        J[8 + k, DECK_RATE[3 + k]] = 1.0
-    cov = J.dot(P).dot(J.T)
-    cov = 0.5 * (cov + cov.T)
+def _figures(words: F64, evidence_of_rest: float) -> Callable[[], tuple[tuple[str, float], ...]]:
+    """Return what puts the figures for the records together."""
 
-    a = by_wave.copy()
-    a[:2] += sway * by_wave[2] + float(x[TURN_RATE]) * QUARTER.dot(x[VESSEL_VEL])
-    roll, pitch, roll_rate, pitch_rate = J[6:].dot(x).tolist()
-    return DeckMotion(
-        at, Z.dot(measure.v_pad_ned(x)), Z.dot(a), cov[:6, :6], roll, pitch, roll_rate, pitch_rate, cov[6:, 6:]
-    )  # fmt: skip
+    def figures() -> tuple[tuple[str, float], ...]:
+        x, var = words[_PLACES["x"]], words[_PLACES["var"]]
+        (nn, ee), ne = var[VESSEL_VEL].tolist(), words.item(_PLACES["cov_vessel"].start)
+        nis_mean = words.item(_PLACES["nis_mean"].start)
+        values = [nis_mean, probability_of_motion(evidence_of_rest, x[VESSEL_VEL].tolist(), (nn, ne, ee)), *x[_PLAIN].tolist()]
+        values += np.sqrt(np.maximum(var[_SURE], 0.0)).tolist()
+        values += [*x[CAMERA_MOUNT].tolist(), *x[GYRO_BIAS].tolist(), *x[ACCEL_BIAS].tolist()]
+        values += [*(math.tau / words[_PLACES["wave_w"]]).tolist(), *words[_SEA].tolist()]
+        return tuple(zip(_NAMES, values, strict=True))
+
+    return figures

@@ -135,6 +135,11 @@ class PackedSea:
         return made
 
     @property
+    def log_evidence_of_rest(self) -> float:
+        """Log of how much likelier all that was seen is from a deck at rest than from one that moves."""
+        return _log_evidence_of(self.block.item(self._at + _SEA["weight"].start))
+
+    @property
     def bank(self) -> DeckMotionBank:
         """The bank, whose arrays are parts of the block."""
         if self._bank is None:
@@ -283,5 +288,9 @@ def _reach(horizons_s: tuple[float, ...]) -> tuple[F64, F64]:
 
 def log_evidence_of_rest(sea: DeckMotionBank) -> float:
     """Log of how much likelier all that was seen is from a deck at rest than from one that moves."""
-    rest = min(max(float(sea.weight[0, 0]), 1e-12), 1.0 - 1e-12)
+    return _log_evidence_of(float(sea.weight[0, 0]))
+
+
+def _log_evidence_of(rest: float) -> float:
+    rest = min(max(rest, 1e-12), 1.0 - 1e-12)
     return math.log(rest / (1.0 - rest)) - REST_ODDS

@@ -2,51 +2,35 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
-from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState
+from estimator.contracts.estimates import RelativeState
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.geometry import F64
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
-from estimator.ekf import answers, gate, measure, motion, so3
 from estimator.ekf import forecast as forecasting
-from estimator.ekf.forecast import Forecast
+from estimator.ekf import measure, motion
+from estimator.ekf.answers import FilterAnswer
+from estimator.ekf.deck_motion_bank import log_evidence_of_rest
+from estimator.ekf.forecast import Forecast, probability_of_motion
 from estimator.ekf.history import History, put
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.packed_belief import STATE_ALONE, WITH_COVARIANCE
+from estimator.ekf.packed_belief import WITH_COVARIANCE
 from estimator.ekf.packed_event import Event
 from estimator.ekf.propagate import FilterParams, result
-from estimator.ekf.state import (
-    ACCEL_BIAS,
-    ATT_ERR,
-    BARO_OFFSET,
-    CAMERA_DELAY,
-    CAMERA_MOUNT,
-    GYRO_BIAS,
-    PAD_YAW,
-    POS_REL,
-    RANGE_OFFSET,
-    TURN_RATE,
-    VEL,
-    VEL_SCALE,
-    VELOCITY,
-    VESSEL_VEL,
-    Belief,
-    N,
-)
+from estimator.ekf.state import VESSEL_VEL, Belief
 from estimator.integrity import IntegrityOptions, sensors
 from estimator.integrity.sensors import SensorWatch
 
 _LIMITS = IntegrityOptions()
+_ANSWERS_KEPT = 4
+"""A filter of which many instants are asked forgets the first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +44,8 @@ class Ekf:
     """The limits that an IMU sample must keep; None if `estimator.integrity` checks the samples before the filter."""
     imu: SensorWatch = field(default_factory=SensorWatch)
     """The recent IMU samples, from which frozen ones are recognised."""
+    answers: dict[MonoNs, FilterAnswer] = field(default_factory=dict, init=False, repr=False)
+    """The newest answers: guidance, recorder and links each ask for the same instant."""
 
     @property
     def belief(self) -> Belief | None:
@@ -110,90 +96,21 @@ def step_all(ekf: Ekf, events: Sequence[Event]) -> tuple[Ekf, list[FusionResult]
     return Ekf(ekf.options, ekf.params, history, ekf.limits, imu), results
 
 
-class Settled(NamedTuple):
-    """The belief propagated to an instant, with the covariance of at most `EkfOptions.tick_s` before."""
-
-    b: Belief
-    """Everything but `P` holds at the instant."""
-    F: F64
-    Q: F64
-    """(N, N): with F they propagate `P` to the instant."""
-    x: F64
-    """(N,) state with the deck moved from the camera's time to the body's, as `measure.aligned` gives it."""
-    T: F64
-    """(N, N) Jacobian of `x`."""
+def _answer(ekf: Ekf, now: MonoNs) -> FilterAnswer | None:
+    """Return what the filter says of an instant, propagated from the last event before it; None before the first attitude."""
+    found = ekf.answers.get(now)
+    before = ekf.history.before(now) if found is None else None
+    if before is not None:
+        if len(ekf.answers) >= _ANSWERS_KEPT:
+            ekf.answers.clear()
+        found = ekf.answers[now] = FilterAnswer(before, now, ekf.params.process_noise)
+    return found
 
 
-@lru_cache(maxsize=4)  # the estimate and the motion at one instant begin alike; the answer is read-only
-def _settled(ekf: Ekf, now: MonoNs) -> Settled | None:
-    """Return the belief at an instant, propagated from the last event before it; None before the first attitude."""
-    before = ekf.history.before(now)
-    if before is None:
-        return None
-    noise = ekf.params.process_noise
-    b, F, Q = before.propagated(now, noise, STATE_ALONE).settled(noise)
-    return Settled(b, F, Q, *measure.aligned(b))
-
-
-def forget_answers() -> None:
-    """Drop the cached answers. They keep the filters alive that they were asked of, with all their history."""
-    _settled.cache_clear()
-    at.cache_clear()
-
-
-def _tracked(b: Belief, now: MonoNs, o: EkfOptions) -> bool:
-    return b.sighted >= 0 and (now - b.sighted) * 1e-9 <= o.forget_s
-
-
-@lru_cache(maxsize=4)  # guidance, recorder and links each ask for the same instant; the answer is read-only
 def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
     """Return the estimate of the pad at an instant, propagated from the last event before it, or None if no pad is tracked."""
-    settled = _settled(ekf, now)
-    if settled is None or not _tracked(settled.b, now, ekf.options):
-        return None
-    b, F, Q, x, T = settled
-    psi = so3.heading(b.R)
-    Z = so3.about_down(-psi)
-    d, v = Z.dot(x[POS_REL]), Z.dot(measure.v_pad_ned(x) - x[VEL])
-    turning = so3.heading_row(b.R).dot(b.R)
-    J = np.zeros((7, N))
-    J[:3, POS_REL] = Z
-    J[:3, ATT_ERR] = np.outer([d[1], -d[0], 0.0], turning)
-    J[3:6] = Z.dot(measure.by_v_pad_ned(x))
-    J[3:6, VEL] = -Z
-    J[3:6, ATT_ERR] = np.outer([v[1], -v[0], 0.0], turning)
-    J[6, ATT_ERR] = turning
-    J[6, PAD_YAW] = -1.0
-    # Only seven components are returned, so only their covariance is propagated, not that of the whole state.
-    J = J.dot(T)
-    cov = J.dot(Q).dot(J.T)
-    J = J.dot(F)
-    cov += J.dot(b.P).dot(J.T)
-    yaw: float | None = wrap_pi(psi - float(x[PAD_YAW]))
-    if not b.heading_known:
-        yaw = None
-        cov[6, :] = cov[:, 6] = 0.0
-        cov[6, 6] = UNKNOWN_YAW_VAR
-    return RelativeState(
-        at=now,
-        path="ekf",
-        d_body_pad_level=d,
-        v_pad_level=v,
-        yaw_rad=yaw,
-        cov=0.5 * (cov + cov.T),
-        sighted=MonoNs(b.sighted),
-        consistent=gate.consistent(b.nis_mean) and b.agreed >= 3 and _confirmed(b, now, cov, ekf.options),
-        details=_details(b),
-    )
-
-
-def _confirmed(b: Belief, now: MonoNs, cov: F64, o: EkfOptions) -> bool:
-    """Return whether a recent aiding measurement confirms the estimate and its position is certain enough to use.
-
-    Either a sighting or a fused velocity confirms it: both bound the drift of the position.
-    """
-    newest = max(b.sighted, b.aids[VELOCITY].fused)
-    return (now - newest) * 1e-9 <= o.confirm_s and float(cov.diagonal()[:3].max()) <= o.consistent_sigma_m**2
+    answer = _answer(ekf, now)
+    return None if answer is None else answer.pad
 
 
 def motion_at(ekf: Ekf, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
@@ -201,14 +118,12 @@ def motion_at(ekf: Ekf, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | No
 
     The state is propagated to the instant; the covariance is the one of at most `EkfOptions.tick_s` before.
     """
-    settled = _settled(ekf, now)
-    if settled is None:
-        return None, None
-    b, _, _, x, T = settled
-    body = answers.body_motion(b, now, ekf.options)
-    if not _tracked(b, now, ekf.options):
-        return body, None
-    return body, answers.deck_motion(b.changed(x=x, P=T.dot(b.P).dot(T.T)), now)
+    answer = _answer(ekf, now)
+    return (None, None) if answer is None else (answer.body, answer.deck)
+
+
+def _tracked(b: Belief, now: MonoNs, o: EkfOptions) -> bool:
+    return b.sighted >= 0 and (now - b.sighted) * 1e-9 <= o.forget_s
 
 
 def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Forecast | None:
@@ -239,26 +154,5 @@ def moving(ekf: Ekf) -> float | None:
     b = ekf.belief
     if b is None or b.sighted < 0:
         return None
-    return forecasting.probability_of_motion(b)
-
-
-_AXES = "xyz"
-_CHANNELS = ("north", "east", "down", "roll", "pitch")
-_NAMES = (
-    "nis_mean", "probability_moving", "velocity_scale", "camera_delay_s", "baro_offset_m", "range_offset_m",
-    "v_vessel_north_m_s", "v_vessel_east_m_s", "turn_rate_rad_s", "sigma_velocity_scale", "sigma_camera_delay_s",
-    *(f"sigma_mount_{k}_rad" for k in _AXES), *(f"mount_{k}_rad" for k in _AXES),
-    *(f"gyro_bias_{k}_rad_s" for k in _AXES), *(f"accel_bias_{k}_m_s2" for k in _AXES),
-    *(f"period_{k}_s" for k in _CHANNELS), *(f"damping_{k}" for k in _CHANNELS), *(f"swing_{k}" for k in _CHANNELS),
-)  # fmt: skip
-_PLAIN = np.r_[VEL_SCALE, CAMERA_DELAY, BARO_OFFSET, RANGE_OFFSET, VESSEL_VEL, TURN_RATE]
-_SURE = np.r_[VEL_SCALE, CAMERA_DELAY, CAMERA_MOUNT]
-
-
-def _details(b: Belief) -> tuple[tuple[str, float], ...]:
-    x, sea = b.x, b.sea
-    values = [b.nis_mean, forecasting.probability_of_motion(b), *x[_PLAIN].tolist()]
-    values += np.sqrt(np.maximum(b.P[_SURE, _SURE], 0.0)).tolist()
-    values += [*x[CAMERA_MOUNT].tolist(), *x[GYRO_BIAS].tolist(), *x[ACCEL_BIAS].tolist()]
-    values += [*(math.tau / sea.w_rad_s).tolist(), *sea.zeta.tolist(), *sea.sigma.tolist()]
-    return tuple(zip(_NAMES, values, strict=True))
+    (nn, ne), (_, ee) = b.P[VESSEL_VEL, VESSEL_VEL].tolist()
+    return probability_of_motion(log_evidence_of_rest(b.sea), b.x[VESSEL_VEL].tolist(), (nn, ne, ee))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,11 +137,20 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
     )  # fmt: skip
 
 
-def probability_of_motion(b: Belief, prior_rest: float = 0.5) -> float:
-    """Return the probability that the vessel is under way or rocks, by the bank's evidence and the steady velocity."""
-    evidence = deck_motion_bank.log_evidence_of_rest(b.sea)
-    north, east = b.x[VESSEL_VEL].tolist()
-    (nn, ne), (_, ee) = b.P[VESSEL_VEL, VESSEL_VEL].tolist()
+def probability_of_motion(
+    evidence_of_rest: float, v_ned: Sequence[float], var_ned: tuple[float, float, float], prior_rest: float = 0.5
+) -> float:
+    """Return the probability that the vessel is under way or rocks, by the bank's evidence and the steady velocity.
+
+    Args:
+        evidence_of_rest: of the bank, `deck_motion_bank.log_evidence_of_rest`.
+        v_ned: (2,) the vessel's steady velocity north and east, m/s.
+        var_ned: variance north, covariance, and variance east of that, (m/s)^2.
+        prior_rest: the probability of rest before any evidence.
+    """
+    evidence = evidence_of_rest
+    north, east = v_ned
+    nn, ne, ee = var_ned
     # Standing still to a few cm/s against moving with some 1 m/s.
     for var, sign in ((0.03**2, 1.0), (1.0, -1.0)):
         n, e = nn + var, ee + var

@@ -14,8 +14,6 @@ import pytest
 from companion.cli import main as cli
 from companion.cli.soak import OPERATOR_WAIT_S, flown_settings, warm_up_s
 from companion.cli.soak_judge import Reading, findings, give_back, read
-from estimator import ekf
-from estimator.contracts.time import MonoNs
 from sitl.scenario import load as load_scenario
 from sitl.testing.processes import started
 from tests.sitl.near import NEAR
@@ -93,14 +91,6 @@ def test_free_memory_is_given_back_before_it_is_read() -> None:
     after = read(1.0, 0, None, before_mib)
     assert after.before_mib == before_mib
     assert after.memory_mib < before_mib - 20.0
-
-
-def test_the_filter_of_an_ended_flight_is_not_kept_by_its_newest_answers() -> None:
-    """WHY: its history is some megabytes, more or less from flight to flight, which looked like growth."""
-    ekf.at(ekf.start(ekf.EkfOptions()), MonoNs(1))
-    assert ekf.at.cache_info().currsize > 0
-    give_back()
-    assert ekf.at.cache_info().currsize == 0
 
 
 def test_nobody_is_there_to_answer_so_the_wait_for_a_word_is_short() -> None:

@@ -197,6 +197,7 @@ static void fly(int surface, int rounds, double poison)
     sighting *seen = malloc(LENGTH * sizeof *seen);
     sea *bank = malloc(sizeof *bank), *banks = malloc(LENGTH * sizeof *banks);
     outcome *first = malloc(sizeof *first);
+    answer *said = malloc(sizeof *said);
     parameters(o, surface);
     hover(before, P);
     bank_begin(&o->members, bank);
@@ -221,6 +222,8 @@ static void fly(int surface, int rounds, double poison)
         }
         filter_settle(o, before, after, F, Q);
         parts(o, before, &seen[0], bank, t);
+        filter_answer(o, t + draw() % 200000000, before, P, said);
+        fold(said->d, 3), fold(said->cov, 49), fold(said->a_body, 3), fold(said->cov_deck, 36);
         if (filter_propagate(o, round % 3, t + 1000, before, P, after, P_after)) {
             *before = after[0];
             memcpy(P, P_after, N * N * sizeof *P);
@@ -230,7 +233,7 @@ static void fly(int surface, int rounds, double poison)
             before->t = before->t_cov = before->t_imu = before->sighted = t;
         }
     }
-    void *all[] = {o, events, before, after, P, P_after, F, Q, index, first, sea_index, seen, bank, banks};
+    void *all[] = {o, events, before, after, P, P_after, F, Q, index, first, sea_index, seen, bank, banks, said};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
     }
@@ -319,7 +322,7 @@ int main(int count, char **files)
         fly(surface, 3, NAN);
         fly(surface, 3, -1e300);
     }
-    report("filter_run filter_propagate filter_settle sighting_model bank_begin bank_observe");
+    report("filter_run filter_propagate filter_settle filter_answer sighting_model bank_begin bank_observe");
     scenes(24);
     report("render_deck render_fill render_smear render_sea render_water render_pad_kinds render_pad_shares render_expose "
            "render_mix render_frame render_blur");
