@@ -6,6 +6,7 @@
 #include "oscillator.h"
 #include "propagate.h"
 #include "skill.h"
+#include "wide.h"
 
 enum { STATES = MEMBER_STATES, OFFSET = 4 };
 
@@ -78,24 +79,58 @@ static void transition_of(const member_step *s, const double *F[STATES][STATES])
     F[OFFSET][OFFSET + 2] = s->half;
 }
 
-/* sum += a x, for every member */
-static void add_product(const double *restrict a, const double *restrict x, double *restrict sum)
+/* The products that make one number of every member: at most four, as no row of a transition has more entries. */
+typedef struct {
+    int n;
+    const double *a[4], *x[4];
+} products;
+
+static void add_product(products *sum, const double *a, const double *x)
 {
-    for (int g = 0; g < MEMBERS; g++) {
-        sum[g] += a[g] * x[g];
+    if (a != NULL) {
+        sum->a[sum->n] = a;
+        sum->x[sum->n++] = x;
+    }
+}
+
+/* out = their sum, for every member */
+static inline void evaluate(const products *sum, double *restrict out)
+{
+    const double *const a0 = sum->a[0], *const x0 = sum->x[0];
+    const double *const a1 = sum->a[1], *const x1 = sum->x[1], *const a2 = sum->a[2], *const x2 = sum->x[2];
+    const double *const a3 = sum->a[3], *const x3 = sum->x[3];
+    switch (sum->n) {
+    case 1:
+        for (int g = 0; g < MEMBERS; g++) {
+            out[g] = a0[g] * x0[g];
+        }
+        return;
+    case 2:
+        for (int g = 0; g < MEMBERS; g++) {
+            out[g] = a0[g] * x0[g] + a1[g] * x1[g];
+        }
+        return;
+    case 3:
+        for (int g = 0; g < MEMBERS; g++) {
+            out[g] = a0[g] * x0[g] + a1[g] * x1[g] + a2[g] * x2[g];
+        }
+        return;
+    default:
+        for (int g = 0; g < MEMBERS; g++) {
+            out[g] = a0[g] * x0[g] + a1[g] * x1[g] + a2[g] * x2[g] + a3[g] * x3[g];
+        }
     }
 }
 
 /* after = F x */
 static void carry_states(const double *F[STATES][STATES], const double *x, double *after)
 {
-    memset(after, 0, STATES * MEMBERS * sizeof *after);
     for (int i = 0; i < STATES; i++) {
+        products sum = {0};
         for (int k = 0; k < STATES; k++) {
-            if (F[i][k] != NULL) {
-                add_product(F[i][k], x + k * MEMBERS, after + i * MEMBERS);
-            }
+            add_product(&sum, F[i][k], x + k * MEMBERS);
         }
+        evaluate(&sum, after + i * MEMBERS);
     }
 }
 
@@ -103,23 +138,21 @@ static void carry_states(const double *F[STATES][STATES], const double *x, doubl
 static void carry_covariances(const double *F[STATES][STATES], const double *P, double *after)
 {
     double FP[STATES][MEMBERS];
-    memset(after, 0, MEMBER_PAIRS * MEMBERS * sizeof *after);
     for (int i = 0; i < STATES; i++) {
         const int first = i < OFFSET ? i / 2 * 2 : i;
-        memset(FP, 0, sizeof FP);
         for (int k = first; k < STATES; k++) {
+            products sum = {0};
             for (int l = 0; l < STATES; l++) {
-                if (F[i][l] != NULL) {
-                    add_product(F[i][l], P + pair(l, k) * MEMBERS, FP[k]);
-                }
+                add_product(&sum, F[i][l], P + pair(l, k) * MEMBERS);
             }
+            evaluate(&sum, FP[k]);
         }
         for (int j = i; j < STATES; j++) {
+            products sum = {0};
             for (int k = first; k < STATES; k++) {
-                if (F[j][k] != NULL) {
-                    add_product(F[j][k], FP[k], after + pair(i, j) * MEMBERS);
-                }
+                add_product(&sum, F[j][k], FP[k]);
             }
+            evaluate(&sum, after + pair(i, j) * MEMBERS);
         }
     }
 }
@@ -171,7 +204,7 @@ static void carry(const filter_params *o, const member_step *s, double T, double
 }
 
 /* One direction's members after it was seen at y: a scalar Kalman correction each, and the evidence that it gives. */
-static void look(double y, double var, double *x, double *P, double *log_weight)
+static inline void look(double y, double var, double *x, double *P, double *log_weight)
 {
     double PH[STATES][MEMBERS], S[MEMBERS], innov[MEMBERS];
     for (int i = 0; i < STATES; i++) {
@@ -322,6 +355,7 @@ void bank_begin(const bank_members *m, sea *after)
     summarise(m, after);
 }
 
+WIDE
 void bank_observe(const filter_params *o, int64_t t, const double *y, const double *var, double ins_var, double reach_m,
                   const sea *before, sea *after)
 {

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "kalman.h"
+#include "wide.h"
 
 int cholesky(int m, double S[ROWS_MAX][ROWS_MAX])
 {
@@ -40,18 +41,37 @@ void solve_lower(int m, double L[ROWS_MAX][ROWS_MAX], double b[ROWS_MAX])
     }
 }
 
-/* b <- inv(L') b */
-static void solve_upper(int m, double L[ROWS_MAX][ROWS_MAX], double b[ROWS_MAX])
+/* row -= factor other */
+static void subtract(int n, double factor, const double *restrict other, double *restrict row)
 {
-    for (int i = m - 1; i >= 0; i--) {
-        for (int k = i + 1; k < m; k++) {
-            b[i] -= L[k][i] * b[k];
+    for (int k = 0; k < n; k++) {
+        row[k] -= factor * other[k];
+    }
+}
+
+/* B <- inv(L L') B, of m rows of n numbers. */
+static void solve_rows(int n, int m, double L[ROWS_MAX][ROWS_MAX], double B[ROWS_MAX][ORDER_MAX])
+{
+    for (int i = 0; i < m; i++) {
+        for (int j = 0; j < i; j++) {
+            subtract(n, L[i][j], B[j], B[i]);
         }
-        b[i] /= L[i][i];
+        for (int k = 0; k < n; k++) {
+            B[i][k] /= L[i][i];
+        }
+    }
+    for (int i = m - 1; i >= 0; i--) {
+        for (int j = i + 1; j < m; j++) {
+            subtract(n, L[j][i], B[j], B[i]);
+        }
+        for (int k = 0; k < n; k++) {
+            B[i][k] /= L[i][i];
+        }
     }
 }
 
 /* The symmetric part of F P F' + Q, for a symmetric P. Most entries of a transition are zero. */
+WIDE
 void kalman_predict(int32_t n, const double *P, const double *F, const double *Q, double *P_after)
 {
     double FP[ORDER_MAX][ORDER_MAX];
@@ -69,13 +89,26 @@ void kalman_predict(int32_t n, const double *P, const double *F, const double *Q
             }
         }
     }
+    /* (F P F')' = F (F P)': its rows are sums of columns of F P. */
+    double columns[ORDER_MAX][ORDER_MAX];
+    for (int i = 0; i < n; i++) {
+        for (int k = 0; k < n; k++) {
+            columns[k][i] = FP[i][k];
+        }
+    }
     for (int j = 0; j < n; j++) {
+        double row[ORDER_MAX];
         for (int i = 0; i <= j; i++) {
-            double sum = 0.5 * (Q[i * n + j] + Q[j * n + i]);
-            for (int k = 0; k < count[j]; k++) {
-                sum += FP[i][column[j][k]] * F[j * n + column[j][k]];
+            row[i] = 0.5 * (Q[i * n + j] + Q[j * n + i]);
+        }
+        for (int k = 0; k < count[j]; k++) {
+            const double f = F[j * n + column[j][k]], *summand = columns[column[j][k]];
+            for (int i = 0; i <= j; i++) {
+                row[i] += summand[i] * f;
             }
-            P_after[i * n + j] = P_after[j * n + i] = sum;
+        }
+        for (int i = 0; i <= j; i++) {
+            P_after[i * n + j] = P_after[j * n + i] = row[i];
         }
     }
 }
@@ -105,6 +138,7 @@ int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis)
  *
  * Multiplied out the latter is P - K C' + (K S - C) K' with C = P H'. The bracket vanishes but for the errors of K, which so
  * enter in the second order alone, as they do in Joseph's form. */
+WIDE
 int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx,
                        double *P_after, double *S, double *nis)
 {
@@ -150,17 +184,12 @@ int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *inno
     if (cholesky(m, L) == NOT_POSITIVE) {
         return NOT_POSITIVE;
     }
+    memcpy(K, C, (size_t)m * sizeof K[0]);
+    solve_rows(n, m, L, K);
     for (int k = 0; k < n; k++) {
-        double gain[ROWS_MAX];
-        for (int i = 0; i < m; i++) {
-            gain[i] = C[i][k];
-        }
-        solve_lower(m, L, gain);
-        solve_upper(m, L, gain);
         dx[k] = 0.0;
         for (int i = 0; i < m; i++) {
-            K[i][k] = gain[i];
-            dx[k] += gain[i] * y[i];
+            dx[k] += K[i][k] * y[i];
         }
     }
     double size = 0.0;

@@ -35,13 +35,21 @@ class Node(NamedTuple):
     event: Event
     record: PackedEvent
     """The event as the core reads it."""
-    packed: PackedBelief | None
-    """The belief after the event as the core holds it; None before the first attitude."""
+    row: Sequence[PackedBelief | None]
+    """The beliefs after the events that were processed together, as the core holds them; None before the first attitude."""
+    at: int
+    """Which of them is the one after this event."""
+
+    @property
+    def packed(self) -> PackedBelief | None:
+        """The belief after the event as the core holds it, or None before the first attitude."""
+        return self.row[self.at]
 
     @property
     def after(self) -> Belief | None:
         """The belief after the event, or None before the first attitude."""
-        return None if self.packed is None else self.packed.belief
+        packed = self.packed
+        return None if packed is None else packed.belief
 
 
 Chunks = tuple[tuple[Node, ...], ...]
@@ -120,7 +128,7 @@ def put(history: History, event: Event, params: FilterParams) -> tuple[History, 
         return history._replace(received_at=received_at), result(event, Outcome(Verdict.TOO_OLD))
     key = (t, rank, event.seq, event.method) if isinstance(event, Sighting) else (t, rank, 0, "")
     chunks, later = _split(history.chunks, key)
-    inserted = [Node(key, event, packed_event(event), None), *later]
+    inserted = [Node(key, event, packed_event(event), (), 0), *later]
     again, outcome = _processed(chunks[-1][-1].packed if chunks else history.base, inserted, params)
     chunks = _joined(chunks, again)
     oldest = chunks[-1][-1].key[0] - round(o.history_s * 1e9)
@@ -175,8 +183,9 @@ def _processed(packed: PackedBelief | None, nodes: list[Node], params: FilterPar
         if not followed:
             b, first = process_event(None if packed is None else packed.belief, rest[0].event, params)
             followed = [None if b is None else PackedBelief.of(b)]
-        made += [Node(node.key, node.event, node.record, after) for node, after in zip(rest, followed, strict=False)]
-        packed = followed[-1]
+        done = len(followed)
+        made += [Node(node.key, node.event, node.record, followed, i) for i, node in enumerate(rest[:done])]
+        packed = followed[done - 1]
         outcome = outcome or first
     assert outcome is not None
     return made, outcome

@@ -63,6 +63,10 @@ class Words(NamedTuple):
     address: int
     """Address of its first word."""
 
+    def part(self, at: int) -> Words:
+        """Return the words that begin so many words later."""
+        return Words(self.block, self.at + at, self.address + 8 * at)
+
     def read(self, size: int) -> F64:
         """Return so many words."""
         found = self.block[self.at : self.at + size]
@@ -107,33 +111,24 @@ class PackedBelief:
             self._belief = _read(self.numbers.read(_SIZE), self.P.read(_P_SIZE).reshape(N, N), self.sea)
         return self._belief
 
-    def follow(self, noise: ProcessNoise, events: Sequence[PackedEvent]) -> tuple[list[PackedBelief], Outcome]:
+    def follow(self, noise: ProcessNoise, events: Sequence[PackedEvent]) -> tuple[Followed, Outcome]:
         """Return the beliefs after each of the events, which are in order, and the first one's outcome.
 
         They are fewer than the events where the next one is not the core's to process.
         """
         n = len(events)
-        at = _OUTCOME_SIZE + 2 * n
-        seen = b"".join([one.seen for one in events])
-        block, covariances = np.empty(at + n * _SIZE), np.empty(n * _P_SIZE)
-        seas = np.empty(sum([1 for one in events if one.seen]) * SEA_SIZE)
-        start, P_start, sea_start = start_of(block), start_of(covariances), start_of(seas) if seas.size else 0
+        seen = [one.seen for one in events if one.seen]
+        block, covariances = np.empty(_OUTCOME_SIZE + n * (2 + _SIZE)), np.empty(n * _P_SIZE)
+        seas = np.empty(len(seen) * SEA_SIZE)
+        start, P_start, sea_start = start_of(block), start_of(covariances), start_of(seas) if seen else 0
+        index = start + 8 * _OUTCOME_SIZE
         done = _RUN(
-            noise.packed_address, n, b"".join([one.record for one in events]), seen,
-            self.numbers.address, self.P.address, self.sea.address, start + 8 * at, P_start, sea_start,
-            start + 8 * _OUTCOME_SIZE, start + 8 * (_OUTCOME_SIZE + n), start,
+            noise.packed_address, n, b"".join([one.record for one in events]), b"".join(seen),
+            self.numbers.address, self.P.address, self.sea.address, index + 16 * n, P_start, sea_start,
+            index, index + 8 * n, start,
         )  # fmt: skip
-        slots = block[_OUTCOME_SIZE:at].view(np.int64).tolist()
-        made = []
-        P, sea, slot_before, sea_before = self.P, self.sea, -1, -1
-        for i in range(done):
-            slot, sea_slot, here = slots[i], slots[n + i], at + i * _SIZE
-            if slot != slot_before:
-                P, slot_before = Words(covariances, slot * _P_SIZE, P_start + 8 * slot * _P_SIZE), slot
-            if sea_slot != sea_before:
-                sea, sea_before = PackedSea(seas, sea_slot * SEA_SIZE, sea_start + 8 * sea_slot * SEA_SIZE), sea_slot
-            made.append(PackedBelief(Words(block, here, start + 8 * here), P, sea))
-        return made, _outcome(block) if made else _WITHOUT_COMPARISON[Verdict.GATED]
+        row = Followed(self, done, n, Words(block, 0, start), Words(covariances, 0, P_start), Words(seas, 0, sea_start))
+        return row, _outcome(block) if done else _WITHOUT_COMPARISON[Verdict.GATED]
 
     def propagated(self, t: int, noise: ProcessNoise, how_far: int) -> PackedBelief:
         """Return the belief at instant `t`, ns; `how_far` is one of `STATE_ALONE`, `WITH_COVARIANCE`, `WITH_AIDING`."""
@@ -149,6 +144,36 @@ class PackedBelief:
         start = start_of(block)
         _SETTLE(noise.packed_address, self.numbers.address, start, start_of(F), start_of(Q))
         return PackedBelief(Words(block, 0, start), self.P, self.sea).belief, F, Q
+
+
+class Followed(Sequence[PackedBelief]):
+    """The beliefs after a row of events. Each is made when one asks: of most of them nobody ever does."""
+
+    __slots__ = ("_P", "_P_before", "_block", "_made", "_n", "_seas", "_seas_made")
+
+    def __init__(self, before: PackedBelief, done: int, n: int, block: Words, P: Words, seas: Words) -> None:
+        self._n, self._block, self._P, self._seas, self._P_before = n, block, P, seas, before.P
+        self._made: list[PackedBelief | None] = [None] * done
+        self._seas_made = {-1: before.sea}
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+    def __getitem__(self, i: Any) -> Any:
+        made = self._made[i]
+        if made is None:
+            made = self._made[i] = self._belief(i % len(self._made))
+        return made
+
+    def _belief(self, i: int) -> PackedBelief:
+        n = self._n
+        slots = self._block.block[_OUTCOME_SIZE : _OUTCOME_SIZE + 2 * n].view(np.int64)
+        slot, sea_slot = slots.item(i), slots.item(n + i)
+        P = self._P.part(slot * _P_SIZE) if slot >= 0 else self._P_before
+        sea = self._seas_made.get(sea_slot)
+        if sea is None:
+            sea = self._seas_made[sea_slot] = PackedSea(*self._seas.part(sea_slot * SEA_SIZE))
+        return PackedBelief(self._block.part(_OUTCOME_SIZE + 2 * n + i * _SIZE), P, sea)
 
 
 def _outcome(block: F64) -> Outcome:
