@@ -1,6 +1,6 @@
 """The air over a ship: wind that grows with height, Dryden's turbulence, discrete gusts, and the wake of the superstructure.
 
-One vehicle in plain floats or B vehicles in arrays, by the same formulae (`sitl.algebra`).
+The formulae and their sources are the core's, `sim_air.c`.
 """
 
 from __future__ import annotations
@@ -8,19 +8,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
-from sitl.algebra import Arrays, Floats, MathBackend, Num, Vec, inverse_rotate
-from sitl.contact import Ground, Relative
-from sitl.disturbances import Noise
+from estimator.core.interface import GUSTS_MAX
+from sitl.native import Packed, write
 from sitl.seakeeping import Superstructure
 
-_FT = 0.3048
-_LOWEST_M = 0.5
-"""Below this height over the water the wind is taken as at it."""
-_DEFICIT_MAX = 0.9
-"""Share of the wind that the wake can take: Perera's formula is not for the near wake, where it would take more than all."""
-_WAKE_TURBULENCE = 0.32
 _DECK_TIME_S = 5.0
 """The ship's own velocity is that of the deck, smoothed over this time: waves do not move the wake."""
 
@@ -34,14 +25,6 @@ class GustOnce:
     hold_s: float
     v_ned: tuple[float, float]
     """m/s north and east, on top of the wind."""
-
-    def share(self, t_s: float) -> float:
-        """Return the share of its speed that it has at an instant."""
-        x = t_s - self.at_s
-        if x <= 0.0 or x >= 2.0 * self.rise_s + self.hold_s:
-            return 0.0
-        x = min(x, max(2.0 * self.rise_s + self.hold_s - x, 0.0), self.rise_s)
-        return 0.5 * (1.0 - math.cos(math.pi * x / self.rise_s))
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,144 +45,29 @@ class AirModel:
     """The pad's centre forward and to starboard of amidships."""
     pad_yaw_rad: float = 0.0
 
+    def packed(self, step_s: float) -> Packed:
+        """Return the core's `air_params`.
 
-class Air:
-    """The air that one vehicle meets, or B of them; random parts begin in their steady state.
-
-    Args:
-        seeds: one for each vehicle.
-        single: numbers are floats instead of (B,) arrays.
-    """
-
-    def __init__(self, model: AirModel, step_s: float, seeds: list[np.random.SeedSequence], single: bool) -> None:
-        self.model, self._dt = model, step_s
-        self._m: MathBackend = Floats() if single else Arrays()
-        self._noise = Noise(seeds, single)
-        start, second = self._noise.next(), self._noise.next()
-        self._u: Num = start[0]
-        # The lag of the lag of white noise has half the variance of the lag, and a covariance of a half with it.
-        self._v: tuple[Num, Num] = (start[1], 0.5 * (start[1] + second[1]))
-        self._w: tuple[Num, Num] = (start[2], 0.5 * (start[2] + second[2]))
-        self._eddy: Vec = (start[3], start[4], start[5])
-        self._ship: tuple[Num, Num] | None = None
-        c, s = math.cos(model.towards_rad), math.sin(model.towards_rad)
-        self._along = (c, s)
-        self._log10m = math.log(10.0 / model.roughness_m)
-
-    def mean_m_s(self, height_m: Num) -> Num:
-        """Return the mean wind at a height over the water.
-
-        Source: logarithmic profile of neutral air, U = U10 ln(h / z0) / ln(10 / z0), as in DNV-RP-C205 (2010), 2.3.2.4.
+        Raises:
+            ValueError: there are more gusts than the core takes.
         """
-        model = self.model
-        if not model.logarithmic:
-            return model.speed_m_s + 0.0 * height_m
-        h = self._m.clip(height_m, _LOWEST_M, 1e4)
-        return model.speed_m_s * self._m.log(h / model.roughness_m) / self._log10m
-
-    def step(self, ground: Ground, r: Relative, v: Vec, height_m: Num, t_s: float) -> Vec:
-        """Advance by one step and return the velocity of the air at the vehicle, m/s in ned.
-
-        Args:
-            r: the vehicle relative to the deck.
-            v: the vehicle's velocity, m/s in ned.
-            height_m: of the vehicle over the water.
-        """
-        n = list(self._noise.next())
-        mean, (c, s) = self.mean_m_s(height_m), self._along
-        north, east, down = mean * c, mean * s, 0.0 * mean
-        if self.model.wake is not None:
-            north, east, down = self._behind(self.model.wake, ground, r, (north, east, down), n)
-        if self.model.dryden:
-            along, across, up = self._dryden(v, mean, height_m, n)
-            north, east, down = north + c * along - s * across, east + s * along + c * across, down + up
-        for gust in self.model.gusts:
-            share = gust.share(t_s)
-            north, east = north + share * gust.v_ned[0], east + share * gust.v_ned[1]
-        return north, east, down
-
-    def _dryden(self, v: Vec, mean: Num, height_m: Num, noise: list[Num]) -> Vec:
-        """Return the turbulence along and across the wind and downwards.
-
-        Source: MIL-F-8785C, 3.7.1.2 and 3.7.3.4 (low altitude): sigma_w = 0.1 W20, sigma_u = sigma_w / (0.177 + 0.000823 h)^0.4,
-        L_w = h, L_u = h / (0.177 + 0.000823 h)^1.2 in feet, from 10 to 1000 ft. Spectra: along, first order; across and vertical,
-        (1 + sqrt(3) T s) / (1 + T s)^2, T being length over airspeed.
-        """
-        m, dt = self._m, self._dt
-        c, s = self._along
-        h = m.clip(height_m / _FT, 10.0, 1000.0)
-        term = 0.177 + 0.000823 * h
-        sigma_w = 0.1 * self.mean_m_s(20.0 * _FT)
-        sigma_u = sigma_w / term**0.4
-        length_u, length_w = _FT * h / term**1.2, _FT * h
-        x, y = mean * c - v[0], mean * s - v[1]
-        speed = m.clip(m.sqrt(x * x + y * y), 1.0, 1e3)
-        keep = m.exp(-dt * speed / length_u)
-        fresh = m.sqrt(1.0 - keep * keep)
-        self._u = keep * self._u + fresh * noise[0]
-        self._v = _second(self._v, keep, fresh, noise[1])
-        keep = m.exp(-dt * speed / length_w)
-        self._w = _second(self._w, keep, m.sqrt(1.0 - keep * keep), noise[2])
-        return sigma_u * self._u, sigma_u * _shaped(self._v), sigma_w * _shaped(self._w)
-
-    def _behind(self, block: Superstructure, ground: Ground, r: Relative, wind: Vec, noise: list[Num]) -> Vec:
-        """Return the wind with what the superstructure takes from it and the eddies that it sheds.
-
-        Source: deficit behind a solid fence after Perera, Shelter behind two-dimensional solid and porous fences, J. Wind Eng.
-        Ind. Aerodyn. 8 (1981), in the form of the European Wind Atlas (Troen & Petersen 1989), spread sideways as by Taylor &
-        Salmon, J. Appl. Meteorology 32 (1993), for obstacles of finite width. Added turbulence: 0.32 of the deficit, that of a
-        plane self-preserving wake (Pope, Turbulent Flows, 2000, 5.4), in eddies of half the height. The spread sideways of a
-        tenth of the distance and the limit of the near wake are assumed.
-        """
-        m, dt = self._m, self._dt
-        if self._ship is None:
-            self._ship = (ground.v[0], ground.v[1])
-        slow = dt / _DECK_TIME_S
-        ship = (self._ship[0] + slow * (ground.v[0] - self._ship[0]), self._ship[1] + slow * (ground.v[1] - self._ship[1]))
-        self._ship = ship
-        rel = (wind[0] - ship[0], wind[1] - ship[1], 0.0 * wind[0])
-        on_deck = inverse_rotate(ground.R, rel)
-        cy, sy = math.cos(self.model.pad_yaw_rad), math.sin(self.model.pad_yaw_rad)
-        ahead, aside = cy * on_deck[0] - sy * on_deck[1], sy * on_deck[0] + cy * on_deck[1]
-        speed = m.clip(m.sqrt(ahead * ahead + aside * aside), 1e-3, 1e3)
-        ex, ey = ahead / speed, aside / speed
-        x = cy * r.d[0] - sy * r.d[1] + (self.model.pad_m[0] - block.forward_m)
-        y = sy * r.d[0] + cy * r.d[1] + (self.model.pad_m[1] - block.starboard_m)
-        along, across = x * ex + y * ey, y * ex - x * ey
-        size_x, size_y = m.sqrt(ex * ex), m.sqrt(ey * ey)
-        half_width = 0.5 * (block.width_m * size_x + block.length_m * size_y)
-        behind = along - 0.5 * (block.length_m * size_x + block.width_m * size_y)
-        h = block.height_m
-        far = m.clip(behind / h, 0.5, 1e4)
-        z = m.clip(-r.d[2] / h, 0.02, 50.0)
-        k = 0.32 / math.log(h / self.model.roughness_m)
-        eta = z * (k * far) ** -0.47
-        deficit = m.clip(9.75 / far * eta * m.exp(-0.67 * eta**1.5), 0.0, _DEFICIT_MAX)
-        width = 0.551 * (0.1 * h * far) + 0.02 * h
-        inside = _rises(m, (half_width - across) / width) * _rises(m, (half_width + across) / width)
-        deficit = deficit * inside * m.clip(behind / (0.5 * h), 0.0, 1.0)
-        keep = m.exp(-dt * speed / (0.5 * h))
-        fresh = m.sqrt(1.0 - keep * keep)
-        e = self._eddy
-        self._eddy = (keep * e[0] + fresh * noise[3], keep * e[1] + fresh * noise[4], keep * e[2] + fresh * noise[5])
-        sigma = _WAKE_TURBULENCE * deficit * speed
-        return (
-            wind[0] - deficit * rel[0] + sigma * self._eddy[0],
-            wind[1] - deficit * rel[1] + sigma * self._eddy[1],
-            wind[2] + sigma * self._eddy[2],
-        )
-
-
-def _second(state: tuple[Num, Num], keep: Num, fresh: Num, noise: Num) -> tuple[Num, Num]:
-    """Advance white noise through one lag (variance 1) and that through the same lag again (variance 1/2, covariance 1/2)."""
-    a, b = state
-    return keep * a + fresh * noise, keep * b + (1.0 - keep) * a
-
-
-def _shaped(state: tuple[Num, Num]) -> Num:
-    """Return (1 + sqrt(3) T s) / (1 + T s)^2 of white noise, with variance 1: sqrt(3) a + (1 - sqrt(3)) b has variance 2."""
-    return math.sqrt(0.5) * (math.sqrt(3.0) * state[0] + (1.0 - math.sqrt(3.0)) * state[1])
-
-
-def _rises(m: MathBackend, x: Num) -> Num:
-    return 1.0 / (1.0 + m.exp(-m.clip(x, -40.0, 40.0)))
+        if len(self.gusts) > GUSTS_MAX:
+            raise ValueError(f"the air takes {GUSTS_MAX} single gusts, got {len(self.gusts)}")
+        gusts = [x for g in self.gusts for x in (g.at_s, g.rise_s, g.hold_s, *g.v_ned)]
+        made = Packed(
+            "air_params",
+            on=1, logarithmic=self.logarithmic, dryden=self.dryden, wake=self.wake is not None, gusts=len(self.gusts),
+            speed_m_s=self.speed_m_s, along=(math.cos(self.towards_rad), math.sin(self.towards_rad)),
+            roughness_m=self.roughness_m, log10m=math.log(10.0 / self.roughness_m), keep_ship=step_s / _DECK_TIME_S,
+            pad_yaw=(math.cos(self.pad_yaw_rad), math.sin(self.pad_yaw_rad)),
+            gust=gusts + [0.0] * (5 * GUSTS_MAX - len(gusts)),
+        )  # fmt: skip
+        block = self.wake
+        if block is not None:
+            write(
+                made.words, "air_params",
+                block_m=(self.pad_m[0] - block.forward_m, self.pad_m[1] - block.starboard_m),
+                block_size=(block.length_m, block.width_m, block.height_m),
+                wake_decay=0.32 / math.log(block.height_m / self.roughness_m),
+            )  # fmt: skip
+        return made

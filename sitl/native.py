@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+import struct
+from typing import Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from estimator.core.library import CORE
+from estimator.contracts.geometry import F64
+from estimator.core.interface import STRUCTS, places_of, size_of
+from estimator.core.library import CORE, start_of
 
 render_blur = CORE.function("render_blur")
 render_deck = CORE.function("render_deck")
@@ -20,6 +23,10 @@ render_pad_shares = CORE.function("render_pad_shares")
 render_sea = CORE.function("render_sea")
 render_smear = CORE.function("render_smear")
 render_water = CORE.function("render_water")
+sensors_read = CORE.function("sensors_read")
+sim_run = CORE.function("sim_run")
+vehicle_carry = CORE.function("vehicle_carry")
+vehicle_step = CORE.function("vehicle_step")
 
 
 def address(array: NDArray[Any] | None, dtype: DTypeLike, shape: tuple[int, ...] | None = None) -> int:
@@ -33,3 +40,83 @@ def address(array: NDArray[Any] | None, dtype: DTypeLike, shape: tuple[int, ...]
     if array.dtype != dtype or not array.flags.c_contiguous or (shape is not None and array.shape != shape):
         raise TypeError(f"the core takes contiguous {np.dtype(dtype)} of shape {shape}, not {array.dtype} of shape {array.shape}")
     return int(array.__array_interface__["data"][0])
+
+
+class Packed:
+    """One structure of the core, in memory of our own.
+
+    Args:
+        name: of the structure in `estimator.core.interface`.
+        values: its members by name; those that are left out are zero.
+
+    Raises:
+        KeyError: the structure has no such member.
+        ValueError: a member has another length.
+    """
+
+    def __init__(self, name: str, **values: Any) -> None:
+        self.words: F64 = np.zeros(size_of(name))
+        self.buffer: memoryview = self.words.data
+        self.address = start_of(self.words)
+        write(self.words, name, **values)
+
+
+def write(words: F64, name: str, **values: Any) -> None:
+    """Write members of a structure whose words these are; errors as `Packed`."""
+    places, types = places_of(name), {member.name: member.type for member in STRUCTS[name]}
+    integers = words.view(np.int64)
+    for member, value in values.items():
+        (integers if types[member] == "int64_t" else words)[places[member]] = value
+
+
+_T = TypeVar("_T", bound="Member")
+
+
+class Member:
+    """A member of a structure as an attribute of an object that holds the structure.
+
+    Args:
+        owner: name of the object's attribute with the `Packed` structure.
+        name: of the structure and of its member, with a dot between.
+    """
+
+    def __init__(self, owner: str, name: str) -> None:
+        of, _, member = name.partition(".")
+        place = places_of(of)[member]
+        kind = next(m.type for m in STRUCTS[of] if m.name == member)
+        self._owner, self._at = owner, 8 * place.start
+        self._struct = struct.Struct(f"{place.stop - place.start}{'q' if kind == 'int64_t' else 'd'}")
+
+    def _read(self, owner: object) -> tuple[Any, ...]:
+        return self._struct.unpack_from(getattr(owner, self._owner).buffer, self._at)
+
+    def _write(self, owner: object, *values: float) -> None:
+        self._struct.pack_into(getattr(owner, self._owner).buffer, self._at, *values)
+
+
+class Number(Member):
+    """A single number of the structure."""
+
+    @overload
+    def __get__(self: _T, owner: None, of: type) -> _T: ...
+    @overload
+    def __get__(self, owner: object, of: type) -> float: ...
+    def __get__(self, owner: object | None, of: type) -> object:
+        return self if owner is None else self._read(owner)[0]
+
+    def __set__(self, owner: object, value: float) -> None:
+        self._write(owner, value)
+
+
+class Numbers(Member):
+    """Several numbers of the structure."""
+
+    @overload
+    def __get__(self: _T, owner: None, of: type) -> _T: ...
+    @overload
+    def __get__(self, owner: object, of: type) -> tuple[float, ...]: ...
+    def __get__(self, owner: object | None, of: type) -> object:
+        return self if owner is None else self._read(owner)
+
+    def __set__(self, owner: object, value: tuple[float, ...]) -> None:
+        self._write(owner, *value)

@@ -217,6 +217,12 @@ class Waves:
         """Return the surface's height (B, ...), m above mean water, at places (..., 2) m north and east and times (...)."""
         return np.asarray((self.amplitude_m * np.cos(self._angle(p_ne, t_s))).sum(axis=-1).transpose(self._order(p_ne, t_s)))
 
+    def packed(self, index: int = 0) -> F64:
+        """Return one sea as the core's `wave`s: (N, 5) amplitude, wave number north and east, frequency as seen, phase."""
+        i = index
+        columns = (self.amplitude_m[i], *self.k_ne[i].T, self.seen_rad_s[i], self.phase_rad[i])
+        return np.stack([np.asarray(column) for column in columns], axis=-1)
+
     def slope(self, p_ne: ArrayLike, t_s: ArrayLike = 0.0) -> F64:
         """Return the slope (B, ..., 2): rise of the surface per metre north and east; shapes as in `elevation`."""
         s = -self.amplitude_m * np.sin(self._angle(p_ne, t_s))

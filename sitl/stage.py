@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from sitl.air import Air
+from sitl.air import AirModel
 from sitl.airframe import Airframe, Avionics, StickLimits
 from sitl.automatic import Automatics
 from sitl.camera import Renderer
@@ -84,17 +84,9 @@ def wind(scenario: Scenario) -> Wind:
     return Wind(wind_from(w.speed_m_s, w.from_deg), w.sigma_m_s, w.time_s)
 
 
-def air(
-    scenario: Scenario, ship: Hull, seeds: np.random.SeedSequence | list[np.random.SeedSequence], step_s: float
-) -> Air | None:
-    """Return the air of one vehicle or of B, for scenarios that ask for more than a uniform wind with gusts; else None."""
-    model = scenario.wind.air(ship, math.radians(scenario.vessel.pad_yaw_deg))
-    if model is None:
-        return None
-    single = isinstance(seeds, np.random.SeedSequence)
-    each = [seeds] if isinstance(seeds, np.random.SeedSequence) else seeds
-    own = [np.random.SeedSequence(s.entropy, spawn_key=(*s.spawn_key, 0xA12)) for s in each]
-    return Air(model, step_s, own, single)
+def air(scenario: Scenario, ship: Hull) -> AirModel | None:
+    """Return the air, for scenarios that ask for more than a uniform wind with gusts; else None."""
+    return scenario.wind.air(ship, math.radians(scenario.vessel.pad_yaw_deg))
 
 
 def renderer(scenario: Scenario, waves: Waves, vessel: Vessel, seed: int) -> Renderer | Film:
@@ -164,17 +156,15 @@ def sea_and_vessel(scenario: Scenario, seeds: list[int]) -> tuple[Waves, Vessel]
 
 
 def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, p_pad_ned: F64, R_ned_pad: F64) -> None:
-    """Put the vehicle, or each of B, at the scenario's start position relative to pads (..., 3) m and (..., 3, 3)."""
+    """Put the vehicle at the scenario's start position relative to the pad, (3,) m and (3, 3)."""
     s, v = scenario.start, scenario.vessel
     yaw = math.radians(s.heading_deg)
     if s.where == "pad":
         vehicle.stand(ground, np.array([0.0, 0.0, -vehicle.airframe.feet.below_m]), yaw)
         return
-    heading = np.arctan2(R_ned_pad[..., 1, 0], R_ned_pad[..., 0, 0]) + yaw
-    c, n = np.cos(heading), np.sin(heading)
-    to_pad = np.stack(
-        [c * s.pad_forward_m - n * s.pad_right_m, n * s.pad_forward_m + c * s.pad_right_m, np.full_like(c, s.height_m)], axis=-1
-    )
+    heading = math.atan2(R_ned_pad[1, 0], R_ned_pad[0, 0]) + yaw
+    c, n = math.cos(heading), math.sin(heading)
+    to_pad = (c * s.pad_forward_m - n * s.pad_right_m, n * s.pad_forward_m + c * s.pad_right_m, s.height_m)
     course = math.radians(v.heading_deg)
     speed = v.speed_m_s if s.with_vessel else 0.0
     north, east = scenario.sea.current_ne_m_s if s.with_vessel and not v.moored else (0.0, 0.0)

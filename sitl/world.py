@@ -30,6 +30,7 @@ from sitl.faulty_sensors import FaultySensors
 from sitl.faulty_streams import VehicleStreams
 from sitl.film import Film
 from sitl.manoeuvre import Manoeuvre
+from sitl.physics import Physics, decks_of
 from sitl.picture_effects import PictureEffects
 from sitl.picture_faults import OtherPad, PictureFault
 from sitl.render_worker import RenderWorker
@@ -47,7 +48,6 @@ STEP_NS = 4_000_000
 _ORIGIN = MonoNs(0)
 _CHUNK = 100
 """Steps of deck motion computed at once. They are few enough for the matrix product to stay in one thread; others would spin."""
-_SEA_EVERY = 5
 _PHASES = tuple(VehiclePhase)
 
 
@@ -80,26 +80,25 @@ class World:
         seeds = flight_seeds(seed)
         self._camera_seed = seeds.camera
         self.waves, self.vessel = sea_and_vessel(scenario, [seeds.sea])
-        pad_yaw = math.radians(scenario.vessel.pad_yaw_deg)
-        self._shape = deck_shape(self.vessel.hull, pad_yaw)
-        self._vehicle = Vehicle(airframe(scenario), self._shape, self._step_s, seeds.flight, wind(scenario))
+        shape = deck_shape(self.vessel.hull, math.radians(scenario.vessel.pad_yaw_deg))
+        self._vehicle = Vehicle(
+            airframe(scenario), shape, self._step_s, seeds.flight, wind(scenario), air(scenario, self.vessel.hull)
+        )
         self._vehicle.limits = limits(scenario)
-        self._vehicle.air = air(scenario, self.vessel.hull, seeds.flight, self._step_s)
         self._vehicle.current = scenario.sea.current_ne_m_s
-        self._sensors = Sensors(scenario.sensors, self._shape, seeds.sensors, self._step_s)
+        self._sensors = Sensors(scenario.sensors, self._vehicle, seeds.sensors)
         self._tick = 0
         self.now = start
         """The latest instant requested; the physics is at most one step behind."""
-        self._chunk: list[Ground] = []
-        self._pads: Mounted | None = None
-        """The motion of which `_chunk` was made; the row of the newest step is `_pads_row`."""
-        self._pads_row = 0
-        self._chunk_at = 0
-        self._sea: tuple[float, float] = (0.0, 0.0)
+        self._physics = Physics(self._vehicle, self._sensors, self.waves)
         at = self.vessel.pad_at(0.0)
-        self._ground = Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w)
-        place(scenario, self._vehicle, self._ground, at.p_ned, at.R_ned)
-        self._meet_sea()
+        self._pads = Mounted(*(x[None, None] for x in (at.p_ned, at.v_ned, at.a_ned, at.R_ned, at.w)))
+        """The pad's motion at the steps after `_pads_at`."""
+        self._pads_at = -1
+        self._decks = decks_of(self._pads)
+        """The same as the core reads it: the next row is `_deck_next`, and those before `_deck_end` hold."""
+        self._deck_next = self._deck_end = 0
+        place(scenario, self._vehicle, Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w), at.p_ned, at.R_ned)
         self.faults = FaultTimer(scenario.faults, seed)
         """The faults that are active now."""
         self.guidance_phase: str | None = None
@@ -159,12 +158,19 @@ class World:
     def advance(self, to: MonoNs) -> None:
         """Run the physics up to `to`; an instant in the past changes nothing."""
         while self.at + STEP_NS <= to:
-            self._step()
+            if self._deck_next == self._deck_end:
+                self._move_deck()
+            if self.faults:
+                self._tick += 1  # what begins acts from this step on
+                self._apply_faults()
+                self._run(1)
+            else:
+                self._tick += self._run((to - self.at) // STEP_NS)
         self.now = max(self.now, to)
 
     def readings(self) -> Readings:
         """Return the sensors' readings of the newest step."""
-        true = self._sensors.read(self.at, self._vehicle, self._motors_on)
+        true = self._sensors.read(self.at)
         return self._faulty.distorted(true) if self.faults else true
 
     def render(self) -> RenderedFrame:
@@ -232,18 +238,18 @@ class World:
 
     def _scene(self, aside: F64) -> Exposure:
         """Return the scene of the camera, `aside` (3,) m in the pad frame beside its true place."""
-        v, g = self._vehicle, self._ground
+        v, pad = self._vehicle, self.pad_motion()
         return Exposure(
             t_s=self._seconds,
             R_ned_body=Rotation(v.R_ned_body),
             # The scene stays where it is and the camera looks from beside its true place: every part is seen shifted alike.
-            p_body_ned=v.p_ned - np.array(g.R) @ aside,
-            R_ned_pad=Rotation(np.array(g.R)),
-            p_pad_ned=np.array(g.p),
+            p_body_ned=v.p_ned - pad.R_ned @ aside,
+            R_ned_pad=Rotation(pad.R_ned),
+            p_pad_ned=pad.p_ned,
             v_body_ned=v.v_ned,
             w_body=v.w_body,
-            v_pad_ned=np.array(g.v),
-            w_pad=np.array(g.w),
+            v_pad_ned=pad.v_ned,
+            w_pad=pad.w,
         )
 
     def _aside(self) -> F64:
@@ -257,19 +263,19 @@ class World:
 
     def truth(self) -> Truth:
         """Return the true state at the newest step."""
-        v, g = self._vehicle, self._ground
+        v, pad = self._vehicle, self.pad_motion()
         return Truth(
             at=self.at,
             p_body_ned=v.p_ned,
             v_body_ned=v.v_ned,
             R_ned_body=Rotation(v.R_ned_body),
-            p_pad_ned=np.array(g.p),
-            v_pad_ned=np.array(g.v),
-            R_ned_pad=Rotation(np.array(g.R)),
+            p_pad_ned=pad.p_ned,
+            v_pad_ned=pad.v_ned,
+            R_ned_pad=Rotation(pad.R_ned),
             phase=self.phase,
             touchdown=self._contacts[-1] if self._contacts else None,
             contacts=tuple(self._contacts),
-            a_body_ned=np.array(v.a),
+            a_body_ned=v.a_ned,
             w_body=v.w_body,
         )
 
@@ -280,60 +286,39 @@ class World:
 
     def pad_motion(self) -> Mounted:
         """Return the pad's true motion at the newest step, with shapes (3,) and (3, 3)."""
-        if self._pads is None:
-            return self.vessel.pad_at(0.0)
         n, pads = self._pads_row, self._pads
         return Mounted(pads.p_ned[0, n], pads.v_ned[0, n], pads.a_ned[0, n], pads.R_ned[0, n], pads.w[0, n])
 
     @property
-    def _motors_on(self) -> bool:
-        return self.phase not in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
+    def _pads_row(self) -> int:
+        return self._tick - self._pads_at - 1
 
     @property
     def _seconds(self) -> float:
         return self._tick * self._step_s
 
-    def _step(self) -> None:
-        self._tick += 1
-        self._ground = self._deck()
-        if self._tick % _SEA_EVERY == 0:
-            self._meet_sea()
-        z, vz = self._sea
-        self._ground.sea_z, self._ground.sea_vz = z + vz * (self._tick % _SEA_EVERY) * self._step_s, vz
-        if self.faults:
-            self._apply_faults()
-        v, touched_s, phase = self._vehicle, self._vehicle.touched_s, self._vehicle.phase
-        v.step(self._ground)
+    def _run(self, at_most: int) -> int:
+        """Take so many steps of the physics, or fewer: up to a contact, which is noted; return how many."""
+        v, touched_s = self._vehicle, self._vehicle.touched_s
+        done = self._physics.run(self._decks, self._deck_next, min(at_most, self._deck_end - self._deck_next))
+        self._deck_next += done
         if v.touched_what and v.touched_s != touched_s:
-            self._contacts.append(self._contact(_PHASES[int(phase)]))
-        self._sensors.step(self._vehicle, self._ground, self._motors_on)
+            self._contacts.append(self._contact())
+        return done
 
-    def _deck(self) -> Ground:
-        """Return the deck at this step; it is computed for many steps at once."""
-        i = self._tick - self._chunk_at - 1
-        if i >= len(self._chunk):
-            self._chunk_at = self._tick - 1
-            times = self._step_s * np.arange(self._chunk_at + 1, self._chunk_at + 1 + _CHUNK, dtype=np.float64)
-            pads = self._manoeuvre.pad(times) if self._manoeuvre else self.vessel.pad(times)
-            self._pads = pads
-            self._chunk = [Ground.of(pads.p_ned[0, n], pads.v_ned[0, n], pads.R_ned[0, n], pads.w[0, n]) for n in range(_CHUNK)]
-            i = 0
-        self._pads_row = i
-        return self._chunk[i]
-
-    def _meet_sea(self) -> None:
-        """Update the level and vertical velocity of the water under the vehicle, for the next few steps."""
-        p, t, dt = self._vehicle.p, self._seconds, _SEA_EVERY * self._step_s
-        now, then = self.waves.elevation(np.array([p[0], p[1]]), np.array([t, t + dt]))[0]
-        self._sea = (-float(now), -float(then - now) / dt)
-        self._ground.sea_z, self._ground.sea_vz = self._sea
+    def _move_deck(self) -> None:
+        """Compute the deck's motion at the next steps, many at once."""
+        times = self._step_s * np.arange(self._tick + 1, self._tick + 1 + _CHUNK, dtype=np.float64)
+        self._pads = pads = self._manoeuvre.pad(times) if self._manoeuvre else self.vessel.pad(times)
+        self._decks = decks_of(pads)
+        self._pads_at, self._deck_next, self._deck_end = self._tick, 0, _CHUNK
 
     def _apply_faults(self) -> None:
         faults, v = self.faults, self._vehicle
         for begun in faults.update(self._seconds, self._height_m(), self.guidance_phase):
-            self._faulty.begin(begun, self._sensors.read(self.at, v, self._motors_on))
+            self._faulty.begin(begun, self._sensors.read(self.at))
             if self._manoeuvre.begin(begun, self._seconds):
-                self._chunk, self._chunk_at = [], self._tick
+                self._deck_end = min(self._deck_end, self._deck_next + 1)
         gusts = [_gust(fault, since_s) for fault, since_s in faults.on(Gust)]
         health = {rotor.name: 1.0 for rotor in rotors(v.airframe)}
         for fault, _ in faults.on(WeakRotor):
@@ -346,22 +331,23 @@ class World:
 
     def _height_m(self) -> float:
         """Height of the body's origin over the deck's plane."""
-        p, g = self._vehicle.p, self._ground
-        return -float(sum(g.R[i][2] * (p[i] - g.p[i]) for i in range(3)))
+        pad = self.pad_motion()
+        p, g, R = self._vehicle.p, pad.p_ned.tolist(), pad.R_ned.tolist()
+        return -float(sum(R[i][2] * (p[i] - g[i]) for i in range(3)))
 
-    def _contact(self, phase: VehiclePhase) -> Touchdown:
-        """Return the contact of the newest step of the physics; `phase` is the vehicle's phase before it."""
+    def _contact(self) -> Touchdown:
+        """Return the contact of the newest step of the physics."""
         v = self._vehicle
-        d, u = np.array(v.touched_d), np.array(v.touched_v)
+        d, u, phase = np.array(v.touched_d), v.touched_v, _PHASES[int(v.touched_phase)]
         lateral = math.hypot(d[0], d[1])
         deck: Literal["pad", "deck"] = "pad" if lateral <= self.pad.disc_radius_m else "deck"
         return Touchdown(
-            at=MonoNs(self.started + round(float(v.touched_s) * NS_PER_S)),
+            at=MonoNs(self.started + round(v.touched_s * NS_PER_S)),
             surface="water" if v.touched_what == SEA else deck,
             p_body_pad=d,
             lateral_m=lateral,
-            yaw_rad=float(v.touched_yaw),
-            vertical_speed_m_s=float(u[2]),
+            yaw_rad=v.touched_yaw,
+            vertical_speed_m_s=u[2],
             lateral_speed_m_s=math.hypot(u[0], u[1]),
             phase=phase,
             motors=phase not in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY),

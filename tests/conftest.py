@@ -89,7 +89,6 @@ SLOW = (
     "tests/estimator/ekf/test_signs.py",
     "tests/companion/mavlink/test_component.py",
     "tests/companion/mqtt/test_trouble.py",
-    "tests/sitl/test_fleet.py",
     "tests/companion/watch/test_watch.py",
     "tests/sitl/test_sensors.py",
     "tests/sitl/test_scenario.py",

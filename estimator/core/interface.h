@@ -77,6 +77,26 @@
 #define PAD_H_INNER 10
 #define PAD_BAR_HALF 11
 #define PAD_CLEAR_RADIUS 12
+#define ROTORS_MAX 6
+#define GUSTS_MAX 100
+#define COMMANDS_MAX 1024
+#define ECHOES_MAX 64
+#define FLIGHT_NOISE 7
+#define SENSOR_NOISE 13
+#define IMU_NOISE 0
+#define FIELD_NOISE 6
+#define PRESSURE_NOISE 9
+#define HEADING_DRIFT 10
+#define PRESSURE_DRIFT 11
+#define ECHO_NOISE 12
+#define PHASE_LANDED 0
+#define PHASE_TAKING_OFF 1
+#define PHASE_HOVERING 2
+#define PHASE_FLYING 3
+#define PHASE_LANDING 4
+#define PHASE_EMERGENCY 5
+#define TOUCHED_DECK 1
+#define TOUCHED_SEA 2
 
 typedef struct {
     double w[136];
@@ -269,6 +289,225 @@ typedef struct {
     double wave_sigma[5];
 } answer;
 
+typedef struct {
+    double p[3];
+    double v[3];
+    double R[9];
+    double w[3];
+} deck;
+
+typedef struct {
+    double at_s;
+    double rise_s;
+    double hold_s;
+    double v[2];
+} gust;
+
+typedef struct {
+    int64_t on;
+    int64_t logarithmic;
+    int64_t dryden;
+    int64_t wake;
+    int64_t gusts;
+    double speed_m_s;
+    double along[2];
+    double roughness_m;
+    double log10m;
+    double keep_ship;
+    double block_m[2];
+    double block_size[3];
+    double wake_decay;
+    double pad_yaw[2];
+    gust gust[100];
+} air_params;
+
+typedef struct {
+    int64_t quad_x;
+    int64_t rotors;
+    int64_t effect_by_rotor;
+    int64_t flow_sees_deck;
+    int64_t flow_works;
+    int64_t motor_driven;
+    int64_t all_healthy;
+    int64_t delay_steps;
+    double step_s;
+    double mass_kg;
+    double inertia_kg_m2[3];
+    double thrust_max_n;
+    double torque_max_n_m[3];
+    double motor_lag;
+    double arm_m;
+    double rotor_radius_m;
+    double rotors_above_m;
+    double yaw_torque_per_thrust_m;
+    double drag_per_s[3];
+    double rotor_forward[6];
+    double rotor_right[6];
+    double rotor_spin[6];
+    double rotor_squares[2];
+    double effect_radius_m;
+    double rotor_health[6];
+    double landing_speed_m_s;
+    double take_off_speed_m_s;
+    double take_off_height_m;
+    double motors_off_after_s;
+    double tilt_cut_off_cos;
+    double tilt_p;
+    double tilt_d;
+    double yaw_rate_p;
+    double velocity_p;
+    double velocity_d;
+    double velocity_i;
+    double velocity_i_max_m_s2;
+    double climb_p;
+    double climb_d;
+    double climb_i;
+    double climb_i_max_m_s2;
+    double height_p;
+    double observer_share;
+    double unasked_max_rad_s2[3];
+    double flow_scale;
+    double flow_lag;
+    double foot_m;
+    double feet_below_m;
+    double hull_top_m;
+    double foot_n_m;
+    double foot_n_s_m;
+    double foot_stop_kg_s;
+    double friction;
+    double deck_fore_m;
+    double deck_aft_m;
+    double deck_middle_m;
+    double deck_half_m;
+    double deck_taper_m;
+    double deck_yaw[2];
+    double gust_sigma_m_s;
+    double gust_keep;
+    double gust_fresh;
+    double flow_keep;
+    double flow_fresh;
+    double tilt_keep;
+    double tilt_fresh;
+    double wind[3];
+    double tilt_max_rad;
+    double extra_wind[3];
+    double current[2];
+    double euler_angle_max_rad;
+    double vz_max_m_s;
+    double yaw_rate_max_rad_s;
+    air_params air;
+} vehicle_params;
+
+typedef struct {
+    int64_t phase;
+    int64_t tied;
+    int64_t ditched;
+    int64_t touched_what;
+    int64_t touched_phase;
+    int64_t pending_at;
+    int64_t ship_known;
+    double seconds;
+    double p[3];
+    double v[3];
+    double q[4];
+    double R[9];
+    double w[3];
+    double a[3];
+    double thrust_n;
+    double torque_n_m[3];
+    double flow[2];
+    double integral[3];
+    double unasked_w[3];
+    double unasked[3];
+    double z_hold;
+    double attached_d[3];
+    double attached_q[4];
+    double contact_s;
+    double airborne_s;
+    double touched_s;
+    double touched_d[3];
+    double touched_v[3];
+    double touched_yaw;
+    double gust[3];
+    double flow_error[2];
+    double tilt_bias[2];
+    double tilt_drift[2];
+    double air_u;
+    double air_v[2];
+    double air_w[2];
+    double eddy[3];
+    double ship[2];
+    double air[3];
+    double driven_n;
+    double driven_n_m[3];
+    double command[5];
+    double pending[5120];
+} vehicle;
+
+typedef struct {
+    int64_t echo_every;
+    int64_t echo_delay;
+    double step_s;
+    double accel_sigma[2];
+    double gyro_sigma[2];
+    double accel_bias[3];
+    double gyro_bias[3];
+    double heading_bias;
+    double field_bias[3];
+    double field_sigma;
+    double heading_keep;
+    double heading_fresh;
+    double pressure_keep;
+    double pressure_fresh;
+    double pressure_sigma;
+    double cone_rad;
+    double echo_sigma;
+    double echo_min_m;
+    double echo_max_m;
+    double battery_life_s;
+    double hover_n;
+    int64_t motor[4];
+} sensor_params;
+
+typedef struct {
+    int64_t tick;
+    int64_t echoes;
+    int64_t first_echo;
+    double heading_drift;
+    double pressure_drift;
+    double noise[13];
+    double battery;
+    double echo_m;
+    double echo_due[64];
+    double echo_under_way_m[64];
+} sensors;
+
+typedef struct {
+    double f_body[3];
+    double w_body[3];
+    double rpy_rad[3];
+    double v_level_m_s[2];
+    double magnetometer[3];
+    double ultrasound_m;
+    double pressure_pa;
+    double battery;
+    double motors_pwm[4];
+} readings;
+
+typedef struct {
+    int64_t tick;
+    int64_t every;
+    double z;
+    double vz;
+} water;
+
+typedef struct {
+    double amplitude_m;
+    double k[2];
+    double w_rad_s;
+    double phase_rad;
+} wave;
+
 /* answer.c */
 void filter_answer(const filter_params *o, int64_t t, const belief *before, const double *P_before, answer *out);
 
@@ -313,8 +552,18 @@ void render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, co
 /* sighting.c */
 int32_t sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, double *innov, double *H, double *R, double *by_rate);
 
+/* sim_run.c */
+int32_t sim_run(const vehicle_params *o, vehicle *v, const sensor_params *e, sensors *s, water *sea, int32_t harmonics, const wave *waves, int32_t n, const deck *decks, const double *noise, const double *air_noise, const double *sensor_noise);
+
+/* sim_sensors.c */
+void sensors_read(const vehicle_params *o, const vehicle *v, const sensor_params *e, const sensors *s, readings *out);
+
+/* sim_vehicle.c */
+void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea_z, double sea_vz, const double *noise, const double *air_noise);
+void vehicle_carry(vehicle *v, const deck *g);
+
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 3014473820u
+#define INTERFACE_DIGEST 1779037367u
 #endif
 
 #endif

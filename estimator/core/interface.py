@@ -67,6 +67,21 @@ DRAWING = (
 STROKE_NUMBERS = 36
 """Numbers of one part of an exposure: homographies in its middle, their change during it, in the first row and in the last."""
 
+ROTORS_MAX = 6
+"""The largest number of rotors of a simulated vehicle."""
+GUSTS_MAX = 100
+"""The largest number of single gusts in the simulated air."""
+COMMANDS_MAX = 1024
+"""The largest number of steps of physics that a stick command may be under way."""
+ECHOES_MAX = 64
+"""The largest number of ultrasound echoes under way to the telemetry."""
+FLIGHT_NOISE = 7
+"""Standard normal numbers that a vehicle takes at a step: gust (3), optical flow (2), tilt (2); the air takes as many."""
+SENSOR_NOISE = {"IMU_NOISE": 6, "FIELD_NOISE": 3, "PRESSURE_NOISE": 1, "HEADING_DRIFT": 1, "PRESSURE_DRIFT": 1, "ECHO_NOISE": 1}
+"""The standard normal numbers that the sensors take at a step, in order."""
+PHASES = ("LANDED", "TAKING_OFF", "HOVERING", "FLYING", "LANDING", "EMERGENCY")
+"""What a simulated vehicle is doing."""
+
 CONSTANTS = {
     "N": N, **STATE_AT, "ORDER_MAX": ORDER_MAX, "ROWS_MAX": ROWS_MAX, "COLUMNS_MAX": COLUMNS_MAX, "KINDS": KINDS,
     "DIRECTIONS": DIRECTIONS, "MEMBERS": MEMBERS, "MEMBER_STATES": MEMBER_STATES, "MEMBER_PAIRS": MEMBER_PAIRS,
@@ -79,9 +94,15 @@ CONSTANTS = {
     "GAIN_ONE": GAIN_ONE, "SCENE_ONE": SCENE_ONE, "CELL_PX": CELL_PX, "BLUR_RADIUS_MAX": BLUR_RADIUS_MAX, "SMEAR_MAX": SMEAR_MAX,
     "PAD_PAINTS": len(PAINTS), "PAD_EDGE": PAD_EDGE, "STROKE_NUMBERS": STROKE_NUMBERS,
     **{name: value for names in (PAINTS, DRAWING) for value, name in enumerate(names)},
+    "ROTORS_MAX": ROTORS_MAX, "GUSTS_MAX": GUSTS_MAX, "COMMANDS_MAX": COMMANDS_MAX, "ECHOES_MAX": ECHOES_MAX,
+    "FLIGHT_NOISE": FLIGHT_NOISE, "SENSOR_NOISE": sum(SENSOR_NOISE.values()),
+    **dict(zip(SENSOR_NOISE, itertools.accumulate(SENSOR_NOISE.values(), initial=0), strict=False)),
+    **{f"PHASE_{name}": value for value, name in enumerate(PHASES)},
+    "TOUCHED_DECK": 1, "TOUCHED_SEA": 2,
 }  # fmt: skip
 """Numbers that C and Python share, by their names in the header: the state's indices, kinds of samples (the first are those of
-aiding), verdicts, surfaces below a velocity sensor, how much `filter_propagate` does; and what simulated frames are made of."""
+aiding), verdicts, surfaces below a velocity sensor, how much `filter_propagate` does; what simulated frames are made of; and the
+simulated vehicle."""
 
 
 class Field(NamedTuple):
@@ -165,6 +186,64 @@ STRUCTS = {
             x=N, var=N, cov_vessel=1, wave_w=DIRECTIONS, wave_zeta=DIRECTIONS, wave_sigma=DIRECTIONS,
         ),
     ),
+    "deck": _doubles(p=3, v=3, R=9, w=3),
+    "gust": _doubles(at_s=1, rise_s=1, hold_s=1, v=2),
+    "air_params": (
+        *_integers("on", "logarithmic", "dryden", "wake", "gusts"),
+        *_doubles(
+            speed_m_s=1, along=2, roughness_m=1, log10m=1, keep_ship=1, block_m=2, block_size=3, wake_decay=1, pad_yaw=2,
+        ),
+        Field("gust", "gust", GUSTS_MAX),
+    ),
+    "vehicle_params": (
+        *_integers(
+            "quad_x", "rotors", "effect_by_rotor", "flow_sees_deck", "flow_works", "motor_driven", "all_healthy", "delay_steps",
+        ),
+        *_doubles(
+            step_s=1, mass_kg=1, inertia_kg_m2=3, thrust_max_n=1, torque_max_n_m=3, motor_lag=1, arm_m=1, rotor_radius_m=1,
+            rotors_above_m=1, yaw_torque_per_thrust_m=1, drag_per_s=3, rotor_forward=ROTORS_MAX, rotor_right=ROTORS_MAX,
+            rotor_spin=ROTORS_MAX, rotor_squares=2, effect_radius_m=1, rotor_health=ROTORS_MAX,
+            landing_speed_m_s=1, take_off_speed_m_s=1, take_off_height_m=1, motors_off_after_s=1, tilt_cut_off_cos=1,
+            tilt_p=1, tilt_d=1, yaw_rate_p=1, velocity_p=1, velocity_d=1, velocity_i=1, velocity_i_max_m_s2=1,
+            climb_p=1, climb_d=1, climb_i=1, climb_i_max_m_s2=1, height_p=1, observer_share=1, unasked_max_rad_s2=3,
+            flow_scale=1, flow_lag=1, foot_m=1, feet_below_m=1, hull_top_m=1, foot_n_m=1, foot_n_s_m=1, foot_stop_kg_s=1,
+            friction=1, deck_fore_m=1, deck_aft_m=1, deck_middle_m=1, deck_half_m=1, deck_taper_m=1, deck_yaw=2,
+            gust_sigma_m_s=1, gust_keep=1, gust_fresh=1, flow_keep=1, flow_fresh=1, tilt_keep=1, tilt_fresh=1, wind=3,
+            tilt_max_rad=1, extra_wind=3, current=2, euler_angle_max_rad=1, vz_max_m_s=1, yaw_rate_max_rad_s=1,
+        ),
+        Field("air", "air_params"),
+    ),
+    "vehicle": (
+        *_integers("phase", "tied", "ditched", "touched_what", "touched_phase", "pending_at", "ship_known"),
+        *_doubles(
+            seconds=1, p=3, v=3, q=4, R=9, w=3, a=3, thrust_n=1, torque_n_m=3, flow=2, integral=3, unasked_w=3, unasked=3,
+            z_hold=1, attached_d=3, attached_q=4, contact_s=1, airborne_s=1,
+            touched_s=1, touched_d=3, touched_v=3, touched_yaw=1, gust=3, flow_error=2, tilt_bias=2, tilt_drift=2,
+            air_u=1, air_v=2, air_w=2, eddy=3, ship=2, air=3, driven_n=1, driven_n_m=3,
+            command=5, pending=5 * COMMANDS_MAX,
+        ),
+    ),
+    "sensor_params": (
+        *_integers("echo_every", "echo_delay"),
+        *_doubles(
+            step_s=1, accel_sigma=2, gyro_sigma=2, accel_bias=3, gyro_bias=3, heading_bias=1, field_bias=3, field_sigma=1,
+            heading_keep=1, heading_fresh=1, pressure_keep=1, pressure_fresh=1, pressure_sigma=1, cone_rad=1, echo_sigma=1,
+            echo_min_m=1, echo_max_m=1, battery_life_s=1, hover_n=1,
+        ),
+        Field("motor", "int64_t", 4),
+    ),
+    "sensors": (
+        *_integers("tick", "echoes", "first_echo"),
+        *_doubles(
+            heading_drift=1, pressure_drift=1, noise=sum(SENSOR_NOISE.values()), battery=1, echo_m=1,
+            echo_due=ECHOES_MAX, echo_under_way_m=ECHOES_MAX,
+        ),
+    ),
+    "readings": _doubles(
+        f_body=3, w_body=3, rpy_rad=3, v_level_m_s=2, magnetometer=3, ultrasound_m=1, pressure_pa=1, battery=1, motors_pwm=4,
+    ),
+    "water": (*_integers("tick", "every"), *_doubles(z=1, vz=1)),
+    "wave": _doubles(amplitude_m=1, k=2, w_rad_s=1, phase_rad=1),
 }  # fmt: skip
 """The structures, without padding: every member is of eight bytes. Members mean what those of `Belief`, `Aid` and `Gathered` in
 `estimator.ekf.state`, of `DeckMotionBank` and `Skill` of the same names mean; matrices are in rows, instants are in ns. In `sea`
@@ -256,6 +335,28 @@ FUNCTIONS = (
         "void",
         "const filter_params *o, int64_t t, const belief *before, const double *P_before, answer *out",
         "answer.c",
+    ),
+    Function(
+        "sim_run",
+        "int32_t",
+        "const vehicle_params *o, vehicle *v, const sensor_params *e, sensors *s, water *sea, int32_t harmonics, "
+        "const wave *waves, int32_t n, const deck *decks, const double *noise, const double *air_noise, "
+        "const double *sensor_noise",
+        "sim_run.c",
+    ),
+    Function(
+        "vehicle_step",
+        "void",
+        "const vehicle_params *o, vehicle *v, const deck *g, double sea_z, double sea_vz, const double *noise, "
+        "const double *air_noise",
+        "sim_vehicle.c",
+    ),
+    Function("vehicle_carry", "void", "vehicle *v, const deck *g", "sim_vehicle.c"),
+    Function(
+        "sensors_read",
+        "void",
+        "const vehicle_params *o, const vehicle *v, const sensor_params *e, const sensors *s, readings *out",
+        "sim_sensors.c",
     ),
     Function(
         "render_deck",

@@ -3,8 +3,7 @@
 #define DECKLANDER_PROPAGATE_H
 
 #include "interface.h"
-
-#define GRAVITY_M_S2 9.80665
+#include "rotation.h"
 
 /* The covariance that belongs to a belief. What writes it takes the free one of two places. */
 typedef struct {

@@ -2,6 +2,8 @@
 #ifndef DECKLANDER_ROTATION_H
 #define DECKLANDER_ROTATION_H
 
+#define GRAVITY_M_S2 9.80665
+
 /* AB = A B */
 void product(const double A[9], const double B[9], double AB[9]);
 /* AB = A' B */

@@ -74,11 +74,12 @@ class Body:
         self._camera_seed = seeds.camera
         self.waves, self.vessel = sea_and_vessel(scenario, [seeds.sea])
         shape = deck_shape(self.vessel.hull, np.radians(scenario.vessel.pad_yaw_deg))
-        self._vehicle = MotorVehicle(airframe(scenario), shape, step_s, seeds.flight, wind(scenario))
+        self._vehicle = MotorVehicle(
+            airframe(scenario), shape, step_s, seeds.flight, wind(scenario), air(scenario, self.vessel.hull)
+        )
         if self._vehicle.airframe.layout != "quad_x":
             raise BadInput("--autopilot flies four rotors in an X; the scenario's vehicle has another layout")
         self._vehicle.curve = curve
-        self._vehicle.air = air(scenario, self.vessel.hull, seeds.flight, step_s)
         self._tick = 0
         self._chunk: list[Ground] = []
         self._chunk_at = 0
@@ -135,7 +136,7 @@ class Body:
         on_deck, lateral_m = v.touched_what == DECK, float(np.hypot(d[0], d[1]))
         on_pad = on_deck and lateral_m <= self.pad.disc_radius_m
         slide_m_s = float(np.hypot(u[0], u[1]))
-        return Landing(float(v.touched_s), on_deck, on_pad, lateral_m, float(v.touched_yaw), float(u[2]), slide_m_s)
+        return Landing(v.touched_s, on_deck, on_pad, lateral_m, v.touched_yaw, float(u[2]), slide_m_s)
 
     @property
     def upright(self) -> bool:

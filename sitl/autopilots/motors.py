@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sitl.airframe import Airframe
-from sitl.algebra import Flag, Num, Vec
-from sitl.contact import Ground, Relative, Rows
+from sitl.contact import Ground, Vec
+from sitl.native import Number, Numbers
 from sitl.vehicle import Vehicle, VehiclePhase
 
 Motors = tuple[float, float, float, float]
@@ -40,20 +40,20 @@ def wrench(airframe: Airframe, motors: Sequence[float], curve: float) -> tuple[f
 
 
 class MotorVehicle(Vehicle):
-    """A single `Vehicle` whose thrust and torque come from `motors`."""
+    """A `Vehicle` whose thrust and torque come from `motors`."""
 
     motors: Motors = _NONE
     curve: float = 0.0
+    _motor_driven = Number("params", "vehicle_params.motor_driven")
+    _driven_n = Number("state", "vehicle.driven_n")
+    _driven_n_m = Numbers("state", "vehicle.driven_n_m")
 
     def step(self, ground: Ground) -> None:
         """Advance by one step. With every motor stopped, the vehicle may come to rest on the deck and move with it."""
         if self.phase != VehiclePhase.EMERGENCY:
-            self.phase = float(VehiclePhase.FLYING if max(self.motors) > _SPINS else VehiclePhase.LANDED)
+            self.phase = VehiclePhase.FLYING if max(self.motors) > _SPINS else VehiclePhase.LANDED
             # The inherited rule changes flying to hovering unless the stick commands otherwise.
             self.command(0.0, 0.0, 0.0, 0.0, True)
+        self._motor_driven = 1
+        self._driven_n, self._driven_n_m = wrench(self.airframe, self.motors, self.curve)
         super().step(ground)
-
-    def _loops(
-        self, command: tuple[Num, Num, Num, Num, Flag], rows: Rows, r: Relative, over: Flag, ground: Ground
-    ) -> tuple[Num, Vec]:
-        return wrench(self.airframe, self.motors, self.curve)

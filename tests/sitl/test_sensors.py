@@ -14,11 +14,15 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import MonoNs
 from sitl.airframe import Airframe
 from sitl.contact import DeckShape, Ground
+from sitl.physics import Physics, decks_of
 from sitl.scenario import Scenario
+from sitl.sea import Waves
 from sitl.sensor_settings import SensorSettings
-from sitl.sensors import EARTH_FIELD_NED_T, Readings, Sensors, nearest_surface
+from sitl.sensors import Readings, Sensors
 from sitl.stage import airframe
 from sitl.vehicle import Vehicle
+from sitl.vessel import Mounted
+from tests.sitl.oracle.sensors import EARTH_FIELD_NED_T
 
 DT = 0.004
 SHAPE = DeckShape(3.0, 2.0, 1.4, 1.4)
@@ -37,21 +41,36 @@ def deck() -> Ground:
     return Ground.of(np.array([0.0, 0.0, -0.5]), np.zeros(3), np.eye(3), np.zeros(3))
 
 
+ZERO = np.zeros((1, 1, 3))
+STILL_DECK = decks_of(Mounted(np.array([[[0.0, 0.0, -0.5]]]), ZERO, ZERO, np.eye(3)[None, None], ZERO))
+
+
 def setup(settings: SensorSettings, seed: int = 1, p: tuple[float, float, float] = (0.0, 0.0, -3.0)) -> tuple[Vehicle, Sensors]:
     body = airframe(Scenario(title="bench", sensors=settings))
     flight, sense = np.random.SeedSequence(seed).spawn(2)
     v = Vehicle(body, SHAPE, DT, flight)
     v.place(np.array(p), np.zeros(3), 0.0)
-    return v, Sensors(settings, SHAPE, sense, DT)
+    return v, Sensors(settings, v, sense)
 
 
 def fly(v: Vehicle, s: Sensors, steps: int) -> list[Readings]:
-    out = []
+    physics, out = Physics(v, s, Waves.flat()), []
     for n in range(steps):
-        v.step(deck())
-        s.step(v, deck(), True)
-        out.append(s.read(MonoNs(n), v, True))
+        physics.run(STILL_DECK, 0, 1)
+        out.append(s.read(MonoNs(n)))
     return out
+
+
+def echo(cone_deg: float, p: tuple[float, float, float], roll_deg: float = 0.0) -> float | None:
+    """Return the first echo of a perfect sensor at a place over the deck of `deck`."""
+    near = msgspec.structs.replace(PERFECT, ultrasound_cone_deg=cone_deg, ultrasound_rate_hz=60.0, ultrasound_max_m=20.0)
+    v, s = setup(near, p=p)
+    physics = Physics(v, s, Waves.flat())
+    for _ in range(4):
+        v.p, v.v, v.w = p, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        v.q = Rotation.from_rpy(math.radians(roll_deg), 0.0, 0.0).quat_wxyz.tolist()
+        physics.run(STILL_DECK, 0, 1)
+    return s.read(MonoNs(0)).ultrasound_m
 
 
 def test_perfect_sensors_tell_the_truth() -> None:
@@ -106,24 +125,16 @@ def test_velocity_reads_low_and_lags() -> None:
 
 
 def test_ultrasound_meets_deck_edge_and_water() -> None:
-    cone = math.radians(40.0)
-    v, _ = setup(PERFECT, p=(0.0, 0.0, -3.0))
-    assert nearest_surface(SHAPE, v, deck(), cone) == pytest.approx(2.5)
-    v, _ = setup(PERFECT, p=(0.0, 2.0, -3.0))
-    assert nearest_surface(SHAPE, v, deck(), math.radians(1.0)) == pytest.approx(3.0)
-    near_edge = nearest_surface(SHAPE, v, deck(), cone)
-    assert near_edge == pytest.approx(2.5 / math.cos(math.radians(20.0)), rel=1e-6)
-    v, _ = setup(PERFECT, p=(0.0, 8.0, -3.0))
-    assert nearest_surface(SHAPE, v, deck(), cone) == pytest.approx(3.0)
-    assert nearest_surface(SHAPE, v, Ground.nowhere(), cone) == pytest.approx(1e6 + 3.0)
+    assert echo(40.0, (0.0, 0.0, -3.0)) == pytest.approx(2.5, abs=0.001)
+    assert echo(1.0, (0.0, 2.0, -3.0)) == pytest.approx(3.0, abs=0.001)
+    assert echo(40.0, (0.0, 2.0, -3.0)) == pytest.approx(2.5 / math.cos(math.radians(20.0)), abs=0.002)
+    assert echo(40.0, (0.0, 8.0, -3.0)) == pytest.approx(3.0, abs=0.001)
+    assert echo(40.0, (0.0, 8.0, -30.0)) is None
 
 
 def test_ultrasound_measures_along_the_tilted_body_only_beyond_its_cone() -> None:
-    v, _ = setup(PERFECT)
-    v.q = tuple(Rotation.from_rpy(math.radians(30.0), 0.0, 0.0).quat_wxyz.tolist())
-    assert nearest_surface(SHAPE, v, deck(), math.radians(40.0)) == pytest.approx(2.5 / math.cos(math.radians(10.0)), rel=1e-6)
-    v.q = tuple(Rotation.from_rpy(math.radians(15.0), 0.0, 0.0).quat_wxyz.tolist())
-    assert nearest_surface(SHAPE, v, deck(), math.radians(40.0)) == pytest.approx(2.5)
+    assert echo(40.0, (0.0, 0.0, -3.0), 30.0) == pytest.approx(2.5 / math.cos(math.radians(10.0)), abs=0.003)
+    assert echo(40.0, (0.0, 0.0, -3.0), 15.0) == pytest.approx(2.5, abs=0.001)
 
 
 def test_ultrasound_has_a_rate_a_delay_and_limits() -> None:
@@ -150,10 +161,9 @@ def test_blind_optical_flow_tells_no_velocity() -> None:
 
 def test_battery_lasts_its_life_in_flight_only() -> None:
     v, s = setup(msgspec.structs.replace(PERFECT, battery_start=1.0, battery_life_s=10.0))
-    for n in range(500):
-        v.step(deck())
-        s.step(v, deck(), n < 250)
-    assert s.read(MonoNs(0), v, False).battery_fraction == pytest.approx(0.9, abs=1e-9)
+    fly(v, s, 250)
+    v.cut_motors()
+    assert fly(v, s, 250)[-1].battery_fraction == pytest.approx(0.9, abs=1e-9)
 
 
 def test_reading_changes_nothing() -> None:
@@ -161,10 +171,11 @@ def test_reading_changes_nothing() -> None:
     often, seldom = setup(SensorSettings(), 5), setup(SensorSettings(), 5)
     last = fly(*often, 700)[-1]
     v, s = seldom
-    for _ in range(700):
-        v.step(deck())
-        s.step(v, deck(), True)
-    once = s.read(last.at, v, True)
+    physics, steps = Physics(v, s, Waves.flat()), 0
+    many = np.repeat(STILL_DECK, 700, axis=0)
+    while steps < 700:
+        steps += physics.run(many, steps, 700 - steps)
+    once = s.read(last.at)
     for name in ("f_body", "w_body", "rpy_rad", "v_level_m_s", "magnetometer"):
         assert np.array_equal(getattr(once, name), getattr(last, name)), name
     assert (once.ultrasound_m, once.pressure_pa) == (last.ultrasound_m, last.pressure_pa)

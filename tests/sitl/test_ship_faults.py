@@ -33,7 +33,7 @@ def decks(scenario: Scenario, *faults: Fault, until_s: float, each_s: float = 0.
     for n in range(round(until_s / each_s) + 1):
         at(w, n * each_s)
         truth = w.truth()
-        out.append((truth.p_pad_ned, truth.v_pad_ned, truth.R_ned_pad.matrix, np.array(w._ground.w)))
+        out.append((truth.p_pad_ned, truth.v_pad_ned, truth.R_ned_pad.matrix, w.pad_motion().w))
     return out
 
 

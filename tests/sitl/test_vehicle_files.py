@@ -16,13 +16,14 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
 from sitl.airframe import Airframe, StickLimits
-from sitl.algebra import Arrays, Floats
-from sitl.contact import DeckShape, Ground, relative
-from sitl.rotors import delivered, ground_effect, ground_effect_by_rotor, rotors, thrusts
+from sitl.contact import DeckShape, Ground
+from sitl.rotors import rotors
 from sitl.scenario import load as load_scenario
 from sitl.vehicle import Vehicle
 from sitl.vehicle_file import VehicleFile, load
 from sitl.world import Stick, World
+from tests.sitl.oracle.contact import coverage, relative
+from tests.sitl.oracle.rotors import delivered, ground_effect, ground_effect_by_rotor, thrusts
 
 STEP_S = 0.004
 
@@ -51,8 +52,8 @@ def test_every_shipped_vehicle_says_what_is_assumed_and_hovers(name: str) -> Non
     for _ in range(2000):
         v.step(Ground.nowhere())
     assert np.linalg.norm(v.v_ned) < 0.2
-    assert sum(map(float, v.rotors_n)) == pytest.approx(vehicle.mass_kg * 9.80665, rel=0.03)
-    assert len(v.rotors_n) == (6 if vehicle.layout == "hexa_x" else 4)
+    assert v.thrust_n == pytest.approx(vehicle.mass_kg * 9.80665, rel=0.03)
+    assert len(v.rotor_health) == (6 if vehicle.layout == "hexa_x" else 4)
 
 
 @pytest.mark.parametrize("name", shipped("vehicles"))
@@ -83,11 +84,11 @@ def test_rotors_give_the_thrust_and_torque_that_were_asked_for(name: str) -> Non
     lift_n = 0.5 * f.thrust_max_n
     wanted = (lift_n, (0.7, -0.4, 0.11))
     n = len(rotors(f))
-    lift, torque = delivered(Floats(), f, *wanted, (1.0,) * n)
+    lift, torque = delivered(f, *wanted, (1.0,) * n)
     assert (lift, *torque) == pytest.approx((lift_n, 0.7, -0.4, 0.11))
     # None gives more than its part of the whole, and none pushes down.
-    assert delivered(Floats(), f, 9.0 * f.thrust_max_n, (0.0, 0.0, 0.0), (1.0,) * n)[0] == pytest.approx(f.thrust_max_n)
-    assert delivered(Floats(), f, -1.0, (0.0, 0.0, 0.0), (1.0,) * n)[0] == 0.0
+    assert delivered(f, 9.0 * f.thrust_max_n, (0.0, 0.0, 0.0), (1.0,) * n)[0] == pytest.approx(f.thrust_max_n)
+    assert delivered(f, -1.0, (0.0, 0.0, 0.0), (1.0,) * n)[0] == 0.0
     # From the places of the rotors themselves: roll to starboard is force on the port side.
     t = np.array(thrusts(f, *wanted))
     x, y = (f.arm_m * np.array([getattr(r, axis) for r in rotors(f)]) for axis in ("forward", "right"))
@@ -140,7 +141,7 @@ def test_without_a_disturbance_the_loops_make_up_for_nothing(name: str) -> None:
     for i in range(1500):
         v.command(math.sin(i / 80), math.cos(i / 130), 0.2 * math.sin(i / 200), 0.5, True)
         v.step(Ground.nowhere())
-        largest = max(largest, *(abs(float(x)) for x in v._unasked.rad_s2))
+        largest = max(largest, *(abs(float(x)) for x in v.unasked_rad_s2))
     assert largest < 1e-6
 
 
@@ -181,23 +182,21 @@ def test_the_share_of_a_disc_over_the_deck_is_that_of_its_area(yaw: float) -> No
     a, b = rng.uniform(0, math.tau, 20_000), radius * np.sqrt(rng.uniform(0, 1, 20_000))
     for along, across in ((0.0, 0.0), (1.9, 0.0), (2.2, 0.3), (2.5, 0.0), (0.0, -1.4), (-3.2, 0.0)):
         x, y = along * math.cos(yaw) + across * math.sin(yaw), -along * math.sin(yaw) + across * math.cos(yaw)
-        expected = np.mean(shape.holds(x + b * np.cos(a), y + b * np.sin(a)))
-        assert shape.coverage(Floats(), x, y, radius) == pytest.approx(expected, abs=0.015)
-    assert np.ndim(shape.coverage(Arrays(), np.zeros(3), np.zeros(3), radius)) == 1
+        expected = np.mean([shape.holds(*at) for at in zip(x + b * np.cos(a), y + b * np.sin(a), strict=True)])
+        assert coverage(shape, x, y, radius) == pytest.approx(expected, abs=0.015)
 
 
 def test_over_the_edge_the_rotors_over_the_deck_lift_more() -> None:
     """Half over the deck, low: the factors lie between water's and deck's, the inner rotors' higher; well inside, all alike."""
     shape = DeckShape(2.0, 2.0, 2.0, 2.0)
     ground = Ground((0.0, 0.0, -3.0), (0.0, 0.0, 0.0), LEVEL, (0.0, 0.0, 0.0), 0.0)
-    m = Floats()
 
     def factors(y: float) -> dict[str, float]:
         r = relative(ground, (0.0, y, -3.25), (0.0, 0.0, 0.0), LEVEL, (0.0, 0.0, 0.0))
-        each = ground_effect_by_rotor(m, HEXA, shape, r, 3.25)
+        each = ground_effect_by_rotor(HEXA, shape, r, 3.25)
         return {rotor.name: float(k) for rotor, k in zip(rotors(HEXA), each, strict=True)}
 
-    deck, water = float(ground_effect(m, HEXA, 0.25)), float(ground_effect(m, HEXA, 3.25))
+    deck, water = float(ground_effect(HEXA, 0.25)), float(ground_effect(HEXA, 3.25))
     assert list(factors(0.0).values()) == pytest.approx([deck] * 6)
     edge = factors(1.9)
     assert edge["left"] == pytest.approx(deck)

@@ -252,11 +252,12 @@ static void gate(int m, double poison)
 }
 
 #include "exercise_render.h"
+#include "exercise_sim.h"
 
 static void fuzz_one(const uint8_t *bytes, size_t size)
 {
     begin(bytes, size);
-    const int what = fuzzed_byte() % 4;
+    const int what = fuzzed_byte() % 5;
     if (what == 0) {
         const int n = 1 + draw() % ORDER_MAX, m = 1 + draw() % ROWS_MAX;
         algebra(n, m, 1.0);
@@ -265,8 +266,10 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
     } else if (what == 2) {
         const int surface = draw() % (OVER_EITHER + 1);
         fly(surface, 2, 1.0);
-    } else {
+    } else if (what == 3) {
         scenes(1);
+    } else {
+        sail(draw() % 7, 1 + draw() % 200, 1.0);
     }
 }
 
@@ -326,6 +329,8 @@ int main(int count, char **files)
     scenes(24);
     report("render_deck render_fill render_smear render_sea render_water render_pad_kinds render_pad_shares render_expose "
            "render_mix render_frame render_blur");
+    simulator();
+    report("vehicle_step vehicle_carry sim_run sensors_read");
     return 0;
 }
 #endif

@@ -1,0 +1,85 @@
+/* Calls the simulated vehicle's functions: flights over a deck and beside it, with every kind of air and of rotors. */
+
+static void vehicle_parameters(vehicle_params *o, int kind)
+{
+    memset(o, 0, sizeof *o);
+    o->rotors = kind % 2 ? 6 : 4, o->quad_x = kind % 2 == 0, o->effect_by_rotor = kind % 2;
+    o->flow_sees_deck = 1, o->flow_works = kind != 3, o->motor_driven = kind == 4, o->all_healthy = kind != 2;
+    o->delay_steps = kind == 5 ? 0 : kind == 6 ? COMMANDS_MAX : 10;
+    o->step_s = 0.004, o->mass_kg = 1.477, o->thrust_max_n = 30.0, o->motor_lag = 0.08, o->arm_m = 0.127;
+    o->rotor_radius_m = 0.1, o->effect_radius_m = 0.2, o->rotors_above_m = 0.03, o->yaw_torque_per_thrust_m = 0.02;
+    for (int i = 0; i < 3; i++) {
+        o->inertia_kg_m2[i] = 0.0115, o->torque_max_n_m[i] = 1.0, o->drag_per_s[i] = 0.3, o->unasked_max_rad_s2[i] = 80.0;
+    }
+    for (int i = 0; i < ROTORS_MAX; i++) {
+        o->rotor_forward[i] = i < 2 ? 1.0 : -1.0, o->rotor_right[i] = i % 3 ? 1.0 : -1.0, o->rotor_spin[i] = i % 2 ? 1.0 : -1.0;
+        o->rotor_health[i] = i ? 1.0 : 0.5;
+    }
+    o->rotor_squares[0] = o->rotor_squares[1] = (double)o->rotors;
+    o->landing_speed_m_s = 0.4, o->take_off_speed_m_s = 0.5, o->take_off_height_m = 1.0, o->motors_off_after_s = 0.2;
+    o->tilt_cut_off_cos = 0.36, o->tilt_p = 10.0, o->tilt_d = 5.0, o->yaw_rate_p = 2.0, o->velocity_p = 5.0, o->velocity_d = 1.0;
+    o->velocity_i = 1.0, o->velocity_i_max_m_s2 = 3.0, o->climb_p = 5.0, o->climb_d = 1.0, o->climb_i = 2.5;
+    o->climb_i_max_m_s2 = 4.0, o->height_p = 1.0, o->observer_share = 0.04, o->flow_scale = 0.83, o->flow_lag = 0.1;
+    o->foot_m = 0.13, o->feet_below_m = 0.045, o->hull_top_m = 0.06, o->foot_n_m = 1500.0, o->foot_n_s_m = 33.0;
+    o->foot_stop_kg_s = 28.0, o->friction = 0.6, o->deck_fore_m = o->deck_aft_m = 2.0, o->deck_half_m = 1.5;
+    o->deck_taper_m = kind % 2, o->deck_yaw[0] = 1.0, o->gust_sigma_m_s = 0.5, o->gust_keep = o->flow_keep = o->tilt_keep = 0.99;
+    o->gust_fresh = o->flow_fresh = o->tilt_fresh = 0.01, o->tilt_max_rad = 0.5;
+    o->euler_angle_max_rad = 0.21, o->vz_max_m_s = 0.7, o->yaw_rate_max_rad_s = 1.7;
+    air_params *air = &o->air;
+    air->on = kind > 1, air->logarithmic = kind % 2, air->dryden = kind == 3, air->wake = kind == 2;
+    air->gusts = kind == 4 ? GUSTS_MAX : 0, air->speed_m_s = 7.0, air->along[0] = -1.0, air->roughness_m = 0.0002;
+    air->log10m = 10.8, air->keep_ship = 0.001, air->block_m[0] = -6.0, air->wake_decay = 0.03, air->pad_yaw[0] = 1.0;
+    for (int i = 0; i < 3; i++) {
+        air->block_size[i] = 5.0;
+    }
+    for (int i = 0; i < GUSTS_MAX; i++) {
+        air->gust[i].rise_s = air->gust[i].hold_s = 0.1, air->gust[i].v[0] = 0.1;
+    }
+}
+
+static void sail(int kind, int steps, double poison)
+{
+    vehicle_params *o = malloc(sizeof *o);
+    vehicle *v = calloc(1, sizeof *v);
+    sensor_params *e = calloc(1, sizeof *e);
+    sensors *s = calloc(1, sizeof *s);
+    readings *out = malloc(sizeof *out);
+    water *sea = calloc(1, sizeof *sea);
+    wave *waves = calloc(3, sizeof *waves);
+    deck *decks = calloc((size_t)steps, sizeof *decks);
+    double *noise = numbers(FLIGHT_NOISE * steps), *air = numbers(FLIGHT_NOISE * steps), *sensed = numbers(SENSOR_NOISE * steps);
+    vehicle_parameters(o, kind);
+    for (int i = 0; i < steps; i++) {
+        decks[i].p[2] = -0.5, decks[i].R[0] = decks[i].R[4] = decks[i].R[8] = 1.0;
+    }
+    for (int i = 0; i < 3; i++) {
+        waves[i].amplitude_m = 0.1, waves[i].k[0] = 0.3, waves[i].w_rad_s = 1.0 + i;
+    }
+    sea->every = 5;
+    e->echo_every = 1 + kind, e->echo_delay = 15, e->step_s = 0.004, e->cone_rad = 0.7, e->echo_max_m = 6.0;
+    e->battery_life_s = 1200.0, e->hover_n = 3.6;
+    v->phase = kind % 2 ? PHASE_LANDING : PHASE_FLYING, v->q[0] = v->R[0] = v->R[4] = v->R[8] = v->attached_q[0] = 1.0;
+    v->p[1] = kind == 6 ? 3.0 : 0.0, v->p[2] = -1.1 * poison, v->airborne_s = 1.0, v->thrust_n = 14.0, v->touched_s = NAN;
+    v->driven_n = 10.0;
+    vehicle_step(o, v, decks, 0.0, 0.0, noise, air);
+    for (int done = 0; done < steps;) {
+        done += sim_run(o, v, e, s, sea, 3, waves, steps - done, decks + done, noise + FLIGHT_NOISE * done,
+                        air + FLIGHT_NOISE * done, sensed + SENSOR_NOISE * done);
+    }
+    sensors_read(o, v, e, s, out);
+    fold(v->p, 3), fold(v->v, 3), fold(v->air, 3), fold(out->f_body, 3), fold(&out->pressure_pa, 1);
+    vehicle_carry(v, decks);
+    void *all[] = {o, v, e, s, out, sea, waves, decks, noise, air, sensed};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
+        free(all[i]);
+    }
+}
+
+static void simulator(void)
+{
+    const double poisons[] = {1.0, NAN, INFINITY, -1e300};
+    for (int kind = 0; kind <= 6; kind++) {
+        sail(kind, 1500, 1.0);
+        sail(kind, 20, poisons[kind % 4]);
+    }
+}
