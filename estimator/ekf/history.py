@@ -7,7 +7,7 @@ The result equals the one of events received in order: the history keeps every r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain
+from itertools import chain, repeat, starmap
 from typing import NamedTuple
 
 from estimator.contracts.estimates import Sighting, Verdict
@@ -28,17 +28,33 @@ Key = tuple[int, int, int, str]
 _CHUNK = 32
 
 
-class Node(NamedTuple):
-    """An event and the belief after it."""
+class Entry(NamedTuple):
+    """An event in the history."""
 
     key: Key
     event: Event
     record: PackedEvent
     """The event as the core reads it."""
+
+
+class Node(NamedTuple):
+    """An event and the belief after it."""
+
+    entry: Entry
     row: Sequence[PackedBelief | None]
     """The beliefs after the events that were processed together, as the core holds them; None before the first attitude."""
     at: int
     """Which of them is the one after this event."""
+
+    @property
+    def key(self) -> Key:
+        """Where the event lies in the history."""
+        return self.entry.key
+
+    @property
+    def event(self) -> Event:
+        """The event."""
+        return self.entry.event
 
     @property
     def packed(self) -> PackedBelief | None:
@@ -52,7 +68,9 @@ class Node(NamedTuple):
         return None if packed is None else packed.belief
 
 
-Chunks = tuple[tuple[Node, ...], ...]
+_Place = tuple[Entry, Sequence[PackedBelief | None], int]
+"""A `Node` as the history keeps it. A late sighting makes a hundred of them, and plain tuples take a tenth of the time."""
+Chunks = tuple[tuple[_Place, ...], ...]
 
 
 class Leap(NamedTuple):
@@ -81,18 +99,18 @@ class History(NamedTuple):
     @property
     def nodes(self) -> tuple[Node, ...]:
         """The events, oldest first."""
-        return tuple(chain.from_iterable(self.chunks))
+        return tuple(starmap(Node, chain.from_iterable(self.chunks)))
 
     def newest(self) -> Belief | None:
         """Return the belief after the last event, or None before the first attitude."""
-        packed = self.chunks[-1][-1].packed if self.chunks else self.base
+        packed = _after(self.chunks, self.base)
         return None if packed is None else packed.belief
 
     def before(self, t: int) -> PackedBelief | None:
         """Return the belief after the last event not later than `t` (ns), or None if the history does not reach back so far."""
         for chunk in reversed(self.chunks):
-            if chunk[0].key[0] <= t:
-                return next(node.packed for node in reversed(chunk) if node.key[0] <= t)
+            if chunk[0][0].key[0] <= t:
+                return next(row[at] for entry, row, at in reversed(chunk) if entry.key[0] <= t)
         return self.base if self.base is not None and self.base.t <= t else None
 
 
@@ -128,28 +146,36 @@ def put(history: History, event: Event, params: FilterParams) -> tuple[History, 
         return history._replace(received_at=received_at), result(event, Outcome(Verdict.TOO_OLD))
     key = (t, rank, event.seq, event.method) if isinstance(event, Sighting) else (t, rank, 0, "")
     chunks, later = _split(history.chunks, key)
-    inserted = [Node(key, event, packed_event(event), (), 0), *later]
-    again, outcome = _processed(chunks[-1][-1].packed if chunks else history.base, inserted, params)
+    inserted = [Entry(key, event, packed_event(event)), *later]
+    again, outcome = _processed(_after(chunks, history.base), inserted, params)
     chunks = _joined(chunks, again)
-    oldest = chunks[-1][-1].key[0] - round(o.history_s * 1e9)
+    oldest = chunks[-1][-1][0].key[0] - round(o.history_s * 1e9)
     base, chunks, forgotten = _trimmed(history.base, chunks, history.forgotten, oldest)
     return History(base, chunks, forgotten, received_at, history.leapt), result(event, outcome)
 
 
-def _split(chunks: Chunks, key: Key) -> tuple[Chunks, list[Node]]:
-    """Return the nodes up to a key as chunks, and the later ones."""
-    later: list[Node] = []
-    while chunks and chunks[-1][-1].key > key:
+def _after(chunks: Chunks, base: PackedBelief | None) -> PackedBelief | None:
+    """Return the belief after the last event."""
+    if not chunks:
+        return base
+    _, row, at = chunks[-1][-1]
+    return row[at]
+
+
+def _split(chunks: Chunks, key: Key) -> tuple[Chunks, list[Entry]]:
+    """Return the chunks up to a key, and the later events."""
+    later: list[Entry] = []
+    while chunks and chunks[-1][-1][0].key > key:
         last = chunks[-1]
         i = len(last) - 1
-        while i > 0 and last[i - 1].key > key:
+        while i > 0 and last[i - 1][0].key > key:
             i -= 1
-        later[:0] = last[i:]
+        later[:0] = [entry for entry, _, _ in last[i:]]
         chunks = (*chunks[:-1], last[:i]) if i > 0 else chunks[:-1]
     return chunks, later
 
 
-def _joined(chunks: Chunks, nodes: list[Node]) -> Chunks:
+def _joined(chunks: Chunks, nodes: list[_Place]) -> Chunks:
     """Return the chunks with these nodes after them."""
     if chunks and len(chunks[-1]) < _CHUNK:
         chunks, nodes = chunks[:-1], [*chunks[-1], *nodes]
@@ -158,33 +184,34 @@ def _joined(chunks: Chunks, nodes: list[Node]) -> Chunks:
 
 def _trimmed(base: PackedBelief | None, chunks: Chunks, forgotten: int, oldest: int) -> tuple[PackedBelief | None, Chunks, int]:
     """Return base, chunks and the instant of the newest event dropped, without the events before the instant `oldest`, ns."""
-    while chunks[0][0].key[0] < oldest:
+    while chunks[0][0][0].key[0] < oldest:
         first = chunks[0]
         gone = 1
-        while gone < len(first) and first[gone].key[0] < oldest:
+        while gone < len(first) and first[gone][0].key[0] < oldest:
             gone += 1
-        base, forgotten = first[gone - 1].packed, first[gone - 1].key[0]
+        last, row, at = first[gone - 1]
+        base, forgotten = row[at], last.key[0]
         chunks = chunks[1:] if gone == len(first) else (first[gone:], *chunks[1:])
     return base, chunks, forgotten
 
 
-def _processed(packed: PackedBelief | None, nodes: list[Node], params: FilterParams) -> tuple[list[Node], Outcome]:
-    """Return the nodes with the beliefs after their events, and the outcome of the first event.
+def _processed(packed: PackedBelief | None, entries: list[Entry], params: FilterParams) -> tuple[list[_Place], Outcome]:
+    """Return the events with the beliefs after them, and the outcome of the first event.
 
     The core processes events in a row; what begins a belief, and an attitude that sets one outright, stop it.
     """
-    made: list[Node] = []
+    made: list[_Place] = []
     outcome = None
-    while len(made) < len(nodes):
-        rest = nodes[len(made) :]
+    while len(made) < len(entries):
+        rest = entries[len(made) :]
         followed: Sequence[PackedBelief | None] = ()
         if packed is not None:
-            followed, first = packed.follow(params.process_noise, [node.record for node in rest])
+            followed, first = packed.follow(params.process_noise, [entry.record for entry in rest])
         if not followed:
             b, first = process_event(None if packed is None else packed.belief, rest[0].event, params)
             followed = [None if b is None else PackedBelief.of(b)]
         done = len(followed)
-        made += [Node(node.key, node.event, node.record, followed, i) for i, node in enumerate(rest[:done])]
+        made += zip(rest, repeat(followed), range(done), strict=False)
         packed = followed[done - 1]
         outcome = outcome or first
     assert outcome is not None

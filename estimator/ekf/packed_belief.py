@@ -127,8 +127,12 @@ class PackedBelief:
             self.numbers.address, self.P.address, self.sea.address, index + 16 * n, P_start, sea_start,
             index, index + 8 * n, start,
         )  # fmt: skip
-        row = Followed(self, done, n, Words(block, 0, start), Words(covariances, 0, P_start), Words(seas, 0, sea_start))
-        return row, _outcome(block) if done else _WITHOUT_COMPARISON[Verdict.GATED]
+        if done == 0:
+            return Followed(self, 0, n, Words(block, 0, start), self.P, self.P), _WITHOUT_COMPARISON[Verdict.GATED]
+        slots = block[_OUTCOME_SIZE : _OUTCOME_SIZE + 2 * n].view(np.int64)
+        P = _kept(covariances, (slots.item(done - 1) + 1) * _P_SIZE)
+        sea = _kept(seas, (slots.item(n + done - 1) + 1) * SEA_SIZE)
+        return Followed(self, done, n, Words(block, 0, start), P, sea), _outcome(block)
 
     def propagated(self, t: int, noise: ProcessNoise, how_far: int) -> PackedBelief:
         """Return the belief at instant `t`, ns; `how_far` is one of `STATE_ALONE`, `WITH_COVARIANCE`, `WITH_AIDING`."""
@@ -144,6 +148,12 @@ class PackedBelief:
         start = start_of(block)
         _SETTLE(noise.packed_address, self.numbers.address, start, start_of(F), start_of(Q))
         return PackedBelief(Words(block, 0, start), self.P, self.sea).belief, F, Q
+
+
+def _kept(block: F64, used: int) -> Words:
+    """Return the words that the core has used; the history keeps no room for more."""
+    kept = block if used == block.size else block[:used].copy()
+    return Words(kept, 0, start_of(kept) if used else 0)
 
 
 class Followed(Sequence[PackedBelief]):
