@@ -135,6 +135,8 @@ def _dispatch(argv: list[str]) -> int:
         raise SetupImpossible(
             "this is a 32-bit Python; decklander needs a 64-bit operating system and Python (on a Raspberry Pi: arm64)"
         )
+    # No matrix here has more than some thirty rows, and the library would start a thread and set memory aside for each core.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     module = importlib.import_module(COMMANDS[asked][0])
     module.add_parser(subparsers)
     return int(module.run(parser.parse_args(argv)))

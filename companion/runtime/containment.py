@@ -13,7 +13,7 @@ from typing import ParamSpec, TypeVar
 
 from companion.operator.orders import HandledOrder
 from companion.runtime.health import Health
-from companion.runtime.observer import Decision, Observer, ProcessedFrame
+from companion.runtime.observer import Decision, NullObserver, Observer, ProcessedFrame
 from estimator.contracts.errors import in_words
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample
@@ -88,8 +88,12 @@ class Audience:
         def guard(observer: Observer, method: str) -> CallGuard:
             return CallGuard(f"{name_of(observer)}.{method}", health)
 
-        self._samples = [(guard(o, "on_sample"), o.on_sample) for o in observers]
-        self._results = [(guard(o, "on_fusion"), o.on_fusion) for o in observers]
+        def listens(observer: Observer, method: str) -> bool:
+            # There are hundreds of samples a second, and most observers take none of them.
+            return getattr(type(observer), method, None) is not getattr(NullObserver, method)
+
+        self._samples = [(guard(o, "on_sample"), o.on_sample) for o in observers if listens(o, "on_sample")]
+        self._results = [(guard(o, "on_fusion"), o.on_fusion) for o in observers if listens(o, "on_fusion")]
         self._frames = [(guard(o, "on_frame"), o.on_frame) for o in observers]
         self._decisions = [(guard(o, "on_decision"), o.on_decision) for o in observers]
         self._orders = [(guard(o, "on_order"), o.on_order) for o in observers]

@@ -144,6 +144,8 @@ class Pilot:
         self._changes: list[StateChange] = []
         self._status: VehicleStatus | None = None
         self._now = MonoNs(0)
+        self._attitude: Attitude | None = None
+        """The newest attitude."""
         self._heard: MonoNs | None = None
         """When the newest sample of the vehicle itself was received."""
         self.engage: Callable[[], None] = lambda: None
@@ -307,7 +309,7 @@ class Pilot:
                     lean = reported_lean(sample.R_ned_body)
                     self._lean = _leant(self._lean, sample.stamp.measured_at, lean)
                     self._response.on_attitude(sample.stamp, lean)
-                    self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
+                    self._attitude = sample
                 case VehicleStatus():
                     self._on_status(sample)
                 case GeoFix() | VesselReport():
@@ -403,6 +405,8 @@ class Pilot:
         battery = None if self._status is None else self._status.battery_fraction
         place: VesselPosition | Reason | None = None
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
+            if self._attitude is not None:
+                self._vessel_track = vessel_track.on_sample(self._vessel_track, self._attitude)
             place = vessel_track.position(self._vessel_track, now)
         self._no_place = place if isinstance(place, Reason) else None
         silent_s = 0.0 if self._heard is None else max(0.0, seconds_between(self._heard, now))

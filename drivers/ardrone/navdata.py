@@ -7,7 +7,7 @@ all bytes before it, modulo 2^32. Source: Parrot SDK 2.0.1; checked against a da
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, TypeVar
@@ -164,9 +164,41 @@ _CONTROL_STATES = {state.value: state for state in ControlState}
 NO_OPTIONS: Mapping[int, Any] = {}
 
 
+class _Bodies(Mapping[int, Any]):
+    """The options of a datagram by tag; each is unpacked when somebody reads it. The service reads eight of the 28.
+
+    Args:
+        bodies: the layout of each option, and the place of its body, which is whole.
+    """
+
+    __slots__ = ("_bodies", "_datagram", "_unpacked")
+
+    def __init__(self, datagram: bytes, bodies: dict[int, tuple[OptionLayout, int]]) -> None:
+        self._datagram = datagram
+        self._bodies = bodies
+        self._unpacked: dict[int, Any] = {}
+
+    def __getitem__(self, tag: int) -> Any:
+        found = self._unpacked.get(tag)
+        if found is None:
+            layout, at = self._bodies[tag]
+            found = self._unpacked[tag] = layout.unpack(self._datagram, at)
+        return found
+
+    def get(self, tag: int, default: Any = None) -> Any:
+        """Return the option of this tag, or `default` if the datagram does not hold it."""
+        return self[tag] if tag in self._bodies else default
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._bodies)
+
+    def __len__(self) -> int:
+        return len(self._bodies)
+
+
 @dataclass(frozen=True, slots=True)
 class Navdata:
-    """One navdata datagram. `options` maps a tag to its option dataclass in the order of the wire."""
+    """One navdata datagram. `options` maps a tag to its option in the order of the wire."""
 
     state: int
     """The header's state field, whose bits are those of `NavdataState`."""
@@ -202,7 +234,7 @@ def decode(datagram: bytes) -> Navdata | Refusal:
     magic, state, sequence, vision_defined = _HEADER.unpack_from(datagram)
     if magic != MAGIC:
         return Refusal.BAD_MAGIC
-    options: dict[int, Any] = {}
+    bodies: dict[int, tuple[OptionLayout, int]] = {}
     skipped: list[int] = []
     at = _HEADER.size
     while at + OPTION_HEADER.size <= end:
@@ -215,12 +247,13 @@ def decode(datagram: bytes) -> Navdata | Refusal:
             (checksum,) = struct.unpack_from("<I", datagram, at + OPTION_HEADER.size)
             if checksum != sum(datagram[:at]) & 0xFFFFFFFF:
                 return Refusal.BAD_CHECKSUM
-            return Navdata(state, sequence, vision_defined, options, tuple(skipped))
-        layout = next((known for known in _LAYOUTS.get(tag, ()) if known.size <= size), None)
-        if layout is None or tag in options:
-            skipped.append(tag)
+            return Navdata(state, sequence, vision_defined, _Bodies(datagram, bodies), tuple(skipped))
+        for layout in _LAYOUTS.get(tag, ()):
+            if layout.size <= size and tag not in bodies:
+                bodies[tag] = layout, at + OPTION_HEADER.size
+                break
         else:
-            options[tag] = layout.unpack(datagram, at + OPTION_HEADER.size)
+            skipped.append(tag)
         at += size
     return Refusal.TORN
 

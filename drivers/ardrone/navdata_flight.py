@@ -6,8 +6,7 @@ phi right side down, psi clockwise from above.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from drivers.ardrone.navdata_layout import F32, I16, I32, U16, U32, Floats, Ints, option
 
@@ -16,8 +15,7 @@ _ZERO9 = (0.0,) * 9
 
 
 @option(0)
-@dataclass(frozen=True, slots=True)
-class Demo:
+class Demo(NamedTuple):
     """The short summary, which is also sent in demo mode."""
 
     ctrl_state: U32
@@ -43,8 +41,7 @@ class Demo:
 
 
 @option(1)
-@dataclass(frozen=True, slots=True)
-class NavdataTime:
+class NavdataTime(NamedTuple):
     """The drone's clock: seconds in the high 11 bits, microseconds in the low 21; wraps every 2048 s."""
 
     time: U32
@@ -62,8 +59,7 @@ class NavdataTime:
 
 
 @option(2)
-@dataclass(frozen=True, slots=True)
-class RawMeasures:
+class RawMeasures(NamedTuple):
     """Converter counts, battery, and the ultrasound's last echo."""
 
     raw_accs: Annotated[Ints, "3H"] = (0, 0, 0)
@@ -85,8 +81,7 @@ class RawMeasures:
 
 
 @option(3)
-@dataclass(frozen=True, slots=True)
-class PhysMeasures:
+class PhysMeasures(NamedTuple):
     """Calibrated accelerometer (at rest and level about (0, 0, -1000) mg) and rate gyro, in forward-right-down axes."""
 
     accs_temp_c: F32
@@ -99,16 +94,14 @@ class PhysMeasures:
 
 
 @option(4)
-@dataclass(frozen=True, slots=True)
-class GyrosOffsets:
+class GyrosOffsets(NamedTuple):
     """Offsets of the rate gyros as estimated by the drone."""
 
     offset_g: Annotated[Floats, "3f"] = _ZERO3
 
 
 @option(5)
-@dataclass(frozen=True, slots=True)
-class EulerAngles:
+class EulerAngles(NamedTuple):
     """The tilt that the accelerometer alone gives, millidegrees."""
 
     theta_a_mdeg: F32 = 0.0
@@ -116,8 +109,7 @@ class EulerAngles:
 
 
 @option(6)
-@dataclass(frozen=True, slots=True)
-class References:
+class References(NamedTuple):
     """The setpoints of the inner loops."""
 
     ref_theta: I32 = 0
@@ -144,8 +136,7 @@ class References:
 
 
 @option(7)
-@dataclass(frozen=True, slots=True)
-class Trims:
+class Trims(NamedTuple):
     """Flat-trim results, millidegrees."""
 
     angular_rates_trim_r: F32 = 0.0
@@ -154,8 +145,7 @@ class Trims:
 
 
 @option(8)
-@dataclass(frozen=True, slots=True)
-class RcReferences:
+class RcReferences(NamedTuple):
     """Pilot commands as received."""
 
     rc_ref_pitch: I32 = 0
@@ -166,8 +156,7 @@ class RcReferences:
 
 
 @option(9)
-@dataclass(frozen=True, slots=True)
-class Pwm:
+class Pwm(NamedTuple):
     """The motor commands and the terms that they are made of."""
 
     motor: Annotated[Ints, "4B"] = (0, 0, 0, 0)
@@ -191,8 +180,7 @@ class Pwm:
 
 
 @option(10)
-@dataclass(frozen=True, slots=True)
-class Altitude:
+class Altitude(NamedTuple):
     """The altitude loop; `altitude_raw_mm` is the ultrasound's own reading along the body's down axis."""
 
     altitude_vision_mm: I32 = 0

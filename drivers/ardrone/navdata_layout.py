@@ -1,4 +1,4 @@
-"""Field tables of navdata options: a frozen dataclass whose annotations carry the wire type of each field.
+"""Field tables of navdata options: a named tuple whose annotations carry the wire type of each field.
 
 All options are packed, little-endian. A field `Annotated[int, "I"]` is one number, `Annotated[tuple[float, ...], "9f"]` nine;
 the letters are those of the `struct` module.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import fields
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 U8 = Annotated[int, "B"]
@@ -30,10 +29,10 @@ class OptionLayout:
 
     def __init__(self, tag: int, cls: type[Any]) -> None:
         hints = get_type_hints(cls, include_extras=True)
-        codes = [hints[f.name].__metadata__[0] for f in fields(cls)]
+        codes = [hints[name].__metadata__[0] for name in cls._fields]
         self.tag = tag
         self.cls = cls
-        self.names = tuple(f.name for f in fields(cls))
+        self.names: tuple[str, ...] = cls._fields
         self.body = struct.Struct("<" + "".join(codes))
         self.size = OPTION_HEADER.size + self.body.size
         self._plan: list[tuple[int, int | None]] = []
@@ -72,7 +71,7 @@ C = TypeVar("C", bound=type[Any])
 
 
 def option(tag: int) -> Callable[[C], C]:
-    """Enter a dataclass into the table of options under its tag; two classes of one tag differ in size."""
+    """Enter a class into the table of options under its tag; two classes of one tag differ in size."""
 
     def enter(cls: C) -> C:
         LAYOUT_OF_CLASS[cls] = OptionLayout(tag, cls)

@@ -5,8 +5,7 @@ Source: Parrot SDK 2.0.1 `navdata_common.h`; the GPS body from a datagram of fir
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from drivers.ardrone.navdata_layout import F32, F64, I16, I32, U8, U32, Floats, Ints, option
 
@@ -14,16 +13,14 @@ _ZERO3 = (0.0, 0.0, 0.0)
 
 
 @option(17)
-@dataclass(frozen=True, slots=True)
-class Watchdog:
+class Watchdog(NamedTuple):
     """Count of the control loop's watchdog."""
 
     watchdog: I32 = 0
 
 
 @option(18)
-@dataclass(frozen=True, slots=True)
-class AdcDataFrame:
+class AdcDataFrame(NamedTuple):
     """Raw frame of the converter board."""
 
     version: U32 = 0
@@ -31,8 +28,7 @@ class AdcDataFrame:
 
 
 @option(21)
-@dataclass(frozen=True, slots=True)
-class PressureRaw:
+class PressureRaw(NamedTuple):
     """Barometer."""
 
     up: I32
@@ -43,8 +39,7 @@ class PressureRaw:
 
 
 @option(22)
-@dataclass(frozen=True, slots=True)
-class Magneto:
+class Magneto(NamedTuple):
     """Magnetometer, milligauss and degrees."""
 
     mx: I16 = 0
@@ -64,8 +59,7 @@ class Magneto:
 
 
 @option(23)
-@dataclass(frozen=True, slots=True)
-class WindSpeed:
+class WindSpeed(NamedTuple):
     """The wind that the drone estimates: speed in m/s, direction in radians in the north-east plane."""
 
     wind_speed_m_s: F32 = 0.0
@@ -77,8 +71,7 @@ class WindSpeed:
 
 
 @option(24)
-@dataclass(frozen=True, slots=True)
-class KalmanPressure:
+class KalmanPressure(NamedTuple):
     """The drone's own height filter over pressure, ultrasound and motors."""
 
     offset_pressure_pa: F32 = 0.0
@@ -101,16 +94,14 @@ class KalmanPressure:
 
 
 @option(26)
-@dataclass(frozen=True, slots=True)
-class Wifi:
+class Wifi(NamedTuple):
     """Radio link."""
 
     link_quality: U32 = 0
 
 
 @option(27)
-@dataclass(frozen=True, slots=True)
-class Zimmu3000:
+class Zimmu3000(NamedTuple):
     """Option 27 of firmware up to 2.3."""
 
     vzimmu_lsb: I32 = 0
@@ -118,8 +109,7 @@ class Zimmu3000:
 
 
 @option(27)
-@dataclass(frozen=True, slots=True)
-class Gps:
+class Gps(NamedTuple):
     """Option 27 of firmware 2.4.8 with the flight recorder."""
 
     lat_deg: F64 = 0.0

@@ -5,8 +5,7 @@ Source: Parrot SDK 2.0.1 `navdata_common.h`, checked against a datagram of firmw
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from drivers.ardrone.navdata_layout import F32, I32, U8, U32, Floats, Ints, option
 
@@ -15,16 +14,14 @@ _ZERO5F = (0.0,) * 5
 
 
 @option(11)
-@dataclass(frozen=True, slots=True)
-class VisionRaw:
+class VisionRaw(NamedTuple):
     """The translation between two frames that the flow sensor measured."""
 
     vision_t_raw: Annotated[Floats, "3f"] = (0.0, 0.0, 0.0)
 
 
 @option(12)
-@dataclass(frozen=True, slots=True)
-class VisionOf:
+class VisionOf(NamedTuple):
     """Optical flow at five points."""
 
     of_dx: Annotated[Floats, "5f"] = _ZERO5F
@@ -32,8 +29,7 @@ class VisionOf:
 
 
 @option(13)
-@dataclass(frozen=True, slots=True)
-class Vision:
+class Vision(NamedTuple):
     """The state of the flow sensor, with the attitude at the frame that it used last."""
 
     vision_state: U32 = 0
@@ -61,8 +57,7 @@ class Vision:
 
 
 @option(14)
-@dataclass(frozen=True, slots=True)
-class VisionPerf:
+class VisionPerf(NamedTuple):
     """The times that the vision stages took."""
 
     time_szo: F32 = 0.0
@@ -75,8 +70,7 @@ class VisionPerf:
 
 
 @option(15)
-@dataclass(frozen=True, slots=True)
-class TrackersSend:
+class TrackersSend(NamedTuple):
     """Thirty tracked points: locked flags, then x0, y0, x1, y1, ..."""
 
     locked: Annotated[Ints, "30i"] = (0,) * 30
@@ -84,8 +78,7 @@ class TrackersSend:
 
 
 @option(16)
-@dataclass(frozen=True, slots=True)
-class VisionDetect:
+class VisionDetect(NamedTuple):
     """Up to four tags that the drone itself detected; positions and sizes are 0..1000 for any frame size."""
 
     nb_detected: U32 = 0
@@ -102,8 +95,7 @@ class VisionDetect:
 
 
 @option(19)
-@dataclass(frozen=True, slots=True)
-class VideoStream:
+class VideoStream(NamedTuple):
     """The live encoder."""
 
     quant: U8 = 0
@@ -121,8 +113,7 @@ class VideoStream:
 
 
 @option(20)
-@dataclass(frozen=True, slots=True)
-class Games:
+class Games(NamedTuple):
     """Counters of the drone's games."""
 
     double_tap_counter: U32 = 0
@@ -130,8 +121,7 @@ class Games:
 
 
 @option(25)
-@dataclass(frozen=True, slots=True)
-class HdvideoStream:
+class HdvideoStream(NamedTuple):
     """The state of the recorder; its bits are 0 FIFO full, 8 key present, 9 recording, 10 key full."""
 
     hdvideo_state: U32 = 0

@@ -27,11 +27,12 @@ from drivers.ardrone.navdata import (
 )
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 
 G_M_S2 = 9.80665
+_M_S2_PER_MG = 1e-3 * G_M_S2
 _SATELLITES_LEAST = 5
 """Number of satellites below which a place is not taken: four give one without any check."""
 _COMMAND_ACK = int(NavdataState.COMMAND_ACK)
@@ -62,12 +63,12 @@ def samples_from_navdata(navdata: Navdata, stamp: Stamp, options: ArDroneOptions
         Range (along the body's down axis), Baro (height over the 1013.25 hPa level), GeoFix (by the flight
         recorder, where there is one), VehicleStatus, in this order.
     """
-    out = _of_every_datagram(navdata, stamp, options)
+    out = _of_every_datagram(navdata, stamp, options, _attitude_cov(options))
     out += [made for make, _ in _REPEATED.values() if (made := make(navdata, stamp, options)) is not None]
     return out
 
 
-def _of_every_datagram(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> list[Sample]:
+def _of_every_datagram(navdata: Navdata, stamp: Stamp, options: ArDroneOptions, attitude_cov: F64) -> list[Sample]:
     """Return the samples whose sensors are read anew for every datagram."""
     out: list[Sample] = []
     imu = _imu(navdata, stamp)
@@ -78,12 +79,22 @@ def _of_every_datagram(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) 
         angles = (demo.phi_mdeg, demo.theta_mdeg, demo.psi_mdeg)
         if _finite(angles):
             roll, pitch, yaw = (math.radians(a * 1e-3) for a in angles)
-            tilt_var, yaw_var = options.sigma_tilt_rad**2, options.sigma_yaw_rad**2
-            cov = np.array([[tilt_var, 0.0, 0.0], [0.0, tilt_var, 0.0], [0.0, 0.0, yaw_var]])
-            out.append(Attitude(stamp, Rotation.from_rpy(roll, pitch, yaw), cov))
+            out.append(Attitude(stamp, Rotation.from_rpy(roll, pitch, yaw), attitude_cov))
         if _finite((demo.vx_mm_s, demo.vy_mm_s)):
             out.append(_velocity(demo, stamp, options))
     return out
+
+
+def _attitude_cov(options: ArDroneOptions) -> F64:
+    tilt_var, yaw_var = options.sigma_tilt_rad**2, options.sigma_yaw_rad**2
+    return _fixed([[tilt_var, 0.0, 0.0], [0.0, tilt_var, 0.0], [0.0, 0.0, yaw_var]])
+
+
+def _fixed(numbers: list[Any]) -> F64:
+    """Return numbers as a read-only array, which a sample keeps without a copy."""
+    a = np.array(numbers)
+    a.setflags(write=False)
+    return a
 
 
 def height_of_pressure_m(pressure_pa: float) -> float:
@@ -105,12 +116,13 @@ class NavdataSampler:
 
     def __init__(self, options: ArDroneOptions = DEFAULT, repeat_s: float = 0.1) -> None:
         self._options = options
+        self._attitude_cov = _attitude_cov(options)
         self._repeat_s = repeat_s
         self._given: dict[type[Any], tuple[Any, MonoNs]] = {}
 
     def samples(self, navdata: Navdata, stamp: Stamp) -> list[Sample]:
         """Return the samples that are new in this datagram."""
-        out = _of_every_datagram(navdata, stamp, self._options)
+        out = _of_every_datagram(navdata, stamp, self._options, self._attitude_cov)
         for kind, (make, source) in _REPEATED.items():
             key = source(navdata)
             if self._repeats(kind, key, stamp.measured_at):
@@ -140,15 +152,16 @@ def _imu(navdata: Navdata, stamp: Stamp) -> Imu | None:
     measures = navdata.get(PhysMeasures)
     if measures is None or not _finite(measures.phys_accs_mg + measures.phys_gyros_deg_s):
         return None
-    return Imu(stamp, np.radians(measures.phys_gyros_deg_s), np.array(measures.phys_accs_mg) * (1e-3 * G_M_S2))
+    w_body = _fixed([math.radians(w) for w in measures.phys_gyros_deg_s])
+    return Imu(stamp, w_body, _fixed([f * _M_S2_PER_MG for f in measures.phys_accs_mg]))
 
 
 def _velocity(demo: Demo, stamp: Stamp, options: ArDroneOptions) -> BodyVelocity:
     scale = 1e-3 / options.velocity_scale
     ahead, aside = scale * demo.vx_mm_s, scale * demo.vy_mm_s
     var = options.sigma_velocity_m_s**2 + (options.sigma_velocity_fraction * min(math.hypot(ahead, aside), 1e6)) ** 2
-    v = np.array([ahead, aside, 0.0])
-    return BodyVelocity(stamp, v, np.array([[var, 0.0, 0.0], [0.0, var, 0.0], [0.0, 0.0, UNKNOWN_VAR]]))
+    cov = _fixed([[var, 0.0, 0.0], [0.0, var, 0.0], [0.0, 0.0, UNKNOWN_VAR]])
+    return BodyVelocity(stamp, _fixed([ahead, aside, 0.0]), cov)
 
 
 def _range(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> Range | None:

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import av
 import numpy as np
-from av.error import FFmpegError
-from av.video.codeccontext import VideoCodecContext
 from numpy.typing import NDArray
 
 from drivers.ardrone.pave import CODEC_H264, FrameType, PaveFrame
 
-MAX_PIXELS = 1920 * 1088
+if TYPE_CHECKING:
+    from av import VideoFrame
+
+    from drivers.ardrone.h264 import AccessUnitDecoder
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +34,7 @@ class VideoDecoder:
     """Takes access units and returns the newest frame. Every unit is counted by exactly one of the counters."""
 
     def __init__(self) -> None:
-        self._codec: VideoCodecContext | None = None
+        self._codec: AccessUnitDecoder | None = None
         self.images = 0
         """Units whose frame was returned."""
         self.overtaken = 0
@@ -56,7 +57,7 @@ class VideoDecoder:
         """Decode a batch in order and convert only its newest frame; units before the batch's last IDR are not even decoded."""
         start = max((i for i, f in enumerate(batch) if _entry(f)), default=0)
         self.overtaken += start
-        seen: tuple[int, av.VideoFrame] | None = None
+        seen: tuple[int, VideoFrame] | None = None
         for index in range(start, len(batch)):
             image = self._decode(batch[index])
             if image is not None:
@@ -67,7 +68,7 @@ class VideoDecoder:
         self.images += 1
         return DecodedImage(seen[0], np.asarray(seen[1].to_ndarray(format="bgr24"), dtype=np.uint8))
 
-    def _decode(self, unit: PaveFrame) -> av.VideoFrame | None:
+    def _decode(self, unit: PaveFrame) -> VideoFrame | None:
         header = unit.header
         if header.advertisement or not unit.payload:
             self.empty += 1
@@ -82,11 +83,8 @@ class VideoDecoder:
             if not _entry(unit):
                 self.waiting += 1
                 return None
-            self._codec = _new_codec()
-        try:
-            images = self._codec.decode(av.Packet(unit.payload))
-        except FFmpegError:
-            images = []
+            self._codec = new_codec()
+        images = self._codec.decode(unit.payload)
         if not images and header.frame_type == FrameType.HEADERS:
             self.empty += 1
             return None
@@ -104,8 +102,8 @@ def _entry(unit: PaveFrame) -> bool:
     return header.frame_type == FrameType.IDR and whole and not header.advertisement and bool(unit.payload)
 
 
-def _new_codec() -> VideoCodecContext:
-    codec = VideoCodecContext.create("h264", "r")
-    codec.thread_type = "NONE"
-    codec.options = {"err_detect": "explode", "max_pixels": str(MAX_PIXELS)}
-    return codec
+def new_codec() -> AccessUnitDecoder:
+    """Return a decoder that waits for an IDR. The first call in a process loads the decoder's libraries."""
+    from drivers.ardrone.h264 import AccessUnitDecoder
+
+    return AccessUnitDecoder()

@@ -9,7 +9,7 @@ from drivers.ardrone.counters import Counters
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.pave import PaveFrame, PaveParser
 from drivers.ardrone.setup import Setup
-from drivers.ardrone.video import VideoDecoder
+from drivers.ardrone.video import VideoDecoder, new_codec
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.mailbox import Latest
 from estimator.contracts.errors import Recoverable
@@ -58,6 +58,8 @@ class VideoChannel:
             reader, writer = await asyncio.open_connection(self._o.host, self._o.video_port, limit=4 * _READ)
         self._parser.reset()
         with ThreadPoolExecutor(1, "ardrone-video") as pool:
+            # It loads the libraries while the first frame is on its way.
+            pool.submit(new_codec)
             try:
                 while True:
                     try:

@@ -89,7 +89,8 @@ class Rotation:
 
         Source: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., eq. 2.31.
         """
-        return Rotation(rpy_matrix(roll_rad, pitch_rad, yaw_rad))
+        m = rpy_matrix(roll_rad, pitch_rad, yaw_rad)
+        return _unchecked(m) if math.isfinite(roll_rad + pitch_rad + yaw_rad) else Rotation(m)
 
     @staticmethod
     def from_rotvec(rotvec_rad: ArrayLike) -> Rotation:

@@ -17,22 +17,38 @@ UNKNOWN_VAR = 1e6
 """Variance (SI units squared) of a direction that was not measured."""
 
 
-def _vector(name: str, value: F64, shape: tuple[int, ...]) -> F64:
+_CHECKED: dict[str, F64] = {}
+"""The newest read-only covariance that was found to be one, by name: a driver may give the same one with each of its samples."""
+
+
+def _own(value: F64) -> F64:
+    """Return the numbers as a read-only array that nobody else can write to: the value itself if it is one, else a copy."""
+    if type(value) is np.ndarray and value.dtype == np.float64 and value.base is None and not value.flags.writeable:
+        return value
     a = np.array(value, dtype=float)
+    a.setflags(write=False)
+    return a
+
+
+def _vector(name: str, value: F64, shape: tuple[int, ...]) -> F64:
+    a = _own(value)
     # In plain numbers: there are hundreds of samples a second, and numpy's calls on a few numbers take ten times as long.
     numbers = a.ravel().tolist()
     # A sum is finite only of finite numbers; one that is not may have overflowed.
     if a.shape != shape or not (math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))):
         raise ValueError(f"{name} needs finite numbers of shape {shape}, got {value!r}")
-    a.setflags(write=False)
     return a
 
 
 def _covariance(name: str, value: F64, n: int) -> F64:
+    if value is _CHECKED.get(name):
+        return value
     a = _vector(name, value, (n, n))
     gap = 0.0 if a.tobytes() == a.T.tobytes() else float(np.abs(a - a.T).max())
     if min(a.diagonal().tolist()) < 0.0 or (gap > 1e-9 and gap > 1e-9 * float(np.abs(a).max())):
         raise ValueError(f"{name} must be symmetric with a non-negative diagonal, got {value!r}")
+    if a is value:
+        _CHECKED[name] = a
     return a
 
 
