@@ -6,11 +6,14 @@ _GATE = ("tests/estimator/ekf/test_gate_bounds.py", "tests/estimator/ekf/test_ga
 _CORE = ("tests/estimator/ekf/test_core.py", "tests/estimator/ekf/test_algebra.py")
 _SIGHTINGS = ("tests/estimator/ekf/test_core_sightings.py", "tests/estimator/ekf/test_vision_update_bounds.py")
 _ANSWERS = ("tests/estimator/ekf/test_answer.py", "tests/estimator/ekf/test_filter_bounds.py")
+_FORECASTS = ("tests/estimator/ekf/test_forecast.py", "tests/estimator/ekf/test_filter_bounds.py")
 _INTEGRITY = ("tests/estimator/integrity",)
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/answer.c": _ANSWERS,
     "estimator/core/jacobian.c": _ANSWERS,
+    "estimator/core/forecast.c": _FORECASTS,
+    "estimator/core/bank_ahead.c": _FORECASTS,
     "estimator/core/filter.c": _CORE,
     "estimator/core/aiding.c": _CORE,
     "estimator/core/propagate.c": _CORE,

@@ -20,18 +20,8 @@ typedef struct {
     const double *P;
     /* The state with the deck at the body's time. */
     double x[N];
-    /* Cosine and sine of the body's heading, and its derivative by the attitude error. */
-    double c, s, turning[3];
+    level_axes level;
 } settled;
-
-/* A vector in level axes turns against the body's heading. */
-static void add_turning(const settled *now, const double level[3], double *J)
-{
-    for (int k = 0; k < 3; k++) {
-        AT(J, 0, ATT_ERR + k) += level[1] * now->turning[k];
-        AT(J, 1, ATT_ERR + k) -= level[0] * now->turning[k];
-    }
-}
 
 /* Place and velocity of the pad in level and the body's heading against the arrow, with the covariance at the instant. */
 static void answer_pad(const settled *now, const double *F, const double *Q, answer *out)
@@ -47,13 +37,13 @@ static void answer_pad(const settled *now, const double *F, const double *Q, ans
     for (int i = 0; i < 3; i++) {
         out->v[i] -= now->x[VEL + i];
     }
-    turn_rows(now->c, now->s, J);
-    turn_rows(now->c, now->s, J + 3 * N);
-    turn_vector(now->c, now->s, out->d);
-    turn_vector(now->c, now->s, out->v);
-    add_turning(now, out->d, J);
-    add_turning(now, out->v, J + 3 * N);
-    memcpy(J + 6 * N + ATT_ERR, now->turning, sizeof now->turning);
+    turn_rows(&now->level, J);
+    turn_rows(&now->level, J + 3 * N);
+    turn_vector(&now->level, out->d);
+    turn_vector(&now->level, out->v);
+    add_turning(&now->level, out->d, J);
+    add_turning(&now->level, out->v, J + 3 * N);
+    memcpy(J + 6 * N + ATT_ERR, now->level.turning, sizeof now->level.turning);
     AT(J, 6, PAD_YAW) = -1.0;
     out->yaw = out->heading - now->x[PAD_YAW];
     through_alignment(7, now->b->x, J);
@@ -81,8 +71,8 @@ static void answer_body(const filter_params *o, const settled *now, answer *out)
         }
         out->cov_a_body[4 * i] = o->psd_accel * IMU_HZ;
     }
-    turn_rows(now->c, now->s, J);
-    turn_vector(now->c, now->s, out->a_body);
+    turn_rows(&now->level, J);
+    turn_vector(&now->level, out->a_body);
     out->a_body[2] += GRAVITY_M_S2;
     add_spread(3, J, now->P, out->cov_a_body);
     memcpy(out->levelled_by, b->levelled_by, sizeof out->levelled_by);
@@ -123,10 +113,10 @@ static void answer_deck(const settled *now, answer *out)
     add_pad_velocity(now->x, J);
     pad_acceleration(now->b, now->x, out->a_deck, J + 3 * N);
     for (int i = 0; i < 6; i += 3) {
-        turn_rows(now->c, now->s, J + i * N);
+        turn_rows(&now->level, J + i * N);
     }
-    turn_vector(now->c, now->s, out->v_deck);
-    turn_vector(now->c, now->s, out->a_deck);
+    turn_vector(&now->level, out->v_deck);
+    turn_vector(&now->level, out->a_deck);
     for (int k = 0; k < 2; k++) {
         const int at = PER_DIRECTION * (IN_ROLL + k);
         AT(tilt, k, DISP + at) = AT(tilt, k, DECK_TRIM + k) = AT(tilt, 2 + k, RATE + at) = 1.0;
@@ -152,9 +142,7 @@ void filter_answer(const filter_params *o, int64_t t, const belief *before, cons
     now.P = c.P;
     align(b.x, now.x);
     out->heading = atan2(b.R[3], b.R[0]);
-    now.c = cos(out->heading);
-    now.s = sin(out->heading);
-    heading_by_rotation(b.R, now.turning);
+    level_axes_of(b.R, &now.level);
     out->sighted = b.sighted;
     out->agreed = b.agreed;
     out->heading_known = b.heading_known;

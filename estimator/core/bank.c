@@ -34,8 +34,7 @@ typedef struct {
     double q[4][4][MEMBERS];
 } member_step;
 
-/* The place in the upper triangle's rows of (i, j), i <= j. */
-static int pair(int i, int j)
+int member_pair(int i, int j)
 {
     return i <= j ? i * (2 * STATES - 1 - i) / 2 + j : j * (2 * STATES - 1 - j) / 2 + i;
 }
@@ -143,7 +142,7 @@ static void carry_covariances(const double *F[STATES][STATES], const double *P, 
         for (int k = first; k < STATES; k++) {
             products sum = {0};
             for (int l = 0; l < STATES; l++) {
-                add_product(&sum, F[i][l], P + pair(l, k) * MEMBERS);
+                add_product(&sum, F[i][l], P + member_pair(l, k) * MEMBERS);
             }
             evaluate(&sum, FP[k]);
         }
@@ -152,7 +151,7 @@ static void carry_covariances(const double *F[STATES][STATES], const double *P, 
             for (int k = first; k < STATES; k++) {
                 add_product(&sum, F[j][k], FP[k]);
             }
-            evaluate(&sum, after + pair(i, j) * MEMBERS);
+            evaluate(&sum, after + member_pair(i, j) * MEMBERS);
         }
     }
 }
@@ -173,7 +172,7 @@ static void add_noises(const member_step *s, const double *sigma, double noise[3
 {
     for (int i = 0; i < 4; i++) {
         for (int j = i; j < 4; j++) {
-            double *row = P + pair(i, j) * MEMBERS;
+            double *row = P + member_pair(i, j) * MEMBERS;
             for (int g = 0; g < MEMBERS; g++) {
                 row[g] += sigma[g] * sigma[g] * s->q[i][j][g];
             }
@@ -181,7 +180,7 @@ static void add_noises(const member_step *s, const double *sigma, double noise[3
     }
     for (int i = 0; i < 3; i++) {
         for (int j = i; j < 3; j++) {
-            double *row = P + pair(OFFSET + i, OFFSET + j) * MEMBERS;
+            double *row = P + member_pair(OFFSET + i, OFFSET + j) * MEMBERS;
             for (int g = 0; g < MEMBERS; g++) {
                 row[g] += noise[i][j];
             }
@@ -208,7 +207,7 @@ static inline void look(double y, double var, double *x, double *P, double *log_
 {
     double PH[STATES][MEMBERS], S[MEMBERS], innov[MEMBERS];
     for (int i = 0; i < STATES; i++) {
-        const double *displacement = P + pair(0, i) * MEMBERS, *offset = P + pair(OFFSET, i) * MEMBERS;
+        const double *displacement = P + member_pair(0, i) * MEMBERS, *offset = P + member_pair(OFFSET, i) * MEMBERS;
         for (int g = 0; g < MEMBERS; g++) {
             PH[i][g] = displacement[g] + offset[g];
         }
@@ -225,7 +224,7 @@ static inline void look(double y, double var, double *x, double *P, double *log_
             x[i * MEMBERS + g] += K[g] * innov[g];
         }
         for (int j = i; j < STATES; j++) {
-            double *row = P + pair(i, j) * MEMBERS;
+            double *row = P + member_pair(i, j) * MEMBERS;
             for (int g = 0; g < MEMBERS; g++) {
                 row[g] -= K[g] * PH[j][g];
             }
@@ -282,11 +281,7 @@ static void summarise(const bank_members *m, sea *s)
     }
 }
 
-/* The weights of one direction's members for a forecast, with `rest` for the member at rest.
- *
- * No sea is exactly one of the members, so the evidence counts for less than if one of them were the truth.
- * Source: Grunwald and van Ommen, Inconsistency of Bayesian inference for misspecified linear models, Bayesian Analysis, 2017. */
-static void weigh_ahead(const bank_members *m, const double *log_weight, double rest, double weight[MEMBERS])
+void weigh_ahead(const bank_members *m, const double *log_weight, double rest, double weight[MEMBERS])
 {
     double sum = 0.0;
     for (int g = 0; g < MEMBERS; g++) {
@@ -344,11 +339,11 @@ void bank_begin(const bank_members *m, sea *after)
             oscillator_at_rest(m->w[g], m->zeta[g], at_rest);
             for (int i = 0; i < 4; i++) {
                 for (int j = i; j < 4; j++) {
-                    P[pair(i, j) * MEMBERS + g] = sigma[g] * sigma[g] * at_rest[i][j];
+                    P[member_pair(i, j) * MEMBERS + g] = sigma[g] * sigma[g] * at_rest[i][j];
                 }
             }
             for (int i = 0; i < 3; i++) {
-                P[pair(OFFSET + i, OFFSET + i) * MEMBERS + g] = k < 3 ? DRIFT_VAR[i] : i == 0 ? LIST_RAD * LIST_RAD : 0.0;
+                P[member_pair(OFFSET + i, OFFSET + i) * MEMBERS + g] = k < 3 ? DRIFT_VAR[i] : i == 0 ? LIST_RAD * LIST_RAD : 0.0;
             }
         }
     }

@@ -15,4 +15,12 @@
 /* Members look at most this often, s; a wave is seen dozens of times anyway. */
 #define LOOK_PERIOD_S 0.2
 
+/* The weights of one direction's members for a forecast, with `rest` for the member at rest.
+ *
+ * No sea is exactly one of the members, so the evidence counts for less than if one of them were the truth.
+ * Source: Grunwald and van Ommen, Inconsistency of Bayesian inference for misspecified linear models, Bayesian Analysis, 2017. */
+void weigh_ahead(const bank_members *m, const double *log_weight, double rest, double weight[MEMBERS]);
+/* The place of (i, j) in the rows of the upper triangle of a member's covariance. */
+int member_pair(int i, int j);
+
 #endif

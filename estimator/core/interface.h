@@ -29,6 +29,9 @@
 #define COLUMNS_MAX 14
 #define KINDS 4
 #define DIRECTIONS 5
+#define OSCILLATORS 28
+#define MEMBER_SIZES 5
+#define WAVE_PAIRS 10
 #define MEMBERS 136
 #define MEMBER_STATES 7
 #define MEMBER_PAIRS 28
@@ -257,6 +260,26 @@ typedef struct {
     double nis;
     double nis_max;
 } outcome;
+
+typedef struct {
+    double row[224];
+    double noise[56];
+    double squares[840];
+} horizon_reach;
+
+typedef struct {
+    double d[3];
+    double cov_d[9];
+    double v_pad[3];
+    double height;
+    double sigma_height;
+    double rise;
+    double sigma_rise;
+    double roll;
+    double sigma_roll;
+    double pitch;
+    double sigma_pitch;
+} deck_ahead;
 
 typedef struct {
     int64_t has_pad;
@@ -515,6 +538,9 @@ void filter_answer(const filter_params *o, int64_t t, const belief *before, cons
 void bank_begin(const bank_members *m, sea *after);
 void bank_observe(const filter_params *o, int64_t t, const double *y, const double *var, double ins_var, double reach_m, const sea *before, sea *after);
 
+/* bank_ahead.c */
+void bank_reach(const bank_members *m, int32_t n, const double *horizons_s, horizon_reach *out);
+
 /* core.c */
 uint32_t core_digest(void);
 
@@ -522,6 +548,9 @@ uint32_t core_digest(void);
 int32_t filter_run(const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before, const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after, int64_t *P_index, int64_t *sea_index, outcome *first);
 int32_t filter_propagate(const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before, belief *after, double *P_after);
 void filter_settle(const filter_params *o, const belief *before, belief *after, double *F, double *Q);
+
+/* forecast.c */
+int32_t filter_forecast(const filter_params *o, int64_t t, const belief *before, const double *P_before, const sea *bank, int32_t n, const double *horizons_s, const horizon_reach *reach, deck_ahead *out);
 
 /* kalman.c */
 int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis);
@@ -563,7 +592,7 @@ void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea
 void vehicle_carry(vehicle *v, const deck *g);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 1779037367u
+#define INTERFACE_DIGEST 1184505768u
 #endif
 
 #endif

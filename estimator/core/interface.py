@@ -31,8 +31,16 @@ KINDS = 4
 """Number of kinds of aiding."""
 DIRECTIONS = 5
 """Directions in which a deck moves on waves: north, east, down, roll, pitch."""
-MEMBERS = 136
-"""Number of oscillators that the bank of each direction compares."""
+OSCILLATORS = 28
+"""Number of different oscillators in the bank of a direction: the one at rest, then the others."""
+MEMBER_SIZES = 5
+"""Number of sizes in which each oscillator but the one at rest comes; they lie side by side."""
+MEMBERS = 1 + (OSCILLATORS - 1) * MEMBER_SIZES
+"""Number of oscillators of some size that the bank of each direction compares."""
+WAVE_STATES = 4
+"""Number of states of a wave: displacement, rate, force, its rate."""
+WAVE_PAIRS = WAVE_STATES * (WAVE_STATES + 1) // 2
+"""Numbers of a wave's covariance: its upper triangle in rows."""
 MEMBER_STATES = 7
 """Number of states of one: displacement, rate, force, its rate; offset of the IMU's carrying on, its rate, acceleration."""
 MEMBER_PAIRS = MEMBER_STATES * (MEMBER_STATES + 1) // 2
@@ -84,7 +92,8 @@ PHASES = ("LANDED", "TAKING_OFF", "HOVERING", "FLYING", "LANDING", "EMERGENCY")
 
 CONSTANTS = {
     "N": N, **STATE_AT, "ORDER_MAX": ORDER_MAX, "ROWS_MAX": ROWS_MAX, "COLUMNS_MAX": COLUMNS_MAX, "KINDS": KINDS,
-    "DIRECTIONS": DIRECTIONS, "MEMBERS": MEMBERS, "MEMBER_STATES": MEMBER_STATES, "MEMBER_PAIRS": MEMBER_PAIRS,
+    "DIRECTIONS": DIRECTIONS, "OSCILLATORS": OSCILLATORS, "MEMBER_SIZES": MEMBER_SIZES, "WAVE_PAIRS": WAVE_PAIRS,
+    "MEMBERS": MEMBERS, "MEMBER_STATES": MEMBER_STATES, "MEMBER_PAIRS": MEMBER_PAIRS,
     "SKILL_HORIZONS": SKILL_HORIZONS, "ISSUED_MAX": ISSUED_MAX,
     "RATIOS_MAX": RATIOS_MAX,
     "ATTITUDE": 0, "VELOCITY": 1, "RANGE": 2, "HEIGHT": 3, "IMU": 4, "VESSEL": 5, "SIGHTING": 6,
@@ -177,6 +186,12 @@ STRUCTS = {
         *_doubles(confidence=1, sigma_s=1, d_level=3, yaw_rad=1, cov=16, pose_d_level=3, pose_R=9, pose_cov=36),
     ),
     "outcome": (*_integers("verdict", "m", "axes", "has_S"), *_doubles(innov=6, S=36, nis=1, nis_max=1)),
+    "horizon_reach": _doubles(
+        row=2 * WAVE_STATES * OSCILLATORS, noise=2 * OSCILLATORS, squares=3 * WAVE_PAIRS * OSCILLATORS,
+    ),
+    "deck_ahead": _doubles(
+        d=3, cov_d=9, v_pad=3, height=1, sigma_height=1, rise=1, sigma_rise=1, roll=1, sigma_roll=1, pitch=1, sigma_pitch=1,
+    ),
     "answer": (
         *_integers("has_pad", "has_body", "sighted", "agreed", "velocity_fused", "heading_known"),
         *_doubles(
@@ -248,7 +263,9 @@ STRUCTS = {
 """The structures, without padding: every member is of eight bytes. Members mean what those of `Belief`, `Aid` and `Gathered` in
 `estimator.ekf.state`, of `DeckMotionBank` and `Skill` of the same names mean; matrices are in rows, instants are in ns. In `sea`
 and `bank_members`, arrays are by direction, then by state or pair of states, then by member of the bank. An `answer` has
-numbers of pad and deck where it has a pad, and of the body where it has a body; `estimator.ekf.answers` says what they are."""
+numbers of pad and deck where it has a pad, and of the body where it has a body; `estimator.ekf.answers` says what they are. A
+`horizon_reach` has, for one horizon and by oscillator, the rows of the transition to displacement and rate, their noise, and the
+products of the numbers of these rows and of the first one's change. A `deck_ahead` has what `Forecast` has for one horizon."""
 
 
 def size_of(name: str) -> int:
@@ -329,6 +346,19 @@ FUNCTIONS = (
         "const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, "
         "double *innov, double *H, double *R, double *by_rate",
         "sighting.c",
+    ),
+    Function(
+        "bank_reach",
+        "void",
+        "const bank_members *m, int32_t n, const double *horizons_s, horizon_reach *out",
+        "bank_ahead.c",
+    ),
+    Function(
+        "filter_forecast",
+        "int32_t",
+        "const filter_params *o, int64_t t, const belief *before, const double *P_before, const sea *bank, int32_t n, "
+        "const double *horizons_s, const horizon_reach *reach, deck_ahead *out",
+        "forecast.c",
     ),
     Function(
         "filter_answer",

@@ -1,6 +1,9 @@
 #include "jacobian.h"
 
+#include <math.h>
 #include <string.h>
+
+#include "rotation.h"
 
 /* Each direction of the deck has displacement, rate, force and its rate. */
 enum { PER_DIRECTION = 4, DISP = WAVES, RATE = WAVES + 1, ALONG_DOWN = 2 };
@@ -59,20 +62,36 @@ void add_spread(int m, const double *J, const double *C, double *cov)
     }
 }
 
-void turn_rows(double c, double s, double *J)
+void level_axes_of(const double R[9], level_axes *level)
+{
+    const double heading = atan2(R[3], R[0]);
+    level->c = cos(heading);
+    level->s = sin(heading);
+    heading_by_rotation(R, level->turning);
+}
+
+void turn_rows(const level_axes *level, double *J)
 {
     for (int k = 0; k < N; k++) {
         const double north = AT(J, 0, k), east = AT(J, 1, k);
-        AT(J, 0, k) = c * north + s * east;
-        AT(J, 1, k) = c * east - s * north;
+        AT(J, 0, k) = level->c * north + level->s * east;
+        AT(J, 1, k) = level->c * east - level->s * north;
     }
 }
 
-void turn_vector(double c, double s, double v[3])
+void turn_vector(const level_axes *level, double v[3])
 {
     const double north = v[0], east = v[1];
-    v[0] = c * north + s * east;
-    v[1] = c * east - s * north;
+    v[0] = level->c * north + level->s * east;
+    v[1] = level->c * east - level->s * north;
+}
+
+void add_turning(const level_axes *level, const double v[3], double *J)
+{
+    for (int k = 0; k < 3; k++) {
+        AT(J, 0, ATT_ERR + k) += v[1] * level->turning[k];
+        AT(J, 1, ATT_ERR + k) -= v[0] * level->turning[k];
+    }
 }
 
 static double rate_of(const double x[N], int direction)

@@ -8,10 +8,19 @@
 void rows_times(int m, const double *J, const double *F, double *JF);
 /* cov += J C J', (m, m), for a symmetric (N, N) C */
 void add_spread(int m, const double *J, const double *C, double *cov);
-/* Three rows of `ned`, turned to axes of the heading whose cosine and sinus are c and s. */
-void turn_rows(double c, double s, double *J);
-/* v turned as `turn_rows` turns rows. */
-void turn_vector(double c, double s, double v[3]);
+/* The axes of the body's heading: cosine and sine of it, and its derivative by the attitude error. */
+typedef struct {
+    double c, s, turning[3];
+} level_axes;
+
+/* The axes of level of a body with attitude R. */
+void level_axes_of(const double R[9], level_axes *level);
+/* Three rows of ned, turned to level. */
+void turn_rows(const level_axes *level, double *J);
+/* A vector in ned, turned to level. */
+void turn_vector(const level_axes *level, double v[3]);
+/* J += the three rows by which a vector, (3,) in level, turns against the heading's error. */
+void add_turning(const level_axes *level, const double v[3], double *J);
 /* x = the state with the deck moved from the camera's time to the body's. */
 void align(const double before[N], double x[N]);
 /* J <- J T, (m, N), with the Jacobian T of `align` at the state before. */

@@ -12,6 +12,13 @@ static const int64_t PERIOD_NS = 500000000;
 static const int64_t KEPT_NS = 4000000000;
 /* Time constant with which old comparisons fade, s. */
 static const double MEMORY_S = 60.0;
+/* The factor for a forecast much shorter than a period of the waves, before the first comparison. */
+static const double PRIOR = 0.8;
+/* The number of comparisons that the prior weighs: the first, plus the second times (horizon / period)^4. A wave that passes once
+ * is over before its forecasts can be compared, so beyond a period the prior decides. */
+static const double PRIOR_COUNT = 20.0, PRIOR_COUNT_FAR = 100.0;
+/* Sum of squares below which nothing was forecast. */
+static const double NOTHING = 1e-12;
 
 int skill_due(const forecast_skill *known, int64_t t)
 {
@@ -74,4 +81,36 @@ void skill_compare(forecast_skill *known, int64_t t, double now[DIRECTIONS][2], 
     issued_forecast *one = &known->issued[known->issued_n++];
     one->t = t;
     memcpy(one->waves, ahead, sizeof one->waves);
+}
+
+void skill_factors(const forecast_skill *known, const double w[DIRECTIONS], double factors[SKILL_HORIZONS][DIRECTIONS][2])
+{
+    for (int h = 0; h < SKILL_HORIZONS; h++) {
+        for (int k = 0; k < DIRECTIONS; k++) {
+            const double periods = SKILL_HORIZONS_S[h] * w[k] / (2.0 * acos(-1.0)), squared = periods * periods;
+            const double prior = PRIOR * exp(-squared), count = PRIOR_COUNT + PRIOR_COUNT_FAR * squared * squared;
+            for (int r = 0; r < 2; r++) {
+                const int at = (h * DIRECTIONS + k) * 2 + r;
+                const double slope = known->product[at] / fmax(known->square[at], NOTHING);
+                const double mean = (count * prior + known->n[h] * slope) / (count + known->n[h]);
+                factors[h][k][r] = fmin(fmax(mean, 0.0), 1.0);
+            }
+        }
+    }
+}
+
+void skill_between(double factors[SKILL_HORIZONS][DIRECTIONS][2], double horizon_s, double found[DIRECTIONS][2])
+{
+    int after = 0;
+    while (after < SKILL_HORIZONS - 1 && SKILL_HORIZONS_S[after] <= horizon_s) {
+        after++;
+    }
+    const double start = after == 0 ? 0.0 : SKILL_HORIZONS_S[after - 1];
+    const double part = fmin((horizon_s - start) / (SKILL_HORIZONS_S[after] - start), 1.0);
+    for (int k = 0; k < DIRECTIONS; k++) {
+        for (int r = 0; r < 2; r++) {
+            const double before = after == 0 ? 1.0 : factors[after - 1][k][r];
+            found[k][r] = (1.0 - part) * before + part * factors[after][k][r];
+        }
+    }
 }

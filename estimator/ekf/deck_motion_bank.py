@@ -1,6 +1,6 @@
 """What is learned of the deck's motion: a bank of oscillators for each direction, weighed by what each foretold.
 
-The core learns (estimator/core/bank.h); here are the members it compares, and the forecast by what it has learned.
+The core learns (estimator/core/bank.h) and forecasts (estimator/core/bank_ahead.h); here are the members that it compares.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from estimator.contracts.geometry import F64
 from estimator.core.interface import DIRECTIONS, MEMBER_PAIRS, MEMBER_STATES, MEMBERS, places_of, size_of
 from estimator.core.library import CORE, address, start_of
 from estimator.ekf import skill
-from estimator.ekf.oscillator import stationary, transition
+from estimator.ekf.oscillator import stationary
 
 PERIODS_S = np.geomspace(2.2, 14.0, 9)
 ZETAS = np.array([0.2, 0.35, 0.55])
@@ -24,8 +24,6 @@ SIGMAS_RAD = np.radians([0.25, 0.7, 2.0, 5.5, 15.0])
 STATIC_PRIOR = 0.5
 """Probability, before the first sighting, that the deck stands still."""
 REST_ODDS = math.log(STATIC_PRIOR / (1.0 - STATIC_PRIOR))
-_EVIDENCE_WEIGHT = 0.6
-"""Weight that a forecast gives to the evidence for a member."""
 
 
 def _grid() -> tuple[F64, F64, F64, F64]:
@@ -42,7 +40,6 @@ W, ZETA, SIGMA, LOG_PRIOR = _grid()
 """(G,) rad/s, (G,), (5, G) m or rad, (G,): the members."""
 AT_REST = stationary(W, ZETA)
 """(G, 4, 4) for sigma = 1."""
-_PRESENT = np.array([1.0, 0.0, 0.0, 0.0])
 CARRIED = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
 """Whether the IMU's errors affect a direction, (5,); a deck's roll and pitch are measured directly."""
 _PAIRS = np.triu_indices(MEMBER_STATES)
@@ -207,83 +204,6 @@ def _write(words: F64, bank: DeckMotionBank) -> None:
         into[:1].view(np.int64)[:], into[1:] = one.t, one.waves.ravel()
     for name in ("n", "product", "square"):
         known[_SKILL[name]] = getattr(bank.skill, name).ravel()
-
-
-def _weight_ahead(log_weight: F64, rest: F64) -> F64:
-    """Return the (5, G) weights for a forecast, with (5, 1) `rest` for the member at rest.
-
-    No sea is exactly one of the members, so the evidence counts for less than if one of them were the truth.
-    Source: Grunwald and van Ommen, Inconsistency of Bayesian inference for misspecified linear models, Bayesian Analysis, 2017.
-    """
-    log_weight = _EVIDENCE_WEIGHT * (log_weight - LOG_PRIOR)[:, 1:]
-    weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
-    return np.concatenate([rest, (1.0 - rest) * weight / weight.sum(axis=1, keepdims=True)], axis=1)
-
-
-class Ahead(NamedTuple):
-    """The forecast of the bank at H instants: displacement and rate by direction, (H, 5, 2)."""
-
-    mean: F64
-    """The weighted mean of the members' forecasts, scaled by the forecast skill."""
-    change: F64
-    """The forecast displacement minus the present one, (H, 5)."""
-    by_rate: F64
-    """Derivative of the forecast with respect to the present rates."""
-    var: F64
-    """Variance of the forecast without the part that the uncertainty of the present rates adds, (H, 5, 2)."""
-    var_change: F64
-    """The same variance of the displacement's change, (H, 5)."""
-
-
-def ahead(sea: DeckMotionBank, t: int, rate: F64, horizons_s: F64) -> Ahead:
-    """Forecast the waves from `t`, ns, on.
-
-    Every member goes on from its own state: what pushes it belongs to its own period and damping, and another's would send it
-    elsewhere. Only the present rate is the main filter's, which has seen more.
-
-    Args:
-        rate: (5,) present rate by direction.
-        horizons_s: (H,)
-    """
-    A, q = transition(W, ZETA, max(0, t - sea.t) * 1e-9 if sea.t >= 0 else 0.0, AT_REST)
-    size, weight = (SIGMA**2)[..., None], _weight_ahead(sea.log_weight, sea.weight[:, :1])
-    w = weight[..., None]
-    x = (A @ sea.x[..., :4, None])[..., 0]
-    P = A @ sea.P[..., :4, :4] @ A.transpose(0, 2, 1) + size[..., None] * q
-    x[..., 1] += (rate - (weight * x[..., 1]).sum(axis=1))[:, None]
-    column = P[..., 1]
-    P = P - column[..., :, None] * column[..., None, :] / np.maximum(column[..., 1], 1e-18)[..., None, None]
-    now = (w * x).sum(axis=1)[:, 0]
-    # Arrays have axes (direction, member, horizon, displacement or rate): one product a member, whatever the number of horizons.
-    reach, noise = _reach(tuple(horizons_s.tolist()))
-    member = weight[..., None, None]
-    a = reach.reshape(W.size, -1, 2, 4)
-    observed = (x[:, :, None, :] @ reach.transpose(0, 2, 1)).reshape(*x.shape[:2], -1, 2)
-    mean = (member * observed).sum(axis=1)
-    own = (((reach @ P) * reach).sum(axis=-1)).reshape(observed.shape)
-    var = (member * (own + size[..., None] * noise + (observed - mean[:, None]) ** 2)).sum(axis=1)
-    change = a[:, :, 0] - _PRESENT
-    moved = observed[..., 0] - x[..., :1]
-    spread = (moved - (member[..., 0] * moved).sum(axis=1, keepdims=True)) ** 2
-    own_change = ((change @ P) * change).sum(axis=-1)
-    var_change = (member[..., 0] * (own_change + size * noise[..., 0] + spread)).sum(axis=1).T
-    by_rate = np.einsum("cg,ghr->hcr", weight, a[..., 1])
-    mean, var = mean.transpose(1, 0, 2), var.transpose(1, 0, 2)
-    kept = skill.factor(sea.skill, horizons_s, sea.w_rad_s)
-    skill_var = ((1.0 - kept) * mean) ** 2
-    mean = kept * mean
-    return Ahead(mean, mean[..., 0] - now, by_rate, var + skill_var, var_change + skill_var[..., 0])
-
-
-@lru_cache(maxsize=16)  # guidance asks for the same horizons again and again
-def _reach(horizons_s: tuple[float, ...]) -> tuple[F64, F64]:
-    """Return displacement and rate of the members at H horizons: (G, H 2, 4) of the transition, (G, H, 2) noise for sigma = 1."""
-    steps = [transition(W, ZETA, horizon, AT_REST) for horizon in horizons_s]
-    reach = np.stack([step.A[:, :2] for step in steps], axis=1).reshape(W.size, -1, 4)
-    noise = np.stack([np.diagonal(step.q, axis1=1, axis2=2)[:, :2] for step in steps], axis=1)
-    reach.setflags(write=False)
-    noise.setflags(write=False)
-    return reach, noise
 
 
 def log_evidence_of_rest(sea: DeckMotionBank) -> float:

@@ -14,14 +14,13 @@ from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
 from estimator.ekf import forecast as forecasting
-from estimator.ekf import measure, motion
+from estimator.ekf import motion
 from estimator.ekf.answers import FilterAnswer
 from estimator.ekf.deck_motion_bank import log_evidence_of_rest
 from estimator.ekf.forecast import Forecast, probability_of_motion
 from estimator.ekf.history import History, put
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.packed_belief import WITH_COVARIANCE
 from estimator.ekf.packed_event import Event
 from estimator.ekf.propagate import FilterParams, result
 from estimator.ekf.state import VESSEL_VEL, Belief
@@ -122,10 +121,6 @@ def motion_at(ekf: Ekf, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | No
     return (None, None) if answer is None else (answer.body, answer.deck)
 
 
-def _tracked(b: Belief, now: MonoNs, o: EkfOptions) -> bool:
-    return b.sighted >= 0 and (now - b.sighted) * 1e-9 <= o.forget_s
-
-
 def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Forecast | None:
     """Return the forecast of the deck at `now` plus each of the horizons, or None if no pad is tracked.
 
@@ -137,16 +132,11 @@ def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Foreca
     Raises:
         ValueError: a horizon that is negative or not finite.
     """
-    h = np.asarray(horizons_s, dtype=float).reshape(-1)
+    h = np.array(horizons_s, dtype=float).reshape(-1)
     if not (np.all(np.isfinite(h)) and np.all(h >= 0.0)):
         raise ValueError(f"horizons must be seconds of 0 or more, got {horizons_s!r}")
     before = ekf.history.before(now)
-    if before is None or not _tracked(before.belief, now, ekf.options):
-        return None
-    b = before.propagated(now, ekf.params.process_noise, WITH_COVARIANCE).belief
-    x, T = measure.aligned(b)
-    b = b._replace(x=x, P=T.dot(b.P).dot(T.T))
-    return forecasting.forecast(b, now, h, ekf.options)
+    return None if before is None else forecasting.forecast(before, now, h, ekf.params.process_noise)
 
 
 def moving(ekf: Ekf) -> float | None:

@@ -5,30 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.ekf import deck_motion_bank, so3
-from estimator.ekf.motion import QUARTER, turned
-from estimator.ekf.options import EkfOptions
-from estimator.ekf.state import (
-    ATT_ERR,
-    DECK_DISP,
-    DECK_RATE,
-    DECK_TRIM,
-    POS_REL,
-    SWAY_EAST,
-    SWAY_NORTH,
-    SWAY_PER_HEAVE,
-    TURN_RATE,
-    VEL,
-    VESSEL_VEL,
-    Belief,
-    N,
-)
+from estimator.core.interface import places_of, size_of
+from estimator.core.library import CORE, address, start_of
+from estimator.ekf.deck_motion_bank import packed_members
+from estimator.ekf.motion import ProcessNoise
+from estimator.ekf.packed_belief import PackedBelief
 
+_FORECAST, _REACH = CORE.function("filter_forecast"), CORE.function("bank_reach")
+_PLACES, _SIZE, _REACH_SIZE = places_of("deck_ahead"), size_of("deck_ahead"), size_of("horizon_reach")
+_SCALARS = ("height", "sigma_height", "rise", "sigma_rise", "roll", "sigma_roll", "pitch", "sigma_pitch")
 _Z = {0.5: 0.6745, 0.68: 0.9945, 0.8: 1.2816, 0.9: 1.6449, 0.95: 1.9600, 0.99: 2.5758}
 
 
@@ -79,62 +70,36 @@ class Forecast:
         return mean - z * sigma, mean + z * sigma
 
 
-def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
-    """Return the forecast from a settled belief.
+def forecast(before: PackedBelief, at: MonoNs, horizons_s: F64, noise: ProcessNoise) -> Forecast | None:
+    """Return the forecast from a belief that is not newer than `at`, by the core (estimator/core/forecast.c).
 
-    The waves come from the bank: their means and covariances are those of the mixture over its members.
+    The waves come from the bank: their means and covariances are those of the mixture over its members. It is None if no pad is
+    tracked.
     """
-    h = np.asarray(horizons_s, dtype=float)
-    n = h.size
-    x, P = b.x, b.P
-    waves = deck_motion_bank.ahead(b.sea, at, x[DECK_RATE], h)
-
-    Z = so3.about_down(-so3.heading(b.R))
-    d_now = Z.dot(x[POS_REL])
-    by_heading = np.array([d_now[1], -d_now[0], 0.0])
-    u, sway = x[VESSEL_VEL], x[SWAY_PER_HEAVE]
-    d, cov_d, v_pad = np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3))
-    height, rise, roll, pitch = (np.zeros((2, n)) for _ in range(4))
-    for k in range(n):
-        T = float(h[k])
-        change, by_rate, var = waves.change[k], waves.by_rate[k], waves.var_change[k]
-        J = np.zeros((3, N))
-        J[:, POS_REL] = np.eye(3)
-        J[:, VEL] = -T * np.eye(3)
-        turn = turned(float(x[TURN_RATE]), T)
-        J[:2, VESSEL_VEL] = turn.reach
-        ned = J.dot(x) + change[:3]
-        ned[:2] += sway * change[2]
-        J[np.arange(3), DECK_RATE[:3]] = by_rate[:3, 0]
-        J[:2, DECK_RATE[2]] += sway * by_rate[2, 0]
-        J[[0, 1], [SWAY_NORTH, SWAY_EAST]] = change[2]
-        curving = QUARTER.dot(u) * (0.5 * T * T)
-        J[:2, TURN_RATE] = curving
-        J = Z.dot(J)
-        J[:, ATT_ERR] = np.outer(by_heading, so3.heading_row(b.R).dot(b.R))
-        noise = np.diag(var[:3])
-        noise[:2, :2] += np.eye(2) * (o.asd_vessel_velocity_m_s2**2 * T**3 / 3.0)
-        # The rate of turn wanders by asd sqrt(t): integrated three times against the velocity.
-        noise[:2, :2] += np.outer(curving, curving) * (0.2 * o.asd_turn_rate_rad_s2**2 * T)
-        phase = np.append(sway, 1.0)
-        noise += (np.outer(phase, phase) - np.diag([0.0, 0.0, 1.0])) * var[2]
-        d[k] = Z.dot(ned)
-        v = waves.mean[k, :3, 1].copy()
-        v[:2] += turn.by.dot(u) + sway * v[2]
-        v_pad[k] = Z.dot(v)
-        cov_d[k] = J.dot(P).dot(J.T) + Z.dot(noise).dot(Z.T)
-        for out, channel in ((roll, 3), (pitch, 4)):
-            c = np.zeros(N)
-            c[DECK_TRIM[channel - 3]] = c[DECK_DISP[channel]] = 1.0
-            out[0, k] = c.dot(x) + change[channel]
-            c[DECK_RATE[channel]] = by_rate[channel, 0]
-            out[1, k] = math.sqrt(max(float(c.dot(P).dot(c)) + float(var[channel]), 0.0))
-    for out, row in ((height, 0), (rise, 1)):
-        out[0] = waves.mean[:, 2, row]
-        out[1] = np.sqrt(waves.var[:, 2, row] + waves.by_rate[:, 2, row] ** 2 * P[DECK_RATE[2], DECK_RATE[2]])
-    return Forecast(
-        at, h, d, cov_d, v_pad, -height[0], height[1], -rise[0], rise[1], roll[0], roll[1], pitch[0], pitch[1]
+    n = horizons_s.size
+    reach, found = _reach(horizons_s.tobytes()), np.empty(max(n, 1) * _SIZE)
+    there = _FORECAST(
+        noise.packed_address, at, before.numbers.address, before.P.address, before.sea.address, n, address(horizons_s),
+        start_of(reach), start_of(found),
     )  # fmt: skip
+    if not there:
+        return None
+    columns = found.reshape(-1, _SIZE)[:n]
+    numbers = {name: columns[:, place] for name, place in _PLACES.items()}
+    height, sigma_height, rise, sigma_rise, roll, sigma_roll, pitch, sigma_pitch = (numbers[name][:, 0] for name in _SCALARS)
+    return Forecast(
+        at, horizons_s, numbers["d"], numbers["cov_d"].reshape(n, 3, 3), numbers["v_pad"], height, sigma_height, rise, sigma_rise,
+        roll, sigma_roll, pitch, sigma_pitch,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=16)  # guidance asks for the same horizons again and again
+def _reach(horizons_s: bytes) -> F64:
+    """Return the core's `horizon_reach` for each of some horizons, given as the bytes of doubles."""
+    horizons, members = np.frombuffer(horizons_s), packed_members()
+    made = np.empty(max(horizons.size, 1) * _REACH_SIZE)
+    _REACH(address(members), horizons.size, address(horizons), start_of(made))
+    return made
 
 
 def probability_of_motion(

@@ -1,19 +1,15 @@
-"""The noise with which the filter's state changes, and the effect of a steady turn. estimator/core/propagate.c propagates.
+"""The noise with which the filter's state changes. estimator/core/propagate.c propagates.
 
 Derivation: docs/estimator.md, section "Motion".
 """
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
-
 import numpy as np
 
-from estimator.contracts.geometry import F64
+from estimator.contracts.samples import UNKNOWN_VAR
 from estimator.core.library import address
 from estimator.ekf.deck_motion_bank import carrying
-from estimator.ekf.measure import NOT_MEASURED_VAR
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.packed_params import packed_params
 from estimator.ekf.state import (
@@ -32,8 +28,8 @@ from estimator.ekf.state import (
     N,
 )  # fmt: skip
 
-QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
-"""Rotation of a horizontal vector clockwise by 90 degrees. A vector v that turns at w rad/s has the rate w QUARTER v."""
+NOT_MEASURED_VAR = 0.1 * UNKNOWN_VAR
+"""Variance of a component of a sample from which on it was not measured."""
 
 
 class ProcessNoise:
@@ -63,22 +59,3 @@ class ProcessNoise:
         self._packed = packed_params(self)
         self.packed_address = address(self._packed)
         """Address of the core's `filter_params`."""
-
-
-class Turned(NamedTuple):
-    """The effect of a steady turn on a horizontal vector that turns with the vessel."""
-
-    by: F64
-    """(2, 2) rotation."""
-    reach: F64
-    """(2, 2) integral of the rotation over time, s."""
-
-
-def turned(rate_rad_s: float, T: float) -> Turned:
-    """Return the turn by a steady rate over T s. A positive rate is clockwise from above."""
-    angle = rate_rad_s * T
-    s, c = math.sin(angle), math.cos(angle)
-    along, across = T * (1.0 - angle * angle / 6.0), 0.5 * T * angle
-    if abs(angle) > 1e-3:
-        along, across = s / rate_rad_s, (1.0 - c) / rate_rad_s
-    return Turned(np.array([[c, -s], [s, c]]), np.array([[along, -across], [across, along]]))

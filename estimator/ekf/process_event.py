@@ -9,7 +9,7 @@ import numpy as np
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, rpy_matrix
 from estimator.contracts.samples import Attitude, Imu
-from estimator.ekf import deck_motion_bank, measure, so3
+from estimator.ekf import deck_motion_bank, so3
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.packed_belief import WITH_COVARIANCE, PackedBelief
@@ -110,7 +110,7 @@ def _turned_to(b: Belief, R: F64, o: EkfOptions) -> Belief:
         T[np.ix_(part, part)] = Z
     T[VESSEL_VEL, VESSEL_VEL] = T[SWAY_PER_HEAVE, SWAY_PER_HEAVE] = Z[:2, :2]
     x = T.dot(b.x)
-    x[PAD_YAW] = measure.wrap(float(x[PAD_YAW]) + angle)
+    x[PAD_YAW] = so3.wrap(float(x[PAD_YAW]) + angle)
     P = T.dot(b.P).dot(T.T)
     b = b._replace(x=x, P=0.5 * (P + P.T), ins_p=Z.dot(b.ins_p), ins_v=Z.dot(b.ins_v))
     return _set_attitude(b, R, o)

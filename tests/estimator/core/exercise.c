@@ -198,9 +198,14 @@ static void fly(int surface, int rounds, double poison)
     sea *bank = malloc(sizeof *bank), *banks = malloc(LENGTH * sizeof *banks);
     outcome *first = malloc(sizeof *first);
     answer *said = malloc(sizeof *said);
+    enum { HORIZONS = 3 };
+    const double horizons_s[HORIZONS] = {0.0, 0.3, 2.5};
+    horizon_reach *there = malloc(HORIZONS * sizeof *there);
+    deck_ahead *ahead = malloc(HORIZONS * sizeof *ahead);
     parameters(o, surface);
     hover(before, P);
     bank_begin(&o->members, bank);
+    bank_reach(&o->members, HORIZONS, horizons_s, there);
     P[N + 1] *= poison;
     poisoned(P, N * N), poisoned(before->x, N), poisoned(before->R, 9), poisoned(before->f, 3);
     for (int round = 0; round < rounds; round++) {
@@ -223,6 +228,9 @@ static void fly(int surface, int rounds, double poison)
         filter_settle(o, before, after, F, Q);
         parts(o, before, &seen[0], bank, t);
         filter_answer(o, t + draw() % 200000000, before, P, said);
+        if (filter_forecast(o, t + draw() % 200000000, before, P, bank, HORIZONS, horizons_s, there, ahead)) {
+            fold(ahead[2].d, 3), fold(ahead[1].cov_d, 9), fold(&ahead[2].rise, 2);
+        }
         fold(said->d, 3), fold(said->cov, 49), fold(said->a_body, 3), fold(said->cov_deck, 36);
         if (filter_propagate(o, round % 3, t + 1000, before, P, after, P_after)) {
             *before = after[0];
@@ -233,7 +241,7 @@ static void fly(int surface, int rounds, double poison)
             before->t = before->t_cov = before->t_imu = before->sighted = t;
         }
     }
-    void *all[] = {o, events, before, after, P, P_after, F, Q, index, first, sea_index, seen, bank, banks, said};
+    void *all[] = {o, events, before, after, P, P_after, F, Q, index, first, sea_index, seen, bank, banks, said, there, ahead};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
     }
@@ -325,7 +333,7 @@ int main(int count, char **files)
         fly(surface, 3, NAN);
         fly(surface, 3, -1e300);
     }
-    report("filter_run filter_propagate filter_settle filter_answer sighting_model bank_begin bank_observe");
+    report("filter_run filter_propagate filter_settle filter_answer filter_forecast bank_reach sighting_model bank_begin bank_observe");
     scenes(24);
     report("render_deck render_fill render_smear render_sea render_water render_pad_kinds render_pad_shares render_expose "
            "render_mix render_frame render_blur");

@@ -9,7 +9,7 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import Ekf, EkfOptions, at, measure, so3, start, step
+from estimator.ekf import Ekf, EkfOptions, at, so3, start, step
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -150,7 +150,7 @@ def test_north_known_at_last_turns_the_world_and_not_the_pad_under_the_body() ->
     turned, b = belief(after), belief(before)
     assert so3.heading(turned.R) == pytest.approx(1.2, abs=1e-6)
     angle = 1.2 - so3.heading(b.R)
-    assert measure.wrap(float(turned.x[PAD_YAW] - b.x[PAD_YAW])) == pytest.approx(measure.wrap(angle), abs=0.01)
+    assert so3.wrap(float(turned.x[PAD_YAW] - b.x[PAD_YAW])) == pytest.approx(so3.wrap(angle), abs=0.01)
     np.testing.assert_allclose(turned.x[POS_REL], so3.about_down(angle) @ b.x[POS_REL], atol=0.02)
 
 

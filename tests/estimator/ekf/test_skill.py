@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from estimator.ekf.skill import HORIZONS_S, Skill, factor
+from estimator.ekf.skill import HORIZONS_S, Skill
 from tests.estimator.ekf.oracle import skill
+from tests.estimator.ekf.oracle.skill import factor
 
 STEP_NS = 600_000_000
 SWELL = np.full(5, 0.5)

@@ -13,8 +13,8 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64, rpy_matrix
 from estimator.ekf import so3
 from estimator.ekf.gate import nis_max
-from estimator.ekf.measure import wrap
 from estimator.ekf.outcome import Outcome
+from estimator.ekf.so3 import wrap
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,

@@ -10,7 +10,6 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Baro, BodyVelocity, Range
 from estimator.ekf import gate
-from estimator.ekf.measure import pad_velocity
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.propagate import FilterParams
@@ -45,6 +44,7 @@ from estimator.ekf.state import (
 )  # fmt: skip
 from tests.estimator.ekf.oracle import algebra, measure, motion
 from tests.estimator.ekf.oracle.algebra import nis_of
+from tests.estimator.ekf.oracle.pad_velocity import pad_velocity
 from tests.estimator.ekf.oracle.propagate import corrected, propagated
 from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement
 

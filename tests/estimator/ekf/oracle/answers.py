@@ -9,8 +9,6 @@ import numpy as np
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR
 from estimator.contracts.geometry import F64, skew, wrap_pi
 from estimator.ekf import so3
-from estimator.ekf.measure import by_v_pad_ned, v_pad_ned
-from estimator.ekf.motion import QUARTER
 from estimator.ekf.propagate import FilterParams
 from estimator.ekf.state import (
     ACCEL_BIAS,
@@ -37,6 +35,8 @@ from estimator.ekf.state import (
     N,
 )
 from tests.estimator.ekf.oracle import motion
+from tests.estimator.ekf.oracle.motion import QUARTER
+from tests.estimator.ekf.oracle.pad_velocity import by_v_pad_ned, v_pad_ned
 from tests.estimator.ekf.oracle.propagate import propagated
 
 _IMU_HZ = 200.0

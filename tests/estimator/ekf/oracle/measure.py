@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, skew
 from estimator.ekf import so3
-from estimator.ekf.measure import NOT_MEASURED_VAR, by_v_pad_ned, pad_velocity, v_pad_ned
+from estimator.ekf.motion import NOT_MEASURED_VAR
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ATT_BIAS,
@@ -28,6 +28,7 @@ from estimator.ekf.state import (
     VESSEL_NORTH,
     N,
 )
+from tests.estimator.ekf.oracle.pad_velocity import by_v_pad_ned, pad_velocity, v_pad_ned
 from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement, deck
 
 _I3 = np.eye(3)

@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, orthonormalised, skew
 from estimator.ekf import so3
-from estimator.ekf.motion import QUARTER, ProcessNoise, turned
+from estimator.ekf.motion import ProcessNoise
 from estimator.ekf.oscillator import transition
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
@@ -44,6 +44,8 @@ from estimator.ekf.state import (
 )  # fmt: skip
 from tests.estimator.ekf.oracle.algebra import Algebra
 
+QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
+"""Rotation of a horizontal vector clockwise by 90 degrees. A vector v that turns at w rad/s has the rate w QUARTER v."""
 _I3 = np.eye(3)
 _IN = np.eye(N)
 _POS = np.array(POS_AXES)
@@ -293,3 +295,22 @@ def peek_height(b: Belief) -> float:
     T = (b.t - b.t_cov) * 1e-9
     x = b.x
     return x.item(POS_DOWN) - x.item(_HEAVE.start) - x.item(VEL_DOWN) * T - b.dp[2] - 0.5 * GRAVITY_M_S2 * T * T
+
+
+class Turned(NamedTuple):
+    """The effect of a steady turn on a horizontal vector that turns with the vessel."""
+
+    by: F64
+    """(2, 2) rotation."""
+    reach: F64
+    """(2, 2) integral of the rotation over time, s."""
+
+
+def turned(rate_rad_s: float, T: float) -> Turned:
+    """Return the turn by a steady rate over T s. A positive rate is clockwise from above."""
+    angle = rate_rad_s * T
+    s, c = math.sin(angle), math.cos(angle)
+    along, across = T * (1.0 - angle * angle / 6.0), 0.5 * T * angle
+    if abs(angle) > 1e-3:
+        along, across = s / rate_rad_s, (1.0 - c) / rate_rad_s
+    return Turned(np.array([[c, -s], [s, c]]), np.array([[along, -across], [across, along]]))

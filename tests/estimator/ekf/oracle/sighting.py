@@ -14,8 +14,7 @@ import numpy as np
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, rpy_matrix, skew
 from estimator.ekf import so3
-from estimator.ekf.measure import by_v_pad_ned, v_pad_ned, wrap
-from estimator.ekf.so3 import Vec3
+from estimator.ekf.so3 import Vec3, wrap
 from estimator.ekf.state import (
     ATT_ERR,
     CAMERA_DELAY,
@@ -34,6 +33,7 @@ from estimator.ekf.state import (
     YAW_RATE,
     N,
 )
+from tests.estimator.ekf.oracle.pad_velocity import by_v_pad_ned, v_pad_ned
 
 _DOWN = np.array([0.0, 0.0, 1.0])
 _NONE = np.zeros((0, N))

@@ -1,4 +1,4 @@
-"""The comparison of past forecasts with what happened in numpy, against which the core's is held."""
+"""The comparison of past forecasts with what happened, and what it is worth for the next, in numpy: the core's oracle."""
 
 from __future__ import annotations
 
@@ -14,6 +14,11 @@ PERIOD_S = 0.5
 """Interval between forecasts, and between comparisons, s."""
 _MEMORY_S = 60.0
 """Time constant with which old comparisons fade, s."""
+_PRIOR = 0.8
+"""The factor for a forecast much shorter than a period of the waves, before the first comparison."""
+_PRIOR_COUNT, _PRIOR_COUNT_FAR = 20.0, 100.0
+"""The number of comparisons that the prior weighs: the first, plus the second times (horizon / period)^4. A wave that passes once
+is over before its forecasts can be compared, so beyond a period the prior decides."""
 
 
 def unknown() -> Skill:
@@ -50,3 +55,39 @@ def compared(skill: Skill, t: int, now: F64, ahead: F64) -> Skill:
                 square[k] += f * f
     kept = tuple(one for one in issued if t - one.t <= (HORIZONS_S[-1] + 2.0 * PERIOD_S) * 1e9)
     return Skill((*kept, IssuedForecast(t, ahead)), n, product, square)
+
+
+def prior_factor(horizons_s: F64, w_rad_s: F64) -> F64:
+    """Return the factor, 0..1, before the first comparison, (H, 5): it falls with the part of a period that a forecast spans.
+
+    Args:
+        horizons_s: (H,) horizons, s.
+        w_rad_s: (5,) frequency of the waves by direction.
+    """
+    return np.asarray(_PRIOR * np.exp(-(_periods(horizons_s, w_rad_s) ** 2)))
+
+
+def factor(skill: Skill, horizons_s: F64, w_rad_s: F64) -> F64:
+    """Return the factor, 0..1, by which to scale a forecast, (H, 5, 2) by horizon, direction and displacement or rate.
+
+    It is 1 at horizon 0 and constant beyond the longest compared horizon.
+
+    Args:
+        skill: the past comparisons.
+        horizons_s: (H,) horizons, s.
+        w_rad_s: (5,) frequency of the waves by direction.
+    """
+    n = skill.n[:, None, None]
+    prior = prior_factor(HORIZONS_S, w_rad_s)[..., None]
+    weight = (_PRIOR_COUNT + _PRIOR_COUNT_FAR * _periods(HORIZONS_S, w_rad_s) ** 4)[..., None]
+    slope = skill.product / np.maximum(skill.square, 1e-12)
+    known = np.clip((weight * prior + n * slope) / (weight + n), 0.0, 1.0)
+    knots, at = np.concatenate([[0.0], HORIZONS_S]), np.concatenate([np.ones((1, 5, 2)), known])
+    i = np.clip(np.searchsorted(knots, horizons_s, side="right") - 1, 0, knots.size - 2)
+    part = np.minimum((horizons_s - knots[i]) / (knots[i + 1] - knots[i]), 1.0)[:, None, None]
+    return np.asarray((1.0 - part) * at[i] + part * at[i + 1])
+
+
+def _periods(horizons_s: F64, w_rad_s: F64) -> F64:
+    """Return the (H, 5) horizons in periods of the waves."""
+    return np.asarray(horizons_s[:, None] * w_rad_s / math.tau)
