@@ -10,7 +10,7 @@ from companion.cli.config import not_checked, remarks
 from companion.config.referenced_files import check_files
 from companion.config.settings import Settings, load, shipped
 from companion.mavlink.options import BridgeOptions
-from companion.runtime import event_loop
+from companion.runtime import event_loop, memory
 from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import FlightOutcome
 from companion.runtime.proven import Proven
@@ -71,6 +71,7 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
     log_to_stderr(settings)
     for line in remarks(settings):
         log.warning(line)
+    memory.share_one_arena()
     daemon = make_daemon(settings, pilot, observers=[proven], once=args.once)
     outcome = event_loop.run(live(daemon, pilot))
     if outcome is not None:

@@ -79,6 +79,7 @@ class Daemon:
         health: the health that is shared with parts made before the daemon; if absent, a new one is made.
         extras: parts by name that run beside the flight. Their failures do not affect it.
         reports: the ship's reports from other sources than the vehicle's link; None where there are none.
+        prepare: what the thread of vision does before its first frame.
     """
 
     def __init__(
@@ -97,6 +98,7 @@ class Daemon:
         health: Health | None = None,
         extras: Mapping[str, Body] | None = None,
         reports: Line[Sample] | None = None,
+        prepare: Callable[[], None] | None = None,
     ) -> None:
         self._open_link = open_link
         self._pilot = pilot
@@ -111,6 +113,7 @@ class Daemon:
         self._link: VehicleLink | None = None
         self._ended = asyncio.Event()
         self._tracker: Worker | None = None
+        self._prepare = prepare
         self._wrong_size_logged = False
         self._logged = ("", "")
         self._extras = dict(extras or {})
@@ -173,6 +176,9 @@ class Daemon:
                 self._audience.on_fusion(sample.stamp.received_at, result)
 
     async def _read_frames(self, link: VehicleLink) -> None:
+        if self._prepare is not None and self._tracker is not None:
+            prepare, self._prepare = self._prepare, None
+            await self._tracker.run(prepare)
         overtaken = 0
         async for frame in link.frames:
             for _ in range(link.frames.replaced - overtaken):

@@ -49,6 +49,7 @@ from estimator.ekf import Forecast
 from estimator.options import EstimatorOptions
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+from estimator.vision.rehearsal import rehearse
 from estimator.vision.thesis.detection import Detection
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 
@@ -346,6 +347,10 @@ class Pilot:
         """Register a frame before the search; return None if it may be searched, otherwise its verdict."""
         self._memory, verdict = pipeline.on_frame(self._memory, frame)
         return verdict
+
+    def rehearse(self) -> None:
+        """Look at a drawn frame, so that the first real one takes no longer than the others. This may run on another thread."""
+        rehearse(self._tracker)
 
     def detect(self, frame: Frame, attitude: Attitude) -> Detection:
         """Search a frame for the pad, beginning where it is expected.

@@ -6,6 +6,7 @@ import logging
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from companion.config.model import Settings
@@ -14,6 +15,7 @@ from companion.operator.local_socket import OperatorSocket
 from companion.operator.orders import OperatorOrder, OrderSender, OrderSource
 from companion.operator.pilot_operator import PilotOperator
 from companion.operator.socket_path import OFF, socket_path
+from companion.runtime import memory
 from companion.runtime.beside import RestartablePart
 from companion.runtime.daemon import Daemon
 from companion.runtime.event_loop import heeded
@@ -117,7 +119,14 @@ def make_daemon(
         health=health,
         extras=extras,
         reports=reports,
+        prepare=partial(_prepare, pilot),
     )
+
+
+def _prepare(pilot: Pilot) -> None:
+    """Do before the first frame what would delay it."""
+    pilot.rehearse()
+    memory.give_back()
 
 
 def _pulse(pilot: Pilot, health: Health, clock: Clock) -> Pulse | None:

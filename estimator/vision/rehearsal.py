@@ -1,0 +1,55 @@
+"""Look at one drawn frame, so that what is computed once for a camera and a pad exists before the first real frame.
+
+The first look builds the drawing's maps, the camera's rays and the tables of light: ten times as much work as any later look.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.camera import Camera
+from estimator.vision.detect.template import paints_at
+from estimator.vision.pad import Pad
+from estimator.vision.thesis.detection import Detection
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+
+_RADII = 5.0
+"""Height of the drawn view in radii of the pad's disc: all of the pad fits into any camera's frame."""
+_AT = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
+_DECK, _H, _ORANGE, _DISC = (110, 105, 100), (235, 235, 235), (30, 120, 230), (60, 130, 50)
+"""Colours of deck and paints, BGR."""
+
+
+def rehearse(tracker: TrackerConfig) -> Detection:
+    """Search a frame that is drawn for this camera and pad, then track the pad in it. No memory of it is kept.
+
+    Returns:
+        The second detection.
+    """
+    frame = Frame(_AT, 0, drawn(tracker.camera, tracker.pad))
+    # The camera's axes are those of `ned` while it looks straight down with the top of its image to the west.
+    attitude = Attitude(_AT, tracker.camera.T_body_cam.R.inv, 1e-4 * np.eye(3))
+    searched, memory = track(tracker, TrackerMemory(), frame, attitude)
+    seen = searched.selected
+    if seen is None:
+        return searched
+    still, cov = np.zeros(3), 1e-4 * np.eye(7)
+    believed = RelativeState(_AT.measured_at, "ekf", seen.d_body_pad_level, still, seen.yaw_rad, cov, _AT.measured_at, True)
+    return track(tracker, memory, frame, attitude, believed)[0]
+
+
+def drawn(camera: Camera, pad: Pad) -> NDArray[np.uint8]:
+    """Return the pad, (height, width, 3) BGR, as the camera sees it straight below, without distortion."""
+    height_m = _RADII * pad.disc_radius_m
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    xy_m = height_m * np.stack([(u.ravel() - camera.cx) / camera.fx, (v.ravel() - camera.cy) / camera.fy], axis=1)
+    h_marking, ring, arrow, disc = paints_at(xy_m, pad)
+    px = np.full((camera.width * camera.height, 3), _DECK, np.uint8)
+    for mask, colour in ((disc, _DISC), (ring | arrow, _ORANGE), (h_marking, _H)):
+        px[mask] = colour
+    return np.asarray(cv2.GaussianBlur(px.reshape(camera.height, camera.width, 3), (0, 0), 0.8), np.uint8)

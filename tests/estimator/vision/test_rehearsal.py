@@ -1,0 +1,32 @@
+"""The drawn frame is one in which the pad is found where it was drawn, so what a real look needs has been made."""
+
+import numpy as np
+import pytest
+
+from companion.config.settings import camera_model, load, pad_model
+from estimator.vision.options import TrackerOptions
+from estimator.vision.rehearsal import drawn, rehearse
+from estimator.vision.tracker import TrackerConfig
+
+SIM = load("sim")
+
+
+@pytest.mark.parametrize("method", ["registration", "fused"])
+def test_the_pad_is_found_where_it_was_drawn(method: str) -> None:
+    camera, pad = camera_model(SIM), pad_model(SIM)
+    found = rehearse(TrackerConfig(camera, pad, TrackerOptions(method=method, colours="simulator"))).selected  # type: ignore[arg-type]
+    assert found is not None
+    d = camera.T_body_cam.R.inv @ (found.d_body_pad_level - camera.T_body_cam.t)
+    assert np.linalg.norm(found.d_body_pad_level) == pytest.approx(5.0 * pad.disc_radius_m, rel=0.1)
+    assert np.isfinite(d).all()
+
+
+def test_every_paint_is_drawn_around_the_centre() -> None:
+    camera, pad = camera_model(SIM), pad_model(SIM)
+    px = drawn(camera, pad)
+    assert px.shape == (camera.height, camera.width, 3)
+    assert len(np.unique(px.reshape(-1, 3), axis=0)) > 4
+    across = camera.fx / 5.0
+    u, v = round(camera.cx), round(camera.cy)
+    assert tuple(px[v, u]) == (235, 235, 235), "the H's bar"
+    assert tuple(px[v, round(u + 1.3 * across)]) == (110, 105, 100), "the deck"
