@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Sighting, Verdict
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Details, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from estimator.contracts.time import MonoNs, seconds_between
@@ -135,16 +135,19 @@ def at(state: DeadReckoning, now: MonoNs) -> RelativeState | None:
         return None
     o = state.options
     if now > state.t:
-        state = _advance(state, now)
-    odo, heading = _past(state, now)
+        state = _propagated(state, now, state.t)
+        odo, heading = state.odo, state.heading_rad
+    else:
+        odo, heading = _past(state, now)
     moved = _turned(odo - anchor.odo, -heading)
     d = _turned(anchor.d_fixed, -heading) + moved
     v = _current_v(state, now)
     elapsed_s = max(0.0, seconds_between(anchor.t, now))
 
     cov = np.zeros((7, 7))
-    turn = Rotation.from_rpy(0.0, 0.0, anchor.heading_rad - heading)
-    cov[:3, :3] = turn.rotate_cov(anchor.cov[:3, :3])
+    c, n = math.cos(anchor.heading_rad - heading), math.sin(anchor.heading_rad - heading)
+    turn = np.array([[c, -n, 0.0], [n, c, 0.0], [0.0, 0.0, 1.0]])
+    cov[:3, :3] = turn.dot(anchor.cov[:3, :3]).dot(turn.T)
     yaw: float | None = None
     if state.arrow_rad is None:
         cov[6, 6] = UNKNOWN_YAW_VAR
@@ -153,19 +156,21 @@ def at(state: DeadReckoning, now: MonoNs) -> RelativeState | None:
         drift_s = max(0.0, seconds_between(state.arrow_t, now))
         cov[6, 6] = state.arrow_var + (o.sigma_heading_rate_rad_s * drift_s) ** 2
         if state.arrow_t == anchor.t:
-            cov[6, :3] = cov[:3, 6] = turn @ anchor.cov[:3, 3]
+            cov[6, :3] = cov[:3, 6] = turn.dot(anchor.cov[:3, 3])
 
-    cov += _spread(_cov_v(state, now), elapsed_s, 1.0)
-    blind = np.diag([1.0, 1.0, float(state.vertical_measured)]) * o.sigma_unknown_v_m_s**2
-    cov += _spread(blind, max(0.0, state.blind_s - anchor.blind_s), 0.0 if _v_is_known(state, now) else 1.0)
-    scale = o.sigma_velocity_scale * np.concatenate([moved, v, [0.0]])
+    _spread(cov, _cov_v(state, now), elapsed_s, 1.0)
+    blind_s = max(0.0, state.blind_s - anchor.blind_s)
+    if blind_s > 0.0 or not _v_is_known(state, now):
+        blind = np.diag([1.0, 1.0, float(state.vertical_measured)]) * o.sigma_unknown_v_m_s**2
+        _spread(cov, blind, blind_s, 0.0 if _v_is_known(state, now) else 1.0)
+    (mx, my, mz), (vx, vy, vz) = moved.tolist(), v.tolist()
     if not state.vertical_measured:
-        scale[[2, 5]] = 0.0
-    swing = np.zeros(7)
-    swing[:3] = o.sigma_heading_rate_rad_s * elapsed_s * np.array([d[1], -d[0], 0.0])
-    cov += np.outer(scale, scale) + np.outer(swing, swing)
+        mz = vz = 0.0
+    scale = o.sigma_velocity_scale * np.array([mx, my, mz, vx, vy, vz])
+    swing = o.sigma_heading_rate_rad_s * elapsed_s * np.array([d[1], -d[0]])
+    cov[:6, :6] += np.multiply.outer(scale, scale)
+    cov[:2, :2] += np.multiply.outer(swing, swing)
 
-    v_bias, a_bias = _biases(state)
     return RelativeState(
         at=now,
         path="dead_reckoning",
@@ -175,13 +180,19 @@ def at(state: DeadReckoning, now: MonoNs) -> RelativeState | None:
         cov=0.5 * (cov + cov.T),
         sighted=anchor.t,
         consistent=2 * sum(state.agreed) >= len(state.agreed),
-        details=(
-            ("yaw_ambiguous", float(state.arrow_ambiguous)),
-            ("a_vertical_mean_m_s2", state.a_vertical_mean),
-            ("calibrated", float(state.rest is not None and state.rest.done)),
-            *((f"bias_v_{axis}_m_s", float(b)) for axis, b in zip("xyz", v_bias, strict=True)),
-            *((f"bias_a_{axis}_m_s2", float(b)) for axis, b in zip("xyz", a_bias, strict=True)),
-        ),
+        details=Details(lambda: _figures(state)),
+    )
+
+
+def _figures(state: DeadReckoning) -> tuple[tuple[str, float], ...]:
+    """Return the figures for the records."""
+    v_bias, a_bias = _biases(state)
+    return (
+        ("yaw_ambiguous", float(state.arrow_ambiguous)),
+        ("a_vertical_mean_m_s2", state.a_vertical_mean),
+        ("calibrated", float(state.rest is not None and state.rest.done)),
+        *((f"bias_v_{axis}_m_s", float(b)) for axis, b in zip("xyz", v_bias, strict=True)),
+        *((f"bias_a_{axis}_m_s2", float(b)) for axis, b in zip("xyz", a_bias, strict=True)),
     )
 
 
@@ -301,12 +312,15 @@ def _advance(state: DeadReckoning, to: MonoNs) -> DeadReckoning:
     """Propagate the odometer with the held velocity; never backwards."""
     if state.t is None:
         return _knot(replace(state, t=to, epoch=to))
-    dt = seconds_between(state.t, to)
-    if dt <= 0.0:
-        return state
+    return _knot(_propagated(state, to, state.t)) if to > state.t else state
+
+
+def _propagated(state: DeadReckoning, to: MonoNs, since: MonoNs) -> DeadReckoning:
+    """Return the state at a later instant than the odometer's, `since`, which the track does not hold."""
+    dt = seconds_between(since, to)
     o = state.options
-    known_s = _overlap_s(state.v_t, state.t, to, o.hold_s)
-    accelerated_s = min(_overlap_s(state.a_t, state.t, to, o.hold_s), dt)
+    known_s = _overlap_s(state.v_t, since, to, o.hold_s)
+    accelerated_s = min(_overlap_s(state.a_t, since, to, o.hold_s), dt)
     a = state.a_rel
     horizontal = state.v_rel * known_s + 0.5 * a * min(known_s, accelerated_s) ** 2
     delta = np.array([horizontal[0], horizontal[1], 0.0])
@@ -314,20 +328,13 @@ def _advance(state: DeadReckoning, to: MonoNs) -> DeadReckoning:
     if state.vertical_measured:
         delta[2] = horizontal[2]
     else:
-        leak_s = dt - _overlap_s(state.vertical_t, state.t, to, _VERTICAL_HOLD_S)
+        leak_s = dt - _overlap_s(state.vertical_t, since, to, _VERTICAL_HOLD_S)
         keep = math.exp(-leak_s / o.vertical_leak_s)
         vertical_dv = float(np.clip(a[2], -3.0, 3.0)) * accelerated_s
         delta[2] = state.v_rel[2] * (dt - leak_s + o.vertical_leak_s * (1.0 - keep)) + 0.5 * vertical_dv * accelerated_s
         v[2] = (state.v_rel[2] + vertical_dv) * keep
-    return _knot(
-        replace(
-            state,
-            t=to,
-            v_rel=v,
-            odo=state.odo + _turned(delta, state.heading_rad),
-            blind_s=state.blind_s + dt - known_s,
-        )
-    )
+    odo = state.odo + _turned(delta, state.heading_rad)
+    return replace(state, t=to, v_rel=v, odo=odo, blind_s=state.blind_s + dt - known_s)
 
 
 def _overlap_s(measured: MonoNs | None, begin: MonoNs, end: MonoNs, hold_s: float) -> float:
@@ -352,10 +359,13 @@ def _knot(state: DeadReckoning) -> DeadReckoning:
 
 def _past(state: DeadReckoning, when: MonoNs) -> tuple[F64, float]:
     """Return odometer and heading at an instant of the track, clamped to its ends."""
-    s = seconds_between(state.epoch, when)
-    track = state.track
-    row = [float(np.interp(s, track[:, 0], track[:, k])) for k in range(1, 5)]
-    return np.array(row[:3]), row[3]
+    s, track = seconds_between(state.epoch, when), state.track
+    after = int(np.searchsorted(track[:, 0], s, side="right"))
+    row = track[min(max(after - 1, 0), len(track) - 1)]
+    if 0 < after < len(track):
+        later = track[after]
+        row = row + (later - row) / (later[0] - row[0]) * (s - row[0])
+    return row[1:4], float(row[4])
 
 
 def _v_is_known(state: DeadReckoning, now: MonoNs) -> bool:
@@ -384,12 +394,14 @@ def _cov_v(state: DeadReckoning, now: MonoNs) -> F64:
     return np.asarray(cov)
 
 
-def _spread(cov_v: F64, elapsed_s: float, now: float) -> F64:
-    """Return the (7, 7) effect of a constant velocity error over `elapsed_s` on position and (times `now`) on velocity."""
-    g = np.zeros((7, 3))
-    g[:3] = elapsed_s * np.eye(3)
-    g[3:6] = now * np.eye(3)
-    return np.asarray(g @ cov_v @ g.T)
+def _spread(cov: F64, cov_v: F64, elapsed_s: float, now: float) -> None:
+    """Add the effect of a constant velocity error over `elapsed_s` on position and (times `now`) on velocity to (7, 7) `cov`."""
+    cov[:3, :3] += elapsed_s * elapsed_s * cov_v
+    if now > 0.0:
+        across = elapsed_s * now * cov_v
+        cov[:3, 3:6] += across
+        cov[3:6, :3] += across
+        cov[3:6, 3:6] += now * now * cov_v
 
 
 def _biases(state: DeadReckoning) -> tuple[F64, F64]:

@@ -86,11 +86,10 @@ class MedianMeanPath:
             return None
         out = self.newest
         late_s = max(0.0, seconds_between(out.holds_at, now))
-        cov = np.zeros((7, 7))
-        shrink = filters.VARIANCE_RATIO[out.samples - 1]
-        cov[:3, :3] = self.sighting.cov[:3, :3] * shrink + (self.sigma_v_m_s * late_s) ** 2 * np.eye(3)
-        cov[3:6, 3:6] = self.sigma_v_m_s**2 * np.eye(3)
-        cov[6, 6] = UNKNOWN_YAW_VAR if out.yaw_rad is None else min(UNKNOWN_YAW_VAR, float(self.sighting.cov[3, 3]))
+        moved_var, v_var = (self.sigma_v_m_s * late_s) ** 2, self.sigma_v_m_s**2
+        yaw_var = UNKNOWN_YAW_VAR if out.yaw_rad is None else min(UNKNOWN_YAW_VAR, float(self.sighting.cov[3, 3]))
+        cov = np.diag([moved_var, moved_var, moved_var, v_var, v_var, v_var, yaw_var])
+        cov[:3, :3] += self.sighting.cov[:3, :3] * filters.VARIANCE_RATIO[out.samples - 1]
         return RelativeState(
             at=now,
             path=self.name,
