@@ -66,7 +66,7 @@ class Result:
     scale_error: float = 0.0
     moving: float = 0.0
     cost_s: dict[str, float] = field(default_factory=dict)
-    """Median processor time of a step by kind, seconds."""
+    """Median processor time of a step by kind, of an answer and of a forecast at three horizons, seconds."""
     floor_s: float = 0.0
     """Median time of a product of two (50, 50) matrices, seconds; a sighting needs some twenty of them."""
     bytes: int = 0
@@ -91,7 +91,10 @@ def fly(seed: int) -> Result:
     for event in events(flight):
         while event.stamp.received_at >= ns(next_s):
             d, v, yaw = (x[0] for x in flight.relative(np.array([next_s])))
-            states = {name: path.at(ns(next_s)) for name, path in others.items()} | {"ekf": ekf.at(memory, ns(next_s))}
+            began = time.process_time()
+            answer = ekf.at(memory, ns(next_s))
+            cost["answer"].append(time.process_time() - began)
+            states = {name: path.at(ns(next_s)) for name, path in others.items()} | {"ekf": answer}
             for name, state in states.items():
                 if state is not None and HOLD_S[0] <= next_s < HOLD_S[1]:
                     dd, dv = state.d_body_pad_level - d, state.v_pad_level - v
@@ -103,7 +106,10 @@ def fly(seed: int) -> Result:
                 nees.append(float(error @ np.linalg.solve(state.cov, error)))
             if next_s >= next_forecast_s and next_s < DURATION_S - 3.5:
                 next_forecast_s += 1.0
-                foretell(memory, flight, next_s, covered)
+                began = time.process_time()
+                predicted = ekf.forecast(memory, ns(next_s), HORIZONS_S)
+                cost["forecast"].append(time.process_time() - began)
+                compare(predicted, flight, next_s, covered)
             next_s += 0.1
         began = time.process_time()
         memory, outcomes = ekf.step(memory, event)
@@ -149,9 +155,10 @@ def floor() -> float:
     return float(np.median(took))
 
 
-def foretell(memory: ekf.Ekf, flight: TruthFlight, now_s: float, covered: dict[tuple[str, float, float], list[int]]) -> None:
+def compare(
+    predicted: ekf.Forecast | None, flight: TruthFlight, now_s: float, covered: dict[tuple[str, float, float], list[int]]
+) -> None:
     """Compare one forecast with the truth."""
-    predicted = ekf.forecast(memory, ns(now_s), HORIZONS_S)
     if predicted is None:
         return
     t = now_s + np.array(HORIZONS_S)
@@ -234,9 +241,10 @@ def report(results: Sequence[Result]) -> None:
             f"{100 * np.mean([r.mount_expected for r in some]):4.0f}% "
             f"| {rms(scale):5.1f} {share(np.abs(scale) < 3):4.0f}% | {np.mean([r.moving for r in some]):.2f}"
         )
-    for kind in ("Imu", "Attitude", "BodyVelocity", "Sighting"):
+    for kind in ("Imu", "Attitude", "BodyVelocity", "Sighting", "answer", "forecast"):
         cost = np.array([r.cost_s[kind] for r in results]) * 1e6
-        print(f"step of a {kind:13s} {np.min(cost):6.0f} us in the quickest flight, {np.median(cost):6.0f} us in the median one")
+        what = kind if kind in ("answer", "forecast") else f"step of a {kind}"
+        print(f"{what:23s} {np.min(cost):6.0f} us in the quickest flight, {np.median(cost):6.0f} us in the median one")
     print(f"product of two (50, 50) matrices {1e6 * np.median([r.floor_s for r in results]):6.1f} us")
     print(f"history: {np.median([r.bytes for r in results]) / 1e6:.1f} MB in {np.median([r.nodes for r in results]):.0f} events")
     verdicts: dict[str, int] = defaultdict(int)
