@@ -8,7 +8,12 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
+
+# A busy machine is no failure: no example is timed.
+hypothesis.settings.register_profile("untimed")
+hypothesis.settings.load_profile("untimed")
 
 # One test, one core: `make test` starts a worker for each core. Set before numpy is imported; what tests start inherits it.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):

@@ -15,7 +15,15 @@ import errno
 
 
 class DecklanderError(Exception):
-    """Base of every error raised on purpose."""
+    """Base of every error raised on purpose.
+
+    Its text is one line. What cannot be printed, as a line break or an escape sequence that a damaged file brought into it, is
+    shown as Python writes it.
+    """
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 class BadInput(DecklanderError):

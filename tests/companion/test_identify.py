@@ -90,7 +90,7 @@ def test_a_descent_tells_the_delay_of_any_vehicle_to_40_ms() -> None:
     assert abs(np.mean(errors)) < 0.01
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 @given(st.integers(0, 1_000_000), st.floats(0.0, 0.2))
 def test_little_motion_is_never_a_wrong_delay_that_is_sure(seed: int, gusts_m_s2: float) -> None:
     true, course = flown(seed, gusts_m_s2)
@@ -118,7 +118,7 @@ def test_lag_and_delay_of_the_climb_are_told_apart() -> None:
     assert abs(fit.response.lag_s - lag) < 3.0 * fit.response.lag_sigma_s < 0.3
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30, derandomize=True)
 @given(st.integers(0, 1_000_000), st.floats(0.0, 1.0))
 def test_a_command_between_two_steps_keeps_its_instant(seed: int, shift: float) -> None:
     rng = np.random.default_rng(seed)

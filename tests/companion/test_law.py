@@ -31,7 +31,7 @@ RESPONSE = shipped_response("ardrone2")
 T = 0.02
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10_000), st.integers(1, 6))
 def test_the_riccati_solution_solves_its_equation_and_stabilises(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)

@@ -160,7 +160,7 @@ def test_a_moving_pad_and_a_steady_wind_leave_no_error():
     assert np.abs(track[-50:] - [0, 0, 2.0]).max() < 0.06
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(st.floats(0.1, 0.5), st.floats(0.0, 0.3))
 def test_stable_over_the_vehicles_and_delays_to_expect(lag_s, delay_s):
     track = fly([1.0, 0.5, 3.0], lag_s=lag_s, delay_s=delay_s, seconds=25)

@@ -78,7 +78,7 @@ def sinks(command: Command | None) -> bool:
     return isinstance(command, Velocity) and command.v_level[2] > 1e-9
 
 
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 @given(
     spells=st.lists(
         st.tuples(st.integers(1, 120), st.booleans(), st.floats(0.25, 4.0), st.floats(-2, 2)), min_size=1, max_size=6
@@ -214,7 +214,7 @@ def test_the_ship_s_own_word_does_not_break_the_vehicle_s_silence(monkeypatch: p
     assert cycles[-1].silent_s == pytest.approx(50 * TICK_S)
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(cuts=st.lists(st.integers(1, 9), min_size=1, max_size=8), flies_from=st.integers(0, 30), seed=st.integers(0, 9))
 def test_samples_together_fly_as_samples_one_by_one(cuts: list[int], flies_from: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

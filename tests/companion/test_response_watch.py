@@ -88,7 +88,7 @@ def watched(watch: ResponseWatch, u: F64, y: F64, late_s: float = 0.01) -> Itera
         yield before, watch
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20, derandomize=True)
 @given(st.integers(0, 1_000_000), st.floats(0.02, 0.35))
 def test_the_delay_flown_with_comes_to_the_vehicles_own_and_never_by_one_fit(seed: int, delay_s: float) -> None:
     u = leans(seed, 16.0, 0.6)
@@ -173,7 +173,6 @@ def fit_of(delay_s: float, sigma_s: float) -> TiltFit:
     return structs.replace(fit, response=structs.replace(fit.response, delay_s=delay_s), fitted=fit.fitted._replace(cov=cov))
 
 
-@settings(deadline=None)
 @given(st.floats(0.0, DELAY_MAX_S), st.floats(0.0, 0.2), st.sampled_from([None, 0.02, 0.1]), st.floats(0.0, DELAY_MAX_S))
 def test_a_fit_confirms_contradicts_or_decides_nothing(
     delay_s: float, sigma_s: float, file_sigma_s: float | None, flown_with_s: float

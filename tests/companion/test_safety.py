@@ -136,7 +136,7 @@ def below(height_m: float, loop: Loop):
     return lambda decision: loop.d[2] < height_m
 
 
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 @given(
     spells=st.lists(st.tuples(st.integers(2, 80), st.sampled_from(FAULTS)), min_size=1, max_size=5),
     path=st.sampled_from(["dead_reckoning", "median_mean", "ekf"]),

@@ -233,7 +233,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
 
 
 @given(good_settings())
-@runs(deadline=None, max_examples=60)
+@runs(max_examples=60)
 def test_what_show_prints_reads_back_as_the_same_settings(drawn: Settings) -> None:
     assert from_mapping(tomllib.loads(reference.toml(drawn)), "shown") == drawn
 
@@ -291,7 +291,7 @@ def test_keys_of_links_are_relative_to_the_settings_file(tmp_path: Path) -> None
 
 
 @given(st.dictionaries(st.sampled_from(["vehicle", "camera", "pad", "vision", "guidance", "x"]), junk))
-@runs(deadline=None, max_examples=200)
+@runs(max_examples=200)
 def test_any_mapping_is_either_settings_or_one_line(data: dict[str, Any]) -> None:
     try:
         from_mapping({**minimal(), **data}, "rig.toml")
@@ -304,7 +304,7 @@ def test_any_mapping_is_either_settings_or_one_line(data: dict[str, Any]) -> Non
 
 
 @given(st.binary(max_size=60) | st.text(max_size=60).map(str.encode))
-@runs(deadline=None, max_examples=100)
+@runs(max_examples=100)
 def test_any_bytes_in_a_file_are_either_settings_or_one_line(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
     file = tmp_path_factory.getbasetemp() / "any.toml"
     file.write_bytes(content)

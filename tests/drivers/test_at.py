@@ -67,13 +67,13 @@ def test_bytes_of_each_command(command: at.AtCommand, line: bytes) -> None:
     assert at.encode(*back) == line
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.lists(st.tuples(sequences, commands), max_size=6))
 def test_what_is_encoded_decodes(told: list[tuple[int, at.AtCommand]]) -> None:
     assert at.decode(b"".join(at.encode(*t) for t in told)) == told
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.binary(max_size=200), st.binary(max_size=50))
 def test_garbage_never_raises_and_never_costs_the_next_command(garbage: bytes, behind: bytes) -> None:
     good = at.encode(9, at.Config("a:b", "c"))

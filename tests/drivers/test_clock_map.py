@@ -41,7 +41,7 @@ def follow(clock: ClockMap, received: Received) -> list[Stamp]:
     return [clock.stamp(int(r), MonoNs(int(h))) for r, h in zip(received.remote_ns, received.received_at_ns, strict=True)]
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @example(seed=78962, rate_hz=15.0, drift_ppm=0.0, jitter_s=0.0078125, wrap_ns=None)  # sigma 2.15 ms: few samples, much jitter
 @given(
     seed=st.integers(0, 10**6),
@@ -141,7 +141,7 @@ def test_reset_keeps_the_order() -> None:
     assert clock.stamp(77 * S, MonoNs(last.received_at + 1)).measured_at >= last.measured_at
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.lists(st.tuples(st.integers(-(2**70), 2**70), st.integers(0, 2**50)), max_size=40), st.sampled_from([None, 2048 * S]))
 def test_any_counter_gives_a_stamp_in_order_of_hearing(messages: list[tuple[int, int]], wrap_ns: int | None) -> None:
     clock = ClockMap(ClockMapOptions(wrap_ns=wrap_ns))

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.ardrone import control
@@ -27,7 +27,6 @@ def test_a_real_configuration() -> None:
     assert control.render(told).rstrip(b"\0").split() == text.split()
 
 
-@settings(deadline=None)
 @given(st.dictionaries(keys, values, max_size=8))
 def test_what_is_rendered_parses(configuration: dict[str, str]) -> None:
     data = control.render(configuration)
@@ -36,7 +35,6 @@ def test_what_is_rendered_parses(configuration: dict[str, str]) -> None:
     assert control.parse(data + b"general:late = 1\n") == configuration, "what follows the NUL is not of this text"
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=300))
 def test_garbage_never_raises_and_costs_no_line(garbage: bytes) -> None:
     control.parse(garbage)

@@ -86,7 +86,7 @@ def test_an_image_on_its_side_is_turned_only_where_that_is_asked_for() -> None:
         decode(turned, (64, 48), turned=True)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.one_of(st.binary(max_size=80), st.tuples(st.sampled_from(FORMATS), st.integers(0, 60), st.binary(max_size=8))))
 def test_no_bytes_raise_anything_else(what: bytes | tuple[str, int, bytes]) -> None:
     if isinstance(what, tuple):

@@ -117,7 +117,7 @@ async def test_a_falsy_item_is_an_item(make, falsy):
     assert await asyncio.wait_for(box.get(), 60) == falsy
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(st.sampled_from(["offer", "get", "cancelled get", "turn"]), max_size=40), st.integers(1, 5))
 def test_every_item_is_read_dropped_or_still_there(script, capacity):
     async def play():

@@ -176,13 +176,13 @@ def test_time_wraps_and_control_state() -> None:
     assert nd.Navdata.of(0, 1).control_state is None
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.binary(max_size=400))
 def test_any_bytes_end_in_a_result(data: bytes) -> None:
     assert isinstance(nd.decode(data), nd.Navdata | Refusal)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.lists(st.tuples(st.integers(0, 30), st.binary(max_size=230)), max_size=8), st.integers(0, 2**32 - 1))
 def test_any_bodies_under_a_good_checksum_become_samples_or_nothing(bodies: list[tuple[int, bytes]], state: int) -> None:
     data = struct.pack("<IIII", nd.MAGIC, state, 1, 1)

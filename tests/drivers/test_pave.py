@@ -78,7 +78,7 @@ def test_a_start_in_mid_frame_finds_the_next(start: int) -> None:
     assert len(frames) == len(expected)
 
 
-@settings(deadline=None, max_examples=400)
+@settings(max_examples=400)
 @given(
     st.integers(0, STARTS[4]),
     st.integers(0, 300),
@@ -101,7 +101,7 @@ def test_damage_costs_the_frames_it_touches_and_no_other(at: int, lost: int, ins
         assert frames[len(before)].discontinuity
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.lists(st.binary(max_size=200), max_size=6))
 def test_garbage_never_raises_and_the_stream_behind_it_is_read(chunks: list[bytes]) -> None:
     parser = PaveParser()

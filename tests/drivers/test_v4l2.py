@@ -285,7 +285,7 @@ def test_a_webcams_jpeg_without_huffman_tables_is_read() -> None:
 
 
 @given(form=st.sampled_from(["YUYV", "NV12", "GREY", "MJPG"]), data=st.binary(max_size=3 * W * H), cut=st.integers(0, 3000))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_torn_bytes_are_refused_and_never_raise(form: str, data: bytes, cut: int) -> None:
     layout = FrameLayout(form, W, H, 2 * W if form == "YUYV" else W)
     jpeg = cv2.imencode(".jpg", image())[1].tobytes()
@@ -311,7 +311,7 @@ def test_the_stamp_is_the_middle_of_the_exposure() -> None:
 
 
 @given(stamp_ns=st.integers(-(2**63), 2**63), monotonic=st.booleans(), at_start=st.booleans(), latency_s=st.floats(0.0, 0.5))
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_no_kernel_stamp_whatever_makes_an_impossible_one(
     stamp_ns: int, monotonic: bool, at_start: bool, latency_s: float
 ) -> None:

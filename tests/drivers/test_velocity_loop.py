@@ -76,7 +76,7 @@ def test_what_reads_low_is_flown_fast() -> None:
     assert fly(0.4, reads=0.8)[-1] == pytest.approx(0.5, abs=0.02)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(*[st.floats(-20, 20)] * 5, st.floats(0, 1))
 def test_sticks_stay_inside_and_tilt_keeps_its_direction(
     vx: float, vy: float, vz: float, mx: float, my: float, dt_s: float

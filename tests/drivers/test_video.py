@@ -146,7 +146,7 @@ def test_announcements_break_nothing() -> None:
     assert decoder.empty == 1
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     st.lists(
         st.tuples(st.integers(0, 15), st.sampled_from(["whole", "gap", "cut", "flip", "noise"]), st.integers(0, 10**6)),

@@ -29,7 +29,7 @@ def filled(until_s: float = 1.0, step_s: float = 0.005) -> AttitudeHistory:
     return history
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(t_s=st.floats(0.51, 1.03))
 def test_between_samples_and_a_little_past_the_newest_it_is_the_true_attitude(t_s: float) -> None:
     found = filled().at(MonoNs(round(t_s * 1e9)), stamp(t_s))

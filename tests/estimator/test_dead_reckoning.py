@@ -115,7 +115,7 @@ def test_heading_passes_the_limit_of_its_range():
     np.testing.assert_allclose(r.d_body_pad_level, [math.cos(0.2), -math.sin(0.2), 3.0], atol=1e-9)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(
     st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.5, 0.5)),
     st.floats(-1.5, 1.5),
@@ -137,7 +137,7 @@ def test_a_late_sighting_ends_where_a_prompt_one_does(v, yaw_rate, delay):
     np.testing.assert_allclose(a.cov, b.cov, atol=1e-9)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.5, 0.5)), st.floats(-1.5, 1.5))
 def test_follows_a_flight_along_a_curve(v, yaw_rate):
     """The pad stands still in `ned`; 200 Hz samples carry one sighting over a second and a half."""
@@ -268,7 +268,7 @@ events_of_any_kind = st.lists(
 )
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(events_of_any_kind)
 def test_whatever_comes_the_covariance_stays_one_and_grows_without_sightings(script):
     t, state = 1.0, dr.DeadReckoning.start()

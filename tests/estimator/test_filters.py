@@ -62,7 +62,7 @@ def test_a_sighting_that_is_not_newer_changes_nothing():
         assert out is None
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(angles, st.lists(st.floats(-0.05, 0.05), min_size=1, max_size=8))
 def test_heading_is_the_same_wherever_the_circle_is_cut(base, wobbles):
     at_zero = run([0.0] * len(wobbles), yaws=wobbles)

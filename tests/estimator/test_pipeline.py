@@ -73,7 +73,7 @@ def test_every_path_believes_the_pad_where_it_was_seen() -> None:
     assert [b.path for b in pipeline.beliefs(memory, MonoNs(10**9))] == ["dead_reckoning", "median_mean"]
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(delay_s=st.floats(0.0, 1.5), confidence=st.floats(0.0, 1.0))
 def test_every_sighting_ends_in_one_verdict_a_path_and_a_refused_one_changes_nothing(delay_s: float, confidence: float) -> None:
     memory = hovering()

@@ -102,7 +102,7 @@ def flown(datagrams: Sequence[Sequence[Sample]], seen: Sequence[int], *, togethe
     return (memory.guard, memory.attitudes, pipeline.beliefs(memory, newest), pipeline.motion(memory, newest)), results
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(drawn=st.lists(DATAGRAM, min_size=1, max_size=40), seed=st.integers(0, 9))
 def test_samples_together_are_samples_one_by_one(drawn: list[list[tuple[str, int, int, float]]], seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -122,7 +122,7 @@ def disturb(v: Vehicle | PlainVehicle, kind: int, extra: tuple[float, float, flo
     air=st.sampled_from(AIRS),
     start=st.sampled_from(["air", "low", "deck", "beside", "tumbling"]),
 )
-@settings(deadline=None, max_examples=14, derandomize=True, phases=[Phase.generate])
+@settings(max_examples=14, derandomize=True, phases=[Phase.generate])
 def test_every_number_of_the_state_agrees_step_by_step(
     seed: int, frame: Airframe, shape: DeckShape, air: AirModel | None, start: str
 ) -> None:

@@ -192,7 +192,7 @@ def test_every_number_says_its_unit_range_and_meaning() -> None:
                 assert path.endswith(endings[unit]), path
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     st.recursive(
         st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=8),

@@ -44,7 +44,7 @@ def test_the_same_shot_and_seed_give_the_same_bits_from_a_new_renderer_too() -> 
     pad_rpy=st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-3.2, 3.2)),
     v=st.tuples(st.floats(-20, 20), st.floats(-20, 20), st.floats(-20, 20)),
 )
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_a_image_comes_from_anywhere_in_any_attitude(
     which: Renderer,
     p: tuple[float, ...],

@@ -28,7 +28,7 @@ def test_jonswap_without_its_peak_enhancement_is_the_ittc_shape() -> None:
 
 
 @given(st.integers(0, 2**31), st.sampled_from([*SEA_STATES.values(), SHELTERED_SLIGHT]), st.floats(-10, 10))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_significant_height_is_met_exactly_by_every_seed(seed: int, state: SeaState, towards_rad: float) -> None:
     waves = Waves.draw(state, seed, towards_rad=towards_rad)
     assert waves.hs_m == pytest.approx([state.hs_m], abs=1e-12)

@@ -52,7 +52,7 @@ def test_short_waves_hardly_move_it(which: Hull) -> None:
 
 
 @given(st.sampled_from(list(HULLS.values())), st.floats(0.05, 12.0), st.floats(-7, 7), st.floats(0, 8))
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_responses_are_finite_at_any_frequency_heading_and_speed(which: Hull, w: float, beta: float, speed: float) -> None:
     assert np.all(np.isfinite(responses(which, np.array(w), np.array(beta), speed)))
 
@@ -87,7 +87,7 @@ def test_under_way_it_meets_the_waves_of_the_places_it_passes() -> None:
     t=st.floats(0, 300),
     pad_yaw_rad=st.floats(-3, 3),
 )
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_velocity_and_acceleration_are_the_derivatives_of_place_and_attitude(
     which: Hull, seed: int, t: float, heading_rad: float, speed_m_s: float, pad_yaw_rad: float
 ) -> None:

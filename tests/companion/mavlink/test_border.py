@@ -48,7 +48,7 @@ def test_every_message_of_the_dialect_with_random_bytes_as_its_fields(border: tu
     loop.run_until_complete(service.alive())
 
 
-@settings(deadline=None, max_examples=300, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=300, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(data=messages())
 def test_any_fields_with_the_right_checksum(border: tuple[asyncio.AbstractEventLoop, Border], data: bytes) -> None:
     loop, service = border
@@ -57,7 +57,7 @@ def test_any_fields_with_the_right_checksum(border: tuple[asyncio.AbstractEventL
     assert dict(service.links.unfit) == {}
 
 
-@settings(deadline=None, max_examples=200, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=200, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(data=messages(mav.MAVLink_command_long_message))
 def test_any_command(border: tuple[asyncio.AbstractEventLoop, Border], data: bytes) -> None:
     loop, service = border

@@ -131,7 +131,7 @@ def test_what_cannot_be_done_is_answered_too(command: int, params: tuple[float, 
     assert tower.handlers == []
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.integers(0, 65535), st.lists(st.floats(width=32), min_size=7, max_size=7))
 def test_every_command_is_answered_exactly_once(command: int, params: list[float]) -> None:
     assert len(acks(server(Tower()).on_message(long(command, *params), STATION, US, at(0)))) == 1

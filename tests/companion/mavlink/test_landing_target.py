@@ -104,7 +104,7 @@ def test_no_two_fields_can_be_swapped_unseen(case: Case) -> None:
 coordinate = st.floats(-8.0, 8.0)
 
 
-@settings(deadline=None, max_examples=80)
+@settings(max_examples=80)
 @given(coordinate, coordinate, st.floats(0.3, 20.0), st.floats(-0.35, 0.35), st.floats(-0.35, 0.35), st.floats(-3.14, 3.14))
 def test_angles_position_and_distance_agree_wherever_the_pad_is(
     x: float, y: float, z: float, roll: float, pitch: float, yaw: float

@@ -87,12 +87,12 @@ def test_it_is_a_queue_that_survives_being_opened_again(tmp_path: Path) -> None:
     global _folders
     _folders = (tmp_path / str(k) for k in range(10**6))
     machine = AgainstAModel.TestCase
-    machine.settings = settings(deadline=None, max_examples=25, stateful_step_count=20)
+    machine.settings = settings(max_examples=25, stateful_step_count=20)
     machine("runTest").runTest()
 
 
 @given(cut=st.integers(1, 60), junk=st.binary(max_size=40))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_a_torn_end_costs_the_torn_records_alone(tmp_path_factory: pytest.TempPathFactory, cut: int, junk: bytes) -> None:
     folder = tmp_path_factory.mktemp("spool")
     spool = Spool(folder, 8000)

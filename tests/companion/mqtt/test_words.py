@@ -108,7 +108,7 @@ def test_the_response_topic_of_mqtt_5_serves_where_the_command_names_none() -> N
         st.none() | st.booleans() | st.integers() | st.text(max_size=8) | st.sampled_from(list(GOOD.values())),
     ).map(lambda d: json.dumps({**GOOD, **d}).encode())
 )
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 def test_any_bytes_are_a_command_or_a_refusal(payload: bytes) -> None:
     at = command_handler()
     handled = at.take(payload, NOW)

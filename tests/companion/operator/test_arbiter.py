@@ -282,7 +282,7 @@ EVENTS = st.lists(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(EVENTS)
 def test_whatever_people_do_nothing_commands_without_its_order(events: list[tuple[object, object]]) -> None:
     bridge = Bridge()

@@ -58,7 +58,7 @@ def flown(v: tuple[float, float, float], yaw_rate: float = 0.0) -> Velocity:
     return Velocity(np.array(v), yaw_rate)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     st.sampled_from([(), L_SHAPE]),
     st.lists(st.tuples(st.floats(-8, 8), st.floats(-8, 8), st.integers(1, 60)), min_size=1, max_size=6),
@@ -73,7 +73,6 @@ def test_no_velocity_leads_out_of_a_fence(corners: tuple[tuple[float, float], ..
             assert margin(p, 12.0, corners)[0] >= -1e-3
 
 
-@settings(deadline=None)
 @given(st.floats(-40, 40), st.floats(-40, 40), st.floats(-5, 5), st.floats(-5, 5), st.sampled_from([(), L_SHAPE]))
 def test_outside_a_fence_nothing_leads_farther_and_the_way_back_is_free(
     x: float, y: float, vx: float, vy: float, corners: tuple[tuple[float, float], ...]
@@ -87,7 +86,6 @@ def test_outside_a_fence_nothing_leads_farther_and_the_way_back_is_free(
         assert within(back, p, 12.0, corners, 2.0) == pytest.approx(back)
 
 
-@settings(deadline=None)
 @given(
     st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, 3)),
     st.tuples(st.floats(-80, 80), st.floats(-80, 80)),

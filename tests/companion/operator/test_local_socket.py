@@ -17,7 +17,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.cli.fly_keyboard import KEY_S, KeyMotion, keys_in
@@ -126,7 +126,6 @@ async def test_garbage_and_floods_end_their_own_connection_alone(folder: Path, l
         assert service.served.counts["refused"] == 1
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=80))
 def test_no_bytes_make_the_decoders_raise(line: bytes) -> None:
     assert isinstance(request_of(line), str) or line
@@ -254,7 +253,6 @@ def test_keys_are_sticks_with_a_dead_man() -> None:
     assert motion.pressed("d", 11.0).sticks(11.1) == StickPositions(turn=1.0)
 
 
-@settings(deadline=None)
 @given(st.text(max_size=30))
 def test_whatever_a_terminal_sends_is_keys(text: str) -> None:
     assert all(key and "\x1b" not in key for key in keys_in(text))

@@ -6,7 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.operator.gamepad_file import mapping_of
@@ -100,7 +100,6 @@ def test_events_after_a_loss_are_left_out_until_the_next_report() -> None:
     assert (orders, memory.stale) == (("land",), True)
 
 
-@settings(deadline=None)
 @given(st.lists(st.integers(-40_000, 40_000), min_size=2, max_size=20))
 def test_a_stick_is_monotonic_bounded_and_centred_in_its_dead_zone(values: list[int]) -> None:
     found = []
@@ -112,7 +111,6 @@ def test_a_stick_is_monotonic_bounded_and_centred_in_its_dead_zone(values: list[
     assert positions(THESIS, step(start(THESIS, RANGES), moved("ABS_X", 135))[0])["turn"] == 0.0
 
 
-@settings(deadline=None)
 @given(st.lists(st.binary(max_size=100), max_size=8), st.integers(-3, 3), st.integers(-3, 300))
 def test_no_bytes_of_a_device_raise(pieces: list[bytes], minimum: int, maximum: int) -> None:
     memory, rest = start(THESIS, RANGES), b""
@@ -125,7 +123,6 @@ def test_no_bytes_of_a_device_raise(pieces: list[bytes], minimum: int, maximum: 
     assert len(rest) < EVENT.size
 
 
-@settings(deadline=None)
 @given(
     st.lists(
         st.builds(

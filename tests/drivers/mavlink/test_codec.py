@@ -35,7 +35,7 @@ def signing(link_id: int = 3, wall_s: float = EPOCH_S + 1000.0) -> Signing:
     return Signing(KEY, SigningTimes(None, lambda: wall_s), link_id)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(data=st.binary(max_size=300), cuts=st.lists(st.integers(0, 300), max_size=6), datagrams=st.booleans())
 def test_any_bytes_cut_anywhere_never_raise(data: bytes, cuts: list[int], datagrams: bool) -> None:
     codec = Codec(1, 1, datagrams=datagrams, signing=signing())
@@ -44,7 +44,7 @@ def test_any_bytes_cut_anywhere_never_raise(data: bytes, cuts: list[int], datagr
         codec.feed(data[a:b])
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     rubbish=st.binary(max_size=40).map(lambda b: b.replace(b"\xfd", b"\x00").replace(b"\xfe", b"\x00")),
     cut=st.integers(1, 60),

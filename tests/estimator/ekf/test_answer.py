@@ -78,7 +78,7 @@ def same_answer(b: Belief, now: int, chosen: FilterParams) -> tuple[bool, bool]:
 
 
 @given(st.integers(0, 2**31), st.integers(0, 250), st.sampled_from([TOOLS, OFTEN, FORGETFUL]), st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_an_answer_is_the_oracle_s(seed: int, later_ms: int, chosen: FilterParams, known: bool) -> None:
     b = beginning(seed)._replace(heading_known=known, cov_levelled_by=np.diag([1e-4, 2e-4, 3e-4]))
     if seed % 3 == 0:

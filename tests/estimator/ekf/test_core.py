@@ -141,7 +141,7 @@ def _over_the_pad() -> F64:
 
 
 @given(st.integers(0, 2**31), st.sampled_from(ALL), st.sampled_from([0.0, 0.2, 1.0]), st.sampled_from([1.0, 5.0, 60.0]))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_each_sample_has_the_oracle_s_outcome_and_belief(seed: int, chosen: FilterParams, wild: float, gap_ms: float) -> None:
     oracle = beginning(seed)
     for one in row(seed, 20, wild, gap_ms):
@@ -155,7 +155,7 @@ def test_each_sample_has_the_oracle_s_outcome_and_belief(seed: int, chosen: Filt
 
 
 @given(st.integers(0, 2**31), st.sampled_from(ALL))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_a_row_in_one_call_is_one_call_for_each(seed: int, chosen: FilterParams) -> None:
     samples = row(seed, 40, 0.1, 3.0)
     one_by_one = PackedBelief.of(beginning(seed))
@@ -193,7 +193,7 @@ def test_a_sensor_that_contradicts_for_a_second_is_believed_at_the_price_of_what
 
 
 @given(st.integers(0, 2**31), st.integers(0, 200))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_what_is_gathered_is_fused_before_a_sighting_as_the_oracle_does(seed: int, wait_ms: int) -> None:
     b = beginning(seed)
     for one in row(seed, 8, 0.0, 2.0):
@@ -204,7 +204,7 @@ def test_what_is_gathered_is_fused_before_a_sighting_as_the_oracle_does(seed: in
 
 
 @given(st.integers(0, 2**31), st.integers(1, 400))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_transition_and_noise_are_the_oracle_s(seed: int, since_ms: int) -> None:
     b = beginning(seed)._replace(
         jolt_var_m2_s2=0.3, jolt_var_rad2=0.01, turned=np.eye(3) * 0.02, dv=(0.1, 0.2, 0.3), dp=(0.01, 0.0, 0.1)

@@ -119,7 +119,7 @@ def agrees(b: Belief, event: Event, chosen: FilterParams) -> tuple[Belief, Verdi
 
 
 @given(st.integers(0, 2**31), st.sampled_from(ALL))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_each_sighting_has_the_oracle_s_outcome_and_belief(seed: int, chosen: FilterParams) -> None:
     rng = np.random.default_rng(seed)
     b, t = sighted_belief(seed), T
@@ -150,7 +150,7 @@ def report(rng: np.random.Generator, t: int) -> VesselReport:
 
 
 @given(st.integers(0, 2**31), st.sampled_from(ALL))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_each_report_of_a_vessel_has_the_oracle_s_outcome_and_belief(seed: int, chosen: FilterParams) -> None:
     rng = np.random.default_rng(seed)
     b = sighted_belief(seed)
@@ -159,7 +159,7 @@ def test_each_report_of_a_vessel_has_the_oracle_s_outcome_and_belief(seed: int, 
 
 
 @given(st.integers(0, 2**31), st.sampled_from(ALL))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_a_row_of_all_kinds_in_one_call_is_one_call_for_each(seed: int, chosen: FilterParams) -> None:
     rng = np.random.default_rng(seed)
     b = sighted_belief(seed)
@@ -178,7 +178,7 @@ def test_a_row_of_all_kinds_in_one_call_is_one_call_for_each(seed: int, chosen: 
 
 
 @given(st.integers(0, 2**31), st.sampled_from([1e-6, 1e-4, 1e-2, 1.0]), st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_the_model_of_a_sighting_is_the_oracle_s(seed: int, attitude_var: float, place_only: bool) -> None:
     """Whatever part of its covariance comes from the attitude: all of it, some of it in some direction, or more than there is."""
     rng = np.random.default_rng(seed)

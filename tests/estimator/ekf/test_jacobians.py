@@ -118,13 +118,13 @@ def check_sighting(b: Belief, seed: int, pose6: bool, rows: slice) -> None:
 
 
 @given(st.integers(0, 10_000), st.booleans())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_sighting_place(seed: int, pose6: bool) -> None:
     check_sighting(random_belief(seed), seed, pose6, slice(0, 3))
 
 
 @given(st.integers(0, 10_000), st.booleans())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_sighting_orientation(seed: int, pose6: bool) -> None:
     """At no delay: what the orientation's columns leave out is a delay times a rate."""
     b = random_belief(seed)
@@ -134,7 +134,7 @@ def test_sighting_orientation(seed: int, pose6: bool) -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_delay_column_is_the_rate_of_what_the_camera_sees(seed: int) -> None:
     b = random_belief(seed)
     seen, levelled_by = sighting(seed, pose6=True)
@@ -155,7 +155,7 @@ def test_delay_column_is_the_rate_of_what_the_camera_sees(seed: int) -> None:
 
 
 @given(st.integers(0, 10_000), st.sampled_from([0.0, 0.4, 1.0]))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_velocity(seed: int, deck_weight: float) -> None:
     b = random_belief(seed)
     cov = np.diag([0.01, 0.01, 0.01])
@@ -169,7 +169,7 @@ def test_velocity(seed: int, deck_weight: float) -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_range(seed: int) -> None:
     b = random_belief(seed)
 
@@ -202,7 +202,7 @@ def test_height_and_vessel(seed: int) -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_transition(seed: int) -> None:
     """Errors carried by `settle`'s F agree with carrying a disturbed state through the nonlinear motion."""
     rng = np.random.default_rng(seed)

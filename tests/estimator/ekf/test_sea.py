@@ -28,7 +28,7 @@ def matrix(w: float, zeta: float) -> np.ndarray:
 
 
 @given(st.floats(0.3, 3.0), st.floats(0.05, 0.9), st.floats(0.001, 5.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_transition_is_the_matrix_exponential(w: float, zeta: float, dt: float) -> None:
     got = transition(np.array(w), np.array(zeta), dt)
     np.testing.assert_allclose(got.A, expm(matrix(w, zeta) * dt), atol=1e-9 * max(1.0, w**3))
@@ -36,7 +36,7 @@ def test_transition_is_the_matrix_exponential(w: float, zeta: float, dt: float) 
 
 
 @given(st.floats(0.3, 3.0), st.floats(0.05, 0.9))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_stationary_covariance_is_stationary(w: float, zeta: float) -> None:
     F, P = matrix(w, zeta), stationary(np.array(w), np.array(zeta))
     change = F @ P + P @ F.T

@@ -43,7 +43,7 @@ def test_a_part_of_a_small_image_is_that_part_of_the_small_image() -> None:
     roll=st.floats(-0.6, 0.6), pitch=st.floats(-0.6, 0.6), x=st.floats(-0.4, 0.4), y=st.floats(-0.3, 0.3),
     depth=st.floats(0.5, 20.0),
 )  # fmt: skip
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_the_normals_of_an_ellipse_contain_that_of_its_circle(
     roll: float, pitch: float, x: float, y: float, depth: float
 ) -> None:
@@ -70,7 +70,7 @@ def test_the_normals_of_an_ellipse_contain_that_of_its_circle(
     cx=st.floats(-0.3, 0.3), cy=st.floats(-0.3, 0.3), radius=st.floats(0.02, 0.6), start=st.floats(0.0, 6.28),
     arc=st.floats(3.2, 6.28), seed=st.integers(0, 99),
 )  # fmt: skip
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_a_circle_is_found_in_an_outline_with_a_chord_across_it(
     cx: float, cy: float, radius: float, start: float, arc: float, seed: int
 ) -> None:

@@ -95,7 +95,7 @@ def test_edges_shares_together_are_those_of_each_by_itself(pad: Pad) -> None:
     assert head == pytest.approx(share[arrow] - ring(b.part(arrow))[0], abs=1e-6)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(
     st.floats(0.2, 20.0), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-math.pi, math.pi), st.integers(0, 1000),
 )  # fmt: skip

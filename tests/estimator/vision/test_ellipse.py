@@ -21,7 +21,7 @@ from sitl.testing.pad_images import PadPlacement, errors, image, project
 from sitl.testing.shipped import shipped_pad
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     x=st.floats(-2000, 2000), y=st.floats(-2000, 2000), a=st.floats(2, 500),
     flat=st.floats(0.3, 1.0), angle=st.floats(0, 3.1), n=st.integers(6, 80),

@@ -34,7 +34,7 @@ def test_nothing_from_nothing_and_one_from_one() -> None:
     assert fused.sighting.method == "fused"
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(sigmas=st.lists(st.floats(1e-4, 0.1), min_size=2, max_size=4), shared=st.floats(-2, 2), seed=st.integers(0, 10**6))
 def test_the_covariance_holds_even_for_cues_that_err_together(sigmas: list[float], shared: float, seed: int) -> None:
     """Every cue errs by the same number of its own sigmas: the fused error must not exceed that number of the fused sigma."""
@@ -59,7 +59,7 @@ def test_the_odd_one_out_is_left_out(wrong: str) -> None:
     assert fused.sighting.confidence < 0.9
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.lists(st.floats(0.0005, 0.01), min_size=2, max_size=4), st.integers(0, 10**6))
 def test_a_cue_that_comes_or_goes_moves_the_result_less_than_three_centimetres(sigmas: list[float], seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -73,7 +73,7 @@ def test_a_cue_that_comes_or_goes_moves_the_result_less_than_three_centimetres(s
     assert np.linalg.norm(whole.sighting.d_body_pad_level - without.sighting.d_body_pad_level) < 0.03
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(yaw=st.floats(-math.pi, math.pi), flipped=st.booleans())
 def test_an_ambiguous_heading_follows_the_sure_one(yaw: float, flipped: bool) -> None:
     other = math.remainder(yaw + (math.pi if flipped else 0.0), math.tau)

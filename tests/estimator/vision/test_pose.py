@@ -25,7 +25,7 @@ def marks_of(points: F64, scene: PadPlacement, camera: Camera, sigma_px: float =
     return Marks(project(points, scene, camera), points[:, :2], point_modes(np.full(len(points), sigma_px)))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(x=side, y=side, z=st.floats(0.3, 20.0), yaw=angle, roll=tilt, pitch=tilt, lens=st.booleans(), ahead=st.floats(-0.2, 0.2))
 def test_exact_marks_give_the_exact_pose(
     x: float, y: float, z: float, yaw: float, roll: float, pitch: float, lens: bool, ahead: float

@@ -104,7 +104,7 @@ def test_dump_reads_back_whole() -> None:
     assert read["network:navdata_port"] == "40001"
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.lists(st.tuples(st.sampled_from([*KEYS, "custom:session_id", "nope"]), st.text(max_size=12)), max_size=8))
 def test_no_value_breaks_the_table(writes: list[tuple[str, str]]) -> None:
     config = Configuration()

@@ -197,7 +197,7 @@ _FRAGMENT = st.one_of(
 )
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(st.lists(_FRAGMENT, max_size=8), st.sampled_from(list(VehiclePhase)))
 def test_garbage_never_raises_and_the_next_good_command_counts(fragments: list[bytes], phase: VehiclePhase) -> None:
     drone = DroneState()

@@ -1,0 +1,21 @@
+"""The text of an error is one printable line, whatever bytes from outside came into it."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, SetupImpossible
+
+
+@pytest.mark.parametrize("kind", [BadInput, Recoverable, SetupImpossible])
+@given(text=st.text())
+def test_a_text_is_one_printable_line(kind: type[DecklanderError], text: str) -> None:
+    said = str(kind(text))
+    assert said.isprintable()
+    assert said == text or not text.isprintable()
+
+
+def test_what_cannot_be_printed_is_shown_as_python_writes_it() -> None:
+    assert str(BadInput("log.bin: format '\n' of \x1b[31mIMU, 3 µs, 0.5°")) == r"log.bin: format '\n' of \x1b[31mIMU, 3 µs, 0.5°"
