@@ -114,6 +114,8 @@ class Daemon:
         self._ended = asyncio.Event()
         self._tracker: Worker | None = None
         self._prepare = prepare
+        self._decided = asyncio.Event()
+        """Set after the first guidance cycle, which nothing is to delay."""
         self._wrong_size_logged = False
         self._logged = ("", "")
         self._extras = dict(extras or {})
@@ -177,6 +179,7 @@ class Daemon:
 
     async def _read_frames(self, link: VehicleLink) -> None:
         if self._prepare is not None and self._tracker is not None:
+            await self._decided.wait()
             prepare, self._prepare = self._prepare, None
             await self._tracker.run(prepare)
         overtaken = 0
@@ -255,6 +258,7 @@ class Daemon:
             began = self._clock.now()
             self.health.beat("Decision")
             decision = self._pilot.decide(began)
+            self._decided.set()
             if decision.command is not None and self._link is not None:
                 try:
                     self._link.command(decision.command)
