@@ -29,100 +29,129 @@ static int wave_pair(int i, int j)
     return i * (2 * STATES - 1 - i) / 2 + j;
 }
 
-/* Ax = A x */
-static void carried(double A[STATES][STATES], const double x[STATES], double Ax[STATES])
+static const double *covariance_of(const sea *s, int k, int i, int j)
 {
+    return s->P + (k * MEMBER_PAIRS + member_pair(i, j)) * MEMBERS;
+}
+
+/* sum += a x, for every member */
+static void add_product(const double *a, const double *x, double *restrict sum)
+{
+    for (int g = 0; g < MEMBERS; g++) {
+        sum[g] += a[g] * x[g];
+    }
+}
+
+/* after = A before, for every member; its displacement and rate do not drive its force. */
+static void carry(const oscillator_steps *steps, double before[STATES][MEMBERS], double after[STATES][MEMBERS])
+{
+    memset(after, 0, STATES * sizeof after[0]);
     for (int i = 0; i < STATES; i++) {
-        Ax[i] = 0.0;
+        for (int j = i / 2 * 2; j < STATES; j++) {
+            add_product(steps->by_member[i][j], before[j], after[i]);
+        }
+    }
+}
+
+/* The column of the rate in every member's covariance after the step. */
+static void rate_column(const bank_members *m, const sea *s, const oscillator_steps *steps, int k, double column[STATES][MEMBERS])
+{
+    double half[STATES][MEMBERS] = {{0.0}};
+    const double *sigma = m->sigma + k * MEMBERS;
+    for (int i = 0; i < STATES; i++) {
         for (int j = 0; j < STATES; j++) {
-            Ax[i] += A[i][j] * x[j];
+            add_product(covariance_of(s, k, i, j), steps->by_member[OF_RATE][j], half[i]);
+        }
+    }
+    carry(steps, half, column);
+    for (int i = 0; i < STATES; i++) {
+        for (int g = 0; g < MEMBERS; g++) {
+            column[i][g] += sigma[g] * sigma[g] * steps->noise[i][g];
         }
     }
 }
 
-static void covariance_of(const sea *s, int k, int g, double P[STATES][STATES])
+/* The sum of a x over the members of an oscillator. */
+static double sum_of(int oscillator, const double *a, const double *x)
 {
-    const double *all = s->P + k * MEMBER_PAIRS * MEMBERS + g;
-    for (int i = 0; i < STATES; i++) {
-        for (int j = i; j < STATES; j++) {
-            P[i][j] = P[j][i] = all[member_pair(i, j) * MEMBERS];
-        }
-    }
-}
-
-static void state_of(const sea *s, int k, int g, double x[STATES])
-{
-    for (int i = 0; i < STATES; i++) {
-        x[i] = s->x[(k * MEMBER_STATES + i) * MEMBERS + g];
-    }
-}
-
-/* Add a member's covariance to the sum, and what its rate, once known, takes from the covariance at t. */
-static void add_covariance(double A[STATES][STATES], double q[STATES][STATES], double P[STATES][STATES], double size_var,
-                           double weight, double sum[STATES][STATES], double known[STATES][STATES])
-{
-    double half[STATES], column[STATES];
-    carried(P, A[OF_RATE], half);
-    carried(A, half, column);
-    for (int i = 0; i < STATES; i++) {
-        column[i] += size_var * q[i][OF_RATE];
-    }
-    const double scale = weight / fmax(column[OF_RATE], KNOWN_VAR);
-    for (int i = 0; i < STATES; i++) {
-        for (int j = i; j < STATES; j++) {
-            sum[i][j] += weight * P[i][j];
-            known[i][j] += scale * column[i] * column[j];
-        }
-    }
-}
-
-/* The weighted covariances of an oscillator's members at t, about their own states and for a known rate: the upper triangle. */
-static void add_own_spread(const bank_members *m, const sea *s, int k, int oscillator, double A[STATES][STATES],
-                           double q[STATES][STATES], const double *weight, waves_now *now)
-{
-    double sum[STATES][STATES] = {{0.0}}, known[STATES][STATES] = {{0.0}}, half[STATES][STATES], P[STATES][STATES];
+    double sum = 0.0;
     for (int g = first_member(oscillator); g <= last_member(oscillator); g++) {
-        const double sigma = m->sigma[k * MEMBERS + g];
-        covariance_of(s, k, g, P);
-        add_covariance(A, q, P, sigma * sigma, weight[g], sum, known);
+        sum += a[g] * x[g];
     }
+    return sum;
+}
+
+/* A sum A' for the weighted covariances before the step, added to the spread: the upper triangle. */
+static void add_carried(const sea *s, const oscillator_steps *steps, int k, int o, const double *weight, waves_now *now)
+{
+    double sum[STATES][STATES], half[STATES][STATES] = {{0.0}};
     for (int i = 0; i < STATES; i++) {
-        for (int j = 0; j < i; j++) {
-            sum[i][j] = sum[j][i];
+        for (int j = i; j < STATES; j++) {
+            sum[i][j] = sum[j][i] = sum_of(o, weight, covariance_of(s, k, i, j));
         }
     }
-    /* A sum A', of which half is the transposed product of the first two. */
-    for (int j = 0; j < STATES; j++) {
-        carried(A, sum[j], half[j]);
+    for (int i = 0; i < STATES; i++) {
+        for (int j = 0; j < STATES; j++) {
+            for (int l = i / 2 * 2; l < STATES; l++) {
+                half[i][j] += steps->A[o][i][l] * sum[l][j];
+            }
+        }
     }
     for (int i = 0; i < STATES; i++) {
         for (int j = i; j < STATES; j++) {
-            double moved = 0.0;
-            for (int l = 0; l < STATES; l++) {
-                moved += A[j][l] * half[l][i];
+            for (int l = j / 2 * 2; l < STATES; l++) {
+                now->spread[wave_pair(i, j)][o] += half[i][l] * steps->A[o][j][l];
             }
-            now->spread[wave_pair(i, j)][oscillator] += moved + now->energy[oscillator] * q[i][j] - known[i][j];
         }
     }
 }
 
-/* Weighted mean and spread of the states of an oscillator's members. */
-static void add_states(int oscillator, double x[MEMBERS][STATES], const double *weight, waves_now *now)
+/* The weighted covariances of the members after the step, about their own states and for a known rate. */
+static void add_own_spread(const bank_members *m, const sea *s, const oscillator_steps *steps, int k, const double *weight,
+                           waves_now *now)
 {
-    const int first = first_member(oscillator), last = last_member(oscillator);
-    if (now->weight[oscillator] <= 0.0) {
-        return;
+    double column[STATES][MEMBERS], known[MEMBERS], scaled[MEMBERS];
+    rate_column(m, s, steps, k, column);
+    for (int g = 0; g < MEMBERS; g++) {
+        known[g] = weight[g] / fmax(column[OF_RATE][g], KNOWN_VAR);
+    }
+    for (int o = 0; o < OSCILLATORS; o++) {
+        add_carried(s, steps, k, o, weight, now);
     }
     for (int i = 0; i < STATES; i++) {
-        for (int g = first; g <= last; g++) {
-            now->mean[i][oscillator] += weight[g] / now->weight[oscillator] * x[g][i];
+        for (int g = 0; g < MEMBERS; g++) {
+            scaled[g] = known[g] * column[i][g];
+        }
+        for (int j = i; j < STATES; j++) {
+            double *spread = now->spread[wave_pair(i, j)];
+            for (int o = 0; o < OSCILLATORS; o++) {
+                spread[o] += now->energy[o] * steps->q[o][i][j] - sum_of(o, scaled, column[j]);
+            }
         }
     }
-    for (int g = first; g <= last; g++) {
-        for (int i = 0; i < STATES; i++) {
-            const double off = weight[g] * (x[g][i] - now->mean[i][oscillator]);
-            for (int j = i; j < STATES; j++) {
-                now->spread[wave_pair(i, j)][oscillator] += off * (x[g][j] - now->mean[j][oscillator]);
+}
+
+/* Weighted mean and spread of the members' states. */
+static void add_states(double x[STATES][MEMBERS], const double *weight, waves_now *now)
+{
+    double off[STATES][MEMBERS], weighted[MEMBERS];
+    for (int i = 0; i < STATES; i++) {
+        for (int o = 0; o < OSCILLATORS; o++) {
+            if (now->weight[o] > 0.0) {
+                now->mean[i][o] = sum_of(o, weight, x[i]) / now->weight[o];
+            }
+            for (int g = first_member(o); g <= last_member(o); g++) {
+                off[i][g] = x[i][g] - now->mean[i][o];
+            }
+        }
+    }
+    for (int i = 0; i < STATES; i++) {
+        for (int g = 0; g < MEMBERS; g++) {
+            weighted[g] = weight[g] * off[i][g];
+        }
+        for (int j = i; j < STATES; j++) {
+            for (int o = 0; o < OSCILLATORS; o++) {
+                now->spread[wave_pair(i, j)][o] += sum_of(o, weighted, off[j]);
             }
         }
     }
@@ -133,33 +162,40 @@ void steps_to(const bank_members *m, const sea *s, int64_t t, oscillator_steps *
     const double T = s->t >= 0 && t > s->t ? seconds(s->t, t) : 0.0;
     for (int o = 0; o < OSCILLATORS; o++) {
         oscillator_transition(m->w[first_member(o)], m->zeta[first_member(o)], T, steps->A[o], steps->q[o]);
+        for (int i = 0; i < STATES; i++) {
+            for (int g = first_member(o); g <= last_member(o); g++) {
+                steps->noise[i][g] = steps->q[o][i][OF_RATE];
+                for (int j = 0; j < STATES; j++) {
+                    steps->by_member[i][j][g] = steps->A[o][i][j];
+                }
+            }
+        }
     }
 }
 
-void waves_at(const bank_members *m, const sea *s, oscillator_steps *steps, int k, double rate, waves_now *now)
+void waves_at(const bank_members *m, const sea *s, const oscillator_steps *steps, int k, double rate, waves_now *now)
 {
-    double weight[MEMBERS], x[MEMBERS][STATES], believed = 0.0;
+    double weight[MEMBERS], before[STATES][MEMBERS], x[STATES][MEMBERS], believed = 0.0;
+    const double *sigma = m->sigma + k * MEMBERS;
     memset(now, 0, sizeof *now);
+    memcpy(before, s->x + k * MEMBER_STATES * MEMBERS, sizeof before);
     weigh_ahead(m, s->log_weight + k * MEMBERS, s->weight[k * MEMBERS], weight);
+    carry(steps, before, x);
     for (int o = 0; o < OSCILLATORS; o++) {
-        double before[STATES];
         for (int g = first_member(o); g <= last_member(o); g++) {
-            const double sigma = m->sigma[k * MEMBERS + g];
             now->weight[o] += weight[g];
-            now->energy[o] += weight[g] * sigma * sigma;
-            state_of(s, k, g, before);
-            carried(steps->A[o], before, x[g]);
-            believed += weight[g] * x[g][OF_RATE];
+            now->energy[o] += weight[g] * sigma[g] * sigma[g];
         }
-        add_own_spread(m, s, k, o, steps->A[o], steps->q[o], weight, now);
     }
     for (int g = 0; g < MEMBERS; g++) {
-        x[g][OF_RATE] += rate - believed;
-        now->displacement += weight[g] * x[g][0];
+        believed += weight[g] * x[OF_RATE][g];
     }
-    for (int o = 0; o < OSCILLATORS; o++) {
-        add_states(o, x, weight, now);
+    for (int g = 0; g < MEMBERS; g++) {
+        x[OF_RATE][g] += rate - believed;
+        now->displacement += weight[g] * x[0][g];
     }
+    add_own_spread(m, s, steps, k, weight, now);
+    add_states(x, weight, now);
 }
 
 /* of = row mean, by oscillator */

@@ -4,9 +4,11 @@
 
 #include "interface.h"
 
-/* Transition and noise of every oscillator over the time since the bank's last look. */
+/* Transition and noise of every oscillator over the time since the bank's last look; for the members, the transition and the noise
+ * of the rate. */
 typedef struct {
     double A[OSCILLATORS][4][4], q[OSCILLATORS][4][4];
+    double by_member[4][4][MEMBERS], noise[4][MEMBERS];
 } oscillator_steps;
 
 /* One direction's members at an instant. Those of one oscillator, which differ in size alone, are taken together, as a forecast
@@ -33,7 +35,7 @@ typedef struct {
 /* From the bank's last look to instant t, ns. */
 void steps_to(const bank_members *m, const sea *s, int64_t t, oscillator_steps *steps);
 /* The members of direction k after these steps, with the present rate that the main filter believes, which has seen more. */
-void waves_at(const bank_members *m, const sea *s, oscillator_steps *steps, int k, double rate, waves_now *now);
+void waves_at(const bank_members *m, const sea *s, const oscillator_steps *steps, int k, double rate, waves_now *now);
 /* The direction at a horizon, without regard to the forecasts' skill. */
 void waves_ahead(waves_now *now, const horizon_reach *there, waves_then *then);
 /* Scale a forecast by the skill of past ones; what is left out is uncertain. */

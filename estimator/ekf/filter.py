@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -133,7 +134,7 @@ def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Foreca
         ValueError: a horizon that is negative or not finite.
     """
     h = np.array(horizons_s, dtype=float).reshape(-1)
-    if not (np.all(np.isfinite(h)) and np.all(h >= 0.0)):
+    if not all(0.0 <= x < math.inf for x in h.tolist()):
         raise ValueError(f"horizons must be seconds of 0 or more, got {horizons_s!r}")
     before = ekf.history.before(now)
     return None if before is None else forecasting.forecast(before, now, h, ekf.params.process_noise)

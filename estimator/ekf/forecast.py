@@ -19,7 +19,6 @@ from estimator.ekf.packed_belief import PackedBelief
 
 _FORECAST, _REACH = CORE.function("filter_forecast"), CORE.function("bank_reach")
 _PLACES, _SIZE, _REACH_SIZE = places_of("deck_ahead"), size_of("deck_ahead"), size_of("horizon_reach")
-_SCALARS = ("height", "sigma_height", "rise", "sigma_rise", "roll", "sigma_roll", "pitch", "sigma_pitch")
 _Z = {0.5: 0.6745, 0.68: 0.9945, 0.8: 1.2816, 0.9: 1.6449, 0.95: 1.9600, 0.99: 2.5758}
 
 
@@ -51,6 +50,7 @@ class Forecast:
     pitch_rad: F64
     """(H,) of the deck, arrow up positive."""
     sigma_pitch_rad: F64
+    """The fields from `deck_height_m` on are those of the core's `deck_ahead` from `height` on, in order."""
 
     def band(self, name: str, probability: float) -> tuple[F64, F64]:
         """Return the lower and upper end of a quantity's central band.
@@ -84,12 +84,10 @@ def forecast(before: PackedBelief, at: MonoNs, horizons_s: F64, noise: ProcessNo
     )  # fmt: skip
     if not there:
         return None
-    columns = found.reshape(-1, _SIZE)[:n]
-    numbers = {name: columns[:, place] for name, place in _PLACES.items()}
-    height, sigma_height, rise, sigma_rise, roll, sigma_roll, pitch, sigma_pitch = (numbers[name][:, 0] for name in _SCALARS)
+    numbers = found.reshape(-1, _SIZE)[:n]
     return Forecast(
-        at, horizons_s, numbers["d"], numbers["cov_d"].reshape(n, 3, 3), numbers["v_pad"], height, sigma_height, rise, sigma_rise,
-        roll, sigma_roll, pitch, sigma_pitch,
+        at, horizons_s, numbers[:, _PLACES["d"]], numbers[:, _PLACES["cov_d"]].reshape(n, 3, 3), numbers[:, _PLACES["v_pad"]],
+        *numbers.T[_PLACES["height"].start :],
     )  # fmt: skip
 
 
