@@ -119,20 +119,24 @@ class PackedBelief:
         n = len(events)
         seen = [one.seen for one in events if one.seen]
         block, covariances = np.empty(_OUTCOME_SIZE + n * (2 + _SIZE)), np.empty(n * _P_SIZE)
-        seas = np.empty(len(seen) * SEA_SIZE)
-        start, P_start, sea_start = start_of(block), start_of(covariances), start_of(seas) if seen else 0
+        start, P_start, seas, sea_start = start_of(block), start_of(covariances), None, 0
+        if seen:
+            seas = np.empty(len(seen) * SEA_SIZE)
+            sea_start = start_of(seas)
         index = start + 8 * _OUTCOME_SIZE
         done = _RUN(
             noise.packed_address, n, b"".join([one.record for one in events]), b"".join(seen),
             self.numbers.address, self.P.address, self.sea.address, index + 16 * n, P_start, sea_start,
             index, index + 8 * n, start,
         )  # fmt: skip
-        if done == 0:
-            return Followed(self, 0, n, Words(block, 0, start), self.P, self.P), _WITHOUT_COMPARISON[Verdict.GATED]
-        slots = block[_OUTCOME_SIZE : _OUTCOME_SIZE + 2 * n].view(np.int64)
-        P = _kept(covariances, (slots.item(done - 1) + 1) * _P_SIZE)
-        sea = _kept(seas, (slots.item(n + done - 1) + 1) * SEA_SIZE)
-        return Followed(self, done, n, Words(block, 0, start), P, sea), _outcome(block)
+        slots = block[_OUTCOME_SIZE : _OUTCOME_SIZE + 2 * n].view(np.int64).tolist()
+        P = sea = None
+        if done and slots[done - 1] >= 0:
+            P = _kept(covariances, (slots[done - 1] + 1) * _P_SIZE)
+        if done and seas is not None and slots[n + done - 1] >= 0:
+            sea = _kept(seas, (slots[n + done - 1] + 1) * SEA_SIZE)
+        made = Followed(self, done, slots, Words(block, _OUTCOME_SIZE + 2 * n, index + 16 * n), P, sea)
+        return made, _outcome(block) if done else _WITHOUT_COMPARISON[Verdict.GATED]
 
     def propagated(self, t: int, noise: ProcessNoise, how_far: int) -> PackedBelief:
         """Return the belief at instant `t`, ns; `how_far` is one of `STATE_ALONE`, `WITH_COVARIANCE`, `WITH_AIDING`."""
@@ -153,18 +157,20 @@ class PackedBelief:
 def _kept(block: F64, used: int) -> Words:
     """Return the words that the core has used; the history keeps no room for more."""
     kept = block if used == block.size else block[:used].copy()
-    return Words(kept, 0, start_of(kept) if used else 0)
+    return Words(kept, 0, start_of(kept))
 
 
 class Followed(Sequence[PackedBelief]):
     """The beliefs after a row of events. Each is made when one asks: of most of them nobody ever does."""
 
-    __slots__ = ("_P", "_P_before", "_block", "_made", "_n", "_seas", "_seas_made")
+    __slots__ = ("_P", "_before", "_made", "_numbers", "_seas", "_seas_made", "_slots")
 
-    def __init__(self, before: PackedBelief, done: int, n: int, block: Words, P: Words, seas: Words) -> None:
-        self._n, self._block, self._P, self._seas, self._P_before = n, block, P, seas, before.P
+    def __init__(
+        self, before: PackedBelief, done: int, slots: list[int], numbers: Words, P: Words | None, seas: Words | None
+    ) -> None:
+        self._before, self._slots, self._numbers, self._P, self._seas = (before.P, before.sea), slots, numbers, P, seas
         self._made: list[PackedBelief | None] = [None] * done
-        self._seas_made = {-1: before.sea}
+        self._seas_made: dict[int, PackedSea] = {}
 
     def __len__(self) -> int:
         return len(self._made)
@@ -176,14 +182,18 @@ class Followed(Sequence[PackedBelief]):
         return made
 
     def _belief(self, i: int) -> PackedBelief:
-        n = self._n
-        slots = self._block.block[_OUTCOME_SIZE : _OUTCOME_SIZE + 2 * n].view(np.int64)
-        slot, sea_slot = slots.item(i), slots.item(n + i)
-        P = self._P.part(slot * _P_SIZE) if slot >= 0 else self._P_before
-        sea = self._seas_made.get(sea_slot)
-        if sea is None:
-            sea = self._seas_made[sea_slot] = PackedSea(*self._seas.part(sea_slot * SEA_SIZE))
-        return PackedBelief(self._block.part(_OUTCOME_SIZE + 2 * n + i * _SIZE), P, sea)
+        P, sea = self._before
+        slot, sea_slot = self._slots[i], self._slots[len(self._slots) // 2 + i]
+        if self._P is not None and slot >= 0:
+            P = self._P.part(slot * _P_SIZE)
+        if self._seas is not None and sea_slot >= 0:
+            sea = self._sea(sea_slot, self._seas)
+        return PackedBelief(self._numbers.part(i * _SIZE), P, sea)
+
+    def _sea(self, slot: int, seas: Words) -> PackedSea:
+        if slot not in self._seas_made:
+            self._seas_made[slot] = PackedSea(*seas.part(slot * SEA_SIZE))
+        return self._seas_made[slot]
 
 
 def _outcome(block: F64) -> Outcome:

@@ -143,6 +143,21 @@ def test_the_sightings_above_are_fused_refused_reset_to_and_weighed_by_their_hea
     assert min(fused, refused, reset, placed, jolted) >= 2, (fused, refused, reset, placed, jolted)
 
 
+@given(st.integers(0, 2**31), st.sampled_from(ALL))
+@settings(max_examples=20, deadline=None)
+def test_a_pad_that_has_moved_is_believed_when_the_oracle_does(seed: int, chosen: FilterParams) -> None:
+    rng = np.random.default_rng(seed)
+    b = sighted_belief(seed)._replace(sighted=T - 20 * MS, agreed=int(rng.integers(0, 9)), rejections=RejectionStreak())
+    moved, verdicts = look(rng, b, T), []
+    moved = replace(moved, d_body_pad_level=moved.d_body_pad_level + 9.0, pose6=None, confidence=1.0)
+    for k in range(8):
+        at = replace(stamp(T + 120 * k * MS), sigma_s=0.0)
+        b, verdict = agrees(b, replace(moved, stamp=at), chosen)
+        verdicts.append(verdict)
+    assert Verdict.FUSED in verdicts
+    assert b.sighted > T - 20 * MS
+
+
 def report(rng: np.random.Generator, t: int) -> VesselReport:
     v, cov = (None, None) if rng.random() < 0.3 else (rng.normal(size=3), np.diag(rng.uniform(1e-3, 1e-1, 3)))
     heading, sigma = (None, None) if rng.random() < 0.3 else (float(rng.uniform(-3.0, 6.0)), 0.05)
