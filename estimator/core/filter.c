@@ -145,7 +145,7 @@ static int take(const filter_params *o, belief *b, covariance *c, sea_ref *bank,
  * belongs to the belief after an event, -1 the one before all of them. */
 int32_t filter_run(const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before,
                    const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after,
-                   int64_t *P_index, int64_t *sea_index, outcome *first)
+                   int64_t *P_index, int64_t *sea_index, outcome *outcomes)
 {
     double places[2][N * N];
     const double *P = P_before;
@@ -153,13 +153,9 @@ int32_t filter_run(const filter_params *o, int32_t n, const event *events, const
     int32_t used = 0;
     for (int32_t i = 0; i < n; i++) {
         covariance c = {P, {places[0], places[1]}};
-        outcome out;
         after[i] = i == 0 ? *before : after[i - 1];
-        if (!take(o, &after[i], &c, &bank, &events[i], sightings, &out)) {
+        if (!take(o, &after[i], &c, &bank, &events[i], sightings, &outcomes[i])) {
             return i;
-        }
-        if (i == 0) {
-            *first = out;
         }
         if (c.P != P) {
             P = memcpy(P_after + (size_t)used * N * N, c.P, sizeof places[0]);

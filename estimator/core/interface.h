@@ -545,7 +545,7 @@ void bank_reach(const bank_members *m, int32_t n, const double *horizons_s, hori
 uint32_t core_digest(void);
 
 /* filter.c */
-int32_t filter_run(const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before, const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after, int64_t *P_index, int64_t *sea_index, outcome *first);
+int32_t filter_run(const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before, const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after, int64_t *P_index, int64_t *sea_index, outcome *outcomes);
 int32_t filter_propagate(const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before, belief *after, double *P_after);
 void filter_settle(const filter_params *o, const belief *before, belief *after, double *F, double *Q);
 
@@ -592,7 +592,7 @@ void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea
 void vehicle_carry(vehicle *v, const deck *g);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 1184505768u
+#define INTERFACE_DIGEST 311400423u
 #endif
 
 #endif

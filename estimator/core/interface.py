@@ -324,7 +324,7 @@ FUNCTIONS = (
         "int32_t",
         "const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before, "
         "const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after, int64_t *P_index, "
-        "int64_t *sea_index, outcome *first",
+        "int64_t *sea_index, outcome *outcomes",
         "filter.c",
     ),
     Function(

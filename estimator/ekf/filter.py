@@ -19,7 +19,7 @@ from estimator.ekf import motion
 from estimator.ekf.answers import FilterAnswer
 from estimator.ekf.deck_motion_bank import log_evidence_of_rest
 from estimator.ekf.forecast import Forecast, probability_of_motion
-from estimator.ekf.history import History, put
+from estimator.ekf.history import History, put_all
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.packed_event import Event
@@ -83,16 +83,18 @@ def step_all(ekf: Ekf, events: Sequence[Event]) -> tuple[Ekf, list[FusionResult]
     Raises:
         TypeError: an event is not a measurement (a frame, for example).
     """
-    history, imu, results = ekf.history, ekf.imu, []
-    for event in events:
+    imu, refused, admitted = ekf.imu, dict[int, FusionResult](), list[Event]()
+    for n, event in enumerate(events):
         refusal = None
         if ekf.limits is not None and isinstance(event, Imu):
             imu, refusal = sensors.watch(imu, event, ekf.limits, flying=True)
         if refusal is None:
-            history, outcome = put(history, event, ekf.params)
+            admitted.append(event)
         else:
-            outcome = result(event, Outcome(refusal))
-        results.append(outcome)
+            refused[n] = result(event, Outcome(refusal))
+    history, results = put_all(ekf.history, admitted, ekf.params)
+    for n, one in refused.items():
+        results.insert(n, one)
     return Ekf(ekf.options, ekf.params, history, ekf.limits, imu), results
 
 

@@ -144,14 +144,63 @@ def put(history: History, event: Event, params: FilterParams) -> tuple[History, 
         return history._replace(received_at=received_at), result(event, Outcome(Verdict.TOO_NEW))
     if t <= history.forgotten:
         return history._replace(received_at=received_at), result(event, Outcome(Verdict.TOO_OLD))
-    key = (t, rank, event.seq, event.method) if isinstance(event, Sighting) else (t, rank, 0, "")
+    key = _key(event, rank)
     chunks, later = _split(history.chunks, key)
-    inserted = [Entry(key, event, packed_event(event)), *later]
-    again, outcome = _processed(_after(chunks, history.base), inserted, params)
+    history, outcomes = _extended(history, chunks, [Entry(key, event, packed_event(event)), *later], 1, received_at, params)
+    return history, result(event, outcomes[0])
+
+
+def put_all(history: History, events: Sequence[Event], params: FilterParams) -> tuple[History, list[FusionResult]]:
+    """Insert events in the order of their reception, as `put` does one by one.
+
+    What follows the history in its order is processed in one row: most of the time that one sample takes is spent around it.
+    """
+    results: list[FusionResult] = []
+    while len(results) < len(events):
+        entries, received_at = _in_order(history, events[len(results) :], params)
+        if len(entries) > 1:
+            history, outcomes = _extended(history, history.chunks, entries, len(entries), received_at, params)
+            results += [result(entry.event, outcome) for entry, outcome in zip(entries, outcomes, strict=True)]
+        else:
+            history, one = put(history, events[len(results)], params)
+            results.append(one)
+    return history, results
+
+
+def _in_order(history: History, events: Sequence[Event], params: FilterParams) -> tuple[list[Entry], int]:
+    """Return the first events as far as each belongs at the history's end, and the latest time of reception with them."""
+    entries: list[Entry] = []
+    received_at = history.received_at
+    if len(events) < 2 or not history.chunks or history.leapt is not None:
+        return entries, received_at
+    o, last = params.options, history.chunks[-1][-1][0].key
+    leap_ns, ahead_ns = round(o.leap_s * 1e9), round(o.max_ahead_s * 1e9)
+    for event in events:
+        rank, stamp = _RANK.get(type(event)), event.stamp
+        if rank is None or abs(stamp.received_at - received_at) > leap_ns:
+            break
+        key, latest = _key(event, rank), max(received_at, stamp.received_at)
+        if key < last or key[0] > latest + ahead_ns:
+            break
+        entries.append(Entry(key, event, packed_event(event)))
+        last, received_at = key, latest
+    return entries, received_at
+
+
+def _key(event: Event, rank: int) -> Key:
+    t = event.stamp.measured_at
+    return (t, rank, event.seq, event.method) if isinstance(event, Sighting) else (t, rank, 0, "")
+
+
+def _extended(
+    history: History, chunks: Chunks, entries: list[Entry], told: int, received_at: int, params: FilterParams
+) -> tuple[History, list[Outcome]]:
+    """Return the history whose chunks go on with these events, and the outcomes of the first `told` of them."""
+    again, outcomes = _processed(_after(chunks, history.base), entries, told, params)
     chunks = _joined(chunks, again)
-    oldest = chunks[-1][-1][0].key[0] - round(o.history_s * 1e9)
+    oldest = chunks[-1][-1][0].key[0] - round(params.options.history_s * 1e9)
     base, chunks, forgotten = _trimmed(history.base, chunks, history.forgotten, oldest)
-    return History(base, chunks, forgotten, received_at, history.leapt), result(event, outcome)
+    return History(base, chunks, forgotten, received_at, history.leapt), outcomes
 
 
 def _after(chunks: Chunks, base: PackedBelief | None) -> PackedBelief | None:
@@ -195,24 +244,29 @@ def _trimmed(base: PackedBelief | None, chunks: Chunks, forgotten: int, oldest: 
     return base, chunks, forgotten
 
 
-def _processed(packed: PackedBelief | None, entries: list[Entry], params: FilterParams) -> tuple[list[_Place], Outcome]:
-    """Return the events with the beliefs after them, and the outcome of the first event.
+def _processed(
+    packed: PackedBelief | None, entries: list[Entry], told: int, params: FilterParams
+) -> tuple[list[_Place], list[Outcome]]:
+    """Return the events with the beliefs after them, and the outcomes of the first `told` events.
 
     The core processes events in a row; what begins a belief, and an attitude that sets one outright, stop it.
     """
     made: list[_Place] = []
-    outcome = None
+    outcomes: list[Outcome] = []
     while len(made) < len(entries):
         rest = entries[len(made) :]
         followed: Sequence[PackedBelief | None] = ()
         if packed is not None:
-            followed, first = packed.follow(params.process_noise, [entry.record for entry in rest])
+            row, first = packed.follow(params.process_noise, [entry.record for entry in rest])
+            if len(outcomes) < told and row:
+                outcomes += [first, *map(row.outcome, range(1, min(len(row), told - len(outcomes))))]
+            followed = row
         if not followed:
             b, first = process_event(None if packed is None else packed.belief, rest[0].event, params)
             followed = [None if b is None else PackedBelief.of(b)]
+            if len(outcomes) < told:
+                outcomes.append(first)
         done = len(followed)
         made += zip(rest, repeat(followed), range(done), strict=False)
         packed = followed[done - 1]
-        outcome = outcome or first
-    assert outcome is not None
-    return made, outcome
+    return made, outcomes

@@ -118,25 +118,26 @@ class PackedBelief:
         """
         n = len(events)
         seen = [one.seen for one in events if one.seen]
-        block, covariances = np.empty(_OUTCOME_SIZE + n * (2 + _SIZE)), np.empty(n * _P_SIZE)
+        block, covariances = np.empty(n * (_OUTCOME_SIZE + 2 + _SIZE)), np.empty(n * _P_SIZE)
         start, P_start, seas, sea_start = start_of(block), start_of(covariances), None, 0
         if seen:
             seas = np.empty(len(seen) * SEA_SIZE)
             sea_start = start_of(seas)
-        index = start + 8 * _OUTCOME_SIZE
+        at = n * _OUTCOME_SIZE
+        index = start + 8 * at
         done = _RUN(
             noise.packed_address, n, b"".join([one.record for one in events]), b"".join(seen),
             self.numbers.address, self.P.address, self.sea.address, index + 16 * n, P_start, sea_start,
             index, index + 8 * n, start,
         )  # fmt: skip
-        slots = block[_OUTCOME_SIZE : _OUTCOME_SIZE + 2 * n].view(np.int64).tolist()
+        slots = block[at : at + 2 * n].view(np.int64).tolist()
         P = sea = None
         if done and slots[done - 1] >= 0:
             P = _kept(covariances, (slots[done - 1] + 1) * _P_SIZE)
         if done and seas is not None and slots[n + done - 1] >= 0:
             sea = _kept(seas, (slots[n + done - 1] + 1) * SEA_SIZE)
-        made = Followed(self, done, slots, Words(block, _OUTCOME_SIZE + 2 * n, index + 16 * n), P, sea)
-        return made, _outcome(block) if done else _WITHOUT_COMPARISON[Verdict.GATED]
+        made = Followed(self, done, slots, Words(block, at + 2 * n, index + 16 * n), P, sea)
+        return made, made.outcome(0) if done else _WITHOUT_COMPARISON[Verdict.GATED]
 
     def propagated(self, t: int, noise: ProcessNoise, how_far: int) -> PackedBelief:
         """Return the belief at instant `t`, ns; `how_far` is one of `STATE_ALONE`, `WITH_COVARIANCE`, `WITH_AIDING`."""
@@ -181,6 +182,10 @@ class Followed(Sequence[PackedBelief]):
             made = self._made[i] = self._belief(i % len(self._made))
         return made
 
+    def outcome(self, i: int) -> Outcome:
+        """Return what became of one of the events."""
+        return _outcome(self._numbers.block, i * 8 * _OUTCOME_SIZE)
+
     def _belief(self, i: int) -> PackedBelief:
         P, sea = self._before
         slot, sea_slot = self._slots[i], self._slots[len(self._slots) // 2 + i]
@@ -196,9 +201,9 @@ class Followed(Sequence[PackedBelief]):
         return self._seas_made[slot]
 
 
-def _outcome(block: F64) -> Outcome:
-    """Return the core's `outcome` at the beginning of a block."""
-    verdict, m, axes, has_S, *numbers = _OUTCOME_WORDS.unpack_from(block.data)
+def _outcome(block: F64, at: int) -> Outcome:
+    """Return the core's `outcome` so many bytes after the beginning of a block."""
+    verdict, m, axes, has_S, *numbers = _OUTCOME_WORDS.unpack_from(block.data, at)
     if m == 0:
         return _WITHOUT_COMPARISON[_VERDICTS[verdict]]
     innov, S, (nis, nis_max) = numbers[_INNOV][:m], numbers[_COV][: m * m], numbers[-2:]

@@ -68,7 +68,7 @@ def same(a: Any, b: Any) -> bool:
         return type(a) is type(b) and a.tobytes() == b.tobytes()
     if type(a) is not type(b):
         return False
-    if isinstance(a, tuple | list):
+    if isinstance(a, Sequence) and not isinstance(a, str):
         return len(a) == len(b) and all(map(same, a, b))
     if isinstance(a, dict):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)

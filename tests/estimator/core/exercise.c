@@ -196,7 +196,7 @@ static void fly(int surface, int rounds, double poison)
     int64_t *index = malloc(LENGTH * sizeof *index), *sea_index = malloc(LENGTH * sizeof *sea_index), t = 0;
     sighting *seen = malloc(LENGTH * sizeof *seen);
     sea *bank = malloc(sizeof *bank), *banks = malloc(LENGTH * sizeof *banks);
-    outcome *first = malloc(sizeof *first);
+    outcome *first = malloc(LENGTH * sizeof *first);
     answer *said = malloc(sizeof *said);
     enum { HORIZONS = 3 };
     const double horizons_s[HORIZONS] = {0.0, 0.3, 2.5};
