@@ -12,7 +12,7 @@ import hypothesis
 import pytest
 
 # A busy machine is no failure: no example is timed.
-hypothesis.settings.register_profile("untimed")
+hypothesis.settings.register_profile("untimed", deadline=None)
 hypothesis.settings.load_profile("untimed")
 
 # One test, one core: `make test` starts a worker for each core. Set before numpy is imported; what tests start inherits it.
