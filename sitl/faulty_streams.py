@@ -31,6 +31,9 @@ class Fate(NamedTuple):
     """Whether the next one overtakes it."""
 
 
+_ARRIVES = Fate(1)
+
+
 class FaultyStream:
     """What becomes of the packets of one stream.
 
@@ -53,10 +56,14 @@ class FaultyStream:
     @property
     def delay_s(self) -> float:
         """Delay of a packet that is sent now, in addition to the usual one, s."""
+        if not self._faults.active_kinds:
+            return 0.0
         return sum(fault.delay_s for fault, _ in self._faults.on(self._kind))
 
     def fate(self) -> Fate:
         """Return what becomes of the packet that is sent now; every call is another packet."""
+        if not self._faults.active_kinds:
+            return _ARRIVES
         if self._faults.active("link_lost"):
             return Fate(0)
         copies, overtaken = 1, False
@@ -108,6 +115,9 @@ class InTransit(Generic[_T]):
             return None
         due = after(now, usual_s + self._stream.delay_s)
         self._due = due = due if self._due is None else max(due, self._due)
+        if fate.copies == 1 and not self._held and (not self._under_way or self._under_way[-1][0] <= due):
+            self._under_way.append((due, packet))
+            return due
         later = after(due, LAG_S)
         again = [(due if n == 0 else later, packet) for n in range(fate.copies)]
         for each in [*again, *((later, held) for held, copies in self._held for _ in range(copies))]:

@@ -85,13 +85,13 @@ class Member:
         place = places_of(of)[member]
         kind = next(m.type for m in STRUCTS[of] if m.name == member)
         self._owner, self._at = owner, 8 * place.start
-        self._struct = struct.Struct(f"{place.stop - place.start}{'q' if kind == 'int64_t' else 'd'}")
+        self._layout = struct.Struct(f"{place.stop - place.start}{'q' if kind == 'int64_t' else 'd'}")
 
     def _read(self, owner: object) -> tuple[Any, ...]:
-        return self._struct.unpack_from(getattr(owner, self._owner).buffer, self._at)
+        return self._layout.unpack_from(getattr(owner, self._owner).buffer, self._at)
 
     def _write(self, owner: object, *values: float) -> None:
-        self._struct.pack_into(getattr(owner, self._owner).buffer, self._at, *values)
+        self._layout.pack_into(getattr(owner, self._owner).buffer, self._at, *values)
 
 
 class Number(Member):

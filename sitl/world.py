@@ -108,6 +108,8 @@ class World:
         self._faulty = FaultySensors(self.faults, seed)
         self._manoeuvre = Manoeuvre(self.vessel, scenario.vessel.speed_m_s, 0.0)
         self._contacts: list[Touchdown] = []
+        self._truth: tuple[tuple[int, float, int], Truth] | None = None
+        """The newest truth that was asked for, and of what it was made: step, phase, contacts."""
         self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
         self._picture_effects: PictureEffects | None = None
         self._renderer: Renderer | Film | None = None
@@ -263,6 +265,12 @@ class World:
 
     def truth(self) -> Truth:
         """Return the true state at the newest step."""
+        of = self._tick, self._vehicle.phase, len(self._contacts)
+        if self._truth is None or self._truth[0] != of:
+            self._truth = of, self._true_state()
+        return self._truth[1]
+
+    def _true_state(self) -> Truth:
         v, pad = self._vehicle, self.pad_motion()
         return Truth(
             at=self.at,

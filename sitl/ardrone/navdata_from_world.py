@@ -86,10 +86,11 @@ class Options(Mapping[int, Any]):
     def get(self, tag: int, default: Any = None) -> Any:
         """Return the option of this tag, or `default` if the datagram does not hold it."""
         made = self._made.get(tag)
-        if made is None:
-            if not self._mask >> tag & 1:
-                return default
-            made = self._made[tag] = _OPTIONS[tag](self._situation)
+        if made is not None:
+            return made
+        if not self._mask >> tag & 1:
+            return default
+        made = self._made[tag] = _OPTIONS[tag](self._situation)
         return made
 
     def __iter__(self) -> Iterator[int]:
@@ -233,7 +234,8 @@ def _kalman_pressure(s: Situation) -> navdata.KalmanPressure:
 
 
 def _clip(value: float, low: int, high: int) -> int:
-    return min(high, max(low, round(value)))
+    whole = round(value)
+    return low if whole < low else high if whole > high else whole
 
 
 _OPTIONS: dict[int, Callable[[Situation], Any]] = {

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 from typing import assert_never
 
 from drivers.ardrone import at
@@ -31,6 +32,13 @@ _ALWAYS = (
     NavdataState.ALTITUDE_CONTROL | NavdataState.CAMERA_READY | NavdataState.PIC_VERSION_OK
     | NavdataState.AT_CODEC_ON | NavdataState.NAVDATA_ON | NavdataState.VIDEO_ON | NavdataState.ACQUISITION_ON
 )  # fmt: skip
+
+_REPORTED = (
+    NavdataState.FLYING, NavdataState.VIDEO_ENABLED, NavdataState.VISION_ENABLED, NavdataState.COMMAND_ACK,
+    NavdataState.NAVDATA_DEMO, NavdataState.NAVDATA_BOOTSTRAP, NavdataState.COMMUNICATION_LOST, NavdataState.BATTERY_LOW,
+    NavdataState.USER_EMERGENCY, NavdataState.ULTRASOUND_DEAF, NavdataState.COM_WATCHDOG, NavdataState.EMERGENCY,
+)  # fmt: skip
+"""The bits of the state word that change, in the order in which `DroneState.word` says whether they are set."""
 
 AIRBORNE = frozenset({VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING})
 _STEERABLE = frozenset({VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING})
@@ -74,6 +82,12 @@ class Leds:
     animation: int
     frequency_hz: float
     duration_s: float
+
+
+@cache
+def _word(of: tuple[bool, ...]) -> int:
+    """Return the state word with those of `_REPORTED` that are true."""
+    return sum((bit.value for bit, true in zip(_REPORTED, of, strict=True) if true), int(_ALWAYS))
 
 
 class DroneState:
@@ -142,24 +156,21 @@ class DroneState:
 
     def word(self, phase: VehiclePhase, battery_low: bool, ultrasound_deaf: bool) -> int:
         """Navdata's state word."""
-        word = int(_ALWAYS)
-        for bit, is_on in (
-            (NavdataState.FLYING, phase in AIRBORNE),
-            (NavdataState.VIDEO_ENABLED, self.config.flag("general:video_enable")),
-            (NavdataState.VISION_ENABLED, self.config.flag("general:vision_enable")),
-            (NavdataState.COMMAND_ACK, self._ack),
-            (NavdataState.NAVDATA_DEMO, not self._bootstrap and self.config.flag("general:navdata_demo")),
-            (NavdataState.NAVDATA_BOOTSTRAP, self._bootstrap),
-            (NavdataState.COMMUNICATION_LOST, self._silent),
-            (NavdataState.BATTERY_LOW, battery_low),
-            (NavdataState.USER_EMERGENCY, self._user_emergency),
-            (NavdataState.ULTRASOUND_DEAF, ultrasound_deaf),
-            (NavdataState.COM_WATCHDOG, self._watchdog),
-            (NavdataState.EMERGENCY, phase is VehiclePhase.EMERGENCY),
-        ):
-            if is_on:
-                word |= bit
-        return word
+        of = (
+            phase in AIRBORNE,
+            self.config.flag("general:video_enable"),
+            self.config.flag("general:vision_enable"),
+            self._ack,
+            not self._bootstrap and self.config.flag("general:navdata_demo"),
+            self._bootstrap,
+            self._silent,
+            battery_low,
+            self._user_emergency,
+            ultrasound_deaf,
+            self._watchdog,
+            phase is VehiclePhase.EMERGENCY,
+        )
+        return _word(of)
 
     def control_state(self, phase: VehiclePhase) -> int:
         """The demo option's control state: major in the upper, minor in the lower 16 bits."""

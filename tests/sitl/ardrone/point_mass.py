@@ -33,8 +33,12 @@ class Failing:
     def __init__(self) -> None:
         self.now: list[Fault] = []
 
+    @property
+    def active_kinds(self) -> frozenset[str]:
+        return frozenset(fault.kind for fault in self.now)
+
     def active(self, kind: str) -> bool:
-        return any(fault.kind == kind for fault in self.now)
+        return kind in self.active_kinds
 
     def on(self, kind: type[Fault]) -> list[tuple[Fault, float]]:
         return [(fault, 0.0) for fault in self.now if isinstance(fault, kind)]
