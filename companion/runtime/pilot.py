@@ -159,8 +159,6 @@ class Pilot:
         self._quality = InputQuality()
         self._frames: Counter[Verdict] = Counter()
         self._vessel_track = VesselTrack(reports or ReportLimits())
-        self._attitude: Attitude | None = None
-        """The newest; the vessel's track takes it when it is asked for a place."""
         self._no_place: Reason | None = None
         self.operator = OperatorArbiter(self, manual, limits)
         """The arbiter of people's orders, which has the last word."""
