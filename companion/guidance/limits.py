@@ -66,11 +66,15 @@ def gate(
     return _first(comparisons)
 
 
+def no_return_m(knowledge: Knowledge, cone: ConeOptions) -> float:
+    """Return the height below which a climb begins after the contact, which then comes with the motors at full thrust."""
+    late_s = 0.0 if knowledge.response is None else max(0.0, knowledge.response.longer_s)
+    return (cone.no_return_s + late_s) * cone.commit_rate_m_s
+
+
 def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: LandingLimits, cone: ConeOptions) -> Reason | None:
     """Return the limit that ends a commit, or None."""
-    # Just over the deck a climb begins after the contact, which then comes with the motors at full thrust.
-    late_s = 0.0 if knowledge.response is None else max(0.0, knowledge.response.longer_s)
-    turns = estimate.height_m > (cone.no_return_s + late_s) * cone.commit_rate_m_s
+    turns = estimate.height_m > no_return_m(knowledge, cone)
     tilt_deg = math.degrees(knowledge.deck.tilt_rad) if turns and knowledge.deck is not None else None
     return _first(
         [

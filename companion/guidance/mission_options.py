@@ -33,13 +33,14 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
     no_return_s: Annotated[
         float,
         number(
-            "time to the contact below which a deck that tilts no longer ends the commit, since a climb would begin after the "
-            "contact; a delay that is identified in flight adds to it",
+            "time to the contact below which neither a deck that tilts nor a sighting that contradicts ends the commit, since a "
+            "climb would begin after the contact; without a fit estimate it stays that long without descending, and goes around "
+            "if it feels no contact; a delay that is identified in flight adds to it",
             "s",
             0.0,
             1.0,
         ),
-    ] = 0.2
+    ] = 0.3
     press_s: Annotated[
         float, number("time for which it presses on level after the contact before the motors stop", "s", 0.0, 3.0)
     ] = 0.4

@@ -41,6 +41,9 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
         return p, Hover()
     estimate = s.estimate
     match p.state:
+        case State.COMMIT if not asks_to_descend(p, s, o):
+            # So low that a climb would come too late: it awaits the contact without going lower.
+            return _still(p, s, o, climb_m_s=0.0, over_ground=over_ground)
         case State.INTERCEPT | State.DESCEND | State.GATE | State.COMMIT if estimate is not None:
             return p, _way_down(p, s, o, estimate)
         case State.PRESS if estimate is not None:

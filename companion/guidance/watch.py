@@ -15,7 +15,7 @@ from companion.guidance.progress import Progress
 from companion.guidance.reason import CONDITIONS, Reason, ReasonCause
 from companion.guidance.situation import GuidanceCycle, of_frames, unfit
 from estimator.contracts.estimates import RelativeState
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import MonoNs, after, seconds_between
 
 EventWithReason = tuple[Event, Reason]
 
@@ -73,6 +73,9 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     if not p.in_sight and p.seen is not None and p.state is not State.GO_AROUND:
         attempt = attempt.descended(p.seen_height_m - estimate.height_m)
     attempt = attempt.seen(s.at, since_last_s)
+    if p.state is State.COMMIT:
+        low = estimate.height_m <= limits.no_return_m(s.knowledge, o.cone)
+        p = replace(p, no_return_until=after(s.at, o.cone.no_return_s) if low else None)
     turning, turned = heading.watch(p.heading, estimate)
     return _judged(
         replace(
@@ -103,7 +106,8 @@ def events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventW
     yield from _time_over(p, s, o, in_state_s)
     lost = fit_in(state, s, o)
     if lost is not None:
-        yield Event.SIGHT_LOST, lost
+        if p.no_return_until is None or s.at > p.no_return_until:
+            yield Event.SIGHT_LOST, lost
     elif estimate is not None:
         yield Event.SIGHT, Reason(ReasonCause.PAD_SEEN, estimate.height_m)
     if s.place is not None:

@@ -19,6 +19,7 @@ from companion.guidance.progress import Progress
 from companion.guidance.reason import Reason, ReasonCause
 from companion.guidance.response_watch import ResponseInUse, ResponseState
 from companion.guidance.situation import GuidanceCycle, unfit
+from companion.guidance.steer import Aim
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import DeckMotion
@@ -29,6 +30,51 @@ WAY_DOWN = [State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRES
 
 def causes(flight: PointFlight, target: State) -> list[ReasonCause]:
     return [change.reason.cause for change in flight.changes if change.target is target]
+
+
+def committed(height_m: float) -> PointFlight:
+    """Return a flight in the commit, whose newest fit estimate shows this height."""
+    flight = PointFlight([0.0, 0.0, 3.0])
+    while flight.progress.state is not State.COMMIT:
+        flight.cycle()
+    looks(flight, height_m, consistent=True)
+    assert flight.progress.state is State.COMMIT
+    return flight
+
+
+def looks(flight: PointFlight, height_m: float, *, consistent: bool) -> Aim:
+    """Run one guidance cycle with an estimate of one's own."""
+    flight.t += 0.02
+    seen = estimate(flight.t, (0.0, 0.0, height_m), (0.0, 0.0, -0.4), consistent=consistent)
+    s = GuidanceCycle(ns(flight.t), Knowledge(ns(flight.t), seen))
+    flight.progress, aim, _ = mission_step(flight.progress, s, flight.options, over_ground=False)
+    return aim
+
+
+def test_a_contradiction_in_the_commit_ends_it_while_a_climb_can_avoid_the_contact() -> None:
+    flight = committed(0.2)
+    looks(flight, 0.19, consistent=False)
+    assert flight.progress.state is State.GO_AROUND
+
+
+def test_a_contradiction_just_over_the_deck_awaits_the_contact_without_going_lower_and_not_for_long() -> None:
+    flight = committed(0.1)
+    waited = 0
+    while flight.progress.state is State.COMMIT:
+        aim = looks(flight, 0.08, consistent=False)
+        waited += flight.progress.state is State.COMMIT
+        assert isinstance(aim, Hover | Velocity)
+        assert isinstance(aim, Hover) or aim.v_level[2] <= 0.0
+    assert flight.progress.state is State.GO_AROUND
+    assert 0.02 * waited == pytest.approx(flight.options.cone.no_return_s, abs=0.03)
+
+
+def test_a_fit_estimate_from_higher_up_ends_the_wait() -> None:
+    flight = committed(0.1)
+    looks(flight, 0.08, consistent=False)
+    looks(flight, 0.25, consistent=True)
+    looks(flight, 0.25, consistent=False)
+    assert flight.progress.state is State.GO_AROUND
 
 
 def test_it_flies_over_the_pad_down_the_cone_through_the_gate_to_the_deck() -> None:
@@ -135,7 +181,7 @@ def test_a_gate_that_does_not_open_ends_in_a_refusal_that_says_what_kept_it_shut
 
 
 @pytest.mark.parametrize(
-    ("below_m", "longer_s", "ends"), [(0.2, 0.0, True), (0.07, 0.0, False), (0.12, 0.0, True), (0.12, 0.1, False)]
+    ("below_m", "longer_s", "ends"), [(0.2, 0.0, True), (0.1, 0.0, False), (0.17, 0.0, True), (0.17, 0.1, False)]
 )
 def test_a_deck_that_tilts_ends_the_commit_while_a_climb_comes_before_the_contact(
     below_m: float, longer_s: float, ends: bool
