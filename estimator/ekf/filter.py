@@ -15,7 +15,6 @@ from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
 from estimator.ekf import forecast as forecasting
-from estimator.ekf import motion
 from estimator.ekf.answers import FilterAnswer
 from estimator.ekf.deck_motion_bank import log_evidence_of_rest
 from estimator.ekf.forecast import Forecast, probability_of_motion
@@ -23,7 +22,7 @@ from estimator.ekf.history import History, put_all
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.packed_event import Event
-from estimator.ekf.propagate import FilterParams, result
+from estimator.ekf.propagate import FilterParams, parameters, result
 from estimator.ekf.state import VESSEL_VEL, Belief
 from estimator.integrity import IntegrityOptions, sensors
 from estimator.integrity.sensors import SensorWatch
@@ -37,8 +36,8 @@ _ANSWERS_KEPT = 4
 class Ekf:
     """The whole state of the filter. It is immutable: `step` returns the next one and leaves this one as it was."""
 
-    options: EkfOptions
     params: FilterParams
+    """The options, and what is made of them once."""
     history: History
     limits: IntegrityOptions | None = None
     """The limits that an IMU sample must keep; None if `estimator.integrity` checks the samples before the filter."""
@@ -61,8 +60,7 @@ def start(options: EkfOptions | None = None, limits: IntegrityOptions | None = _
         limits: the limits that an IMU sample must keep: every other sensor has a gate, the IMU has none. Pass None if
             `estimator.integrity.admit` has already checked every sample, as in `estimator.pipeline`.
     """
-    o = options or EkfOptions()
-    return Ekf(o, FilterParams(o, motion.ProcessNoise(o)), History(), limits)
+    return Ekf(parameters(options or EkfOptions()), History(), limits)
 
 
 def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[FusionResult]]:
@@ -95,7 +93,7 @@ def step_all(ekf: Ekf, events: Sequence[Event]) -> tuple[Ekf, list[FusionResult]
     history, results = put_all(ekf.history, admitted, ekf.params)
     for n, one in refused.items():
         results.insert(n, one)
-    return Ekf(ekf.options, ekf.params, history, ekf.limits, imu), results
+    return Ekf(ekf.params, history, ekf.limits, imu), results
 
 
 def _answer(ekf: Ekf, now: MonoNs) -> FilterAnswer | None:

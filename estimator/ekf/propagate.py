@@ -20,6 +20,11 @@ class FilterParams(NamedTuple):
     process_noise: motion.ProcessNoise
 
 
+def parameters(options: EkfOptions) -> FilterParams:
+    """Return the parameters for these options."""
+    return FilterParams(options, motion.ProcessNoise(options))
+
+
 def result(event: Event, outcome: Outcome) -> FusionResult:
     """Return the outcome of an event with the event's source, instants and names of components."""
     verdict, compared, S, nis, nis_max, axes = outcome

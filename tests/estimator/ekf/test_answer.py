@@ -27,7 +27,7 @@ FORGETFUL = params(forget_s=0.1)
 
 
 def holding(b: Belief, chosen: FilterParams) -> Ekf:
-    return Ekf(chosen.options, chosen, History(base=PackedBelief.of(b)))
+    return Ekf(chosen, History(base=PackedBelief.of(b)))
 
 
 def close(ours: object, oracle: object, what: str) -> None:

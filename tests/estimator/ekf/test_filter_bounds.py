@@ -34,13 +34,13 @@ from estimator.ekf.state import (
     N,
 )
 from estimator.integrity import IntegrityOptions
-from tests.estimator.ekf.hand import MS, OPTIONS, TILTED, TOOLS, S, T, belief, correlated, imu, params, stamp, state
+from tests.estimator.ekf.hand import MS, TILTED, TOOLS, S, T, belief, correlated, imu, params, stamp, state
 
 NOW = MonoNs(T)
 
 
 def holding(b: Belief | None) -> Ekf:
-    return Ekf(OPTIONS, TOOLS, History(base=None if b is None else PackedBelief.of(b)))
+    return Ekf(TOOLS, History(base=None if b is None else PackedBelief.of(b)))
 
 
 def probability_moving(b: Belief) -> float:
@@ -166,7 +166,7 @@ def test_it_is_consistent_while_the_place_is_known_to_a_metre_along_each_axis(ax
     for sigma_m, wanted in ((0.499, True), (0.501, False)):
         P[3 + axis, 3 + axis] = sigma_m**2
         chosen = params(consistent_sigma_m=0.5)
-        found = at(Ekf(chosen.options, chosen, History(base=PackedBelief.of(belief(P=P)))), NOW)
+        found = at(Ekf(chosen, History(base=PackedBelief.of(belief(P=P)))), NOW)
         assert found is not None
         assert found.consistent is wanted
     P[6 + axis, 6 + axis] = 9.0
@@ -255,7 +255,7 @@ def test_a_vessel_under_way_moves_and_one_that_lies_still_may_not() -> None:
 def test_a_new_filter_has_the_options_given_or_the_usual_ones_and_knows_nothing() -> None:
     chosen = EkfOptions(forget_s=7.0)
     for ekf, options in ((start(chosen), chosen), (start(), EkfOptions())):
-        assert ekf.options == ekf.params.options == ekf.params.process_noise.options == options
+        assert ekf.params.options == ekf.params.process_noise.options == options
         assert ekf.history == History()
         assert ekf.belief is None
         assert ekf.limits == IntegrityOptions()
@@ -269,7 +269,7 @@ def test_a_step_makes_a_new_memory_and_leaves_the_old_one() -> None:
     assert len(new.history.nodes) == 1
     assert old.history == History(base=old.history.base)
     assert old.belief is old.history.base.belief
-    assert (new.options, new.params) == (old.options, old.params)
+    assert new.params == old.params
     for f in fields(Ekf):
         assert f.name in ("history", "imu", "answers") or getattr(new, f.name) is getattr(old, f.name)
 

@@ -51,7 +51,7 @@ def expected(b: Belief, now: int, horizons_s: F64, chosen: FilterParams) -> Fore
 
 
 def same_forecast(b: Belief, now: int, horizons_s: tuple[float, ...], chosen: FilterParams) -> None:
-    ours = forecast(Ekf(chosen.options, chosen, History(base=PackedBelief.of(b))), MonoNs(now), horizons_s)
+    ours = forecast(Ekf(chosen, History(base=PackedBelief.of(b))), MonoNs(now), horizons_s)
     assert ours is not None
     theirs = expected(b, now, np.array(horizons_s), chosen)
     assert ours.at == theirs.at
@@ -97,7 +97,7 @@ def test_a_bank_from_after_the_instant_is_taken_as_it_is() -> None:
 def test_a_covariance_is_symmetric_and_finite_and_a_sigma_is_not_negative() -> None:
     for seed in range(20):
         b = beginning(seed)._replace(sighted=T, sea=learned(seed, 5, float(seed % 2)))
-        found = forecast(Ekf(TOOLS.options, TOOLS, History(base=PackedBelief.of(b))), MonoNs(T + 5 * MS), HORIZONS_S)
+        found = forecast(Ekf(TOOLS, History(base=PackedBelief.of(b))), MonoNs(T + 5 * MS), HORIZONS_S)
         assert found is not None
         np.testing.assert_allclose(found.cov_d_level, found.cov_d_level.transpose(0, 2, 1), rtol=1e-12, atol=1e-15)
         for name in FIELDS:
@@ -106,7 +106,7 @@ def test_a_covariance_is_symmetric_and_finite_and_a_sigma_is_not_negative() -> N
 
 
 def test_no_horizons_make_a_forecast_of_nothing() -> None:
-    found = forecast(Ekf(TOOLS.options, TOOLS, History(base=PackedBelief.of(beginning(2)._replace(sighted=T)))), MonoNs(T), [])
+    found = forecast(Ekf(TOOLS, History(base=PackedBelief.of(beginning(2)._replace(sighted=T)))), MonoNs(T), [])
     assert found is not None
     assert (found.d_body_pad_level.shape, found.cov_d_level.shape, found.roll_rad.shape) == ((0, 3), (0, 3, 3), (0,))
 

@@ -9,14 +9,13 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import motion
 from estimator.ekf.history import History, Leap, put
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.packed_event import Event
-from estimator.ekf.propagate import FilterParams
+from estimator.ekf.propagate import parameters
 
 OPTIONS = EkfOptions()
-TOOLS = FilterParams(OPTIONS, motion.ProcessNoise(OPTIONS))
+TOOLS = parameters(OPTIONS)
 MS = 1_000_000
 T = 100_000 * MS
 
