@@ -17,13 +17,15 @@ import errno
 class DecklanderError(Exception):
     """Base of every error raised on purpose.
 
-    Its text is one line. What cannot be printed, as a line break or an escape sequence that a damaged file brought into it, is
+    Its text is one line: a line break that a damaged file brought into it becomes a space, and what else cannot be printed is
     shown as Python writes it.
     """
 
     def __str__(self) -> str:
         text = super().__str__()
-        return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+        if text.isprintable():
+            return text
+        return "".join(c if c.isprintable() else " " if c.isspace() else repr(c)[1:-1] for c in text)
 
 
 class BadInput(DecklanderError):

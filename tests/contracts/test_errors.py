@@ -17,5 +17,5 @@ def test_a_text_is_one_printable_line(kind: type[DecklanderError], text: str) ->
     assert said == text or not text.isprintable()
 
 
-def test_what_cannot_be_printed_is_shown_as_python_writes_it() -> None:
-    assert str(BadInput("log.bin: format '\n' of \x1b[31mIMU, 3 µs, 0.5°")) == r"log.bin: format '\n' of \x1b[31mIMU, 3 µs, 0.5°"
+def test_a_line_break_becomes_a_space_and_an_escape_sequence_is_shown() -> None:
+    assert str(BadInput("log.bin: format '\n' of \x1b[31mIMU, 3 µs, 0.5°")) == r"log.bin: format ' ' of \x1b[31mIMU, 3 µs, 0.5°"
