@@ -193,10 +193,10 @@ def _key(event: Event, rank: int) -> Key:
 
 
 def _extended(
-    history: History, chunks: Chunks, entries: list[Entry], told: int, received_at: int, params: FilterParams
+    history: History, chunks: Chunks, entries: list[Entry], wanted: int, received_at: int, params: FilterParams
 ) -> tuple[History, list[Outcome]]:
-    """Return the history whose chunks go on with these events, and the outcomes of the first `told` of them."""
-    again, outcomes = _processed(_after(chunks, history.base), entries, told, params)
+    """Return the history whose chunks go on with these events, and the outcomes of the first `wanted` of them."""
+    again, outcomes = _processed(_after(chunks, history.base), entries, wanted, params)
     chunks = _joined(chunks, again)
     oldest = chunks[-1][-1][0].key[0] - round(params.options.history_s * 1e9)
     base, chunks, forgotten = _trimmed(history.base, chunks, history.forgotten, oldest)
@@ -245,9 +245,9 @@ def _trimmed(base: PackedBelief | None, chunks: Chunks, forgotten: int, oldest: 
 
 
 def _processed(
-    packed: PackedBelief | None, entries: list[Entry], told: int, params: FilterParams
+    packed: PackedBelief | None, entries: list[Entry], wanted: int, params: FilterParams
 ) -> tuple[list[_Place], list[Outcome]]:
-    """Return the events with the beliefs after them, and the outcomes of the first `told` events.
+    """Return the events with the beliefs after them, and the outcomes of the first `wanted` events.
 
     The core processes events in a row; what begins a belief, and an attitude that sets one outright, stop it.
     """
@@ -258,13 +258,13 @@ def _processed(
         followed: Sequence[PackedBelief | None] = ()
         if packed is not None:
             row, first = packed.follow(params.process_noise, [entry.record for entry in rest])
-            if len(outcomes) < told and row:
-                outcomes += [first, *map(row.outcome, range(1, min(len(row), told - len(outcomes))))]
+            if len(outcomes) < wanted and row:
+                outcomes += [first, *map(row.outcome, range(1, min(len(row), wanted - len(outcomes))))]
             followed = row
         if not followed:
             b, first = process_event(None if packed is None else packed.belief, rest[0].event, params)
             followed = [None if b is None else PackedBelief.of(b)]
-            if len(outcomes) < told:
+            if len(outcomes) < wanted:
                 outcomes.append(first)
         done = len(followed)
         made += zip(rest, repeat(followed), range(done), strict=False)
