@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import os
 import resource
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from companion.runtime import memory
 from estimator.contracts.errors import SetupImpossible
 
 GROWTH_MAX = 0.01
@@ -52,9 +52,7 @@ def give_back() -> float:
     """
     before_mib = _resident_mib()
     gc.collect()
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # the GNU C library has it; others give pages back by themselves
-    if trim is not None:
-        trim(ctypes.c_size_t(0))
+    memory.give_back()
     return before_mib
 
 

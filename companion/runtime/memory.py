@@ -20,10 +20,10 @@ def share_one_arena() -> None:
 
 def give_back() -> None:
     """Return what is free to the system."""
-    _call("malloc_trim", 0)
+    _call("malloc_trim", ctypes.c_size_t(0))
 
 
-def _call(name: str, *arguments: int) -> None:
+def _call(name: str, *arguments: int | ctypes.c_size_t) -> None:
     """Call a function of the C library; do nothing where it has none of this name."""
     function: Any = getattr(ctypes.CDLL(None), name, None)
     if function is not None:
