@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput
-from estimator.core.interface import PAINTS, SCENE_ONE
+from estimator.core.interface.render import PAINTS, SCENE_ONE
 from sitl.native import address, render_blur, render_expose, render_frame, render_mix
 from sitl.projection import F32
 

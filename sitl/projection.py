@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import CELL_PX
+from estimator.core.interface.render import CELL_PX
 from estimator.vision.camera import Camera
 
 F32 = NDArray[np.float32]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import SCENE_ONE
+from estimator.core.interface.render import SCENE_ONE
 from sitl.light import U16, Light, scene_of
 from sitl.native import address, render_deck, render_fill
 from sitl.projection import F32, SHIFT, Lens, fixed_point

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import CELL_PX, GAIN_ONE
+from estimator.core.interface.render import CELL_PX, GAIN_ONE
 from sitl.light import I16, U16
 from sitl.native import address, render_deck, render_smear
 from sitl.projection import F32, Lens

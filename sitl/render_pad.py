@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import PAINTS, STROKE_NUMBERS
+from estimator.core.interface.render import PAINTS, STROKE_NUMBERS
 from estimator.vision.pad import Pad
 from sitl.light import PadInImage
 from sitl.native import address, render_pad_kinds, render_pad_shares

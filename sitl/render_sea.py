@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import CELL_PX
+from estimator.core.interface.render import CELL_PX
 from sitl.light import U16, Light, scene_of
 from sitl.native import address, render_sea, render_water
 from sitl.projection import F32, FAR_M, SHIFT, Lens, fixed_point

@@ -14,7 +14,8 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.core.interface import ECHOES_MAX, SENSOR_NOISE, size_of
+from estimator.core.interface import size_of
+from estimator.core.interface.sim import ECHOES_MAX, SENSOR_NOISE
 from estimator.core.library import start_of
 from sitl.disturbances import keep_and_fresh
 from sitl.native import Packed, sensors_read

@@ -13,7 +13,8 @@ from enum import IntEnum
 import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.interface import COMMANDS_MAX, CONSTANTS, FLIGHT_NOISE, PHASES, ROTORS_MAX, places_of
+from estimator.core.interface import CONSTANTS, places_of
+from estimator.core.interface.sim import COMMANDS_MAX, FLIGHT_NOISE, PHASES, ROTORS_MAX
 from sitl.air import AirModel
 from sitl.airframe import Airframe, StickLimits
 from sitl.contact import DeckShape, Ground

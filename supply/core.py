@@ -1,7 +1,7 @@
 """Build the native core: `python -m supply.core` compiles `estimator/core/*.c` into the library beside them.
 
 The compiler is `cc` where there is one, else zig's, from `requirements/compiler.txt`. `--header` writes `interface.h` from
-`interface.py`. This module needs only the standard library: a build environment has no other.
+`interface/`. This module needs only the standard library: a build environment has no other.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
-import runpy
 import shutil
 import subprocess
 import sys
@@ -89,14 +88,20 @@ def build(out: Path = LIBRARY, extra: Sequence[str] = (), sources: Path = FOLDER
 
 
 def header() -> str:
-    """Return the C header of the interface that `estimator/core/interface.py` describes."""
-    return str(runpy.run_path(str(FOLDER / "interface.py"))["header"]())
+    """Return the C header of the interface that `estimator/core/interface` describes."""
+    place = FOLDER / "interface"
+    spec = importlib.util.spec_from_file_location("interface", place / "__init__.py", submodule_search_locations=[str(place)])
+    assert spec is not None
+    assert spec.loader is not None
+    interface = sys.modules["interface"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(interface)
+    return str(interface.header())
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m supply.core", description="Build the native core.")
-    parser.add_argument("--header", action="store_true", help="write interface.h from interface.py, and build nothing")
+    parser.add_argument("--header", action="store_true", help="write interface.h from interface/, and build nothing")
     args = parser.parse_args(argv)
     if args.header:
         HEADER.write_text(header())

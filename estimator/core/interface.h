@@ -1,4 +1,4 @@
-/* Made from interface.py by `python -m supply.core --header`. */
+/* Made from interface/ by `python -m supply.core --header`. */
 #ifndef DECKLANDER_INTERFACE_H
 #define DECKLANDER_INTERFACE_H
 

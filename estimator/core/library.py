@@ -13,7 +13,8 @@ import numpy as np
 
 from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.geometry import F64
-from estimator.core.interface import FUNCTIONS, Function, digest
+from estimator.core.interface import FUNCTIONS, digest
+from estimator.core.interface.describe import Function
 
 FILE = f"{__file__.rpartition('/')[0]}/libdecklander.so.1"
 """Where `python -m supply.core` puts the library. Python would take a name that ends with ".so" for an extension module."""

@@ -14,7 +14,8 @@ import numpy as np
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
-from estimator.core.interface import COLUMNS_MAX, CONSTANTS, KINDS, RATIOS_MAX, places_of, size_of
+from estimator.core.interface import CONSTANTS, places_of, size_of
+from estimator.core.interface.filter import COLUMNS_MAX, KINDS, RATIOS_MAX
 from estimator.core.library import CORE, address, start_of
 from estimator.ekf.deck_motion_bank import SEA_SIZE, PackedSea
 from estimator.ekf.outcome import Outcome

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import CONSTANTS, ROWS_MAX, places_of, size_of
+from estimator.core.interface import CONSTANTS, places_of, size_of
+from estimator.core.interface.filter import ROWS_MAX
 from estimator.ekf import deck_motion_bank, gate
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import STATE, STATE_AT
+from estimator.core.interface.filter import STATE, STATE_AT
 from estimator.ekf.deck_motion_bank import DeckMotionBank
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.so3 import Vec3

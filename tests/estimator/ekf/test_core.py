@@ -249,7 +249,7 @@ def test_a_snapshot_gives_back_its_belief() -> None:
 
 def test_the_states_of_a_sample_s_jacobian_are_those_of_the_core() -> None:
     assert [len(columns) for columns in names.SAMPLE_COLUMNS] == [5, 14, 12, 3]
-    assert max(map(len, names.SAMPLE_COLUMNS)) == interface.COLUMNS_MAX
+    assert max(map(len, names.SAMPLE_COLUMNS)) == interface.CONSTANTS["COLUMNS_MAX"]
     assert tuple(interface.CONSTANTS[name] for name in ("ATTITUDE", "VELOCITY", "RANGE", "HEIGHT")) == (
         names.ATTITUDE,
         names.VELOCITY,

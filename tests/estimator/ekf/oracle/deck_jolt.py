@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import RATIOS_MAX
+from estimator.core.interface.filter import RATIOS_MAX
 from estimator.ekf.state import POS_AXES, POS_EAST, POS_NORTH, SWAY_PER_HEAVE, WAVES, InnovationRatios, N
 
 RATIO_MAX = 2.5

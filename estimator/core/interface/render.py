@@ -1,0 +1,120 @@
+"""What C and Python share of simulated frames: fixed-point factors, paints, functions."""
+
+from __future__ import annotations
+
+from .describe import Field, Function
+
+GAIN_ONE = 16384
+"""Value of a factor of one on simulated light."""
+SCENE_ONE = 32768
+"""Value of a scene's pixel that reflects all light, and of wear that does not change it."""
+CELL_PX = 8
+"""Distance between the rays at which planes are met exactly, px."""
+BLUR_RADIUS_MAX = 30
+"""The widest blur of the simulated lens, px."""
+SMEAR_MAX = 256
+"""The largest number of pixels that the motion blur of a scene adds up."""
+PAINTS = ("PAD_NONE", "PAD_RIM", "PAD_DISC", "PAD_ORANGE", "PAD_WHITE")
+"""The paints of a pad, in the order of their shares; the first is what lies around it."""
+PAD_EDGE = 255
+"""Kind of a pixel that shows several paints."""
+DRAWING = (
+    "PAD_DISC_RADIUS", "PAD_RIM_INNER", "PAD_RING_OUTER", "PAD_RING_INNER",
+    "PAD_ARROW_TIP", "PAD_ARROW_BASE", "PAD_ARROW_COS", "PAD_ARROW_SIN",
+    "PAD_H_HALF_LENGTH", "PAD_H_HALF_WIDTH", "PAD_H_INNER", "PAD_BAR_HALF",
+    "PAD_CLEAR_RADIUS",
+)  # fmt: skip
+"""The numbers of a pad's drawing, in their order: m, and the direction of the arrowhead's sides."""
+STROKE_NUMBERS = 36
+"""Numbers of one part of an exposure: homographies in its middle, their change during it, in the first row and in the last."""
+
+CONSTANTS = {
+    "GAIN_ONE": GAIN_ONE, "SCENE_ONE": SCENE_ONE, "CELL_PX": CELL_PX, "BLUR_RADIUS_MAX": BLUR_RADIUS_MAX, "SMEAR_MAX": SMEAR_MAX,
+    "PAD_PAINTS": len(PAINTS), "PAD_EDGE": PAD_EDGE, "STROKE_NUMBERS": STROKE_NUMBERS,
+    **{name: value for names in (PAINTS, DRAWING) for value, name in enumerate(names)},
+}  # fmt: skip
+"""Numbers by their names in the header: what simulated frames are made of."""
+
+STRUCTS: dict[str, tuple[Field, ...]] = {}
+
+FUNCTIONS = (
+    Function(
+        "render_deck",
+        "void",
+        "int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const uint16_t *texels, "
+        "int32_t texel_rows, int32_t texel_columns, const uint8_t *mask, uint16_t *scene",
+        "render_deck.c",
+    ),
+    Function(
+        "render_fill",
+        "void",
+        "int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *mask, const uint16_t *colour, uint16_t *scene",
+        "render_deck.c",
+    ),
+    Function(
+        "render_smear",
+        "void",
+        "int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights, "
+        "int32_t reach, uint16_t *smeared",
+        "render_smear.c",
+    ),
+    Function(
+        "render_sea",
+        "void",
+        "int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, "
+        "int32_t columns, const float *small_texels, const float *large_texels, const float *caps_texels, "
+        "const float *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, "
+        "const float *shade, const float *white, uint8_t *codes",
+        "render_sea.c",
+    ),
+    Function(
+        "render_water",
+        "void",
+        "int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours, "
+        "uint16_t *scene",
+        "render_sea.c",
+    ),
+    Function(
+        "render_pad_kinds",
+        "int32_t",
+        "int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *whole, int32_t rolling, "
+        "const float *pad, uint8_t *kinds, int32_t *edges",
+        "render_pad.c",
+    ),
+    Function(
+        "render_pad_shares",
+        "void",
+        "int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes, "
+        "const float *stroke_numbers, int32_t rolling, const float *pad, int32_t fine, int32_t count, const int32_t *edges, "
+        "float *shares",
+        "render_pad.c",
+    ),
+    Function(
+        "render_expose",
+        "void",
+        "int32_t pixels, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure, "
+        "const uint16_t *pad_scene, int16_t *light",
+        "render_light.c",
+    ),
+    Function(
+        "render_mix",
+        "void",
+        "int32_t edges, const int32_t *where, const float *shares, const uint16_t *scene, const int16_t *gain, "
+        "const float *exposure, const uint16_t *pad_scene, int16_t *light",
+        "render_light.c",
+    ),
+    Function(
+        "render_blur",
+        "void",
+        "int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, uint16_t *scratch, int16_t *blurred",
+        "render_light.c",
+    ),
+    Function(
+        "render_frame",
+        "void",
+        "int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const uint16_t *even, "
+        "const int16_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame",
+        "render_light.c",
+    ),
+)
+"""Functions that render a frame, stage by stage."""
