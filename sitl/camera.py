@@ -59,6 +59,23 @@ class Exposure:
     """Angular velocity (3,) of the pad in `pad`, rad/s."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """What a camera sees during an exposure."""
+
+    pose: Pose
+    """Of the pad, in the middle of the exposure."""
+    scene: U16
+    """(H, W, 4) everything except the pad."""
+    gain: I16
+    """(H, W) factors on its light."""
+    added: F32 | None
+    """(H, W) light beside it."""
+    rows: F32 | None
+    """(H, W, 2) where the rows of a rolling shutter look, px."""
+    pad: PadInImage | None
+
+
 class Renderer:
     """Renders frames of one scene through one camera.
 
@@ -108,7 +125,10 @@ class Renderer:
     def render(self, shot: Exposure, rng: np.random.Generator, development: Development | None = None) -> U8:
         """Return the sensor's image, (H, W, 3) BGR. One number is drawn from `rng`, for the noise."""
         development = development or self._development
-        return development.sensor_image(self._light_on_sensor(shot, development), rng)
+        view = self._view(shot, development)
+        if self.lamps.floods or self.lamps.pad_lamps or self.drops is not None or view.added is not None:
+            return development.sensor_image(self._light_on_sensor(shot, development, view), rng)
+        return development.image(view.scene, view.gain, view.pad, self._pad_scene, rng)
 
     def order(self, shot: Exposure, rng: np.random.Generator) -> Callable[[], U8]:
         """Return the function that renders a frame; it may be called again."""
@@ -117,16 +137,16 @@ class Renderer:
     def radiance(self, shot: Exposure) -> F32:
         """Return the linear light on the sensor before noise and tone curve, (H, W, 3) BGR; 1 is full scale, clipped at 4."""
         development = self._development
-        return development.blur(self._light_on_sensor(shot, development)) * np.float32(1.0 / FULL_SCALE)
+        light = self._light_on_sensor(shot, development, self._view(shot, development))
+        return development.blur(light) * np.float32(1.0 / FULL_SCALE)
 
-    def _light_on_sensor(self, shot: Exposure, development: Development) -> I16:
-        """Return the light before the blur of the lens, (H, W, 3) in counts."""
+    def _view(self, shot: Exposure, development: Development) -> _View:
+        """Return what the camera sees during an exposure, before the light is counted."""
         poses = [_pose(shot, self.camera, 0.0)]
-        R_cam_pad, t_cam_pad = poses[0]
         exposure_s = development.sensor.exposure_s
         ends = [_pose(shot, self.camera, s * exposure_s) for s in (-0.5, 0.5)] if exposure_s > 0 else []
 
-        scene, gain, added = self._scenery(shot, R_cam_pad, t_cam_pad)
+        scene, gain, added = self._scenery(shot, *poses[0])
         if ends:
             scene = smear(scene, self._lens, poses[0], ends)
         half = development.sensor.readout_s / 2
@@ -137,17 +157,21 @@ class Renderer:
                 rows, scene = self._lens.spread(cells), moved_scene(scene, cells)
                 gain = np.asarray(moved(gain, rows), np.int16)
                 added = None if added is None else np.asarray(moved(added, rows), np.float32)
-        placed = self._place(shot, poses[0], ends, development.sensor)
+        return _View(poses[0], scene, gain, added, rows, self._place(shot, poses[0], ends, development.sensor))
+
+    def _light_on_sensor(self, shot: Exposure, development: Development, view: _View) -> I16:
+        """Return the light before the blur of the lens, (H, W, 3) in counts."""
+        gain, added, rows = view.gain, view.added, view.rows
         # Floodlights differ in colour from the sky: their light and the sky's are added up for each channel.
         even = self._even if self.lamps.floods else gain
-        light = development.expose(scene, even, placed, self._pad_scene, self._room)
+        light = development.expose(view.scene, even, view.pad, self._pad_scene, self._room)
         if self.lamps.floods:
-            cv2.multiply(light, self._gains(gain, development, R_cam_pad, t_cam_pad), dst=light, scale=1.0 / GAIN_ONE)
+            cv2.multiply(light, self._gains(gain, development, *view.pose), dst=light, scale=1.0 / GAIN_ONE)
         if added is not None:
             cv2.add(light, counts(cv2.merge([added * g for g in development.gains_bgr])), dst=light)
         if self.lamps.pad_lamps:
             own = np.zeros(gain.shape, np.float32)
-            self.lamps.shine(own, self._lens, R_cam_pad, t_cam_pad)
+            self.lamps.shine(own, self._lens, *view.pose)
             own = own if rows is None else np.asarray(moved(own, rows), np.float32)
             level = np.float32(2.0**-self.light.daylight_ev)
             cv2.add(light, counts(cv2.merge([own * g * level for g in development.gains_bgr])), dst=light)

@@ -18,8 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput
-from estimator.core.interface.render import PAINTS, SCENE_ONE
-from sitl.native import address, render_blur, render_expose, render_frame, render_mix
+from estimator.core.interface.render import (
+    CELL_PX,
+    COUNTS_BY_EIGHT,
+    GRAIN_LEVELS,
+    LEVELS_BY_EIGHT,
+    LEVELS_BY_ONE,
+    LIGHT_LEVELS,
+    PAINTS,
+    SCENE_ONE,
+)
+from sitl.native import address, render_blur, render_expose, render_frame, render_image, render_mix
 from sitl.projection import F32
 
 U8 = NDArray[np.uint8]
@@ -176,54 +185,46 @@ def _encode(blend: str, light: NDArray[np.float64]) -> U8:
     return np.round(light * 255.0).astype(np.uint8)
 
 
-@lru_cache(maxsize=2)
-def _noise_bank(steps: int) -> I16:
-    """Return 4194304 normal numbers of deviation `steps`, always the same; a frame uses a part from a random place on."""
+_GRAIN_STEP = 0.25
+"""Deviations from one level of noise to the next."""
+
+
+@lru_cache(maxsize=1)
+def _noise_bank() -> U8:
+    """Return 4194304 levels of normal noise, always the same; a frame uses a part from a random place on."""
     bank = np.random.default_rng(0x0153).standard_normal(1 << 22, dtype=np.float32)
-    return np.round(bank * np.float32(steps)).astype(np.int16)
+    levels = np.round(bank * np.float32(1.0 / _GRAIN_STEP)) + GRAIN_LEVELS // 2
+    return np.asarray(np.clip(levels, 0, GRAIN_LEVELS - 1), dtype=np.uint8)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Noise:
-    """Tables that add the sensor's noise: to values whose noise is the same at every light, and from them to the frame.
-
-    The transform is g(L) = 2 F (sqrt(L / F + r^2) - r) for light L with variance L / F + r^2: its slope is one over the standard
-    deviation. Source: Anscombe, The transformation of Poisson, binomial and negative-binomial data, Biometrika 35, 1948.
-    """
-
-    steps: int
-    """Steps to one standard deviation."""
-    even: U16
-    """(65536,) transformed light by the count of light."""
-    frame: U8
-    """(65536,) value of the frame by the bits of transformed light with noise."""
+def _level_light() -> NDArray[np.float64]:
+    """Return the light (LIGHT_LEVELS,) in the middle of each level, 1 at full scale."""
+    level = np.arange(LIGHT_LEVELS)
+    by_four = LEVELS_BY_ONE + 4 * (level - LEVELS_BY_ONE) + 1.5
+    by_eight = COUNTS_BY_EIGHT + 8 * (level - LEVELS_BY_EIGHT) + 3.5
+    return np.asarray(np.select([level < LEVELS_BY_ONE, level < LEVELS_BY_EIGHT], [level, by_four], by_eight) / FULL_SCALE)
 
 
 @lru_cache(maxsize=16)
-def _noise(well: float, read_noise_e: float, blend: str) -> _Noise | None:
-    """Return the tables of a sensor, or None if its noise is less than a step of light."""
+def _noisy(well: float, read_noise_e: float, blend: str) -> U8 | None:
+    """Return the values of the frame (LIGHT_LEVELS, GRAIN_LEVELS) by light and noise, or None if noise is less than a step.
+
+    Noise is added to light transformed by g(L) = 2 F (sqrt(L / F + r^2) - r), whose slope is one over the standard deviation
+    where the variance is L / F + r^2: its own deviation is one at every light. Source: Anscombe, The transformation of Poisson,
+    binomial and negative-binomial data, Biometrika 35, 1948.
+    """
     read = read_noise_e / well
-    light = np.arange(32768) / FULL_SCALE
+    light = _level_light()
     deviation = np.sqrt(light / well + read**2)
     if not deviation.max() > 0.5 / FULL_SCALE:
         return None
-    if math.isfinite(well):
-        even = 2.0 * well * (deviation - read)
-    else:
-        even = light / read
-    steps = 64
-    while steps > 1 and steps * (even[-1] + 16.0) > 65000.0:
-        steps //= 2
-    low = -32768.0 + 8.0 * steps
-    codes = np.arange(-32768, 32768)
-    g = (codes - low) / steps
+    even = 2.0 * well * (deviation - read) if math.isfinite(well) else light / read
+    # Rounding to levels adds a twelfth of a step squared to the variance (Sheppard, Proc. London Math. Soc. 29, 1897).
+    step = _GRAIN_STEP / math.sqrt(1.0 + _GRAIN_STEP**2 / 12.0)
+    g = even[:, None] + step * (np.arange(GRAIN_LEVELS) - GRAIN_LEVELS // 2)
     back = g * (g / (4.0 * well) + read) if math.isfinite(well) else g * read
     # Below the vertex of the parabola, some read noise under black, everything is black.
-    back = np.where(g < -2.0 * well * read, 0.0, back)
-    table = np.concatenate([even, np.full(32768, even[-1])]) * steps + low
-    frame = np.empty(65536, np.uint8)
-    frame[codes & 0xFFFF] = _encode(blend, back)
-    return _Noise(steps, np.round(np.minimum(table, 32767.0)).astype(np.int16).view(np.uint16), frame)
+    return _encode(blend, np.where(g < -2.0 * well * read, 0.0, back))
 
 
 @lru_cache(maxsize=2)
@@ -279,9 +280,11 @@ class Development:
             self.lifted_bgr = np.maximum(np.minimum(most_bgr, 3.9 / np.maximum(self.gains_bgr, 1e-6)), 1e-3).astype(np.float32)
         gains = self.gains_bgr * self.lifted_bgr * np.float32(FULL_SCALE / SCENE_ONE)
         self._exposure: F32 = np.append(gains, np.float32(0.0)).astype(np.float32)
-        self._noise = _noise(sensor.full_well_e, sensor.read_noise_e, sensor.blend)
+        self._noisy = _noisy(sensor.full_well_e, sensor.read_noise_e, sensor.blend)
         self._clean = _clean(sensor.blend)
         self._taps = _taps(sensor.psf_sigma_px)
+        self._room: U16 | None = None
+        self._room_width = 0
 
     def expose(
         self, scene: U16, gain: I16, pad: PadInImage | None = None, pad_scene: U16 | None = None, room: I16 | None = None
@@ -298,24 +301,41 @@ class Development:
         h, w = gain.shape
         # The core writes four numbers a pixel, of which the next pixel covers the last.
         light = (np.empty(h * w * 3 + 1, np.int16) if room is None else room)[:-1].reshape(h, w, 3)
-        pixels, factors = address(scene, np.uint16, (h, w, 4)), address(gain, np.int16)
-        exposure, out = address(self._exposure, np.float32), address(light, np.int16)
-        paints = address(pad_scene, np.uint16, (len(PAINTS), 4))
-        kinds = address(pad.kinds if pad is not None else None, np.uint8, (h, w))
+        pixels, kinds, factors, exposure, paints, edges, where, shares = self._seen(scene, gain, pad, pad_scene)
+        out = address(light, np.int16)
         render_expose(h * w, pixels, kinds, factors, exposure, paints, out)
-        if pad is not None and len(pad.edges):
-            where, shares = address(pad.edges, np.int32), address(pad.shares, np.float32, (len(pad.edges), len(PAINTS)))
-            render_mix(len(pad.edges), where, shares, pixels, factors, exposure, paints, out)
+        if edges:
+            render_mix(edges, where, shares, pixels, factors, exposure, paints, out)
         return light
+
+    def image(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None, rng: np.random.Generator) -> U8:
+        """Return `sensor_image` of the light that `expose` returns, which is not kept."""
+        h, w = gain.shape
+        frame = np.empty((h, w, 3), np.uint8)
+        render_image(h, w, *self._seen(scene, gain, pad, pad_scene), *self._onto_sensor(frame, rng))
+        return frame
+
+    def _seen(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None) -> tuple[int, ...]:
+        """Return the core's view of a scene: scene, kinds, gain, exposure, paints, number of edge pixels, where, shares."""
+        shape = gain.shape
+        edges = len(pad.edges) if pad is not None else 0
+        return (
+            address(scene, np.uint16, (*shape, 4)),
+            address(pad.kinds if pad is not None else None, np.uint8, shape),
+            address(gain, np.int16),
+            address(self._exposure, np.float32),
+            address(pad_scene, np.uint16, (len(PAINTS), 4)),
+            edges,
+            address(pad.edges if pad is not None else None, np.int32),
+            address(pad.shares if pad is not None else None, np.float32, (edges, len(PAINTS))),
+        )
 
     def blur(self, light: I16) -> I16:
         """Return the light (H, W, 3) after the blur of the lens."""
         h, w = light.shape[:2]
-        blurred, scratch = np.empty_like(light), self._scratch(w)
-        taps = address(self._taps, np.uint16)
-        render_blur(
-            h, w, address(light, np.int16), len(self._taps) - 1, taps, address(scratch, np.uint16), address(blurred, np.int16)
-        )
+        blurred, taps = np.empty_like(light), address(self._taps, np.uint16)
+        scratch = address(self._scratch(w), np.uint16)
+        render_blur(h, w, address(light, np.int16), len(self._taps) - 1, taps, scratch, address(blurred, np.int16))
         return blurred
 
     def sensor_image(self, light: I16, rng: np.random.Generator) -> U8:
@@ -324,30 +344,33 @@ class Development:
         One number is drawn from `rng`.
         """
         h, w = light.shape[:2]
-        noise, frame, scratch = self._noise, np.empty((h, w, 3), np.uint8), self._scratch(w)
-        part = None
-        if noise is not None:
-            bank = _noise_bank(noise.steps)
-            start = int(rng.integers(bank.size - light.size))
-            part = bank[start : start + light.size]
-        render_frame(
-            h,
-            w,
-            address(light, np.int16),
-            len(self._taps) - 1,
-            address(self._taps, np.uint16),
-            address(noise.even if noise is not None else None, np.uint16),
-            address(part, np.int16),
-            address(noise.frame if noise is not None else self._clean, np.uint8),
-            address(scratch, np.uint16),
-            address(frame, np.uint8),
-        )
+        frame = np.empty((h, w, 3), np.uint8)
+        render_frame(h, w, address(light, np.int16), *self._onto_sensor(frame, rng))
         return frame
 
+    def _onto_sensor(self, frame: U8, rng: np.random.Generator) -> tuple[int, ...]:
+        """Return the core's view of lens and sensor: radius and weights of the blur, noise, tone curve, room, and the frame."""
+        part, codes = None, self._clean
+        if self._noisy is not None:
+            bank, codes = _noise_bank(), self._noisy
+            start = int(rng.integers(bank.size - frame.size))
+            part = bank[start : start + frame.size]
+        return (
+            len(self._taps) - 1,
+            address(self._taps, np.uint16),
+            address(part, np.uint8),
+            address(codes, np.uint8),
+            address(self._scratch(frame.shape[1]), np.uint16),
+            address(frame, np.uint8),
+        )
+
     def _scratch(self, width: int) -> U16:
-        """Return room for the rows that the blur works on."""
-        radius, row = len(self._taps) - 1, 3 * width + 16
-        return np.zeros((2 * radius + 2) * row + 6 * radius, np.uint16)
+        """Return room for the rows that the core works on."""
+        radius, values = len(self._taps) - 1, 3 * width
+        if self._room is None or self._room_width != width:
+            self._room = np.zeros((2 * radius + 4 + CELL_PX) * values + 6 * radius + 1, np.uint16)
+            self._room_width = width
+        return self._room
 
 
 def counts(light: F32) -> I16:

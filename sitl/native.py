@@ -12,11 +12,13 @@ from estimator.contracts.geometry import F64
 from estimator.core.interface import STRUCTS, places_of, size_of
 from estimator.core.library import CORE, start_of
 
+render_average = CORE.function("render_average")
 render_blur = CORE.function("render_blur")
 render_deck = CORE.function("render_deck")
 render_expose = CORE.function("render_expose")
 render_fill = CORE.function("render_fill")
 render_frame = CORE.function("render_frame")
+render_image = CORE.function("render_image")
 render_mix = CORE.function("render_mix")
 render_pad_kinds = CORE.function("render_pad_kinds")
 render_pad_shares = CORE.function("render_pad_shares")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.core.interface.render import CELL_PX, GAIN_ONE
 from sitl.light import I16, U16
-from sitl.native import address, render_deck, render_smear
+from sitl.native import address, render_average, render_deck, render_smear
 from sitl.projection import F32, Lens
 from sitl.render_pad import Pose, in_row, pad_from_ray
 
@@ -32,7 +32,35 @@ def smear(scene: U16, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64,
     if not length >= 1.0:
         return scene
     way = way * min(1.0, 31.0 / length)
-    half = math.floor(min(length, 31.0) / 2) + 1
+    # A long way is a short one, up to two pixels, seen twice, four times and so on, whole pixels apart.
+    doublings = max(0, math.ceil(math.log2(min(length, 31.0) / 2.0)))
+    shifts, taps = _smear_taps(way / 2**doublings)
+    h, w = scene.shape[:2]
+    smeared = np.empty_like(scene)
+    render_smear(
+        h,
+        w,
+        address(scene, np.uint16),
+        len(taps),
+        address(shifts, np.int32),
+        address(taps, np.uint16),
+        address(smeared, np.uint16),
+    )
+    spare = np.empty_like(scene) if doublings else smeared
+    off = np.zeros(2)
+    for n in range(doublings):
+        apart = np.round(way / 2 ** (doublings - n))
+        first = np.round(-apart / 2 - off)
+        off += first + apart / 2
+        pair = np.concatenate([first, first + apart]).astype(np.int32)
+        render_average(h, w, address(smeared, np.uint16), address(pair, np.int32), address(spare, np.uint16))
+        smeared, spare = spare, smeared
+    return smeared
+
+
+def _smear_taps(way: F64) -> tuple[NDArray[np.int32], U16]:
+    """Return the shifts (N, 2) px and the weights (N,), parts of 65536, that blur a scene along a straight way (2,) px."""
+    half = math.floor(np.hypot(*way) / 2) + 1
     kernel = np.zeros((2 * half + 1, 2 * half + 1))
     for s in (np.arange(64) + 0.5) / 64 - 0.5:
         x, y = half + way[0] * s, half + way[1] * s
@@ -42,15 +70,7 @@ def smear(scene: U16, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64,
             kernel[j + dj, i + di] += share / 64
     weights = np.floor(65536.0 * kernel)
     rows, columns = np.nonzero(weights)
-    shifts = np.stack([columns - half, rows - half], axis=1).astype(np.int32)
-    taps = weights[rows, columns].astype(np.uint16)
-    h, w = scene.shape[:2]
-    smeared = np.empty_like(scene)
-    render_smear(
-        h, w, address(scene, np.uint16), len(taps), address(shifts, np.int32), address(taps, np.uint16), half,
-        address(smeared, np.uint16),
-    )  # fmt: skip
-    return smeared
+    return np.stack([columns - half, rows - half], axis=1).astype(np.int32), weights[rows, columns].astype(np.uint16)
 
 
 def vignette(lens: Lens, loss: float) -> I16:

@@ -58,7 +58,11 @@
 #define SCENE_ONE 32768
 #define CELL_PX 8
 #define BLUR_RADIUS_MAX 30
-#define SMEAR_MAX 256
+#define LEVELS_BY_ONE 512
+#define COUNTS_BY_EIGHT 4096
+#define LEVELS_BY_EIGHT 1408
+#define LIGHT_LEVELS 2048
+#define GRAIN_LEVELS 32
 #define PAD_PAINTS 5
 #define PAD_EDGE 255
 #define STROKE_NUMBERS 36
@@ -561,11 +565,14 @@ int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *inno
 void render_deck(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const uint16_t *texels, int32_t texel_rows, int32_t texel_columns, const uint8_t *mask, uint16_t *scene);
 void render_fill(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *mask, const uint16_t *colour, uint16_t *scene);
 
+/* render_lens.c */
+void render_blur(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, uint16_t *scratch, int16_t *out);
+void render_frame(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
+void render_image(int32_t h, int32_t w, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int32_t edges, const int32_t *where, const float *shares, int32_t radius, const uint16_t *taps, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
+
 /* render_light.c */
 void render_expose(int32_t pixels, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int16_t *light);
 void render_mix(int32_t edges, const int32_t *where, const float *shares, const uint16_t *scene, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int16_t *light);
-void render_blur(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, uint16_t *scratch, int16_t *blurred);
-void render_frame(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const uint16_t *even, const int16_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
 
 /* render_pad.c */
 int32_t render_pad_kinds(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *whole, int32_t rolling, const float *pad, uint8_t *kinds, int32_t *edges);
@@ -576,7 +583,8 @@ void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x
 void render_water(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours, uint16_t *scene);
 
 /* render_smear.c */
-void render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights, int32_t reach, uint16_t *smeared);
+void render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights, uint16_t *smeared);
+void render_average(int32_t h, int32_t w, const uint16_t *scene, const int32_t *shifts, uint16_t *averaged);
 
 /* sighting.c */
 int32_t sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, double *innov, double *H, double *R, double *by_rate);
@@ -592,7 +600,7 @@ void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea
 void vehicle_carry(vehicle *v, const deck *g);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 311400423u
+#define INTERFACE_DIGEST 2493248676u
 #endif
 
 #endif

@@ -1,4 +1,4 @@
-/* Eight numbers of sixteen bits at once, and four of them as floats: by SSE2 where the machine has it, else one by one.
+/* Eight numbers of sixteen bits at once: by SSE2 where the machine has it, else one by one.
  *
  * Both ways compute the same bits.
  */
@@ -13,7 +13,6 @@
 #include <emmintrin.h>
 
 typedef __m128i lanes;
-typedef __m128 four;
 
 static inline lanes lanes_load(const void *p)
 {
@@ -63,23 +62,40 @@ static inline lanes lanes_fold(lanes a)
     return _mm_add_epi16(a, _mm_srli_si128(a, 8));
 }
 
-static inline four four_load(const float *p)
+/* a b / 65536, rounded to the nearest. */
+static inline lanes lanes_times_rounded(lanes a, lanes b)
 {
-    return _mm_loadu_ps(p);
+    return _mm_add_epi16(_mm_mulhi_epu16(a, b), _mm_srli_epi16(_mm_mullo_epi16(a, b), 15));
 }
 
-static inline four four_scaled(four a, float by)
+/* The sum, 65535 at most. */
+static inline lanes lanes_add_limited(lanes a, lanes b)
 {
-    return _mm_mul_ps(a, _mm_set1_ps(by));
+    return _mm_adds_epu16(a, b);
 }
 
-/* The lower four lanes times floats of 0 or more, rounded, 32767 at most. */
-static inline lanes lanes_lit(lanes a, four by)
+static inline lanes lanes_at_most(lanes a, uint16_t most)
 {
-    const __m128 exact = _mm_mul_ps(_mm_cvtepi32_ps(_mm_unpacklo_epi16(a, _mm_setzero_si128())), by);
-    const __m128 most = _mm_min_ps(_mm_add_ps(exact, _mm_set1_ps(0.5f)), _mm_set1_ps(32767.0f));
-    const __m128i whole = _mm_cvttps_epi32(most);
-    return _mm_packs_epi32(whole, whole);
+    return _mm_sub_epi16(a, _mm_subs_epu16(a, lanes_all(most)));
+}
+
+/* One number in the lower four lanes, another in the upper ones. */
+static inline lanes lanes_of_two(uint16_t lower, uint16_t upper)
+{
+    const __m128i pair = _mm_cvtsi32_si128((int)((uint32_t)upper << 16 | lower));
+    return _mm_shuffle_epi32(_mm_unpacklo_epi16(pair, pair), 0x50);
+}
+
+/* Four numbers from one place, and four from another. */
+static inline lanes lanes_join(const void *lower, const void *upper)
+{
+    return _mm_unpacklo_epi64(lanes_load_four(lower), lanes_load_four(upper));
+}
+
+/* The upper four lanes as lower ones. */
+static inline lanes lanes_upper(lanes a)
+{
+    return _mm_srli_si128(a, 8);
 }
 
 #else
@@ -87,10 +103,6 @@ static inline lanes lanes_lit(lanes a, four by)
 typedef struct {
     uint16_t v[8];
 } lanes;
-
-typedef struct {
-    float v[4];
-} four;
 
 static inline lanes lanes_load(const void *p)
 {
@@ -154,27 +166,48 @@ static inline lanes lanes_fold(lanes a)
     return a;
 }
 
-static inline four four_load(const float *p)
+static inline lanes lanes_times_rounded(lanes a, lanes b)
 {
-    four a;
-    memcpy(&a, p, sizeof a);
-    return a;
-}
-
-static inline four four_scaled(four a, float by)
-{
-    for (int k = 0; k < 4; k++) {
-        a.v[k] *= by;
+    for (int k = 0; k < 8; k++) {
+        a.v[k] = (uint16_t)(((uint32_t)a.v[k] * b.v[k] + 32768u) >> 16);
     }
     return a;
 }
 
-static inline lanes lanes_lit(lanes a, four by)
+static inline lanes lanes_add_limited(lanes a, lanes b)
 {
-    for (int k = 0; k < 4; k++) {
-        const float rounded = (float)a.v[k] * by.v[k] + 0.5f;
-        a.v[k] = (uint16_t)(rounded < 32767.0f ? rounded : 32767.0f);
+    for (int k = 0; k < 8; k++) {
+        const uint32_t sum = (uint32_t)a.v[k] + b.v[k];
+        a.v[k] = (uint16_t)(sum < UINT16_MAX ? sum : UINT16_MAX);
     }
+    return a;
+}
+
+static inline lanes lanes_at_most(lanes a, uint16_t most)
+{
+    for (int k = 0; k < 8; k++) {
+        a.v[k] = a.v[k] < most ? a.v[k] : most;
+    }
+    return a;
+}
+
+static inline lanes lanes_of_two(uint16_t lower, uint16_t upper)
+{
+    const lanes a = {{lower, lower, lower, lower, upper, upper, upper, upper}};
+    return a;
+}
+
+static inline lanes lanes_join(const void *lower, const void *upper)
+{
+    lanes a;
+    memcpy(a.v, lower, sizeof a / 2);
+    memcpy(a.v + 4, upper, sizeof a / 2);
+    return a;
+}
+
+static inline lanes lanes_upper(lanes a)
+{
+    memmove(a.v, a.v + 4, sizeof a / 2);
     return a;
 }
 

@@ -268,18 +268,39 @@ static inline float strip(float x, float half, box b)
     return covered(x + half, b) - covered(x - half, b);
 }
 
-static float white_share(const float *pad, float u, float v, const spot *s, float reach)
+/* A subpixel seen along the drawing's straight edges: of the H, and of the arrowhead's two sides. */
+typedef struct {
+    box along_u, along_v, left, right;
+} boxes;
+
+/* The boxes of a subpixel that lies with all others of its pixel within `reach` of (u, v): only those that its shares need. */
+static boxes boxes_of(const float *pad, float u, float v, const spot *s, float reach)
+{
+    const float cu = pad[PAD_ARROW_COS], cv = pad[PAD_ARROW_SIN];
+    boxes made = {{0.0f, 0.0f}, {0.0f, 0.0f}, {0.0f, 0.0f}, {0.0f, 0.0f}};
+    if (fabsf(u) <= pad[PAD_H_HALF_LENGTH] + reach && fabsf(v) <= pad[PAD_H_HALF_WIDTH] + reach) {
+        made.along_u = box_along(s, 1.0f, 0.0f);
+        made.along_v = box_along(s, 0.0f, 1.0f);
+    }
+    if (on_arrow(pad, u, v, reach) == EDGE) {
+        made.along_u = box_along(s, 1.0f, 0.0f);
+        made.left = box_along(s, cu, cv);
+        made.right = box_along(s, cu, -cv);
+    }
+    return made;
+}
+
+static float white_share(const float *pad, float u, float v, const boxes *b, float reach)
 {
     if (fabsf(u) > pad[PAD_H_HALF_LENGTH] + reach || fabsf(v) > pad[PAD_H_HALF_WIDTH] + reach) {
         return 0.0f;
     }
-    const box along_u = box_along(s, 1.0f, 0.0f), along_v = box_along(s, 0.0f, 1.0f);
-    const float between = strip(v, pad[PAD_H_INNER], along_v);
-    const float legs = (strip(v, pad[PAD_H_HALF_WIDTH], along_v) - between) * strip(u, pad[PAD_H_HALF_LENGTH], along_u);
-    return legs + between * strip(u, pad[PAD_BAR_HALF], along_u);
+    const float between = strip(v, pad[PAD_H_INNER], b->along_v);
+    const float legs = (strip(v, pad[PAD_H_HALF_WIDTH], b->along_v) - between) * strip(u, pad[PAD_H_HALF_LENGTH], b->along_u);
+    return legs + between * strip(u, pad[PAD_BAR_HALF], b->along_u);
 }
 
-static float arrow_share(const float *pad, float u, float v, const spot *s, float reach)
+static float arrow_share(const float *pad, float u, float v, const boxes *b, float reach)
 {
     const int kind = on_arrow(pad, u, v, reach);
     if (kind != EDGE) {
@@ -287,12 +308,11 @@ static float arrow_share(const float *pad, float u, float v, const spot *s, floa
     }
     const float cu = pad[PAD_ARROW_COS], cv = pad[PAD_ARROW_SIN];
     const float ahead = cu * (pad[PAD_ARROW_TIP] - u), aside = cv * v;
-    return covered(u - pad[PAD_ARROW_BASE], box_along(s, 1.0f, 0.0f)) * covered(ahead - aside, box_along(s, cu, cv)) *
-           covered(ahead + aside, box_along(s, cu, -cv));
+    return covered(u - pad[PAD_ARROW_BASE], b->along_u) * covered(ahead - aside, b->left) * covered(ahead + aside, b->right);
 }
 
 /* Add the shares of the paints in the subpixel at (u, v). */
-static void add_shares(const float *pad, float u, float v, const spot *s, float reach, float *total)
+static void add_shares(const float *pad, float u, float v, const spot *s, const boxes *b, float reach, float *total)
 {
     const float r = sqrtf(u * u + v * v) + 1e-9f;
     if (r > pad[PAD_DISC_RADIUS] + reach) {
@@ -306,7 +326,7 @@ static void add_shares(const float *pad, float u, float v, const spot *s, float 
         inner = covered(pad[PAD_RIM_INNER] - r, radial);
         ring = covered(pad[PAD_RING_OUTER] - r, radial) - covered(pad[PAD_RING_INNER] - r, radial);
     }
-    const float arrow = arrow_share(pad, u, v, s, reach), white = white_share(pad, u, v, s, reach);
+    const float arrow = arrow_share(pad, u, v, b, reach), white = white_share(pad, u, v, b, reach);
     const float orange = ring + arrow - ring * arrow;
     total[PAD_NONE] += 1.0f - inside;
     total[PAD_RIM] += inside - inner;
@@ -315,26 +335,36 @@ static void add_shares(const float *pad, float u, float v, const spot *s, float 
     total[PAD_WHITE] += white;
 }
 
-/* Add the shares of all subpixels of a pixel during one part of the exposure. The plane is linear within a pixel. */
-static void add_pixel(const view *v, const stroke *k, int32_t pixel, int fine, const float *pad, float *total)
+/* Add the shares of all subpixels of a pixel during one of the parts of the exposure. The plane is linear within a pixel.
+ *
+ * Most pixels that an edge crosses during a long way see one paint during a part of it. */
+static void add_pixel(const view *v, const stroke *k, int parts, int32_t pixel, int fine, const float *pad, float *total)
 {
     float row[9];
     const float *M = k->middle, *change = change_at(v, pixel), *ray = v->rays + 2 * (int64_t)pixel;
-    const float part = 1.0f / (float)fine;
+    const float size = 1.0f / (float)fine;
     if (k->first) {
         in_row(k, row_time(v, pixel / v->w), row);
         M = row;
     }
     spot s;
-    if (!meet(M, k->turn, ray[0], ray[1], change, part, &s)) {
+    if (!meet(M, k->turn, ray[0], ray[1], change, size, &s)) {
         total[PAD_NONE] += (float)(fine * fine);
         return;
     }
     const float reach = around(&s) + 0.5f * sqrtf(s.way_u * s.way_u + s.way_v * s.way_v);
+    const float all = 1.01f * (float)fine * reach;
+    const int paint = parts > 1 ? paint_at(pad, s.u, s.v, all) : EDGE;
+    if (paint != EDGE) {
+        total[paint] += (float)(fine * fine);
+        return;
+    }
+    const boxes b = boxes_of(pad, s.u, s.v, &s, all);
     for (int j = 0; j < fine; j++) {
         for (int i = 0; i < fine; i++) {
             const float right = (float)i - 0.5f * (float)(fine - 1), down = (float)j - 0.5f * (float)(fine - 1);
-            add_shares(pad, s.u + right * s.right_u + down * s.down_u, s.v + right * s.right_v + down * s.down_v, &s, reach, total);
+            const float u_here = s.u + right * s.right_u + down * s.down_u, v_here = s.v + right * s.right_v + down * s.down_v;
+            add_shares(pad, u_here, v_here, &s, &b, reach, total);
         }
     }
 }
@@ -350,7 +380,7 @@ void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *cha
         memset(total, 0, PAD_PAINTS * sizeof *total);
         for (int i = 0; i < strokes; i++) {
             const stroke k = stroke_at(stroke_numbers, rolling, i);
-            add_pixel(&seen, &k, edges[e], fine, pad, total);
+            add_pixel(&seen, &k, strokes, edges[e], fine, pad, total);
         }
         for (int k = 0; k < PAD_PAINTS; k++) {
             total[k] *= each;

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from estimator.core.interface.render import PAD_EDGE
 from estimator.core.library import CORE, Core, load
 from sitl.native import address
 from supply import core
@@ -39,20 +40,36 @@ def exposed(library: Core, rng: np.random.Generator) -> NDArray[Any]:
     return light[:-1]
 
 
-def framed(library: Core, rng: np.random.Generator) -> NDArray[Any]:
-    light, noise = rng.integers(0, 32768, (H, W, 3)).astype(np.int16), rng.integers(-99, 99, (H, W, 3)).astype(np.int16)
-    even, codes = rng.integers(0, 65536, 65536).astype(np.uint16), rng.integers(0, 256, 65536).astype(np.uint8)
-    scratch, frame = np.zeros(6 * (3 * W + 16) + 12, np.uint16), np.zeros((H, W, 3), np.uint8)
-    arrays = (TAPS, even, noise, codes, scratch, frame)
-    library.function("render_frame")(H, W, light.ctypes.data, 2, *(array.ctypes.data for array in arrays))
+def imaged(library: Core, rng: np.random.Generator) -> NDArray[Any]:
+    """A frame by `render_image`, which the frame of the light by `render_expose` equals."""
+    scene, gain = rng.integers(0, 65536, (H, W, 4)).astype(np.uint16), rng.integers(0, 16385, (H, W)).astype(np.int16)
+    kinds, exposure = (
+        np.where(rng.random((H, W)) < 0.5, 0, rng.integers(0, 5, (H, W))).astype(np.uint8),
+        np.array([0.3, 0.7, 1.5, 0]),
+    )
+    edges = np.sort(rng.choice(H * W, 40, replace=False)).astype(np.int32)
+    kinds.flat[edges] = PAD_EDGE
+    shares = rng.dirichlet(np.ones(5), len(edges)).astype(np.float32)
+    exposure = exposure.astype(np.float32)
+    paints, noise = rng.integers(0, 65536, (5, 4)).astype(np.uint16), rng.integers(0, 32, (H, W, 3)).astype(np.uint8)
+    codes, scratch = rng.integers(0, 256, 65536).astype(np.uint8), np.zeros(20 * 3 * W, np.uint16)
+    light, frame, again = np.zeros(H * W * 3 + 1, np.int16), np.zeros((H, W, 3), np.uint8), np.zeros((H, W, 3), np.uint8)
+    seen = [array.ctypes.data for array in (scene, kinds, gain, exposure, paints)]
+    mixed = [len(edges), edges.ctypes.data, shares.ctypes.data]
+    lens = [2, *(array.ctypes.data for array in (TAPS, noise, codes, scratch))]
+    library.function("render_image")(H, W, *seen, *mixed, *lens, frame.ctypes.data)
+    library.function("render_expose")(H * W, *seen, light.ctypes.data)
+    library.function("render_mix")(*mixed, seen[0], *seen[2:], light.ctypes.data)
+    library.function("render_frame")(H, W, light.ctypes.data, *lens, again.ctypes.data)
+    assert np.array_equal(frame, again)
     return frame
 
 
 def smeared(library: Core, rng: np.random.Generator) -> NDArray[Any]:
-    scene, out = rng.integers(0, 65000, (H, W, 4)).astype(np.uint16), np.zeros((H, W, 4), np.uint16)
+    scene, out = rng.integers(0, 65000, (H, W, 4)).astype(np.uint16), np.zeros((2, H, W, 4), np.uint16)
     shifts, weights = np.array([(-2, 1), (0, 0), (2, -1)], np.int32), np.array([20000, 25000, 20000], np.uint16)
-    where = (scene.ctypes.data, 3, shifts.ctypes.data, weights.ctypes.data, 2, out.ctypes.data)
-    library.function("render_smear")(H, W, *where)
+    library.function("render_smear")(H, W, scene.ctypes.data, 3, shifts.ctypes.data, weights.ctypes.data, out[0].ctypes.data)
+    library.function("render_average")(H, W, scene.ctypes.data, shifts.ctypes.data, out[1].ctypes.data)
     return out
 
 
@@ -62,7 +79,7 @@ def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Core:
     return load(str(core.build(out, ("-DLANES_ONE_BY_ONE",))))
 
 
-@pytest.mark.parametrize("step", [deck, exposed, framed, smeared])
+@pytest.mark.parametrize("step", [deck, exposed, imaged, smeared])
 def test_a_machine_without_vector_instructions_renders_the_same_bits(
     one_by_one: Core, step: Callable[[Core, np.random.Generator], NDArray[Any]]
 ) -> None:

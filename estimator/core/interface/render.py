@@ -10,10 +10,18 @@ SCENE_ONE = 32768
 """Value of a scene's pixel that reflects all light, and of wear that does not change it."""
 CELL_PX = 8
 """Distance between the rays at which planes are met exactly, px."""
+LEVELS_BY_ONE = 512
+"""Light up to so many counts is told apart by single counts when noise is added to it, then by four."""
+COUNTS_BY_EIGHT = 4096
+"""Light from so many counts on is told apart by eight."""
+LEVELS_BY_EIGHT = LEVELS_BY_ONE + (COUNTS_BY_EIGHT - LEVELS_BY_ONE) // 4
+"""The number of levels below that."""
+LIGHT_LEVELS = 2048
+"""The number of levels of light; the last one holds all light that is brighter."""
+GRAIN_LEVELS = 32
+"""The number of levels of noise."""
 BLUR_RADIUS_MAX = 30
 """The widest blur of the simulated lens, px."""
-SMEAR_MAX = 256
-"""The largest number of pixels that the motion blur of a scene adds up."""
 PAINTS = ("PAD_NONE", "PAD_RIM", "PAD_DISC", "PAD_ORANGE", "PAD_WHITE")
 """The paints of a pad, in the order of their shares; the first is what lies around it."""
 PAD_EDGE = 255
@@ -29,7 +37,9 @@ STROKE_NUMBERS = 36
 """Numbers of one part of an exposure: homographies in its middle, their change during it, in the first row and in the last."""
 
 CONSTANTS = {
-    "GAIN_ONE": GAIN_ONE, "SCENE_ONE": SCENE_ONE, "CELL_PX": CELL_PX, "BLUR_RADIUS_MAX": BLUR_RADIUS_MAX, "SMEAR_MAX": SMEAR_MAX,
+    "GAIN_ONE": GAIN_ONE, "SCENE_ONE": SCENE_ONE, "CELL_PX": CELL_PX, "BLUR_RADIUS_MAX": BLUR_RADIUS_MAX,
+    "LEVELS_BY_ONE": LEVELS_BY_ONE, "COUNTS_BY_EIGHT": COUNTS_BY_EIGHT, "LEVELS_BY_EIGHT": LEVELS_BY_EIGHT,
+    "LIGHT_LEVELS": LIGHT_LEVELS, "GRAIN_LEVELS": GRAIN_LEVELS,
     "PAD_PAINTS": len(PAINTS), "PAD_EDGE": PAD_EDGE, "STROKE_NUMBERS": STROKE_NUMBERS,
     **{name: value for names in (PAINTS, DRAWING) for value, name in enumerate(names)},
 }  # fmt: skip
@@ -55,7 +65,13 @@ FUNCTIONS = (
         "render_smear",
         "void",
         "int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights, "
-        "int32_t reach, uint16_t *smeared",
+        "uint16_t *smeared",
+        "render_smear.c",
+    ),
+    Function(
+        "render_average",
+        "void",
+        "int32_t h, int32_t w, const uint16_t *scene, const int32_t *shifts, uint16_t *averaged",
         "render_smear.c",
     ),
     Function(
@@ -106,15 +122,23 @@ FUNCTIONS = (
     Function(
         "render_blur",
         "void",
-        "int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, uint16_t *scratch, int16_t *blurred",
-        "render_light.c",
+        "int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, uint16_t *scratch, int16_t *out",
+        "render_lens.c",
     ),
     Function(
         "render_frame",
         "void",
-        "int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const uint16_t *even, "
-        "const int16_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame",
-        "render_light.c",
+        "int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const uint8_t *noise, "
+        "const uint8_t *codes, uint16_t *scratch, uint8_t *frame",
+        "render_lens.c",
+    ),
+    Function(
+        "render_image",
+        "void",
+        "int32_t h, int32_t w, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure, "
+        "const uint16_t *pad_scene, int32_t edges, const int32_t *where, const float *shares, int32_t radius, "
+        "const uint16_t *taps, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame",
+        "render_lens.c",
     ),
 )
 """Functions that render a frame, stage by stage."""

@@ -39,12 +39,15 @@ static void surface(int h, int w, float scale, int with_mask)
     uint16_t *scene = room((size_t)h * w * 8), *drawing = room(8 * 20 * 30), *smeared = room((size_t)h * w * 8);
     uint8_t *mask = room((size_t)h * w), *codes = room((size_t)h * w / 4), *colour = room(256 * 8);
     const int32_t sizes[4] = {tile, tile, tile, tile}, shifts[6] = {-3, 2, 0, 0, 3, -2};
+    const int32_t apart[4] = {-draw() % 40, 3, draw() % 40, -draw() % 5};
     const uint16_t weights[3] = {20000, 25535, 20000};
     const double drift[12] = {0.3, 1e3, -1e3, 2.0, 0.1, 0.2, 1.0, 0.0, 0.0, 4.0, -0.5, 0.5};
     const float strength[4] = {0.5f, 0.8f, 1.0f, 120.0f};
     render_deck(w, 1, w - 1, 1, h - 1, cells, columns, drawing, 20, 30, with_mask ? mask : 0, scene);
     render_fill(w, 0, w, 0, h, mask, (const uint16_t *)colour, scene);
-    render_smear(h, w, scene, 3, shifts, weights, 3, smeared);
+    render_smear(h, w, scene, 3, shifts, weights, smeared);
+    fold_bytes(smeared, (size_t)h * w * 8);
+    render_average(h, w, scene, apart, smeared);
     render_sea(h, w, with_mask ? mask : 0, 0, w / 2, 0, h / 2, cells, columns, texels, texels, texels, texels, sizes, drift, strength, slow,
                with_mask ? shade : 0, with_mask ? shade : 0, codes);
     render_water(w, 0, w, 0, h, codes, (const uint16_t *)colour, scene);
@@ -70,12 +73,13 @@ static void pad_in_light(int h, int w, float height_m, int rolling, int radius)
         strokes[part + 4] += sign;
         strokes[part + 8] += sign / height_m;
     }
-    const int values = 3 * w, stride = (values + 15) / 16 * 16;
+    const int values = 3 * w;
     uint8_t *kinds = room((size_t)h * w), *frame = room((size_t)h * values), *codes = room(65536);
     int32_t *edges = room((size_t)h * w * 4);
-    uint16_t *scene = room((size_t)h * w * 8), *pad_scene = room(PAD_PAINTS * 8), *even = room(65536 * 2), *taps = room(62);
-    uint16_t *scratch = calloc((size_t)((2 * radius + 2) * stride + 6 * radius), 2);
-    int16_t *gain = light_of(h * w), *light = light_of(h * values + 1), *noise = (int16_t *)room((size_t)h * values * 2);
+    uint16_t *scene = room((size_t)h * w * 8), *pad_scene = room(PAD_PAINTS * 8), *taps = room(62);
+    uint16_t *scratch = calloc((size_t)((2 * radius + 4 + CELL_PX) * values + 6 * radius + 1), 2);
+    int16_t *gain = light_of(h * w), *light = light_of(h * values + 1), *blurred = (int16_t *)room((size_t)h * values * 2);
+    uint8_t *noise = room((size_t)h * values);
     const int count = render_pad_kinds(h, w, rays, change, 0, strokes, rolling, drawing, kinds, edges);
     float *shares = malloc((size_t)count * PAD_PAINTS * sizeof(float) + 1);
     render_pad_shares(h, w, rays, change, 0, 2, strokes, rolling, drawing, 3, count, edges, shares);
@@ -84,11 +88,14 @@ static void pad_in_light(int h, int w, float height_m, int rolling, int radius)
     for (int t = 0; t <= radius; t++) {
         taps[t] = (uint16_t)(65535 / (2 * radius + 1));
     }
-    render_frame(h, w, light, radius, taps, even, radius % 2 ? noise : 0, codes, scratch, frame);
+    render_frame(h, w, light, radius, taps, radius % 2 ? noise : 0, codes, scratch, frame);
     fold_bytes(frame, (size_t)h * values), fold_bytes(kinds, (size_t)h * w);
-    render_blur(h, w, light, radius, taps, scratch, noise);
-    fold_bytes(noise, (size_t)h * values * 2);
-    void *all[] = {rays, strokes, kinds, frame, codes, edges, scene, pad_scene, even, taps, scratch, gain, light, noise, shares};
+    render_image(h, w, scene, rolling ? kinds : 0, gain, exposure, pad_scene, count, edges, shares, radius, taps, radius % 2 ? noise : 0,
+                 codes, scratch, frame);
+    fold_bytes(frame, (size_t)h * values);
+    render_blur(h, w, light, radius, taps, scratch, blurred);
+    fold_bytes(blurred, (size_t)h * values * 2);
+    void *all[] = {rays, strokes, kinds, frame, codes, edges, scene, pad_scene, taps, scratch, gain, light, noise, blurred, shares};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
     }
