@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import structs
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Sighting
 from estimator.contracts.geometry import F64, wrap_pi
@@ -129,7 +130,7 @@ def smooth(state: MedianMean, sighting: Sighting) -> tuple[MedianMean, Sighting 
         min(out.holds_at, sighting.stamp.measured_at), sighting.stamp.received_at, sighting.stamp.sigma_s, sighting.stamp.source
     )
     yaw = out.yaw_rad if sighting.yaw_rad is not None else None
-    return state, replace(
+    return state, structs.replace(
         sighting,
         stamp=stamp,
         d_body_pad_level=out.d_body_pad_level,

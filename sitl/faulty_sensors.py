@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from msgspec.structs import replace
 
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs, after

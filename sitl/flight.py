@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import cv2
 import numpy as np
+from msgspec.structs import replace
 
 from companion.config.model import Settings, ardrone_options
 from companion.guidance.mission import FLOWN

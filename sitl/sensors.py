@@ -8,9 +8,9 @@ readings to the bit. Roll, pitch and velocity are the drone's own estimates, whi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
@@ -36,8 +36,7 @@ _MOTORS = ("front_left", "front_right", "rear_right", "rear_left")
 _READINGS = size_of("readings")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Readings:
+class Readings(Struct, frozen=True, eq=False):
     """The newest reading of each sensor, in SI units and body axes."""
 
     at: MonoNs

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
@@ -14,8 +14,7 @@ from estimator.contracts.time import MonoNs
 from sitl.vehicle import VehiclePhase
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Touchdown:
+class Touchdown(Struct, frozen=True, eq=False):
     """A contact with the deck or the water after 0.3 s or more in the air; shorter hops belong to the contact before."""
 
     at: MonoNs
@@ -44,8 +43,7 @@ class Touchdown:
         return self.surface == "pad"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RenderedFrame:
+class RenderedFrame(Struct, frozen=True, eq=False):
     """One rendered frame."""
 
     px: NDArray[np.uint8]
@@ -59,8 +57,7 @@ class RenderedFrame:
     """Whether the frame shows what the camera truly saw at `exposed_at`."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Truth:
+class Truth(Struct, frozen=True, eq=False):
     """The true state of the world at one instant."""
 
     at: MonoNs

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from estimator.contracts.geometry import F64, Rotation
@@ -37,8 +38,7 @@ class Motion:
     """(..., 6) acceleration, m/s^2 and rad/s^2."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Mounted:
+class Mounted(Struct, frozen=True, eq=False):
     """A point fixed to the vessel, with axes fixed to it."""
 
     p_ned: F64

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
@@ -51,8 +51,7 @@ _CHUNK = 100
 _PHASES = tuple(VehiclePhase)
 
 
-@dataclass(frozen=True, slots=True)
-class Stick:
+class Stick(Struct, frozen=True):
     """Stick fractions -1..1 with PCMD's signs. Without `progressive` the vehicle hovers and ignores the fractions."""
 
     roll: float = 0.0

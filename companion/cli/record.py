@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from msgspec import structs
+
 from companion.config.settings import Settings, camera_model, load, shipped
 from companion.recorder.reading import RecordedFrame, Recording, instant, open_recording
 from companion.recorder.rewriting import Cut, rewrite
@@ -131,7 +133,7 @@ class _Source:
         for datum in self._own(size):
             s = datum.stamp
             moved = Stamp(MonoNs(s.measured_at + self.offset_ns), MonoNs(s.received_at + self.offset_ns), s.sigma_s, s.source)
-            yield replace(datum, stamp=moved)
+            yield structs.replace(datum, stamp=moved)
 
     def _own(self, size: tuple[int, int]) -> Iterator[Sample | Frame]:
         path = self.path

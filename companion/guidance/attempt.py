@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.guidance.mission_options import TryOptions
 from companion.guidance.reason import Reason, ReasonCause
@@ -14,8 +15,7 @@ _GAP_MAX_S = 1.0
 """Longest time that one guidance cycle adds, seconds, even if the machine was not called for longer."""
 
 
-@dataclass(frozen=True, slots=True)
-class Attempt:
+class Attempt(Struct, frozen=True):
     """What a try has used so far."""
 
     began: MonoNs | None = None

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from companion.guidance.controller import Knowledge
 from companion.guidance.limits import sigma_m

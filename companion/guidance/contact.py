@@ -8,7 +8,9 @@ Blind on the deck a filter's height drifts, and a drone that believed it would f
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.guidance.controller import Impact
 from estimator.contracts.samples import Imu
@@ -26,8 +28,7 @@ QUIET_S = 0.3
 """Time after a contact in which its own rebounds make no further event, s."""
 
 
-@dataclass(frozen=True, slots=True)
-class ContactWatch:
+class ContactWatch(Struct, frozen=True):
     """The detector's memory."""
 
     at: MonoNs | None = None

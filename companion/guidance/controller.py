@@ -8,10 +8,11 @@ next one.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import force_setattr
 
 from companion.guidance.response_watch import ResponseInUse
 from estimator.contracts.commands import Command
@@ -26,8 +27,7 @@ HORIZONS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 """Horizons of the forecast that guidance asks for, s."""
 
 
-@dataclass(frozen=True, slots=True)
-class Impact:
+class Impact(Struct, frozen=True):
     """A contact with the deck, as an event; no height ever makes one."""
 
     at: MonoNs
@@ -37,8 +37,7 @@ class Impact:
     """The step of the acceleration; nan if the vehicle said so."""
 
 
-@dataclass(frozen=True, slots=True)
-class Knowledge:
+class Knowledge(Struct, frozen=True):
     """What guidance knows in one cycle. `level` is the body's own at `at` throughout."""
 
     at: MonoNs
@@ -58,8 +57,7 @@ class Knowledge:
     """The fastest climb that the controller asks for; None if it does not say."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Target:
+class Target(Struct, frozen=True, eq=False):
     """Where to be relative to the deck."""
 
     d_body_pad_level: F64
@@ -79,8 +77,8 @@ class Target:
     """Largest tilt that may be asked for; None leaves it at the controller's own limit."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "d_body_pad_level", _vector("Target.d_body_pad_level", self.d_body_pad_level, (3,)))
-        object.__setattr__(self, "v_body_level", _vector("Target.v_body_level", self.v_body_level, (3,)))
+        force_setattr(self, "d_body_pad_level", _vector("Target.d_body_pad_level", self.d_body_pad_level, (3,)))
+        force_setattr(self, "v_body_level", _vector("Target.v_body_level", self.v_body_level, (3,)))
         numbers = (self.descent_rate_m_s, self.vertical_rate_max_m_s, self.speed_max_m_s, self.yaw_rad, self.lean_max_rad)
         if not all(x is None or math.isfinite(x) for x in numbers):
             raise ValueError(f"a target needs finite numbers, got {numbers}")

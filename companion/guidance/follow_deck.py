@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from companion.guidance import climb_law, disturbance
 from companion.guidance.axis import AxisMeasured, TiltAxis, begun, command, commanded, observed, reference
@@ -39,8 +41,7 @@ _BLEND_S = 1.0
 """Time in which the command goes over from one set of gains to another, s."""
 
 
-@dataclass(frozen=True, slots=True)
-class FollowDeckMemory:
+class FollowDeckMemory(Struct, frozen=True):
     """The controller's memory. Its axes are north and east by the filter's heading."""
 
     at: MonoNs | None = None

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.estimates import RelativeState
@@ -19,8 +21,7 @@ SIGMA_MAX_RAD = math.radians(20.0)
 """Uncertainty of the heading beyond which nothing turns by it."""
 
 
-@dataclass(frozen=True, slots=True)
-class HeadingMemory:
+class HeadingMemory(Struct, frozen=True):
     """The heading's memory."""
 
     turning: bool = True

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from companion.guidance.clearance import rise_beyond_climb_m
 from companion.guidance.controller import Knowledge
@@ -16,8 +16,7 @@ from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.time import MonoNs
 
 
-@dataclass(frozen=True, slots=True)
-class InputQuality:
+class InputQuality(Struct, frozen=True):
     """What the service knows about its inputs beside the estimate."""
 
     normalized_nis: float | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from msgspec.structs import replace
 
 from companion.guidance.mission import ENDED, TABLES, Event, State, StateChange
 from companion.guidance.options import GuidanceOptions

@@ -7,8 +7,6 @@ wind; here the integral outlives a hover, and the driver keeps the trim.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from msgspec import structs
 
@@ -47,7 +45,7 @@ class PidController:
         if target.descent_rate_m_s is not None:
             wanted[2], along[2] = estimate.height_m, target.descent_rate_m_s
         # Whether the estimate will do is the mission's to say; the controller flies what it is given.
-        given = replace(estimate, sighted=now, at=now, consistent=True)
+        given = structs.replace(estimate, sighted=now, at=now, consistent=True)
         limited = _within(self._options, target)
         memory, command = pid_step(memory, limited, now, given, SetPoint(wanted, target.yaw_rad, along), 1.0)
         if not isinstance(command, Velocity):

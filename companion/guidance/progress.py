@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from companion.guidance.attempt import Attempt
 from companion.guidance.heading import HeadingMemory
@@ -13,8 +15,7 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Progress:
+class Progress(Struct, frozen=True, eq=False):
     """The memory of one service; a flight and a try renew their parts of it."""
 
     state: State

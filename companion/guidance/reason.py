@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
+
+from msgspec import Struct
 
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 
@@ -107,8 +108,7 @@ _FRAME_WORDS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Reason:
+class Reason(Struct, frozen=True):
     """A cause and its numbers."""
 
     cause: ReasonCause

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from companion.guidance.controller import Knowledge
 from companion.guidance.limits import InputQuality
@@ -17,8 +18,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 _FRAMES_LEAST = 10
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class VesselPosition:
+class VesselPosition(Struct, frozen=True, eq=False):
     """The pad's place and motion by the reports of ship and vehicle, without the camera."""
 
     at: MonoNs
@@ -40,8 +40,7 @@ class VesselPosition:
         return math.hypot(float(self.d_body_pad_level[0]), float(self.d_body_pad_level[1]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class GuidanceCycle:
+class GuidanceCycle(Struct, frozen=True, eq=False):
     """One guidance cycle."""
 
     at: MonoNs

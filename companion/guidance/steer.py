@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.guidance import blind_hold, cone, heading, rendezvous
 from companion.guidance.clearance import rise_beyond_climb_m

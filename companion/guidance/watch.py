@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.guidance import cone, heading, limits, rendezvous
 from companion.guidance.mission import FLOWN, Event, State

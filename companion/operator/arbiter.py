@@ -7,11 +7,12 @@ who ordered a landing, replaces it. Losing the sender that has the hand leads to
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Protocol
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.operator.limit_options import LimitOptions
 from companion.operator.limits import Limit, PlaceMemory, limited, place_step
@@ -56,16 +57,14 @@ class Guided(Protocol):
     def abort(self) -> None: ...
 
 
-@dataclass(frozen=True, slots=True)
-class Given:
+class Given(Struct, frozen=True):
     """An order in force: who gave it, and when."""
 
     sender: OrderSender
     at: MonoNs
 
 
-@dataclass(frozen=True, slots=True)
-class Control:
+class Control(Struct, frozen=True):
     """Who commands the vehicle."""
 
     hand: OrderSender | None = None
@@ -85,8 +84,7 @@ class Control:
     """The newest accepted order among those that have a rank."""
 
 
-@dataclass(frozen=True, slots=True)
-class Limited:
+class Limited(Struct, frozen=True):
     """The limits that changed commands lately."""
 
     at: tuple[tuple[Limit, MonoNs], ...] = ()
@@ -113,8 +111,7 @@ class Limited:
         return "limited by " + ", ".join(sorted(limit.value for limit, _ in self.at)) if self.at else ""
 
 
-@dataclass(frozen=True, slots=True)
-class Chosen:
+class Chosen(Struct, frozen=True):
     """The command of one cycle."""
 
     command: Command | None

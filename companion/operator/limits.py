@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 from companion.operator.fence import Corners, within
 from companion.operator.limit_options import LimitOptions

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
+
+from msgspec import Struct
 
 from companion.guidance.mission import StateChange
 from companion.guidance.response_watch import ResponseInUse
@@ -16,8 +17,7 @@ from estimator.contracts.time import MonoNs
 from estimator.vision.thesis.detection import Detection
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ProcessedFrame:
+class ProcessedFrame(Struct, frozen=True, eq=False):
     """One frame, its attitude, and the results of its processing."""
 
     frame: Frame
@@ -33,8 +33,7 @@ class ProcessedFrame:
     """The fusion result of each path of the estimator; empty without a sighting."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Decision:
+class Decision(Struct, frozen=True, eq=False):
     """The result of one guidance cycle."""
 
     at: MonoNs

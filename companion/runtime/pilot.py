@@ -262,7 +262,7 @@ class Pilot:
         if believed is None or self.state is not State.ANOTHER_PAD:
             return believed
         alerts = (*(alert for alert in believed.alerts if alert is not IntegrityAlert.ELSEWHERE), IntegrityAlert.ELSEWHERE)
-        return replace(believed, consistent=False, alerts=alerts)
+        return structs.replace(believed, consistent=False, alerts=alerts)
 
     def believed(self, now: MonoNs) -> RelativeState | None:
         """Return the steering path's estimate as the estimator has it; None while there is none."""

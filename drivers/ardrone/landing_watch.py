@@ -7,8 +7,9 @@ off: the bit that calls it off starts the motors of a drone that has touched dow
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
+
+from msgspec import Struct
 
 from drivers.ardrone.navdata import ControlState, Demo, Navdata, NavdataState
 from estimator.contracts.time import MonoNs, seconds_between
@@ -42,8 +43,7 @@ class Cause(Enum):
     """A person, a low battery or a fault began the landing."""
 
 
-@dataclass(frozen=True, slots=True)
-class DroneReport:
+class DroneReport(Struct, frozen=True):
     """The part of a navdata datagram that says whether the drone flies.
 
     `control` and `altitude_m` (metres over what is below, by ultrasound) are None where the datagram does not carry them.

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, TypeVar
+
+from msgspec import Struct
 
 from drivers.ardrone.navdata_flight import (
     Altitude,
@@ -196,8 +197,7 @@ class _Bodies(Mapping[int, Any]):
         return len(self._bodies)
 
 
-@dataclass(frozen=True, slots=True)
-class Navdata:
+class Navdata(Struct, frozen=True):
     """One navdata datagram. `options` maps a tag to its option in the order of the wire."""
 
     state: int

@@ -14,9 +14,10 @@ The default drag, 0.43 1/s, is the regression of acceleration on tilt and speed 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.commands import Lean, Velocity
@@ -25,8 +26,7 @@ from estimator.contracts.geometry import F64, Rotation
 _G_M_S2 = 9.80665
 
 
-@dataclass(frozen=True, slots=True)
-class Sticks:
+class Sticks(Struct, frozen=True):
     """Stick positions, -1..1 with PCMD's signs: roll + right, pitch + backward (nose up), gaz + up, yaw + clockwise."""
 
     roll: float = 0.0
@@ -35,8 +35,7 @@ class Sticks:
     yaw: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class LoopState:
+class LoopState(Struct, frozen=True):
     """The state of the loop: the integral's acceleration, m/s^2 forward and right."""
 
     forward_m_s2: float = 0.0

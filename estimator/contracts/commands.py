@@ -6,12 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import force_setattr
 
 from estimator.contracts.geometry import F64
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Velocity:
+class Velocity(Struct, frozen=True, eq=False):
     """Fly with this velocity against the surface below and turn at this rate.
 
     The driver of a vehicle whose velocities are over the ground adds the deck's own.
@@ -27,11 +28,10 @@ class Velocity:
         if v.shape != (3,) or not np.all(np.isfinite(v)) or not math.isfinite(self.yaw_rate_rad_s):
             raise ValueError(f"a velocity command needs finite numbers, got {self.v_level!r}, {self.yaw_rate_rad_s!r}")
         v.setflags(write=False)
-        object.__setattr__(self, "v_level", v)
+        force_setattr(self, "v_level", v)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Lean:
+class Lean(Struct, frozen=True, eq=False):
     """Lean so that the body accelerates, climb or descend at a rate, and turn at a rate.
 
     A vehicle that takes tilt flies `a_level + trim_level` as a tilt. One that takes velocities flies `v_level`, with `a_level` as
@@ -57,7 +57,7 @@ class Lean:
             )
         for name, value in (("a_level", a), ("trim_level", trim), ("v_level", v)):
             value.setflags(write=False)
-            object.__setattr__(self, name, value)
+            force_setattr(self, name, value)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, overload
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import force_setattr
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import _covariance, _vector
@@ -90,8 +92,7 @@ class Pose6:
         object.__setattr__(self, "cov", _covariance("Pose6.cov", self.cov, 6))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class Sighting(Struct, frozen=True, eq=False):
     """One measurement of the pad: the vector from the body's origin to the pad's centre, written in `level`, and the heading."""
 
     stamp: Stamp
@@ -111,8 +112,8 @@ class Sighting:
     features: tuple[Feature, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "d_body_pad_level", _vector("Sighting.d_body_pad_level", self.d_body_pad_level, (3,)))
-        object.__setattr__(self, "cov", _covariance("Sighting.cov", self.cov, 4))
+        force_setattr(self, "d_body_pad_level", _vector("Sighting.d_body_pad_level", self.d_body_pad_level, (3,)))
+        force_setattr(self, "cov", _covariance("Sighting.cov", self.cov, 4))
         if self.yaw_rad is not None and not -math.pi <= self.yaw_rad <= math.pi:
             raise ValueError(f"Sighting.yaw_rad must lie in (-pi, pi], got {self.yaw_rad}")
         if not 0.0 <= self.confidence <= 1.0:
@@ -158,8 +159,7 @@ class Details(Sequence[tuple[str, float]]):
         return repr(self.figures)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RelativeState:
+class RelativeState(Struct, frozen=True, eq=False):
     """The belief about the pad at one instant, which guidance steers by."""
 
     at: MonoNs
@@ -184,9 +184,9 @@ class RelativeState:
     """The reasons not to descend by this belief; `consistent` is False while there are any."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "d_body_pad_level", _vector("RelativeState.d_body_pad_level", self.d_body_pad_level, (3,)))
-        object.__setattr__(self, "v_pad_level", _vector("RelativeState.v_pad_level", self.v_pad_level, (3,)))
-        object.__setattr__(self, "cov", _covariance("RelativeState.cov", self.cov, 7))
+        force_setattr(self, "d_body_pad_level", _vector("RelativeState.d_body_pad_level", self.d_body_pad_level, (3,)))
+        force_setattr(self, "v_pad_level", _vector("RelativeState.v_pad_level", self.v_pad_level, (3,)))
+        force_setattr(self, "cov", _covariance("RelativeState.cov", self.cov, 7))
 
     @property
     def height_m(self) -> float:
@@ -206,7 +206,7 @@ class RelativeState:
         made = copy(self)
         changed = (("track", track), ("alerts", alerts), ("details", details), ("consistent", self.consistent and not alerts))
         for name, value in changed:
-            object.__setattr__(made, name, value)
+            force_setattr(made, name, value)
         return made
 
     def age_s(self, now: MonoNs) -> float:

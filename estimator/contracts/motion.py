@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+
+from msgspec import Struct
+from msgspec.structs import force_setattr
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import _covariance, _vector
@@ -12,8 +14,7 @@ from estimator.contracts.time import MonoNs
 G_M_S2 = 9.80665
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BodyMotion:
+class BodyMotion(Struct, frozen=True, eq=False):
     """The body's acceleration, attitude and turn rates at one instant. Axes are those of `level` at `at`."""
 
     at: MonoNs
@@ -31,10 +32,10 @@ class BodyMotion:
     """Covariance of the reported attitude's error, (3, 3) rad^2 in `body`."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "a_level", _vector("BodyMotion.a_level", self.a_level, (3,)))
-        object.__setattr__(self, "w_body", _vector("BodyMotion.w_body", self.w_body, (3,)))
-        object.__setattr__(self, "cov_a_level", _covariance("BodyMotion.cov_a_level", self.cov_a_level, 3))
-        object.__setattr__(self, "cov_reported", _covariance("BodyMotion.cov_reported", self.cov_reported, 3))
+        force_setattr(self, "a_level", _vector("BodyMotion.a_level", self.a_level, (3,)))
+        force_setattr(self, "w_body", _vector("BodyMotion.w_body", self.w_body, (3,)))
+        force_setattr(self, "cov_a_level", _covariance("BodyMotion.cov_a_level", self.cov_a_level, 3))
+        force_setattr(self, "cov_reported", _covariance("BodyMotion.cov_reported", self.cov_reported, 3))
 
     @property
     def lean_m_s2(self) -> tuple[float, float]:
@@ -46,8 +47,7 @@ class BodyMotion:
         return G_M_S2 * float(m[2, 0]) / cos_pitch, G_M_S2 * float(m[2, 1]) / (upright * cos_pitch)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DeckMotion:
+class DeckMotion(Struct, frozen=True, eq=False):
     """The motion of the pad's centre over the ground, and the deck's tilt, at one instant. Axes are those of `level` at `at`."""
 
     at: MonoNs
@@ -67,10 +67,10 @@ class DeckMotion:
     """Covariance of roll, pitch and their rates, (4, 4)."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "v_level", _vector("DeckMotion.v_level", self.v_level, (3,)))
-        object.__setattr__(self, "a_level", _vector("DeckMotion.a_level", self.a_level, (3,)))
-        object.__setattr__(self, "cov_level", _covariance("DeckMotion.cov_level", self.cov_level, 6))
-        object.__setattr__(self, "cov_tilt", _covariance("DeckMotion.cov_tilt", self.cov_tilt, 4))
+        force_setattr(self, "v_level", _vector("DeckMotion.v_level", self.v_level, (3,)))
+        force_setattr(self, "a_level", _vector("DeckMotion.a_level", self.a_level, (3,)))
+        force_setattr(self, "cov_level", _covariance("DeckMotion.cov_level", self.cov_level, 6))
+        force_setattr(self, "cov_tilt", _covariance("DeckMotion.cov_tilt", self.cov_tilt, 4))
 
     @property
     def tilt_rad(self) -> float:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import force_setattr
 from numpy.typing import NDArray
 
 from estimator.contracts.geodesy import GeoPoint
@@ -52,8 +53,7 @@ def _covariance(name: str, value: F64, n: int) -> F64:
     return a
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Frame:
+class Frame(Struct, frozen=True, eq=False):
     """One frame. Pixel (u, v) is px[v, u]; (0, 0) is the centre of the top-left pixel."""
 
     stamp: Stamp
@@ -70,8 +70,7 @@ class Frame:
         self.px.setflags(write=False)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Imu:
+class Imu(Struct, frozen=True, eq=False):
     """Rate gyro and accelerometer, in `body`."""
 
     stamp: Stamp
@@ -81,12 +80,11 @@ class Imu:
     """Specific force, (3,) m/s^2: at rest and level it reads (0, 0, -9.81)."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "w_body", _vector("Imu.w_body", self.w_body, (3,)))
-        object.__setattr__(self, "f_body", _vector("Imu.f_body", self.f_body, (3,)))
+        force_setattr(self, "w_body", _vector("Imu.w_body", self.w_body, (3,)))
+        force_setattr(self, "f_body", _vector("Imu.f_body", self.f_body, (3,)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Attitude:
+class Attitude(Struct, frozen=True, eq=False):
     """The vehicle's own attitude estimate."""
 
     stamp: Stamp
@@ -95,11 +93,10 @@ class Attitude:
     """Covariance of the small rotation error written in `body`, (3, 3) rad^2."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cov_body", _covariance("Attitude.cov_body", self.cov_body, 3))
+        force_setattr(self, "cov_body", _covariance("Attitude.cov_body", self.cov_body, 3))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BodyVelocity:
+class BodyVelocity(Struct, frozen=True, eq=False):
     """Velocity of the body over the ground (or over the surface that its flow sensor sees), written in `level`."""
 
     stamp: Stamp
@@ -109,12 +106,11 @@ class BodyVelocity:
     """Covariance of the velocity, (3, 3) (m/s)^2."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "v_level", _vector("BodyVelocity.v_level", self.v_level, (3,)))
-        object.__setattr__(self, "cov_level", _covariance("BodyVelocity.cov_level", self.cov_level, 3))
+        force_setattr(self, "v_level", _vector("BodyVelocity.v_level", self.v_level, (3,)))
+        force_setattr(self, "cov_level", _covariance("BodyVelocity.cov_level", self.cov_level, 3))
 
 
-@dataclass(frozen=True, slots=True)
-class Range:
+class Range(Struct, frozen=True):
     """Distance from the body along its own down axis to the nearest surface (ultrasound, lidar)."""
 
     stamp: Stamp
@@ -126,8 +122,7 @@ class Range:
             raise ValueError(f"Range needs a distance >= 0 and a sigma > 0, got {self.range_m}, {self.sigma_m}")
 
 
-@dataclass(frozen=True, slots=True)
-class Baro:
+class Baro(Struct, frozen=True):
     """Height above an arbitrary fixed level, positive up."""
 
     stamp: Stamp
@@ -139,8 +134,7 @@ class Baro:
             raise ValueError(f"Baro needs a finite height and a sigma > 0, got {self.height_m}, {self.sigma_m}")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class VesselReport:
+class VesselReport(Struct, frozen=True, eq=False):
     """Report of the ship about itself (GNSS, compass). Any part may be missing."""
 
     stamp: Stamp
@@ -158,12 +152,11 @@ class VesselReport:
         if (self.heading_rad is None) != (self.sigma_heading_rad is None):
             raise ValueError("VesselReport: a heading needs its sigma and the other way round")
         if self.v_vessel_ned is not None and self.cov_v_ned is not None:
-            object.__setattr__(self, "v_vessel_ned", _vector("VesselReport.v_vessel_ned", self.v_vessel_ned, (3,)))
-            object.__setattr__(self, "cov_v_ned", _covariance("VesselReport.cov_v_ned", self.cov_v_ned, 3))
+            force_setattr(self, "v_vessel_ned", _vector("VesselReport.v_vessel_ned", self.v_vessel_ned, (3,)))
+            force_setattr(self, "cov_v_ned", _covariance("VesselReport.cov_v_ned", self.cov_v_ned, 3))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class GeoFix:
+class GeoFix(Struct, frozen=True, eq=False):
     """Report of the vehicle or of the ship where it is on the Earth."""
 
     stamp: Stamp
@@ -180,11 +173,10 @@ class GeoFix:
         if not (math.isfinite(self.sigma_m) and self.sigma_m > 0):
             raise ValueError(f"GeoFix needs a sigma > 0, got {self.sigma_m}")
         if self.v_ned is not None:
-            object.__setattr__(self, "v_ned", _vector("GeoFix.v_ned", self.v_ned, (3,)))
+            force_setattr(self, "v_ned", _vector("GeoFix.v_ned", self.v_ned, (3,)))
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleStatus:
+class VehicleStatus(Struct, frozen=True):
     """Report of the vehicle about its own condition; a missing part is None."""
 
     stamp: Stamp

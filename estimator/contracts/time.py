@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal, NewType
+
+from msgspec import Struct
 
 MonoNs = NewType("MonoNs", int)
 """An instant of this host's CLOCK_MONOTONIC in nanoseconds; never wall time."""
@@ -24,8 +25,7 @@ def after(instant: MonoNs, seconds: float) -> MonoNs:
     return MonoNs(instant + round(seconds * NS_PER_S))
 
 
-@dataclass(frozen=True, slots=True)
-class Stamp:
+class Stamp(Struct, frozen=True):
     """The time of measurement, the time of reception, and the uncertainty of the former.
 
     Raises:

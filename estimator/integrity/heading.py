@@ -8,8 +8,9 @@ in between it passes unchanged. A report that goes on from another heading is so
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
+
+from msgspec.structs import replace
 
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Imu

@@ -14,9 +14,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from msgspec.structs import replace
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Sighting
 from estimator.contracts.geometry import F64, wrap_pi

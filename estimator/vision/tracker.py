@@ -10,10 +10,11 @@ it fits, registration starts from it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
+from msgspec.structs import replace
 
 from estimator.contracts.estimates import Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import Any
+
+from msgspec import Struct, field
 
 from drivers.ardrone import navdata
 from drivers.ardrone.navdata import Navdata
@@ -25,8 +26,7 @@ ALL_OPTIONS = (1 << 28) - 1
 """Mask of the 28 options of firmware 2.4.8."""
 
 
-@dataclass(frozen=True, slots=True)
-class SentFrame:
+class SentFrame(Struct, frozen=True):
     """The last frame that was sent, as navdata reports it."""
 
     number: int = 0
@@ -38,8 +38,7 @@ class SentFrame:
     bitrate_kbps: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Situation:
+class Situation(Struct, frozen=True):
     """The values of which one datagram is made."""
 
     state: int

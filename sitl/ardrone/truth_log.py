@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
 import numpy as np
+from msgspec import Struct
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
@@ -105,8 +105,8 @@ def _plain(value: Any) -> Any:
         return round(float(value), 8) if math.isfinite(value) else None
     if isinstance(value, np.integer | np.bool_):
         return value.item()
-    if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Struct):
+        return {name: _plain(getattr(value, name)) for name in value.__struct_fields__}
     if isinstance(value, tuple | list):
         return [_plain(v) for v in value]
     return value

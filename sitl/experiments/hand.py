@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.runtime.observer import Decision
 from companion.runtime.pilot import FlightOutcome, Pilot

@@ -282,5 +282,5 @@ def events(flight: TruthFlight) -> list[Event]:
             pose = Pose6(d, Rotation(seen), 0.5 * (cov6 + cov6.T))
         received_at = measured_at + max(0.03, s.delay_s + s.delay_jitter_s * rng.standard_normal())
         out.append(Sighting(stamp(measured_at, received_at), seq, "registration", d, yaw, False, cov, 1.0, pose))
-    rank = {Imu: 0, Attitude: 1, BodyVelocity: 2, Range: 3, Baro: 4, Sighting: 5}
+    rank: dict[type, int] = {Imu: 0, Attitude: 1, BodyVelocity: 2, Range: 3, Baro: 4, Sighting: 5}
     return sorted(out, key=lambda e: (e.stamp.received_at, rank[type(e)]))

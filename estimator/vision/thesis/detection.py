@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from types import MappingProxyType
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from estimator.contracts.estimates import Feature, Method, Sighting
 from estimator.contracts.samples import Attitude, Frame
@@ -18,8 +20,7 @@ from estimator.vision.thesis.segmentation import ColourSet, segment
 from estimator.vision.thesis.select import choose, with_heading_of
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Detection:
+class Detection(Struct, frozen=True, eq=False):
     """The detection of the pad in one frame."""
 
     selected: Sighting | None

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from estimator.contracts.estimates import Method, Sighting
 from estimator.contracts.geometry import wrap_pi
