@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cache
 
 import cv2
 import numpy as np
-from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
@@ -37,7 +37,8 @@ def _zeros() -> F64:
     return np.zeros(3)
 
 
-class Exposure(Struct, frozen=True, eq=False):
+@dataclass(frozen=True, slots=True, eq=False)
+class Exposure:
     """The pose of every object in the middle of the exposure, and its motion during the exposure."""
 
     t_s: float

@@ -277,7 +277,8 @@ class Flight:
 
     def _take(self, samples: Sequence[Sample]) -> None:
         for sample, results in zip(samples, self._pilot.on_samples(samples), strict=True):
-            self.health.fused(sample, results)
+            if results:
+                self.health.fused(sample, results)
             for observer in self._observers:
                 observer.on_sample(sample)
                 for result in results:

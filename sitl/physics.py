@@ -33,6 +33,7 @@ class Physics:
         self._air = v.air_noise or v.noise
         self._noises = {v.noise, self._air, s.noise}
         self._before = v.params.address, v.state.address, s.params.address, s.state.address, self._sea.address
+        self._decks, self._decks_at = np.empty(0), 0
         self._waves_at = len(self._waves), start_of(self._waves)
 
     def run(self, decks: F64, first: int, at_most: int) -> int:
@@ -43,10 +44,14 @@ class Physics:
             first: index of the next step's row.
             at_most: how many steps to take, 1 or more; there are fewer where a block of noise ends.
         """
-        n = min([at_most, *[noise.prepare() for noise in self._noises]])
+        if decks is not self._decks:
+            self._decks, self._decks_at = decks, start_of(decks)
+        n = at_most
+        for noise in self._noises:
+            n = min(n, noise.prepare())
         self._vehicle.keep_limits()
         done: int = sim_run(
-            *self._before, *self._waves_at, n, start_of(decks) + 8 * _DECK * first,
+            *self._before, *self._waves_at, n, self._decks_at + 8 * _DECK * first,
             self._vehicle.noise.address, self._air.address, self._sensors.noise.address,
         )  # fmt: skip
         for noise in self._noises:

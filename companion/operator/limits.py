@@ -58,24 +58,24 @@ def place_step(memory: PlaceMemory, samples: Sequence[Sample]) -> PlaceMemory:
     p_start_ned, velocity, attitude, flying = memory.p_start_ned, memory.velocity, memory.attitude, memory.flying
     baro_m, ground_baro_m, newest_range, charge = memory.baro_m, memory.ground_baro_m, memory.range, memory.charge
     for sample in samples:
-        match sample:
-            case Attitude():
-                attitude = sample
-            case BodyVelocity():
-                if velocity is not None and attitude is not None and flying:
-                    dt_s = seconds_between(velocity.stamp.measured_at, sample.stamp.measured_at)
-                    if 0.0 < dt_s <= _GAP_S:
-                        p_start_ned = p_start_ned + _turned(sample.v_level[:2], attitude.R_ned_body.rpy_rad[2]) * dt_s
-                velocity = sample
-            case Baro():
-                baro_m = sample.height_m
-                ground_baro_m = baro_m if ground_baro_m is None else ground_baro_m
-            case Range():
-                newest_range = sample
-            case VehicleStatus():
-                flying, charge = sample.flying is True, sample.battery_fraction
-                if not flying:
-                    p_start_ned, ground_baro_m = np.zeros(2), baro_m
+        # By the type itself: hundreds of samples a second, and a match asks one class after the other.
+        if type(sample) is Attitude:
+            attitude = sample
+        elif type(sample) is BodyVelocity:
+            if velocity is not None and attitude is not None and flying:
+                dt_s = seconds_between(velocity.stamp.measured_at, sample.stamp.measured_at)
+                if 0.0 < dt_s <= _GAP_S:
+                    p_start_ned = p_start_ned + _turned(sample.v_level, attitude.R_ned_body.rpy_rad[2]) * dt_s
+            velocity = sample
+        elif type(sample) is Baro:
+            baro_m = sample.height_m
+            ground_baro_m = baro_m if ground_baro_m is None else ground_baro_m
+        elif type(sample) is Range:
+            newest_range = sample
+        elif type(sample) is VehicleStatus:
+            flying, charge = sample.flying is True, sample.battery_fraction
+            if not flying:
+                p_start_ned, ground_baro_m = np.zeros(2), baro_m
     return PlaceMemory(p_start_ned, velocity, attitude, flying, baro_m, ground_baro_m, newest_range, charge)
 
 
@@ -192,4 +192,5 @@ def _vertical(
 def _turned(v: F64, angle_rad: float) -> F64:
     """Return a vector of a body's axes in axes against which the body has this heading."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
-    return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1]])
+    x, y = v.tolist()[:2]
+    return np.array([c * x - s * y, s * x + c * y])

@@ -93,7 +93,7 @@ _PLAIN = (
 _BY_REPORTS = (State.SEARCH, State.RENDEZVOUS)
 """States in which the drone flies by the reports of ship and vehicle, where it may."""
 _FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
-_NOT_FUSED = (VehicleStatus, GeoFix)
+_NOT_FUSED = frozenset({VehicleStatus, GeoFix})
 _OUTCOMES = {outcome.value: outcome for outcome in FlightOutcome}
 REFUSALS = (FlightOutcome.GAVE_UP, FlightOutcome.REFUSED)
 """Outcomes in which it did not land by its own decision; the operator may begin again in the air."""
@@ -299,26 +299,32 @@ class Pilot:
     def on_samples(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
         """Process samples in the order in which they were received. Return the fusion results of each, path by path."""
         self.operator.on_samples(samples)
+        fused: list[Sample] = []
         for sample in samples:
-            self._now = max(self._now, sample.stamp.received_at)
-            match sample:
-                case Imu():
-                    if self.state not in GROUND:
-                        self._contact = watched(self._contact, sample)
-                        self._impact = self._contact.newest or self._impact
-                case Attitude():
-                    lean = reported_lean(sample.R_ned_body)
-                    self._lean = _leant(self._lean, sample.stamp.measured_at, lean)
-                    self._response.on_attitude(sample.stamp, lean)
-                    self._attitude = sample
-                case VehicleStatus():
-                    self._on_status(sample)
-                case GeoFix() | VesselReport():
-                    self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
-            if not of_ship(sample):
-                self._heard = sample.stamp.received_at
-        results = iter(self._fuse([sample for sample in samples if not isinstance(sample, _NOT_FUSED)]))
-        return [() if isinstance(sample, _NOT_FUSED) else next(results) for sample in samples]
+            received_at = sample.stamp.received_at
+            self._now = max(self._now, received_at)
+            # By the type itself: hundreds of samples a second, and a match asks one class after the other.
+            if type(sample) is Imu:
+                if self._mission.state not in GROUND:
+                    self._contact = watched(self._contact, sample)
+                    self._impact = self._contact.newest or self._impact
+            elif type(sample) is Attitude:
+                lean = reported_lean(sample.R_ned_body)
+                self._lean = _leant(self._lean, sample.stamp.measured_at, lean)
+                self._response.on_attitude(sample.stamp, lean)
+                self._attitude = sample
+            elif type(sample) is VehicleStatus:
+                self._on_status(sample)
+            elif type(sample) is GeoFix or type(sample) is VesselReport:
+                self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
+                if of_ship(sample):
+                    received_at = None
+            if received_at is not None:
+                self._heard = received_at
+            if type(sample) not in _NOT_FUSED:
+                fused.append(sample)
+        results = iter(self._fuse(fused))
+        return [() if type(sample) in _NOT_FUSED else next(results) for sample in samples]
 
     def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
         """Process one sample. Return its fusion results, path by path."""

@@ -211,7 +211,7 @@ class Navdata(Struct, frozen=True):
     def get(self, cls: type[T]) -> T | None:
         """Return the option of this class; None if the datagram does not hold it."""
         found = self.options.get(LAYOUT_OF_CLASS[cls].tag)
-        return found if isinstance(found, cls) else None
+        return found if type(found) is cls else None
 
     @property
     def control_state(self) -> ControlState | None:

@@ -123,19 +123,16 @@ class NavdataSampler:
     def samples(self, navdata: Navdata, stamp: Stamp) -> list[Sample]:
         """Return the samples that are new in this datagram."""
         out = _of_every_datagram(navdata, stamp, self._options, self._attitude_cov)
+        measured_at = stamp.measured_at
         for kind, (make, source) in _REPEATED.items():
-            key = source(navdata)
-            if self._repeats(kind, key, stamp.measured_at):
+            key, given = source(navdata), self._given.get(kind)
+            if given is not None and given[0] == key and 0.0 <= seconds_between(given[1], measured_at) < self._repeat_s:
                 continue
             made = make(navdata, stamp, self._options)
             if made is not None:
-                self._given[kind] = key, stamp.measured_at
+                self._given[kind] = key, measured_at
                 out.append(made)
         return out
-
-    def _repeats(self, kind: type[Any], key: Any, measured_at: MonoNs) -> bool:
-        given = self._given.get(kind)
-        return given is not None and given[0] == key and 0 <= seconds_between(given[1], measured_at) < self._repeat_s
 
 
 def time_us(navdata: Navdata) -> int | None:
@@ -145,7 +142,8 @@ def time_us(navdata: Navdata) -> int | None:
 
 
 def _finite(values: tuple[float, ...]) -> bool:
-    return all(map(math.isfinite, values))
+    # A sum is finite only of finite numbers; one that is not may have overflowed.
+    return math.isfinite(sum(values)) or all(map(math.isfinite, values))
 
 
 def _imu(navdata: Navdata, stamp: Stamp) -> Imu | None:

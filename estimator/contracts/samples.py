@@ -18,13 +18,14 @@ UNKNOWN_VAR = 1e6
 """Variance (SI units squared) of a direction that was not measured."""
 
 
+_DOUBLE = np.dtype(np.float64)
 _CHECKED: dict[str, F64] = {}
 """The newest read-only covariance that was found to be one, by name: a driver may give the same one with each of its samples."""
 
 
 def _own(value: F64) -> F64:
     """Return the numbers as a read-only array that nobody else can write to: the value itself if it is one, else a copy."""
-    if type(value) is np.ndarray and value.dtype == np.float64 and value.base is None and not value.flags.writeable:
+    if type(value) is np.ndarray and value.dtype is _DOUBLE and value.base is None and not value.flags.writeable:
         return value
     a = np.array(value, dtype=float)
     a.setflags(write=False)
@@ -34,7 +35,7 @@ def _own(value: F64) -> F64:
 def _vector(name: str, value: F64, shape: tuple[int, ...]) -> F64:
     a = _own(value)
     # In plain numbers: there are hundreds of samples a second, and numpy's calls on a few numbers take ten times as long.
-    numbers = a.ravel().tolist()
+    numbers = a.tolist() if a.ndim == 1 else a.ravel().tolist()
     # A sum is finite only of finite numbers; one that is not may have overflowed.
     if a.shape != shape or not (math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))):
         raise ValueError(f"{name} needs finite numbers of shape {shape}, got {value!r}")

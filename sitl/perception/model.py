@@ -93,12 +93,13 @@ class Scenes:
         token = tick.to_bytes(_TOKEN, "little")
         row = np.zeros((1, self._shape[1], 1), np.uint8)
         row[0, :_TOKEN, 0] = np.frombuffer(token, np.uint8)
-        faults = self._world.faults
-        if view is not None:
-            for covered, _ in faults.on(PadCovered):
-                view = view._replace(shown=view.shown * (1.0 - covered.fraction))
-        focal = math.prod(fault.scale for fault, _ in faults.on(FocalLength))
-        stops = self._world.scenario.light.exposure_ev + light_stops(faults.on(LightFalls))
+        faults, focal, stops = self._world.faults, 1.0, self._world.scenario.light.exposure_ev
+        if faults.active_kinds:
+            if view is not None:
+                for covered, _ in faults.on(PadCovered):
+                    view = view._replace(shown=view.shown * (1.0 - covered.fraction))
+            focal = math.prod(fault.scale for fault, _ in faults.on(FocalLength))
+            stops += light_stops(faults.on(LightFalls))
         self._scenes[token] = Scene(view, chance, R, stops, focal)
         if len(self._scenes) > KEPT_SCENES:
             self._scenes.popitem(last=False)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Attitude
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import NS_PER_S, MonoNs
 from estimator.ekf import Forecast
 from sitl.world import World
 
@@ -29,9 +30,11 @@ _SIGMA_DECK = np.array([*SIGMA_DECK_M_S, *SIGMA_DECK_M_S2])
 _SIGMA_TILT = np.array([SIGMA_TILT_RAD, SIGMA_TILT_RAD, SIGMA_TILT_RATE_RAD_S, SIGMA_TILT_RATE_RAD_S])
 _COV_ACCEL, _COV_DECK, _COV_TILT = (
     (SIGMA_ACCEL_M_S2**2 + SIGMA_SAMPLE_M_S2**2) * np.eye(3),
-    np.diag(_SIGMA_DECK**2),
-    np.diag(_SIGMA_TILT**2),
+    np.diag(_SIGMA_DECK**2).copy(),
+    np.diag(_SIGMA_TILT**2).copy(),
 )
+for _cov in (_COV_ACCEL, _COV_DECK, _COV_TILT):
+    _cov.setflags(write=False)
 
 
 class TrueMotion:
@@ -94,8 +97,15 @@ class TrueMotion:
     def _wander(self, now: MonoNs) -> F64:
         """Carry the standard normal numbers of the errors on to another instant."""
         if self._at is not None and now != self._at:
-            dt = max(0.0, seconds_between(self._at, now))
-            keep = np.repeat(np.exp([-dt / ACCEL_TIME_S, -dt / DECK_TIME_S]), [3, _CHANNELS - 3])
-            self._standard = keep * self._standard + np.sqrt(1.0 - keep * keep) * self._rng.standard_normal(_CHANNELS)
+            keep, new = _carried(max(0, now - self._at))
+            self._standard = keep * self._standard + new * self._rng.standard_normal(_CHANNELS)
         self._at = now
         return self._standard
+
+
+@lru_cache(maxsize=8)
+def _carried(ns: int) -> tuple[F64, F64]:
+    """Return how much of the errors' standard normal numbers stays over a time, and how much is new, both (16,)."""
+    dt = ns / NS_PER_S
+    keep = np.repeat(np.exp([-dt / ACCEL_TIME_S, -dt / DECK_TIME_S]), [3, _CHANNELS - 3])
+    return keep, np.sqrt(1.0 - keep * keep)

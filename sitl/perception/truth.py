@@ -25,7 +25,7 @@ from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Attitude, Frame, Sample
-from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
 from estimator.vision.thesis.detection import Detection
 from sitl.fault import Fault
@@ -53,7 +53,8 @@ _SPAWN_KEY = 1302
 _N = 7
 _AGREED = 3
 """Number of sightings after which the filter's estimate counts as consistent."""
-_TRUE_TILT_COV = 1e-12 * np.eye(3)
+_TRUE_TILT_COV, _LEAST_COV = 1e-12 * np.eye(3), 1e-12 * np.eye(_N)
+_TRUE_TILT_COV.setflags(write=False)
 
 
 class EstimateTable:
@@ -68,7 +69,15 @@ class EstimateTable:
             [squares[min(cells, key=lambda c: (abs(c[1] - j) + 2 * abs(c[0] - i), c))] for j in range(len(self._ages) + 1)]
             for i in range(len(self._heights) + 1)
         ]
-        self.rates = 1.0 / np.array(model.correlation_s)
+        self._rates = 1.0 / np.array(model.correlation_s)
+        self._carried: tuple[int, F64, F64] = 0, np.ones(_N), np.zeros(_N)
+
+    def carried(self, ns: int) -> tuple[F64, F64]:
+        """Return how much of the error's standard normal numbers stays over a time, and how much is new, both (7,)."""
+        if self._carried[0] != ns:  # most cycles are as long as the one before
+            keep = np.exp(-ns / NS_PER_S * self._rates)
+            self._carried = ns, keep, np.sqrt(1.0 - keep * keep)
+        return self._carried[1:]
 
     def root(self, height_m: float, age_s: float) -> tuple[F64, F64]:
         """Return the root of the covariance and the covariance, both (7, 7), positions over the height."""
@@ -195,7 +204,7 @@ class TruthPilot(Pilot):
     def _fuse(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
         """Keep the attitude that the vehicle reports; no other sample is of use without a filter."""
         for sample in samples:
-            if isinstance(sample, Attitude):
+            if type(sample) is Attitude:
                 self._reported = sample
         return [()] * len(samples)
 
@@ -260,7 +269,7 @@ class TruthPilot(Pilot):
         root, square = self._estimates.root(height_m, seconds_between(self._sighted, now))
         scale = np.array([height_m, height_m, height_m, 1.0, 1.0, 1.0, 1.0])
         error = scale * root.dot(self._wander(now))
-        cov = square * np.multiply.outer(scale, scale)
+        cov = square * (scale[:, None] * scale)
         sigma_m = math.sqrt(float(cov.diagonal()[:3].max()))
         return _state(truth, now, self._path, self._sighted, error, cov, self._agreed >= _AGREED and sigma_m <= self._sigma_max_m)
 
@@ -270,8 +279,8 @@ class TruthPilot(Pilot):
         if self._standard is None:
             self._standard = fresh
         else:
-            keep = np.exp(-max(0.0, seconds_between(self._at, now)) * self._estimates.rates)
-            self._standard = keep * self._standard + np.sqrt(1.0 - keep * keep) * fresh
+            keep, new = self._estimates.carried(max(0, now - self._at))
+            self._standard = keep * self._standard + new * fresh
         self._at = now
         return self._standard
 
@@ -283,7 +292,7 @@ def _state(truth: Truth, now: MonoNs, path: PathName, sighted: MonoNs, error: F6
         d_body_pad_level=truth.d_body_pad_level + error[:3],
         v_pad_level=truth.v_pad_level + error[3:6],
         yaw_rad=wrap_pi(truth.yaw_rad + float(error[6])),
-        cov=0.5 * (cov + cov.T) + 1e-12 * np.eye(_N),
+        cov=0.5 * (cov + cov.T) + _LEAST_COV,
         sighted=sighted,
         consistent=consistent,
     )

@@ -40,6 +40,7 @@ class Viewer:
         n = np.arange(_POINTS) + 0.5
         radius, angle = pad.disc_radius_m * np.sqrt(n / _POINTS), n * _GOLDEN_RAD
         self._disc = np.stack([radius * np.cos(angle), radius * np.sin(angle)])
+        self._radius_m = pad.disc_radius_m
         self._R_cam_body = np.ascontiguousarray(camera.T_body_cam.R.matrix.T)
         self._p_body_cam = camera.T_body_cam.t
         self._size = np.array([[camera.width - 0.5], [camera.height - 0.5]])
@@ -59,6 +60,8 @@ class Viewer:
         return View(R, t, float(normal.dot(t)), self._shown(R, t), math.acos(max(-1.0, min(1.0, float(normal[2])))))
 
     def _shown(self, R: F64, t: F64) -> float:
+        if self._wholly(*t.tolist()):
+            return 1.0
         p = R[:, :2].dot(self._disc) + t[:, None]
         ahead = p[2] > 1e-3
         if not ahead.any():
@@ -71,3 +74,16 @@ class Viewer:
             uv = np.array([camera.fx * p[0] / z + camera.cx, camera.fy * p[1] / z + camera.cy])
         inside = ((uv > -0.5) & (uv < self._size)).all(axis=0) & ahead
         return float(np.count_nonzero(inside)) / _POINTS
+
+    def _wholly(self, x: float, y: float, z: float) -> bool:
+        """Return whether a ball around the pad's centre, which holds the whole disc, lies within the image of a plain lens."""
+        camera, r = self._camera, self._radius_m
+        nearest = z - r
+        if camera.distorted or nearest < 1e-2:
+            return False
+        return (
+            camera.fx * (x - r) / nearest + camera.cx > -0.5
+            and camera.fx * (x + r) / nearest + camera.cx < camera.width - 0.5
+            and camera.fy * (y - r) / nearest + camera.cy > -0.5
+            and camera.fy * (y + r) / nearest + camera.cy < camera.height - 0.5
+        )

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from companion.guidance import cone
 from companion.guidance.clearance import rise_beyond_climb_m

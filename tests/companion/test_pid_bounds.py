@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -172,7 +171,7 @@ def test_an_estimate_is_steered_by_up_to_its_age_on_either_side_of_now(age: str)
             seen = belief((0.0, 0.0, 1.0), **{age: sign * age_s})  # type: ignore[arg-type]
             assert fit_to_steer(seen, at(NOW), 1.0) is fit
             assert isinstance(pid_step(Pid.start(), PidOptions(), at(NOW), seen, above(1.0), 1.0)[1], Velocity) is fit
-    assert not fit_to_steer(replace(belief((0.0, 0.0, 1.0)), consistent=False), at(NOW), 1.0)
+    assert not fit_to_steer(structs.replace(belief((0.0, 0.0, 1.0)), consistent=False), at(NOW), 1.0)
 
 
 @pytest.mark.parametrize(("seen", "wanted", "turns"), [(None, 1.0, False), (0.5, None, False), (0.5, 1.0, True)])

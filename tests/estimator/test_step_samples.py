@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import Struct
 
 from estimator import pipeline
 from estimator.contracts.estimates import PathName, Sighting, Verdict
@@ -72,6 +73,8 @@ def same(a: Any, b: Any) -> bool:
         return len(a) == len(b) and all(map(same, a, b))
     if isinstance(a, dict):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, Struct):
+        return all(same(getattr(a, name), getattr(b, name)) for name in a.__struct_fields__)
     if is_dataclass(a):
         return all(same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
     return a is b or a == b or (a != a and b != b)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import fields, replace
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from companion.config.settings import load as load_settings
 from companion.guidance.mission import State
@@ -78,7 +78,7 @@ def both(fault: Fault, seconds: float) -> tuple[Readings, Readings]:
 
 
 def changed(one: Readings, other: Readings) -> set[str]:
-    return {f.name for f in fields(Readings) if not np.array_equal(getattr(one, f.name), getattr(other, f.name))}
+    return {f for f in Readings.__struct_fields__ if not np.array_equal(getattr(one, f), getattr(other, f))}
 
 
 READINGS: list[tuple[Fault, str, Callable[[Readings, Readings], Any], Any]] = [

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import Imu, Range
@@ -26,7 +27,7 @@ def error_m(ekf: Ekf, flight: TruthFlight, t: float) -> float:
 
 
 def shifted(s: Sighting, by: np.ndarray) -> Sighting:
-    return replace(s, d_body_pad_level=s.d_body_pad_level + by)
+    return structs.replace(s, d_body_pad_level=s.d_body_pad_level + by)
 
 
 def level(flight: TruthFlight, t_s: float, ned: np.ndarray) -> np.ndarray:

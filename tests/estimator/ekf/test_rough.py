@@ -128,10 +128,10 @@ def test_one_stamp_far_ahead_is_refused_and_time_that_leaps_is_followed() -> Non
     ekf, received_at = followed(replace(QUICK, duration_s=9.0), 8.0)
     rest = [e for e in received_at if e.stamp.received_at > ns(8.0)]
     for by in (voyage_faults.HOUR_NS, -10_000_000_000):
-        stamp = replace(
+        stamp = structs.replace(
             rest[0].stamp, measured_at=MonoNs(rest[0].stamp.measured_at + by), received_at=MonoNs(rest[0].stamp.received_at + by)
         )
-        after, outcomes = step(ekf, replace(rest[0], stamp=stamp))
+        after, outcomes = step(ekf, structs.replace(rest[0], stamp=stamp))
         assert outcomes[0].verdict is (Verdict.TOO_NEW if by > 0 else Verdict.TOO_OLD)
         assert after.belief is ekf.belief
         assert after.history.received_at == ekf.history.received_at
@@ -140,10 +140,10 @@ def test_one_stamp_far_ahead_is_refused_and_time_that_leaps_is_followed() -> Non
         # Every one of them so far away: it is time itself.
         verdicts, leapt = [], ekf
         for event in rest:
-            stamp = replace(
+            stamp = structs.replace(
                 event.stamp, measured_at=MonoNs(event.stamp.measured_at + by), received_at=MonoNs(event.stamp.received_at + by)
             )
-            leapt, outcomes = step(leapt, replace(event, stamp=stamp))
+            leapt, outcomes = step(leapt, structs.replace(event, stamp=stamp))
             verdicts.append(outcomes[0].verdict)
         refused = [v for v in verdicts if v in (Verdict.TOO_NEW, Verdict.TOO_OLD)]
         assert len(refused) == OPTIONS.leap_count - 1
@@ -154,7 +154,7 @@ def test_imu_samples_beyond_the_limits_are_refused_and_steps_within_them_are_tak
     ekf, received_at = followed(replace(QUICK, duration_s=10.0), 5.0)
     imu = next(e for e in received_at if isinstance(e, Imu) and e.stamp.received_at > ns(5.0))
     for w, f in ((0.0, 80.1), (35.0, 0.0)):
-        spike = replace(imu, w_body=np.array([0.0, w, 0.0]), f_body=np.array([0.0, 0.0, -f]))
+        spike = structs.replace(imu, w_body=np.array([0.0, w, 0.0]), f_body=np.array([0.0, 0.0, -f]))
         after, outcomes = step(ekf, spike)
         assert outcomes[0].verdict is Verdict.IMPOSSIBLE
         assert after.belief is ekf.belief
@@ -162,7 +162,7 @@ def test_imu_samples_beyond_the_limits_are_refused_and_steps_within_them_are_tak
         assert outcomes[0].verdict is Verdict.FUSED, "a guard before the filter is the only one"
         assert unguarded.belief is not ekf.belief
     # Within reach, but not from one sample to the next: part of it is taken, the rest is doubt.
-    after, outcomes = step(ekf, replace(imu, f_body=np.array([40.0, 0.0, -9.81])))
+    after, outcomes = step(ekf, structs.replace(imu, f_body=np.array([40.0, 0.0, -9.81])))
     assert outcomes[0].verdict is Verdict.FUSED
     assert after.belief is not None
     assert ekf.belief is not None
@@ -178,7 +178,7 @@ def test_an_imu_that_repeats_itself_is_refused_after_its_time() -> None:
     samples = [e for e in received_at if isinstance(e, Imu) and e.stamp.received_at > ns(5.0)]
     first, verdicts = samples[0], []
     for imu in samples[:20]:
-        ekf, outcomes = step(ekf, replace(imu, w_body=first.w_body, f_body=first.f_body))
+        ekf, outcomes = step(ekf, structs.replace(imu, w_body=first.w_body, f_body=first.f_body))
         verdicts.append(outcomes[0].verdict)
     held = 1 + int(0.15 * QUICK.imu_hz)
     assert verdicts == [Verdict.FUSED] * held + [Verdict.FROZEN] * (20 - held)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 from scipy.linalg import expm
 
 from estimator.contracts.estimates import Sighting
@@ -206,7 +207,7 @@ def test_half_a_heading_is_used_only_when_the_other_half_is_known() -> None:
         if isinstance(event, Sighting) and event.stamp.measured_at > ns(1.0):
             assert event.yaw_rad is not None
             opposite = math.remainder(event.yaw_rad + math.pi, math.tau)
-            event = replace(event, yaw_rad=opposite, yaw_ambiguous=True)
+            event = structs.replace(event, yaw_rad=opposite, yaw_ambiguous=True)
             ambiguous += 1
         ekf, _ = step(ekf, event)
     state = at(ekf, ns(4.9))
@@ -217,7 +218,7 @@ def test_half_a_heading_is_used_only_when_the_other_half_is_known() -> None:
     ekf = start()
     for event in events(flight):
         if isinstance(event, Sighting):
-            event = replace(event, yaw_ambiguous=True)
+            event = structs.replace(event, yaw_ambiguous=True)
         ekf, _ = step(ekf, event)
     state = at(ekf, ns(4.9))
     assert state is not None

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation

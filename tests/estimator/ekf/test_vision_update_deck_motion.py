@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64, rpy_matrix
