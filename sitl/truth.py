@@ -84,7 +84,8 @@ class Truth(Struct, frozen=True, eq=False):
     def _level(self, v_ned: F64) -> F64:
         yaw = self.R_ned_body.rpy_rad[2]
         c, s = math.cos(yaw), math.sin(yaw)
-        return np.array([c * v_ned[0] + s * v_ned[1], c * v_ned[1] - s * v_ned[0], v_ned[2]])
+        north, east, down = v_ned.tolist()
+        return np.array([c * north + s * east, c * east - s * north, down])
 
     @property
     def d_body_pad_level(self) -> F64:

@@ -8,6 +8,7 @@ flown, not counted. In a swell of rate `V` and circular frequency `w` that sum i
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 from companion.guidance.controller import Knowledge
 from estimator.contracts.time import seconds_between
@@ -34,13 +35,9 @@ def rise_beyond_climb_m(knowledge: Knowledge) -> float:
 
 def _largest_sum_m(ahead: Forecast, climb_m_s: float, from_s: float) -> float:
     """Return the largest integral of the rate beyond `climb_m_s` over any part of the time from `from_s` on, m."""
-    horizons, rates = ahead.horizons_s.tolist(), ahead.rise_m_s.tolist()
-    last, slope = rates[-1], (rates[-1] - rates[-2]) / (horizons[-1] - horizons[-2])
-    beyond = [rate + _SIGMAS * sigma - climb_m_s for rate, sigma in zip(rates, ahead.sigma_rise_m_s.tolist(), strict=True)]
-    for t in _SWELL_S:
-        swell = last * math.cos(_SWELL_RAD_S * t) + slope / _SWELL_RAD_S * math.sin(_SWELL_RAD_S * t)
-        horizons.append(horizons[len(rates) - 1] + t)
-        beyond.append(swell + _SIGMAS * float(ahead.sigma_rise_m_s[-1]) - climb_m_s)
+    horizons, beyond = _beyond(ahead, climb_m_s)
+    if max(beyond) <= 0.0:
+        return 0.0
     largest_m = sum_m = 0.0
     for k in range(1, len(horizons)):
         span_s, before, after = horizons[k] - max(horizons[k - 1], from_s), beyond[k - 1], beyond[k]
@@ -52,3 +49,16 @@ def _largest_sum_m(ahead: Forecast, climb_m_s: float, from_s: float) -> float:
             sum_m = max(0.0, sum_m + area_m)
             largest_m = max(largest_m, sum_m)
     return largest_m
+
+
+@lru_cache(maxsize=4)
+def _beyond(ahead: Forecast, climb_m_s: float) -> tuple[list[float], list[float]]:
+    """Return times after the forecast, s, and the rate beyond `climb_m_s` there; a forecast serves some ten cycles."""
+    horizons, rates = ahead.horizons_s.tolist(), ahead.rise_m_s.tolist()
+    last, slope = rates[-1], (rates[-1] - rates[-2]) / (horizons[-1] - horizons[-2])
+    beyond = [rate + _SIGMAS * sigma - climb_m_s for rate, sigma in zip(rates, ahead.sigma_rise_m_s.tolist(), strict=True)]
+    for t in _SWELL_S:
+        swell = last * math.cos(_SWELL_RAD_S * t) + slope / _SWELL_RAD_S * math.sin(_SWELL_RAD_S * t)
+        horizons.append(horizons[len(rates) - 1] + t)
+        beyond.append(swell + _SIGMAS * float(ahead.sigma_rise_m_s[-1]) - climb_m_s)
+    return horizons, beyond

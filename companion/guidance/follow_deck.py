@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
@@ -60,16 +60,11 @@ class FollowDeckMemory(Struct, frozen=True):
     """The memory of the fallback."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Frame:
+class _Frame(NamedTuple):
     """The heading of `level`: between it and the axes of the memory."""
 
     c: float
     s: float
-
-    @staticmethod
-    def of(body: BodyMotion) -> _Frame:
-        return _Frame(math.cos(body.heading_rad), math.sin(body.heading_rad))
 
     def ned(self, forward: float, right: float) -> tuple[float, float]:
         return self.c * forward - self.s * right, self.s * forward + self.c * right
@@ -169,7 +164,7 @@ class FollowDeck:
             assert self._fallback is not None
             plain, given = self._fallback.step(memory.plain, now, knowledge, target)
             return replace(memory, plain=plain), given
-        frame = _Frame.of(body)
+        frame = _Frame(math.cos(body.heading_rad), math.sin(body.heading_rad))
         memory = self._retuned(memory, now, chosen_tuning(knowledge.response))
         here = self._deck_ahead(deck, knowledge, 0.0)
         axes = self._axes(memory, now, relative, body, here, frame)
@@ -181,14 +176,18 @@ class FollowDeck:
         memory = replace(memory, at=now, axes=axes, pushed_down_m_s2=pushed)
         if target is None:
             return self._noted(memory, (axes[0].lean, axes[1].lean), v_down), Hover()
-        forward, right, trim = self._lean(memory, relative, knowledge, target, here, frame)
+        soon = self._blended(memory, self._slowness_s)
+        then = self._deck_ahead(deck, knowledge, soon)
+        forward, right, trim = self._lean(memory, relative, target, (here, then), frame)
         down = self._blended(memory, lambda choice: self._down(memory, choice, relative, knowledge, target, v_down))
         memory = self._noted(memory, frame.ned(forward, right), down)
-        v, a = relative.v_pad_level.tolist(), np.array([forward - trim[0], right - trim[1]])
+        v, a = relative.v_pad_level.tolist(), (forward - trim[0], right - trim[1])
         # A vehicle that takes velocities gets the one that it will have: it goes that way even where it ignores accelerations.
-        soon = self._blended(memory, self._slowness_s)
-        along = [0.0, 0.0] if deck is None else [float(deck.v_level[k] + soon * a[k]) - v[k] for k in range(2)]
-        return memory, Lean(a, np.array(trim), np.array([*along, down]), _turn(relative, target))
+        along = (0.0, 0.0)
+        if deck is not None:
+            v_deck = deck.v_level.tolist()
+            along = v_deck[0] + soon * a[0] - v[0], v_deck[1] + soon * a[1] - v[1]
+        return memory, Lean(np.array(a), np.array(trim), np.array([*along, down]), _turn(relative, target))
 
     def _deck_ahead(self, deck: DeckMotion | None, knowledge: Knowledge, ahead_s: float) -> DeckAhead:
         return deck_ahead(deck, knowledge.forecast, knowledge.at, ahead_s) if self._forecast else STILL
@@ -218,16 +217,18 @@ class FollowDeck:
         self,
         memory: FollowDeckMemory,
         relative: RelativeState,
-        knowledge: Knowledge,
         target: Target,
-        here: DeckAhead,
+        deck: tuple[DeckAhead, DeckAhead],
         frame: _Frame,
     ) -> tuple[float, float, tuple[float, float]]:
-        """Return the lean to command, m/s^2 forward and right, and the part of it that is trim."""
+        """Return the lean to command, m/s^2 forward and right, and the part of it that is trim.
+
+        Args:
+            deck: the deck now, and when the command has taken effect.
+        """
         axes, sigma_m = memory.axes, _sigma_m(relative)
         assert axes is not None
-        then = self._deck_ahead(knowledge.deck, knowledge, self._blended(memory, self._slowness_s))
-        ahead = frame.ned(*here.a_m_s2[:2]), frame.ned(*then.a_m_s2[:2])
+        ahead = frame.ned(*deck[0].a_m_s2[:2]), frame.ned(*deck[1].a_m_s2[:2])
         want = target.d_body_pad_level.tolist()
         offset = frame.ned(want[0], want[1])
         far = axes[0].seen.p - offset[0], axes[1].seen.p - offset[1]
@@ -291,7 +292,7 @@ def _regulated(
 
 
 def _sigma_m(relative: RelativeState) -> float:
-    return math.sqrt(max(float(relative.cov[0, 0]), float(relative.cov[1, 1]), 0.0))
+    return math.sqrt(max(*relative.cov.diagonal()[:2].tolist(), 0.0))
 
 
 def _turn(relative: RelativeState, target: Target) -> float:

@@ -6,6 +6,7 @@ The forecast is some cycles old and comes less often than guidance runs, so only
 from __future__ import annotations
 
 from bisect import bisect_right
+from functools import lru_cache
 from typing import NamedTuple
 
 from estimator.contracts.motion import DeckMotion
@@ -32,22 +33,33 @@ def deck_ahead(deck: DeckMotion | None, forecast: Forecast | None, now: MonoNs, 
     """Return the deck `ahead_s` s after `now`; still where nothing is known of its motion."""
     if deck is None:
         return STILL
-    v, a = deck.v_level.tolist(), deck.a_level.tolist()
-    change, there = [x * ahead_s for x in a], a
+    (vx, vy, vz), (ax, ay, az) = deck.v_level.tolist(), deck.a_level.tolist()
+    x, y, z = ax * ahead_s, ay * ahead_s, az * ahead_s
     if forecast is not None:
         age_s = seconds_between(forecast.at, now)
-        if 0.0 <= age_s <= _OLD_S and age_s + ahead_s <= float(forecast.horizons_s[-1]):
-            horizons, rates = forecast.horizons_s.tolist(), forecast.v_pad_level.tolist()
-            before, _ = _at(horizons, rates, age_s)
-            after, there = _at(horizons, rates, age_s + ahead_s)
-            change = [x - y for x, y in zip(after, before, strict=True)]
-    x, y, z = ((v[k] + change[k], there[k], ahead_s * (v[k] + 0.5 * change[k])) for k in range(3))
-    return DeckAhead((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2]))
+        horizons, rates, slopes = _course(forecast)
+        if 0.0 <= age_s <= _OLD_S and age_s + ahead_s <= horizons[-1]:
+            i, k = _span(horizons, age_s), _span(horizons, age_s + ahead_s)
+            since, then = age_s - horizons[i], age_s + ahead_s - horizons[k]
+            (bx, by, bz), (sx, sy, sz), (cx, cy, cz), (ax, ay, az) = rates[i], slopes[i], rates[k], slopes[k]
+            x = (cx + ax * then) - (bx + sx * since)
+            y = (cy + ay * then) - (by + sy * since)
+            z = (cz + az * then) - (bz + sz * since)
+    moved = ahead_s * (vx + 0.5 * x), ahead_s * (vy + 0.5 * y), ahead_s * (vz + 0.5 * z)
+    return DeckAhead((vx + x, vy + y, vz + z), (ax, ay, az), moved)
 
 
-def _at(horizons: list[float], rates: list[list[float]], t: float) -> tuple[list[float], list[float]]:
-    """Return rate and slope of the forecast at one time, between the horizons on a straight line."""
-    i = max(0, min(len(horizons) - 2, bisect_right(horizons, t) - 1))
-    span = horizons[i + 1] - horizons[i]
-    slope = [(b - a) / span for a, b in zip(rates[i], rates[i + 1], strict=True)]
-    return [a + s * (t - horizons[i]) for a, s in zip(rates[i], slope, strict=True)], slope
+@lru_cache(maxsize=4)
+def _course(forecast: Forecast) -> tuple[list[float], list[list[float]], list[list[float]]]:
+    """Return the horizons of a forecast, the rates there, and their slopes up to the next; a forecast serves some ten cycles."""
+    horizons, rates = forecast.horizons_s.tolist(), forecast.v_pad_level.tolist()
+    slopes = [
+        [(b - a) / (horizons[i + 1] - horizons[i]) for a, b in zip(rates[i], rates[i + 1], strict=True)]
+        for i in range(len(horizons) - 1)
+    ]
+    return horizons, rates, slopes
+
+
+def _span(horizons: list[float], t: float) -> int:
+    """Return the number of the horizon from which the straight line to the next one holds at a time."""
+    return max(0, min(len(horizons) - 2, bisect_right(horizons, t) - 1))

@@ -27,7 +27,8 @@ class InputQuality(Struct, frozen=True):
 
 def sigma_m(estimate: RelativeState) -> float:
     """Return the largest horizontal 1-sigma, metres."""
-    return math.sqrt(float(np.linalg.eigvalsh(estimate.cov[:2, :2]).max()))
+    (a, b), (_, c) = estimate.cov[:2, :2].tolist()
+    return math.sqrt(0.5 * (a + c) + math.hypot(0.5 * (a - c), b))
 
 
 def gate(

@@ -21,6 +21,9 @@ from estimator.contracts.time import MonoNs
 class State(Enum):
     """What the drone is doing; the value is the phase that people read."""
 
+    # By identity: an enumeration's own hash is that of its name, and the tables here are read in every guidance cycle.
+    __hash__ = object.__hash__
+
     STANDBY = "waiting for the vehicle and the start"
     """On the ground, or unknown; nobody has asked for a landing."""
     WAIT = "waiting for the vehicle"
@@ -67,6 +70,8 @@ class State(Enum):
 
 class Event(Enum):
     """What can happen. Of several in one guidance cycle the one that is named first here is taken first."""
+
+    __hash__ = object.__hash__
 
     CUT = "motors cut"
     GROUNDED = "on the ground after our order"

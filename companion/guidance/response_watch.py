@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct, structs
 
 from companion.guidance.response import TiltResponse
 from companion.guidance.response_course import Track, asked_lean, course_of
@@ -79,7 +79,7 @@ class ResponseInUse:
         return f"the vehicle's response is assumed: delay {1e3 * self.delay_s:.0f} ms, softer gains"
 
 
-class ResponseWatch(NamedTuple):
+class ResponseWatch(Struct, frozen=True, eq=False):
     """The memory of the identification."""
 
     given: TiltResponse
@@ -113,7 +113,7 @@ def begun(given: TiltResponse, known_s: float) -> ResponseWatch:
 
 def landed(watch: ResponseWatch) -> ResponseWatch:
     """Return the memory for another flight: what is known stays, the courses begin again."""
-    return watch._replace(doubt=None, asked=(), reported=(), asked_before=None, reported_before=None)
+    return structs.replace(watch, doubt=None, asked=(), reported=(), asked_before=None, reported_before=None)
 
 
 def reported(watch: ResponseWatch, stamp: Stamp, lean: tuple[float, float]) -> ResponseWatch:
@@ -125,7 +125,7 @@ def reported(watch: ResponseWatch, stamp: Stamp, lean: tuple[float, float]) -> R
     if not t - newest >= _APART_S or not 0.0 <= stamp.received_at / NS_PER_S - t <= _LATE_S:
         return watch
     rows = (*watch.reported, (t, *lean))[-_REPORTS_MAX:]
-    return watch._replace(reported=rows, stamp_sigma_s=stamp.sigma_s)
+    return structs.replace(watch, reported=rows, stamp_sigma_s=stamp.sigma_s)
 
 
 def asked(watch: ResponseWatch, now: MonoNs, command: Command | None, known_s: float) -> ResponseWatch:
@@ -135,14 +135,14 @@ def asked(watch: ResponseWatch, now: MonoNs, command: Command | None, known_s: f
         command: what was commanded in flight; None if the vehicle stands, or nobody commands.
         known_s: standard deviation up to which a delay counts as known.
     """
-    watch = watch._replace(asked=(*watch.asked, (now / NS_PER_S, *asked_lean(command))))
+    watch = structs.replace(watch, asked=(*watch.asked, (now / NS_PER_S, *asked_lean(command))))
     if now < watch.due:
         return watch
     since = now / NS_PER_S - _WINDOW_S
     u, y = _appended(watch.asked_before, watch.asked, since), _appended(watch.reported_before, watch.reported, since)
     calm = watch.doubt is None and watch.in_use.state is not ResponseState.ASSUMED
     due = MonoNs(now + round((_EACH_KNOWN_S if calm else _EACH_S) * NS_PER_S))
-    watch = watch._replace(asked=(), reported=(), asked_before=u, reported_before=y, due=due)
+    watch = structs.replace(watch, asked=(), reported=(), asked_before=u, reported_before=y, due=due)
     course = None if u is None or y is None else course_of(u, y, watch.stamp_sigma_s)
     return watch if course is None else _fitted(watch, course, known_s)
 
@@ -151,14 +151,14 @@ def _fitted(watch: ResponseWatch, course: FlightCourse, known_s: float) -> Respo
     fit = fit_tilt(course, watch.given, begin=watch.fit, steps=_STEPS)
     if fit is None:
         return watch
-    watch = watch._replace(fit=fit)
+    watch = structs.replace(watch, fit=fit)
     says = judged(watch.in_use, watch.given, fit, known_s) if _trusted(watch.given, course, fit) else watch.in_use
     if says is watch.in_use:
-        return watch._replace(doubt=None)
+        return structs.replace(watch, doubt=None)
     agreed = watch.doubt is not None and watch.doubt.state is says.state
     if agreed and watch.doubt is not None and abs(watch.doubt.delay_s - says.delay_s) <= CONTRADICTION_S:
-        return watch._replace(in_use=says, doubt=None)
-    return watch._replace(doubt=says)
+        return structs.replace(watch, in_use=says, doubt=None)
+    return structs.replace(watch, doubt=says)
 
 
 def judged(in_use: ResponseInUse, given: TiltResponse, fit: TiltFit, known_s: float) -> ResponseInUse:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 from msgspec.structs import replace
@@ -229,19 +229,22 @@ def _time_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: fl
         limit_s = _CLIMB_PATIENCE * to_climb_m / tries.climb_m_s + _CLIMB_PATIENCE_S
         cause = ReasonCause.NOT_CLIMBING
     else:
-        limit_s, cause = {
-            State.RENDEZVOUS: (o.rendezvous.time_s, ReasonCause.STATE_TIME),
-            State.INTERCEPT: (tries.leg_s, ReasonCause.STATE_TIME),
-            State.DESCEND: (tries.leg_s, ReasonCause.STATE_TIME),
-            State.GATE: (o.cone.gate_s, ReasonCause.STATE_TIME),
-            State.COMMIT: (o.cone.commit_s, ReasonCause.NO_CONTACT),
-            State.PRESS: (o.cone.press_s + o.cone.commit_s, ReasonCause.STATE_TIME),
-            State.DOWN: (o.land_timeout_s, ReasonCause.NO_LANDING),
-        }[p.state]
+        limit_s, cause = _TIME_OF[p.state](o)
     # A gust that takes the drone out of the gate does not give it another wait there.
     spent_s = p.attempt.at_gate_s if p.state is State.GATE else in_state_s
     if spent_s > limit_s:
         yield Event.TIMEOUT, p.blocked or Reason(cause, spent_s, limit_s)
+
+
+_TIME_OF: Mapping[State, Callable[[GuidanceOptions], tuple[float, ReasonCause]]] = {
+    State.RENDEZVOUS: lambda o: (o.rendezvous.time_s, ReasonCause.STATE_TIME),
+    State.INTERCEPT: lambda o: (o.tries.leg_s, ReasonCause.STATE_TIME),
+    State.DESCEND: lambda o: (o.tries.leg_s, ReasonCause.STATE_TIME),
+    State.GATE: lambda o: (o.cone.gate_s, ReasonCause.STATE_TIME),
+    State.COMMIT: lambda o: (o.cone.commit_s, ReasonCause.NO_CONTACT),
+    State.PRESS: lambda o: (o.cone.press_s + o.cone.commit_s, ReasonCause.STATE_TIME),
+    State.DOWN: lambda o: (o.land_timeout_s, ReasonCause.NO_LANDING),
+}
 
 
 def _why_blind(p: Progress) -> Reason | None:

@@ -226,7 +226,8 @@ class OperatorArbiter:
         hit: tuple[Limit, ...] = ()
         if chosen.command is not None:
             command, hit = limited(chosen.command, self._limits, self._place, belief, now, manual=manual)
-            chosen = replace(chosen, command=command)
+            if command is not chosen.command:
+                chosen = replace(chosen, command=command)
         self._limited = self._limited.step(hit, now)
         fenced_s = self._limited.fenced_s(now)
         if not manual and fenced_s >= self._limits.fence_ends_s and not self._guided.paused:

@@ -92,6 +92,10 @@ def limited(
     """
     if not isinstance(command, Velocity | Lean):
         return command, ()
+    if options.fence == "off" and not manual:
+        v_down = command.v_level.tolist()[2]
+        if not _vertical(v_down, options, place, belief, now, manual=False)[1]:
+            return command, ()
     v, hit = np.array(command.v_level), list[Limit]()
     for limit, frame, radius_m, corners in _fences(options, place, belief, manual=manual):
         kept = frame.centre_v_level + _turned(

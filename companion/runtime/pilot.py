@@ -12,7 +12,6 @@ from dataclasses import replace
 from enum import Enum
 from typing import Any
 
-import numpy as np
 from msgspec import structs
 
 from companion.config.settings import shipped_response
@@ -412,7 +411,7 @@ class Pilot:
 
     def _command(self, now: MonoNs, belief: RelativeState | None) -> Command | None:
         knowledge = self._knowledge(now, belief)
-        lean = None if self._lean is None else math.atan(float(np.hypot(*self._lean[1:])) / G_M_S2)
+        lean = None if self._lean is None else math.atan(math.hypot(*self._lean[1:]) / G_M_S2)
         battery = None if self._status is None else self._status.battery_fraction
         place: VesselPosition | Reason | None = None
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:

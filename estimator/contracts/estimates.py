@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, overload
 
-import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import force_setattr
 
@@ -196,7 +195,8 @@ class RelativeState(Struct, frozen=True, eq=False):
     @property
     def lateral_m(self) -> float:
         """Horizontal distance between body and pad centre, metres."""
-        return float(np.hypot(self.d_body_pad_level[0], self.d_body_pad_level[1]))
+        x, y, _ = self.d_body_pad_level.tolist()
+        return math.hypot(x, y)
 
     def marked(self, track: int, alerts: tuple[IntegrityAlert, ...], details: Sequence[tuple[str, float]]) -> RelativeState:
         """Return the estimate with what the guard says of it; with alerts it is not consistent.
