@@ -300,8 +300,7 @@ class Pilot:
         self.operator.on_samples(samples)
         fused: list[Sample] = []
         for sample in samples:
-            received_at = sample.stamp.received_at
-            self._now = max(self._now, received_at)
+            self._now = max(self._now, sample.stamp.received_at)
             # By the type itself: hundreds of samples a second, and a match asks one class after the other.
             if type(sample) is Imu:
                 if self._mission.state not in GROUND:
@@ -316,10 +315,8 @@ class Pilot:
                 self._on_status(sample)
             elif type(sample) is GeoFix or type(sample) is VesselReport:
                 self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
-                if of_ship(sample):
-                    received_at = None
-            if received_at is not None:
-                self._heard = received_at
+            if not of_ship(sample):
+                self._heard = sample.stamp.received_at
             if type(sample) not in _NOT_FUSED:
                 fused.append(sample)
         results = iter(self._fuse(fused))
@@ -435,7 +432,7 @@ class Pilot:
 
 def of_ship(sample: Sample) -> bool:
     """Return whether a sample tells of the ship and not of the vehicle."""
-    return isinstance(sample, VesselReport) or (isinstance(sample, GeoFix) and sample.whose == "vessel")
+    return type(sample) is VesselReport or (type(sample) is GeoFix and sample.whose == "vessel")
 
 
 def _leant(mean: tuple[MonoNs, float, float] | None, at: MonoNs, lean_m_s2: tuple[float, float]) -> tuple[MonoNs, float, float]:
