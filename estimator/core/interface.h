@@ -54,6 +54,14 @@
 #define STATE_ALONE 0
 #define WITH_COVARIANCE 1
 #define WITH_AIDING 2
+#define EDGE_KINDS 4
+#define PAD_CONTRASTS 4
+#define REGION_CIRCLES 2
+#define PAD_FIGURES 2
+#define FIGURE_CUTS 14
+#define FIGURE_RECTANGLES 8
+#define WEDGE_SIDES 4
+#define FIT_ROWS 136
 #define GAIN_ONE 16384
 #define SCENE_ONE 32768
 #define CELL_PX 8
@@ -317,6 +325,110 @@ typedef struct {
 } answer;
 
 typedef struct {
+    int64_t circles;
+    int64_t figure;
+    int64_t has_wedge;
+    double radius_m[2];
+    double sign[2];
+} pad_region;
+
+typedef struct {
+    int64_t rectangles;
+    int64_t x_cuts;
+    int64_t y_cuts;
+    int64_t x0[8];
+    int64_t x1[8];
+    int64_t y0[8];
+    int64_t y1[8];
+    double x_m[14];
+    double y_m[14];
+} pad_figure;
+
+typedef struct {
+    int64_t sides;
+    double nx[4];
+    double ny[4];
+    double offset_m[4];
+    double beyond_m;
+} pad_wedge;
+
+typedef struct {
+    int64_t contrast_count;
+    int64_t pointer_kind;
+    int64_t pointer_contrast;
+    int64_t pointer_figure;
+    int64_t lies_on[4];
+    int64_t contrast_of_kind[4];
+    double disc_radius_m;
+    double half_length_m;
+    double pointer_clear_m;
+    pad_region contrasts[4];
+    pad_region kinds[4];
+    pad_figure figures[2];
+    pad_wedge wedge;
+} pad_shape;
+
+typedef struct {
+    int64_t width;
+    int64_t height;
+    int64_t distorted;
+    double fx;
+    double fy;
+    double cx;
+    double cy;
+    double distortion[5];
+    double R_body_cam[9];
+} camera_lens;
+
+typedef struct {
+    int64_t given;
+    double roll_rad;
+    double pitch_rad;
+    double cov_tilt[4];
+    double sigma_deck_rad;
+} tilt_prior;
+
+typedef struct {
+    int64_t max_profiles;
+    int64_t dense_pixels;
+    double blur_px;
+    double edge_sigma_px;
+    double dense_edge_sigma_px;
+    double edge_sigma_m;
+} fit_options;
+
+typedef struct {
+    double R[9];
+    double t[3];
+    double blur_px2[3];
+    double m_per_px;
+    double depth_m;
+} fit_state;
+
+typedef struct {
+    double contrast_bgr[3];
+    double snr;
+    double in_view;
+    double inliers;
+    double likeness;
+} edge_support;
+
+typedef struct {
+    int64_t dense;
+    int64_t arrow_seen;
+    int64_t doubted;
+    double H[81];
+    double cov[81];
+    double noise_light;
+    double edge_rms_px;
+    double visible;
+    double inliers;
+    double last_step_px;
+    fit_state state;
+    edge_support edges[4];
+} fit_solved;
+
+typedef struct {
     double p[3];
     double v[3];
     double R[9];
@@ -561,6 +673,10 @@ int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis);
 void kalman_predict(int32_t n, const double *P, const double *F, const double *Q, double *P_after);
 int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx, double *P_after, double *S, double *nis);
 
+/* register.c */
+int32_t register_dense(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad, const tilt_prior *prior, const fit_options *o, const fit_state *start, int32_t room, float *scratch, fit_solved *out);
+int32_t register_opposite(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad, const fit_options *o, const fit_state *at, int32_t room, float *scratch);
+
 /* render_deck.c */
 void render_deck(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const uint16_t *texels, int32_t texel_rows, int32_t texel_columns, const uint8_t *mask, uint16_t *scene);
 void render_fill(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *mask, const uint16_t *colour, uint16_t *scene);
@@ -600,7 +716,7 @@ void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea
 void vehicle_carry(vehicle *v, const deck *g);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 2493248676u
+#define INTERFACE_DIGEST 1132241991u
 #endif
 
 #endif

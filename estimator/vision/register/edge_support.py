@@ -13,7 +13,6 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
-from estimator.vision.register import dense
 from estimator.vision.register import profiles as profiles_
 from estimator.vision.register.sampling import Profiles
 from estimator.vision.register.state import light_table
@@ -66,28 +65,10 @@ def profile_support(
         if not counted[kind]:
             out[kind] = EdgeSupport(np.zeros(3), 0.0, in_view, 0.0)
             continue
-        contrast = dense.median(fit.contrast[enough & (measured_at.group_kind == kind)])
+        contrast = profiles_.median(fit.contrast[enough & (measured_at.group_kind == kind)])
         snr = contrast / math.sqrt(var) if var < 0.5 else 0.0
         out[kind] = EdgeSupport(mix.contrast[kind] * contrast, snr, in_view, min(1.0, agreed[kind] / (0.9 * counted[kind])))
     return out, min(1.0, float(agree.sum()) / max(1.0, 0.9 * float(pixels.sum())))
-
-
-def dense_support(fit: dense.DenseFit, arrow: tuple[float, float, float] | None) -> tuple[dict[EdgeKind, EdgeSupport], float]:
-    """Return the same from a dense fit; `arrow` is the result of `arrow_amplitudes`."""
-    weight = fit.weight.mean(axis=0)
-    out: dict[EdgeKind, EdgeSupport] = {}
-    for kind, row in ((EdgeKind.DISC, 3), (EdgeKind.RING, 4), (EdgeKind.H, 5)):
-        coverage = fit.values[row]
-        edge = coverage * (1.0 - coverage)
-        total = float(edge.sum())
-        snr = math.sqrt(float((fit.paints[row] ** 2 / np.maximum(fit.cov_paints[row], 1e-12)).sum()))
-        inliers = min(1.0, float(edge @ weight) / (0.9 * total)) if total > 1e-6 else 0.0
-        out[kind] = EdgeSupport(fit.paints[row], snr, 1.0, inliers)
-    if arrow is None:
-        out[EdgeKind.ARROW] = EdgeSupport(np.zeros(3), 0.0, 0.0, 0.0)
-    else:
-        out[EdgeKind.ARROW] = arrow_support(arrow[0], arrow[2], fit.paints[4], 1.0)
-    return out, min(1.0, float(weight.mean()) / 0.9)
 
 
 def arrow_support(amplitude: float, sigma: float, contrast: F64, in_view: float) -> EdgeSupport:

@@ -20,30 +20,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from estimator.core.interface import places_of, size_of
+from estimator.core.library import CORE, address
+from estimator.core.records import record
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, Pyramid, approach
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register import dense
 from estimator.vision.register import profiles as profiles_
-from estimator.vision.register.edge_support import EdgeSupport, arrow_support, dense_support, profile_support
+from estimator.vision.register.edge_support import EdgeSupport, arrow_support, profile_support
+from estimator.vision.register.native import Inputs
 from estimator.vision.register.sampling import sample
 from estimator.vision.register.solver import WEAK_BLUR_PX2, Solver, TiltTarget, depth_in_view, difference, inverse
 from estimator.vision.register.state import N_POSE, N_STATE, U8, RegistrationState
 
-_NOISE_DOUBTED = 5e-4
-"""Limit on the variance of smoothed light over light: four times that of worn paint on a patchy deck. More means an object on the
-pad.
-"""
-_MERGED_EDGES_PX3, _MERGED_EDGES_MOST_PX = 4.0, 0.08
-"""Sigma of the distant disc's edges times the square of its radius, and the largest sigma, px: the effect of wear, stains and
-uneven light on merged edges. On rendered worn decks, at 10 to 30 m, it makes the errors as large as their covariance says; on an
-even floor they are smaller.
-"""
-_EDGE_DOUBTED_PX = 2.0
-"""Sigma of the distant disc's edges in that case: hiding half of the disc moves it this far."""
+_DENSE, _OPPOSITE = CORE.function("register_dense"), CORE.function("register_opposite")
+_SOLVED, _STATE, _SUPPORT = places_of("fit_solved"), places_of("fit_state"), size_of("edge_support")
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,24 +139,31 @@ def register(
         raise ValueError(f"want a frame of shape {(camera.height, camera.width, 3)}, got {px.shape}")
     options = options if options is not None else RegistrationOptions()
     tilt = TiltTarget.of(prior, camera) if prior is not None else None
+    inputs = Inputs(px, camera, pad, prior, options)
     pose = start
     if options.coarse:
         sigma = SIGMA_TILT_RAD if prior is not None and prior.measured else SIGMA_TILT_FREE_RAD
         pose = approach(Pyramid(px), camera, pad, start, sigma) or start
     state = RegistrationState.of(pose, camera, options.blur_px, depth_in_view(pose, camera))
-    solved = _refine(px, camera, pad, state, tilt, options)
+    solved = _refine(px, camera, pad, state, tilt, options, inputs)
     if solved is None:
         return None
-    if not (solved.arrow_seen or solved.doubted) and _arrow_is_opposite(px, camera, pad, solved.state, options):
+    if not (solved.arrow_seen or solved.doubted) and _arrow_is_opposite(inputs, camera, pad, solved.state):
         turned = replace(solved.state, R=solved.state.R @ np.diag([-1.0, -1.0, 1.0]))
-        again = _refine(px, camera, pad, turned, tilt, options)
+        again = _refine(px, camera, pad, turned, tilt, options, inputs)
         if again is not None and again.arrow_seen:
             solved = again
     return _result(solved, camera, pad, prior)
 
 
 def _refine(
-    px: U8, camera: Camera, pad: Pad, state: RegistrationState, tilt: TiltTarget | None, options: RegistrationOptions
+    px: U8,
+    camera: Camera,
+    pad: Pad,
+    state: RegistrationState,
+    tilt: TiltTarget | None,
+    options: RegistrationOptions,
+    inputs: Inputs,
 ) -> _Solved | None:
     radius_px = pad.disc_radius_m / state.m_per_px
     small = (2 * radius_px + 8) ** 2 <= options.dense_pixels
@@ -171,47 +172,37 @@ def _refine(
         if solved is None or profiles_.spacing_ok(solved.state, pad):
             return solved
         state = solved.state
-    return _dense_fit(px, camera, pad, state, tilt, options)
+    return _dense_fit(inputs, state)
 
 
-def _dense_fit(
-    px: U8, camera: Camera, pad: Pad, state: RegistrationState, tilt: TiltTarget | None, options: RegistrationOptions
-) -> _Solved | None:
-    got = dense.patch(px, camera, pad, state, 1.5 + 3.0 * state.sigma_px, options.dense_pixels, options.gamma, exact=True)
-    if got is None:
+def _dense_fit(inputs: Inputs, state: RegistrationState) -> _Solved | None:
+    """Fit all pixels of the disc, a small image of it, in the native core."""
+    start, out = _packed(state), np.zeros(size_of("fit_solved"))
+    if not _DENSE(*inputs.frame, inputs.prior, inputs.options, address(start), *inputs.room, address(out)):
         return None
-    cut, state = got
-    solver = Solver(state, tilt, pad)
-    fit: dense.DenseFit | None = None
-    moved = math.inf
-    grown = 0.0
-    for n in range(12):
-        # The pose depends on the blur: it may stop for a step while the blur still changes.
-        final = (n >= 1 and moved < 0.05 and grown < 0.1) or n == 11
-        fit = dense.fit(state, cut, pad, fit, options.dense_edge_sigma_px, final)
-        last = state
-        state, moved = solver.step(state, fit.H, fit.g, 1.5, blur_too=n > 0)
-        grown = abs(state.sigma_px - last.sigma_px)
-        if final:
-            break
-    assert fit is not None
-    meat = fit.meat
-    # This is the information that corresponds to the robust covariance, so that one prior can be exchanged for another.
-    spread = np.diag(fit.H)
-    if not float(spread.min()) > 0.0:
-        return None
-    H = fit.H @ np.linalg.solve(meat + 1e-9 * np.diag(spread), fit.H)
-    doubted = fit.noise > _NOISE_DOUBTED
-    cov = solver.covariance(state, H) + _dense_edges_off(state, pad, options, _EDGE_DOUBTED_PX if doubted else 0.0)
-    arrow = dense.arrow_amplitudes(state, cut, pad, fit)
-    seen = arrow is not None and arrow[0] - arrow[1] > max(0.5, 4.0 * arrow[2])
-    edges, inliers = dense_support(fit, arrow)
-    if doubted:
-        inliers *= 0.5
-    visible = float(np.mean([e.in_view for e in edges.values()]))
-    noise = math.sqrt(fit.noise * 0.5 / dense.NOISE_LEFT)
-    state = state.restored(cut.reduced, dense.SMOOTHING_PX2)
-    return _Solved(state, H, cov, edges, noise, 0.0, visible, inliers, moved * cut.reduced, seen and not doubted, doubted, True)
+    dense, arrow_seen, doubted = out.view(np.int64)[:3].astype(bool).tolist()
+    noise_light, edge_rms_px, visible, inliers, last_step_px = out[_SOLVED["noise_light"].start : _SOLVED["state"].start].tolist()
+    found = out[_SOLVED["state"]]
+    R, t, blur_px2 = (found[_STATE[name]] for name in ("R", "t", "blur_px2"))
+    m_per_px, depth_m = found[_STATE["m_per_px"].start :].tolist()
+    return _Solved(
+        RegistrationState(R.reshape(3, 3), t, blur_px2, m_per_px, depth_m), out[_SOLVED["H"]].reshape(N_STATE, N_STATE),
+        out[_SOLVED["cov"]].reshape(N_STATE, N_STATE), _edges(out[_SOLVED["edges"]]), noise_light, edge_rms_px, visible, inliers,
+        last_step_px, arrow_seen, doubted, dense,
+    )  # fmt: skip
+
+
+def _packed(state: RegistrationState) -> F64:
+    return record("fit_state", {
+        "R": state.R, "t": state.t, "blur_px2": state.blur_px2, "m_per_px": state.m_per_px, "depth_m": state.depth_m,
+    })  # fmt: skip
+
+
+def _edges(words: F64) -> dict[EdgeKind, EdgeSupport]:
+    return {
+        kind: EdgeSupport(each[:3], *each[3:].tolist())
+        for kind, each in zip(EdgeKind, words.reshape(-1, _SUPPORT), strict=True)
+    }  # fmt: skip
 
 
 def _by_profiles(
@@ -311,21 +302,6 @@ def _growth(fit: profiles_.ProfileFit, samples: int) -> float:
     return max(1.0, together / alone) if alone > 0 else 1.0
 
 
-def _dense_edges_off(state: RegistrationState, pad: Pad, options: RegistrationOptions, more_px: float) -> F64:
-    """Return the (9, 9) covariance from unexplained places of edges.
-
-    Eight sectors of the disc and four strokes of the H are displaced independently.
-    """
-    merged_px = min(_MERGED_EDGES_PX3 * (state.m_per_px / pad.disc_radius_m) ** 2, _MERGED_EDGES_MOST_PX)
-    sigma_h_m = math.hypot(math.hypot(options.dense_edge_sigma_px, more_px) * state.m_per_px, options.edge_sigma_m)
-    sigma_m = math.hypot(sigma_h_m, merged_px * state.m_per_px)
-    out = np.zeros((N_STATE, N_STATE))
-    out[0, 0] = out[1, 1] = sigma_m**2 / 4.0
-    out[2, 2] = (sigma_m * state.depth_m / pad.disc_radius_m) ** 2 / 8.0
-    out[5, 5] = (sigma_h_m / (0.5 * pad.h_length_m)) ** 2
-    return out
-
-
 @lru_cache(maxsize=8)
 def _outline(pad: Pad) -> tuple[F64, tuple[slice, ...]]:
     """Return (M, 3) m points of the edges, and the slice of each kind."""
@@ -335,16 +311,11 @@ def _outline(pad: Pad) -> tuple[F64, tuple[slice, ...]]:
     return np.c_[at, np.zeros(len(at))], tuple(slice(a, b) for a, b in pairwise(borders))
 
 
-def _arrow_is_opposite(px: U8, camera: Camera, pad: Pad, state: RegistrationState, options: RegistrationOptions) -> bool:
+def _arrow_is_opposite(inputs: Inputs, camera: Camera, pad: Pad, state: RegistrationState) -> bool:
     if not _opposite_in_view(camera, pad, state):
         return False
-    got = dense.patch(px, camera, pad, state, 3.0, options.dense_pixels, options.gamma, exact=True)
-    if got is None:
-        return False
-    cut, coarse = got
-    fit = dense.fit(coarse, cut, pad, None, options.dense_edge_sigma_px)
-    arrow = dense.arrow_amplitudes(coarse, cut, pad, fit)
-    return arrow is not None and arrow[1] - arrow[0] > max(0.5, 4.0 * arrow[2])
+    at = _packed(state)
+    return bool(_OPPOSITE(*inputs.frame, inputs.options, address(at), *inputs.room))
 
 
 def _opposite_in_view(camera: Camera, pad: Pad, state: RegistrationState) -> bool:

@@ -259,13 +259,14 @@ static void gate(int m, double poison)
     free(S);
 }
 
+#include "exercise_register.h"
 #include "exercise_render.h"
 #include "exercise_sim.h"
 
 static void fuzz_one(const uint8_t *bytes, size_t size)
 {
     begin(bytes, size);
-    const int what = fuzzed_byte() % 5;
+    const int what = fuzzed_byte() % 6;
     if (what == 0) {
         const int n = 1 + draw() % ORDER_MAX, m = 1 + draw() % ROWS_MAX;
         algebra(n, m, 1.0);
@@ -276,6 +277,8 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
         fly(surface, 2, 1.0);
     } else if (what == 3) {
         scenes(1);
+    } else if (what == 5) {
+        registrations(1);
     } else {
         sail(draw() % 7, 1 + draw() % 200, 1.0);
     }
@@ -337,6 +340,8 @@ int main(int count, char **files)
     scenes(24);
     report("render_deck render_fill render_smear render_average render_sea render_water render_pad_kinds render_pad_shares render_expose "
            "render_mix render_image render_frame render_blur");
+    registrations(60);
+    report("register_dense register_opposite");
     simulator();
     report("vehicle_step vehicle_carry sim_run sensors_read");
     return 0;

@@ -1,0 +1,90 @@
+"""What C and Python share of registration: the pad's drawing as regions, the camera, what is expected, and what is found."""
+
+from __future__ import annotations
+
+from .describe import Field, Function, doubles, integers
+
+EDGE_KINDS = 4
+"""Kinds of edges, by the paints that meet."""
+PAD_CONTRASTS = 4
+"""The largest number of regions whose paint differs from the one below."""
+REGION_CIRCLES = 2
+"""The largest number of circles that bound a region."""
+PAD_FIGURES = 2
+"""The largest number of figures made of rectangles."""
+FIGURE_CUTS = 14
+"""The largest number of limits of a figure's rectangles along one axis."""
+FIGURE_RECTANGLES = 8
+"""The largest number of rectangles of a figure."""
+WEDGE_SIDES = 4
+"""The largest number of sides of a wedge."""
+FIT_ROWS = 136
+"""Rows of floats, each as long as the largest number of pixels, that a registration works on."""
+
+CONSTANTS = {
+    "EDGE_KINDS": EDGE_KINDS, "PAD_CONTRASTS": PAD_CONTRASTS, "REGION_CIRCLES": REGION_CIRCLES, "PAD_FIGURES": PAD_FIGURES,
+    "FIGURE_CUTS": FIGURE_CUTS, "FIGURE_RECTANGLES": FIGURE_RECTANGLES, "WEDGE_SIDES": WEDGE_SIDES, "FIT_ROWS": FIT_ROWS,
+}  # fmt: skip
+"""Numbers by their names in the header: the largest sizes of a drawing."""
+
+STRUCTS: dict[str, tuple[Field, ...]] = {
+    "pad_region": (
+        *integers("circles", "figure", "has_wedge"),
+        *doubles(radius_m=REGION_CIRCLES, sign=REGION_CIRCLES),
+    ),
+    "pad_figure": (
+        *integers("rectangles", "x_cuts", "y_cuts"),
+        Field("x0", "int64_t", FIGURE_RECTANGLES), Field("x1", "int64_t", FIGURE_RECTANGLES),
+        Field("y0", "int64_t", FIGURE_RECTANGLES), Field("y1", "int64_t", FIGURE_RECTANGLES),
+        *doubles(x_m=FIGURE_CUTS, y_m=FIGURE_CUTS),
+    ),
+    "pad_wedge": (
+        *integers("sides"), *doubles(nx=WEDGE_SIDES, ny=WEDGE_SIDES, offset_m=WEDGE_SIDES, beyond_m=1),
+    ),
+    "pad_shape": (
+        *integers("contrast_count", "pointer_kind", "pointer_contrast", "pointer_figure"),
+        Field("lies_on", "int64_t", PAD_CONTRASTS), Field("contrast_of_kind", "int64_t", EDGE_KINDS),
+        *doubles(disc_radius_m=1, half_length_m=1, pointer_clear_m=1),
+        Field("contrasts", "pad_region", PAD_CONTRASTS), Field("kinds", "pad_region", EDGE_KINDS),
+        Field("figures", "pad_figure", PAD_FIGURES), Field("wedge", "pad_wedge"),
+    ),
+    "camera_lens": (
+        *integers("width", "height", "distorted"), *doubles(fx=1, fy=1, cx=1, cy=1, distortion=5, R_body_cam=9),
+    ),
+    "tilt_prior": (*integers("given"), *doubles(roll_rad=1, pitch_rad=1, cov_tilt=4, sigma_deck_rad=1)),
+    "fit_options": (
+        *integers("max_profiles", "dense_pixels"),
+        *doubles(blur_px=1, edge_sigma_px=1, dense_edge_sigma_px=1, edge_sigma_m=1),
+    ),
+    "fit_state": doubles(R=9, t=3, blur_px2=3, m_per_px=1, depth_m=1),
+    "edge_support": doubles(contrast_bgr=3, snr=1, in_view=1, inliers=1, likeness=1),
+    "fit_solved": (
+        *integers("dense", "arrow_seen", "doubted"),
+        *doubles(H=81, cov=81, noise_light=1, edge_rms_px=1, visible=1, inliers=1, last_step_px=1),
+        Field("state", "fit_state"), Field("edges", "edge_support", EDGE_KINDS),
+    ),
+}  # fmt: skip
+"""A `pad_region` is what its circles (sums with a sign), its figure's rectangles, and the wedge cover. A figure's rectangles lie
+between its limits along both axes, which ascend. A wedge is where all n p < offset, beyond a circle about the centre. A
+`pad_shape` has the regions as painted (`contrasts`: paint over the one that each `lies_on`, -1 for the surroundings) and the
+inside of each kind of edge (`kinds`); the `pointer` is the part of the drawing that tells its two headings apart. The other
+structures have what `Camera`, `Orientation`, `RegistrationOptions` and `Registration` have; covariances are in `pad`."""
+
+_FRAME = "const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad"
+FUNCTIONS = (
+    Function(
+        "register_dense",
+        "int32_t",
+        f"{_FRAME}, const tilt_prior *prior, const fit_options *o, const fit_state *start, int32_t room, float *scratch, "
+        "fit_solved *out",
+        "register.c",
+    ),
+    Function(
+        "register_opposite",
+        "int32_t",
+        f"{_FRAME}, const fit_options *o, const fit_state *at, int32_t room, float *scratch",
+        "register.c",
+    ),
+)
+"""Functions of registration. `rays` are those of all pixels if the lens distorts, else null; `light` is the linear light of each
+pixel value; `scratch` has room for `FIT_ROWS` rows of `room` floats."""

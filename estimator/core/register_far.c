@@ -1,0 +1,263 @@
+#include "register_far.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+enum { ROUNDS = 12, EDGE_SECTORS = 8, STROKES = 4 };
+/* Longest step, px; steps of pose and blur at which the fit has converged. The pose depends on the blur: it may stop for a step
+ * while the blur still changes. */
+static const double STEP_PX = 1.5, AT_REST_PX = 0.05, BLUR_AT_REST_PX = 0.1;
+/* Limit on the variance of smoothed light over light: four times that of worn paint on a patchy deck. More means an object on the
+ * pad. */
+static const double NOISE_DOUBTED = 5e-4;
+/* Sigma of the distant disc's edges in that case, px: hiding half of the disc moves it this far. */
+static const double EDGE_DOUBTED_PX = 2.0;
+/* Sigma of the distant disc's edges times the square of its radius, px^3, and the largest sigma, px: the effect of wear, stains and
+ * uneven light on merged edges. On rendered worn decks, at 10 to 30 m, it makes the errors as large as their covariance says; on an
+ * even floor they are smaller. */
+static const double MERGED_EDGES_PX3 = 4.0, MERGED_EDGES_MOST_PX = 0.08;
+/* The mean of Tukey's weights under Gaussian noise. */
+static const double MEAN_WEIGHT = 0.9;
+/* Coverage beyond which a pixel sees the paint under the pointer alone; sum of coverages from which a pointer is in view. */
+static const double COVERED = 0.98, POINTER_IN_VIEW = 0.1;
+
+int stands_out(double amplitude, double opposite, double sigma)
+{
+    return amplitude - opposite > fmax(0.5, 4.0 * sigma);
+}
+
+edge_support pointer_support(double amplitude, double sigma, const double contrast[CHANNELS], double in_view)
+{
+    edge_support out = {.snr = fmax(0.0, amplitude) / fmax(sigma, 1e-6), .in_view = in_view, .likeness = 1.0};
+    out.inliers = fmin(1.0, fmax(0.0, 1.0 - fabs(amplitude - 1.0)));
+    for (int c = 0; c < CHANNELS; c++) {
+        out.contrast_bgr[c] = contrast[c] * amplitude;
+    }
+    return out;
+}
+
+/* The (9, 9) covariance from unexplained places of edges: sectors of the disc and strokes are displaced independently. */
+static void add_edges_off(const fit_state *s, const pad_shape *pad, const fit_options *o, double more_px, double cov[STATES * STATES])
+{
+    const double scale = s->m_per_px / pad->disc_radius_m, merged_px = fmin(MERGED_EDGES_PX3 * scale * scale, MERGED_EDGES_MOST_PX);
+    const double sigma_stroke = hypot(hypot(o->dense_edge_sigma_px, more_px) * s->m_per_px, o->edge_sigma_m);
+    const double sigma = hypot(sigma_stroke, merged_px * s->m_per_px), range = sigma * s->depth_m / pad->disc_radius_m;
+    const double turn = sigma_stroke / pad->half_length_m;
+    cov[0] += sigma * sigma / STROKES;
+    cov[STATES + 1] += sigma * sigma / STROKES;
+    cov[2 * STATES + 2] += range * range / EDGE_SECTORS;
+    cov[5 * STATES + 5] += turn * turn;
+}
+
+/* H inv(meat) H: the information that corresponds to the robust covariance, so that one prior can be exchanged for another. */
+static int robust_information(const dense_fit *fit, double out[STATES * STATES])
+{
+    double meat[STATES * STATES], X[STATES * STATES];
+    memcpy(meat, fit->meat, sizeof meat);
+    memcpy(X, fit->H, sizeof X);
+    for (int i = 0; i < STATES; i++) {
+        if (!(fit->H[i * (STATES + 1)] > 0.0)) {
+            return 0;
+        }
+        meat[i * (STATES + 1)] += 1e-9 * fit->H[i * (STATES + 1)];
+    }
+    if (!solve_symmetric(STATES, STATES, meat, STATES, X)) {
+        return 0;
+    }
+    for (int i = 0; i < STATES; i++) {
+        for (int j = 0; j < STATES; j++) {
+            double sum = 0.0;
+            for (int k = 0; k < STATES; k++) {
+                sum += fit->H[i * STATES + k] * X[k * STATES + j];
+            }
+            out[i * STATES + j] = sum;
+        }
+    }
+    return 1;
+}
+
+/* The mix of colours in which the pointer's paint stands out from the one below by one; 0 if it does not. */
+static int pointer_mix(const pad_shape *pad, const dense_fit *fit, double mix[CHANNELS])
+{
+    const int own = FIRST_REGION + (int)pad->pointer_contrast, below = (int)pad->lies_on[pad->pointer_contrast];
+    double size = 0.0;
+    for (int c = 0; c < CHANNELS; c++) {
+        const double light = fit->paints[0][c] + (below >= 0 ? fit->paints[FIRST_REGION + below][c] : 0.0);
+        mix[c] = fit->paints[own][c] / (fmax(light, 0.0) + 0.02);
+        size += mix[c] * fit->paints[own][c];
+    }
+    for (int c = 0; c < CHANNELS; c++) {
+        mix[c] /= size;
+    }
+    return size >= 1e-4;
+}
+
+/* Regressors of the pointer's fit at the pixels that it has an effect on, and their mixed light. */
+enum { POINTER_ROWS = 4 };
+typedef struct {
+    int n;
+    float *rows[POINTER_ROWS], *light;
+} pointer_pixels;
+
+/* The pixels beyond the ring, where the strokes have no effect, and well inside the paint below, where the surroundings have none. */
+static void collect_pointer(const pad_shape *pad, const patch *cut, const fit_state *s, const double mix[CHANNELS], dense_rows *d,
+                            pointer_pixels *p)
+{
+    const int own = FIRST_REGION + (int)pad->pointer_contrast, below = (int)pad->lies_on[pad->pointer_contrast];
+    const float *under = d->values[below >= 0 ? FIRST_REGION + below : 0], clear = (float)pad->pointer_clear_m;
+    float *here = d->spare[2], *there = d->spare[3];
+    p->n = 0, p->light = d->spare[4];
+    for (int k = 0; k < POINTER_ROWS; k++) {
+        p->rows[k] = d->spare[5 + k];
+    }
+    look_at(s, cut->ray_x, cut->ray_y, &d->f);
+    cover_figure(&pad->figures[pad->pointer_figure], &d->f, 0, cut->n, 0, here);
+    cover_figure(&pad->figures[pad->pointer_figure], &d->f, 0, cut->n, 1, there);
+    for (int i = 0; i < cut->n; i++) {
+        const float r2 = d->f.x[i] * d->f.x[i] + d->f.y[i] * d->f.y[i];
+        double light = 0.0;
+        for (int c = 0; c < CHANNELS; c++) {
+            light += mix[c] * ((double)cut->light[c][i] - d->added[c][i]);
+        }
+        p->light[p->n] = (float)light;
+        p->rows[0][p->n] = 1.0f, p->rows[1][p->n] = d->values[own][i] - here[i], p->rows[2][p->n] = here[i], p->rows[3][p->n] = there[i];
+        p->n += r2 > clear * clear && under[i] > COVERED;
+    }
+}
+
+/* The amplitudes of the pointer at a state; 0 if its paint does not differ from the one below, or if none would be in view. */
+static int find_pointer(const pad_shape *pad, const patch *cut, const fit_state *s, const dense_fit *fit, dense_rows *d, pointer *out)
+{
+    double mix[CHANNELS], M[POINTER_ROWS * POINTER_ROWS] = {0.0}, a[POINTER_ROWS] = {0.0}, inverse[POINTER_ROWS * POINTER_ROWS] = {0.0};
+    pointer_pixels p;
+    if (pad->pointer_kind < 0 || !pointer_mix(pad, fit, mix)) {
+        return 0;
+    }
+    collect_pointer(pad, cut, s, mix, d, &p);
+    for (int i = 0; i < p.n; i++) {
+        for (int j = 0; j < POINTER_ROWS; j++) {
+            a[j] += (double)p.rows[j][i] * p.light[i];
+            for (int k = 0; k < POINTER_ROWS; k++) {
+                M[POINTER_ROWS * j + k] += (double)p.rows[j][i] * p.rows[k][i];
+            }
+        }
+    }
+    /* The sums over the pointers' coverages are their products with the constant. */
+    if (M[2] < POINTER_IN_VIEW && M[3] < POINTER_IN_VIEW) {
+        return 0;
+    }
+    for (int j = 0; j < POINTER_ROWS; j++) {
+        M[(POINTER_ROWS + 1) * j] += 1e-6;
+        inverse[(POINTER_ROWS + 1) * j] = 1.0;
+    }
+    if (!solve_symmetric(POINTER_ROWS, POINTER_ROWS, M, 1, a) || !solve_symmetric(POINTER_ROWS, POINTER_ROWS, M, POINTER_ROWS, inverse)) {
+        return 0;
+    }
+    double squares = 0.0;
+    for (int i = 0; i < p.n; i++) {
+        const double left = p.light[i] - a[0] * p.rows[0][i] - a[1] * p.rows[1][i] - a[2] * p.rows[2][i] - a[3] * p.rows[3][i];
+        squares += left * left;
+    }
+    out->here = a[2], out->there = a[3];
+    out->sigma = sqrt(squares / (p.n > 5 ? p.n - POINTER_ROWS : 1) * fmax(inverse[10], inverse[15]));
+    return 1;
+}
+
+/* The support for every kind of edge from the regions' paints, and the fraction of all pixels that agree. */
+static void find_support(const pad_shape *pad, const patch *cut, const dense_fit *fit, const dense_rows *d, const pointer *p,
+                         fit_solved *out)
+{
+    double all = 0.0;
+    for (int i = 0; i < cut->n; i++) {
+        all += (d->weight[0][i] + d->weight[1][i] + d->weight[2][i]) / 3.0;
+    }
+    out->inliers = fmin(1.0, all / cut->n / MEAN_WEIGHT);
+    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+        edge_support *e = &out->edges[kind];
+        const int row = FIRST_REGION + (int)pad->contrast_of_kind[kind];
+        double total = 0.0, agree = 0.0, snr2 = 0.0;
+        if (kind == pad->pointer_kind) {
+            *e = p ? pointer_support(p->here, p->sigma, fit->paints[row], 1.0) : (edge_support){.likeness = 1.0};
+            continue;
+        }
+        for (int i = 0; i < cut->n; i++) {
+            const double covered = d->values[row][i], edge = covered * (1.0 - covered);
+            total += edge;
+            agree += edge * (d->weight[0][i] + d->weight[1][i] + d->weight[2][i]) / 3.0;
+        }
+        for (int c = 0; c < CHANNELS; c++) {
+            e->contrast_bgr[c] = fit->paints[row][c];
+            snr2 += fit->paints[row][c] * fit->paints[row][c] / fmax(fit->var_paints[row][c], 1e-12);
+        }
+        e->snr = sqrt(snr2), e->in_view = 1.0, e->likeness = 1.0;
+        e->inliers = total > 1e-6 ? fmin(1.0, agree / (MEAN_WEIGHT * total)) : 0.0;
+    }
+}
+
+/* Linearise and step until pose and blur rest; `s` is moved. */
+static int converge(const pad_shape *pad, const patch *cut, const fit_options *o, const solver *v, dense_rows *d, fit_state *s,
+                    dense_fit *fit, double *moved_px)
+{
+    double grown = 0.0;
+    *moved_px = INFINITY;
+    for (int n = 0; n < ROUNDS; n++) {
+        const int last = (n >= 1 && *moved_px < AT_REST_PX && grown < BLUR_AT_REST_PX) || n == ROUNDS - 1;
+        fit_state next;
+        if (!linearise_dense(pad, cut, s, o->dense_edge_sigma_px, n == 0, last, d, fit) ||
+            !step_state(v, s, fit->H, fit->g, STEP_PX, n > 0, &next, moved_px)) {
+            return 0;
+        }
+        grown = fabs(sigma_px(&next) - sigma_px(s));
+        *s = next;
+        if (last) {
+            break;
+        }
+    }
+    return 1;
+}
+
+int register_far(const view *v, const pad_shape *pad, const fit_options *o, const tilt_target *tilt, const fit_state *start, rows *r,
+                 fit_solved *out)
+{
+    patch cut;
+    dense_rows d;
+    dense_fit fit = {.noise = 0.0};
+    solver priors;
+    pointer seen;
+    fit_state s;
+    if (!take_dense_rows(r, &d) || !cut_patch(v, pad, start, 1.5 + 3.0 * sigma_px(start), (int)o->dense_pixels, r, d.values[0], &d.f, &cut, &s)) {
+        return 0;
+    }
+    begin_solver(&s, tilt, pad->disc_radius_m, &priors);
+    memset(out, 0, sizeof *out);
+    if (!converge(pad, &cut, o, &priors, &d, &s, &fit, &out->last_step_px) || !robust_information(&fit, out->H) ||
+        !covariance_of(&priors, &s, out->H, out->cov)) {
+        return 0;
+    }
+    out->dense = 1, out->doubted = fit.noise > NOISE_DOUBTED;
+    add_edges_off(&s, pad, o, out->doubted ? EDGE_DOUBTED_PX : 0.0, out->cov);
+    const int in_view = find_pointer(pad, &cut, &s, &fit, &d, &seen);
+    find_support(pad, &cut, &fit, &d, in_view ? &seen : NULL, out);
+    out->arrow_seen = in_view && stands_out(seen.here, seen.there, seen.sigma) && !out->doubted;
+    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+        out->visible += out->edges[kind].in_view / EDGE_KINDS;
+    }
+    out->inliers *= out->doubted ? 0.5 : 1.0;
+    out->noise_light = sqrt(fit.noise * 0.5 / NOISE_LEFT);
+    out->last_step_px *= cut.reduced;
+    out->state = restored(&s, cut.reduced, SMOOTHING_PX2);
+    return 1;
+}
+
+int is_opposite(const view *v, const pad_shape *pad, const fit_options *o, const fit_state *s, rows *r)
+{
+    patch cut;
+    dense_rows d;
+    dense_fit fit = {.noise = 0.0};
+    pointer seen;
+    fit_state coarse;
+    return take_dense_rows(r, &d) && cut_patch(v, pad, s, 3.0, (int)o->dense_pixels, r, d.values[0], &d.f, &cut, &coarse) &&
+           linearise_dense(pad, &cut, &coarse, o->dense_edge_sigma_px, 1, 0, &d, &fit) &&
+           find_pointer(pad, &cut, &coarse, &fit, &d, &seen) && stands_out(seen.there, seen.here, seen.sigma);
+}

@@ -1,0 +1,106 @@
+"""The pad's drawing as the native core reads it: regions bounded by circles, rectangles and a wedge.
+
+The core knows no pad: what it registers is this data.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+from estimator.core.records import record
+from estimator.vision.drawing import EdgeKind
+from estimator.vision.pad import Pad
+
+_STRIPS = 6
+_DISC, _RING, _H = 0, 1, 2
+"""Indices of the regions as painted; the rim, if there is one, is the last."""
+_SURROUNDINGS = -1
+_H_FIGURE, _ARROW_FIGURE, _NO_FIGURE = 0, 1, -1
+
+
+@lru_cache(maxsize=8)
+def pad_shape(pad: Pad) -> F64:
+    """Return the words of the core's `pad_shape`; the result is cached."""
+    field_m = pad.disc_radius_m - pad.rim_width_m
+    disc, h = _region((field_m,)), _region((), _H_FIGURE)
+    ring = (pad.ring_outer_m, pad.ring_inner_m)
+    contrasts = [disc, _region(ring, _ARROW_FIGURE), h]
+    if pad.rim_width_m:
+        contrasts.append(_region((pad.disc_radius_m, field_m)))
+    return record("pad_shape", {
+        "contrast_count": len(contrasts), "pointer_kind": EdgeKind.ARROW, "pointer_contrast": _RING,
+        "pointer_figure": _ARROW_FIGURE, "lies_on": (_SURROUNDINGS, _DISC, _DISC, _SURROUNDINGS),
+        "contrast_of_kind": (_DISC, _RING, _RING, _H),
+        "disc_radius_m": pad.disc_radius_m, "half_length_m": 0.5 * pad.h_length_m, "pointer_clear_m": pad.ring_inner_m,
+        "contrasts": contrasts, "kinds": [disc, _region(ring), _region(ring, has_wedge=True), h],
+        "figures": [_h_figure(pad), _arrow_figure(pad)], "wedge": _arrow_wedge(pad),
+    })  # fmt: skip
+
+
+def _region(radii_m: Sequence[float], figure: int = _NO_FIGURE, has_wedge: bool = False) -> dict[str, Any]:
+    """Return a region within the first circle and outside of the second, with what else belongs to it."""
+    return {
+        "circles": len(radii_m), "radius_m": radii_m, "sign": (1.0, -1.0)[: len(radii_m)], "figure": figure,
+        "has_wedge": has_wedge,
+    }  # fmt: skip
+
+
+def _figure(rectangles: Sequence[tuple[float, float, float, float]]) -> dict[str, Any]:
+    """Return a figure of rectangles (x0, x1, y0, y1) that do not overlap."""
+    sides = np.array(rectangles)
+    x_m, y_m = np.unique(sides[:, :2]), np.unique(sides[:, 2:])
+    x, y = np.searchsorted(x_m, sides[:, :2]), np.searchsorted(y_m, sides[:, 2:])
+    return {
+        "rectangles": len(sides), "x_cuts": len(x_m), "y_cuts": len(y_m), "x_m": x_m, "y_m": y_m,
+        "x0": x[:, 0], "x1": x[:, 1], "y0": y[:, 0], "y1": y[:, 1],
+    }  # fmt: skip
+
+
+def _h_figure(pad: Pad) -> dict[str, Any]:
+    length, bar, outer = 0.5 * pad.h_length_m, 0.5 * pad.bar_width_m, 0.5 * pad.h_width_m
+    inner = outer - pad.leg_width_m
+    return _figure([(-length, length, -outer, -inner), (-length, length, inner, outer), (-bar, bar, -inner, inner)])
+
+
+def _arrow_figure(pad: Pad) -> dict[str, Any]:
+    """Return the arrowhead beyond the ring where the blur is not small compared with it, as strips along x.
+
+    A product of blurred sides is valid only while each side is blurred separately. Strips between an arc and a slanted side are
+    exact in the limit of many; a few leave steps far finer than the blur.
+    """
+    slope = pad.arrow_half_base_m / pad.arrow_depth_m
+    base = pad.arrow_tip_m - pad.arrow_depth_m
+
+    def extent(y: F64) -> tuple[F64, F64]:
+        end = pad.arrow_tip_m - np.abs(y) / slope
+        return np.maximum(base, np.sqrt(np.maximum(pad.ring_outer_m**2 - y * y, 0.0))), end
+
+    fine = np.linspace(0.0, pad.arrow_half_base_m, 1001)
+    begin, end = extent(fine)
+    half = float(fine[np.nonzero(end > begin)[0][-1]])
+    borders = np.linspace(0.0, half, _STRIPS // 2 + 1)
+    inner = borders[:-1, None] + (np.arange(20) + 0.5) / 20 * (borders[1] - borders[0])
+    begin, end = (x.mean(axis=1).tolist() for x in extent(inner))
+    strips = list(zip(begin, end, borders[:-1].tolist(), borders[1:].tolist(), strict=True))
+    return _figure([*strips, *((x0, x1, -y1, -y0) for x0, x1, y0, y1 in strips)])
+
+
+def _arrow_wedge(pad: Pad) -> dict[str, Any]:
+    """Return the arrowhead beyond the ring where the blur is small compared with it: two sides and the base."""
+    slant = math.hypot(pad.arrow_half_base_m, pad.arrow_depth_m)
+    along, aside = pad.arrow_half_base_m / slant, pad.arrow_depth_m / slant
+    base = pad.arrow_tip_m - pad.arrow_depth_m
+    if math.hypot(base, pad.arrow_half_base_m) <= pad.ring_outer_m:
+        # The ring hides the base, and a blurred base would reduce the part beyond the ring. The base is cut where the ring covers
+        # it all.
+        base = 0.5 * pad.arrow_tip_m
+    return {
+        "sides": 3, "nx": (along, along, -1.0), "ny": (aside, -aside, 0.0), "beyond_m": pad.ring_outer_m,
+        "offset_m": (along * pad.arrow_tip_m, along * pad.arrow_tip_m, -base),
+    }  # fmt: skip

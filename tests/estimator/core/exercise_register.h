@@ -1,0 +1,169 @@
+/* Registration of pads of many sizes in pictures of them: drawn sharp, in noise, in the dark, half hidden, or not there. */
+
+static void circle_region(pad_region *region, double inner_m, double outer_m)
+{
+    region->circles = inner_m > 0.0 ? 2 : 1, region->figure = -1;
+    region->radius_m[0] = outer_m, region->radius_m[1] = inner_m;
+    region->sign[0] = 1.0, region->sign[1] = -1.0;
+}
+
+static void rectangle(pad_figure *figure, int index, int x0, int x1, int y0, int y1)
+{
+    figure->rectangles = index + 1;
+    figure->x0[index] = x0, figure->x1[index] = x1, figure->y0[index] = y0, figure->y1[index] = y1;
+}
+
+/* A disc with a ring, a cross and a pointer, with a rim or without one, of any size. */
+static void some_pad(pad_shape *pad, double size, int with_rim)
+{
+    const double cuts[4] = {-0.3, -0.1, 0.1, 0.3}, tip[3] = {0.66, 0.71, 0.76}, side[3] = {-0.1, 0.0, 0.1};
+    memset(pad, 0, sizeof *pad);
+    pad->contrast_count = 3 + with_rim, pad->pointer_kind = 2, pad->pointer_contrast = 1, pad->pointer_figure = 1;
+    for (int k = 0; k < PAD_CONTRASTS; k++) {
+        pad->lies_on[k] = k == 0 || k == 3 ? -1 : 0;
+        pad->contrast_of_kind[k] = k < 2 ? k : k - 1;
+    }
+    pad->disc_radius_m = size, pad->half_length_m = 0.3 * size, pad->pointer_clear_m = 0.6 * size;
+    circle_region(&pad->contrasts[0], 0.0, (with_rim ? 0.92 : 1.0) * size), circle_region(&pad->contrasts[1], 0.6 * size, 0.66 * size);
+    circle_region(&pad->contrasts[3], 0.92 * size, size);
+    pad->contrasts[1].figure = 1, pad->contrasts[2].figure = 0;
+    for (int k = 0; k < 4; k++) {
+        pad->figures[0].x_m[k] = pad->figures[0].y_m[k] = cuts[k] * size;
+        pad->figures[1].x_m[k] = tip[k % 3] * size, pad->figures[1].y_m[k] = side[k % 3] * size;
+    }
+    pad->figures[0].x_cuts = pad->figures[0].y_cuts = 4, pad->figures[1].x_cuts = pad->figures[1].y_cuts = 3;
+    rectangle(&pad->figures[0], 0, 0, 3, 0, 1), rectangle(&pad->figures[0], 1, 0, 3, 2, 3), rectangle(&pad->figures[0], 2, 1, 2, 1, 2);
+    rectangle(&pad->figures[1], 0, 0, 2, 0, 1), rectangle(&pad->figures[1], 1, 0, 1, 1, 2);
+    pad->kinds[0] = pad->contrasts[0], pad->kinds[3] = pad->contrasts[2];
+    circle_region(&pad->kinds[1], 0.6 * size, 0.66 * size), circle_region(&pad->kinds[2], 0.6 * size, 0.66 * size);
+    pad->kinds[2].has_wedge = 1;
+    pad->wedge.sides = 3, pad->wedge.beyond_m = 0.66 * size;
+    for (int k = 0; k < 3; k++) {
+        pad->wedge.nx[k] = k < 2 ? 0.7071 : -1.0, pad->wedge.ny[k] = k < 2 ? 0.7071 - 1.4142 * k : 0.0;
+        pad->wedge.offset_m[k] = (k < 2 ? 0.7071 * 0.78 : -0.4) * size;
+    }
+}
+
+static void some_camera(camera_lens *camera, int h, int w, double focal_px, int distorted)
+{
+    memset(camera, 0, sizeof *camera);
+    camera->width = w, camera->height = h, camera->distorted = distorted;
+    camera->fx = focal_px, camera->fy = 1.01 * focal_px, camera->cx = 0.5 * w - 0.3, camera->cy = 0.5 * h + 0.2;
+    camera->distortion[0] = distorted ? -0.1 : 0.0, camera->distortion[2] = distorted ? 0.001 : 0.0;
+    camera->R_body_cam[1] = -1.0, camera->R_body_cam[3] = 1.0, camera->R_body_cam[8] = 1.0;
+}
+
+static int in_figure(const pad_figure *figure, double x, double y)
+{
+    for (int r = 0; r < figure->rectangles; r++) {
+        if (x > figure->x_m[figure->x0[r]] && x < figure->x_m[figure->x1[r]] && y > figure->y_m[figure->y0[r]] &&
+            y < figure->y_m[figure->y1[r]]) {
+            return 1;
+        }
+    }
+    return 0;
+}
+
+/* The paint at a point of the pad's plane: 0 for the surroundings, else the region plus one. */
+static int paint_of(const pad_shape *pad, double x, double y)
+{
+    const double r = sqrt(x * x + y * y), ring = pad->contrasts[1].radius_m[0], hole = pad->contrasts[1].radius_m[1];
+    if (in_figure(&pad->figures[0], x, y)) {
+        return 3;
+    }
+    if ((r < ring && r > hole) || in_figure(&pad->figures[1], x, y)) {
+        return 2;
+    }
+    return r < pad->contrasts[0].radius_m[0] ? 1 : r < pad->disc_radius_m ? 4 : 0;
+}
+
+/* A picture of the pad at `height_m` below, each pixel the mean of nine rays. `kind` says what is wrong with it. */
+static uint8_t *picture(const camera_lens *camera, const pad_shape *pad, double height_m, int kind)
+{
+    static const int colours[5][3] = {{120, 118, 115}, {20, 110, 30}, {20, 90, 210}, {230, 235, 240}, {40, 30, 200}};
+    const int w = (int)camera->width, h = (int)camera->height;
+    uint8_t *frame = malloc((size_t)(3 * w * h));
+    for (int i = 0; i < w * h; i++) {
+        double sum[3] = {0.0, 0.0, 0.0};
+        for (int k = 0; k < 9; k++) {
+            const double x = (i % w + (k % 3 - 1) / 3.0 - camera->cx) / camera->fx * height_m;
+            const double y = (i / w + (k / 3 - 1) / 3.0 - camera->cy) / camera->fy * height_m;
+            const int paint = kind % 4 == 3 && x > 0.1 * pad->disc_radius_m ? 0 : paint_of(pad, x, y);
+            for (int c = 0; c < 3; c++) {
+                sum[c] += colours[paint][c] / 9.0;
+            }
+        }
+        for (int c = 0; c < 3; c++) {
+            const double lit = kind % 4 == 2 ? sum[c] + 200.0 * (i % w > w / 2) : kind % 8 == 5 ? 0.04 * sum[c] : sum[c];
+            const double seen = lit + (kind % 4 == 1 ? 60.0 : 2.0) * uniform();
+            frame[3 * i + c] = (uint8_t)(seen < 0.0 ? 0.0 : seen > 255.0 ? 255.0 : seen);
+        }
+    }
+    return frame;
+}
+
+static double *rays_of(const camera_lens *camera)
+{
+    const int w = (int)camera->width, n = w * (int)camera->height;
+    double *rays = malloc((size_t)n * 2 * sizeof *rays);
+    for (int i = 0; i < n; i++) {
+        rays[2 * i] = (i % w - camera->cx) / camera->fx, rays[2 * i + 1] = (i / w - camera->cy) / camera->fy;
+    }
+    return rays;
+}
+
+/* About as the pad is seen in the picture, or anything. */
+static void some_state(fit_state *s, const camera_lens *camera, double height_m, double off)
+{
+    memset(s, 0, sizeof *s);
+    for (int i = 0; i < 3; i++) {
+        s->t[i] = off * height_m / camera->fx * uniform() + (i == 2 ? height_m : 0.0);
+        s->R[4 * i] = 1.0;
+        s->blur_px2[i] = i == 1 ? 0.0 : 0.5;
+    }
+    s->depth_m = height_m, s->m_per_px = height_m / camera->fx;
+    poisoned(s->R, 9), poisoned(s->t, 3), poisoned(s->blur_px2, 3), poisoned(&s->depth_m, 1);
+}
+
+static void fold_solved(const fit_solved *s)
+{
+    fold(s->state.t, 3), fold(s->state.blur_px2, 3), fold(&s->noise_light, 1), fold(&s->inliers, 1), fold(s->edges[0].contrast_bgr, 3);
+}
+
+static void registrations(int count)
+{
+    const double sizes[] = {0.4, 0.1, 3.0};
+    float *light = malloc(256 * sizeof *light);
+    for (int i = 0; i < 256; i++) {
+        light[i] = (float)(i * i) / 65025.0f;
+    }
+    for (int i = 0; i < count; i++) {
+        const int kind = fuzzed ? draw() : i, h = 20 + draw() % 50, w = 20 + draw() % 60;
+        camera_lens camera;
+        pad_shape pad;
+        fit_options o = {.max_profiles = 10 + draw() % 120, .dense_pixels = 40 + draw() % 2000, .blur_px = 0.6, .edge_sigma_px = 0.004};
+        fit_state start;
+        fit_solved *found = calloc(1, sizeof *found);
+        tilt_prior prior = {.given = kind % 2, .sigma_deck_rad = 0.03, .cov_tilt = {1e-4, 0.0, 0.0, 1e-4}};
+        const int32_t room = (int32_t)((o.dense_pixels + 15) / 16 * 16);
+        float *scratch = malloc((size_t)room * FIT_ROWS * sizeof *scratch);
+        some_camera(&camera, h, w, 20.0 + draw() % 60, kind % 5 == 0);
+        some_pad(&pad, sizes[kind % 3], kind % 2);
+        const double height_m = pad.disc_radius_m * camera.fx / (4.0 + draw() % (w / 2));
+        uint8_t *frame = picture(&camera, &pad, height_m, kind);
+        double *rays = camera.distorted ? rays_of(&camera) : NULL;
+        o.dense_edge_sigma_px = 0.01;
+        some_state(&start, &camera, height_m, kind % 7 == 0 ? 5.0 : 0.4);
+        poisoned(&prior.roll_rad, 1), poisoned(prior.cov_tilt, 4);
+        if (register_dense(&camera, rays, frame, light, &pad, &prior, &o, &start, room, scratch, found)) {
+            fold_solved(found);
+        }
+        found->noise_light = register_opposite(&camera, rays, frame, light, &pad, &o, &start, room, scratch);
+        fold(&found->noise_light, 1);
+        void *all[] = {found, scratch, frame, rays};
+        for (size_t k = 0; k < sizeof all / sizeof *all; k++) {
+            free(all[k]);
+        }
+    }
+    free(light);
+}
