@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
@@ -15,8 +15,7 @@ _APART_S = 0.1
 """Time between two samples beyond which their difference says nothing about the rate at the newer one."""
 
 
-@dataclass(frozen=True, slots=True)
-class AttitudeHistory:
+class AttitudeHistory(Struct, frozen=True):
     """Recent attitudes, oldest first, bounded by `span_s`."""
 
     span_s: float = 1.0

@@ -8,9 +8,8 @@ comparison.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 
-from msgspec import structs
+from msgspec import Struct, field, structs
 
 from estimator import dead_reckoning, ekf, filters, integrity
 from estimator.attitude_history import AttitudeHistory
@@ -24,8 +23,7 @@ from estimator.options import EstimatorOptions
 from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
 
 
-@dataclass(frozen=True, slots=True)
-class Memory:
+class Memory(Struct, frozen=True):
     """The state of the whole estimator. Immutable."""
 
     options: EstimatorOptions
@@ -49,7 +47,7 @@ def start(options: EstimatorOptions, shadows: Sequence[PathName] = ()) -> Memory
 def on_frame(memory: Memory, frame: Frame) -> tuple[Memory, Verdict | None]:
     """Check one frame before vision processes it; return REPEATED if it shows nothing new, else None."""
     guard, verdict = integrity.admit_frame(memory.guard, frame)
-    return replace(memory, guard=guard), verdict
+    return structs.replace(memory, guard=guard), verdict
 
 
 def step(memory: Memory, event: Event) -> tuple[Memory, tuple[FusionResult, ...]]:
@@ -94,7 +92,7 @@ def _sighted(memory: Memory, sighting: Sighting) -> tuple[Memory, tuple[FusionRe
         before = memory.paths[0].at(sighting.stamp.measured_at)
         guard, refusal = integrity.admit_sighting(guard, sighting, attitude, before)
     if refusal is not None:
-        return replace(memory, guard=guard), _refused(memory, sighting, refusal)
+        return structs.replace(memory, guard=guard), _refused(memory, sighting, refusal)
     paths, results = zip(*[path.step(sighting) for path in memory.paths], strict=True)
     if results[0].verdict is Verdict.FUSED:
         guard = integrity.fused(guard, sighting, attitude)
@@ -117,7 +115,7 @@ def steer_by(memory: Memory, name: PathName) -> Memory:
     """
     chosen = next((path for path in memory.paths if path.name == name), None) or _path(name, memory.options)
     others = tuple(path for path in memory.paths if path.name != name)
-    return replace(memory, options=structs.replace(memory.options, path=name), paths=(chosen, *others))
+    return structs.replace(memory, options=structs.replace(memory.options, path=name), paths=(chosen, *others))
 
 
 def belief(memory: Memory, now: MonoNs) -> RelativeState | None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from enum import Enum
 from typing import Any
 
@@ -253,7 +252,7 @@ class Pilot:
             self._response.retune(guidance)
         self._guidance = guidance
         options = structs.replace(self._memory.options, min_confidence=min_confidence, max_delay_s=max_delay_s)
-        self._memory = replace(self._memory, options=options)
+        self._memory = structs.replace(self._memory, options=options)
 
     def belief(self, now: MonoNs) -> RelativeState | None:
         """Return the estimate to steer by; it is marked inconsistent while nobody has agreed to land on the pad it refers to."""

@@ -66,8 +66,7 @@ class IntegrityAlert(Enum):
     HEIGHT = "the barometer contradicts the camera"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Feature:
+class Feature(Struct, frozen=True, eq=False):
     """A feature that a method detected, in pixels, for display and recording; no estimate is computed from it."""
 
     kind: Literal["ellipse", "point", "line", "outline"]

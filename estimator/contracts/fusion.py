@@ -7,8 +7,9 @@ The words are those of PX4's topics `estimator_innovations`, `estimator_innovati
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
+
+from msgspec import Struct
 
 from estimator.contracts.estimates import PathName, Sighting, Verdict
 from estimator.contracts.geometry import F64
@@ -45,8 +46,7 @@ POSE_COMPONENTS = ("x_m", "y_m", "z_m", "rotation_x_rad", "rotation_y_rad", "rot
 """The components of a sighting whose whole pose was compared: the last three are a small rotation in `level`."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FusionResult:
+class FusionResult(Struct, frozen=True, eq=False):
     """The result of one measurement in one path of the estimator."""
 
     path: PathName

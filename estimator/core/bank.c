@@ -39,11 +39,19 @@ int member_pair(int i, int j)
     return i <= j ? i * (2 * STATES - 1 - i) / 2 + j : j * (2 * STATES - 1 - j) / 2 + i;
 }
 
+/* Whether a member's oscillator is that of the member before: they differ in size alone, which no transition depends on. */
+static int moves_alike(const bank_members *m, int g)
+{
+    return g > 0 && m->w[g] == m->w[g - 1] && m->zeta[g] == m->zeta[g - 1];
+}
+
 static void step_members(const bank_members *m, double T, member_step *s)
 {
+    double A[4][4] = {{0.0}}, q[4][4] = {{0.0}};
     for (int g = 0; g < MEMBERS; g++) {
-        double A[4][4], q[4][4];
-        oscillator_transition(m->w[g], m->zeta[g], T, A, q);
+        if (!moves_alike(m, g)) {
+            oscillator_transition(m->w[g], m->zeta[g], T, A, q);
+        }
         s->one[g] = 1.0;
         s->dt[g] = T;
         s->half[g] = 0.5 * T * T;
@@ -311,9 +319,11 @@ static void forecast_and_compare(const bank_members *m, sea *s, int64_t t)
         }
     }
     for (int h = 0; h < SKILL_HORIZONS; h++) {
+        double A[4][4] = {{0.0}}, q[4][4];
         for (int g = 0; g < MEMBERS; g++) {
-            double A[4][4], q[4][4];
-            oscillator_transition(m->w[g], m->zeta[g], SKILL_HORIZONS_S[h], A, q);
+            if (!moves_alike(m, g)) {
+                oscillator_transition(m->w[g], m->zeta[g], SKILL_HORIZONS_S[h], A, q);
+            }
             for (int k = 0; k < DIRECTIONS; k++) {
                 const double *x = s->x + k * STATES * MEMBERS + g;
                 for (int r = 0; r < 2; r++) {

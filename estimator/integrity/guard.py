@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64
@@ -18,8 +20,7 @@ _OLD_NS = 1_000_000_000
 _UNSEEN = sensors.SensorWatch()
 
 
-@dataclass(frozen=True, slots=True)
-class IntegrityGuard:
+class IntegrityGuard(Struct, frozen=True):
     """The state of all checks. Immutable."""
 
     options: IntegrityOptions = field(default_factory=IntegrityOptions)

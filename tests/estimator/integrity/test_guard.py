@@ -1,11 +1,11 @@
 """The guard: each input meets its watches in turn, a refusal leaves the later ones untouched, and every alert is raised."""
 
 import math
-from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import Rotation
