@@ -31,7 +31,8 @@ from estimator.contracts.samples import Attitude  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.detect.acquire import PadCandidate, acquire  # noqa: E402
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align  # noqa: E402
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align  # noqa: E402
+from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
 from estimator.vision.detect.verification import keeps_claim  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402

@@ -27,7 +27,8 @@ sys.path.insert(0, str(ROOT))
 from estimator.contracts.samples import Attitude  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.detect.acquire import acquire  # noqa: E402
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align  # noqa: E402
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align  # noqa: E402
+from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
 from estimator.vision.detect.verification import FEATURES, keeps_claim  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402

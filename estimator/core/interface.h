@@ -62,6 +62,44 @@
 #define FIGURE_RECTANGLES 8
 #define WEDGE_SIDES 4
 #define FIT_ROWS 136
+#define FRAME_LEVELS 5
+#define TEMPLATE_BLURS 5
+#define TEMPLATE_ONE 16384
+#define LOCAL_MAX 128
+#define SAMPLE_LANES 8
+#define SCRATCH_ROWS 35
+#define FEATURES 31
+#define FEATURE_ONE 0
+#define FEATURE_H_MARKING 1
+#define FEATURE_RING 2
+#define FEATURE_EDGE 3
+#define FEATURE_H_MARKING_ALL 4
+#define FEATURE_RING_ALL 5
+#define FEATURE_EDGE_ALL 6
+#define FEATURE_H_AND_RING 7
+#define FEATURE_H_AND_EDGE 8
+#define FEATURE_RING_AND_EDGE 9
+#define FEATURE_TWO_OF_THREE 10
+#define FEATURE_SOME_RING 11
+#define FEATURE_SOME_EDGE 12
+#define FEATURE_SOME_TWO 13
+#define FEATURE_H_ALONE 14
+#define FEATURE_NO_H 15
+#define FEATURE_NO_RING 16
+#define FEATURE_NO_EDGE 17
+#define FEATURE_RING_LAGS 18
+#define FEATURE_FLANKS 19
+#define FEATURE_ARROW 20
+#define FEATURE_NO_ARROW 21
+#define FEATURE_TEMPLATE_GAIN 22
+#define FEATURE_INLIERS 23
+#define FEATURE_WHITE 24
+#define FEATURE_ORANGE_PLACE 25
+#define FEATURE_ORANGE_ODD 26
+#define FEATURE_DISC_PLACE 27
+#define FEATURE_SIZE 28
+#define FEATURE_IN_VIEW 29
+#define FEATURE_TILT 30
 #define GAIN_ONE 16384
 #define SCENE_ONE 32768
 #define CELL_PX 8
@@ -429,6 +467,63 @@ typedef struct {
 } fit_solved;
 
 typedef struct {
+    int64_t level;
+    int64_t left;
+    int64_t top;
+    int64_t width;
+    int64_t height;
+} frame_part;
+
+typedef struct {
+    double R[9];
+    double t[3];
+} pad_pose;
+
+typedef struct {
+    int64_t n;
+    int64_t disc_channel;
+    int64_t arrow_rows;
+    int64_t arrow_columns;
+    double per_m;
+    double log_blur[5];
+    double local_m;
+    double reach_m;
+    double disc_radius_m;
+    double disc_edge_m;
+    double h_half_length_m;
+    double h_half_width_m;
+    double ring_inner_m;
+    double ring_outer_m;
+    double arrow_tip_m;
+    double arrow_depth_m;
+    double arrow_half_base_m;
+    double arrow_margin_m;
+    double arrow_pitch_m;
+    double orange_place[3];
+} pad_template;
+
+typedef struct {
+    int64_t steps;
+    int64_t local;
+    int64_t one_side;
+    double sigma_tilt_rad;
+    double side[2];
+} alignment;
+
+typedef struct {
+    double paints[12];
+    double local_paints[12];
+    double sample_m;
+    double in_view;
+    double tilt_sigmas;
+    double arrow[6];
+    double features[31];
+    double light_n[4];
+    double light_mean[12];
+    double light_var[12];
+} aligned_pad;
+
+typedef struct {
     double p[3];
     double v[3];
     double R[9];
@@ -647,6 +742,15 @@ typedef struct {
     double phase_rad;
 } wave;
 
+/* align_fit.c */
+int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part, const uint8_t *arrow_px, int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, float *scratch, aligned_pad *out);
+
+/* align_move.c */
+int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const alignment *how, pad_pose *pose, double *tilt_sigmas, float *scratch);
+
+/* align_view.c */
+int32_t align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out);
+
 /* answer.c */
 void filter_answer(const filter_params *o, int64_t t, const belief *before, const double *P_before, answer *out);
 
@@ -716,7 +820,7 @@ void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea
 void vehicle_carry(vehicle *v, const deck *g);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 1132241991u
+#define INTERFACE_DIGEST 3545208321u
 #endif
 
 #endif

@@ -22,9 +22,10 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
 from estimator.vision.detect import verification
 from estimator.vision.detect.acquire import PadCandidate, acquire, align_at
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
+from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.fusion import agree, fuse
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
-from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, AlignedTemplate, Pyramid, align
+from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, AlignedTemplate, align
 from estimator.vision.detect.circles import Circle, Plane, circles, tolerance_of
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.paint import FRESH, PaintMemory
+from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.scan import Blob, Coarse, blobs, coarse, disc_regions, limits
 from estimator.vision.detect.strokes import h_markings
 from estimator.vision.detect.template import disc_edge_m
-from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, arrow_support, confidence, features
+from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, arrow_support, confidence
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 
@@ -183,7 +184,7 @@ def align_at(
         )
         if turned is not None:
             aligned, arrow = turned, arrow_support(turned)
-    values = features(aligned, pad)
+    values = aligned.features
     return PadCandidate(
         aligned.pose, confidence(values, ALONE_LOG_ODDS * alone(values)), arrow < _ARROW_SEEN, aligned.in_view, values, aligned
     )

@@ -24,11 +24,10 @@ FADING = 0.08
 """Fraction of the trust lost with each frame without the pad: full trust is lost in 28 frames."""
 TRUSTED = 0.10
 """Trust above which the memory is used: three confident frames."""
-_FLOOR = 0.01
-"""Light, as a fraction of full scale, below which there is only noise."""
 _BROAD = 1.0
 """Variance, in natural logarithms squared, of a paint that nothing is known about: a factor e either way."""
-_PURE, _ENOUGH = 0.85, 6
+_ENOUGH = 6
+"""Samples of a paint alone that a frame needs to change what is known of it."""
 _FARTHEST = 3.0
 """Limit, in standard deviations, on the change of a paint that one frame may cause; a larger change is clipped."""
 
@@ -70,21 +69,17 @@ def learn(memory: PaintMemory, aligned: AlignedTemplate, confidence: float) -> P
     """Return the memory after a frame in which the drawing was aligned with this confidence; a doubtful frame changes nothing."""
     if confidence < LEARNED_AT:
         return memory
-    light = np.log1p(np.maximum(aligned.light, 0.0) / _FLOOR)
-    mean, var = memory.mean.copy(), memory.var.copy()
-    first = memory.trust == 0.0
-    for k in range(4):
-        pure = (aligned.coverage[:, k] > _PURE) & (aligned.weight > 0.5)
-        if np.count_nonzero(pure) < _ENOUGH:
-            continue
-        seen, scatter = light[pure].mean(axis=0), light[pure].var(axis=0) + 0.03**2
-        if first:
-            mean[k], var[k] = seen, scatter
-            continue
-        reach = _FARTHEST * np.sqrt(var[k])
-        step = np.clip(seen - mean[k], -reach, reach)
-        mean[k] += RATE * step
-        var[k] += RATE * (scatter + step**2 - var[k])
+    light = aligned.light
+    shown = (light.samples >= _ENOUGH)[:, None]
+    scatter = light.var + 0.03**2
+    if memory.trust == 0.0:
+        mean, var = light.mean, scatter
+    else:
+        reach = _FARTHEST * np.sqrt(memory.var)
+        step = np.clip(light.mean - memory.mean, -reach, reach)
+        mean = memory.mean + RATE * step
+        var = memory.var + RATE * (scatter + step**2 - memory.var)
+    mean, var = np.where(shown, mean, memory.mean), np.where(shown, var, memory.var)
     return PaintMemory(mean, var, memory.trust + RATE * (1.0 - memory.trust))
 
 

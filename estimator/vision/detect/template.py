@@ -12,9 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from estimator.core.interface.eyes import TEMPLATE_ONE
+from estimator.core.records import record
 from estimator.vision.pad import Pad
+from estimator.vision.srgb import linear_light
 
 F32 = NDArray[np.float32]
+I16 = NDArray[np.int16]
 
 _NO_SECOND_MAP = np.empty(0, np.float32)
 
@@ -22,7 +26,7 @@ ANGLES = 48
 _RADII = 18
 _FINE = 4
 """Sub-samples per polar cell and axis: coverage to about 2 %."""
-_STEP_M = 0.004
+STEP_M = 0.004
 """Distance between samples of the maps: about a quarter of the ring's width."""
 BLURS_M = (0.005, 0.010, 0.020, 0.040, 0.080)
 """Standard deviations of the maps' blur. They match pixels from 0.7 m to 40 m away."""
@@ -32,6 +36,9 @@ narrower than glare and shadows.
 """
 REACH = 1.22
 """Extent of the maps, in radii of the disc."""
+
+_ARROW_PITCH_M, _ARROW_MARGIN_M = 0.008, 0.02
+"""Distance between samples about the arrowhead, and the width of the border around it."""
 
 H, ORANGE, DISC, AROUND = 0, 1, 2, 3
 """Order of the paints in maps and tables: the H, ring and arrowhead, the disc, the surroundings."""
@@ -101,41 +108,67 @@ def polar_drawing(pad: Pad) -> PolarDrawing:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Maps:
-    """Coverage by each paint over the pad's plane, blurred, and its gradient."""
+class Template:
+    """The drawing as the native core takes it: coverage by each paint over the pad's plane, blurred, and its lengths.
 
-    layers: F32
-    """Coverage by H, orange, disc and surroundings, then its derivatives along x (1/m), then along y: (n, n, 12), row by x,
-    column by y.
+    Maps are (`BLURS_M`, n, n, 4): row by x, column by y, the centre in the middle, full coverage is `TEMPLATE_ONE`.
     """
-    coverage: F32
-    """The coverage alone, (n, n, 4): a third of the memory to read if no gradients are needed."""
-    per_m: float
-    centre: float
-    """Index of the pad's centre, in rows and columns."""
+
+    coverage: I16
+    """Coverage by H, orange, disc and surroundings."""
+    local: I16
+    """Coverage minus its mean in the neighbourhood (`LOCAL_M`)."""
+    words: F64
+    """The structure `pad_template`."""
 
 
-@lru_cache(maxsize=16)
-def maps(pad: Pad, local: bool = False) -> tuple[Maps, ...]:
-    """Return one `Maps` for each of `BLURS_M`.
+@lru_cache(maxsize=8)
+def template(pad: Pad) -> Template:
+    """Return the `Template` of a pad."""
+    sharp = _sharp(pad)
+    coverage, local = (np.empty((len(BLURS_M), *sharp.shape), np.int16) for _ in range(2))
+    for k, blur_m in enumerate(BLURS_M):
+        blurred = _blurred(sharp, blur_m)
+        coverage[k] = np.rint(blurred * TEMPLATE_ONE)
+        local[k] = np.rint((blurred - _blurred(blurred, LOCAL_M)) * TEMPLATE_ONE)
+    for maps in (coverage, local):
+        maps.setflags(write=False)
+    return Template(coverage, local, _packed(pad, len(sharp)))
 
-    With `local` they hold coverage minus its mean in the neighbourhood (`LOCAL_M`).
-    """
-    half = math.ceil(REACH * pad.disc_radius_m / _STEP_M)
+
+def _sharp(pad: Pad) -> F32:
+    """Return the (n, n, 4) coverage by each paint, without blur."""
+    half = math.ceil(REACH * pad.disc_radius_m / STEP_M)
     n = 2 * half + 1
-    fine = (np.arange(3 * n) - (3 * n - 1) / 2) * _STEP_M / 3
+    fine = (np.arange(3 * n) - (3 * n - 1) / 2) * STEP_M / 3
     gx, gy = np.meshgrid(fine, fine, indexing="ij")
     h_marking, ring, arrow, disc = paints_at(np.stack([gx.ravel(), gy.ravel()], axis=1), pad)
     flat = np.stack([h_marking, ring | arrow, disc, ~(h_marking | ring | arrow | disc)], axis=1).astype(np.float32)
-    sharp = flat.reshape(n, 3, n, 3, 4).mean(axis=(1, 3))
-    out = []
-    for blur_m in BLURS_M:
-        coverage = _blurred(sharp, blur_m)
-        if local:
-            coverage = coverage - _blurred(coverage, LOCAL_M)
-        layers = np.concatenate([coverage, *np.gradient(coverage, _STEP_M, axis=(0, 1))], axis=2).astype(np.float32)
-        out.append(Maps(layers, coverage, 1.0 / _STEP_M, float(half)))
-    return tuple(out)
+    return np.asarray(flat.reshape(n, 3, n, 3, 4).mean(axis=(1, 3)))
+
+
+def _packed(pad: Pad, n: int) -> F64:
+    rows, columns = (
+        math.ceil((length_m + 2.0 * _ARROW_MARGIN_M) / _ARROW_PITCH_M - 1e-9)
+        for length_m in (pad.arrow_depth_m, 2.0 * pad.arrow_half_base_m)
+    )
+    words = record("pad_template", {
+        "n": n, "disc_channel": 2 - int(np.argmax(pad.colours.disc)), "arrow_rows": rows, "arrow_columns": columns + 1,
+        "per_m": 1.0 / STEP_M, "log_blur": np.log(BLURS_M), "local_m": LOCAL_M, "reach_m": REACH * pad.disc_radius_m,
+        "disc_radius_m": pad.disc_radius_m, "disc_edge_m": disc_edge_m(pad),
+        "h_half_length_m": pad.h_length_m / 2, "h_half_width_m": pad.h_width_m / 2,
+        "ring_inner_m": pad.ring_inner_m, "ring_outer_m": pad.ring_outer_m,
+        "arrow_tip_m": pad.arrow_tip_m, "arrow_depth_m": pad.arrow_depth_m, "arrow_half_base_m": pad.arrow_half_base_m,
+        "arrow_margin_m": _ARROW_MARGIN_M, "arrow_pitch_m": _ARROW_PITCH_M, "orange_place": _orange_place(pad),
+    })  # fmt: skip
+    words.setflags(write=False)
+    return words
+
+
+def _orange_place(pad: Pad) -> F64:
+    """Return the (3,) nominal place of the orange between disc (0) and H (1), by square roots of light in blue, green, red."""
+    white, orange, green = (np.sqrt(linear_light(rgb[::-1])) for rgb in (pad.colours.h, pad.colours.ring, pad.colours.disc))
+    return np.asarray((orange - green) / (white - green))
 
 
 def sampled(image: NDArray[Any], at: F32) -> NDArray[Any]:
@@ -147,4 +180,4 @@ def sampled(image: NDArray[Any], at: F32) -> NDArray[Any]:
 
 
 def _blurred(coverage: F32, sigma_m: float) -> F32:
-    return np.asarray(cv2.GaussianBlur(coverage, (0, 0), sigma_m / _STEP_M, borderType=cv2.BORDER_REPLICATE), np.float32)
+    return np.asarray(cv2.GaussianBlur(coverage, (0, 0), sigma_m / STEP_M, borderType=cv2.BORDER_REPLICATE), np.float32)

@@ -66,7 +66,7 @@ def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
     Args:
         aligned: the drawing aligned at the registered pose.
     """
-    values = verification.features(aligned, pad)
+    values = aligned.features
     template_score = verification.log_odds(values)
     kinds = (EdgeKind.DISC, EdgeKind.RING, EdgeKind.H)
     shown = {kind: min(1.0, _TELLING * found.edges[kind].in_view) for kind in kinds}

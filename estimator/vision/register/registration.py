@@ -24,7 +24,8 @@ from estimator.core.interface import places_of, size_of
 from estimator.core.library import CORE, address
 from estimator.core.records import record
 from estimator.vision.camera import Camera
-from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, Pyramid, approach
+from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, approach
+from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose

@@ -262,11 +262,12 @@ static void gate(int m, double poison)
 #include "exercise_register.h"
 #include "exercise_render.h"
 #include "exercise_sim.h"
+#include "exercise_align.h"
 
 static void fuzz_one(const uint8_t *bytes, size_t size)
 {
     begin(bytes, size);
-    const int what = fuzzed_byte() % 6;
+    const int what = fuzzed_byte() % 7;
     if (what == 0) {
         const int n = 1 + draw() % ORDER_MAX, m = 1 + draw() % ROWS_MAX;
         algebra(n, m, 1.0);
@@ -279,6 +280,8 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
         scenes(1);
     } else if (what == 5) {
         registrations(1);
+    } else if (what == 6) {
+        alignments(1);
     } else {
         sail(draw() % 7, 1 + draw() % 200, 1.0);
     }
@@ -342,6 +345,8 @@ int main(int count, char **files)
            "render_mix render_image render_frame render_blur");
     registrations(60);
     report("register_dense register_opposite");
+    alignments(40);
+    report("align_view align_move align_fit");
     simulator();
     report("vehicle_step vehicle_carry sim_run sensors_read");
     return 0;

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from estimator.vision.detect.coverage import uncovered
 from estimator.vision.detect.template import paints_at
 from estimator.vision.pad import Pad
+from tests.estimator.vision.oracle.coverage import uncovered
 
 PAINTS = np.array([[0.9, 0.9, 0.9], [0.1, 0.4, 0.9], [0.05, 0.4, 0.05], [0.4, 0.4, 0.4]], np.float32)
 

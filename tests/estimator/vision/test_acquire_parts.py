@@ -10,14 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.contracts.geometry import F64, Rotation
+from estimator.core.interface.eyes import TEMPLATE_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import circle_normals
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.circles import Plane, circles
 from estimator.vision.detect.heading import heading
+from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.scan import blobs, coarse, disc_regions, limits
 from estimator.vision.detect.strokes import h_markings
-from estimator.vision.detect.template import DISC, ORANGE, H, maps, paints_at, polar_drawing
+from estimator.vision.detect.template import DISC, ORANGE, STEP_M, H, paints_at, polar_drawing, template
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from sitl.light import Light
@@ -94,17 +96,15 @@ def test_points_on_a_line_or_none_at_all_make_no_circle() -> None:
 
 
 def test_shares_of_the_drawing_add_up_and_match_its_areas(pad: Pad) -> None:
-    for drawing in maps(pad):
-        assert np.allclose(drawing.coverage.sum(axis=2), 1.0, atol=1e-4)
-    cell = 1.0 / maps(pad)[0].per_m ** 2
-    area = maps(pad)[0].coverage.sum(axis=(0, 1)) * cell
+    drawn = template(pad)
+    assert np.abs(drawn.coverage.sum(axis=3) - TEMPLATE_ONE).max() <= 2, "rounded"
+    area = drawn.coverage[0].sum(axis=(0, 1)) / TEMPLATE_ONE * STEP_M**2
     h_marking = 2 * pad.h_length_m * pad.leg_width_m + pad.bar_length_m * pad.bar_width_m
     assert area[H] == pytest.approx(h_marking, rel=0.02)
     ring = math.pi * (pad.ring_outer_m**2 - pad.ring_inner_m**2)
     assert ring < area[ORANGE] < ring + pad.arrow_depth_m * pad.arrow_half_base_m
     assert area[DISC] == pytest.approx(math.pi * pad.disc_radius_m**2 - area[H] - area[ORANGE], rel=0.01)
-    for drawing in maps(pad, True):
-        assert np.abs(drawing.coverage.sum(axis=2)).max() < 1e-4, "less its neighbourhood"
+    assert np.abs(drawn.local.sum(axis=3)).max() <= 2, "less its neighbourhood"
     places = polar_drawing(pad).xy_m
     assert sum(m.sum() for m in paints_at(places, pad)) == np.count_nonzero(np.hypot(*places.T) <= pad.disc_radius_m)
 

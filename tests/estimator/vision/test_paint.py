@@ -9,8 +9,9 @@ import pytest
 
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import acquire
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, Pyramid, align
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, align
 from estimator.vision.detect.paint import FRESH, LEARNED_AT, PaintMemory, learn, missed
+from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.template import AROUND, DISC
 from estimator.vision.detect.verification import keeps_claim
 from estimator.vision.pad import Pad

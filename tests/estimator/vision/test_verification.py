@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from estimator.vision.camera import Camera
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, Pyramid, align
-from estimator.vision.detect.verification import FEATURES, arrow_support, confidence, features, keeps_claim
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, align
+from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.verification import FEATURES, arrow_support, confidence, keeps_claim
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from sitl.light import Light
@@ -23,7 +24,7 @@ def at(px: np.ndarray, camera: Camera, pad: Pad, pose: PadPose) -> AlignedTempla
 
 
 def named(aligned: AlignedTemplate, pad: Pad) -> dict[str, float]:
-    return dict(zip(FEATURES, features(aligned, pad).tolist(), strict=True))
+    return dict(zip(FEATURES, aligned.features.tolist(), strict=True))
 
 
 @pytest.mark.parametrize("height_m", [0.6, 1.5, 4.0])
@@ -53,11 +54,11 @@ def test_confidence_falls_with_every_part_that_is_missing(camera: Camera, pad: P
         covered(seen, camera, band, paint),
         covered(seen, camera, disc_of(0.31), paint),
     ]
-    values = [confidence(features(at(px, camera, pad, seen.truth), pad)) for px in images]
+    values = [confidence(at(px, camera, pad, seen.truth).features) for px in images]
     assert values[0] > 0.9
     assert max(values[1:]) < 0.5
     shifted = PadPose(seen.truth.R_cam_pad, seen.truth.t_cam_pad + np.array([0.05, 0.0, 0.0]))
-    assert confidence(features(at(seen.px, camera, pad, shifted), pad)) < 0.5
+    assert confidence(at(seen.px, camera, pad, shifted).features) < 0.5
 
 
 @pytest.mark.parametrize("light", [Light(3000.0), Light(9000.0), Light(white_balance=(1.2, 1.0, 0.8)), Light(exposure_ev=-2.0)])
@@ -85,7 +86,7 @@ def test_features_are_finite_on_anything(camera: Camera, pad: Pad) -> None:
     shape = (camera.height, camera.width, 3)
     pose = shown(camera, pad, 1.0).truth
     for px in (np.zeros(shape), np.full(shape, 255), rng.integers(0, 256, shape)):
-        values = features(at(px.astype(np.uint8), camera, pad, pose), pad)
+        values = at(px.astype(np.uint8), camera, pad, pose).features
         assert np.all(np.isfinite(values))
         assert confidence(values) < 0.2
 

@@ -10,7 +10,8 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import acquire
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
+from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation

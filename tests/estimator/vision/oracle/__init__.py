@@ -1,1 +1,1 @@
-"""Registration in numpy, as it flew before the native core: the oracle that the core's is held to."""
+"""Vision in numpy, as it flew before the native core: the oracle that the core's is held to."""

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.vision.detect.template import F32
 from estimator.vision.pad_pose import PadPose
+from tests.estimator.vision.oracle.template import F32
 
 _SECTORS = 8
 _ENOUGH = 650

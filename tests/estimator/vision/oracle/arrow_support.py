@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
-from estimator.vision.detect.template import BLURS_M, DISC, ORANGE, maps, sampled
+from estimator.vision.detect.alignment import ArrowPlace
+from estimator.vision.detect.template import BLURS_M, DISC, ORANGE
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
+from tests.estimator.vision.oracle.template import maps, sampled
 
 F32 = NDArray[np.float32]
 
@@ -27,18 +29,6 @@ _PITCH_M = 0.008
 _MARGIN_M = 0.02
 _CLEAR_VAR = 0.05
 """Residual variance of the projected light (disc 0, ring 1) that halves, roughly, the trust that nothing else lies there."""
-
-
-@dataclass(frozen=True, slots=True)
-class ArrowPlace:
-    """The measurements at one of the two places."""
-
-    found: float
-    """Strength of the arrowhead there times the fraction of the variation it explains, 0..1."""
-    seen: float
-    """Fraction of the place inside the frame; 0 if the pixels are too coarse."""
-    clear: float
-    """Confidence, 0..1, that only disc, ring and perhaps an arrowhead are there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,13 +47,13 @@ class _Design:
 
 @lru_cache(maxsize=16)
 def _design(pad: Pad, blur: int) -> _Design:
-    x = np.arange(pad.arrow_tip_m - pad.arrow_depth_m - _MARGIN_M, pad.arrow_tip_m + _MARGIN_M, _PITCH_M)
+    x = np.arange(pad.arrow_tip_m - pad.arrow_depth_m - _MARGIN_M, pad.arrow_tip_m + _MARGIN_M - 1e-9, _PITCH_M)
     y = np.arange(-pad.arrow_half_base_m - _MARGIN_M, pad.arrow_half_base_m + _MARGIN_M + 1e-9, _PITCH_M)
     xx, yy = np.meshgrid(x, y, indexing="ij")
     xy = np.stack([xx.ravel(), yy.ravel()], axis=1).astype(np.float32)
     drawing = maps(pad)[blur]
     fore, aft = (
-        sampled(drawing.coverage, (s * xy[None, :, ::-1] * drawing.per_m + drawing.centre).astype(np.float32))[0, :, ORANGE]
+        sampled(drawing.coverage, (s * xy[:, ::-1] * drawing.per_m + drawing.centre).astype(np.float32))[:, ORANGE]
         for s in (1, -1)
     )
     others = np.stack([np.ones(len(xy)), xx.ravel() - xx.mean(), yy.ravel(), aft], axis=1)
@@ -107,8 +97,7 @@ def arrow_places(
         if seen < 0.6:
             out.append(nothing)
             continue
-        at = np.fmax(uv, -1e4).astype(np.float32)[None]
-        v = cv2.LUT(sampled(image, at), lut)[0] @ (way / length)
+        v = sampled(cv2.LUT(image, lut), np.fmax(uv, -1e4).astype(np.float32)) @ (way / length)
         # Constant, slope and ring are projected out of light and arrowhead; the remainders give the strength (Frisch and Waugh
         # 1933).
         if whole:

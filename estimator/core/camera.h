@@ -1,0 +1,13 @@
+/* A pinhole camera with Brown's distortion: points to pixels, and pixels to rays. */
+#ifndef DECKLANDER_CAMERA_H
+#define DECKLANDER_CAMERA_H
+
+#include "interface.h"
+
+/* The pixel of a point in front of the lens, px. */
+void camera_project(const camera_lens *c, const double p[3], double uv[2]);
+
+/* x/z and y/z of the pixels of a part of a frame, row by row. */
+void camera_rays(const camera_lens *c, const frame_part *part, float *x, float *y);
+
+#endif

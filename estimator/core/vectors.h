@@ -1,0 +1,30 @@
+/* Vectors of the compiler (gcc, clang): four and eight floats at once, whatever the machine's registers hold. */
+#ifndef DECKLANDER_VECTORS_H
+#define DECKLANDER_VECTORS_H
+
+#include <stdint.h>
+
+typedef float float4 __attribute__((vector_size(16)));
+typedef float float8 __attribute__((vector_size(32), aligned(4), may_alias));
+typedef int16_t short4 __attribute__((vector_size(8), aligned(2), may_alias));
+
+/* Four small integers in a row, as floats. */
+static inline float4 four_of(const int16_t *from)
+{
+    return __builtin_convertvector(*(const short4 *)(const void *)from, float4);
+}
+
+/* Between the numbers at a and those at b. */
+static inline float4 four_between(const int16_t *a, const int16_t *b, float t)
+{
+    const float4 from = four_of(a);
+    return from + t * (four_of(b) - from);
+}
+
+/* Eight floats in a row, to read or write. */
+static inline float8 *eight(float *at)
+{
+    return (float8 *)(void *)at;
+}
+
+#endif

@@ -1,0 +1,44 @@
+"""A frame at full, half, quarter ... size."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+U8 = NDArray[np.uint8]
+
+
+class Pyramid:
+    """One frame at full, half, quarter ... size; each level is computed on demand."""
+
+    def __init__(self, px: U8) -> None:
+        self._levels = [px]
+
+    def __getitem__(self, level: int) -> U8:
+        while len(self._levels) <= level:
+            self._levels.append(_halved(self._levels[-1]))
+        return self._levels[level]
+
+    def size(self, level: int) -> tuple[int, int]:
+        """Return the columns and rows of a level."""
+        h, w = self._levels[0].shape[:2]
+        return max(1, w >> level), max(1, h >> level)
+
+    def cut(self, level: int, left: int, top: int, right: int, below: int) -> U8:
+        """Return part of a level. If the part is small, only that part of the level is computed."""
+        made = len(self._levels) - 1
+        w, h = self.size(level)
+        if level <= made or 2 * (right - left) * (below - top) > w * h:
+            return self[level][top:below, left:right]
+        up = level - made
+        part = self._levels[made][top << up : below << up, left << up : right << up]
+        for _ in range(up):
+            part = _halved(part)
+        return part
+
+
+def _halved(px: U8) -> U8:
+    w, h = max(1, px.shape[1] // 2), max(1, px.shape[0] // 2)
+    # An odd row or column left over would stretch the result.
+    return np.asarray(cv2.resize(px[: 2 * h, : 2 * w], (w, h), interpolation=cv2.INTER_AREA), np.uint8)
