@@ -66,7 +66,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     beside.add_argument(
         "--autopilot", choices=("arducopter", "px4"), help="fly this autopilot program over the simulated sea and vehicle"
     )
-    beside.add_argument("--binary", metavar="PATH", help="path of the autopilot program")
+    beside.add_argument("--binary", metavar="PATH", help="path of the autopilot program; `stand-in` flies a stand-in for it")
     beside.add_argument(
         "--follow", metavar="URL", help="follow a vehicle that another simulator flies, with the deck and camera of this one"
     )
@@ -83,8 +83,8 @@ def run(args: argparse.Namespace) -> int:
     perception = perception_level(args.perception)
     if args.perception_model is not None and perception == "pixels":
         raise BadInput("--perception-model goes with --perception model or truth")
-    if args.set and (args.follow is not None or args.autopilot is not None):
-        raise BadInput("--set does not go with --follow or --autopilot")
+    if args.set and args.follow is not None:
+        raise BadInput("--set does not go with --follow")
     if args.follow is not None:
         from companion.cli import simulate_follow
 
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     if args.autopilot is not None:
         from companion.cli import simulate_autopilot
 
-        return simulate_autopilot.run(args)
+        return simulate_autopilot.run(args, perception)
     if args.binary is not None or args.keep is not None or args.param:
         raise BadInput("--binary, --param and --keep go with --autopilot")
     if args.report is not None:

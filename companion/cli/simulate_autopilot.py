@@ -23,9 +23,12 @@ from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.autopilots.follow import FollowEnd
 from sitl.autopilots.program import executable
+from sitl.campaign.overrides import Overridable
 from sitl.ending import Contact, Ending
 from sitl.one_flight import ending_of as graded_ending
 from sitl.one_flight import settings_for
+from sitl.perception.levels import perceive
+from sitl.perception.port import Level
 from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
 from sitl.stream_faults import STREAMS
@@ -34,20 +37,28 @@ CARRIED = frozenset({*STREAMS, "link_lost"})
 """Kinds of faults that act on a flight with an autopilot program: those of its streams."""
 
 
-def run(args: argparse.Namespace) -> int:
+STAND_IN = "stand-in"
+"""The word for --binary that flies the stand-in for a program instead of a program."""
+
+
+def run(args: argparse.Namespace, perception: Level) -> int:
     """Fly the scenario; return 0 if it landed on the pad, else 1."""
     if args.report is not None or args.record is not None:
         raise BadInput("--report and --record do not go with --autopilot; --keep DIR keeps the program's own logs")
-    binary = executable(args.binary, args.autopilot)
-    scenario = load_scenario(args.scenario)
+    binary = None if args.binary == STAND_IN else executable(args.binary, args.autopilot)
+    scenario = load_scenario(args.scenario, args.base)
     refuse_faults(args.scenario, scenario, CARRIED)
     settings = settings_for(scenario, args.config)
+    given = Overridable(scenario, settings)
+    scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
     progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]
     autopilot = AutopilotProgram(args.autopilot, binary, parameters=parameters(args.param))
     began = time.monotonic()
     with _folder(args.keep) as folder:
-        flight = AutopilotFlight(scenario, args.seed, settings, autopilot, folder, observers)
+        flight = AutopilotFlight(
+            scenario, args.seed, settings, autopilot, folder, observers, perceive(perception, args.perception_model)
+        )
         end = event_loop.run(flight.fly())
         said = (folder / "texts.txt").open("w")
         with said:

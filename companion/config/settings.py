@@ -35,7 +35,7 @@ __all__ = [
 
 _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
-_AUTOPILOT_GUIDANCE = {"controller": "pid", "mission": "thesis"}
+_AUTOPILOT_TRIES = {"heading": "align"}
 
 
 def load(name_or_path: str | Path) -> Settings:
@@ -99,11 +99,14 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False)
 
 
 def _with_guidance_of_vehicle(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the mapping with the guidance of an autopilot, whose response is not measured, where it says nothing of it."""
+    """Return the mapping with what differs for an autopilot where it says nothing of it: a ship expects the nose on the arrow."""
     vehicle, guidance = data.get("vehicle"), data.get("guidance", {})
     if not isinstance(vehicle, Mapping) or not isinstance(guidance, Mapping) or vehicle.get("kind") != "mavlink":
         return data
-    return {**data, "guidance": {**_AUTOPILOT_GUIDANCE, **guidance}}
+    tries = guidance.get("tries", {})
+    if not isinstance(tries, Mapping):
+        return data
+    return {**data, "guidance": {**guidance, "tries": {**_AUTOPILOT_TRIES, **tries}}}
 
 
 def camera_model(settings: Settings) -> Camera:

@@ -65,6 +65,7 @@ def _follow_deck(setup: ControllerSetup) -> Controller[Any]:
         forecast=o.forecast,
         delay_line=o.delay_line,
         fallback=PidController(setup.guidance.pid, heaves=not setup.over_ground),
+        over_ground=setup.over_ground,
     )
 
 

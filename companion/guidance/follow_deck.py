@@ -15,11 +15,12 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from companion.guidance import climb_law, disturbance
+from companion.guidance import climb_law, disturbance, own_part
 from companion.guidance.axis import AxisMeasured, TiltAxis, begun, command, commanded, observed, reference
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.disturbance import ObserverNoise
 from companion.guidance.heave import STILL, DeckAhead, deck_ahead
+from companion.guidance.own_part import OwnPart
 from companion.guidance.pid import Pid
 from companion.guidance.pid_controller import PidController
 from companion.guidance.response import Response
@@ -58,6 +59,8 @@ class FollowDeckMemory(Struct, frozen=True):
     """Share of the former, 0 to 1."""
     plain: Pid = field(default_factory=Pid.start)
     """The memory of the fallback."""
+    own: tuple[OwnPart, OwnPart] | None = None
+    """What a vehicle with a velocity loop of its own adds to the lean; None for one without."""
 
 
 class _Frame(NamedTuple):
@@ -85,6 +88,7 @@ class FollowDeck:
         forecast: whether the deck's motion is known ahead; without it the deck is followed from behind.
         delay_line: whether commands under way are known; without it the vehicle is taken to answer at once.
         fallback: flies where the estimator path knows nothing of the body's motion.
+        over_ground: whether the vehicle takes velocities over the ground with an acceleration, and cancels wind by itself.
 
     Raises:
         ValueError: there are no gains that stabilise such a vehicle.
@@ -103,8 +107,9 @@ class FollowDeck:
         forecast: bool = True,
         delay_line: bool = True,
         fallback: PidController | None = None,
+        over_ground: bool = False,
     ) -> None:
-        self._fallback = fallback
+        self._fallback, self._over_ground = fallback, over_ground
         self.response, self.period_s, self.view = response, period_s, view
         self._weights, self._delay_line = weights or TiltWeights(), delay_line
         self._tunings: dict[TuningChoice, TiltTuning] = {}
@@ -173,7 +178,8 @@ class FollowDeck:
         pushed = climb_law.pushed(
             memory.pushed_down_m_s2, float(body.a_level[2]), v_down, arrived, self.period_s, self.response.climb
         )
-        memory = replace(memory, at=now, axes=axes, pushed_down_m_s2=pushed)
+        own = self._own(memory, now, axes, steers=target is not None) if self._over_ground else None
+        memory = replace(memory, at=now, axes=axes, pushed_down_m_s2=pushed, own=own)
         if target is None:
             return self._noted(memory, (axes[0].lean, axes[1].lean), v_down), Hover()
         soon = self._blended(memory, self._slowness_s)
@@ -181,13 +187,29 @@ class FollowDeck:
         forward, right, trim = self._lean(memory, relative, target, (here, then), frame)
         down = self._blended(memory, lambda choice: self._down(memory, choice, relative, knowledge, target, v_down))
         memory = self._noted(memory, frame.ned(forward, right), down)
+        if own is not None:
+            # A velocity loop of its own gets its own velocity, so that only its integral adds to the acceleration.
+            soon, trim = 0.0, frame.level(own[0].own, own[1].own)
         v, a = relative.v_pad_level.tolist(), (forward - trim[0], right - trim[1])
-        # A vehicle that takes velocities gets the one that it will have: it goes that way even where it ignores accelerations.
         along = (0.0, 0.0)
         if deck is not None:
             v_deck = deck.v_level.tolist()
             along = v_deck[0] + soon * a[0] - v[0], v_deck[1] + soon * a[1] - v[1]
         return memory, Lean(np.array(a), np.array(trim), np.array([*along, down]), _turn(relative, target))
+
+    def _own(
+        self, memory: FollowDeckMemory, now: MonoNs, axes: tuple[TiltAxis, TiltAxis], *, steers: bool
+    ) -> tuple[OwnPart, OwnPart]:
+        dt = 0.0 if memory.at is None else seconds_between(memory.at, now)
+        if memory.own is None or not 0.0 < dt <= _GAP_MAX_S:
+            return own_part.begun(axes[0].lean), own_part.begun(axes[1].lean)
+        north, east = memory.own
+        if not steers:
+            return own_part.hovered(north, axes[0].lean, dt), own_part.hovered(east, axes[1].lean, dt)
+        tilt = self.response.tilt
+        return own_part.flown(north, axes[0].lean, axes[0].lag, dt, tilt), own_part.flown(
+            east, axes[1].lean, axes[1].lag, dt, tilt
+        )
 
     def _deck_ahead(self, deck: DeckMotion | None, knowledge: Knowledge, ahead_s: float) -> DeckAhead:
         return deck_ahead(deck, knowledge.forecast, knowledge.at, ahead_s) if self._forecast else STILL

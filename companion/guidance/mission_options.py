@@ -113,7 +113,8 @@ class TryOptions(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     heading: Annotated[
-        Literal["keep", "align"], choice("leave the heading alone, or turn until the nose points along the arrow")
+        Literal["keep", "align"],
+        choice("leave the heading alone, or turn until the nose points along the arrow; an autopilot turns if nothing is set"),
     ] = "keep"
     search_s: Annotated[
         float, number("time without any sight of the pad after the start, after which it gives up", "s", 1.0, 3600.0)

@@ -113,7 +113,7 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
         Literal["cone", "thesis"],
         choice(
             "the way down: in a cone to a gate over the deck and from there to the contact under full control; or the way points "
-            "of the thesis and the vehicle's own landing from the last of them, which is what an autopilot gets if nothing is set"
+            "of the thesis and the vehicle's own landing from the last of them"
         ),
     ] = "cone"
     start: Annotated[
@@ -129,8 +129,8 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
     controller: Annotated[
         str,
         name(
-            "the control law: follow_deck (tilt and forecast, down to contact), pid (the thesis' position controller, which an "
-            "autopilot gets if nothing is set), or the name under which an installed package offers one",
+            "the control law: follow_deck (tilt and forecast, down to contact), pid (the thesis' position controller), or "
+            "the name under which an installed package offers one",
             64,
         ),
     ] = "follow_deck"

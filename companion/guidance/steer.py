@@ -50,7 +50,8 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
             level = np.array(estimate.d_body_pad_level)
             return p, Target(level, descent_rate_m_s=o.cone.commit_rate_m_s, lean_max_rad=0.0)
         case State.PRESS | State.DOWN:
-            return p, Land()
+            # The thesis' way ends in the air; every other one comes here by a contact.
+            return p, Land(on_deck=o.mission != "thesis")
         case State.RENDEZVOUS if s.place is not None:
             return p, rendezvous.to_hold_off(s.place, o.rendezvous, o.tries.climb_m_s, over_ground=over_ground)
         case State.SEARCH if s.place is not None:

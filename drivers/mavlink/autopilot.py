@@ -16,6 +16,7 @@ from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessLevel, NamedSenders, Source
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.dialect import Message, TimeSyncV2
+from drivers.mavlink.joined_texts import JoinedTexts
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.requests import RATES_HZ, Parameters, Streams
@@ -24,7 +25,7 @@ from drivers.mavlink.setpoint_streamer import SetpointStreamer
 from drivers.mavlink.timesync import TimeSync, answer_to
 from drivers.mavlink.vehicle import Condition, Identity, Stack, is_autopilot, stack_of
 from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
-from estimator.contracts.commands import Command, Lean, Velocity
+from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.ports import Clock
@@ -74,6 +75,7 @@ class Autopilot:
         self.samples: Line[Sample] = Line(sample_queue_items)
         self.texts: deque[tuple[MonoNs, int, str]] = deque(maxlen=100)
         """The newest STATUSTEXTs of the autopilot, each as (received_at, severity, text)."""
+        self._joined = JoinedTexts()
         self.events: deque[int] = deque(maxlen=100)
         """The numbers of the newest EVENTs, by which PX4 reports what ArduPilot reports in texts."""
         self.counts: Counter[str] = Counter()
@@ -143,7 +145,7 @@ class Autopilot:
         if self._known is None or self._known.lost:
             raise Recoverable("no autopilot is heard")
         now, v_deck_level = self._clock.now(), None
-        if isinstance(command, Velocity | Lean) and self.attitude is not None:
+        if isinstance(command, Velocity | Lean | Hover) and self.attitude is not None:
             # The autopilot's velocities are over the ground, as a lean's are.
             v_deck_level = Rotation.from_rpy(0.0, 0.0, self.attitude.R_ned_body.rpy_rad[2]).inv @ self.deck_velocity(now)
             if isinstance(command, Velocity):
@@ -198,7 +200,8 @@ class Autopilot:
         if name == "TIMESYNC":
             known.sync.on_message(message, received.received_at)
         elif name == "STATUSTEXT":
-            self.texts.append((received.received_at, int(message.severity), str(message.text)))
+            for severity, text in self._joined.on_message(message, (received.system, received.component)):
+                self.texts.append((received.received_at, severity, text))
         elif name == "EVENT":
             self.events.append(int(message.id))
         known.streams.on_message(message, received.received_at)
@@ -206,7 +209,9 @@ class Autopilot:
         self._offer(known.sampler.samples(message, received.received_at))
         known.streamer.on_condition(known.sampler.condition)
         if name == "LOCAL_POSITION_NED" and known.sampler.positions:
-            known.streamer.on_position(float(known.sampler.positions[-1].p_body_ned[2]))
+            position = known.sampler.positions[-1]
+            known.streamer.on_position(float(position.p_body_ned[2]))
+            known.streamer.on_velocity(position.v_body_ned, received.received_at)
         if name in ("ATTITUDE_QUATERNION", "ATTITUDE") and known.sampler.attitude is not None:
             known.streamer.on_attitude(known.sampler.attitude)
 

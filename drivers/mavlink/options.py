@@ -218,6 +218,13 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
             20.0,
         ),
     ] = 3.0
+    disarm_on_contact: Annotated[
+        bool,
+        choice(
+            "whether the motors are stopped by force once guidance has felt the deck; otherwise the autopilot is asked, and "
+            "refuses until its own land detector agrees"
+        ),
+    ] = True
     deck_hold_s: Annotated[
         float,
         number(

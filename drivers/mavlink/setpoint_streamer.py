@@ -8,6 +8,8 @@ A command of guidance is flown only for a short time unless guidance renews it. 
 becomes a hold at the deck's own velocity, then one over the ground, then the autopilot's hold mode, and our stream ends.
 A landing by velocity is bounded by time and by height as well, renewed or not. A landing that a person ordered needs no renewal
 and may begin at any height; when its time is used up our stream ends too, and the autopilot's own landing mode continues it.
+A landing whose deck was felt stops the motors at once, by force, and its stream outlives them (`motor_stop`); a vehicle that
+reports itself on the ground after a landing, still armed, is asked to disarm. None is left armed on a deck.
 When the process itself falls silent the autopilot's own failsafe acts: ArduPilot flies on for 3 s and brakes, PX4 brakes after
 1 s. A landing by the autopilot's own mode (ArduPilot LAND) goes on then, by its own rules for a lost target (PLND_STRICT).
 """
@@ -19,18 +21,18 @@ from enum import Enum
 
 import numpy as np
 
-from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.dialect import Message
+from drivers.mavlink.motor_stop import MotorStop, disarm
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import velocity_setpoint
-from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, TAKE_OFF_MODE, VELOCITY_MODE, Condition, Identity, Stack, set_mode
+from drivers.mavlink.take_off import RestVelocity, TakingOff
+from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, VELOCITY_MODE, Condition, Identity, Stack, set_mode
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, seconds_between
 
 STILL = Velocity(np.zeros(3), 0.0)
-_FORCE = 21196.0
-"""Parameter 2 of COMPONENT_ARM_DISARM that disarms in flight (mavlink.io)."""
 _MEAN_S = 1.0
 """The time over which the velocity that a landing continues with is averaged."""
 
@@ -44,6 +46,8 @@ class Hand(Enum):
     """This program has requested the velocity mode."""
     OURS = "ours"
     LANDING = "landing"
+    STANDING = "standing"
+    """The vehicle stands on the deck: its motors are being stopped."""
     HOLDING = "holding"
     """Guidance is silent: the autopilot is in its own hold mode, or was asked to be."""
     RELEASED = "released"
@@ -64,7 +68,11 @@ class SetpointStreamer:
         """The velocity of the surface below at the last commanded velocity, (3,) m/s in the level frame."""
         self._steered_at: MonoNs | None = None
         self._streaming_since: MonoNs | None = None
-        self._take_off_at: MonoNs | None = None
+        self._taking_off: TakingOff | None = None
+        self._rest = RestVelocity()
+        self._stop: MotorStop | None = None
+        self._felt_at: MonoNs | None = None
+        """When guidance said last that it has felt the deck."""
         self._cut_at: MonoNs | None = None
         """When a person asked to cut the motors; None while nobody does."""
         self._asked: MonoNs | None = None
@@ -102,7 +110,7 @@ class SetpointStreamer:
         """Take the newest command.
 
         Args:
-            v_deck_level: (3,) m/s, velocity of the surface below, already included in a velocity command; None for still ground.
+            v_deck_level: (3,) m/s, velocity of the surface below, already included in a velocity; None if it is not known.
         """
         if isinstance(command, CutMotors):
             if self._cut_at is None:
@@ -110,11 +118,16 @@ class SetpointStreamer:
         elif isinstance(command, LeaveEmergency):
             self._cut_at = None
         elif isinstance(command, TakeOff):
-            self._take_off_at, self._asked, self._asks = now, None, 0
+            self._taking_off = TakingOff(now, self._id, self._down_m, self._o.take_off_height_m)
         elif isinstance(command, Land):
-            self._take_off_at = None
+            self._taking_off = None
             self._motion_at = now
-            if self.hand is Hand.LANDING and command.persistent and not self._land.persistent:
+            if command.on_deck and self.hand not in (Hand.IDLE, Hand.RELEASED):
+                self._felt_at = now
+                self._stand(now)
+            elif self.hand is Hand.STANDING:
+                pass
+            elif self.hand is Hand.LANDING and command.persistent and not self._land.persistent:
                 self._land, self._land_at, self._land_began, self._spent = command, now, now, False
             elif self.hand is Hand.LANDING and not self._spent:
                 self._land_at = now
@@ -125,6 +138,10 @@ class SetpointStreamer:
                 self._request_again(Hand.LANDING)
         elif isinstance(command, Hover):
             self._motion, self._motion_at, self._spent = STILL, now, False
+            if v_deck_level is not None:
+                self._v_deck, self._steered_at = v_deck_level, now
+            if self.hand is Hand.STANDING and self._condition.armed is not False:
+                self._request_again(Hand.TAKING)
             if self.hand is Hand.LANDING:
                 self._call_off()
         else:
@@ -133,7 +150,7 @@ class SetpointStreamer:
             self._mean_velocity = self._mean_velocity + weight * (command.v_level - self._mean_velocity)
             self._v_deck = np.zeros(3) if v_deck_level is None else v_deck_level
             self._motion, self._motion_at, self._steered_at, self._spent = command, now, now, False
-            willing = (Hand.IDLE, Hand.LANDING, Hand.HOLDING)
+            willing = (Hand.IDLE, Hand.LANDING, Hand.HOLDING, Hand.STANDING)
             if self.hand in willing and self._mode is not None and self._condition.flying is not False:
                 self._request_again(Hand.TAKING)
 
@@ -158,10 +175,18 @@ class SetpointStreamer:
             or (self.hand is Hand.LANDING and condition.mode not in landing_modes)
             or (self.hand is Hand.HOLDING and condition.mode not in held_modes)
         )
-        if condition.flying and self._take_off_at is not None:
-            self._take_off_at = None
-        if condition.flying is False and self._take_off_at is None and self.hand is not Hand.IDLE:
-            self._request_again(Hand.IDLE)
+        if self._taking_off is not None:
+            if self._taking_off.flew and not in_mode:
+                self._taking_off, self.hand = None, Hand.RELEASED
+            return
+        if condition.flying is False and self.hand not in (Hand.IDLE, Hand.STANDING):
+            landing = self.hand in (Hand.LANDING, Hand.HOLDING)
+            # One that is ours keeps its setpoints for as long as it is armed: their end would be a failure to it.
+            if condition.armed is False or not (landing or self.hand is Hand.OURS):
+                self._request_again(Hand.IDLE)
+            elif landing:
+                self._stop = None
+                self._request_again(Hand.STANDING)
         elif self.hand in (Hand.TAKING, Hand.RELEASED) and in_mode:
             self.hand = Hand.OURS
         elif taken_over:
@@ -171,6 +196,10 @@ class SetpointStreamer:
         """Take the autopilot's position below its own origin, metres."""
         self._down_m = down_m
 
+    def on_velocity(self, v_ned: F64, now: MonoNs) -> None:
+        """Take the autopilot's velocity over the ground, (3,) m/s."""
+        self._rest.on_velocity(v_ned, now, stands=self._condition.flying is False)
+
     def on_attitude(self, attitude: Attitude) -> None:
         self._attitude = attitude
 
@@ -178,13 +207,15 @@ class SetpointStreamer:
         """Return the messages of this period; call it at 10 Hz or more."""
         if self._cut_at is not None:
             return self._cut(now)
+        if self._taking_off is not None:
+            return self._take_off(now, self._taking_off)
         out: list[Message] = []
-        if self._take_off_at is not None:
-            out += self._take_off(now)
         if self.hand in (Hand.TAKING, Hand.OURS):
             out += self._steer(now)
         elif self.hand is Hand.LANDING:
             out += self._descend(now)
+        elif self.hand is Hand.STANDING:
+            out += self._stood(now)
         elif self.hand is Hand.HOLDING:
             out += self._hold(now)
         else:
@@ -196,6 +227,8 @@ class SetpointStreamer:
         if self.hand is Hand.LANDING and self._land.persistent:
             descending = self._descending
             return [set_mode(self._id.stack, self._id.address, LAND_MODE[self._id.stack])] if descending else []
+        if self.hand is Hand.STANDING:
+            return [disarm(self._id.address, forced=self._forced(now))] if self._condition.armed is not False else []
         if self.hand not in (Hand.TAKING, Hand.OURS, Hand.LANDING, Hand.HOLDING):
             return []
         by_mode = self._id.stack is Stack.PX4 or (self.hand is Hand.LANDING and not self._descending)
@@ -287,22 +320,55 @@ class SetpointStreamer:
         ask = [set_mode(self._id.stack, self._id.address, name)] if self._may_ask(now) else []
         return self._setpoint(now, STILL) + ask
 
-    def _take_off(self, now: MonoNs) -> list[Message]:
-        assert self._take_off_at is not None
-        mode = TAKE_OFF_MODE.get(self._id.stack)
-        if mode is None or seconds_between(self._take_off_at, now) > self._o.take_off_timeout_s:
-            self._take_off_at = None
+    def _stand(self, now: MonoNs) -> None:
+        """Begin to stop the motors, because the deck was felt."""
+        if self.hand is not Hand.STANDING:
+            self._request_again(Hand.STANDING)
+            self._stop = MotorStop(now)
+
+    def _forced(self, now: MonoNs) -> bool:
+        """Return whether the motors are stopped by force: guidance says in every cycle that it has felt the deck."""
+        fresh = self._felt_at is not None and seconds_between(self._felt_at, now) <= self._o.command_timeout_s
+        return self._o.disarm_on_contact and fresh
+
+    def _stood(self, now: MonoNs) -> list[Message]:
+        """Press on the deck while its motors are being stopped, and a little longer."""
+        self._stop = self._stop or MotorStop(now)
+        asked = self._stop.period(now, self._id.address, armed=self._condition.armed, forced=self._forced(now))
+        if self._stop.over(now):
+            self._stop = None
+            self._request_again(Hand.IDLE)
             return []
-        if not self._may_ask(now):
+        in_mode = self._condition.mode == self._mode
+        down = Velocity(self._v_deck * (1.0, 1.0, 0.0) + (0.0, 0.0, self._o.descent_rate_m_s), 0.0)
+        return asked + (self._setpoint(now, down) if in_mode else [])
+
+    def _take_off(self, now: MonoNs, climbing: TakingOff) -> list[Message]:
+        """Arm and climb with the deck's velocity."""
+        o = self._o
+        v_deck = self._rest_level()
+        done, over = climbing.done(self._down_m, self._condition), seconds_between(climbing.began, now) > o.take_off_timeout_s
+        if self._mode is None or done or over:
+            if done and self._condition.mode == self._mode and v_deck is not None:
+                self._v_deck, self._steered_at, self._motion, self._motion_at = v_deck, now, STILL, now
+                self._request_again(Hand.OURS)
+            self._taking_off, self._streaming_since = None, None
             return []
-        if self._condition.mode != mode:
-            return [set_mode(self._id.stack, self._id.address, mode)]
-        self._asks = 0
-        if not self._condition.armed:
-            return [self._command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)]
-        if self._id.stack is Stack.ARDUPILOT:
-            return [self._command(mav.MAV_CMD_NAV_TAKEOFF, height_m=self._o.take_off_height_m)]
-        return []
+        out: list[Message] = []
+        if v_deck is not None and climbing.steers(self._down_m, self._condition):
+            up = np.array([v_deck[0], v_deck[1], climbing.climb_m_s(self._condition)])
+            out += self._setpoint(now, Velocity(up, 0.0))
+        if out and self._streaming_since is None:
+            self._streaming_since = now
+        streamed_s = 0.0 if self._streaming_since is None else seconds_between(self._streaming_since, now)
+        return out + climbing.requests(now, self._condition, streamed_s, o.prestream_s, o.request_period_s)
+
+    def _rest_level(self) -> F64 | None:
+        """Return the velocity that the vehicle had on deck, in its level frame; None without a heading."""
+        if self._attitude is None:
+            return None
+        yaw_rad = self._attitude.R_ned_body.rpy_rad[2]
+        return np.asarray(Rotation.from_rpy(0.0, 0.0, yaw_rad).inv @ self._rest.v_ned)
 
     def _cut(self, now: MonoNs) -> list[Message]:
         """Stop the motors by force until the autopilot reports that it is disarmed; the forced form works in flight."""
@@ -313,12 +379,7 @@ class SetpointStreamer:
             return []
         if not self._may_ask(now):
             return []
-        target = self._id.address
-        number = mav.MAV_CMD_COMPONENT_ARM_DISARM
-        return [mav.MAVLink_command_long_message(*target, number, 0, 0.0, _FORCE, 0, 0, 0, 0, 0)]
-
-    def _command(self, number: int, param1: float = 0.0, *, height_m: float = 0.0) -> Message:
-        return mav.MAVLink_command_long_message(*self._id.address, number, 0, param1, 0, 0, 0, 0, 0, height_m)
+        return [disarm(self._id.address, forced=True)]
 
     def _setpoint(self, now: MonoNs, velocity: Velocity | Lean) -> list[Message]:
         attitude = self._attitude

@@ -71,14 +71,15 @@ class FlightDaemon:
 
 def beside_autopilot(settings: Settings, links: str, start: Literal["automatic", "signal"] = "signal") -> Settings:
     """Return the settings with an autopilot at `links` as the vehicle, external frames, and the given start of the landing."""
-    vehicle = settings.vehicle
+    vehicle, tries = settings.vehicle, settings.guidance.tries
     if isinstance(vehicle, AutopilotOptions):
         vehicle = msgspec.structs.replace(vehicle, links=links, signing_key_file="")
     else:
         vehicle = AutopilotOptions(links=links)
+        tries = msgspec.structs.replace(tries, heading="align")
     return msgspec.structs.replace(
         settings,
         vehicle=vehicle,
         camera=CameraSettings(settings.camera.file),
-        guidance=msgspec.structs.replace(settings.guidance, start=start, controller="pid", mission="thesis"),
+        guidance=msgspec.structs.replace(settings.guidance, start=start, tries=tries),
     )

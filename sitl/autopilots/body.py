@@ -148,12 +148,15 @@ class Body:
         """Whether its motors turn."""
         return self._vehicle.phase == VehiclePhase.FLYING
 
-    def expose(self) -> Callable[[], RenderedFrame]:
-        """Fix the scene now and return a function that renders its frame. Only one such function may run at a time."""
-        if self._renderer is None:
-            self._renderer = renderer(self.scenario, self.waves, self.vessel, self._camera_seed)
-        v, g, expose = self._vehicle, self._ground, self._renderer.render
-        shot = Exposure(
+    @property
+    def tick(self) -> int:
+        """Number of steps since the start."""
+        return self._tick
+
+    def shot(self) -> Exposure:
+        """Return the scene as it is now."""
+        v, g = self._vehicle, self._ground
+        return Exposure(
             t_s=self.t_s,
             R_ned_body=Rotation(v.R_ned_body),
             p_body_ned=v.p_ned,
@@ -164,6 +167,12 @@ class Body:
             v_pad_ned=np.array(g.v),
             w_pad=np.array(g.w),
         )
+
+    def expose(self) -> Callable[[], RenderedFrame]:
+        """Fix the scene now and return a function that renders its frame. Only one such function may run at a time."""
+        if self._renderer is None:
+            self._renderer = renderer(self.scenario, self.waves, self.vessel, self._camera_seed)
+        expose, shot = self._renderer.render, self.shot()
         rng = np.random.default_rng([self._camera_seed, self._tick])
         at, exposure_s = MonoNs(round(self.t_s * NS_PER_S)), self.scenario.camera.exposure_s
         return lambda: RenderedFrame(expose(shot, rng), at, exposure_s)

@@ -38,6 +38,7 @@ class LockStepCamera:
         concluded: returns how many of the frames were processed.
         pool: executor that renders frames.
         stream: what becomes of the frames on their way.
+        expose: fixes the scene of a body and returns the function that makes its frame.
     """
 
     def __init__(
@@ -48,13 +49,14 @@ class LockStepCamera:
         pool: Executor,
         stream: FaultyStream,
         timing: CameraTiming | None = None,
+        expose: Callable[[Body], Callable[[], RenderedFrame]] = Body.expose,
     ) -> None:
         self.on = False
         self.frames = 0
         self.waited_out = 0
         """Number of times that the world went on although a frame was not processed within a reasonable time."""
         self._clock, self._offer, self._concluded, self._pool = clock, offer, concluded, pool
-        self._timing = timing or CameraTiming()
+        self._timing, self._expose = timing or CameraTiming(), expose
         self._due: MonoNs | None = None
         self._on_the_way: InTransit[tuple[MonoNs, asyncio.Future[RenderedFrame]]] = InTransit(stream)
         self._looking_until: MonoNs | None = None
@@ -67,7 +69,7 @@ class LockStepCamera:
         self._due = after(self._due or now, self._timing.period_s)
 
         def exposed() -> tuple[MonoNs, asyncio.Future[RenderedFrame]]:
-            return now, asyncio.get_running_loop().run_in_executor(self._pool, body.expose())
+            return now, asyncio.get_running_loop().run_in_executor(self._pool, self._expose(body))
 
         self._on_the_way.send(exposed, now, self._timing.delay_s)
 

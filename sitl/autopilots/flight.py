@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, field
@@ -23,14 +23,13 @@ import numpy as np
 
 from companion.config.model import Settings
 from companion.runtime.health import Health
-from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import Observer
 from companion.runtime.pilot import FlightOutcome, Pilot
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.vehicle import Stack
-from estimator.contracts.errors import Recoverable
+from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.time import seconds_between
 from sitl.autopilots import arducopter, px4
@@ -41,11 +40,19 @@ from sitl.autopilots.camera import LockStepCamera
 from sitl.autopilots.faulty_link import FaultyLink
 from sitl.autopilots.graded_body import GradedBody
 from sitl.autopilots.lock_step import LockStepClock
+from sitl.autopilots.perceived_body import PerceivedBody
 from sitl.autopilots.program import Program, free_udp_port, running
 from sitl.autopilots.px4_hil import HilBackend, serve_hil
+from sitl.autopilots.stand_in import fly as in_process
+from sitl.autopilots.stand_in.arducopter import CopterStandIn
+from sitl.autopilots.stand_in.base import StandIn
+from sitl.autopilots.stand_in.px4 import Px4StandIn
 from sitl.autopilots.station import STATION, GroundStation, OperatorView, Task
 from sitl.flight_grader import FlightResult
+from sitl.perception.pixels import Pixels
+from sitl.perception.port import Perception
 from sitl.scenario import Scenario
+from sitl.truth import RenderedFrame
 
 Name = Literal["arducopter", "px4"]
 HOST = "127.0.0.1"
@@ -63,7 +70,8 @@ class AutopilotProgram:
     """The autopilot program that is flown, and its settings."""
 
     name: Name
-    binary: Path
+    binary: Path | None
+    """The program; None flies the stand-in for it (`sitl.autopilots.stand_in`)."""
     pace: float = 10.0
     """Largest speed of the program in multiples of real time; the lock step limits it to what the machine can do."""
     parameters: tuple[tuple[str, float], ...] = ()
@@ -101,17 +109,21 @@ class AutopilotFlight:
     folder: Path
     """The program's working directory."""
     observers: Sequence[Observer] = ()
+    perception: Perception = field(default_factory=Pixels)
     clock: LockStepClock = field(default_factory=LockStepClock)
     body: Body | None = None
+    stand_in: StandIn | None = None
+    """The stand-in that is flown; None while a program is."""
     station: GroundStation = field(init=False)
     graded: GradedBody = field(init=False)
     link: FaultyLink = field(init=False)
     _camera: LockStepCamera | None = None
+    _world: PerceivedBody | None = None
     _stepped_at: float = 0.0
 
     def __post_init__(self) -> None:
         stack = Stack.PX4 if self.autopilot.name == "px4" else Stack.ARDUPILOT
-        self.station = GroundStation(stack, height_m=self.height_m, flies_there=stack is Stack.ARDUPILOT)
+        self.station = GroundStation(stack, height_m=self.height_m)
         watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
         self.graded = GradedBody(self.scenario, self.seed, self.settings, self.clock, watchdog_s)
         self.link = FaultyLink(self.graded.streams, self.clock)
@@ -129,15 +141,21 @@ class AutopilotFlight:
             Recoverable: the program ended by itself or hangs.
         """
         cv2.setNumThreads(1)
-        from_program, to_station = px4.MAVLINK_PORTS if self.autopilot.name == "px4" else (free_udp_port(), free_udp_port())
+        fixed = self.autopilot.name == "px4" and self.autopilot.binary is not None
+        from_program, to_station = px4.MAVLINK_PORTS if fixed else (free_udp_port(), free_udp_port())
         to_daemon = free_udp_port() if self.scenario.faults else from_program
         settings = beside_autopilot(self.settings, f"udpin://{HOST}:{to_daemon}")
-        pilot = make_pilot(settings)
+        if self.perception.level == "truth" and self.autopilot.binary is not None:
+            raise BadInput("--perception truth goes with --binary stand-in: a program begins its world itself")
+        pilot = self.perception.pilot(settings)
+        if self.autopilot.binary is None:
+            self._make(in_process.STEP_S, CURVE if self.autopilot.name == "arducopter" else 0.0)
         side = FlightDaemon(settings, pilot, self.clock, (*self.observers, self.graded))
         link = LinkOptions(parse_endpoint(f"udpin://{HOST}:{to_station}"))
         failed: Recoverable | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
-            self._camera = LockStepCamera(self.clock, side.offer, side.concluded, pool, self.graded.streams.frames)
+            frames = self.graded.streams.frames
+            self._camera = LockStepCamera(self.clock, side.offer, side.concluded, pool, frames, expose=self._expose)
             async with AsyncExitStack() as stack:
                 links = await stack.enter_async_context(
                     open_links((link,), self.clock, STATION, access=NamedSenders(everybody=True))
@@ -214,6 +232,7 @@ class AutopilotFlight:
             yaw,
             wrap_pi(heading - yaw),
             float(body.p_pad_ned[2] - state.p_ned[2]),
+            level @ body.v_pad_ned,
         )
 
     def _way(self) -> F64:
@@ -224,7 +243,7 @@ class AutopilotFlight:
         async for received in links.received:
             self.station.on_message(received.message, received.received_at)
 
-    async def _watch(self, program: Program) -> None:
+    async def _watch(self, program: Program | in_process.StandInProgram) -> None:
         """Raise an error if the program stops stepping the physics."""
         while True:
             await asyncio.sleep(1.0)
@@ -236,7 +255,13 @@ class AutopilotFlight:
     def _make(self, step_s: float, curve: float) -> Body:
         on_pad = msgspec.structs.replace(self.scenario, start=msgspec.structs.replace(self.scenario.start, where="pad"))
         self.body = Body(on_pad, self.seed, step_s, curve)
+        self._world = PerceivedBody(self.body, self.seed, self.clock, self.graded.faults)
+        self.perception.begin(self._world)
         return self.body
+
+    def _expose(self, body: Body) -> Callable[[], RenderedFrame]:
+        assert self._world is not None
+        return self.perception.expose(self._world, None)
 
     def _stepped(self, body: Body) -> None:
         self._stepped_at = time.monotonic()
@@ -252,9 +277,17 @@ class AutopilotFlight:
         await self._camera.settle()
 
     @asynccontextmanager
-    async def _program(self, ports: tuple[int, int]) -> AsyncIterator[Program]:
+    async def _program(self, ports: tuple[int, int]) -> AsyncIterator[Program | in_process.StandInProgram]:
         """Serve the physics and run the program on it until the context ends."""
         chosen = self.autopilot
+        if chosen.binary is None:
+            self.stand_in, body, urls = self._stand_in(), self.body, tuple(f"udpout://{HOST}:{port}" for port in ports)
+            assert body is not None
+            async with in_process.flying(
+                self.stand_in, body, self.clock, (urls[0], urls[1]), self._stepped, self._settle
+            ) as program:
+                yield program
+            return
         if chosen.name == "px4":
             hil = HilBackend(self._make(px4.STEP_S, 0.0), seed=self.seed, stepped=self._stepped)
             argv, environment = px4.start(chosen.binary, height_m=self.height_m, parameters=dict(chosen.parameters))
@@ -272,6 +305,12 @@ class AutopilotFlight:
             )  # fmt: skip
             async with running(argv, self.folder) as program:
                 yield program
+
+    def _stand_in(self) -> StandIn:
+        given = dict(self.autopilot.parameters)
+        if self.autopilot.name == "px4":
+            return Px4StandIn(self.clock, {"MIS_TAKEOFF_ALT": self.height_m, **given})
+        return CopterStandIn(self.clock, given, in_process.STEP_S)
 
 
 def _first(group: BaseExceptionGroup[Recoverable]) -> Recoverable:

@@ -8,14 +8,15 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
 
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.joined_texts import JoinedTexts
 from drivers.mavlink.setpoint import velocity_setpoint
-from drivers.mavlink.vehicle import ARMED, TAKE_OFF_MODE, Stack, mode_name, set_mode
+from drivers.mavlink.vehicle import ARMED, VELOCITY_MODE, Stack, mode_name, set_mode
 from estimator.contracts.commands import Velocity
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between
@@ -25,6 +26,7 @@ COMPANION = int(mav.MAV_COMP_ID_ONBOARD_COMPUTER)
 _AUTOPILOT = int(mav.MAV_COMP_ID_AUTOPILOT1)
 _REPEAT_S = 1.0
 _HEAVE_M = 2.0
+_CLIMB_M_S = 1.0
 
 
 class Task(Enum):
@@ -66,6 +68,8 @@ class OperatorView:
     """Angle from the body's heading to the wanted heading, clockwise."""
     height_m: float
     """Height over the pad."""
+    v_deck_level: F64 = field(default_factory=lambda: np.zeros(3))
+    """(3,) velocity of the deck, m/s."""
 
 
 class GroundStation:
@@ -73,13 +77,10 @@ class GroundStation:
 
     Args:
         height_m: height of the take-off, before going to the start.
-        flies_there: fly to the start by velocity setpoints in GUIDED; otherwise the landing begins where the take-off ends.
     """
 
-    def __init__(
-        self, stack: Stack, *, height_m: float, flies_there: bool = True, system: int = 1, timeouts: StationTimeouts | None = None
-    ) -> None:
-        self._stack, self._height_m, self._flies_there = stack, height_m, flies_there
+    def __init__(self, stack: Stack, *, height_m: float, system: int = 1, timeouts: StationTimeouts | None = None) -> None:
+        self._stack, self._height_m = stack, height_m
         self._autopilot, self._companion = (system, _AUTOPILOT), (system, COMPANION)
         self._timeouts = timeouts or StationTimeouts()
         self._since: MonoNs | None = None
@@ -92,6 +93,7 @@ class GroundStation:
         self.armed = False
         self.began: MonoNs | None = None
         """Instant at which the companion accepted the command to land."""
+        self._joined = JoinedTexts()
         self.texts: deque[tuple[MonoNs, int, str]] = deque(maxlen=400)
         """The STATUSTEXTs as (time, component, text)."""
         self.results: list[tuple[int, int]] = []
@@ -103,7 +105,8 @@ class GroundStation:
         if message.get_srcSystem() != self._autopilot[0]:
             return
         if kind == "STATUSTEXT":
-            self.texts.append((now, component, str(message.text)))
+            for _, text in self._joined.on_message(message, (message.get_srcSystem(), component)):
+                self.texts.append((now, component, text))
         elif kind == "HEARTBEAT" and component == _AUTOPILOT:
             self.mode = mode_name(self._stack, message.custom_mode)
             self.armed = bool(message.base_mode & ARMED)
@@ -137,21 +140,29 @@ class GroundStation:
 
     def _arm(self, now: MonoNs, view: OperatorView) -> list[Message]:
         self._give_up_after(self._timeouts.arm_s, now, f"the autopilot would not arm: {self._last_status_text}")
-        mode = TAKE_OFF_MODE[self._stack]
-        if self._stack is Stack.ARDUPILOT and self.mode != mode:
-            return [set_mode(self._stack, self._autopilot, mode)] if self._due("mode", now) else []
-        return [self._command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)] if self._due("arm", now) else []
+        mode = VELOCITY_MODE[self._stack]
+        out = self._carried(now, view, 0.0)
+        if self.mode != mode:
+            return [*out, *([set_mode(self._stack, self._autopilot, mode)] if self._due("mode", now) else [])]
+        return [*out, *([self._command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)] if self._due("arm", now) else [])]
 
     def _take_off(self, now: MonoNs, view: OperatorView) -> list[Message]:
         self._give_up_after(self._timeouts.take_off_s, now, f"it did not take off: {self._last_status_text}")
         if view.height_m > 0.85 * self._height_m:
-            self._next(Task.GO if self._flies_there else Task.ORDER, now)
+            self._next(Task.GO, now)
             return []
+        if self._stack is Stack.PX4:
+            return self._carried(now, view, -_CLIMB_M_S)
         if view.height_m > 0.5 or not self._due("take off", now):
             return []
-        if self._stack is Stack.PX4 and self.mode != TAKE_OFF_MODE[self._stack]:
-            return [set_mode(self._stack, self._autopilot, TAKE_OFF_MODE[self._stack])]
         return [self._command(mav.MAV_CMD_NAV_TAKEOFF, height_m=self._height_m)]
+
+    def _carried(self, now: MonoNs, view: OperatorView, v_down_m_s: float) -> list[Message]:
+        """Return the setpoint that goes with the deck: PX4 leaves it in OFFBOARD, since AUTO.TAKEOFF holds over the ground."""
+        if self._stack is not Stack.PX4:
+            return []
+        v = np.array([view.v_deck_level[0], view.v_deck_level[1], v_down_m_s])
+        return [velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v, 0.0), view.yaw_rad)]
 
     def _go(self, now: MonoNs, view: OperatorView) -> list[Message]:
         self._give_up_after(self._timeouts.go_s, now, "it did not reach the start of the landing")
@@ -169,7 +180,9 @@ class GroundStation:
 
     def _order(self, now: MonoNs, view: OperatorView) -> list[Message]:
         self._give_up_after(self._timeouts.order_s, now, "the companion did not answer the order to land")
-        return [self._command(mav.MAV_CMD_NAV_LAND, to=self._companion)] if self._due("order", now) else []
+        order = [self._command(mav.MAV_CMD_NAV_LAND, to=self._companion)] if self._due("order", now) else []
+        # Until somebody else steers, its setpoints must not end.
+        return [*order, velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(view.v_start_level, 0.0), view.yaw_rad)]
 
     def _nothing(self, now: MonoNs, view: OperatorView) -> list[Message]:
         return []

@@ -37,12 +37,11 @@ from sitl.camera import Exposure
 from sitl.fault import Fault
 from sitl.perception.draw import Chance, detection_table
 from sitl.perception.parameters import PerceptionModel, load
-from sitl.perception.port import Level
+from sitl.perception.port import Level, PerceivedWorld
 from sitl.perception.view import View, Viewer
 from sitl.picture_faults import FocalLength, LightFalls, PadCovered, PictureFault, light_stops
 from sitl.render_worker import RenderWorker
 from sitl.truth import RenderedFrame
-from sitl.world import World
 
 KEPT_SCENES = 512
 """Number of exposures that may be under way: ten seconds of delay at 50 frames a second."""
@@ -77,7 +76,7 @@ class Scenes:
     checks of frozen frames compare; two exposures never share it, and a repeated frame repeats it.
     """
 
-    def __init__(self, camera: Camera, world: World) -> None:
+    def __init__(self, camera: Camera, world: PerceivedWorld) -> None:
         self._viewer, self._world = Viewer(camera, world.pad), world
         self._shape = (camera.height, camera.width, 3)
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(world.seed, spawn_key=(_SPAWN_KEY,))))
@@ -142,7 +141,7 @@ class Model:
             if isinstance(fault, PictureFault) and not isinstance(fault, MODELLED):
                 raise BadInput(f"the fault {fault.kind} is seen in rendered frames only; use --perception pixels")
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: PerceivedWorld) -> None:
         """Begin a flight.
 
         Raises:
@@ -151,7 +150,7 @@ class Model:
         self.refuse(world.scenario.faults)
         self._scenes = Scenes(world.camera, world)
 
-    def expose(self, world: World, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
+    def expose(self, world: PerceivedWorld, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
         """Keep the scene as it is now."""
         return world.expose(camera=self.scenes.expose)
 

@@ -9,10 +9,9 @@ from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import Pilot
 from estimator.contracts.estimates import PathName
 from sitl.fault import Fault
-from sitl.perception.port import Level
+from sitl.perception.port import Level, PerceivedWorld
 from sitl.render_worker import RenderWorker
 from sitl.truth import RenderedFrame
-from sitl.world import World
 
 
 class Pixels:
@@ -27,9 +26,9 @@ class Pixels:
     def refuse(self, faults: Sequence[Fault]) -> None:
         """Refuse no fault: every one acts on rendered frames."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: PerceivedWorld) -> None:
         """Begin a flight."""
 
-    def expose(self, world: World, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
+    def expose(self, world: PerceivedWorld, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
         """Render the scene as it is now."""
         return world.expose(worker)

@@ -5,16 +5,65 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Literal, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from companion.config.model import Settings
 from companion.runtime.pilot import Pilot
 from estimator.contracts.estimates import PathName
+from estimator.contracts.geometry import F64
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+from sitl.camera import Exposure
 from sitl.fault import Fault
+from sitl.fault_timer import FaultTimer
 from sitl.render_worker import RenderWorker
-from sitl.truth import RenderedFrame
-from sitl.world import World
+from sitl.scenario import Scenario
+from sitl.truth import RenderedFrame, Truth
+from sitl.vessel import Mounted, Vessel
 
 Level = Literal["pixels", "model", "truth"]
 LEVELS: tuple[Level, ...] = ("pixels", "model", "truth")
+
+
+class PerceivedWorld(Protocol):
+    """What a perception asks of the world of a flight."""
+
+    @property
+    def scenario(self) -> Scenario: ...
+
+    @property
+    def seed(self) -> int: ...
+
+    @property
+    def pad(self) -> Pad: ...
+
+    @property
+    def camera(self) -> Camera: ...
+
+    @property
+    def faults(self) -> FaultTimer: ...
+
+    @property
+    def vessel(self) -> Vessel: ...
+
+    def truth(self) -> Truth:
+        """Return the true state at the newest step."""
+        ...
+
+    def pad_motion(self) -> Mounted:
+        """Return the pad's true motion at the newest step, with shapes (3,) and (3, 3)."""
+        ...
+
+    def pad_ahead(self, ahead_s: F64) -> Mounted:
+        """Return the pad's true motion at (H,) s after the newest step."""
+        ...
+
+    def expose(
+        self, worker: RenderWorker | None = None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None = None
+    ) -> Callable[[], RenderedFrame]:
+        """Fix the scene now, and return the call that makes the frame; `camera` replaces the renderer."""
+        ...
 
 
 class Perception(Protocol):
@@ -43,7 +92,7 @@ class Perception(Protocol):
         """
         ...
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: PerceivedWorld) -> None:
         """Begin a flight in this world.
 
         Raises:
@@ -51,6 +100,6 @@ class Perception(Protocol):
         """
         ...
 
-    def expose(self, world: World, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
+    def expose(self, world: PerceivedWorld, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
         """Expose a frame now; the call that comes back makes it when it arrives."""
         ...

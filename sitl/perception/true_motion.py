@@ -12,7 +12,7 @@ from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import NS_PER_S, MonoNs
 from estimator.ekf import Forecast
-from sitl.world import World
+from sitl.perception.port import PerceivedWorld
 
 SIGMA_ACCEL_M_S2, ACCEL_TIME_S = 0.06, 4.0
 """Levelled acceleration: the tilt that the filter errs by, times g, and how fast it changes."""
@@ -40,7 +40,7 @@ for _cov in (_COV_ACCEL, _COV_DECK, _COV_TILT):
 class TrueMotion:
     """Draws the motion that guidance is told. One generator; the errors are Gauss-Markov processes."""
 
-    def __init__(self, world: World, rng: np.random.Generator) -> None:
+    def __init__(self, world: PerceivedWorld, rng: np.random.Generator) -> None:
         self._world, self._rng = world, rng
         self._standard = rng.standard_normal(_CHANNELS)
         self._at: MonoNs | None = None

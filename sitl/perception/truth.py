@@ -32,13 +32,12 @@ from sitl.fault import Fault
 from sitl.perception.draw import detection_table, root_of, symmetric
 from sitl.perception.model import Scenes, model_for
 from sitl.perception.parameters import EstimateModel, PerceptionModel, load
-from sitl.perception.port import Level
+from sitl.perception.port import Level, PerceivedWorld
 from sitl.perception.true_motion import TrueMotion
 from sitl.render_worker import RenderWorker
 from sitl.report_faults import VesselReports
 from sitl.stream_faults import FrameStream
 from sitl.truth import RenderedFrame, Truth
-from sitl.world import World
 
 REPRESENTED = frozenset(
     {
@@ -101,7 +100,7 @@ class TruthLevel:
 
     def __init__(self, model: PerceptionModel | str | None = None) -> None:
         self._given = load(model) if isinstance(model, str) else model
-        self._world: World | None = None
+        self._world: PerceivedWorld | None = None
         self._scenes: Scenes | None = None
         self._rng = np.random.Generator(np.random.PCG64(0))
 
@@ -129,7 +128,7 @@ class TruthLevel:
                     f"the fault {fault.kind} acts on vision or the filter, which --perception truth leaves out; use model"
                 )
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: PerceivedWorld) -> None:
         """Begin a flight.
 
         Raises:
@@ -139,12 +138,12 @@ class TruthLevel:
         self._world, self._scenes = world, Scenes(world.camera, world)
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(world.seed, spawn_key=(_SPAWN_KEY,))))
 
-    def expose(self, world: World, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
+    def expose(self, world: PerceivedWorld, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
         """Keep the scene as it is now."""
         return world.expose(camera=self.scenes.expose)
 
     @property
-    def world(self) -> World:
+    def world(self) -> PerceivedWorld:
         """The world of the flight."""
         if self._world is None:
             raise RuntimeError("no flight has begun")

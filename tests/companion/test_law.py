@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.config.settings import shipped_response
-from companion.guidance import climb_law
+from companion.guidance import climb_law, own_part
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import FollowDeck
 from companion.guidance.heave import STILL, deck_ahead
@@ -263,3 +263,34 @@ def test_the_velocity_of_a_lean_is_the_one_that_the_body_will_have() -> None:
     assert isinstance(command, Lean)
     assert command.a_level[0] > 0.1
     assert command.v_level[0] == pytest.approx(0.2 + RESPONSE.tilt.slowness_s * command.a_level[0])
+
+
+def test_a_vehicle_with_a_velocity_loop_gets_its_own_velocity_and_the_lean_less_its_own_part() -> None:
+    """Otherwise its loop would add a gain of its own to every acceleration, and its integral would count twice."""
+    law = FollowDeck(RESPONSE, T, over_ground=True)
+    known = _known(0, np.array([1.0, 0.0, 1.0]), np.array([-0.2, 0.0, 0.0]))
+    _, command = law.step(law.start(), known.at, known, HOLD)
+    assert isinstance(command, Lean)
+    assert command.v_level[0] == pytest.approx(0.2)
+    plain = FollowDeck(RESPONSE, T)
+    _, whole = plain.step(plain.start(), known.at, known, HOLD)
+    assert isinstance(whole, Lean)
+    assert command.a_level + command.trim_level == pytest.approx(whole.a_level + whole.trim_level)
+
+
+@pytest.mark.parametrize("wind", [-0.6, 0.6])
+def test_what_the_vehicle_leans_by_itself_is_told_from_what_was_asked(wind: float) -> None:
+    tilt, dt = RESPONSE.tilt, 0.02
+    part = own_part.begun(0.0)
+    lean = rate = lag = told = 0.0
+    for k in range(400):
+        asked, share, w = math.sin(0.1 * k), 1.0 - math.exp(-dt / tilt.lag_s), tilt.frequency_rad_s
+        lag += share * (asked - lag)
+        told += share * (asked - part.own - told)
+        rate += dt * (w * w * (told - lean) - 2.0 * tilt.damping * w * rate)
+        lean += dt * rate
+        part = own_part.flown(part, lean + wind, lag, dt, tilt)
+    assert part.own == pytest.approx(wind, abs=0.01)
+    for _ in range(400):
+        part = own_part.hovered(part, -wind, dt)
+    assert part.own == pytest.approx(-wind, abs=0.05)

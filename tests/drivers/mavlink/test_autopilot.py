@@ -170,7 +170,7 @@ async def test_flown_by_velocity_and_landed_through_mavlink_alone() -> None:
         await until(lambda: fake.v_ned[2] > 0.3)
         fake.landed_state, fake.armed = 1, False
         await until(lambda: autopilot.condition.flying is False)
-        await asyncio.sleep(0.2)
+        await asyncio.sleep(0.7)  # the stream outlives the motors by half a second
         setpoints = len(fake.setpoints)
         await asyncio.sleep(0.2)
         assert len(fake.setpoints) == setpoints, "silent on the ground"

@@ -361,6 +361,7 @@ def test_a_persons_landing_needs_no_repeating() -> None:
 def test_taking_off_step_by_step() -> None:
     flight = Flight(Stack.ARDUPILOT, "stabilize")
     flight.streamer.on_condition(Condition("stabilize", False, False))
+    flight.streamer.on_position(0.0)
     flight.streamer.take(TakeOff(), flight.now)
     assert modes(flight.periods(0.2)) == [(4, 0)]
     flight.streamer.on_condition(Condition("guided", False, False))
@@ -370,7 +371,121 @@ def test_taking_off_step_by_step() -> None:
     (up,) = flight.periods(1.0)
     assert (up.command, up.param7) == (22, 3.0)
     flight.streamer.on_condition(Condition("guided", True, True))
+    assert flight.periods(2.0) == [], "its own take-off lifts it off the deck"
+    flight.streamer.on_position(-0.5)
+    assert velocities(flight.periods(0.04)) == [(0.0, 0.0, -1.0, 0.0)]
+    flight.streamer.on_position(-3.1)
+    flight.periods(0.04)
+    assert flight.streamer.hand is Hand.OURS
+    assert velocities(flight.periods(0.04)) == [(0.0, 0.0, 0.0, 0.0)]
+
+
+def test_px4_is_taken_off_a_ship_under_way_by_setpoints_that_go_with_her() -> None:
+    """Its own take-off mode holds over the ground while the rotors spool up, and turns over on a deck that sails on."""
+    flight = Flight(Stack.PX4, "auto.loiter")
+    flight.streamer.on_condition(Condition("auto.loiter", False, False))
+    for k in range(400):
+        flight.streamer.on_velocity(np.array([1.5, 0.2 * math.sin(0.1 * k), 0.4]), MonoNs(flight.now + k * S // 50))
+    flight.streamer.on_position(-4.0)
+    flight.streamer.take(TakeOff(), flight.now)
+    early = flight.periods(1.9)
+    assert modes(early) == []
+    along = [(m.vx, m.vz) for m in early]
+    assert along == [(pytest.approx(1.5, abs=0.01), 0.0)] * len(along)
+    assert modes(flight.periods(0.3)) == [(6, 0)]
+    flight.streamer.on_condition(Condition("offboard", False, False))
+    armed = [m for m in flight.periods(1.0) if m.get_type() == "COMMAND_LONG"]
+    assert [(m.command, m.param1, m.param2) for m in armed] == [(400, 1.0, 0.0)]
+    flight.streamer.on_condition(Condition("offboard", True, False))
+    assert {v[2] for v in velocities(flight.periods(0.5))} == {-1.0}
+    assert all(m.get_type() == "SET_POSITION_TARGET_LOCAL_NED" for m in flight.periods(4.0)), "and no MAV_CMD_NAV_TAKEOFF"
+    flight.streamer.on_condition(Condition("offboard", True, True))
+    flight.streamer.on_position(-7.0)
+    flight.periods(0.04)
+    ((north, _, down, _),) = velocities(flight.periods(0.04))
+    assert (north, down) == (pytest.approx(1.5, abs=0.01), 0.0), "and it stays over the deck"
+
+
+def test_a_person_who_takes_the_vehicle_ends_its_take_off() -> None:
+    flight = Flight(Stack.PX4, "offboard")
+    flight.streamer.on_condition(Condition("offboard", True, False))
+    flight.streamer.take(TakeOff(), flight.now)
+    flight.periods(0.2)
+    flight.streamer.on_condition(Condition("offboard", True, True))
+    flight.periods(0.2)
+    flight.streamer.on_condition(Condition("posctl", True, True))
+    assert flight.streamer.hand is Hand.RELEASED
     assert flight.periods(2.0) == []
+
+
+ON_DECK = Land(on_deck=True)
+
+
+def stops(messages: list[Message]) -> list[tuple[float, float]]:
+    return [(m.param1, m.param2) for m in messages if m.get_type() == "COMMAND_LONG" and m.command == 400]
+
+
+@pytest.mark.parametrize(("stack", "mode"), [(Stack.ARDUPILOT, "guided"), (Stack.PX4, "offboard")])
+def test_motors_stop_by_force_once_the_deck_was_felt_and_the_stream_outlives_them(stack: Stack, mode: str) -> None:
+    flight = Flight(stack, mode)
+    flight.periods(0.2, GO)
+    sent = flight.periods(0.04, ON_DECK)
+    assert stops(sent) == [(0.0, 21196.0)], "at once"
+    assert velocities(sent)[0][2] > 0.0, "it presses on the deck meanwhile"
+    assert len(stops(flight.periods(1.0, ON_DECK))) == 5, "an answer that is lost costs a fifth of a second"
+    flight.streamer.on_condition(Condition(mode, False, True))
+    outlived = flight.periods(0.4)
+    assert len(velocities(outlived)) == 10
+    assert stops(outlived) == []
+    flight.streamer.on_condition(Condition(mode, False, False))
+    assert velocities(flight.periods(0.4))[1:] == [] or flight.streamer.hand is Hand.IDLE
+    assert flight.streamer.hand is Hand.IDLE
+    assert flight.periods(1.0) == []
+
+
+def test_motors_stop_by_force_only_by_setting_and_only_while_guidance_says_so() -> None:
+    gentle = Flight(Stack.PX4, "offboard", disarm_on_contact=False)
+    gentle.periods(0.2, GO)
+    assert set(stops(gentle.periods(1.0, ON_DECK))) == {(0.0, 0.0)}
+    silent = Flight(Stack.PX4, "offboard")
+    silent.periods(0.2, GO)
+    silent.periods(0.2, ON_DECK)
+    assert set(stops(silent.periods(3.0))[2:]) == {(0.0, 0.0)}, "a service that stalls forces nothing"
+    assert velocities(silent.periods(0.2)), "and an armed vehicle on deck keeps its setpoints"
+
+
+def test_a_go_around_takes_back_a_vehicle_whose_motors_did_not_stop() -> None:
+    flight = Flight(Stack.PX4, "offboard")
+    flight.periods(0.2, GO)
+    flight.periods(1.0, ON_DECK)
+    flight.periods(0.04, GO)
+    flight.told("offboard")
+    sent = flight.periods(0.2, GO)
+    assert flight.streamer.hand is Hand.OURS
+    assert stops(sent) == []
+
+
+def test_a_vehicle_that_stands_after_a_landing_is_asked_to_disarm_and_never_left_armed_in_a_hold() -> None:
+    flight = Flight(Stack.PX4, "offboard")
+    flight.periods(0.2, GO)
+    flight.told("offboard")
+    flight.periods(0.2, Land())
+    flight.told(flying=False)
+    sent = flight.periods(8.0)
+    assert modes(sent) == [], "no AUTO.LOITER on a deck"
+    assert set(stops(sent)) == {(0.0, 0.0)}
+    assert len(velocities(sent)) == 200
+    flight.streamer.on_condition(Condition("offboard", False, False))
+    flight.periods(0.6)
+    assert flight.periods(1.0) == []
+
+
+def test_motors_that_a_person_has_are_not_stopped() -> None:
+    flight = Flight(Stack.PX4, "offboard")
+    flight.periods(0.2, GO)
+    flight.told("offboard")
+    flight.told("posctl")
+    assert flight.periods(1.0, ON_DECK) == []
 
 
 def test_cutting_the_motors_is_a_forced_disarm_until_the_autopilot_is_disarmed() -> None:

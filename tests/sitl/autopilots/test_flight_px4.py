@@ -11,9 +11,7 @@ import stat
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -22,79 +20,27 @@ from companion.runtime.pilot import FlightOutcome
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
-from drivers.mavlink.vehicle import Stack
+from drivers.mavlink.links import LinkOptions, Links, open_links
 from estimator.contracts.errors import BadInput
-from sitl.airframe import Airframe
 from sitl.autopilots import px4
-from sitl.autopilots.body import Body
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram
+from sitl.autopilots.stand_in.px4 import Px4StandIn
 from sitl.scenario import load
-from sitl.testing.fake_autopilot import FakeAutopilot
-from tests.sitl.autopilots.pilot import Cascade
 
 HOST = "127.0.0.1"
 
 
-class Px4(FakeAutopilot):
-    """Flies the body of the physics: AUTO.TAKEOFF and OFFBOARD velocities."""
+class Px4(Px4StandIn):
+    """The stand-in behind PX4's simulator interface."""
 
     def __init__(self, flight: AutopilotFlight) -> None:
-        super().__init__(Stack.PX4, system=1, mode="auto.loiter", armed=False, landed_state=1, clock=flight.clock)
+        super().__init__(flight.clock, dict(flight.autopilot.parameters))
         self._flight = flight
-        self._cascade = Cascade(Airframe(), 0.0, px4.STEP_S, most_m_s2=1.5)
-        self._hold: Any = None
-        self._wanted = np.zeros(3)
-        self._home: Any = None
-        self.rpy = lambda t: self._body.state().R_ned_body.rpy_rad
-
-    @property
-    def _body(self) -> Body:
-        assert self._flight.body is not None
-        return self._flight.body
-
-    def _on_message(self, received: ReceivedMessage) -> None:
-        """What is meant for another component goes on to the other link, as PX4 forwards it."""
-        assert self.links is not None
-        m = received.message
-        if getattr(m, "target_component", 0) != 1 and m.get_type() != "TIMESYNC":
-            wire = self.links.all[1 - received.link]._wire
-            if wire is not None:
-                wire.send(bytes(m.get_msgbuf()), None)
-        super()._on_message(received)
-
-    def _on_set_position_target_local_ned(self, m: Message, received: ReceivedMessage) -> None:
-        super()._on_set_position_target_local_ned(m, received)
-        if self.mode == "offboard":
-            self._wanted = np.array([m.vx, m.vy, m.vz])
-
-    def _streams(self, t: float) -> list[Message]:
-        s = self._body.state()
-        self._home = s.p_ned if self._home is None else self._home
-        self.p_ned, self.v_ned = s.p_ned - self._home, s.v_ned
-        out = [m for m in super()._streams(t) if m.get_type() != "HIGHRES_IMU"]
-        if t >= self._next.get(-1, 0.0):
-            self._next[-1] = t + 0.01
-            readings = (*map(float, s.f_body), *map(float, s.w_body), 0, 0, 0, 1000.0, 0, 0, 20.0, 0b111111)
-            out.append(mav.MAVLink_highres_imu_message(self.boot_ns // 1000, *readings))
-        return out
 
     def controls(self) -> Message:
         """The motors for the state as it is."""
-        s = self._body.state()
-        if self._body.landing() is not None and self.landed_state == 2:
-            self.landed_state, self.armed = 1, False
-        if self.mode == "offboard" and self.now_s - self.setpoints[-1][0] > px4.PARAMETERS["COM_OF_LOSS_T"]:
-            self.set_mode("auto.loiter")  # COM_OBL_RC_ACT 5: hold
-            self._wanted = np.zeros(3)
-        motors = (0.0, 0.0, 0.0, 0.0)
-        if self.armed and self.landed_state == 2:
-            wanted = self._wanted
-            if self.mode == "auto.takeoff":
-                wanted = np.array([0.0, 0.0, max(-1.0, -(2.0 + self.p_ned[2]))])
-            hold = s.p_ned if self._hold is None else self._hold
-            self._hold = s.p_ned + np.clip(hold + wanted * px4.STEP_S - s.p_ned, -0.2, 0.2)
-            motors = self._cascade.motors(s.p_ned, s.v_ned, s.R_ned_body, s.w_body, self._hold, wanted)
+        assert self._flight.body is not None
+        motors = self.step(self._flight.body.state())
         return mav.MAVLink_hil_actuator_controls_message(0, [*motors, *[0.0] * 12], 129 if self.armed else 1, 0)
 
     @asynccontextmanager

@@ -34,8 +34,8 @@ def ack(command: int, result: int, component: int = 1) -> Message:
 class CommandHandler:
     """The station and its clock."""
 
-    def __init__(self, stack: Stack = Stack.ARDUPILOT, **options: bool) -> None:
-        self.station = GroundStation(stack, height_m=4.0, **options)
+    def __init__(self, stack: Stack = Stack.ARDUPILOT) -> None:
+        self.station = GroundStation(stack, height_m=4.0)
         self.t_s = 10.0
         self.view = FAR
 
@@ -89,15 +89,30 @@ def test_from_the_first_heartbeat_to_the_order() -> None:
     assert {m.get_type() for m in command_handler.wait(2.0)} == {"HEARTBEAT"}, "the companion has it"
 
 
-def test_px4_begins_where_its_take_off_ends() -> None:
-    command_handler = CommandHandler(Stack.PX4, flies_there=False)
-    message = mav.MAVLink_heartbeat_message(2, 12, ARMED, custom_mode(Stack.PX4, "auto.loiter"), 4, 3)
-    command_handler.on_message(spoken(message))
-    assert set(commands(command_handler.wait(1.0))) == {(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)}
-    command_handler.on_message(spoken(message))
-    assert set(commands(command_handler.wait(1.0))) == {(mav.MAV_CMD_DO_SET_MODE, 1)}
-    command_handler.view = replace(FAR, height_m=3.9)
-    assert commands(command_handler.wait(0.5)) == [(mav.MAV_CMD_NAV_LAND, 191)]
+def test_px4_is_armed_and_climbs_in_offboard_with_the_decks_velocity() -> None:
+    """Its own take-off holds over the ground, and a place of zeros is a place to it."""
+    command_handler = CommandHandler(Stack.PX4)
+    command_handler.view = replace(FAR, yaw_rad=0.0, v_deck_level=np.array([1.5, 0.2, 0.4]))
+
+    def beat_px4(mode: str, armed: bool) -> None:
+        base = ARMED if armed else 0
+        number = custom_mode(Stack.PX4, mode)
+        command_handler.on_message(spoken(mav.MAVLink_heartbeat_message(2, 12, base, number, 4, 3)))
+
+    def flown(seconds: float) -> tuple[set[tuple[int, int]], set[tuple[float, ...]]]:
+        out = command_handler.wait(seconds)
+        steered = [m for m in out if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+        return set(commands(out)), {(round(m.vx, 3), round(m.vy, 3), round(m.vz, 3)) for m in steered}
+
+    beat_px4("auto.loiter", False)
+    assert flown(2.0) == ({(mav.MAV_CMD_DO_SET_MODE, 1)}, {(1.5, 0.2, 0.0)})
+    beat_px4("offboard", False)
+    assert flown(2.0) == ({(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)}, {(1.5, 0.2, 0.0)})
+    beat_px4("offboard", True)
+    assert flown(2.0) == (set(), {(1.5, 0.2, -1.0)})
+    command_handler.view = replace(command_handler.view, height_m=3.9)
+    command_handler.wait(0.3)
+    assert command_handler.station.task is Task.GO
 
 
 @pytest.mark.parametrize(
@@ -121,11 +136,12 @@ def test_what_does_not_come_about_is_given_up_with_the_autopilots_words(
 
 
 def ready_to_order() -> CommandHandler:
-    command_handler = CommandHandler(flies_there=False)
+    command_handler = CommandHandler()
     command_handler.on_message(beat("guided", False))
     command_handler.on_message(beat("guided", True))
-    command_handler.view = replace(FAR, height_m=3.9)
-    command_handler.wait(0.3)
+    nothing = np.zeros(3)
+    command_handler.view = replace(FAR, height_m=3.9, to_start_level=nothing, v_rel_level=nothing, turn_rad=0.0)
+    command_handler.wait(1.6)
     assert command_handler.station.task is Task.ORDER
     return command_handler
 

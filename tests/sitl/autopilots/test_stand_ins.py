@@ -1,0 +1,237 @@
+"""The stand-ins show on a deck what the programs were measured to do there, so that a landing on them is worth something."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.setpoint import velocity_setpoint
+from drivers.mavlink.vehicle import Stack, set_mode
+from estimator.contracts.commands import Velocity
+from estimator.contracts.time import MonoNs
+from sitl.autopilots.ardupilot_json import CURVE
+from sitl.autopilots.body import Body
+from sitl.autopilots.stand_in.arducopter import CopterStandIn
+from sitl.autopilots.stand_in.base import StandIn
+from sitl.autopilots.stand_in.fly import STEP_S
+from sitl.autopilots.stand_in.px4 import Px4StandIn
+from sitl.scenario import load
+
+ARM = (mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+DISARM = (mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+FORCED = 21196.0
+QUICK = {"EKF2_REQ_GPS_H": 0.5}
+SHIP = {**QUICK, "EKF2_GPS_CHECK": 21.0}
+
+
+class Deck:
+    """A stand-in on the pad of a ship, without sockets."""
+
+    def __init__(
+        self, name: str, stack: Stack, parameters: dict[str, float] | None = None, speed_m_s: float | None = None
+    ) -> None:
+        scenario = load(name)
+        vessel = scenario.vessel if speed_m_s is None else replace(scenario.vessel, speed_m_s=speed_m_s, moored=False)
+        scenario = replace(scenario, start=replace(scenario.start, where="pad"), vessel=vessel)
+        self.body = Body(scenario, 3, STEP_S, CURVE if stack is Stack.ARDUPILOT else 0.0)
+        self.pilot: StandIn = (
+            CopterStandIn(self, parameters, STEP_S) if stack is Stack.ARDUPILOT else Px4StandIn(self, parameters)
+        )
+        self.said: list[Message] = []
+        self.pilot.send = self.said.append  # type: ignore[method-assign]
+        self.pilot.step(self.body.state())
+
+    def now(self) -> MonoNs:
+        return MonoNs(10**12 + round(1e9 * self.body.t_s) if hasattr(self, "body") else 10**12)
+
+    async def sleep(self, seconds: float) -> None:
+        raise AssertionError("nothing sleeps here")
+
+    def tell(self, message: Message) -> None:
+        """As from a companion."""
+        received: Any = SimpleNamespace(message=message, system=1, component=191, link=0)
+        getattr(self.pilot, f"_on_{message.get_type().lower()}")(message, received)
+
+    def order(self, command: int, *params: float) -> int:
+        """The result of a command."""
+        self.tell(mav.MAVLink_command_long_message(1, 1, command, 0, *[*params, *[0.0] * (7 - len(params))]))
+        return next(int(m.result) for m in reversed(self.said) if m.get_type() == "COMMAND_ACK")
+
+    def mode(self, name: str) -> None:
+        self.tell(set_mode(self.pilot.stack, (1, 1), name))
+
+    def fly(self, seconds: float, down_m_s: float | None = None) -> None:
+        """Go on for a while, by setpoints with the deck's velocity at 25 Hz where a vertical speed is given."""
+        for k in range(round(seconds / STEP_S)):
+            if down_m_s is not None and k % 10 == 0:
+                way = np.array([*self.body.v_pad_ned[:2], down_m_s])
+                self.tell(velocity_setpoint(0, (1, 1), Velocity(way, 0.0), 0.0))
+            self.body.step(self.pilot.step(self.body.state()))
+
+    def armed(self, mode: str, down_m_s: float | None = 0.0) -> None:
+        self.fly(2.0, down_m_s)
+        self.mode(mode)
+        assert self.order(*ARM) == 0
+
+    def up(self, height_m: float = 2.0) -> None:
+        """Off the deck in the velocity mode, over it and still."""
+        if self.pilot.stack is Stack.PX4:
+            self.armed("offboard")
+        else:
+            self.armed("guided")
+            assert self.order(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 3.0) == 0
+            self.fly(1.0)
+        while self.height_m < height_m:
+            self.fly(0.2, -1.0)
+        self.fly(1.0, 0.0)
+        assert self.body.upright
+
+    @property
+    def height_m(self) -> float:
+        return float(self.body.p_pad_ned[2] - self.body.state().p_ned[2])
+
+    @property
+    def aside_m(self) -> float:
+        return math.hypot(*(self.body.state().p_ned - self.body.p_pad_ned)[:2])
+
+    @property
+    def texts(self) -> list[Message]:
+        return [m for m in self.said if m.get_type() == "STATUSTEXT"]
+
+
+def test_px4_takes_a_take_off_to_latitude_0_for_a_place_and_only_nan_for_here() -> None:
+    away, here = Deck("calm", Stack.PX4, QUICK), Deck("calm", Stack.PX4, QUICK)
+    for deck, place, height in ((away, 0.0, 20.0), (here, math.nan, math.nan)):
+        deck.armed("auto.loiter", None)
+        deck.order(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, place, place, height)
+        deck.fly(6.0)
+    assert away.aside_m > 3.0 or not away.body.upright
+    assert here.aside_m < 0.3
+    assert here.height_m > 1.0
+
+
+def test_px4_by_its_own_take_off_mode_leaves_a_ship_under_way_and_with_her_velocity_does_not() -> None:
+    """AUTO.TAKEOFF holds a place over the ground while the rotors spool up."""
+    own, ours = Deck("moderate", Stack.PX4, SHIP), Deck("moderate", Stack.PX4, SHIP)
+    own.armed("auto.takeoff")
+    own.fly(7.0)
+    assert not own.body.upright or own.aside_m > 3.0
+    ours.armed("offboard")
+    ours.fly(6.0, -1.0)
+    assert ours.body.upright
+    assert ours.height_m > 1.0
+    assert ours.aside_m < 2.5, "what the wind makes of a velocity"
+
+
+@pytest.mark.parametrize(("speed_m_s", "check", "arms"), [(1.5, 245.0, False), (1.5, 21.0, True), (0.0, 245.0, True)])
+def test_px4_arms_on_a_ship_under_way_only_without_the_checks_of_drift(speed_m_s: float, check: float, arms: bool) -> None:
+    deck = Deck("calm", Stack.PX4, {**QUICK, "EKF2_GPS_CHECK": check}, speed_m_s)
+    deck.fly(12.0 if not arms else 3.0)
+    assert (deck.order(*ARM) == 0) is arms
+    assert deck.pilot.armed is arms
+
+
+def test_px4_says_a_refusal_in_two_chunks() -> None:
+    deck = Deck("calm", Stack.PX4)
+    assert deck.order(*ARM) == mav.MAV_RESULT_TEMPORARILY_REJECTED
+    first, second = deck.texts
+    assert (first.id, first.chunk_seq, second.chunk_seq) == (second.id, 0, 1)
+    assert first.id > 0
+    assert (first.text + second.text).startswith("Arming denied")
+    assert second.text == "t", "which is all that a reader sees who takes each for a text of its own"
+
+
+def landed(deck: Deck, seconds: float) -> float | None:
+    """Seconds from the contact to the disarming; None if it stayed armed."""
+    while deck.body.landing() is None or deck.height_m > 0.06:
+        deck.fly(0.1, 0.4)
+    for k in range(round(seconds / 0.1)):
+        deck.fly(0.1, 0.4)
+        if not deck.pilot.armed:
+            return 0.1 * k
+    return None
+
+
+def test_px4_does_not_see_that_it_stands_on_a_deck_that_heaves() -> None:
+    low = {"LNDMC_Z_VEL_MAX": 0.1}
+    still, rough = Deck("calm", Stack.PX4, QUICK | low), Deck("sea_state_4", Stack.PX4, SHIP | low)
+    for deck in (still, rough):
+        deck.up(1.0)
+    quick = landed(still, 12.0)
+    assert quick is not None
+    late = landed(rough, quick + 10.0)
+    assert late is None or late > quick + 1.5
+
+
+def test_px4_fails_safe_when_the_setpoints_of_an_armed_vehicle_end() -> None:
+    deck = Deck("calm", Stack.PX4, QUICK)
+    deck.up()
+    deck.fly(0.9)
+    assert deck.pilot.failsafes == []
+    deck.fly(0.3)
+    assert len(deck.pilot.failsafes) == 1
+    assert deck.pilot.mode == "auto.loiter"
+    quiet = Deck("calm", Stack.PX4, QUICK)
+    quiet.armed("offboard")
+    assert quiet.order(*DISARM) == 0
+    quiet.fly(2.0)
+    assert quiet.pilot.failsafes == []
+
+
+@pytest.mark.parametrize("stack", [Stack.PX4, Stack.ARDUPILOT])
+def test_motors_stop_in_the_air_only_by_force(stack: Stack) -> None:
+    deck = Deck("calm", stack, QUICK)
+    deck.up(1.0)
+    assert deck.order(*DISARM) == mav.MAV_RESULT_DENIED
+    assert deck.pilot.armed
+    assert deck.order(*DISARM, FORCED) == 0
+    assert not deck.pilot.armed
+
+
+def test_arducopter_leaves_the_ground_by_its_take_off_only_and_brakes_when_setpoints_end() -> None:
+    deck = Deck("calm", Stack.ARDUPILOT)
+    deck.armed("guided")
+    deck.fly(2.0, -1.0)
+    assert deck.height_m < 0.1, "no velocity lifts it off"
+    deck.up()
+    deck.tell(velocity_setpoint(0, (1, 1), Velocity(np.array([1.0, 0.0, 0.0]), 0.0), 0.0))
+    deck.fly(2.8)
+    assert deck.body.state().v_ned[0] > 0.7
+    deck.fly(2.0)
+    assert deck.body.state().v_ned[0] < 0.3
+
+
+def test_arducopter_stays_armed_on_a_deck_in_loiter_and_disarms_in_land() -> None:
+    for mode, ends_armed in (("loiter", True), ("land", False)):
+        deck = Deck("calm", Stack.ARDUPILOT)
+        deck.up(0.6)
+        while deck.height_m > 0.06:
+            deck.fly(0.1, 0.4)
+        deck.mode(mode)
+        deck.fly(6.0)
+        assert deck.pilot.armed is ends_armed, mode
+
+
+def test_arducopter_follows_a_target_with_the_ship_only_where_it_is_told_that_it_moves() -> None:
+    aside = {}
+    for options in (0.0, 1.0):
+        deck = Deck("calm", Stack.ARDUPILOT, {"PLND_OPTIONS": options}, 1.5)
+        deck.up(3.5)
+        deck.mode("land")
+        for _ in range(110):
+            s = deck.body.state()
+            x, y, z = (float(c) for c in s.R_ned_body.inv @ (deck.body.p_pad_ned - s.p_ned))
+            target = mav.MAVLink_landing_target_message(
+                0, 0, 12, 0, 0, math.sqrt(x * x + y * y + z * z), 0, 0, x, y, z, [1, 0, 0, 0], 3, 1
+            )
+            deck.tell(target)
+            deck.fly(0.05)
+        aside[options] = deck.aside_m
+    assert aside[0.0] > 0.8
+    assert aside[1.0] < 0.4
