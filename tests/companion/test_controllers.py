@@ -86,6 +86,7 @@ def test_the_field_of_view_is_in_the_body_axes_whatever_way_the_camera_is_turned
 
 
 @pytest.mark.parametrize("profile", ["raspberry_ardupilot", "raspberry_px4"])
-def test_a_vehicle_whose_response_is_only_assumed_does_not_fly_by_it(profile: str) -> None:
+def test_an_autopilot_is_flown_by_the_law_that_follows_the_deck_with_the_nose_on_the_arrow(profile: str) -> None:
     settings = load(profile)
-    assert isinstance(law_of(settings)(settings.guidance), PidController)
+    assert isinstance(law_of(settings)(settings.guidance), FollowDeck)
+    assert (settings.guidance.mission, settings.guidance.tries.heading) == ("cone", "align")

@@ -159,7 +159,7 @@ async def test_followed_seen_and_landed_in_real_time() -> None:
     settings = replace(
         settings,
         # Real time on a busy machine: a few frames a second must do.
-        guidance=replace(settings.guidance, mission="thesis", thesis=thesis, stale_after_s=2.0),
+        guidance=replace(settings.guidance, controller="pid", mission="thesis", thesis=thesis, stale_after_s=2.0),
         estimator=replace(settings.estimator, path="dead_reckoning"),
     )
     for _ in range(3):  # a landing that a starved machine gave up, as it should, is flown again

@@ -44,7 +44,7 @@ class Deck:
             CopterStandIn(self, parameters, STEP_S) if stack is Stack.ARDUPILOT else Px4StandIn(self, parameters)
         )
         self.said: list[Message] = []
-        self.pilot.send = self.said.append  # type: ignore[method-assign]
+        self.pilot.send = self.said.append  # type: ignore[method-assign, assignment]
         self.pilot.step(self.body.state())
 
     def now(self) -> MonoNs:
