@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import accumulate
 
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4 as CONTENT_TYPE
 from prometheus_client.exposition import generate_latest
 from prometheus_client.registry import Collector, CollectorRegistry
 
+from companion.runtime.delays import EDGES_S
 from companion.runtime.health import HealthSnapshot, MissionHealth
 
 __all__ = ["CONTENT_TYPE", "text"]
@@ -98,7 +100,7 @@ def families(health: HealthSnapshot) -> Iterator[Metric]:
         for quantile, value in (("0.5", stage.p50_s), ("0.99", stage.p99_s)):
             if value is not None:
                 stages.add_metric([name, quantile], value)
-    yield from (stages, runs)
+    yield from (stages, runs, _durations(health))
 
     yield from _mission(health.mission)
 
@@ -107,6 +109,16 @@ def families(health: HealthSnapshot) -> Iterator[Metric]:
         for name, number in values.items():
             counts.add_metric([part, name], number)
     yield counts
+
+
+def _durations(health: HealthSnapshot) -> Metric:
+    family = HistogramMetricFamily(
+        "decklander_stage_duration_seconds", "How long a stage took, each run since the start.", labels=["stage"]
+    )
+    edges = [*map(str, EDGES_S), "+Inf"]
+    for name, stage in health.stages.items():
+        family.add_metric([name], list(zip(edges, accumulate(stage.buckets), strict=True)), stage.sum_s)
+    return family
 
 
 def _mission(mission: MissionHealth) -> Iterator[Metric]:

@@ -13,6 +13,7 @@ from companion.guidance.reason import Reason, ReasonCause
 from companion.guidance.response_watch import ResponseInUse, ResponseState
 from companion.recorder import records as rec
 from companion.recorder.encode import COMMANDS
+from companion.runtime.observer import FrameTimes
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import IntegrityAlert, Method, PathName, Pose6, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, Source
@@ -78,6 +79,12 @@ def detection(of: rec.DetectionRecord) -> Detection | None:
     methods = {_method(name): seen(name) for name in of.tried}
     chosen = None if of.chosen is None else _method(of.chosen)
     return Detection(seen("selected"), chosen, MappingProxyType(methods))
+
+
+def frame_times(of: rec.DetectionRecord) -> FrameTimes | None:
+    """Return how long the stages of a recorded frame took; None if the record does not say."""
+    t = of.times
+    return None if t is None else FrameTimes(t.decode_s, t.wait_s, t.look_s, t.filter_s)
 
 
 def _method(name: str) -> Method:

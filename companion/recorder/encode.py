@@ -88,6 +88,7 @@ def detection(of: ProcessedFrame) -> rec.DetectionRecord:
         None if of.attitude is None else attitude(of.attitude),
         None if processed is None else list(processed.methods),
         None if processed is None else processed.chosen,
+        times=None if of.times is None else rec.FrameTimesRecord(*(seconds for _, seconds in of.times.by_stage())),
         **({} if processed is None else _methods(processed)),
     )
 

@@ -17,7 +17,7 @@ from companion.recorder import channels, decode
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
 from companion.recorder.container import records
-from companion.runtime.observer import Decision
+from companion.runtime.observer import Decision, FrameTimes
 from drivers.camera import images
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState, Verdict
@@ -63,6 +63,11 @@ class RecordedFrame:
     def detection(self) -> Detection | None:
         """Return the recorded detection without the features in pixels, or None if vision did not run."""
         return decode.detection(self.record)
+
+    @property
+    def times(self) -> FrameTimes | None:
+        """How long the stages of the frame took; None if the recording does not say."""
+        return decode.frame_times(self.record)
 
     def frame(self, size: tuple[int, int]) -> Frame | None:
         """Decode the image again.

@@ -122,6 +122,15 @@ class SightingRecord(Struct, frozen=True, omit_defaults=True):
     pose6: Pose6Record | None = None
 
 
+class FrameTimesRecord(Struct, frozen=True):
+    """How long each stage of one frame took, s."""
+
+    decode_s: float
+    wait_s: float
+    look_s: float
+    filter_s: float
+
+
 class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     """One frame: its stamp, the sighting of every method, and the verdict."""
 
@@ -145,6 +154,8 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     registration: SightingRecord | None = None
     marker: SightingRecord | None = None
     fused: SightingRecord | None = None
+    times: FrameTimesRecord | None = None
+    """Left out if vision did not search the frame, and in virtual time."""
 
 
 class NamedNumber(Struct, frozen=True):

@@ -171,7 +171,8 @@ class Replay:
             detection = self._pilot.detect(replace(frame, stamp=stamp), attitude)
             verdict, results = self._pilot.on_detection(detection)
         self._pilot.on_verdict(verdict)
-        processed = ProcessedFrame(replace(frame, stamp=stamp), attitude, detection, verdict, began, done, results)
+        seen = replace(frame, stamp=stamp)
+        processed = ProcessedFrame(seen, attitude, detection, verdict, began, done, results, recorded.times)
         self._hash.update(self._encoder.encode(encode.detection(processed)))
         for observer in self._observers:
             observer.on_frame(processed)

@@ -17,7 +17,7 @@ from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.samples import Sample
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import MonoNs
 
 Beliefs = dict[tuple[PathName, MonoNs], RelativeState]
 
@@ -44,9 +44,7 @@ class BeliefLogObserver:
             log.sightings.extend(
                 s for s in (*processed.detection.methods.values(), processed.detection.selected) if s is not None
             )
-            log.stage_s.setdefault("vision, as recorded", []).append(seconds_between(processed.began, processed.done))
-        log.stage_s.setdefault("camera and link", []).append(processed.frame.stamp.delay_s)
-        log.delay_s.append(seconds_between(processed.frame.stamp.measured_at, processed.done))
+        log.add_times(processed)
 
     def on_decision(self, decision: Decision) -> None:
         log = self.log

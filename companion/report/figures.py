@@ -151,8 +151,8 @@ def error_rows(log: FlightLog, series: Sequence[Series]) -> list[ErrorRow]:
 
 
 def timing_rows(log: FlightLog) -> list[TimingRow]:
-    """Return a row for each stage in the log's order, then one for the delay from exposure to command."""
-    named = [*log.stage_s.items(), ("exposure to command", log.delay_s)]
+    """Return a row for each stage in the log's order, then one for the delay from the exposure to the estimate."""
+    named = [*log.stage_s.items(), ("exposure to belief", log.delay_s)]
     return [TimingRow(name, len(v), *(_quantile(np.array(v), q) for q in (0.5, 0.95, 0.99, 1.0))) for name, v in named if len(v)]
 
 

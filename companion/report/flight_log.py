@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from companion.guidance.mission import StateChange
+from companion.runtime.observer import ProcessedFrame
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import _vector
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 
@@ -112,8 +113,20 @@ class FlightLog:
     stage_s: dict[str, list[float]] = field(default_factory=dict)
     """The measured durations by stage (decode, look, filter, encode, ...), in the order of display."""
     delay_s: list[float] = field(default_factory=list)
-    """The delays from mid-exposure to the command that used the frame, one per frame."""
+    """The delays from mid-exposure until the estimate knew the frame, one per frame."""
     touchdown: LoggedTouchdown | None = None
+
+    def add_times(self, processed: ProcessedFrame) -> None:
+        """Keep how long a frame was under way and how long its stages took; as recorded, where a replay hands it on."""
+        stamp = processed.frame.stamp
+        stages = [("camera and link", stamp.delay_s)]
+        if processed.times is not None:
+            stages += processed.times.by_stage()
+        elif processed.detection is not None:
+            stages.append(("vision", seconds_between(processed.began, processed.done)))
+        for name, seconds in stages:
+            self.stage_s.setdefault(name, []).append(seconds)
+        self.delay_s.append(seconds_between(stamp.measured_at, processed.done))
 
     def add_result(self, result: FusionResult) -> None:
         """Keep a result. Results of accepted IMU samples are left out: they are compared with nothing."""

@@ -7,7 +7,7 @@ import cv2
 from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import MonoNs
 
 
 class LogObserver(NullObserver):
@@ -38,9 +38,7 @@ class LogObserver(NullObserver):
             log.sightings.extend(
                 s for s in (*processed.detection.methods.values(), processed.detection.selected) if s is not None
             )
-            log.stage_s.setdefault("vision", []).append(seconds_between(processed.began, processed.done))
-        log.stage_s.setdefault("camera and link", []).append(frame.stamp.delay_s)
-        log.delay_s.append(seconds_between(frame.stamp.measured_at, processed.done))
+        log.add_times(processed)
 
     def on_decision(self, decision: Decision) -> None:
         log = self.log

@@ -256,11 +256,15 @@ def _commands(log: FlightLog) -> str:
 
 
 def _times(log: FlightLog) -> str:
+    from companion.report import plots
+
     rows = "".join(map(_timing_row, timing_rows(log)))
     if not rows:
         return '<h2>Times</h2><p class="note">No times were measured.</p>'
+    drawn = f"<figure>{plots.stages(log)}</figure>" if any(log.stage_s.values()) else ""
     return (
-        '<h2>Times</h2><div class="wide"><table><thead><tr><th>stage</th><th>samples</th><th>median</th><th>95 %</th>'
+        f"<h2>Times</h2>{drawn}"
+        '<div class="wide"><table><thead><tr><th>stage</th><th>samples</th><th>median</th><th>95 %</th>'
         f"<th>99 %</th><th>longest</th></tr></thead><tbody>{rows}</tbody></table></div>"
     )
 

@@ -256,6 +256,24 @@ def verdicts(log: FlightLog) -> str:
     return svg(draw, 9.6, 0.75 + 0.32 * len(ordered), "verdicts")
 
 
+def stages(log: FlightLog) -> str:
+    """Draw the durations of each stage as a histogram over a logarithmic axis."""
+    named = [(name, np.maximum(values, 1e-6)) for name, values in log.stage_s.items() if values]
+
+    def draw(figure: Figure) -> None:
+        low, high = min(values.min() for _, values in named), max(values.max() for _, values in named)
+        edges = np.geomspace(1e3 * low / 1.1, 1e3 * high * 1.1, 60)
+        axes = figure.subplots(len(named), 1, sharex=True, squeeze=False)[:, 0]
+        for ax, (name, values) in zip(axes, named, strict=True):
+            ax.hist(1e3 * values, bins=edges, color=_FUSED)
+            ax.axvline(1e3 * float(np.median(values)), color=INK, linewidth=0.8)
+            ax.set_ylabel(name, rotation=0, horizontalalignment="right", verticalalignment="center")
+            ax.set(xscale="log", yticks=[])
+        axes[-1].set_xlabel("ms; the line is the median")
+
+    return svg(draw, 9.6, 0.8 + 0.6 * len(named), "stages")
+
+
 def _tracks(log: FlightLog, series: Sequence[Series]) -> list[tuple[str, F64, dict[str, object]]]:
     """Return (name, positions over the pad, line style) for truth first, then for every path that knew its heading."""
     out: list[tuple[str, F64, dict[str, object]]] = []

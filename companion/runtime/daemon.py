@@ -25,7 +25,7 @@ from companion.runtime.containment import Audience
 from companion.runtime.garbage import GroundedCollector, no_full_collections
 from companion.runtime.health import Health
 from companion.runtime.missing_inputs import SHIP_PLACE, missing_inputs
-from companion.runtime.observer import Decision, Observer, ProcessedFrame
+from companion.runtime.observer import Decision, FrameTimes, Observer, ProcessedFrame
 from companion.runtime.pilot import FlightOutcome, Pilot
 from companion.runtime.restart_options import RestartOptions
 from companion.runtime.supervise import Body, run, uncancelled
@@ -38,7 +38,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample
-from estimator.contracts.time import seconds_between
+from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.vision.thesis.detection import Detection
 
 log = logging.getLogger(__name__)
@@ -118,6 +118,8 @@ class Daemon:
         """Set after the first guidance cycle, which nothing is to delay."""
         self._wrong_size_logged = False
         self._logged = ("", "")
+        self._newest_fused: Stamp | None = None
+        """Stamp of the newest frame in the estimate that no command has used."""
         self._extras = dict(extras or {})
         if reports is not None:
             self._extras["ship_reports"] = partial(self._read_reports, reports)
@@ -197,9 +199,15 @@ class Daemon:
                 self._judged(Verdict.FAILED)
                 raise
             self._judged(processed.verdict)
-            self.health.delay("vision", seconds_between(processed.began, processed.done))
+            if processed.times is not None:
+                self.health.frame_times(processed.times)
             self.health.delay("exposure_to_belief", seconds_between(frame.stamp.measured_at, processed.done))
             self._audience.on_frame(processed)
+            told = self._clock.now()
+            self.health.delay("outputs", seconds_between(processed.done, told))
+            if processed.verdict is Verdict.FUSED:
+                self.health.delay("arrival_to_outputs", seconds_between(frame.stamp.received_at, told))
+                self._newest_fused = frame.stamp
             for result in processed.results:
                 self.health.fusion(result)
                 self._audience.on_fusion(processed.done, result)
@@ -213,6 +221,7 @@ class Daemon:
         attitude = await self._attitude_of(frame)
         detection: Detection | None = None
         results: tuple[FusionResult, ...] = ()
+        seen, look_s = began, 0.0
         if not self._fits(frame):
             verdict = Verdict.FAILED
         elif (refused := self._pilot.admit(frame)) is not None:
@@ -221,11 +230,22 @@ class Daemon:
             verdict = Verdict.NO_ATTITUDE
         else:
             assert self._tracker is not None
-            looked_from = self._clock.now()
-            detection = await self._tracker.run(self._pilot.detect, frame, attitude)
-            self._share.looked(looked_from, seconds_between(looked_from, self._clock.now()))
-            verdict, results = self._pilot.on_detection(detection)
-        return ProcessedFrame(frame, attitude, detection, verdict, began, self._clock.now(), results)
+            waited_from = self._clock.now()
+            found, look_s = await self._tracker.run(self._look, frame, attitude)
+            seen, detection = self._clock.now(), found
+            self._share.looked(waited_from, seconds_between(waited_from, seen))
+            verdict, results = self._pilot.on_detection(found)
+        done, times = self._clock.now(), None
+        if detection is not None:
+            decode_s, waited_s = seconds_between(frame.stamp.received_at, began), seconds_between(began, seen) - look_s
+            times = FrameTimes(decode_s, waited_s, look_s, seconds_between(seen, done))
+        return ProcessedFrame(frame, attitude, detection, verdict, began, done, results, times)
+
+    def _look(self, frame: Frame, attitude: Attitude) -> tuple[Detection, float]:
+        """Look at a frame on the thread of vision; return what was seen, and how long the look took, s."""
+        began = self._clock.now()
+        detection = self._pilot.detect(frame, attitude)
+        return detection, seconds_between(began, self._clock.now())
 
     async def _attitude_of(self, frame: Frame) -> Attitude | None:
         """Return the attitude at the exposure, or None; wait a little for one that covers it.
@@ -259,9 +279,12 @@ class Daemon:
             self.health.beat("Decision")
             decision = self._pilot.decide(began)
             self._decided.set()
+            decided = self._clock.now()
+            self.health.delay("decide", seconds_between(began, decided))
             if decision.command is not None and self._link is not None:
                 try:
                     self._link.command(decision.command)
+                    self._commanded(decided)
                 except Recoverable as why:
                     self._pilot.operator.undelivered(decision.command, began)
                     log.debug("command not sent: %s", why)
@@ -277,6 +300,14 @@ class Daemon:
             await self._clock.sleep(max(0.001, self._period_s - spent_s))
             late_s = seconds_between(began, self._clock.now()) - self._period_s
             self.health.delay("guidance_late", max(0.0, late_s))
+
+    def _commanded(self, decided: MonoNs) -> None:
+        """Note the times of a command that was given to the link."""
+        given = self._clock.now()
+        self.health.delay("send", seconds_between(decided, given))
+        if self._newest_fused is not None:
+            self.health.delay("exposure_to_command", seconds_between(self._newest_fused.measured_at, given))
+            self._newest_fused = None
 
     def _on_order(self, handled: HandledOrder) -> None:
         log.log(logging.INFO if handled.accepted else logging.WARNING, "%s", handled)

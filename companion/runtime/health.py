@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 
 from companion.guidance.mission import ENDED
 from companion.guidance.response_watch import ResponseInUse
-from companion.runtime.observer import Decision
+from companion.runtime.delays import Delays
+from companion.runtime.observer import Decision, FrameTimes
 from estimator.contracts.errors import in_words
 from estimator.contracts.estimates import PathName, Verdict
 from estimator.contracts.fusion import FusionResult, Source
@@ -36,36 +37,6 @@ class PartHealth:
     since: MonoNs | None = None
     restarts: int = 0
     last_error: str = ""
-
-
-@dataclass(slots=True)
-class Delays:
-    """The newest `capacity` durations of one stage, seconds."""
-
-    capacity: int = 600
-    count: int = 0
-    """Number of durations since the start."""
-    _values: list[float] = field(default_factory=list)
-    _next: int = 0
-
-    def add(self, seconds: float) -> None:
-        self.count += 1
-        if len(self._values) < self.capacity:
-            self._values.append(seconds)
-        else:
-            self._values[self._next] = seconds
-            self._next = (self._next + 1) % self.capacity
-
-    def quantile(self, q: float) -> float | None:
-        """Return the q-quantile, seconds; None before the first value."""
-        return self.quantiles(q)[0]
-
-    def quantiles(self, *qs: float) -> tuple[float | None, ...]:
-        """Return several quantiles, seconds, and sort only once."""
-        if not self._values:
-            return (None,) * len(qs)
-        ordered = sorted(self._values)
-        return tuple(ordered[min(len(ordered) - 1, int(q * len(ordered)))] for q in qs)
 
 
 @dataclass(slots=True)
@@ -138,11 +109,15 @@ class FlowState:
 
 @dataclass(frozen=True, slots=True)
 class StageState:
-    """The duration of a stage over its newest runs."""
+    """The durations of a stage: of its newest runs, and of all."""
 
     count: int
     p50_s: float | None
     p99_s: float | None
+    sum_s: float = 0.0
+    """Sum of all durations."""
+    buckets: tuple[int, ...] = ()
+    """Number of durations by bucket of `delays.EDGES_S`; the last lies above all edges."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,6 +284,11 @@ class Health:
     def delay(self, stage: str, seconds: float) -> None:
         self.delays.setdefault(stage, Delays()).add(seconds)
 
+    def frame_times(self, times: FrameTimes) -> None:
+        """Note how long each stage of one frame took."""
+        for stage, seconds in times.by_stage():
+            self.delay(stage, seconds)
+
     def beat(self, flow: str) -> None:
         """Count one arrival of a kind of data."""
         self.flows.setdefault(flow, Flow()).beat(self._clock.now())
@@ -353,7 +333,7 @@ class Health:
         stages = {}
         for name, delays in self.delays.items():
             p50, p99 = delays.quantiles(0.5, 0.99)
-            stages[name] = StageState(delays.count, p50, p99)
+            stages[name] = StageState(delays.count, p50, p99, delays.sum_s, tuple(delays.buckets))
         return HealthSnapshot(
             at=now,
             all_up=self.all_up,

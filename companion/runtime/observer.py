@@ -17,6 +17,22 @@ from estimator.contracts.time import MonoNs
 from estimator.vision.thesis.detection import Detection
 
 
+class FrameTimes(Struct, frozen=True):
+    """How long each stage of one frame took, from the arrival of its last byte until the estimate knew it."""
+
+    decode_s: float
+    """Until the decoded frame reached the service."""
+    wait_s: float
+    """Waiting for an attitude and for the thread of vision, before and after the look."""
+    look_s: float
+    filter_s: float
+    """From the detection to the estimate of every path."""
+
+    def by_stage(self) -> tuple[tuple[str, float], ...]:
+        """Return each stage's name and duration, in order."""
+        return ("decode", self.decode_s), ("wait", self.wait_s), ("look", self.look_s), ("filter", self.filter_s)
+
+
 class ProcessedFrame(Struct, frozen=True, eq=False):
     """One frame, its attitude, and the results of its processing."""
 
@@ -31,6 +47,8 @@ class ProcessedFrame(Struct, frozen=True, eq=False):
     done: MonoNs
     results: tuple[FusionResult, ...] = ()
     """The fusion result of each path of the estimator; empty without a sighting."""
+    times: FrameTimes | None = None
+    """None if vision did not search the frame, or in virtual time."""
 
 
 class Decision(Struct, frozen=True, eq=False):

@@ -10,6 +10,8 @@ import pytest
 
 from companion.config.settings import camera_model, load, pad_model
 from companion.guidance.options import GuidanceOptions
+from companion.recorder import encode
+from companion.recorder.decode import frame_times
 from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.pilot import FlightOutcome, Pilot
@@ -21,7 +23,7 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
-from estimator.contracts.time import Stamp, after
+from estimator.contracts.time import Stamp, after, seconds_between
 from estimator.options import EstimatorOptions
 from estimator.vision.options import TrackerOptions
 from estimator.vision.thesis.detection import Detection
@@ -128,6 +130,20 @@ async def test_every_frame_offered_ends_in_exactly_one_verdict() -> None:
     assert daemon.health.frames[Verdict.REPLACED] == vehicle.frames.replaced > 0
     assert daemon.health.frames[Verdict.NO_PAD] > 0
     assert len(diary.frames) == 60 - vehicle.frames.replaced
+    for processed in diary.frames:
+        whole_s, times = seconds_between(processed.frame.stamp.received_at, processed.done), processed.times
+        assert (times is None) == (processed.detection is None)
+        if times is not None:
+            parts_s = [seconds for _, seconds in times.by_stage()]
+            assert min(parts_s) >= 0.0
+            assert sum(parts_s) == pytest.approx(whole_s)
+            assert frame_times(encode.detection(processed)) == times
+    looks = sum(processed.times is not None for processed in diary.frames)
+    assert {name: daemon.health.delays[name].count for name in ("decode", "wait", "look", "filter")} == dict.fromkeys(
+        ("decode", "wait", "look", "filter"), looks
+    )
+    assert daemon.health.delays["decide"].count == len(diary.decisions)
+    assert 0 < daemon.health.delays["send"].count <= len(diary.decisions)
 
 
 async def test_a_frame_waits_for_an_attitude_that_is_still_in_a_socket() -> None:

@@ -104,7 +104,7 @@ def test_error_statistics_are_those_put_in():
 
 def test_timings_keep_their_order_and_quantiles():
     rows = timing_rows(flight())
-    assert [r.name for r in rows] == ["decode", "detect", "exposure to command"]
+    assert [r.name for r in rows] == ["decode", "detect", "exposure to belief"]
     assert rows[1].median_s == pytest.approx(0.004495)
     assert rows[1].max_s == pytest.approx(0.00499)
     assert rows[2].median_s == pytest.approx(0.2)
@@ -143,9 +143,9 @@ def test_the_page_stands_alone_and_says_what_happened(tmp_path):
     assert set(re.findall(r"url\(#([^)]+)\)", text)) <= set(parser.ids)
     assert "A test &lt;flight&gt; &amp; more" in text
     assert "calm &amp; &lt;b&gt;" in text
-    for said in ("31.2 mm", "0.27 m/s", "stands on the pad", "100  (80.0 %)", "exposure to command", "corners", "descend"):
+    for said in ("31.2 mm", "0.27 m/s", "stands on the pad", "100  (80.0 %)", "exposure to belief", "corners", "descend"):
         assert said in text
-    assert text.count("<svg") == 5
+    assert text.count("<svg") == 6
     for name in ("ellipse", "corners", "selected", "dead_reckoning", "truth"):
         assert f'class="series series-{name}"' in text
     assert "#010203" not in text
@@ -173,7 +173,7 @@ def test_a_flight_without_truth_shows_estimates_and_no_errors():
     log.truth = []
     text = render(log, None)
     assert "No truth was recorded" in text
-    assert text.count("<svg") == 4
+    assert text.count("<svg") == 5
 
 
 def test_a_video_from_elsewhere_is_refused(tmp_path):

@@ -6,7 +6,8 @@ import sys
 import pytest
 
 from companion.runtime import event_loop
-from companion.runtime.health import Delays, Health
+from companion.runtime.delays import EDGES_S, Delays
+from companion.runtime.health import Health
 from companion.runtime.restart_options import RestartOptions
 from companion.runtime.supervise import contain, keep_alive, run
 from estimator.contracts.errors import Recoverable
@@ -210,3 +211,5 @@ def test_quantiles_over_a_sliding_window() -> None:
     assert delays.quantile(0.0) == 900.0
     assert delays.quantile(0.5) == 950.0
     assert delays.quantile(1.0) == 999.0
+    assert (sum(delays.buckets), delays.buckets[-1], delays.sum_s) == (1000, 998, 499500.0)
+    assert len(delays.buckets) == len(EDGES_S) + 1

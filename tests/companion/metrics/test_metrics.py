@@ -81,6 +81,12 @@ def test_every_figure_of_health_is_in_the_page() -> None:
     assert value(page, "decklander_stage_seconds", stage="vision", quantile="0.5") == pytest.approx(0.051)
     assert value(page, "decklander_stage_seconds", stage="vision", quantile="0.99") == pytest.approx(0.1)
     assert value(page, "decklander_stage_runs_total", stage="vision") == 100
+    # 1, 2 ... 100 ms; a bucket counts what is not longer than its edge.
+    held = {
+        le: value(page, "decklander_stage_duration_seconds_bucket", stage="vision", le=le) for le in ("0.001", "0.05", "+Inf")
+    }
+    assert held == {"0.001": 1, "0.05": 50, "+Inf": 100}
+    assert value(page, "decklander_stage_duration_seconds_sum", stage="vision") == pytest.approx(5.05)
     assert value(page, "decklander_count", part="mqtt", name="events_waiting") == 7
 
 
