@@ -26,7 +26,7 @@ from sitl.perception.levels import perceive
 from sitl.perception.port import LEVELS, Level
 from sitl.render_worker import render_worker
 from sitl.safety import outside_commit
-from sitl.scenario import Scenario
+from sitl.scenario import Scenario, vehicle_model
 from sitl.truth import Truth
 
 Perception = Level
@@ -52,7 +52,7 @@ def perception_level(text: str) -> Perception:
 def settings_for(scenario: Scenario, config: str | None) -> Settings:
     """Return the settings of a file, or without one the profile `sim` with the scenario's camera and pad.
 
-    Where the scenario's ship reports her place, that profile flies to it.
+    Where the scenario's ship reports her place, that profile flies to it. It flies by the response that the vehicle's file names.
 
     Raises:
         BadInput: as `companion.config.settings.load`.
@@ -61,11 +61,12 @@ def settings_for(scenario: Scenario, config: str | None) -> Settings:
     if config is not None:
         return settings
     rendezvous = msgspec.structs.replace(settings.guidance.rendezvous, enabled=scenario.vessel.reports_place)
+    follow = msgspec.structs.replace(settings.guidance.follow_deck, response=vehicle_model(scenario).response)
     return msgspec.structs.replace(
         settings,
         camera=CameraSettings(scenario.camera.file),
         pad=PadSettings(scenario.pad.file),
-        guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous),
+        guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous, follow_deck=follow),
     )
 
 

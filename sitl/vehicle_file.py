@@ -75,6 +75,10 @@ class VehicleFile(Struct, frozen=True, forbid_unknown_fields=True):
         choice("ground effect by the surface under the body's middle, or by that under each rotor, as at the deck's edge"),
     ] = "rotors"
     landing_speed_m_s: Annotated[float, number("descent rate of the vehicle's own landing", "m/s", 0.1, 1.5)] = 0.4
+    response: Annotated[
+        str,
+        text("shipped response that a flight without a settings file is flown by; auto takes that of the kind of vehicle", 60),
+    ] = "auto"
 
     def __post_init__(self) -> None:
         if min(self.inertia_kg_m2) <= 0 or min(self.torque_max_n_m) <= 0 or min(self.drag_per_s) < 0:

@@ -211,7 +211,11 @@ def test_what_cannot_be_identified_is_said_in_one_line(
     rough, pid = str(recordings["rough"]), str(recordings["pid"])
     for args, code, said in (
         ([pid], 2, "ask for velocities, as the controller pid does"),
-        ([rough, "--response", "nonesuch"], 2, "no shipped one of that name (shipped ones are ardrone2, autopilot)"),
+        (
+            [rough, "--response", "nonesuch"],
+            2,
+            "no shipped one of that name (shipped ones are ardrone2, autopilot, hexa_7kg, quad_1_5kg)",
+        ),
         ([str(tmp_path / "none.mcap")], 2, "No such file"),
         ([rough, "--out", str(tmp_path)], 2, "--out"),
     ):
