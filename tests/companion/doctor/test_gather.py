@@ -16,6 +16,7 @@ import companion.config.settings as settings_of
 from companion.cli import doctor
 from companion.cli.main import Parser
 from companion.config.settings import Settings
+from companion.doctor import rules_values
 from companion.doctor.diagnose import PARAMETERS, diagnose
 from companion.doctor.gather import examine
 from companion.doctor.gather_service import examine_service
@@ -45,7 +46,8 @@ async def examined(fake: FakeAutopilot, seconds: float = 1.0) -> Snapshot:
 
 
 async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
-    parameters = {n: ARDUPILOT.parameters.get(n, 0.0) for n in PARAMETERS["ArduPilot"]}
+    good = {r.parameter: r.good for r in rules_values.RULES if r.stack == "ArduPilot"}
+    parameters = {n: ARDUPILOT.parameters.get(n, good.get(n, 0.0)) for n in PARAMETERS["ArduPilot"]}
     parameters |= {"PLND_TYPE": 2.0, "EK3_SRC1_POSXY": 6.0, "INS_GYRO_CAL": 1.0}
     fake = FakeAutopilot(parameters=parameters)
     talking = asyncio.create_task(examined(fake, 1.5))
@@ -64,7 +66,9 @@ async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
 
 
 async def test_a_px4_without_the_module_and_with_an_event() -> None:
-    parameters = {n: 1.0 for n in PARAMETERS["PX4"] if n != "PLD_HACC_RAD"} | {"EKF2_EV_CTRL": 0, "COM_OBL_RC_ACT": 0}
+    good = {r.parameter: r.good for r in rules_values.RULES if r.stack == "PX4"}
+    asked = {n: good.get(n, 1.0) for n in PARAMETERS["PX4"] if n != "PLD_HACC_RAD"}
+    parameters = asked | {"EKF2_EV_CTRL": 0, "COM_OBL_RC_ACT": 0}
     fake = FakeAutopilot(Stack.PX4, mode="auto.loiter", parameters=parameters)
     talking = asyncio.create_task(examined(fake))
     await until(lambda: fake.commands[512] > 0)
