@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +24,13 @@ from estimator.core.library import CORE, start_of
 from estimator.vision.camera import Camera
 from estimator.vision.detect.light import TABLES
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.detect.template import template
+from estimator.vision.detect.template import Template, template
 from estimator.vision.native import address, packed_camera, pixels
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 
 _VIEW, _MOVE, _FIT = (CORE.function(name) for name in ("align_view", "align_move", "align_fit"))
-_POSE_WORDS, _PART_WORDS, _ALIGNED_WORDS = (size_of(name) for name in ("pad_pose", "frame_part", "aligned_pad"))
+_POSE_WORDS, _PART_WORDS, _HOW_WORDS, _ALIGNED_WORDS = map(size_of, ("pad_pose", "frame_part", "alignment", "aligned_pad"))
 _HOW, _ALIGNED = places_of("alignment"), places_of("aligned_pad")
 
 _SAMPLES, _APPROACH_SAMPLES, _FINAL_SAMPLES = 700, 1000, 2600
@@ -85,6 +87,24 @@ class AlignedTemplate:
     light: PureLight
 
 
+class _Fixed(NamedTuple):
+    """Addresses of what stays the same from frame to frame, and what keeps it in memory."""
+
+    camera: int
+    template: int
+    coverage: int
+    local: int
+    light: int
+    kept: tuple[F64, Template]
+
+
+@lru_cache(maxsize=4)
+def _fixed(camera: Camera, pad: Pad) -> _Fixed:
+    lens, drawn = packed_camera(camera), template(pad)
+    maps = address(drawn.coverage, np.int16), address(drawn.local, np.int16)
+    return _Fixed(address(lens), address(drawn.words), *maps, address(TABLES, np.float32), (lens, drawn))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
     """A part of a level of the pyramid."""
@@ -116,24 +136,24 @@ def align(
     Returns:
         The aligned template; None if too little of the pad is in view, or if the pose diverges.
     """
-    words, tilt_sigmas = _packed(pose), 0.0
+    words, tilt_sigmas, fixed = _packed(pose), 0.0, _fixed(camera, pad)
     if steps > 0:
-        moved = _moved(pyramid, camera, pad, words, sigma_tilt_rad, steps, local, _SAMPLES, side)
+        moved = _moved(pyramid, fixed, words, sigma_tilt_rad, steps, local, _SAMPLES, side)
         if moved is None:
             return None
         tilt_sigmas = moved
         pose = _unpacked(words)
-    part = _part(pyramid, camera, pad, words, _FINAL_SAMPLES)
+    part = _part(pyramid, fixed, words, _FINAL_SAMPLES)
     if part is None:
         return None
-    drawn, out = template(pad), np.empty(_ALIGNED_WORDS)
+    out = np.empty(_ALIGNED_WORDS)
     arrow_px = camera.fx * pad.arrow_depth_m / float(words[-1])
     level = min(FRAME_LEVELS, math.floor(math.log2(max(1.0, arrow_px / _ARROW_SAMPLES))))
     arrow_image = pyramid[level]
     arrow_part = np.array([level, 0, 0, arrow_image.shape[1], arrow_image.shape[0]])
     found = _FIT(
-        address(packed_camera(camera)), address(drawn.words), address(drawn.coverage, np.int16), address(drawn.local, np.int16),
-        address(TABLES, np.float32), address(part.words, np.int64), *pixels(part.px), address(arrow_part, np.int64),
+        fixed.camera, fixed.template, fixed.coverage, fixed.local, fixed.light,
+        address(part.words, np.int64), *pixels(part.px), address(arrow_part, np.int64),
         *pixels(arrow_image), start_of(words), tilt_sigmas, address(part.scratch, np.float32), start_of(out),
     )  # fmt: skip
     return _aligned(pose, out) if found else None
@@ -145,14 +165,13 @@ def approach(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, sigma_ti
     This is `align` without the inputs of the classifier.
     """
     words = _packed(pose)
-    moved = _moved(pyramid, camera, pad, words, sigma_tilt_rad, steps, False, _APPROACH_SAMPLES)
+    moved = _moved(pyramid, _fixed(camera, pad), words, sigma_tilt_rad, steps, False, _APPROACH_SAMPLES)
     return None if moved is None else _unpacked(words)
 
 
 def _moved(
     pyramid: Pyramid,
-    camera: Camera,
-    pad: Pad,
+    fixed: _Fixed,
     pose: F64,
     sigma_tilt_rad: float,
     steps: int,
@@ -161,27 +180,26 @@ def _moved(
     side: F64 | None = None,
 ) -> float | None:
     """Move a packed pose by some steps; return its tilt away from the start in standard deviations, None if it diverges."""
-    part = _part(pyramid, camera, pad, pose, most)
+    part = _part(pyramid, fixed, pose, most)
     if part is None:
         return None
-    drawn, tilt_sigmas, how = template(pad), np.empty(1), np.zeros(size_of("alignment"))
+    tilt_sigmas, how = np.empty(1), np.zeros(_HOW_WORDS)
     integers = how.view(np.int64)
     integers[_HOW["steps"]], integers[_HOW["local"]], integers[_HOW["one_side"]] = steps, local, side is not None
     how[_HOW["sigma_tilt_rad"]] = sigma_tilt_rad
     if side is not None:
         how[_HOW["side"]] = side
     found = _MOVE(
-        address(packed_camera(camera)), address(drawn.words), address(drawn.local if local else drawn.coverage, np.int16),
-        address(TABLES, np.float32), address(part.words, np.int64), *pixels(part.px), start_of(how), start_of(pose),
-        start_of(tilt_sigmas), address(part.scratch, np.float32),
+        fixed.camera, fixed.template, fixed.local if local else fixed.coverage, fixed.light, address(part.words, np.int64),
+        *pixels(part.px), start_of(how), start_of(pose), start_of(tilt_sigmas), address(part.scratch, np.float32),
     )  # fmt: skip
     return float(tilt_sigmas[0]) if found else None
 
 
-def _part(pyramid: Pyramid, camera: Camera, pad: Pad, pose: F64, most: int) -> _Part | None:
+def _part(pyramid: Pyramid, fixed: _Fixed, pose: F64, most: int) -> _Part | None:
     """Return the pixels about the disc, from the pyramid level that has a suitable number of them there."""
     words = np.empty(_PART_WORDS)
-    if not _VIEW(address(packed_camera(camera)), address(template(pad).words), start_of(pose), most, start_of(words)):
+    if not _VIEW(fixed.camera, fixed.template, start_of(pose), most, start_of(words)):
         return None
     part = words.view(np.int64)
     level, left, top, width, height = part.tolist()

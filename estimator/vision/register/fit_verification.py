@@ -7,6 +7,7 @@ its ring or the disc's edge does not.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -72,13 +73,13 @@ def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
     shown = {kind: min(1.0, _TELLING * found.edges[kind].in_view) for kind in kinds}
     off = {kind: -shown[kind] * (1.0 - found.edges[kind].inliers) for kind in kinds}
     unseen = {kind: -shown[kind] * (not found.edges[kind].seen) for kind in kinds}
-    dense = float(found.dense)
+    dense, orange_off = float(found.dense), _orange_off(found, pad) if found.dense else 0.0
     return np.array([
         1.0, max(-8.0, min(8.0, template_score)), found.inliers, *off.values(), unseen[EdgeKind.RING], unseen[EdgeKind.H],
         dense, dense * found.inliers, -min(1.0, found.edge_rms_px), found.visible,
-        dense * max(-8.0, min(8.0, template_score)), dense * _clear(found, EdgeKind.DISC), -dense * _orange_off(found, pad),
+        dense * max(-8.0, min(8.0, template_score)), dense * _clear(found, EdgeKind.DISC), -orange_off,
         _no_ring(values, found), (1.0 - dense) * shown[EdgeKind.DISC] * (found.edges[EdgeKind.DISC].snr < _SNR_VISIBLE),
-        dense * _painted(found, pad), dense * _faint(found), dense * _h_contrast_odd(found),
+        dense * _painted(found, orange_off), dense * _faint(found), dense * _h_contrast_odd(found),
     ])  # fmt: skip
 
 
@@ -92,12 +93,18 @@ def _orange_off(found: Registration, pad: Pad) -> float:
 
     No illumination changes that place.
     """
-    ring, h_marking = (found.edges[kind].contrast_bgr for kind in (EdgeKind.RING, EdgeKind.H))
+    ring, h_marking = (found.edges[kind].contrast_bgr.tolist() for kind in (EdgeKind.RING, EdgeKind.H))
+    least = 0.1 * max(*map(abs, h_marking), 1e-3)
+    off = (abs(r / max(h, least) - place) for r, h, place in zip(ring, h_marking, _orange_places(pad), strict=True))
+    return float(sum(min(1.0, one) for one in off)) / 3.0
+
+
+@lru_cache(maxsize=8)
+def _orange_places(pad: Pad) -> tuple[float, ...]:
+    """Return the ring's nominal place between disc (0) and H (1), in blue, green, red."""
     table = light_table(True)
     of_ring, of_h, of_disc = (table[list(rgb[::-1])] for rgb in (pad.colours.ring, pad.colours.h, pad.colours.disc))
-    nominal = (of_ring - of_disc) / np.maximum(of_h - of_disc, 0.05)
-    place = ring / np.maximum(h_marking, 0.1 * max(float(np.abs(h_marking).max()), 1e-3))
-    return float(np.minimum(1.0, np.abs(place - nominal)).mean())
+    return tuple(((of_ring - of_disc) / np.maximum(of_h - of_disc, 0.05)).tolist())
 
 
 def _no_ring(values: F64, found: Registration) -> float:
@@ -116,23 +123,23 @@ def _no_ring(values: F64, found: Registration) -> float:
     return (_HALF_A_RING if half else 1.0) * (1.0 - min(1.0, max(0.0, shown)))
 
 
-def _painted(found: Registration, pad: Pad) -> float:
-    """Return 0..1: to what degree ring and H show, with the ring in its own paint."""
+def _painted(found: Registration, orange_off: float) -> float:
+    """Return 0..1: to what degree ring and H show, with the ring in its own paint, of which it is off by so much."""
     if not (found.edges[EdgeKind.RING].seen and found.edges[EdgeKind.H].seen):
         return 0.0
-    return max(0.0, 1.0 - 2.0 * _orange_off(found, pad))
+    return max(0.0, 1.0 - 2.0 * orange_off)
 
 
 def _faint(found: Registration) -> float:
     """Return 0..1: how surely the disc's contrast is less than a third of that of its kind of paint."""
-    disc, h_marking = (float(np.linalg.norm(found.edges[kind].contrast_bgr)) for kind in (EdgeKind.DISC, EdgeKind.H))
+    disc, h_marking = (math.hypot(*found.edges[kind].contrast_bgr.tolist()) for kind in (EdgeKind.DISC, EdgeKind.H))
     less = math.log(_PLAIN_DISC * max(h_marking, 1e-3) / max(disc, 1e-6))
     return min(1.0, max(0.0, 2.0 * (less - 0.5)))
 
 
 def _h_contrast_odd(found: Registration) -> float:
     """Return 0..1: how surely the H shows less or more than the ring beside it implies."""
-    ring, h_marking = (max(float(np.linalg.norm(found.edges[kind].contrast_bgr)), 1e-6) for kind in (EdgeKind.RING, EdgeKind.H))
+    ring, h_marking = (max(math.hypot(*found.edges[kind].contrast_bgr.tolist()), 1e-6) for kind in (EdgeKind.RING, EdgeKind.H))
     low, high = _H_OVER_RING
     return min(1.0, 2.0 * max(0.0, math.log(low * ring / h_marking), math.log(h_marking / (high * ring))))
 
