@@ -70,13 +70,21 @@ def run(args: argparse.Namespace, perception: Level) -> int:
         cpu_s = time.process_time()
         ending = replace(graded_ending(args.scenario, args.seed, scenario, end.result, cpu_s), started=flight.graded.started)
     if args.json:
-        sys.stdout.write(json.dumps({**ending.as_json(), "autopilot": args.autopilot, "failure": end.failure or None}) + "\n")
+        sys.stdout.write(json.dumps({**ending.as_json(), **_of_autopilot(args.autopilot, end)}) + "\n")
     else:
         sys.stdout.write(f"{end.failure or ending.in_words()}\n")
         sys.stdout.write(
             f"{ending.duration_s:.1f} s from the order to land; {time.monotonic() - began:.0f} s on the wall clock\n"
         )
     return 0 if ending.good else 1
+
+
+def _of_autopilot(name: str, end: FlightEnd) -> dict[str, object]:
+    """Return what is printed of an autopilot's flight besides."""
+    armed_s = None if end.armed_after_contact_s is None else round(end.armed_after_contact_s, 2)
+    return {
+        "autopilot": name, "failure": end.failure or None, "armed_after_contact_s": armed_s, "failsafes": list(end.failsafes),
+    }  # fmt: skip
 
 
 def refuse_faults(name: str, scenario: Scenario, carried: frozenset[str] = frozenset()) -> None:

@@ -26,6 +26,7 @@ from companion.runtime.health import Health
 from companion.runtime.observer import Observer
 from companion.runtime.pilot import FlightOutcome, Pilot
 from drivers.mavlink.access import NamedSenders
+from drivers.mavlink.dialect import mav
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.vehicle import Stack
@@ -95,6 +96,14 @@ class FlightEnd:
     """The reason why no landing took place."""
     result: FlightResult | None = None
     """The graded result of a scenario with faults; None without."""
+    armed_after_contact_s: float | None = None
+    """Time for which the motors turned after the newest contact; None if they never stopped, or there was none."""
+
+    @property
+    def failsafes(self) -> tuple[str, ...]:
+        """Texts of the autopilot about a failsafe."""
+        own = int(mav.MAV_COMP_ID_AUTOPILOT1)
+        return tuple(text for _, component, text in self.texts if component == own and "failsafe" in text.lower())
 
 
 @dataclass(slots=True)
@@ -120,6 +129,8 @@ class AutopilotFlight:
     _camera: LockStepCamera | None = None
     _world: PerceivedBody | None = None
     _stepped_at: float = 0.0
+    _stopped_s: float | None = None
+    """When the motors stopped, by the physics' time."""
 
     def __post_init__(self) -> None:
         stack = Stack.PX4 if self.autopilot.name == "px4" else Stack.ARDUPILOT
@@ -206,15 +217,18 @@ class AutopilotFlight:
         await self.clock.sleep(_AFTER_S)
         began = station.began or self.clock.now()
         texts = tuple((seconds_between(self.clock.started, at), component, text) for at, component, text in station.texts)
+        landing = None if self.body is None or station.began is None else self.body.landing()
+        stopped = None if landing is None or self._stopped_s is None else max(self._stopped_s - landing.t_s, 0.0)
         return FlightEnd(
             pilot.outcome,
-            None if self.body is None or station.began is None else self.body.landing(),
+            landing,
             max(seconds_between(began, self.clock.now()) - _AFTER_S, 0.0),
             side.daemon.health,
             texts,
             self.body is not None and self.body.upright,
             station.failure,
             self.graded.result(pilot, side.daemon.health),
+            stopped,
         )
 
     def _view(self, body: Body) -> OperatorView:
@@ -265,6 +279,10 @@ class AutopilotFlight:
 
     def _stepped(self, body: Body) -> None:
         self._stepped_at = time.monotonic()
+        if body.flying:
+            self._stopped_s = None
+        elif self._stopped_s is None:
+            self._stopped_s = body.t_s
         self.clock.advance(body.step_s)
         self.graded.stepped(body, self.station.began)
         self.link.deliver()
