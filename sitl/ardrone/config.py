@@ -188,6 +188,8 @@ class Configuration:
 
     def __init__(self, ports: Mapping[str, int] | None = None) -> None:
         """`ports`: what network:navdata_port, video_port, at_port and cmd_port say, where they are not the usual ones."""
+        self._values: dict[str, str] = {}
+        self._numbers: dict[str, float] = {}
         self._common = {k.name: k.default for k in KEYS.values() if k.scope is Scope.COMMON}
         for name, port in (ports or {}).items():
             self._common[f"network:{name}"] = str(port)
@@ -208,11 +210,21 @@ class Configuration:
 
     def flag(self, name: str) -> bool:
         """Return the value of a key that is TRUE or FALSE."""
-        return self[name] == "TRUE"
+        return self._in_force(name) == "TRUE"
 
     def number(self, name: str) -> float:
         """Return the value of a key that is a number."""
-        return float(self[name])
+        number = self._numbers.get(name)
+        if number is None:
+            number = self._numbers[name] = float(self[name])
+        return number
+
+    def _in_force(self, name: str) -> str:
+        """Return the value of a key, looked up once for all readings until a key is written."""
+        value = self._values.get(name)
+        if value is None:
+            value = self._values[name] = self[name]
+        return value
 
     def set(self, name: str, value: str, ids: Ids | None = None) -> Answer:
         """Write one key as a client asked.
@@ -220,6 +232,8 @@ class Configuration:
         Args:
             ids: what the client's CONFIG_IDS just before named; None when there was none.
         """
+        self._values.clear()
+        self._numbers.clear()
         name, value = name.strip().lower(), value.strip()
         key = KEYS.get(name)
         if key is None:
