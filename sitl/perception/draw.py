@@ -20,7 +20,7 @@ class Chance(NamedTuple):
     """The random numbers of one exposure. Every exposure takes the same number of them, whatever becomes of the frame."""
 
     normal: F64
-    """(6,) standard normal."""
+    """(7,) standard normal: the error, then its scale."""
     uniform: F64
     """(4,) 0..1: found, outlier, ambiguous, turned."""
 
@@ -51,6 +51,7 @@ class _PreparedCell(NamedTuple):
     bias: F64
     root: F64
     claimed: F64
+    spread: float
 
 
 class DetectionTable:
@@ -77,14 +78,15 @@ class DetectionTable:
         """Return the detection of a view in which the pad is found.
 
         Args:
-            standard: (6,) standard normal numbers with the correlation in time.
+            standard: (7,) standard normal numbers with the correlation in time: of the error, then of its scale.
         """
         row = self._row(view)
-        k = self._ratio(view, light_stops)
+        own = math.exp(row.spread * float(standard[6]))
+        k = own * self._ratio(view, light_stops)
         z = max(0.05, view.height_m)
         scale = np.array([z, z, z, 1.0, 1.0, 1.0])
         size = k * (row.outlier_ratio if chance.uniform[1] < row.outliers else 1.0)
-        error = scale * (row.bias + size * row.root.dot(standard))
+        error = scale * (own * row.bias + size * row.root.dot(standard[:6]))
         cov = (k * k) * row.claimed * np.multiply.outer(scale, scale)
         ambiguous = bool(chance.uniform[2] < row.ambiguous)
         # A heading that is half a turn off is nearly always one that says so.
@@ -131,7 +133,7 @@ def _row(cell: DetectionCell) -> _PreparedCell:
     claimed = claimed + np.diag(np.diag(claimed)) * 1e-4 + 1e-18 * np.eye(_SCALES)
     return _PreparedCell(
         cell.kept, cell.regained, cell.confidence, cell.ambiguous, cell.turned, cell.outliers, cell.outlier_ratio,
-        np.array(cell.bias), root_of(symmetric(cell.error, _SCALES)), claimed,
+        np.array(cell.bias), root_of(symmetric(cell.error, _SCALES)), claimed, cell.spread,
     )  # fmt: skip
 
 

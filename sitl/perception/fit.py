@@ -18,7 +18,7 @@ import numpy as np
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from sitl.perception.detection_samples import DetectionSample, detection_samples
+from sitl.perception.detection_samples import DetectionSample, Measured, detection_samples
 from sitl.perception.estimates import errors_of, fit_estimates
 from sitl.perception.parameters import FORMAT, DetectionCell, DetectionModel, Factor, PerceptionModel
 from sitl.perception.recorded import Recorded
@@ -41,10 +41,12 @@ class _Place(NamedTuple):
 
 
 class _Standard(NamedTuple):
-    """The error of a sample, divided by its cell's standard deviation."""
+    """The error of a sample, divided by its own scale and its cell's standard deviation."""
 
     sample: DetectionSample
     error: F64
+    scale: float
+    """How large the standard deviations are that the sample claims, against the cell's geometric mean."""
     outlier: bool
 
 
@@ -106,10 +108,11 @@ def fit_detections(sources: Sequence[Source]) -> DetectionModel:
         SHOWN,
         len(samples),
         frame_s,
-        _correlation(sources, standard, frame_s),
+        _correlation(sources, standard, frame_s, lambda one: one.error),
         factor(TILTS_DEG, lambda sample: math.degrees(sample.view.tilt_rad)),
         factor(LIGHTS_STOPS, lambda sample: light[id(sample)]),
         tuple(cells),
+        _correlation(sources, standard, frame_s, lambda one: np.log([one.scale])),
     )
 
 
@@ -146,7 +149,8 @@ def _cell(
     after_none = [sample for sample in here if not before[id(sample)]]
     hits = sum(sample.measured is not None for sample in here)
     measured = [sample.measured for sample in found if sample.measured is not None]
-    raw = np.array([m.error for m in measured])
+    scales = _scales(measured)
+    raw = np.array([m.error for m in measured]) / scales[:, None]
     middle = np.median(raw, axis=0)
     spread = 1.4826 * np.median(np.abs(raw - middle), axis=0) + 1e-12
     distance = np.abs((raw - middle) / spread).max(axis=1)
@@ -155,17 +159,31 @@ def _cell(
     bias = core.mean(axis=0)
     cov = np.cov(core.T) if len(core) > 1 else np.diag(spread**2)
     ratio = float(np.median(distance[outlier])) / 2.0 if outlier.any() else 1.0
-    claimed = np.mean([m.cov for m, out in zip(measured, outlier, strict=True) if not out], axis=0)
+    claimed = np.mean([m.cov / s**2 for m, s, out in zip(measured, scales, outlier, strict=True) if not out], axis=0)
     root = np.sqrt(np.diag(cov)) + 1e-15
-    made = [_Standard(sample, (e - bias) / root, bool(o)) for sample, e, o in zip(found, raw, outlier, strict=True)]
+    made = [_Standard(*one) for one in zip(found, (raw - bias) / root, scales.tolist(), outlier.tolist(), strict=True)]
     cell = DetectionCell(
         place.height, place.shown, len(here), hits,
         _probability(after_found, hits / len(here)), _probability(after_none, hits / len(here)),
         float(np.mean([sample.confidence for sample in found])),
         float(np.mean([m.ambiguous for m in measured])), float(np.mean([m.turned for m in measured])),
-        float(outlier.mean()), max(1.0, ratio), tuple(bias.tolist()), _lower(cov), _lower(claimed),
+        float(outlier.mean()), max(1.0, ratio), tuple(bias.tolist()), _lower(cov), _lower(claimed), _spread(np.log(scales)),
     )  # fmt: skip
     return cell, made if {id(sample) for sample in found} <= {id(sample) for sample in here} else []
+
+
+def _scales(measured: Sequence[Measured]) -> F64:
+    """Return how large the standard deviations are that each detection claims, against the cell's geometric mean, (n,).
+
+    A detection that says that it is worse is allowed to be: only what is left over its own claim makes an outlier.
+    """
+    logs = 0.5 * np.log(np.array([np.diag(m.cov) for m in measured]) + 1e-18).mean(axis=1)
+    return np.asarray(np.exp(logs - logs.mean()))
+
+
+def _spread(logs: F64) -> float:
+    """Return the standard deviation by the median absolute deviation: a few wild claims in a small cell do not count."""
+    return float(1.4826 * np.median(np.abs(logs - np.median(logs))))
 
 
 def _probability(samples: Sequence[DetectionSample], otherwise: float) -> float:
@@ -193,7 +211,8 @@ def _factor(
         here = [sample for sample, b in zip(samples, bins, strict=True) if b == i]
         counts.append(len(here))
         odds.append(_odds(here, before, cells))
-        errors = [standard[id(sample)].error for sample in here if id(sample) in standard and not standard[id(sample)].outlier]
+        made = [standard[id(sample)] for sample in here if id(sample) in standard]
+        errors = [one.scale * one.error for one in made if not one.outlier]
         ratio.append(float(np.sqrt(np.mean(np.square(errors)))) if len(errors) >= LEAST_FRAMES else 1.0)
     # Most samples are of one kind, which the cells describe by themselves: the factors are those of the others against it.
     usual = counts.index(max(counts))
@@ -228,15 +247,22 @@ def _expected(sample: DetectionSample, before: dict[int, bool], cells: dict[tupl
     return cell.kept if before[id(sample)] else cell.regained
 
 
-def _correlation(sources: Sequence[Source], standard: dict[int, _Standard], frame_s: float) -> float:
-    products = []
+def _correlation(
+    sources: Sequence[Source], standard: dict[int, _Standard], frame_s: float, of: Callable[[_Standard], F64]
+) -> float:
+    """Return the correlation of a quantity whose mean is zero, over successive frames without an outlier."""
+    products, squares = [], []
     for source in sources:
         for a, b in pairwise(source.samples):
             one, two = standard.get(id(a)), standard.get(id(b))
             if one is None or two is None or one.outlier or two.outlier or b.at_s - a.at_s > _GAP_FRAMES * frame_s:
                 continue
-            products.append(one.error * two.error)
-    return min(0.99, max(0.0, float(np.mean(products)))) if products else 0.0
+            x, y = of(one), of(two)
+            products.append(x * y)
+            squares.append(0.5 * (x * x + y * y))
+    if not products or not np.any(squares):
+        return 0.0
+    return min(0.99, max(0.0, float(np.mean(products) / np.mean(squares))))
 
 
 def _lower(cov: F64) -> tuple[float, ...]:

@@ -84,7 +84,7 @@ class Scenes:
 
     def expose(self, shot: Exposure | None, tick: int) -> NDArray[np.uint8]:
         """Keep a scene and return its frame, (H, W, 3)."""
-        chance = Chance(self._rng.standard_normal(6), self._rng.random(4))
+        chance = Chance(self._rng.standard_normal(7), self._rng.random(4))
         view, R = None, np.eye(3)
         if shot is not None:
             R = shot.R_ned_body.matrix
@@ -203,7 +203,8 @@ class _Detector:
         self._fused = model.method == "fused"
         own = tracker(settings)
         self._camera, self._sigma_deck_rad = own.camera, own.options.deck_tilt_sigma_rad
-        self._rate = -math.log(max(1e-9, model.detection.correlation)) / model.detection.frame_s
+        kept = [model.detection.correlation] * 6 + [model.detection.scale_correlation]
+        self._rates = -np.log(np.maximum(1e-9, kept)) / model.detection.frame_s
         self._standard: F64 | None = None
         self._at = 0
         self._found = False
@@ -236,8 +237,8 @@ class _Detector:
         if self._standard is None:
             self._standard = fresh
         else:
-            keep = math.exp(-self._rate * max(0.0, (at - self._at) * 1e-9))
-            self._standard = keep * self._standard + math.sqrt(1.0 - keep * keep) * fresh
+            keep = np.exp(-self._rates * max(0.0, (at - self._at) * 1e-9))
+            self._standard = keep * self._standard + np.sqrt(1.0 - keep * keep) * fresh
         self._at = at
 
 

@@ -57,6 +57,8 @@ class DetectionCell(Struct, frozen=True, forbid_unknown_fields=True):
     """Covariance of the errors about the bias, without outliers."""
     claimed: TwentyOne = (0.0,) * 21
     """Covariance that vision claims, the mean."""
+    spread: float = 0.0
+    """Standard deviation of the logarithm of a detection's own scale, a factor of its errors and of its claims."""
 
 
 class Factor(Struct, frozen=True, forbid_unknown_fields=True):
@@ -85,6 +87,7 @@ class DetectionModel(Struct, frozen=True, forbid_unknown_fields=True):
     light_stops: Factor
     """Light on the pad against white paint at 80 % of full scale."""
     cell: Annotated[tuple[DetectionCell, ...], Meta(min_length=1)]
+    scale_correlation: Annotated[float, number("the same of the logarithm of a detection's own scale", "1", 0.0, 0.999)] = 0.0
 
 
 class EstimateCell(Struct, frozen=True, forbid_unknown_fields=True):

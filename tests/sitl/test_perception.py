@@ -173,7 +173,7 @@ def test_draws_have_the_moments_of_the_file() -> None:
     k = table._ratio(view, 0.0)
     found = [table.probability(view, 0.0, True) > u for u in rng.random(4000)]
     assert abs(np.mean(found) - table.probability(view, 0.0, True)) < 0.03
-    errors = np.array([table.draw(view, 0.0, rng.standard_normal(6), Chance(np.zeros(6), np.ones(4))).error for _ in range(4000)])
+    errors = np.array([table.draw(view, 0.0, rng.standard_normal(7), Chance(np.zeros(7), np.ones(4))).error for _ in range(4000)])
     scale = np.array([2.0] * 3 + [1.0] * 3)
     np.testing.assert_allclose(errors.mean(axis=0) / scale, cell.bias, atol=4 * k * np.sqrt(max(cell.error)) / math.sqrt(4000))
     expected = k * np.sqrt(symmetric(cell.error, 6).diagonal())
@@ -239,7 +239,7 @@ def test_the_claimed_covariance_of_a_draw_is_positive() -> None:
     table = DetectionTable(FUSED.detection)
     for height in (0.2, 0.4, 1.0, 3.0, 8.0, 25.0):
         for shown in (0.05, 0.4, 1.0):
-            drawn = table.draw(a_view(height, shown), 0.0, np.zeros(6), Chance(np.zeros(6), np.ones(4)))
+            drawn = table.draw(a_view(height, shown), 0.0, np.zeros(7), Chance(np.zeros(7), np.ones(4)))
             assert np.linalg.eigvalsh(drawn.cov).min() > 0.0
 
 
@@ -266,7 +266,8 @@ def test_the_fit_finds_what_made_the_samples() -> None:
     assert cell.frames == 5500
     assert cell.found == sum(sample.measured is not None for source in (usual, dim) for sample in source.samples)
     assert cell.bias == pytest.approx(bias.tolist(), abs=6e-5)
-    assert symmetric(cell.claimed, 6).diagonal()[2] == pytest.approx(1e-6 * (0.82 + 4 * 0.18), rel=0.1)
+    assert symmetric(cell.claimed, 6).diagonal()[2] == pytest.approx(1e-6 * 4**0.17, rel=0.1)
+    assert cell.spread == pytest.approx(0.0, abs=1e-9)  # that of the usual flight; the dim one is the factor's
     # The dim flight, against the usual one: fewer finds, twice the errors.
     i = np.searchsorted(model.light_stops.edges, -3.0)
     table = DetectionTable(model)
@@ -275,6 +276,28 @@ def test_the_fit_finds_what_made_the_samples() -> None:
     assert model.light_stops.odds[i] < 0.4
     assert model.light_stops.ratio[i] == pytest.approx(2.0, rel=0.25)
     assert model.correlation < 0.05
+
+
+def test_a_detection_that_claims_to_be_worse_is_no_outlier_and_is_drawn_with_its_claim() -> None:
+    rng, spread = np.random.default_rng(6), 0.9
+    root = np.diag([1e-4, 2e-4, 5e-4, 1e-3, 1e-3, 2e-3])
+    made = []
+    for i, sample in enumerate(flown_samples(rng, 4000, 1.0, root, np.zeros(6))):
+        own = math.exp(spread * rng.standard_normal())
+        assert sample.measured is not None
+        # Each seventieth is wrong beyond what it claims.
+        wrong = 10.0 if i % 70 == 0 else 1.0
+        measured = sample.measured._replace(error=wrong * own * sample.measured.error, cov=own**2 * root @ root.T)
+        made.append(sample._replace(measured=measured))
+    model = fit_detections([Source(tuple(made), 0.0)])
+    (cell,) = model.cell
+    assert cell.spread == pytest.approx(spread, rel=0.05)
+    assert 0.005 < cell.outliers < 0.02
+    table = DetectionTable(model)
+    draws = [table.draw(a_view(2.5), 0.0, rng.standard_normal(7), Chance(np.zeros(7), np.ones(4))) for _ in range(2000)]
+    nis = [drawn.error @ np.linalg.solve(drawn.cov, drawn.error) for drawn in draws]
+    assert np.mean(nis) == pytest.approx(6.0, rel=0.1)
+    assert np.std(np.log([drawn.cov[0, 0] for drawn in draws])) == pytest.approx(2.0 * spread, rel=0.1)
 
 
 def test_the_fit_of_the_estimate_finds_its_covariance_and_its_memory() -> None:
