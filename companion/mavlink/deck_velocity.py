@@ -4,7 +4,8 @@ Guidance commands velocities as if the surface below were still. An AR.Drone mea
 that it sees, which is the deck; an autopilot measures them over the ground, so a ship under way would leave it behind, and a
 heaving deck would rise faster than guidance corrects for. The pad's velocity over the ground is the autopilot's velocity plus the
 pad's velocity relative to the body. The horizontal part is a mean over some seconds, which keeps the ship's way and removes the
-waves; it is held while the pad is out of sight, and after that the ship's own report of her velocity stands for it. The vertical
+waves; it is held while the pad is out of sight, and after that the ship's own report of her velocity stands for it; without one it
+is kept for some minutes more, because a ship keeps her way for longer than a hover over the ground keeps sight of her. The vertical
 part is the current heave; it is zero while the pad is out of sight.
 """
 
@@ -26,6 +27,8 @@ MEAN_S = 2.0
 HEAVE_S = 0.15
 FORGET_S = 20.0
 """The time after which a pad that comes back into sight counts as another pad, s."""
+KEEP_S = 300.0
+"""The time without sight for which a ship that reports nothing is taken to keep her way, s."""
 _FRESH_S = 0.3
 _SIGMA_MAX_M_S = 0.6
 _MOST_M_S = 15.0
@@ -59,11 +62,14 @@ class DeckVelocity:
         self._velocity = np.zeros(3)
         self._known_s = 0.0
         self._at: MonoNs | None = None
+        self._kept: tuple[MonoNs, F64] | None = None
+        """When the pad was last seen, and its horizontal velocity then."""
 
     def __call__(self, now: MonoNs) -> F64:
         """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of pad and ship."""
         measured = self._measured(now)
         if self._at is not None and seconds_between(self._at, now) > FORGET_S:
+            self._kept = self._at, self._velocity * (1.0, 1.0, 0.0)
             self._velocity, self._known_s, self._at = np.zeros(3), 0.0, None
         if measured is not None:
             since_s = 0.0 if self._at is None else min(seconds_between(self._at, now), 0.2)
@@ -75,8 +81,12 @@ class DeckVelocity:
         elif self._at is not None and seconds_between(self._at, now) > HEAVE_S:
             self._velocity = self._velocity * (1.0, 1.0, 0.0)
         velocity = self._velocity
-        if self._at is None and (v_ship := self._reported(now)) is not None:
-            velocity = np.array([*v_ship, 0.0])
+        if self._at is None:
+            v_ship = self._reported(now)
+            if v_ship is not None:
+                velocity = np.array([*v_ship, 0.0])
+            elif self._kept is not None and seconds_between(self._kept[0], now) <= KEEP_S:
+                velocity = self._kept[1]
         speed = math.hypot(velocity[0], velocity[1])
         return velocity * min(1.0, _MOST_M_S / max(speed, 1e-9))
 

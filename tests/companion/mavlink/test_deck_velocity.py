@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from companion.mavlink.deck_velocity import FORGET_S, DeckVelocity
+from companion.mavlink.deck_velocity import FORGET_S, KEEP_S, DeckVelocity
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.dialect import Message
@@ -89,14 +89,18 @@ def test_a_pad_that_lies_still_has_none() -> None:
     assert abs(found[2]) < 0.12
 
 
-def test_it_is_held_without_sight_and_forgotten_in_the_end() -> None:
+def test_it_is_held_without_sight_then_kept_as_the_ship_s_way_and_forgotten_in_the_end() -> None:
+    """A vehicle that gave up must not stay over the ground while the ship sails away from under it."""
     scene = Scene(np.array([1.5, 0.0, 0.0]))
     way = DeckVelocity(scene.believe, scene)
     run(way, scene, 3.0)
     scene.sighted_s = scene.t_s
     held = run(way, scene, 5.0)
     assert held == pytest.approx([1.5, 0.0, 0.0], abs=0.06)
-    assert np.all(run(way, scene, FORGET_S) == 0.0)
+    assert run(way, scene, FORGET_S) == pytest.approx([1.5, 0.0, 0.0], abs=0.06)
+    scene.t_s += KEEP_S - FORGET_S - 6.0
+    assert run(way, scene, 0.1)[0] == pytest.approx(1.5, abs=0.06)
+    assert np.all(run(way, scene, 2.0) == 0.0)
 
 
 def test_waves_are_averaged() -> None:
