@@ -83,7 +83,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
             rate = cone.descent_rate_m_s(error_m, height_m, o.cone, least_m)
             return Target(np.array([0.0, 0.0, least_m]), descent_rate_m_s=rate, speed_max_m_s=fast, yaw_rad=yaw)
         case State.COMMIT:
-            return Target(np.zeros(3), descent_rate_m_s=o.cone.commit_rate_m_s)
+            return Target(np.zeros(3), descent_rate_m_s=o.cone.commit_rate_m_s, yaw_rad=yaw)
     rate_max = o.tries.climb_m_s if rise_m == 0.0 or height_m > least_m else _AWAY_M_S
     return Target(np.array([0.0, 0.0, least_m]), vertical_rate_max_m_s=rate_max, yaw_rad=yaw)
 
