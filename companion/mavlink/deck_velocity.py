@@ -4,9 +4,9 @@ Guidance commands velocities as if the surface below were still. An AR.Drone mea
 that it sees, which is the deck; an autopilot measures them over the ground, so a ship under way would leave it behind, and a
 heaving deck would rise faster than guidance corrects for. The pad's velocity over the ground is the autopilot's velocity plus the
 pad's velocity relative to the body. The horizontal part is a mean over some seconds, which keeps the ship's way and removes the
-waves; it is held while the pad is out of sight, and after that the ship's own report of her velocity stands for it. Without one it
-is kept for some minutes more: a hover over the ground soon loses a ship that keeps her way. The vertical part is the current
-heave; it is zero while the pad is out of sight.
+waves; it is held while the pad is out of sight, and after that the ship's own report of her velocity stands for it. Without a
+report it is kept for some minutes more: a hover over the ground soon loses a ship that keeps her way. The vertical part is the
+current heave; it is zero while the pad is out of sight.
 """
 
 from __future__ import annotations
