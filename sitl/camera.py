@@ -246,7 +246,7 @@ class Renderer:
                     for points, colour in polygons:
                         draw(scene, self._lens, np.c_[points, np.zeros(len(points))] @ R_cam_pad.T + t_cam_pad, colour)
         if normal_distance > 1e-3 and plane is not None and (deck is not None or self._pad is not None):
-            gain = self._cast_shadow(gain, shot, R_cam_pad, t_cam_pad, mask)
+            gain = self._cast_shadow(gain, shot, R_cam_pad, t_cam_pad, plane, mask)
             if self.light.glare > 0:
                 added = self._add_glare(added, R_cam_pad, t_cam_pad, plane)
         if self.light.glint > 0:
@@ -277,20 +277,19 @@ class Renderer:
         if ship:
             hull_side(scene, self._lens, rim, ship[0], R_ned_cam, p_cam_ned, self.sensor.blend)
 
-    def _cast_shadow(self, gain: I16, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64, mask: U8 | None) -> I16:
+    def _cast_shadow(self, gain: I16, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64, plane: F64, mask: U8 | None) -> I16:
         R_pad_ned = shot.R_ned_pad.matrix.T
         if self.light.mast is not None:
             fallen = mast_shadow(self._lens, self.light.mast, R_cam_pad, t_cam_pad, R_pad_ned @ self._to_sun)
             gain = gain if fallen is None else self._shaded(gain, fallen, self.light.mast.shadow, mask)
         if self.light.drone_shadow == 0:
             return gain
+        if gain is self._vignette:
+            gain = gain.copy()
         p_body_pad = R_pad_ned @ (shot.p_body_ned - shot.p_pad_ned)
-        cast = drone_shadow(
-            self._lens, R_cam_pad, t_cam_pad, R_pad_ned @ shot.R_ned_body.matrix, p_body_pad, R_pad_ned @ self._to_sun
-        )
-        if cast is None:
-            return gain
-        gain = self._shaded(gain, cast, self.light.drone_shadow, mask)
+        R_pad_body, to_sun_pad = R_pad_ned @ shot.R_ned_body.matrix, R_pad_ned @ self._to_sun
+        pose, share = (R_cam_pad, t_cam_pad), self.light.drone_shadow
+        drone_shadow(gain, self._lens, plane, pose, R_pad_body, p_body_pad, to_sun_pad, share, mask)
         return gain
 
     def _shaded(self, gain: I16, cast: tuple[U8, slice, slice], share: float, mask: U8 | None) -> I16:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.core.interface.render import SCENE_ONE
-from sitl.light import U16, Light, scene_of
-from sitl.native import address, render_deck, render_fill
+from sitl.light import I16, U16, Light, scene_of
+from sitl.native import address, render_deck, render_fill, render_shadow
 from sitl.projection import F32, SHIFT, Lens, fixed_point
 from sitl.surroundings import Deck, draw_deck
 from sitl.textures import grain
@@ -155,31 +155,79 @@ class DeckPainter:
         return gain, np.float32(0.08 * wetness) * puddle
 
 
-_TURN = np.linspace(0.0, math.tau, 20, endpoint=False)
-_DRONE = (
-    np.array([(0.20, -0.05, 0.0), (0.20, 0.05, 0.0), (-0.20, 0.05, 0.0), (-0.20, -0.05, 0.0)]),
-    *(
-        np.stack([x + 0.115 * np.cos(_TURN), y + 0.115 * np.sin(_TURN), np.zeros(20)], axis=1)
-        for x, y in ((0.14, 0.14), (0.14, -0.14), (-0.14, 0.14), (-0.14, -0.14))
-    ),
-)
-"""Hull and rotors of the drone, outlines (N, 3) m in `body`."""
-_DRONE_POINTS, _DRONE_SHAPES = np.concatenate(_DRONE), np.cumsum([len(shape) for shape in _DRONE])[:-1]
+_DRONE: F32 = np.array([0.14, 0.115, 0.20, 0.05], np.float32)
+"""The drone's shape, m: the rotors' place along and across, their guards' radius, half the hull's length and width."""
+_DRONE_REACH_M = 0.26
 
 
 def drone_shadow(
-    lens: Lens, R_cam_pad: F64, t_cam_pad: F64, R_pad_body: F64, p_body_pad: F64, to_sun_pad: F64
-) -> tuple[U8, slice, slice] | None:
-    """Return how deep each pixel is in the drone's shadow, 0..255, and the part of the frame that it covers.
+    gain: I16,
+    lens: Lens,
+    pad_from_ray: F64,
+    cam_from_pad: tuple[F64, F64],
+    R_pad_body: F64,
+    p_body_pad: F64,
+    to_sun_pad: F64,
+    share: float,
+    mask: U8 | None,
+) -> None:
+    """Take the drone's shadow off factors (H, W) on the light.
 
     The shadow is that of a quadcopter half a metre wide, with four rotors inside guards and a slim hull, cast along the sun onto
     the pad's plane. The width of the sun softens its edge.
+
+    Args:
+        cam_from_pad: rotation (3, 3) of the pad and its centre (3,) m in `cam`.
+        share: of the light, that is missing in the full shadow.
+        mask: how much of each pixel, (H, W) 0..255, can be in shadow; None for all.
     """
     if to_sun_pad[2] > -0.05 or p_body_pad[2] > -0.01:
+        return
+    # A point of the body's plane falls onto the pad's plane along the sun.
+    slant = to_sun_pad[:2] / to_sun_pad[2]
+    pad_from_body = np.eye(3)
+    pad_from_body[:2, :2] = R_pad_body[:2, :2] - np.outer(slant, R_pad_body[2, :2])
+    pad_from_body[:2, 2] = p_body_pad[:2] - slant * p_body_pad[2]
+    if abs(pad_from_body[0, 0] * pad_from_body[1, 1] - pad_from_body[0, 1] * pad_from_body[1, 0]) < 1e-3:
+        return
+    R, t = cam_from_pad
+    corners = pad_from_body @ (
+        _DRONE_REACH_M * np.array([(1, 1, -1, -1), (1, -1, -1, 1), (0, 0, 0, 0)]) + np.array([[0], [0], [1]])
+    )
+    sigma_px = _penumbra_px(lens, float(p_body_pad[2] / to_sun_pad[2]), float(t[2]))
+    part = _part_of(lens, [lens.outline((R[:, :2] @ corners[:2]).T + t)], sigma_px)
+    if part is None:
+        return
+    rows, columns = part
+    # Limited, for far from the shadow sums of very large and small numbers would be wrong.
+    cells = np.clip(cv2.perspectiveTransform(lens.coarse, np.linalg.inv(pad_from_body) @ pad_from_ray), -8.0, 8.0)
+    # A smooth step has the deviation of a Gaussian edge if it is so much wider.
+    soft_m = math.sqrt(20.0) * sigma_px * max(0.05, float(t[2])) / lens.camera.fx
+    render_shadow(
+        gain.shape[1], columns.start, columns.stop, rows.start, rows.stop, address(cells, np.float32), cells.shape[1],
+        address(_DRONE, np.float32), soft_m, share, address(mask, np.uint8, gain.shape), address(gain, np.int16),
+    )  # fmt: skip
+
+
+def _penumbra_px(lens: Lens, away_m: float, depth_m: float) -> float:
+    """Return the standard deviation of a shadow's edge, for what casts it so far away, at a distance from the camera.
+
+    The sun's disc is half a degree wide: the penumbra is 0.0093 of the distance wide, its standard deviation a quarter of that.
+    """
+    return float(np.clip(0.0023 * away_m * lens.camera.fx / max(0.05, depth_m), 0.7, 6.0))
+
+
+def _part_of(lens: Lens, outlines: list[F64], sigma_px: float) -> tuple[slice, slice] | None:
+    """Return the rows and columns of the frame that blurred outlines (N, 2) px touch, or None if there are too few."""
+    outlines = [uv for uv in outlines if len(uv)]
+    if not outlines:
         return None
-    p = _DRONE_POINTS @ R_pad_body.T + p_body_pad
-    cast = (p - to_sun_pad * (p[:, 2:] / to_sun_pad[2])) @ R_cam_pad.T + t_cam_pad
-    return soft_shadow(lens, np.split(cast, _DRONE_SHAPES), float(-p_body_pad[2] / -to_sun_pad[2]), float(t_cam_pad[2]))
+    everything = np.concatenate(outlines)
+    margin = 3 * sigma_px + 2
+    low, high = everything.min(axis=0) - margin, everything.max(axis=0) + margin
+    x0, y0 = max(0, math.floor(low[0])), max(0, math.floor(low[1]))
+    x1, y1 = min(lens.camera.width, math.ceil(high[0])), min(lens.camera.height, math.ceil(high[1]))
+    return None if x1 - x0 < 2 or y1 - y0 < 2 else (slice(y0, y1), slice(x0, x1))
 
 
 def soft_shadow(lens: Lens, polygons_cam: list[F64], away_m: float, depth_m: float) -> tuple[U8, slice, slice] | None:
@@ -191,18 +239,11 @@ def soft_shadow(lens: Lens, polygons_cam: list[F64], away_m: float, depth_m: flo
         depth_m: distance of the shadow from the camera, along the axis.
     """
     polygons = [uv for uv in lens.outlines(polygons_cam) if len(uv)]
-    if not polygons:
+    sigma = _penumbra_px(lens, away_m, depth_m)
+    part = _part_of(lens, polygons, sigma)
+    if part is None:
         return None
-    # The sun's disc is half a degree wide: the penumbra is 0.0093 of the distance wide, its standard deviation a quarter of that.
-    sigma = float(np.clip(0.0023 * away_m * lens.camera.fx / max(0.05, depth_m), 0.7, 6.0))
-    camera = lens.camera
-    everything = np.concatenate(polygons)
-    margin = 3 * sigma + 2
-    low, high = everything.min(axis=0) - margin, everything.max(axis=0) + margin
-    x0, y0 = max(0, math.floor(low[0])), max(0, math.floor(low[1]))
-    x1, y1 = min(camera.width, math.ceil(high[0])), min(camera.height, math.ceil(high[1]))
-    if x1 - x0 < 2 or y1 - y0 < 2:
-        return None
+    (y0, y1), (x0, x1) = ((side.start, side.stop) for side in part)
     # A blurred shape needs no more resolution than its blur.
     coarser = 4 if sigma >= 2.4 else 2 if sigma >= 0.9 else 1
     size = (max(2, (x1 - x0) // coarser), max(2, (y1 - y0) // coarser))
@@ -213,7 +254,7 @@ def soft_shadow(lens: Lens, polygons_cam: list[F64], away_m: float, depth_m: flo
         cv2.fillPoly(canvas, [fixed_point((uv - (x0, y0) + 0.5) * scale - 0.5)], 255, line, SHIFT)
     width = 2 * math.ceil(2.5 * sigma / coarser) + 1
     soft = cv2.GaussianBlur(canvas, (width, width), sigma / coarser)
-    return np.asarray(cv2.resize(soft, (x1 - x0, y1 - y0)), np.uint8), slice(y0, y1), slice(x0, x1)
+    return np.asarray(cv2.resize(soft, (x1 - x0, y1 - y0)), np.uint8), *part
 
 
 def draw(scene: U16, lens: Lens, points_cam: F64, colour: U16) -> None:

@@ -32,9 +32,10 @@ def smear(scene: U16, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64,
     if not length >= 1.0:
         return scene
     way = way * min(1.0, 31.0 / length)
-    # A long way is a short one, up to two pixels, seen twice, four times and so on, whole pixels apart.
-    doublings = max(0, math.ceil(math.log2(min(length, 31.0) / 2.0)))
-    shifts, taps = _smear_taps(way / 2**doublings)
+    # A long way is a short one, up to some four pixels, seen twice, four times and so on, whole pixels apart.
+    doublings = max(0, math.ceil(math.log2(min(length, 31.0) / 4.0)))
+    steps = [np.round(way / 2 ** (doublings - n)) for n in range(doublings)]
+    shifts, taps = _smear_taps(way - np.sum(steps, axis=0, initial=0.0))
     h, w = scene.shape[:2]
     smeared = np.empty_like(scene)
     render_smear(
@@ -48,8 +49,7 @@ def smear(scene: U16, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64,
     )
     spare = np.empty_like(scene) if doublings else smeared
     off = np.zeros(2)
-    for n in range(doublings):
-        apart = np.round(way / 2 ** (doublings - n))
+    for apart in steps:
         first = np.round(-apart / 2 - off)
         off += first + apart / 2
         pair = np.concatenate([first, first + apart]).astype(np.int32)

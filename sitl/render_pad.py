@@ -86,7 +86,7 @@ class PadPainter:
         if count:
             samples = _BUDGET / (count * len(strokes))
             fine = 8 if samples >= 64 else 5 if samples >= 20 else 3 if samples >= 7 else 2 if samples >= 5 else 1
-            numbers = _numbers(strokes)
+            numbers = _numbers(strokes) if len(strokes) > 1 else whole
             parts = len(strokes), address(numbers, np.float32), int(rolling)
             render_pad_shares(*seen, *parts, drawing, fine, count, where, address(shares, np.float32))
         return PadInImage(kinds, edges[:count], shares)

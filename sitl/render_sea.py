@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.render import CELL_PX
+from estimator.core.interface.render import SEA_WEIGHTS
 from sitl.light import U16, Light, scene_of
-from sitl.native import address, render_sea, render_water
+from sitl.native import address, render_sea, render_swell, render_water
 from sitl.projection import F32, FAR_M, SHIFT, Lens, fixed_point
 from sitl.surroundings import Surroundings
 from sitl.textures import foam, ripples
@@ -20,6 +20,12 @@ U8 = NDArray[np.uint8]
 
 _SKY = (214, 200, 186)
 """Colour of the sky at the horizon, BGR."""
+_SHADE = 0.5
+"""Share of light that a ship's shadow takes from the water."""
+_FOAM, _FOAM_AT_REST = (110.0, 130.0), 55.0
+"""Brightness of the foam beside and behind a ship under way, and beside one at rest."""
+_OPEN = None, None, 0.0
+"""What no ship does to the water."""
 
 
 class SeaPainter:
@@ -28,7 +34,8 @@ class SeaPainter:
     def __init__(self, lens: Lens, surroundings: Surroundings, light: Light, blend: str) -> None:
         self._lens, self._around = lens, surroundings
         waves = surroundings.waves
-        self._swell = waves.longest(24) if waves is not None and float(waves.hs_m[0]) > 0 else None
+        swell = waves.longest(24) if waves is not None and float(waves.hs_m[0]) > 0 else None
+        self._swell = swell.packed() if swell is not None else np.empty((0, 5))
         hs = 0.0 if waves is None else float(waves.hs_m[0])
         self._roughness = 0.55 + 0.45 * math.tanh(hs)
         self._whitecaps = 2.6 - 0.9 * math.tanh((hs - 0.6) / 2.0) if hs > 0.6 else math.inf
@@ -59,8 +66,9 @@ class SeaPainter:
             return
         footprint = 2.0 * -float(p_cam_ned[2]) / lens.camera.fx
         cells = np.clip(cv2.perspectiveTransform(lens.coarse, inverse), -FAR_M, FAR_M)
-        slow = cv2.resize(self._slow(R_ned_cam, inverse, t_s, rows, cols), (w, h))
-        shade, white = self._ship_on_water(footprint, R_ned_cam, p_cam_ned, rows, cols, ship) if ship else (None, None)
+        slow = self._slow(R_ned_cam, inverse, t_s)
+        beside = self._ship_on_water(footprint, R_ned_cam, p_cam_ned, rows, cols, ship) if ship else _OPEN
+        shade, white, brightest = beside
         wind = 1.1 * t_s
         # Ripples of two sizes, whitecaps, and the streaks of foam beside the ship.
         layers = [
@@ -73,15 +81,19 @@ class SeaPainter:
         sizes = np.array([len(texels) - 1 for texels, _ in layers], np.int32)
         breaking = math.isfinite(self._whitecaps)
         weights = np.array(
-            [0.6 * self._roughness, 0.8 * self._roughness, self._whitecaps if breaking else 0.0, 120.0 * breaking], np.float32
-        )
+            [
+                0.6 * self._roughness, 0.8 * self._roughness, self._whitecaps if breaking else 0.0, 120.0 * breaking,
+                _SHADE, brightest,
+            ],
+            np.float32,
+        )  # fmt: skip
         codes = np.zeros((h, w), np.uint8)
         render_sea(
             *scene.shape[:2], address(mask, np.uint8, scene.shape[:2]),
             cols.start // 2, cols.stop // 2, rows.start // 2, rows.stop // 2, address(cells, np.float32), cells.shape[1],
             *(address(texels, np.float32) for texels, _ in layers), address(sizes, np.int32), address(drift, np.float64),
-            address(weights, np.float32), address(slow, np.float32, (h, w, 2)), address(shade, np.float32, (h, w)),
-            address(white, np.float32, (h, w)), address(codes, np.uint8),
+            address(weights, np.float32, (len(SEA_WEIGHTS),)), address(slow, np.float32),
+            address(shade, np.uint8, (h, w)), address(white, np.uint8, (h, w)), address(codes, np.uint8),
         )  # fmt: skip
         colours = address(self._table, np.uint16, (256, 4))
         render_water(
@@ -99,36 +111,31 @@ class SeaPainter:
             down = lens.rays[rows, cols] @ R_ned_cam[2, :2].astype(np.float32) + np.float32(R_ned_cam[2, 2])
             scene[rows, cols][down < 0.02] = self._sky
 
-    def _slow(self, R_ned_cam: F64, inverse: F64, t_s: float, rows: slice, cols: slice) -> F32:
-        """Return brightness level and ripple contrast, (R, C, 2), each 16 pixels, from swell, mirrored sky and sun."""
-        r, c = (np.arange(part.start // CELL_PX + 1, -(-part.stop // CELL_PX) + 1, 2) for part in (rows, cols))
-        coarse = self._lens.coarse[np.ix_(r, c)]
-        d = coarse @ R_ned_cam[:, :2].T.astype(np.float32) + R_ned_cam[:, 2].astype(np.float32)
-        d /= np.sqrt(1.0 + (coarse * coarse).sum(axis=-1, keepdims=True))
-        down = np.clip(d[..., 2], 0.02, 1.0)
-        level = 52.0 + 95.0 * (1.0 - down) ** 2
-        bisector = self._to_sun.astype(np.float32) - d
-        tilt2 = (bisector[..., 0] ** 2 + bisector[..., 1] ** 2) / np.minimum(bisector[..., 2], -0.05) ** 2
-        glitter = np.exp(tilt2 * np.float32(-1.0 / (2 * 0.16**2)))
-        if self._swell is not None:
-            ne = np.clip(cv2.perspectiveTransform(coarse, inverse), -1e4, 1e4)[::2, ::2]
-            along = self._swell.slope(ne, t_s)[0] @ np.array([0.75, 0.66])
-            level = level + cv2.resize((150.0 * along).astype(np.float32), level.shape[::-1])
-        return np.stack([level + 22.0 * glitter, 26.0 + 70.0 * glitter], axis=-1).astype(np.float32)
+    def _slow(self, R_ned_cam: F64, inverse: F64, t_s: float) -> F32:
+        """Return brightness level and ripple contrast for every second cell of `Lens.coarse`, (R // 2 + 1, C // 2 + 1, 2)."""
+        coarse, swell = self._lens.coarse, self._swell
+        light = np.empty((coarse.shape[0] // 2 + 1, coarse.shape[1] // 2 + 1, 2), np.float32)
+        R, plane = np.ascontiguousarray(R_ned_cam), np.ascontiguousarray(inverse)
+        render_swell(
+            *coarse.shape[:2], address(coarse, np.float32), address(R, np.float64), address(plane, np.float64),
+            address(self._to_sun, np.float64), t_s, len(swell), address(swell, np.float64), address(light, np.float32),
+        )  # fmt: skip
+        return light
 
     def _ship_on_water(
         self, footprint: float, R_ned_cam: F64, p_cam_ned: F64, rows: slice, cols: slice, ship: list[F64]
-    ) -> tuple[F32 | None, F32 | None]:
-        """Return the share of light that the ship's shadow takes from the water, and the brightness of foam beside and behind it.
+    ) -> tuple[U8 | None, U8 | None, float]:
+        """Return what the ship does to the water: the share of `_SHADE` that its shadow takes, and the foam beside and behind it.
 
-        Both are for squares of 2 x 2 pixels; None where there is none in the part of the frame.
+        Both are parts of 255 for squares of 2 x 2 pixels, None where there is none in the part of the frame. Last comes the
+        brightness of full foam.
         """
         w, h = (cols.stop - cols.start) // 2, (rows.stop - rows.start) // 2
         small = (max(2, w // 2), max(2, h // 2))
         scale = (small[0] / (cols.stop - cols.start), small[1] / (rows.stop - rows.start))
 
-        def mask(points_ned: F64, sigma: float, most: float) -> F32 | None:
-            """Return the polygon with a soft edge, `most` inside, a quarter of the part's size."""
+        def mask(points_ned: F64, sigma: float) -> U8 | None:
+            """Return the polygon with a soft edge, 255 inside, a quarter of the part's size."""
             uv = self._lens.outline((points_ned - p_cam_ned) @ R_ned_cam, 4)
             if not len(uv):
                 return None
@@ -136,16 +143,20 @@ class SeaPainter:
             here = (uv - (cols.start, rows.start)) * scale
             cv2.fillPoly(canvas, [fixed_point(here)], 255, cv2.LINE_8, SHIFT)
             size = 2 * math.ceil(1.7 * sigma) + 1
-            soft = cv2.blur(cv2.blur(canvas, (size, size)), (size, size))
-            return soft * np.float32(most / 255.0)
+            return np.asarray(cv2.blur(cv2.blur(canvas, (size, size)), (size, size)), dtype=np.uint8)
 
         px_per_m = 0.5 / footprint
-        shade = mask(ship[1], float(np.clip(0.06 * px_per_m, 0.6, 12.0)), 0.5)
-        wash = mask(ship[0], float(np.clip(0.10 * px_per_m, 0.6, 20.0)), 55.0 if len(ship) == 2 else 110.0)
-        wake = mask(ship[2], float(np.clip(0.25 * px_per_m, 0.8, 30.0)), 130.0) if len(ship) > 2 else None
-        white = wash if wake is None else wake if wash is None else wash + wake
-        each = (None if part is None else np.asarray(cv2.resize(part, (w, h)), dtype=np.float32) for part in (shade, white))
-        return next(each), next(each)
+        shade = mask(ship[1], float(np.clip(0.06 * px_per_m, 0.6, 12.0)))
+        wash = mask(ship[0], float(np.clip(0.10 * px_per_m, 0.6, 20.0)))
+        wake = mask(ship[2], float(np.clip(0.25 * px_per_m, 0.8, 30.0))) if len(ship) > 2 else None
+        beside, behind = _FOAM if len(ship) > 2 else (_FOAM_AT_REST, 0.0)
+        white, brightest = wash, beside
+        if wake is not None:
+            none = np.zeros_like(wake)
+            white, brightest = cv2.addWeighted(wash if wash is not None else none, beside / (beside + behind), wake,
+                                               behind / (beside + behind), 0.0), beside + behind  # fmt: skip
+        each = [None if part is None else np.asarray(cv2.resize(part, (w, h)), dtype=np.uint8) for part in (shade, white)]
+        return each[0], each[1], brightest
 
 
 def _water_table(water: tuple[int, int, int]) -> NDArray[np.uint8]:

@@ -130,6 +130,12 @@
 #define PAD_H_INNER 10
 #define PAD_BAR_HALF 11
 #define PAD_CLEAR_RADIUS 12
+#define SEA_SMALL 0
+#define SEA_LARGE 1
+#define SEA_CALM 2
+#define SEA_CAP 3
+#define SEA_SHADE 4
+#define SEA_WHITE 5
 #define ROTORS_MAX 6
 #define GUSTS_MAX 100
 #define COMMANDS_MAX 1024
@@ -799,12 +805,18 @@ int32_t render_pad_kinds(int32_t h, int32_t w, const float *rays, const float *c
 void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes, const float *stroke_numbers, int32_t rolling, const float *pad, int32_t fine, int32_t count, const int32_t *edges, float *shares);
 
 /* render_sea.c */
-void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const float *small_texels, const float *large_texels, const float *caps_texels, const float *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, const float *shade, const float *white, uint8_t *codes);
+void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const float *small_texels, const float *large_texels, const float *caps_texels, const float *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, const uint8_t *shade, const uint8_t *white, uint8_t *codes);
 void render_water(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours, uint16_t *scene);
+
+/* render_shadow.c */
+void render_shadow(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const float *shape, float soft, float share, const uint8_t *mask, int16_t *gain);
 
 /* render_smear.c */
 void render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights, uint16_t *smeared);
 void render_average(int32_t h, int32_t w, const uint16_t *scene, const int32_t *shifts, uint16_t *averaged);
+
+/* render_swell.c */
+void render_swell(int32_t rows, int32_t columns, const float *rays, const double *R_ned_cam, const double *plane_from_ray, const double *to_sun, double t_s, int32_t harmonics, const wave *waves, float *light);
 
 /* sighting.c */
 int32_t sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, double *innov, double *H, double *R, double *by_rate);
@@ -820,7 +832,7 @@ void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea
 void vehicle_carry(vehicle *v, const deck *g);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 3545208321u
+#define INTERFACE_DIGEST 11785302u
 #endif
 
 #endif

@@ -34,23 +34,38 @@ static inline uint16_t times(uint16_t a, uint16_t b)
     return (uint16_t)((uint32_t)a * b >> 16);
 }
 
-/* taps[0] middle + sum over t of taps[t] (before[t] + after[t]), for n values.
+/* Add the share of two more pairs of values around the middle. */
+WIDE
+static void add_pairs(int32_t n, const uint16_t *a, const uint16_t *b, uint16_t tap, const uint16_t *c, const uint16_t *d,
+                      uint16_t next_tap, uint16_t *restrict out)
+{
+    for (int32_t x = 0; x < n; x++) {
+        const uint16_t pair = times((uint16_t)(a[x] + b[x]), tap), next = times((uint16_t)(c[x] + d[x]), next_tap);
+        out[x] = (uint16_t)(out[x] + pair + next);
+    }
+}
+
+WIDE
+static void weigh_three(int32_t n, uint16_t add, const uint16_t *a, const uint16_t *middle, const uint16_t *b, const uint16_t *taps,
+                        uint16_t *restrict out)
+{
+    const uint16_t tap = taps[0], next_tap = taps[1];
+    for (int32_t x = 0; x < n; x++) {
+        out[x] = (uint16_t)(add + times(middle[x], tap) + times((uint16_t)(a[x] + b[x]), next_tap));
+    }
+}
+
+/* taps[0] middle + sum over t of taps[t] (before[t] + after[t]), for n values; the radius is 1 or more.
  *
  * Each product loses half a count on average, but none in the dark: what is added keeps both within a count of the truth.
  */
-WIDE
 static void weigh(int32_t n, int radius, const uint16_t *const *before, const uint16_t *const *after, const uint16_t *taps,
-                  uint16_t *restrict out)
+                  uint16_t *out)
 {
-    const uint16_t *middle = before[0], add = (uint16_t)((radius + 1) / 2);
-    for (int32_t x = 0; x < n; x++) {
-        out[x] = (uint16_t)(add + times(middle[x], taps[0]));
-    }
-    for (int t = 1; t <= radius; t++) {
-        const uint16_t *a = before[t], *b = after[t], tap = taps[t];
-        for (int32_t x = 0; x < n; x++) {
-            out[x] = (uint16_t)(out[x] + times((uint16_t)(a[x] + b[x]), tap));
-        }
+    weigh_three(n, (uint16_t)((radius + 1) / 2), before[1], before[0], after[1], taps, out);
+    for (int t = 2; t <= radius; t += 2) {
+        const int last = t + 1 <= radius ? t + 1 : t;
+        add_pairs(n, before[t], after[t], taps[t], before[last], after[last], last > t ? taps[last] : 0, out);
     }
 }
 

@@ -52,31 +52,69 @@ static inline uint16_t worn(const uint16_t *scene, int16_t gain)
     return (uint16_t)(factor < MOST ? factor : MOST);
 }
 
-static inline int is_paint(int kind)
+/* The number of pixels from the first on that show what lies around the pad, in part at least. */
+static inline int32_t around_pad(const uint8_t *kinds, int32_t pixels)
 {
-    return kind != PAD_NONE && kind != PAD_EDGE;
+    int32_t n = 0;
+    while (n < pixels && (kinds[n] == PAD_NONE || kinds[n] == PAD_EDGE)) {
+        n++;
+    }
+    return n;
+}
+
+static inline int32_t alike(const uint8_t *kinds, int32_t pixels)
+{
+    int32_t n = 1;
+    while (n < pixels && kinds[n] == kinds[0]) {
+        n++;
+    }
+    return n;
+}
+
+/* Store the light of two pixels; the fourth number of each falls where the next pixel's light follows. */
+static inline void store_two(int16_t *light, lanes two)
+{
+    lanes_store_four(light, two);
+    lanes_store_four(light + CHANNELS, lanes_upper(two));
+}
+
+static void expose_scene(const exposure16 *e, int32_t pixels, const uint16_t *scene, const int16_t *gain, int16_t *light)
+{
+    int32_t i = 0;
+    for (; i + 2 <= pixels; i += 2, light += 2 * CHANNELS) {
+        store_two(light, lit(e, lanes_load(scene + 4 * i), lanes_of_two((uint16_t)gain[i], (uint16_t)gain[i + 1])));
+    }
+    if (i < pixels) {
+        lanes_store_four(light, lit(e, lanes_load_four(scene + 4 * i), lanes_all((uint16_t)gain[i])));
+    }
+}
+
+static void expose_paint(const exposure16 *e, int32_t pixels, const uint16_t *paint, const uint16_t *scene, const int16_t *gain,
+                         int16_t *light)
+{
+    const lanes two = lanes_join(paint, paint);
+    int32_t i = 0;
+    for (; i + 2 <= pixels; i += 2, light += 2 * CHANNELS) {
+        store_two(light, lit(e, two, lanes_of_two(worn(scene + 4 * i, gain[i]), worn(scene + 4 * i + 4, gain[i + 1]))));
+    }
+    if (i < pixels) {
+        lanes_store_four(light, lit(e, two, lanes_all(worn(scene + 4 * i, gain[i]))));
+    }
 }
 
 void render_expose(int32_t pixels, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure,
                    const uint16_t *pad_scene, int16_t *light)
 {
     const exposure16 e = exposure_of(exposure);
-    for (int32_t i = 0; i < pixels; i += 2) {
-        const int alone = i + 1 == pixels;
-        const int kind = kinds ? kinds[i] : PAD_NONE, next = alone ? kind : kinds ? kinds[i + 1] : PAD_NONE;
-        const uint16_t *pixel = scene + 4 * (int64_t)i, *other = alone ? pixel : pixel + 4;
-        uint16_t factor = (uint16_t)gain[i], other_factor = (uint16_t)gain[i + !alone];
-        lanes two = alone ? lanes_load_four(pixel) : lanes_load(pixel);
-        if (is_paint(kind) || is_paint(next)) {
-            factor = is_paint(kind) ? worn(pixel, gain[i]) : factor;
-            other_factor = is_paint(next) ? worn(other, gain[i + !alone]) : other_factor;
-            two = lanes_join(is_paint(kind) ? pad_scene + 4 * kind : pixel, is_paint(next) ? pad_scene + 4 * next : other);
-        }
-        two = lit(&e, two, lanes_of_two(factor, other_factor));
-        /* The fourth number of a pixel falls where the next pixel's light follows. */
-        lanes_store_four(light + CHANNELS * (int64_t)i, two);
-        if (!alone) {
-            lanes_store_four(light + CHANNELS * (int64_t)(i + 1), lanes_upper(two));
+    for (int32_t i = 0; i < pixels;) {
+        const int32_t n = kinds ? around_pad(kinds + i, pixels - i) : pixels;
+        expose_scene(&e, n, scene + 4 * (int64_t)i, gain + i, light + CHANNELS * (int64_t)i);
+        i += n;
+        if (i < pixels) {
+            const int32_t same = alike(kinds + i, pixels - i);
+            const int64_t at = i;
+            expose_paint(&e, same, pad_scene + 4 * kinds[i], scene + 4 * at, gain + i, light + CHANNELS * at);
+            i += same;
         }
     }
 }

@@ -33,6 +33,9 @@ DRAWING = (
     "PAD_CLEAR_RADIUS",
 )  # fmt: skip
 """The numbers of a pad's drawing, in their order: m, and the direction of the arrowhead's sides."""
+SEA_WEIGHTS = ("SEA_SMALL", "SEA_LARGE", "SEA_CALM", "SEA_CAP", "SEA_SHADE", "SEA_WHITE")
+"""The strengths of what lies on the sea: small and large ripples, the height below which no crest breaks, the brightness of those
+that do, the largest share of light that a ship's shade takes, and the brightness of full foam."""
 STROKE_NUMBERS = 36
 """Numbers of one part of an exposure: homographies in its middle, their change during it, in the first row and in the last."""
 
@@ -41,7 +44,7 @@ CONSTANTS = {
     "LEVELS_BY_ONE": LEVELS_BY_ONE, "COUNTS_BY_EIGHT": COUNTS_BY_EIGHT, "LEVELS_BY_EIGHT": LEVELS_BY_EIGHT,
     "LIGHT_LEVELS": LIGHT_LEVELS, "GRAIN_LEVELS": GRAIN_LEVELS,
     "PAD_PAINTS": len(PAINTS), "PAD_EDGE": PAD_EDGE, "STROKE_NUMBERS": STROKE_NUMBERS,
-    **{name: value for names in (PAINTS, DRAWING) for value, name in enumerate(names)},
+    **{name: value for names in (PAINTS, DRAWING, SEA_WEIGHTS) for value, name in enumerate(names)},
 }  # fmt: skip
 """Numbers by their names in the header: what simulated frames are made of."""
 
@@ -62,6 +65,13 @@ FUNCTIONS = (
         "render_deck.c",
     ),
     Function(
+        "render_shadow",
+        "void",
+        "int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const float *shape, "
+        "float soft, float share, const uint8_t *mask, int16_t *gain",
+        "render_shadow.c",
+    ),
+    Function(
         "render_smear",
         "void",
         "int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights, "
@@ -80,8 +90,15 @@ FUNCTIONS = (
         "int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, "
         "int32_t columns, const float *small_texels, const float *large_texels, const float *caps_texels, "
         "const float *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, "
-        "const float *shade, const float *white, uint8_t *codes",
+        "const uint8_t *shade, const uint8_t *white, uint8_t *codes",
         "render_sea.c",
+    ),
+    Function(
+        "render_swell",
+        "void",
+        "int32_t rows, int32_t columns, const float *rays, const double *R_ned_cam, const double *plane_from_ray, "
+        "const double *to_sun, double t_s, int32_t harmonics, const wave *waves, float *light",
+        "render_swell.c",
     ),
     Function(
         "render_water",

@@ -341,7 +341,8 @@ int main(int count, char **files)
     }
     report("filter_run filter_propagate filter_settle filter_answer filter_forecast bank_reach sighting_model bank_begin bank_observe");
     scenes(24);
-    report("render_deck render_fill render_smear render_average render_sea render_water render_pad_kinds render_pad_shares render_expose "
+    report("render_deck render_fill render_smear render_average render_shadow render_sea render_swell "
+           "render_water render_pad_kinds render_pad_shares render_expose "
            "render_mix render_image render_frame render_blur");
     registrations(60);
     report("register_dense register_opposite");

@@ -34,25 +34,32 @@ static int16_t *light_of(int n)
 static void surface(int h, int w, float scale, int with_mask)
 {
     const int columns = (w + CELL_PX - 1) / CELL_PX + 2, rows = (h + CELL_PX - 1) / CELL_PX + 2, tile = 16;
-    float *cells = floats(2 * rows * columns, scale), *slow = floats(h * w / 2, 300.0f), *shade = floats(h * w / 4, 1.0f);
+    float *cells = floats(2 * rows * columns, scale), *slow = floats(2 * (rows / 2 + 1) * (columns / 2 + 1), 300.0f);
+    float *near = floats(2 * rows * columns, 1.0f);
+    int16_t *gain = light_of(h * w);
     float *texels = floats((tile + 1) * (tile + 1), 3.0f);
     uint16_t *scene = room((size_t)h * w * 8), *drawing = room(8 * 20 * 30), *smeared = room((size_t)h * w * 8);
-    uint8_t *mask = room((size_t)h * w), *codes = room((size_t)h * w / 4), *colour = room(256 * 8);
+    uint8_t *mask = room((size_t)h * w), *codes = room((size_t)h * w / 4), *colour = room(256 * 8), *parts = room((size_t)h * w / 4);
     const int32_t sizes[4] = {tile, tile, tile, tile}, shifts[6] = {-3, 2, 0, 0, 3, -2};
     const int32_t apart[4] = {-draw() % 40, 3, draw() % 40, -draw() % 5};
     const uint16_t weights[3] = {20000, 25535, 20000};
     const double drift[12] = {0.3, 1e3, -1e3, 2.0, 0.1, 0.2, 1.0, 0.0, 0.0, 4.0, -0.5, 0.5};
-    const float strength[4] = {0.5f, 0.8f, 1.0f, 120.0f};
+    const float strength[6] = {0.5f, 0.8f, 1.0f, 120.0f, 0.5f, 240.0f}, shape[4] = {0.14f, 0.115f, 0.2f, 0.05f};
+    const double to_sun[3] = {0.3, 0.4, -0.86}, turn[9] = {0.9, 0.1, 0.0, -0.1, 0.9, 0.05, 0.0, 0.02, 1.0};
+    const wave swell[2] = {{0.4, {0.3, 0.1}, 1.2, 0.5}, {1.0, {-0.05, 0.2}, 0.8, 2.0}};
     render_deck(w, 1, w - 1, 1, h - 1, cells, columns, drawing, 20, 30, with_mask ? mask : 0, scene);
     render_fill(w, 0, w, 0, h, mask, (const uint16_t *)colour, scene);
     render_smear(h, w, scene, 3, shifts, weights, smeared);
     fold_bytes(smeared, (size_t)h * w * 8);
     render_average(h, w, scene, apart, smeared);
     render_sea(h, w, with_mask ? mask : 0, 0, w / 2, 0, h / 2, cells, columns, texels, texels, texels, texels, sizes, drift, strength, slow,
-               with_mask ? shade : 0, with_mask ? shade : 0, codes);
+               with_mask ? parts : 0, with_mask ? parts : 0, codes);
+    render_shadow(w, 1, w - 1, 0, h, near, columns, shape, 0.02f, 0.45f, with_mask ? mask : 0, gain);
+    fold_bytes(gain, (size_t)h * w * 2), fold_bytes(codes, (size_t)h * w / 4);
+    render_swell(rows, columns, cells, turn, turn, to_sun, 3.0, with_mask ? 2 : 0, swell, slow);
     render_water(w, 0, w, 0, h, codes, (const uint16_t *)colour, scene);
     fold_bytes(scene, (size_t)h * w * 8), fold_bytes(smeared, (size_t)h * w * 8), fold_bytes(codes, (size_t)h * w / 4);
-    void *all[] = {cells, slow, shade, texels, scene, drawing, smeared, mask, codes, colour};
+    void *all[] = {cells, slow, near, gain, parts, texels, scene, drawing, smeared, mask, codes, colour};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
     }
