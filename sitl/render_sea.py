@@ -150,11 +150,13 @@ class SeaPainter:
         wash = mask(ship[0], float(np.clip(0.10 * px_per_m, 0.6, 20.0)))
         wake = mask(ship[2], float(np.clip(0.25 * px_per_m, 0.8, 30.0))) if len(ship) > 2 else None
         beside, behind = _FOAM if len(ship) > 2 else (_FOAM_AT_REST, 0.0)
-        white, brightest = wash, beside
+        white, brightest = wash, beside + behind
         if wake is not None:
-            none = np.zeros_like(wake)
-            white, brightest = cv2.addWeighted(wash if wash is not None else none, beside / (beside + behind), wake,
-                                               behind / (beside + behind), 0.0), beside + behind  # fmt: skip
+            share = beside / brightest
+            first = wash if wash is not None else np.zeros_like(wake)
+            white = np.asarray(cv2.addWeighted(first, share, wake, 1.0 - share, 0.0), dtype=np.uint8)
+        else:
+            brightest = beside
         each = [None if part is None else np.asarray(cv2.resize(part, (w, h)), dtype=np.uint8) for part in (shade, white)]
         return each[0], each[1], brightest
 

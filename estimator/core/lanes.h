@@ -8,6 +8,12 @@
 #include <stdint.h>
 #include <string.h>
 
+/* Bring a part of memory near, which need not exist. */
+static inline void lanes_fetch(uintptr_t address)
+{
+    __builtin_prefetch((const void *)address);
+}
+
 #if defined(__SSE2__) && !defined(LANES_ONE_BY_ONE)
 
 #include <emmintrin.h>

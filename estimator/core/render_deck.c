@@ -108,6 +108,13 @@ static inline int32_t down(int32_t upper, int32_t lower, int32_t row)
     return upper + (int32_t)((int64_t)(lower - upper) * (2 * row + 1) / (2 * CELL_PX));
 }
 
+/* Ask for the texels at a position in the tile to the right: a deck larger than the cache waits for memory otherwise. */
+static inline void fetch_ahead(const drawing *d, int32_t x, int32_t y)
+{
+    const int64_t texel = (int64_t)d->w * (y >> FRACTION) + (x >> FRACTION);
+    lanes_fetch((uintptr_t)d->texels + 8 * (uintptr_t)texel);
+}
+
 /* Draw the part of a tile that lies in the window; it begins at (left, top). Tiles keep the texels that they read in the cache. */
 static void tile(const drawing *d, const corners *k, int32_t left, int32_t top, const window *part, const uint8_t *mask,
                  uint16_t *scene)
@@ -122,6 +129,9 @@ static void tile(const drawing *d, const corners *k, int32_t left, int32_t top, 
         int32_t x = xa + dx / 2 + (from - left) * dx, y = ya + dy / 2 + (from - left) * dy;
         int64_t at = (int64_t)row * part->w + from;
         for (const int64_t last = at + to - from; at < last; at++, x += dx, y += dy) {
+            if (easy && at % 2) {
+                fetch_ahead(d, x + CELL_PX * dx, y + CELL_PX * dy);
+            }
             if (!mask && easy) {
                 lanes_store_four(scene + 4 * at, read_inside(d, x, y));
             } else if (!mask || mask[at]) {
