@@ -23,7 +23,7 @@ def at(px: np.ndarray, camera: Camera, pad: Pad, pose: PadPose) -> AlignedTempla
     return aligned
 
 
-def named(aligned: AlignedTemplate, pad: Pad) -> dict[str, float]:
+def named(aligned: AlignedTemplate) -> dict[str, float]:
     return dict(zip(FEATURES, aligned.features.tolist(), strict=True))
 
 
@@ -33,12 +33,12 @@ def test_each_part_painted_over_is_missed_by_name(camera: Camera, pad: Pad, heig
     uv = camera.project(seen.truth.points(np.array([[0.0, 0.18, 0.0]])))[0]
     green = tuple(int(c) for c in seen.px[round(uv[1]), round(uv[0])])
     paint = (green[0], green[1], green[2])
-    whole = named(at(seen.px, camera, pad, seen.truth), pad)
-    no_h = named(at(covered(seen, camera, disc_of(0.2), paint), camera, pad, seen.truth), pad)
+    whole = named(at(seen.px, camera, pad, seen.truth))
+    no_h = named(at(covered(seen, camera, disc_of(0.2), paint), camera, pad, seen.truth))
     assert no_h["h_marking"] < 0.25 * whole["h_marking"]
     assert no_h["ring"] > 0.6 * whole["ring"]
     band = np.concatenate([disc_of(0.31), disc_of(0.31)[:1], disc_of(0.225)[:1], disc_of(0.225)[::-1]])
-    no_ring = named(at(covered(seen, camera, band, paint), camera, pad, seen.truth), pad)
+    no_ring = named(at(covered(seen, camera, band, paint), camera, pad, seen.truth))
     assert no_ring["ring"] < 0.35 * whole["ring"]
     assert no_ring["h_marking"] > 0.6 * whole["h_marking"]
     assert abs(no_ring["arrow"]) < 0.5
@@ -64,7 +64,7 @@ def test_confidence_falls_with_every_part_that_is_missing(camera: Camera, pad: P
 @pytest.mark.parametrize("light", [Light(3000.0), Light(9000.0), Light(white_balance=(1.2, 1.0, 0.8)), Light(exposure_ev=-2.0)])
 def test_light_that_burns_nothing_out_does_not_count(camera: Camera, pad: Pad, light: Light) -> None:
     plain, other = (
-        named(at(shown(camera, pad, 1.5, light=k).px, camera, pad, shown(camera, pad, 1.5).truth), pad) for k in (Light(), light)
+        named(at(shown(camera, pad, 1.5, light=k).px, camera, pad, shown(camera, pad, 1.5).truth)) for k in (Light(), light)
     )
     # A quarter of the light against the same noise costs up to log 4 of a gain that is 3.3 here.
     kept = 0.55 if light.exposure_ev < 0.0 else 0.7
