@@ -62,6 +62,7 @@
 #define FIGURE_RECTANGLES 8
 #define WEDGE_SIDES 4
 #define FIT_ROWS 136
+#define POINTER_MARKS 4
 #define FRAME_LEVELS 5
 #define TEMPLATE_BLURS 5
 #define TEMPLATE_ONE 16384
@@ -397,19 +398,32 @@ typedef struct {
 } pad_wedge;
 
 typedef struct {
+    double inside_m;
+    double outside_m;
+    double thinnest_m;
+    double box_m[4];
+    double box_radius_m;
+} edge_zone;
+
+typedef struct {
     int64_t contrast_count;
     int64_t pointer_kind;
     int64_t pointer_contrast;
     int64_t pointer_figure;
     int64_t lies_on[4];
     int64_t contrast_of_kind[4];
+    int64_t paint_of_kind[4];
     double disc_radius_m;
     double half_length_m;
     double pointer_clear_m;
+    double gap_m;
+    double pointer_marks_m[8];
+    double nominal[12];
     pad_region contrasts[4];
     pad_region kinds[4];
     pad_figure figures[2];
     pad_wedge wedge;
+    edge_zone zones[4];
 } pad_shape;
 
 typedef struct {
@@ -471,6 +485,22 @@ typedef struct {
     fit_state state;
     edge_support edges[4];
 } fit_solved;
+
+typedef struct {
+    int64_t dense;
+    int64_t yaw_ambiguous;
+    double R[9];
+    double t[3];
+    double cov[36];
+    double information[36];
+    double blur_px2[3];
+    double noise_light;
+    double edge_rms_px;
+    double visible;
+    double inliers;
+    double last_step_px;
+    edge_support edges[4];
+} registration;
 
 typedef struct {
     int64_t level;
@@ -784,8 +814,7 @@ void kalman_predict(int32_t n, const double *P, const double *F, const double *Q
 int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx, double *P_after, double *S, double *nis);
 
 /* register.c */
-int32_t register_dense(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad, const tilt_prior *prior, const fit_options *o, const fit_state *start, int32_t room, float *scratch, fit_solved *out);
-int32_t register_opposite(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad, const fit_options *o, const fit_state *at, int32_t room, float *scratch);
+int32_t register_pad(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad, int32_t points, const double *edges, const int32_t *edge_of, const tilt_prior *prior, const fit_options *o, const double *start, int32_t room, float *scratch, registration *out, double *outline);
 
 /* render_deck.c */
 void render_deck(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const uint16_t *texels, int32_t texel_rows, int32_t texel_columns, const uint8_t *mask, uint16_t *scene);
@@ -832,7 +861,7 @@ void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea
 void vehicle_carry(vehicle *v, const deck *g);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 11785302u
+#define INTERFACE_DIGEST 796470541u
 #endif
 
 #endif

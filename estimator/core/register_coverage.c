@@ -11,8 +11,8 @@
 static const float PHI_A = 0.7978845608f, PHI_B = 0.0356774081f;
 /* Standard deviations of the blur beyond which a figure covers nothing. */
 static const float REACH = 5.0f;
-/* The logarithm of the largest odds of the normal integral: single precision does not tell them from certainty. */
-static const float MOST = 18.0f;
+/* The logarithm of the largest odds of the normal integral that the exponential function takes; its slope is zero there. */
+static const float MOST = 80.0f;
 
 /* The normal integral of d / sigma and its derivatives by d and by sigma squared; `per` is 1 / sigma. Good to 3e-4, and smooth. */
 static inline void phi(float d, float per, float *value, float *slope, float *by_var)

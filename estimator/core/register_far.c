@@ -22,6 +22,10 @@ static const double MEAN_WEIGHT = 0.9;
 /* Coverage beyond which a pixel sees the paint under the pointer alone; sum of coverages from which a pointer is in view. */
 static const double COVERED = 0.98, POINTER_IN_VIEW = 0.1;
 
+/* Contrast over its deviation, and cosine between the contrast and that of the pad's paints, above which an edge is seen. With the
+ * white balance off by 20 % and light of 3000 K, white against green and orange against green stay above 0.8. */
+static const double SNR_SEEN = 5.0, LIKENESS_SEEN = 0.4;
+
 int stands_out(double amplitude, double opposite, double sigma)
 {
     return amplitude - opposite > fmax(0.5, 4.0 * sigma);
@@ -35,6 +39,11 @@ edge_support pointer_support(double amplitude, double sigma, const double contra
         out.contrast_bgr[c] = contrast[c] * amplitude;
     }
     return out;
+}
+
+int support_is_seen(const edge_support *e)
+{
+    return e->snr > SNR_SEEN && e->inliers > 0.5 && e->in_view > 0.0 && e->likeness > LIKENESS_SEEN;
 }
 
 /* The (9, 9) covariance from unexplained places of edges: sectors of the disc and strokes are displaced independently. */

@@ -15,6 +15,9 @@ int stands_out(double amplitude, double opposite, double sigma);
 /* The support for a pointer of this amplitude; 1 is nominal. */
 edge_support pointer_support(double amplitude, double sigma, const double contrast[CHANNELS], double in_view);
 
+/* Whether a kind of edge is clearly there, and of its paint. */
+int support_is_seen(const edge_support *e);
+
 /* Register from a state; 0 if too little of the pad is in view, or if the frame does not determine a pose. */
 int register_far(const view *v, const pad_shape *pad, const fit_options *o, const tilt_target *tilt, const fit_state *start, rows *r,
                  fit_solved *out);

@@ -18,12 +18,17 @@ FIGURE_RECTANGLES = 8
 """The largest number of rectangles of a figure."""
 WEDGE_SIDES = 4
 """The largest number of sides of a wedge."""
+POINTER_MARKS = 4
+"""Number of points of the pointer, one of which is in the frame if it can be seen."""
+PROFILE_PIXELS = 24
+"""The largest number of pixels of a profile and of what fills its group up."""
 FIT_ROWS = 136
 """Rows of floats, each as long as the largest number of pixels, that a registration works on."""
 
 CONSTANTS = {
     "EDGE_KINDS": EDGE_KINDS, "PAD_CONTRASTS": PAD_CONTRASTS, "REGION_CIRCLES": REGION_CIRCLES, "PAD_FIGURES": PAD_FIGURES,
     "FIGURE_CUTS": FIGURE_CUTS, "FIGURE_RECTANGLES": FIGURE_RECTANGLES, "WEDGE_SIDES": WEDGE_SIDES, "FIT_ROWS": FIT_ROWS,
+    "POINTER_MARKS": POINTER_MARKS,
 }  # fmt: skip
 """Numbers by their names in the header: the largest sizes of a drawing."""
 
@@ -41,12 +46,17 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
     "pad_wedge": (
         *integers("sides"), *doubles(nx=WEDGE_SIDES, ny=WEDGE_SIDES, offset_m=WEDGE_SIDES, beyond_m=1),
     ),
+    "edge_zone": doubles(inside_m=1, outside_m=1, thinnest_m=1, box_m=4, box_radius_m=1),
     "pad_shape": (
         *integers("contrast_count", "pointer_kind", "pointer_contrast", "pointer_figure"),
         Field("lies_on", "int64_t", PAD_CONTRASTS), Field("contrast_of_kind", "int64_t", EDGE_KINDS),
-        *doubles(disc_radius_m=1, half_length_m=1, pointer_clear_m=1),
+        Field("paint_of_kind", "int64_t", EDGE_KINDS),
+        *doubles(
+            disc_radius_m=1, half_length_m=1, pointer_clear_m=1, gap_m=1,
+            pointer_marks_m=2 * POINTER_MARKS, nominal=3 * EDGE_KINDS,
+        ),
         Field("contrasts", "pad_region", PAD_CONTRASTS), Field("kinds", "pad_region", EDGE_KINDS),
-        Field("figures", "pad_figure", PAD_FIGURES), Field("wedge", "pad_wedge"),
+        Field("figures", "pad_figure", PAD_FIGURES), Field("wedge", "pad_wedge"), Field("zones", "edge_zone", EDGE_KINDS),
     ),
     "camera_lens": (
         *integers("width", "height", "distorted"), *doubles(fx=1, fy=1, cx=1, cy=1, distortion=5, R_body_cam=9),
@@ -63,28 +73,33 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
         *doubles(H=81, cov=81, noise_light=1, edge_rms_px=1, visible=1, inliers=1, last_step_px=1),
         Field("state", "fit_state"), Field("edges", "edge_support", EDGE_KINDS),
     ),
+    "registration": (
+        *integers("dense", "yaw_ambiguous"),
+        *doubles(
+            R=9, t=3, cov=36, information=36, blur_px2=3, noise_light=1, edge_rms_px=1, visible=1, inliers=1, last_step_px=1,
+        ),
+        Field("edges", "edge_support", EDGE_KINDS),
+    ),
 }  # fmt: skip
 """A `pad_region` is what its circles (sums with a sign), its figure's rectangles, and the wedge cover. A figure's rectangles lie
 between its limits along both axes, which ascend. A wedge is where all n p < offset, beyond a circle about the centre. A
 `pad_shape` has the regions as painted (`contrasts`: paint over the one that each `lies_on`, -1 for the surroundings) and the
-inside of each kind of edge (`kinds`); the `pointer` is the part of the drawing that tells its two headings apart. The other
-structures have what `Camera`, `Orientation`, `RegistrationOptions` and `Registration` have; covariances are in `pad`."""
+inside of each kind of edge (`kinds`); an `edge_zone` is where an edge of another kind is too near: within and outside of two
+radii, in a box, or anywhere if the blur is too wide for something thin. The `pointer` is the part of the drawing that tells its
+two headings apart. The other structures have what `Camera`, `Orientation`, `RegistrationOptions` and `Registration` have; the
+covariances of `fit_solved` are in `pad`."""
 
-_FRAME = "const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad"
 FUNCTIONS = (
     Function(
-        "register_dense",
+        "register_pad",
         "int32_t",
-        f"{_FRAME}, const tilt_prior *prior, const fit_options *o, const fit_state *start, int32_t room, float *scratch, "
-        "fit_solved *out",
-        "register.c",
-    ),
-    Function(
-        "register_opposite",
-        "int32_t",
-        f"{_FRAME}, const fit_options *o, const fit_state *at, int32_t room, float *scratch",
+        "const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad, "
+        "int32_t points, const double *edges, const int32_t *edge_of, const tilt_prior *prior, const fit_options *o, "
+        "const double *start, int32_t room, float *scratch, registration *out, double *outline",
         "register.c",
     ),
 )
-"""Functions of registration. `rays` are those of all pixels if the lens distorts, else null; `light` is the linear light of each
-pixel value; `scratch` has room for `FIT_ROWS` rows of `room` floats."""
+"""The function of registration. `rays` are those of all pixels if the lens distorts, else null; `light` is the linear light of
+each pixel value; `edges` has place, normal and distance to the next of each point of an edge, `edge_of` its kind and piece;
+`start` is a rotation and a place; `scratch` has room for `FIT_ROWS` rows of `room` floats; `outline` takes the pixel of every
+fourth point."""

@@ -16,8 +16,8 @@ from estimator.vision.detect import verification
 from estimator.vision.detect.alignment import AlignedTemplate
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
+from estimator.vision.register.pixels import light_table
 from estimator.vision.register.registration import Registration
-from estimator.vision.register.state import light_table
 
 FITTED_FEATURES = (
     "one", "template_score", "inliers", "disc_off", "ring_off", "h_off", "ring_unseen", "h_unseen", "dense", "dense_inliers",

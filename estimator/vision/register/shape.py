@@ -16,8 +16,10 @@ from estimator.contracts.geometry import F64
 from estimator.core.records import record
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
+from estimator.vision.srgb import linear_light
 
 _STRIPS = 6
+_FAR_M = 1e6
 _DISC, _RING, _H = 0, 1, 2
 """Indices of the regions as painted; the rim, if there is one, is the last."""
 _SURROUNDINGS = -1
@@ -27,7 +29,7 @@ _H_FIGURE, _ARROW_FIGURE, _NO_FIGURE = 0, 1, -1
 @lru_cache(maxsize=8)
 def pad_shape(pad: Pad) -> F64:
     """Return the words of the core's `pad_shape`; the result is cached."""
-    field_m = pad.disc_radius_m - pad.rim_width_m
+    field_m, arrow = pad.disc_radius_m - pad.rim_width_m, pad.arrowhead()[:, :2]
     disc, h = _region((field_m,)), _region((), _H_FIGURE)
     ring = (pad.ring_outer_m, pad.ring_inner_m)
     contrasts = [disc, _region(ring, _ARROW_FIGURE), h]
@@ -37,7 +39,10 @@ def pad_shape(pad: Pad) -> F64:
         "contrast_count": len(contrasts), "pointer_kind": EdgeKind.ARROW, "pointer_contrast": _RING,
         "pointer_figure": _ARROW_FIGURE, "lies_on": (_SURROUNDINGS, _DISC, _DISC, _SURROUNDINGS),
         "contrast_of_kind": (_DISC, _RING, _RING, _H),
+        "paint_of_kind": (EdgeKind.DISC, EdgeKind.RING, EdgeKind.RING, EdgeKind.H),
         "disc_radius_m": pad.disc_radius_m, "half_length_m": 0.5 * pad.h_length_m, "pointer_clear_m": pad.ring_inner_m,
+        "gap_m": min(field_m - pad.arrow_tip_m, pad.ring_inner_m - math.hypot(pad.h_length_m, pad.h_width_m) / 2),
+        "pointer_marks_m": [*arrow, arrow.mean(axis=0)], "nominal": _contrasts(pad), "zones": _zones(pad),
         "contrasts": contrasts, "kinds": [disc, _region(ring), _region(ring, has_wedge=True), h],
         "figures": [_h_figure(pad), _arrow_figure(pad)], "wedge": _arrow_wedge(pad),
     })  # fmt: skip
@@ -104,3 +109,27 @@ def _arrow_wedge(pad: Pad) -> dict[str, Any]:
         "sides": 3, "nx": (along, along, -1.0), "ny": (aside, -aside, 0.0), "beyond_m": pad.ring_outer_m,
         "offset_m": (along * pad.arrow_tip_m, along * pad.arrow_tip_m, -base),
     }  # fmt: skip
+
+
+def _zones(pad: Pad) -> list[dict[str, Any]]:
+    """Return, for each kind of edge, where edges of another kind are."""
+    field_m, length, width = pad.disc_radius_m - pad.rim_width_m, 0.5 * pad.h_length_m, 0.5 * pad.h_width_m
+
+    def zone(inside: float, outside: float, box: tuple[float, ...] = (_FAR_M,) * 4, radius: float = _FAR_M) -> dict[str, Any]:
+        return {"inside_m": inside, "outside_m": outside, "thinnest_m": _FAR_M, "box_m": box, "box_radius_m": radius}
+
+    beside_arrow = (0.0, pad.arrow_tip_m, -pad.arrow_half_base_m, pad.arrow_half_base_m)
+    disc = zone(pad.ring_outer_m, _FAR_M, beside_arrow, pad.arrow_tip_m)
+    if pad.rim_width_m:
+        # If no pixel sees the rim alone, its inner edge cannot be separated from its outer one.
+        disc |= {"outside_m": pad.disc_radius_m, "thinnest_m": pad.rim_width_m}
+    h = (-length, length, -width, width)
+    return [disc, zone(-_FAR_M, field_m, h), zone(-_FAR_M, field_m), zone(-_FAR_M, pad.ring_inner_m)]
+
+
+def _contrasts(pad: Pad) -> F64:
+    """Return the (4, 3) BGR unit vectors from the disc's paint to that inside each kind of edge; zero for the disc's own."""
+    paints = pad.colours
+    disc, ring, h = (linear_light(rgb[::-1]) for rgb in (paints.disc, paints.ring, paints.h))
+    ways = np.array([np.zeros(3), ring - disc, ring - disc, h - disc])
+    return np.asarray(ways / np.maximum(np.linalg.norm(ways, axis=1), 1e-6)[:, None])

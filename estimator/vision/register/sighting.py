@@ -14,7 +14,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pose import Orientation
 from estimator.vision.register.registration import Registration
-from estimator.vision.register.solver import roll_pitch, tilt_axes
+from estimator.vision.register.tilt import roll_pitch, tilt_axes
 
 _WORTH = {EdgeKind.DISC: 0.4, EdgeKind.RING: 0.6, EdgeKind.ARROW: 0.4, EdgeKind.H: 0.6}
 """Weight of each kind of edge as evidence that this is the pad and no other round or white thing."""

@@ -345,7 +345,7 @@ int main(int count, char **files)
            "render_water render_pad_kinds render_pad_shares render_expose "
            "render_mix render_image render_frame render_blur");
     registrations(60);
-    report("register_dense register_opposite");
+    report("register_pad");
     alignments(40);
     report("align_view align_move align_fit");
     simulator();

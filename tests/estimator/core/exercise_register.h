@@ -37,6 +37,13 @@ static void some_pad(pad_shape *pad, double size, int with_rim)
     pad->kinds[0] = pad->contrasts[0], pad->kinds[3] = pad->contrasts[2];
     circle_region(&pad->kinds[1], 0.6 * size, 0.66 * size), circle_region(&pad->kinds[2], 0.6 * size, 0.66 * size);
     pad->kinds[2].has_wedge = 1;
+    pad->gap_m = 0.1 * size;
+    for (int k = 0; k < EDGE_KINDS; k++) {
+        pad->paint_of_kind[k] = k == 2 ? 1 : k;
+        pad->nominal[3 * k] = k ? 0.6 : 0.0, pad->nominal[3 * k + 1] = k ? 0.8 : 0.0;
+        pad->zones[k].inside_m = k == 0 ? 0.66 * size : -1e6, pad->zones[k].outside_m = k == 3 ? 0.6 * size : k ? 0.9 * size : 1e6;
+        pad->zones[k].thinnest_m = 1e6, pad->pointer_marks_m[2 * k] = (0.6 + 0.05 * k) * size;
+    }
     pad->wedge.sides = 3, pad->wedge.beyond_m = 0.66 * size;
     for (int k = 0; k < 3; k++) {
         pad->wedge.nx[k] = k < 2 ? 0.7071 : -1.0, pad->wedge.ny[k] = k < 2 ? 0.7071 - 1.4142 * k : 0.0;
@@ -112,22 +119,33 @@ static double *rays_of(const camera_lens *camera)
     return rays;
 }
 
-/* About as the pad is seen in the picture, or anything. */
-static void some_state(fit_state *s, const camera_lens *camera, double height_m, double off)
+/* About as the pad is seen in the picture, turned by half a turn, or anything. */
+static void some_start(double start[12], const camera_lens *camera, double height_m, double off, int turned)
 {
-    memset(s, 0, sizeof *s);
-    for (int i = 0; i < 3; i++) {
-        s->t[i] = off * height_m / camera->fx * uniform() + (i == 2 ? height_m : 0.0);
-        s->R[4 * i] = 1.0;
-        s->blur_px2[i] = i == 1 ? 0.0 : 0.5;
+    for (int i = 0; i < 9; i++) {
+        start[i] = i % 4 == 0 ? (turned && i < 8 ? -1.0 : 1.0) : 0.0;
     }
-    s->depth_m = height_m, s->m_per_px = height_m / camera->fx;
-    poisoned(s->R, 9), poisoned(s->t, 3), poisoned(s->blur_px2, 3), poisoned(&s->depth_m, 1);
+    for (int i = 0; i < 3; i++) {
+        start[9 + i] = off * height_m / camera->fx * uniform() + (i == 2 ? height_m : 0.0);
+    }
+    poisoned(start, 12);
 }
 
-static void fold_solved(const fit_solved *s)
+/* Points on the circles of the disc and the ring and on two sides of the cross; the pieces follow one another. */
+enum { EDGE_POINTS = 400 };
+static void some_edges(const pad_shape *pad, double *edges, int32_t *of)
 {
-    fold(s->state.t, 3), fold(s->state.blur_px2, 3), fold(&s->noise_light, 1), fold(&s->inliers, 1), fold(s->edges[0].contrast_bgr, 3);
+    const double radii[2] = {pad->contrasts[0].radius_m[0], pad->contrasts[1].radius_m[0]};
+    for (int i = 0; i < EDGE_POINTS; i++) {
+        const int piece = i / (EDGE_POINTS / 4), k = i % (EDGE_POINTS / 4);
+        const double a = 6.283185307179586 * k / (EDGE_POINTS / 4), side = piece == 2 ? 1.0 : -1.0, size = pad->disc_radius_m;
+        double *at = edges + 5 * i;
+        at[2] = piece < 2 ? cos(a) : 0.0, at[3] = piece < 2 ? sin(a) : side;
+        at[0] = piece < 2 ? radii[piece] * at[2] : 0.6 * size * (k / (EDGE_POINTS / 4.0) - 0.5);
+        at[1] = piece < 2 ? radii[piece] * at[3] : 0.3 * size * side;
+        at[4] = piece < 2 ? radii[piece] * 6.283185307179586 / (EDGE_POINTS / 4) : 0.6 * size / (EDGE_POINTS / 4);
+        of[2 * i] = piece < 2 ? piece : 3, of[2 * i + 1] = piece;
+    }
 }
 
 static void registrations(int count)
@@ -138,29 +156,31 @@ static void registrations(int count)
         light[i] = (float)(i * i) / 65025.0f;
     }
     for (int i = 0; i < count; i++) {
-        const int kind = fuzzed ? draw() : i, h = 20 + draw() % 50, w = 20 + draw() % 60;
+        const int kind = fuzzed ? draw() : i, h = 20 + draw() % 80, w = 20 + draw() % 120;
         camera_lens camera;
         pad_shape pad;
-        fit_options o = {.max_profiles = 10 + draw() % 120, .dense_pixels = 40 + draw() % 2000, .blur_px = 0.6, .edge_sigma_px = 0.004};
-        fit_state start;
-        fit_solved *found = calloc(1, sizeof *found);
+        fit_options o = {.max_profiles = 10 + draw() % 120, .dense_pixels = 40 + draw() % (kind % 3 ? 400 : 2000), .blur_px = 0.6, .edge_sigma_px = 0.004};
+        double start[12], *edges = malloc(5 * EDGE_POINTS * sizeof *edges);
+        double *outline = malloc((EDGE_POINTS + 3) / 4 * 2 * sizeof *outline);
+        int32_t *edge_of = malloc(2 * EDGE_POINTS * sizeof *edge_of);
+        registration *found = calloc(1, sizeof *found);
         tilt_prior prior = {.given = kind % 2, .sigma_deck_rad = 0.03, .cov_tilt = {1e-4, 0.0, 0.0, 1e-4}};
-        const int32_t room = (int32_t)((o.dense_pixels + 15) / 16 * 16);
+        const int64_t most = 24 * (o.max_profiles + 2) > o.dense_pixels ? 24 * (o.max_profiles + 2) : o.dense_pixels;
+        const int32_t room = (int32_t)((most > EDGE_POINTS ? most : EDGE_POINTS) + 15) / 16 * 16;
         float *scratch = malloc((size_t)room * FIT_ROWS * sizeof *scratch);
-        some_camera(&camera, h, w, 20.0 + draw() % 60, kind % 5 == 0);
+        some_camera(&camera, h, w, 20.0 + draw() % 100, kind % 5 == 0);
         some_pad(&pad, sizes[kind % 3], kind % 2);
         const double height_m = pad.disc_radius_m * camera.fx / (4.0 + draw() % (w / 2));
         uint8_t *frame = picture(&camera, &pad, height_m, kind);
         double *rays = camera.distorted ? rays_of(&camera) : NULL;
         o.dense_edge_sigma_px = 0.01;
-        some_state(&start, &camera, height_m, kind % 7 == 0 ? 5.0 : 0.4);
+        some_start(start, &camera, height_m, kind % 7 == 0 ? 5.0 : 0.4, kind % 5 == 4);
+        some_edges(&pad, edges, edge_of);
         poisoned(&prior.roll_rad, 1), poisoned(prior.cov_tilt, 4);
-        if (register_dense(&camera, rays, frame, light, &pad, &prior, &o, &start, room, scratch, found)) {
-            fold_solved(found);
+        if (register_pad(&camera, rays, frame, light, &pad, EDGE_POINTS, edges, edge_of, &prior, &o, start, room, scratch, found, outline)) {
+            fold(found->t, 3), fold(found->R, 9), fold(&found->noise_light, 4), fold(found->edges[1].contrast_bgr, 7), fold(outline, 200);
         }
-        found->noise_light = register_opposite(&camera, rays, frame, light, &pad, &o, &start, room, scratch);
-        fold(&found->noise_light, 1);
-        void *all[] = {found, scratch, frame, rays};
+        void *all[] = {found, scratch, frame, rays, edges, edge_of, outline};
         for (size_t k = 0; k < sizeof all / sizeof *all; k++) {
             free(all[k]);
         }

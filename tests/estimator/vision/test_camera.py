@@ -6,7 +6,7 @@ import numpy as np
 
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.vision.camera import Camera
-from estimator.vision.register.state import ray_map
+from estimator.vision.register.pixels import ray_map
 from sitl.projection import lens_of
 
 

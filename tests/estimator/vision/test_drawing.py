@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from estimator.contracts.geometry import Rotation
-from estimator.vision.drawing import Blurred, Coverage, EdgeKind, edges_of
+from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.register.state import RegistrationState
 from sitl.testing.pad_images import _paint
 from sitl.testing.shipped import shipped_camera, shipped_pad
+from tests.estimator.vision.oracle.blurred import Blurred, Coverage
+from tests.estimator.vision.oracle.state import RegistrationState
 
 PADS = [shipped_pad("thesis"), shipped_pad("printed")]
 

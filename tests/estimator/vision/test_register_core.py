@@ -34,7 +34,8 @@ def both(
     px = scene.px if blur_px < 0.2 else np.asarray(cv2.GaussianBlur(scene.px, (0, 0), blur_px), np.uint8)
     t = scene.truth.t_cam_pad
     off = rng.normal(0.0, 0.4, 3) * (t[2] / camera.fx)
-    off[2] *= max(1.0, t[2])
+    # Nearer or farther by so much that the disc's edge is off by as many pixels.
+    off[2] *= t[2] / min(pad.disc_radius_m, 0.6 * t[2])
     turn = Rotation.from_rpy(0.0, 0.0, float(rng.normal(0.0, 0.01)) + math.pi * (seed % 5 == 0))
     start = PadPose(scene.truth.R_cam_pad @ turn, t + off)
     prior = Orientation.of(None)

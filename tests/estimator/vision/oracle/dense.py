@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
-from estimator.vision.drawing import Blurred
 from estimator.vision.pad import Pad
+from estimator.vision.register.pixels import light_table
+from tests.estimator.vision.oracle.blurred import Blurred
 from tests.estimator.vision.oracle.glare import CLIPPED, GlareBlob, find
-from tests.estimator.vision.oracle.state import N_STATE, U8, Footprint, RegistrationState, light_table
+from tests.estimator.vision.oracle.state import N_STATE, U8, Footprint, RegistrationState
 
 _DARK = 0.01
 """Light at which a sensor's noise in the dark, read-out and rounding, equals the noise of the light: the variance is proportional

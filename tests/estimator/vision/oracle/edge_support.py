@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from functools import lru_cache
+from types import MappingProxyType
 
 import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.vision.drawing import EdgeKind
+from estimator.vision.pad import Pad
 from estimator.vision.register.edge_support import EdgeSupport
+from estimator.vision.register.pixels import light_table
 from tests.estimator.vision.oracle import dense
 from tests.estimator.vision.oracle import profiles as profiles_
 from tests.estimator.vision.oracle.sampling import Profiles
@@ -56,3 +61,21 @@ def arrow_support(amplitude: float, sigma: float, contrast: F64, in_view: float)
     """Return the support of an arrowhead with this amplitude; 1 is nominal."""
     agree = min(1.0, max(0.0, 1.0 - abs(amplitude - 1.0)))
     return EdgeSupport(contrast * amplitude, max(0.0, amplitude) / max(sigma, 1e-6), in_view, agree)
+
+
+def beside(support: EdgeSupport, kind: EdgeKind, pad: Pad) -> EdgeSupport:
+    """Return a copy with the likeness to the paints of the pad file."""
+    nominal = _contrasts(pad).get(kind)
+    size = math.sqrt(float(support.contrast_bgr @ support.contrast_bgr))
+    like = 1.0 if nominal is None or size < 1e-6 else float(nominal @ support.contrast_bgr) / size
+    return EdgeSupport(support.contrast_bgr, support.snr, support.in_view, support.inliers, like)
+
+
+@lru_cache(maxsize=8)
+def _contrasts(pad: Pad) -> Mapping[EdgeKind, F64]:
+    """Return the (3,) BGR unit vectors from the disc's paint to the others of the pad file."""
+    table, paints = light_table(True), pad.colours
+    ways = {kind: table[list(rgb[::-1])] - table[list(paints.disc[::-1])] for kind, rgb in (
+        (EdgeKind.RING, paints.ring), (EdgeKind.ARROW, paints.ring), (EdgeKind.H, paints.h),
+    )}  # fmt: skip
+    return MappingProxyType({kind: way / max(float(np.linalg.norm(way)), 1e-6) for kind, way in ways.items()})

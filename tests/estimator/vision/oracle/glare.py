@@ -13,8 +13,8 @@ from functools import lru_cache
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.vision.drawing import F32
 from estimator.vision.pad import Pad
+from tests.estimator.vision.oracle.blurred import F32
 
 _RADII = (0.35, 0.6, 0.9)
 """Radii within which half of the light lies, as fractions of the disc's radius."""

@@ -27,10 +27,11 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.edge_support import EdgeSupport
-from estimator.vision.register.registration import Registration, RegistrationOptions
+from estimator.vision.register.options import RegistrationOptions
+from estimator.vision.register.registration import Registration
 from tests.estimator.vision.oracle import dense
 from tests.estimator.vision.oracle import profiles as profiles_
-from tests.estimator.vision.oracle.edge_support import arrow_support, dense_support, profile_support
+from tests.estimator.vision.oracle.edge_support import arrow_support, beside, dense_support, profile_support
 from tests.estimator.vision.oracle.sampling import sample
 from tests.estimator.vision.oracle.solver import WEAK_BLUR_PX2, Solver, TiltTarget, depth_in_view, difference, inverse
 from tests.estimator.vision.oracle.state import N_POSE, N_STATE, U8, RegistrationState
@@ -310,7 +311,7 @@ def _result(solved: _Solved, camera: Camera, pad: Pad, prior: Orientation | None
     T = np.zeros((6, 6))
     T[:3, :3] = T[3:, 3:] = pose.R_cam_pad.matrix
     cov, information = T @ cov9[:6, :6] @ T.T, T @ information @ T.T
-    judged = {kind: e.beside(kind, pad) for kind, e in solved.edges.items()}
+    judged = {kind: beside(e, kind, pad) for kind, e in solved.edges.items()}
     points, of_kind = _outline(pad)
     outline = camera.project(pose.points(points))
     turn = pose.R_cam_pad.matrix[:2, :2]

@@ -17,7 +17,8 @@ from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, Edges
 from estimator.vision.pad import Pad
-from tests.estimator.vision.oracle.state import U8, Footprint, RegistrationState, light_table, pixel_rays
+from estimator.vision.register.pixels import light_table
+from tests.estimator.vision.oracle.state import U8, Footprint, RegistrationState, pixel_rays
 
 KINDS = len(EdgeKind)
 _IN_GROUP = 6
@@ -102,7 +103,8 @@ def sample(
     way_px *= edges.spacing_m.take(at)
     way_px = way_px.cumsum()
     spacing = max(_MIN_SPACING_PX, float(way_px[-1]) / max_profiles)
-    ticks = (way_px / spacing).astype(np.intp)
+    # The last point lies at the end of the last stretch, where rounding would decide whether it begins another.
+    ticks = np.minimum(way_px / spacing, max_profiles - 1.0).astype(np.intp)
     first_of_tick = np.empty(len(at), np.bool_)
     first_of_tick[0] = True
     np.not_equal(ticks[1:], ticks[:-1], out=first_of_tick[1:])

@@ -13,6 +13,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
+from estimator.vision.register.tilt import roll_pitch, tilt_axes
 from tests.estimator.vision.oracle.state import N_STATE, RegistrationState
 
 _FREE_ROTATION_RAD = math.pi / math.sqrt(3.0)
@@ -43,17 +44,6 @@ class TiltTarget:
         (a, b), (_, d) = (across.T @ self.cov_cam @ across).tolist()
         per = 1.0 / (a * d - b * b)
         return np.array([[d * per, -b * per], [-b * per, a * per]]), np.array([-n1, n0])
-
-
-def roll_pitch(prior: Orientation) -> F64:
-    """Return `R_level_body`, (3, 3)."""
-    cr, sr, cp, sp = math.cos(prior.roll_rad), math.sin(prior.roll_rad), math.cos(prior.pitch_rad), math.sin(prior.pitch_rad)
-    return np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
-
-
-def tilt_axes(prior: Orientation) -> F64:
-    """Return the (3, 2) axes in `level` about which an error of roll and of pitch turns the body."""
-    return np.array([[math.cos(prior.pitch_rad), 0.0], [0.0, 1.0], [-math.sin(prior.pitch_rad), 0.0]])
 
 
 def depth_in_view(pose: PadPose, camera: Camera) -> float:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -17,10 +16,10 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
-from estimator.vision.drawing import F32, Blurred
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.srgb import LINEAR_LIGHT
+from estimator.vision.register.pixels import ray_map
+from tests.estimator.vision.oracle.blurred import F32, Blurred
 
 U8 = NDArray[np.uint8]
 N_POSE = 6
@@ -137,13 +136,6 @@ class Footprint:
         return out
 
 
-@lru_cache(maxsize=8)
-def ray_map(camera: Camera) -> NDArray[np.float64]:
-    """Return (H, W, 2) x/z, y/z of every pixel of a camera with distortion; the result is cached."""
-    v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(float)
-    return camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(camera.height, camera.width, 2)
-
-
 def pixel_rays(camera: Camera, u: NDArray[np.intp], v: NDArray[np.intp]) -> F64:
     """Return the (N, 2) rays of whole pixels."""
     if camera.distorted:
@@ -152,9 +144,3 @@ def pixel_rays(camera: Camera, u: NDArray[np.intp], v: NDArray[np.intp]) -> F64:
     np.multiply(u - camera.cx, 1.0 / camera.fx, out=rays[0])
     np.multiply(v - camera.cy, 1.0 / camera.fy, out=rays[1])
     return rays.T
-
-
-@lru_cache(maxsize=2)
-def light_table(gamma: bool) -> F64:
-    """Return the linear light, (256,) 0..1, of a pixel's value: of sRGB, or the value itself without gamma."""
-    return LINEAR_LIGHT if gamma else np.asarray(np.arange(256) / 255.0)
