@@ -11,6 +11,8 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
+
 import drivers
 from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
 from drivers.ardrone.at import AtCommand, encode
@@ -44,7 +46,8 @@ _GONE_S = 0.02
 _BURST = 3
 _LEFT: list[subprocess.Popen[bytes]] = []
 """The senders that were left to a successor and may have ended since."""
-_START = "import sys; sys.path.append(sys.argv.pop(1)); from drivers.ardrone.sender import main; sys.exit(main(sys.argv[1:]))"
+_START = "import sys; sys.path += sys.argv[1:3]; from drivers.ardrone.sender import main; sys.exit(main(sys.argv[3:]))"
+"""The program of the sender, which starts without site-packages: they come after the standard library, for msgspec alone."""
 
 
 class SenderClient:
@@ -80,9 +83,9 @@ class SenderClient:
         _LEFT[:] = [left for left in _LEFT if left.poll() is None]
         ours, theirs = socket.socketpair()
         try:
-            root = str(Path(next(iter(drivers.__path__))).parent)
+            roots = [str(Path(next(iter(package.__path__))).parent) for package in (drivers, msgspec)]
             self._process = subprocess.Popen(
-                [sys.executable, "-I", "-S", "-c", _START, root, str(theirs.fileno()), options.as_json()],
+                [sys.executable, "-I", "-S", "-c", _START, *roots, str(theirs.fileno()), options.as_json()],
                 pass_fds=(theirs.fileno(),),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
