@@ -132,6 +132,11 @@ class PackedSea:
         made._bank = bank
         return made
 
+    def apart(self) -> PackedSea:
+        """Return the same bank in memory of its own."""
+        block = self.block[self._at : self._at + SEA_SIZE].copy()
+        return PackedSea(block, 0, start_of(block))
+
     @property
     def log_evidence_of_rest(self) -> float:
         """Log of how much likelier all that was seen is from a deck at rest than from one that moves."""

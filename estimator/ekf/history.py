@@ -14,7 +14,7 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.packed_belief import PackedBelief
+from estimator.ekf.packed_belief import Followed, PackedBelief
 from estimator.ekf.packed_event import Event, PackedEvent, packed_event
 from estimator.ekf.process_event import process_event
 from estimator.ekf.propagate import FilterParams, result
@@ -26,6 +26,8 @@ _RANK = {Imu: 0, Attitude: 1, BodyVelocity: 2, Range: 3, Baro: 4, VesselReport: 
 Key = tuple[int, int, int, str]
 """Instant in ns, rank of the type, sequence number, method: they order events in the same way for every order of arrival."""
 _CHUNK = 32
+_ROW_OVER_KEPT = 4
+"""Length of a row over the number of its beliefs that are left, from which on these are copied and the row is freed."""
 
 
 class Entry(NamedTuple):
@@ -221,7 +223,26 @@ def _split(chunks: Chunks, key: Key) -> tuple[Chunks, list[Entry]]:
             i -= 1
         later[:0] = [entry for entry, _, _ in last[i:]]
         chunks = (*chunks[:-1], last[:i]) if i > 0 else chunks[:-1]
-    return chunks, later
+    return _compact(chunks), later
+
+
+def _compact(chunks: Chunks) -> Chunks:
+    """Return the chunks without the memory of a long row of which few beliefs are left.
+
+    The beliefs of a row share their memory. Of samples that are all late, each leaves one belief of a row as long as the history.
+    """
+    if not chunks:
+        return chunks
+    _, row, at = chunks[-1][-1]
+    if not isinstance(row, Followed) or len(row) < _ROW_OVER_KEPT * (at + 1):
+        return chunks
+    own = row.first(at + 1)
+    out = list(chunks)
+    for i in reversed(range(len(out))):
+        if out[i][-1][1] is not row:
+            break
+        out[i] = tuple((entry, own if of is row else of, k) for entry, of, k in out[i])
+    return tuple(out)
 
 
 def _joined(chunks: Chunks, nodes: list[_Place]) -> Chunks:

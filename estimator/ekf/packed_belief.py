@@ -162,6 +162,11 @@ def _kept(block: F64, used: int) -> Words:
     return Words(kept, 0, start_of(kept))
 
 
+def _own(words: Words, size: int) -> Words:
+    block = words.read(size).copy()
+    return Words(block, 0, start_of(block))
+
+
 class Followed(Sequence[PackedBelief]):
     """The beliefs after a row of events. Each is made when one asks: of most of them nobody ever does."""
 
@@ -186,6 +191,19 @@ class Followed(Sequence[PackedBelief]):
     def outcome(self, i: int) -> Outcome:
         """Return what became of one of the events."""
         return _outcome(self._numbers.block, i * 8 * _OUTCOME_SIZE)
+
+    def first(self, n: int) -> tuple[PackedBelief, ...]:
+        """Return the first beliefs in memory of their own, so that the rest of the row can be freed."""
+        P, sea = self._before
+        covariances, seas = {P.address: P}, {sea.address: sea}
+        out = []
+        for b in map(self._belief, range(n)):
+            if b.P.address not in covariances:
+                covariances[b.P.address] = _own(b.P, _P_SIZE)
+            if b.sea.address not in seas:
+                seas[b.sea.address] = b.sea.apart()
+            out.append(PackedBelief(_own(b.numbers, _SIZE), covariances[b.P.address], seas[b.sea.address]))
+        return tuple(out)
 
     def _belief(self, i: int) -> PackedBelief:
         P, sea = self._before
