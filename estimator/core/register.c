@@ -140,7 +140,26 @@ static void blur_in_frame(const fit_state *s, const double R[9], double out[3])
     }
 }
 
-/* Write what was found in the camera's axes; 0 if it is no pose in front of the camera. */
+/* Whether the pose's covariance is positive definite: that of a fit which ran away, with little of the pad in view, need not be. */
+static int positive(const double cov[STATES * STATES])
+{
+    double L[POSE * POSE];
+    for (int i = 0; i < POSE; i++) {
+        for (int j = 0; j <= i; j++) {
+            double sum = cov[i * STATES + j];
+            for (int k = 0; k < j; k++) {
+                sum -= L[i * POSE + k] * L[j * POSE + k];
+            }
+            if (i == j && !(sum > 0.0)) {
+                return 0;
+            }
+            L[i * POSE + j] = i == j ? sqrt(sum) : sum / L[j * POSE + j];
+        }
+    }
+    return 1;
+}
+
+/* Write what was found in the camera's axes; 0 if it is no pose in front of the camera, or nothing is known of its errors. */
 static int conclude(const task *k, const fit_solved *s, registration *out, double *outline)
 {
     double information[POSE * POSE], sum = 0.0;
@@ -149,7 +168,7 @@ static int conclude(const task *k, const fit_solved *s, registration *out, doubl
         sum += s->cov[i];
     }
     if (!isfinite(sum + pose.t[0] + pose.t[1] + pose.t[2]) || !(pose.R[2] * pose.t[0] + pose.R[5] * pose.t[1] + pose.R[8] * pose.t[2] > 0.0) ||
-        !pose_information(s->H, information)) {
+        !positive(s->cov) || !pose_information(s->H, information)) {
         return 0;
     }
     orthonormalise(pose.R);

@@ -304,6 +304,8 @@ def _result(solved: _Solved, camera: Camera, pad: Pad, prior: Orientation | None
     cov9, H = solved.cov, solved.H
     if not math.isfinite(float(cov9.sum() + state.t.sum())) or float(state.R[:, 2] @ state.t) <= 0:
         return None
+    if np.linalg.eigvalsh(cov9[:6, :6])[0] <= 0.0:
+        return None
     # The blur is uncertain too, so it is eliminated and not held constant.
     blur = H[6:, 6:] + np.eye(3) * WEAK_BLUR_PX2**-2
     information = H[:6, :6] - H[:6, 6:] @ inverse(blur) @ H[6:, :6]
