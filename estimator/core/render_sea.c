@@ -151,7 +151,9 @@ static void add_up(const surface *s, const float *weights, uint8_t *restrict cod
         float value = s->level[k] + s->contrast[k] * (small * s->fine[k] + large * s->coarse[k]);
         value += cap * limited((s->cap[k] + 0.5f * s->coarse[k] - calm) * 3.0f, 1.0f);
         value = value * (1.0f - s->shade[k]) + s->white[k] * limited(0.5f * s->streak[k] + 0.35f, 1.0f);
-        codes[k] = (uint8_t)(limited(value, 255.0f) + 0.5f);
+        /* Of a large number `limited` is rounded beyond its limits. */
+        const float code = limited(value, 255.0f) + 0.5f;
+        codes[k] = (uint8_t)(code > 0.0f ? code < 255.0f ? code : 255.0f : 0.0f);
     }
 }
 
