@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -110,6 +111,19 @@ def test_a_fault_of_the_native_core_is_shown_with_its_place(tmp_path: Path, caps
         patch.setattr(native, "command", lambda *_: [sys.executable, "-c", code])
         assert fuzz.run(["core"], 1.0, 1, tmp_path) == 1
     assert f"core: {said}" in capsys.readouterr().out
+
+
+def test_a_build_slower_than_the_run_does_not_end_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "import sys; print('stat::number_of_executed_units: 5', file=sys.stderr)"
+
+    def built(*_: object) -> list[str]:
+        time.sleep(1.0)
+        return [sys.executable, "-c", code]
+
+    monkeypatch.setattr(native, "command", built)
+    monkeypatch.setattr(fuzz, "_GRACE_S", 0.9)
+    result = fuzz.run_target(native.NAME, 0.05, tmp_path, cpu=False)
+    assert (result.executions, result.faults) == (5, ())
 
 
 def test_without_clang_the_other_targets_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
