@@ -39,7 +39,7 @@ from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
 from estimator.vision.register.fit_verification import confidence, features  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
-from sitl.testing.pad_scenes import (  # noqa: E402
+from tests.support.pad_scenes import (  # noqa: E402
     CONDITIONS,
     DATA,
     PadScene,

@@ -30,8 +30,8 @@ from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.thesis.ellipse import find_disc  # noqa: E402
 from estimator.vision.thesis.segmentation import COLOUR_SETS, segment  # noqa: E402
 from sitl.light import Sensor  # noqa: E402
-from sitl.testing.pad_views import Stage  # noqa: E402
-from sitl.testing.shipped import shipped_camera, shipped_pad  # noqa: E402
+from tests.support.pad_views import Stage  # noqa: E402
+from tests.support.shipped import shipped_camera, shipped_pad  # noqa: E402
 
 HEIGHTS_M = (1.0, 3.0, 6.0, 12.0)
 BLURS_PX = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)

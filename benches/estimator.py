@@ -31,8 +31,8 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64
 from estimator.ekf.state import N
 from estimator.paths import DeadReckoningPath, MedianMeanPath
-from sitl.testing.approach_settings import DURATION_S, OPTIONS, setting
-from sitl.testing.estimator_truth import TruthFlight, events, ns
+from tests.support.approach_settings import DURATION_S, OPTIONS, setting
+from tests.support.estimator_truth import TruthFlight, events, ns
 
 HOLD_S = (12.0, 26.0)
 """Begin and end of the hold, in which the body stays about 2 m over the pad's mean position, seconds."""

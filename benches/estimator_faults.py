@@ -2,7 +2,7 @@
 
     python -m benches.estimator_faults [--seed 0] [--fault NAME]
 
-Each is a rough flight over waves (sitl/testing/voyage_truth.py) with the fault at 12 s. Columns: largest error of the position
+Each is a rough flight over waves (tests/support/voyage_truth.py) with the fault at 12 s. Columns: largest error of the position
 from there on and largest error over its standard deviation (of the 3-vector); the same from one second after the fault's end;
 seconds after the fault's end until the error stays below 3 sigma; seconds in which it was beyond 4 sigma and called consistent.
 """
@@ -20,7 +20,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from sitl.testing.voyage_faults import BEGIN_S, FAULTS, SCENE, suffered
+from tests.support.voyage_faults import BEGIN_S, FAULTS, SCENE, suffered
 
 
 def main(arguments: Sequence[str]) -> int:

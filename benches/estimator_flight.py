@@ -21,7 +21,7 @@ from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 from estimator.paths import DeadReckoningPath, MedianMeanPath
-from sitl.testing.mocap_flight import DELAY_S, FLYING_S, FOLDER, Event, MocapFilter, MocapRecording, load, run, sightings
+from tests.support.mocap_flight import DELAY_S, FLYING_S, FOLDER, Event, MocapFilter, MocapRecording, load, run, sightings
 
 PULLED_S = 34.0
 """Time from which something pulls the drone aside, seconds: accelerometer and motion capture agree on up to 9 degrees of roll,

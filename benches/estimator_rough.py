@@ -2,7 +2,7 @@
 
     python -m benches.estimator_rough [--runs 6] [--first 0] [--sea NAME] [--ideal]
 
-Truth and sensors are those of sitl/testing/voyage_truth.py, which share nothing with the simulator. Each row is the mean of its
+Truth and sensors are those of tests/support/voyage_truth.py, which share nothing with the simulator. Each row is the mean of its
 flights: position rms, NEES over its 7 degrees of freedom, the fraction of it inside the central 95 % of chi-square, the fraction
 of true values inside the 68 / 95 % bands of the forecast position and vertical speed, and the rms error of the forecast vertical
 speed over the rms of the true one (a forecast of zero would give 1). The delay's columns are the rms error (estimated minus true)
@@ -20,9 +20,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from sitl.testing import voyage_truth
-from sitl.testing.voyage_score import HORIZONS_S, Score, fly
-from sitl.testing.voyage_truth import SEAS, VoyageScene
+from tests.support import voyage_truth
+from tests.support.voyage_score import HORIZONS_S, Score, fly
+from tests.support.voyage_truth import SEAS, VoyageScene
 
 
 def row(name: str, scores: Sequence[Score]) -> str:

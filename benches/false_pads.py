@@ -31,7 +31,7 @@ from estimator.vision.detect.acquire import acquire  # noqa: E402
 from estimator.vision.options import TrackerOptions  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
-from sitl.testing.pad_scenes import DATA, PadScene, empty_scene, load_camera, load_pad  # noqa: E402
+from tests.support.pad_scenes import DATA, PadScene, empty_scene, load_camera, load_pad  # noqa: E402
 
 CHUNK = 100
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")

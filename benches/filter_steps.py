@@ -25,7 +25,7 @@ import numpy as np
 from estimator import ekf
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.time import MonoNs
-from sitl.testing.estimator_truth import Setting, TruthFlight, events
+from tests.support.estimator_truth import Setting, TruthFlight, events
 
 HORIZONS_S = tuple(0.25 * k for k in range(1, 13))
 REPEATED = 8

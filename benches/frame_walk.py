@@ -33,10 +33,10 @@ from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame
 from estimator.vision.thesis.detection import Detection
 from sitl.autopilots.body import Body
+from sitl.autopilots.miniature import MiniatureAutopilot
 from sitl.autopilots.program import free_udp_port
 from sitl.scenario import load
-from sitl.testing.fake_ardrone import until
-from sitl.testing.fake_autopilot import FakeAutopilot
+from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"
 ROOT = Path(__file__).parents[1]
@@ -199,7 +199,7 @@ async def traced(folder: Path) -> list[Step]:
         "benches.frame_walk",
     )
     state = body.state()
-    fake = FakeAutopilot(Stack.PX4, mode="auto.loiter", p_ned=state.p_ned, gyro_mrad_s=(0, 0, 0))
+    fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter", p_ned=state.p_ned, gyro_mrad_s=(0, 0, 0))
     fake.rpy = lambda t: state.R_ned_body.rpy_rad
     daemon = make_daemon(settings, make_pilot(settings))
     tracer = Tracer()

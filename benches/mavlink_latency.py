@@ -25,9 +25,9 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import Stamp, after
 from sitl.autopilots.body import Body
+from sitl.autopilots.miniature import MiniatureAutopilot
 from sitl.scenario import load
-from sitl.testing.fake_ardrone import until
-from sitl.testing.fake_autopilot import FakeAutopilot
+from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"
 SECONDS = 6.0
@@ -41,7 +41,7 @@ async def measure(rate_hz: float) -> None:
     body = Body(load("calm"), 1, 0.005)
     images = [body.expose()().px for _ in range(4)]
     state = body.state()
-    fake = FakeAutopilot(Stack.ARDUPILOT, p_ned=state.p_ned)
+    fake = MiniatureAutopilot(Stack.ARDUPILOT, p_ned=state.p_ned)
     fake.rpy = lambda t: state.R_ned_body.rpy_rad
     component = Component(
         ComponentOptions(0.39, 0.5),

@@ -29,9 +29,9 @@ from companion.runtime.service import make_daemon
 from drivers.clock import SystemClock
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.scenario import load as load_scenario
-from sitl.testing.mosquitto import MOSQUITTO, Broker, free_port, make_certificates
-from sitl.testing.mqtt_service import decision, event, running, until
-from sitl.testing.processed_frames import seen
+from tests.support.mosquitto import MOSQUITTO, Broker, free_port, make_certificates
+from tests.support.mqtt_service import decision, event, running, until
+from tests.support.processed_frames import seen
 
 SCENARIO = "demo"
 FLOWN_S = 12.0

@@ -13,9 +13,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from sitl.testing.mosquitto import MOSQUITTO, Broker, make_certificates
-from sitl.testing.mqtt_consumer import Consumer
-from sitl.testing.mqtt_service import event, running, until
+from tests.support.mosquitto import MOSQUITTO, Broker, make_certificates
+from tests.support.mqtt_consumer import Consumer
+from tests.support.mqtt_service import event, running, until
 
 EVENTS = 10_000
 EACH_S = 0.005

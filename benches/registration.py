@@ -33,9 +33,9 @@ from estimator.vision.register.registration import RegistrationOptions, register
 from sitl.camera import Exposure  # noqa: E402
 from sitl.light import FLAT, Light, Sensor  # noqa: E402
 from sitl.surroundings import Surroundings  # noqa: E402
-from sitl.testing.bound import information, sigmas  # noqa: E402
-from sitl.testing.pad_views import PLAIN, Stage, error, pad_error  # noqa: E402
-from sitl.testing.shipped import shipped_camera, shipped_pad  # noqa: E402
+from tests.support.bound import information, sigmas  # noqa: E402
+from tests.support.pad_views import PLAIN, Stage, error, pad_error  # noqa: E402
+from tests.support.shipped import shipped_camera, shipped_pad  # noqa: E402
 
 HEIGHTS_M = (0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 

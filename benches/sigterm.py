@@ -19,7 +19,7 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from sitl.testing.processes import burners, decklander, started
+from tests.support.processes import burners, decklander, started
 
 LATEST_S = 12.0
 ASKED_S = 2.0

@@ -24,7 +24,7 @@ from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.options import TrackerOptions  # noqa: E402
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
-from sitl.testing.pad_scenes import CONDITIONS, PadScene, load_camera, load_pad, pad_scene  # noqa: E402
+from tests.support.pad_scenes import CONDITIONS, PadScene, load_camera, load_pad, pad_scene  # noqa: E402
 
 HEIGHTS_M = (0.2, 0.3, 0.5, 10.0, 15.0, 20.0, 30.0)
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")

@@ -20,8 +20,8 @@ import numpy as np
 
 from companion.config.settings import SHIPPED
 from estimator.contracts.geometry import F64
-from sitl.testing import mocap_flight
 from sitl.vehicle_file import load
+from tests.support import mocap_flight
 
 DATA = Path(__file__).parents[2] / "shared/data"
 DRAWS = 400

@@ -34,7 +34,7 @@ from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
 from estimator.vision.register.fit_verification import FITTED_FEATURES, features  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
-from sitl.testing.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
+from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
 
 F64 = NDArray[np.float64]
 _CHUNK = 50

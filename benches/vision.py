@@ -42,9 +42,9 @@ from estimator.vision.register.registration import Registration, RegistrationOpt
 from estimator.vision.thesis.detection import detect  # noqa: E402
 from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
 from sitl.light import FLAT, Sensor  # noqa: E402
-from sitl.testing.pad_images import STAMP  # noqa: E402
-from sitl.testing.pad_views import PLAIN, RenderedView, Stage  # noqa: E402
-from sitl.testing.shipped import shipped_camera, shipped_pad  # noqa: E402
+from tests.support.pad_images import STAMP  # noqa: E402
+from tests.support.pad_views import PLAIN, RenderedView, Stage  # noqa: E402
+from tests.support.shipped import shipped_camera, shipped_pad  # noqa: E402
 
 U8 = NDArray[np.uint8]
 T = TypeVar("T")

@@ -12,7 +12,7 @@ import cv2
 
 from companion.cli.main import main
 from examples import make_data
-from sitl.testing.recorded_flight import record_to
+from tests.support.recorded_flight import record_to
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "configs/examples"

@@ -17,7 +17,6 @@ from tests.conftest import SLOW
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("companion", "drivers", "estimator", "sitl")
-TEST_SUPPORT = ROOT / "sitl/testing"
 """Truth generators, scenes and fakes of tests and benches; not in the wheel."""
 NAMELESS = {"utils", "util", "helpers", "helper", "common", "misc", "types"}
 
@@ -280,7 +279,7 @@ def test_no_queue_is_unbounded_and_no_task_detached() -> None:
     found = {
         str(p.relative_to(ROOT)): lines
         for p in modules()
-        if p.parent != TEST_SUPPORT and (lines := unbounded_queues(p.read_text()) + detached_tasks(p.read_text()))
+        if (lines := unbounded_queues(p.read_text()) + detached_tasks(p.read_text()))
     }
     assert {path for path in found if path in SUPERVISED} == SUPERVISED
     assert {path: lines for path, lines in found.items() if path not in SUPERVISED} == {}
@@ -335,7 +334,7 @@ def test_what_is_imported_is_declared() -> None:
     for path in files():
         if path.suffix == ".py":
             top = path.relative_to(ROOT).parts[0]
-            shipped = top in PACKAGES and path.parent != TEST_SUPPORT
+            shipped = top in PACKAGES
             drawn = report if str(path.relative_to(ROOT)) in DRAWINGS else set()
             drawn = drawn | (lab if str(path.relative_to(ROOT)) in LAB else set())
             declared = runtime | drawn if shipped else dev | extra(top)
@@ -376,7 +375,7 @@ def test_every_dependency_is_pinned_by_version_and_hash() -> None:
 
 
 def test_benches_and_tests_do_not_import_each_other() -> None:
-    """What both need lives in sitl/testing; only tests/benches, the tests of the benches themselves, import them."""
+    """Benches take what both need from tests/support; only tests/benches, the tests of the benches themselves, import them."""
     root = Path(__file__).parents[1]
     for folder, other in (("tests", "benches"), ("benches", "tests")):
         for path in sorted((root / folder).rglob("*.py")):
@@ -386,7 +385,8 @@ def test_benches_and_tests_do_not_import_each_other() -> None:
                 names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
                 if isinstance(node, ast.ImportFrom) and node.module:
                     names = [node.module]
-                assert not [name for name in names if name.split(".")[0] == other], path
+                wrong = [name for name in names if within(name, other) and not within(name, "tests.support")]
+                assert not wrong, path
 
 
 def test_the_files_named_slow_are_there() -> None:

@@ -14,7 +14,7 @@ from companion.runtime.observer import ProcessedFrame
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Imu, Sample
 from estimator.contracts.time import MonoNs, Stamp
-from sitl.testing.recorded_flight import sim_settings
+from tests.support.recorded_flight import sim_settings
 
 CAMERA = camera_model(sim_settings())
 ABOUT = About({"flight": {"kind": "test"}})

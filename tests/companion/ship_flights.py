@@ -24,9 +24,9 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import F64
+from sitl.autopilots.miniature import MiniatureAutopilot
 from sitl.gnss import ORIGIN
-from sitl.testing.fake_ardrone import until
-from sitl.testing.fake_autopilot import FakeAutopilot
+from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"
 SHIP_NED = np.array([48.0, 36.0, -2.0])
@@ -87,7 +87,7 @@ class Flying:
 
     daemon: Daemon
     pilot: Pilot
-    fake: FakeAutopilot
+    fake: MiniatureAutopilot
 
     def missing(self) -> tuple[str, ...]:
         return missing_inputs(self.daemon.health.snapshot())
@@ -111,7 +111,7 @@ async def flying(settings: Settings, port: int) -> AsyncIterator[Flying]:
     """The service with an autopilot in the air, 10 m up at the origin, and a landing ordered."""
     pilot = make_pilot(settings)
     daemon = make_daemon(settings, pilot)
-    fake = FakeAutopilot(Stack.ARDUPILOT, mode="guided")
+    fake = MiniatureAutopilot(Stack.ARDUPILOT, mode="guided")
     fake.armed, fake.landed_state, fake.p_ned = True, 2, np.array([0.0, 0.0, -10.0])
     running = asyncio.create_task(daemon.run())
     try:

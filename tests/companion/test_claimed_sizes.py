@@ -9,7 +9,7 @@ import pytest
 
 from companion.cli.main import main
 from companion.recorder.reading import RecordedFrame, open_recording
-from sitl.testing.image_files import claiming
+from tests.support.image_files import claiming
 
 GOLDEN = Path(__file__).parents[1] / "golden/frames.mcap"
 

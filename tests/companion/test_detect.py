@@ -14,8 +14,8 @@ import pytest
 from companion.cli import main as cli
 from companion.recorder.reading import RecordedFrame, open_recording
 from estimator.vision.pad import Pad
-from sitl.testing.pad_images import PadPlacement, image
-from sitl.testing.shipped import shipped_camera, shipped_pad
+from tests.support.pad_images import PadPlacement, image
+from tests.support.shipped import shipped_camera, shipped_pad
 
 KEYS = ["source", "index", "found", "confidence", "d_body_pad_level_m", "yaw_deg", "yaw_ambiguous", "cov", "method", "methods"]
 SCENE = PadPlacement((0.35, -0.15, 1.4), math.radians(40.0), math.radians(3.0), math.radians(-2.0))

@@ -39,9 +39,9 @@ from estimator.contracts.fusion import COMPONENTS, FusionResult, Source
 from estimator.contracts.time import MonoNs
 from sitl.flight import Flight
 from sitl.scenario import load as load_scenario
-from sitl.testing.recorded_flight import sim_settings
 from tests.companion.recorder_parts import ABOUT, CAMERA
 from tests.companion.test_report import PAD
+from tests.support.recorded_flight import sim_settings
 
 T = 5_000_000_000
 

@@ -27,8 +27,8 @@ from estimator.contracts.commands import Lean
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
-from sitl.testing.recorded_flight import sim_settings
 from sitl.vehicle_file import load
+from tests.support.recorded_flight import sim_settings
 
 GIVEN = shipped_response("ardrone2")
 SECONDS = 12.0

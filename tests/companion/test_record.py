@@ -13,7 +13,7 @@ from companion.recorder.reading import RecordedFrame, open_recording
 from companion.recorder.records import TruthRecord
 from companion.runtime.observer import Decision
 from estimator.contracts.samples import Attitude, Imu
-from sitl.testing.recorded_flight import record_to
+from tests.support.recorded_flight import record_to
 
 DATA = Path(__file__).parents[2] / "../shared/data"
 

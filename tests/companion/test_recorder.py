@@ -28,8 +28,8 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.fusion import COMPONENTS
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
-from sitl.testing.recorded_flight import ObservedCalls, record_to, sim_settings
 from tests.companion.recorder_parts import ABOUT, CAMERA, imu, samples_of, wait_for
+from tests.support.recorded_flight import ObservedCalls, record_to, sim_settings
 
 ROOT = Path(__file__).parents[2]
 

@@ -19,8 +19,8 @@ from companion.recorder.reading import RecordedFrame, open_recording
 from companion.recorder.recorder import Recorder, RecorderState
 from companion.recorder.storage_policy import Folder, SingleFile
 from estimator.contracts.samples import Imu
-from sitl.testing.descriptors import no_descriptors
 from tests.companion.recorder_parts import ABOUT, CAMERA, frame, imu, samples_of, wait_for
+from tests.support.descriptors import no_descriptors
 
 
 class Disk:

@@ -31,7 +31,7 @@ from estimator.contracts.commands import Land
 from estimator.contracts.time import MonoNs
 from sitl.flight import Flight
 from sitl.scenario import load as load_scenario
-from sitl.testing.recorded_flight import SCENARIO, ObservedCalls, record_to, sim_settings
+from tests.support.recorded_flight import SCENARIO, ObservedCalls, record_to, sim_settings
 
 
 @pytest.fixture(scope="module")

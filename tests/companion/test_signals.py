@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from sitl.testing.processes import burners, decklander, python, started
+from tests.support.processes import burners, decklander, python, started
 
 BOUND_S = 10.0
 HEAD = """

@@ -15,8 +15,8 @@ from companion.cli import main as cli
 from companion.cli.soak import OPERATOR_WAIT_S, flown_settings, warm_up_s
 from companion.cli.soak_judge import Reading, findings, give_back, read
 from sitl.scenario import load as load_scenario
-from sitl.testing.processes import started
 from tests.sitl.near import NEAR
+from tests.support.processes import started
 
 BRIEF = NEAR.replace("duration_limit_s = 40.0", "duration_limit_s = 1.5").replace("height_m = 2.0", "height_m = 3.0")
 """Flights that are over before they come down: what is tested here is not how they end."""

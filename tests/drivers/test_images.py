@@ -19,7 +19,7 @@ from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from drivers.camera.videos import open_video
 from drivers.imports import video
 from estimator.contracts.errors import BadInput
-from sitl.testing.image_files import claiming, encoded
+from tests.support.image_files import claiming, encoded
 
 FORMATS = [".jpg", ".png", ".bmp", ".tif", ".webp", ".ppm"]
 

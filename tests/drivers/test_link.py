@@ -19,8 +19,8 @@ from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
-from sitl.testing.fake_ardrone import HOST, FakeArDrone, until
 from tests.drivers.test_video import clip
+from tests.support.fake_ardrone import HOST, FakeArDrone, until
 
 FORWARD = Velocity(np.array([0.4, 0.0, 0.0]), 0.0)
 

@@ -29,8 +29,8 @@ from drivers.clock import SystemClock
 from estimator.contracts.commands import TakeOff
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import MonoNs, after
-from sitl.testing.fake_ardrone import HOST, FakeArDrone, until
 from tests.drivers.test_link import steer
+from tests.support.fake_ardrone import HOST, FakeArDrone, until
 
 CLOCK = SystemClock()
 ROOT = Path(__file__).parents[2]

@@ -32,7 +32,7 @@ from drivers.camera.v4l2_names import CaptureDevice, cameras, find
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
-from sitl.testing.image_files import claiming, encoded
+from tests.support.image_files import claiming, encoded
 
 W, H = 64, 48
 CLOCK = SystemClock()

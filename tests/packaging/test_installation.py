@@ -81,9 +81,9 @@ def test_wheel_and_source_archive_hold_what_they_should(tmp_path: Path) -> None:
     assert {"estimator/core/libdecklander.so.1", "estimator/core/interface.h", "estimator/core/kalman.c"} <= set(names)
     tops = {name.split("/")[0] for name in names if ".dist-info/" not in name}
     assert tops == {"companion", "drivers", "estimator", "sitl", "configs"}
-    assert [name for name in names if name.startswith("sitl/testing") or "/test_" in name] == []
+    assert [name for name in names if "/test_" in name] == []
     python = {path.relative_to(source).as_posix() for top in tops for path in (source / top).rglob("*.py")}
-    assert {name for name in python if not name.startswith("sitl/testing/")} <= set(names)
+    assert python <= set(names)
     assert {"companion/report/style.css", "configs/sim.toml", "estimator/py.typed"} <= set(names)
     with tarfile.open(archive) as opened:
         inside = {name.split("/", 1)[1] for name in opened.getnames()}

@@ -15,8 +15,8 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import F64
 from estimator.contracts.ports import Clock
 from sitl.autopilots.body import BodyState
+from sitl.autopilots.miniature import MiniatureAutopilot
 from sitl.autopilots.motors import Motors
-from sitl.testing.fake_autopilot import FakeAutopilot
 
 FORCED = 21196.0
 """Parameter 2 of COMPONENT_ARM_DISARM that arms or disarms whatever the checks say (mavlink.io)."""
@@ -28,7 +28,7 @@ _CHUNK = 50
 _OURS = ("RAW_IMU", "HIGHRES_IMU", "DISTANCE_SENSOR")
 
 
-class StandIn(FakeAutopilot, ABC):
+class StandIn(MiniatureAutopilot, ABC):
     """An autopilot that flies a body of the physics; each stack's own behaviour is in its subclass.
 
     Its filter is taken to be right: position, velocity and attitude are the true ones, from an origin where it stood at first.

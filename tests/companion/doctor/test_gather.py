@@ -29,14 +29,14 @@ from drivers.mavlink.dialect import Event, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
-from sitl.testing.fake_ardrone import until
-from sitl.testing.fake_autopilot import FakeAutopilot
+from sitl.autopilots.miniature import MiniatureAutopilot
 from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD
+from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"
 
 
-async def examined(fake: FakeAutopilot, seconds: float = 1.0) -> Snapshot:
+async def examined(fake: MiniatureAutopilot, seconds: float = 1.0) -> Snapshot:
     async with fake.talking_to(f"udpin://{HOST}:0"):
         await until(lambda: fake.links is not None and fake.links.all[0].local is not None)
         assert fake.links is not None
@@ -49,7 +49,7 @@ async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
     good = {r.parameter: r.good for r in rules_values.RULES if r.stack == "ArduPilot"}
     parameters = {n: ARDUPILOT.parameters.get(n, good.get(n, 0.0)) for n in PARAMETERS["ArduPilot"]}
     parameters |= {"PLND_TYPE": 2.0, "EK3_SRC1_POSXY": 6.0, "INS_GYRO_CAL": 1.0}
-    fake = FakeAutopilot(parameters=parameters)
+    fake = MiniatureAutopilot(parameters=parameters)
     talking = asyncio.create_task(examined(fake, 1.5))
     await until(lambda: fake.commands[512] > 0)
     fake.send(mav.MAVLink_autopilot_version_message(0, 0x040507FF, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0))
@@ -69,7 +69,7 @@ async def test_a_px4_without_the_module_and_with_an_event() -> None:
     good = {r.parameter: r.good for r in rules_values.RULES if r.stack == "PX4"}
     asked = {n: good.get(n, 1.0) for n in PARAMETERS["PX4"] if n != "PLD_HACC_RAD"}
     parameters = asked | {"EKF2_EV_CTRL": 0, "COM_OBL_RC_ACT": 0}
-    fake = FakeAutopilot(Stack.PX4, mode="auto.loiter", parameters=parameters)
+    fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter", parameters=parameters)
     talking = asyncio.create_task(examined(fake))
     await until(lambda: fake.commands[512] > 0)
     fake.send(Event(0, 0, 0x1000000 | 0x123456, 5, 1, 0, [0] * 40))

@@ -20,8 +20,8 @@ from estimator.contracts.samples import Frame
 from estimator.contracts.time import Stamp, after
 from sitl.airframe import Airframe
 from sitl.autopilots.body import Body
+from sitl.autopilots.miniature import MiniatureAutopilot
 from sitl.scenario import load
-from sitl.testing.fake_autopilot import FakeAutopilot
 from tests.companion.mavlink.receivers import Px4Receiver
 from tests.sitl.autopilots.pilot import Cascade
 
@@ -42,7 +42,7 @@ async def settled(one: Links, other: Links, also: Callable[[], bool], over: Call
             calm = calm + 1 if there and also() else 0
 
 
-class Aircraft(FakeAutopilot):
+class Aircraft(MiniatureAutopilot):
     """A PX4 in miniature with a body, a sea under it and a camera."""
 
     def __init__(self, clock: Clock, scenario: str, *, height_m: float, forward_m: float, right_m: float, seed: int = 1) -> None:

@@ -27,8 +27,8 @@ from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs
-from sitl.testing.fake_ardrone import until
 from tests.companion.mavlink.test_component_parts import Tower
+from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"
 AUTOPILOT, US, STATION = (7, 1), (7, 191), (255, 190)

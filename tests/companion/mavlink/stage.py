@@ -23,9 +23,9 @@ from estimator.contracts.estimates import IntegrityAlert, RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Range
 from estimator.contracts.time import MonoNs
-from sitl.testing.fake_ardrone import until
-from sitl.testing.fake_autopilot import FakeAutopilot
+from sitl.autopilots.miniature import MiniatureAutopilot
 from tests.companion.mavlink.test_component_parts import Tower
+from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"
 PAD_NED = np.array([1.5, -0.8, 0.0])
@@ -37,7 +37,7 @@ class Stage:
 
     component: Component
     autopilot: Autopilot
-    fake: FakeAutopilot
+    fake: MiniatureAutopilot
     tower: Tower
     applied: list[Settings] = field(default_factory=list)
     sick: str | None = None
@@ -60,7 +60,7 @@ class Stage:
 
 @asynccontextmanager
 async def staged(
-    fake: FakeAutopilot,
+    fake: MiniatureAutopilot,
     *more_links: str,
     outputs: dict[str, Any] | None = None,
     operators: str = "",
@@ -114,5 +114,5 @@ async def staged(
                 task.cancel()
 
 
-def count(fake: FakeAutopilot, kind: str) -> Callable[[], int]:
+def count(fake: MiniatureAutopilot, kind: str) -> Callable[[], int]:
     return lambda: len(fake.of(kind))

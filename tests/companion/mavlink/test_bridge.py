@@ -27,9 +27,9 @@ from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
-from sitl.testing.fake_ardrone import until
 from tests.companion.mavlink.border import HOST, frame
 from tests.companion.mavlink.test_mavsdk import free_port
+from tests.support.fake_ardrone import until
 
 S = 1_000_000_000
 

@@ -13,15 +13,15 @@ import pytest
 from drivers.mavlink.dialect import ComponentInformationBasic, mav
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.estimates import IntegrityAlert, Verdict
-from sitl.testing.fake_ardrone import until
-from sitl.testing.fake_autopilot import FakeAutopilot
+from sitl.autopilots.miniature import MiniatureAutopilot
 from tests.companion.mavlink.receivers import ArduPilotReceiver, Px4Receiver
 from tests.companion.mavlink.stage import PAD_NED, staged
+from tests.support.fake_ardrone import until
 
 
 async def test_an_ardupilot_is_told_where_the_pad_is() -> None:
     tilt = (math.radians(8.0), math.radians(-5.0), math.radians(130.0))
-    fake = FakeAutopilot(parameters={"PLND_LAG": 0.02})
+    fake = MiniatureAutopilot(parameters={"PLND_LAG": 0.02})
     fake.rpy = lambda t: tilt
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) > 20)
@@ -34,7 +34,7 @@ async def test_an_ardupilot_is_told_where_the_pad_is() -> None:
 
 
 async def test_a_px4_is_told_in_its_own_local_frame() -> None:
-    fake = FakeAutopilot(Stack.PX4, mode="auto.loiter", p_ned=np.array([0.2, -1.9, -6.0]), v_ned=np.array([0.8, 0.3, 0.0]))
+    fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter", p_ned=np.array([0.2, -1.9, -6.0]), v_ned=np.array([0.8, 0.3, 0.0]))
     fake.rpy = lambda t: (0.1, -0.15, 2.0)
     async with staged(fake, outputs={"vision_target_estimator": True}):
         await until(lambda: len(fake.of("LANDING_TARGET")) > 10)
@@ -52,7 +52,7 @@ async def test_a_px4_is_told_in_its_own_local_frame() -> None:
 
 
 async def test_rates_are_what_was_asked_for() -> None:
-    fake = FakeAutopilot()
+    fake = MiniatureAutopilot()
     async with staged(fake, outputs={"rate_hz": 20.0}):
         await until(lambda: len(fake.of("LANDING_TARGET")) > 2)
         before, began = len(fake.of("LANDING_TARGET")), time.monotonic()
@@ -62,7 +62,7 @@ async def test_rates_are_what_was_asked_for() -> None:
 
 
 async def test_a_pad_out_of_sight_and_a_vehicle_on_the_ground_are_not_told_of() -> None:
-    fake = FakeAutopilot()
+    fake = MiniatureAutopilot()
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) > 5)
         stage.seen = False
@@ -82,7 +82,7 @@ async def test_a_pad_out_of_sight_and_a_vehicle_on_the_ground_are_not_told_of() 
 
 
 async def test_an_autopilot_is_not_told_of_a_pad_that_is_in_doubt() -> None:
-    fake = FakeAutopilot()
+    fake = MiniatureAutopilot()
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) > 5)
         stage.alerts = (IntegrityAlert.ELSEWHERE,)
@@ -94,7 +94,7 @@ async def test_an_autopilot_is_not_told_of_a_pad_that_is_in_doubt() -> None:
 
 
 async def test_distances_where_the_autopilots_rangefinder_is_us() -> None:
-    fake = FakeAutopilot(parameters={"RNGFND1_TYPE": 10.0, "PLND_LAG": 0.02}, landed_state=1, armed=False)
+    fake = MiniatureAutopilot(parameters={"RNGFND1_TYPE": 10.0, "PLND_LAG": 0.02}, landed_state=1, armed=False)
     fake.rpy = lambda t: (0.2, 0.0, 0.0)
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("DISTANCE_SENSOR")) > 5)
@@ -109,7 +109,7 @@ async def test_distances_where_the_autopilots_rangefinder_is_us() -> None:
 
 
 async def test_our_own_distances_come_back_as_no_measurement() -> None:
-    fake = FakeAutopilot(parameters={"RNGFND1_TYPE": 10.0, "PLND_LAG": 0.02}, distance_cm=480)
+    fake = MiniatureAutopilot(parameters={"RNGFND1_TYPE": 10.0, "PLND_LAG": 0.02}, distance_cm=480)
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("DISTANCE_SENSOR")) > 5)
         before, received_at = stage.ranges, stage.autopilot.counts["DISTANCE_SENSOR"]
@@ -122,7 +122,7 @@ async def test_our_own_distances_come_back_as_no_measurement() -> None:
 
 
 async def test_no_distances_where_there_is_a_lidar() -> None:
-    fake = FakeAutopilot(parameters={"RNGFND1_TYPE": 20.0, "PLND_LAG": 0.02})
+    fake = MiniatureAutopilot(parameters={"RNGFND1_TYPE": 20.0, "PLND_LAG": 0.02})
     async with staged(fake) as stage:
         await until(lambda: bool(stage.autopilot.parameters and "RNGFND1_TYPE" in stage.autopilot.parameters.values))
         await asyncio.sleep(0.3)
@@ -130,7 +130,7 @@ async def test_no_distances_where_there_is_a_lidar() -> None:
 
 
 async def test_the_heartbeat_stops_with_the_service() -> None:
-    fake = FakeAutopilot()
+    fake = MiniatureAutopilot()
     async with staged(fake, heartbeat_s=0.05, guidance_silence_s=0.2) as stage:
         await until(lambda: len(fake.of("HEARTBEAT")) > 5)
         beat = fake.of("HEARTBEAT")[-1]
@@ -153,7 +153,7 @@ async def test_the_heartbeat_stops_with_the_service() -> None:
 
 
 async def test_what_a_pilot_must_know() -> None:
-    fake = FakeAutopilot()
+    fake = MiniatureAutopilot()
     async with staged(fake) as stage:
         stage.phase = "gave up"
         await until(lambda: len(fake.of("STATUSTEXT")) >= 2)
@@ -168,7 +168,7 @@ async def test_what_a_pilot_must_know() -> None:
 
 
 async def test_commands_from_the_wire() -> None:
-    fake = FakeAutopilot()
+    fake = MiniatureAutopilot()
     async with staged(fake) as stage:
         fake.send(mav.MAVLink_command_long_message(7, 191, 193, 0, 0, 0, 0, 0, 0, 0, 0))
         fake.send(mav.MAVLink_command_long_message(7, 191, 512, 0, ComponentInformationBasic.id, 0, 0, 0, 0, 0, 0))
@@ -183,7 +183,7 @@ async def test_commands_from_the_wire() -> None:
 
 
 async def test_a_frame_that_was_fused_is_told_of_without_waiting_for_the_next_turn() -> None:
-    fake = FakeAutopilot()
+    fake = MiniatureAutopilot()
     async with staged(fake, outputs={"rate_hz": 1.0}) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) >= 1)
         before = len(fake.of("LANDING_TARGET"))

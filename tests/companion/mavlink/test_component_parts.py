@@ -23,7 +23,7 @@ from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
-from sitl.testing.descriptors import no_descriptors
+from tests.support.descriptors import no_descriptors
 
 S = 1_000_000_000
 US, STATION = (7, 191), (255, 190)

@@ -20,8 +20,8 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
-from sitl.testing.fake_ardrone import until
-from sitl.testing.fake_autopilot import FakeAutopilot
+from sitl.autopilots.miniature import MiniatureAutopilot
+from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"
 YAW = math.radians(130.0)
@@ -117,7 +117,7 @@ def test_waves_are_averaged() -> None:
 
 async def test_velocities_go_to_the_autopilot_with_the_decks_way_on_top() -> None:
     clock = SystemClock()
-    fake = FakeAutopilot(Stack.ARDUPILOT, mode="guided")
+    fake = MiniatureAutopilot(Stack.ARDUPILOT, mode="guided")
     fake.armed, fake.landed_state = True, 2
     fake.rpy = lambda t: (0.0, 0.0, YAW)
     options = AutopilotOptions(f"udpin://{HOST}:0", command_period_s=0.02)

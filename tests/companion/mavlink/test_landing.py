@@ -21,8 +21,8 @@ from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.options import AutopilotOptions
 from sitl.autopilots.lock_step import LockStepClock
-from sitl.testing.fake_ardrone import until
 from tests.companion.mavlink.aircraft import TICK_S, Aircraft, settled
+from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"
 FRAME_EVERY = 8

@@ -13,7 +13,7 @@ import pytest
 
 from companion.mavlink.operator import LandingProgress
 from companion.mavlink.tunables import NAMES
-from sitl.testing.fake_autopilot import FakeAutopilot
+from sitl.autopilots.miniature import MiniatureAutopilot
 from tests.companion.mavlink.stage import HOST, PAD_NED, Stage, staged
 
 mavsdk = pytest.importorskip("mavsdk.asyncio", reason="MAVSDK is not installed")
@@ -33,7 +33,7 @@ async def met() -> AsyncIterator[tuple[Stage, Any]]:
     port = free_port()
     async with (
         staged(
-            FakeAutopilot(parameters={"PLND_LAG": 0.02}), f"udpout://{HOST}:{port}", operators="245", heartbeat_s=0.2
+            MiniatureAutopilot(parameters={"PLND_LAG": 0.02}), f"udpout://{HOST}:{port}", operators="245", heartbeat_s=0.2
         ) as stage,
         mavsdk.Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as station,
     ):

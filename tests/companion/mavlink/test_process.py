@@ -16,8 +16,8 @@ import pytest
 from companion.recorder.reading import open_recording
 from companion.recorder.records import LinkRecord
 from drivers.mavlink.dialect import mav
-from sitl.testing.fake_ardrone import until
-from sitl.testing.fake_autopilot import FakeAutopilot
+from sitl.autopilots.miniature import MiniatureAutopilot
+from tests.support.fake_ardrone import until
 
 US = 191
 RIG = """
@@ -65,7 +65,7 @@ async def test_it_lives_beside_an_autopilot_and_obeys_a_station(tmp_path: Path) 
         service = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "companion.cli.main", "run", "--config", str(rig), stderr=errors
         )
-    craft = FakeAutopilot()
+    craft = MiniatureAutopilot()
     try:
         async with craft.talking_to(f"udpout://127.0.0.1:{port}"):
             await until(lambda: bool(ours(craft, "HEARTBEAT")))
@@ -99,11 +99,11 @@ async def test_it_lives_beside_an_autopilot_and_obeys_a_station(tmp_path: Path) 
     assert crossed["out", "HEARTBEAT"] >= 1
 
 
-def ours(craft: FakeAutopilot, kind: str) -> list[mav.MAVLink_message]:
+def ours(craft: MiniatureAutopilot, kind: str) -> list[mav.MAVLink_message]:
     return [m for m in craft.of(kind) if m.get_srcComponent() == US]
 
 
-async def told(craft: FakeAutopilot, command: int, param1: float = 0.0) -> int:
+async def told(craft: MiniatureAutopilot, command: int, param1: float = 0.0) -> int:
     """The answer to a command."""
     before = len(craft.of("COMMAND_ACK"))
     craft.send(mav.MAVLink_command_long_message(7, US, command, 0, param1, 0, 0, 0, 0, 0, 0))

@@ -25,7 +25,7 @@ from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
-from sitl.testing.descriptors import no_descriptors
+from tests.support.descriptors import no_descriptors
 
 
 class Clock:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from sitl.testing.mosquitto import Broker, make_certificates, need_mosquitto
+from tests.support.mosquitto import Broker, make_certificates, need_mosquitto
 
 
 @pytest.fixture(scope="session")

@@ -26,8 +26,8 @@ from companion.mqtt.signature import Forged, Unsigned, signed, verified
 from companion.mqtt.topics import Topics
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
-from sitl.testing.mosquitto import Broker
-from sitl.testing.mqtt_service import RUN, SESSION, FakeOperator, RunningPart, running, until
+from tests.support.mosquitto import Broker
+from tests.support.mqtt_service import RUN, SESSION, FakeOperator, RunningPart, running, until
 
 ROOT = Path(__file__).parents[3]
 TREE = "decklander/v1/deck/"

@@ -17,8 +17,8 @@ from companion.mqtt.connection import BrokerEndpoint, Connection
 from companion.mqtt.messages import CommandReply, FusionMessage, HealthReport, StateMessage, StatusMessage, decode
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
-from sitl.testing.mosquitto import Broker, on_message
-from sitl.testing.mqtt_service import RUN, decision, running, status, until
+from tests.support.mosquitto import Broker, on_message
+from tests.support.mqtt_service import RUN, decision, running, status, until
 
 ROOT = Path(__file__).parents[3]
 TREE = "decklander/v1/deck/"
@@ -92,7 +92,7 @@ async def test_leaving_says_stopped_and_dying_says_lost(broker: Broker, tmp_path
 _DYING = """
 import asyncio, json, sys, tempfile, pathlib
 from companion.mqtt.settings import MqttSettings
-from sitl.testing.mqtt_service import running, until
+from tests.support.mqtt_service import running, until
 async def main():
     async with running(MqttSettings(**json.loads(sys.argv[1])), pathlib.Path(tempfile.mkdtemp())) as rig:
         await until(lambda: rig.count("connections") == 1)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from sitl.testing.mosquitto import Broker
-from sitl.testing.mqtt_consumer import Consumer
-from sitl.testing.mqtt_service import event, running, until
+from tests.support.mosquitto import Broker
+from tests.support.mqtt_consumer import Consumer
+from tests.support.mqtt_service import event, running, until
 
 # A TLS handshake that is ended leaves its socket to the garbage collector inside paho.
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from companion.mqtt.messages import CommandReply, EventMessage, HealthReport, Message, OperatorNotice, StatusMessage, decode
 from companion.mqtt.signature import signed
-from sitl.testing.mosquitto import Broker
+from tests.support.mosquitto import Broker
 
 ROOT = Path(__file__).parents[3]
 TREE = "decklander/v1/deck/"

@@ -14,9 +14,9 @@ import msgspec
 from companion.config.settings import load
 from companion.guidance.mission import State
 from companion.mqtt.connection import BrokerEndpoint, connect
-from sitl.testing.fake_ardrone import until
-from sitl.testing.mosquitto import Broker
 from tests.companion.ship_flights import SHIP_NED, flying, free_port, place_of, settings_of
+from tests.support.fake_ardrone import until
+from tests.support.mosquitto import Broker
 
 ROOT = Path(__file__).parents[3]
 KEY = bytes(range(32))

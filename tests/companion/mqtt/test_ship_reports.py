@@ -16,7 +16,7 @@ from companion.mqtt.signature import signed
 from companion.mqtt.topics import Topics
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs
-from sitl.testing.mqtt_service import RUN
+from tests.support.mqtt_service import RUN
 
 KEY = bytes(range(32))
 NOW = MonoNs(5_000_000_000)

@@ -16,9 +16,9 @@ import msgspec
 import pytest
 
 from companion.mqtt.settings import MqttSettings
-from sitl.testing.mosquitto import Broker, free_port
-from sitl.testing.mqtt_consumer import Consumer
-from sitl.testing.mqtt_service import RUN, SESSION, RunningPart, decision, event, running, until
+from tests.support.mosquitto import Broker, free_port
+from tests.support.mqtt_consumer import Consumer
+from tests.support.mqtt_service import RUN, SESSION, RunningPart, decision, event, running, until
 
 # A TLS handshake that fails leaves its socket to the garbage collector inside paho.
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")

@@ -26,8 +26,8 @@ from estimator.contracts.commands import Hover, Land, Lean, TakeOff
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
-from sitl.testing.mqtt_service import RUN, SESSION, FakeOperator, decision, status
-from sitl.testing.processed_frames import seen
+from tests.support.mqtt_service import RUN, SESSION, FakeOperator, decision, status
+from tests.support.processed_frames import seen
 
 ROOT = Path(__file__).parents[3]
 NOW = MonoNs(5_000_000_000)

@@ -35,7 +35,7 @@ from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp
-from sitl.testing.fake_ardrone import until
+from tests.support.fake_ardrone import until
 
 
 @pytest.fixture

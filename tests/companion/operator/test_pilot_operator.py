@@ -13,7 +13,7 @@ from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import FlightOutcome, Pilot
 from estimator.contracts.commands import Hover
 from estimator.contracts.time import MonoNs
-from sitl.testing.mqtt_service import status
+from tests.support.mqtt_service import status
 
 
 def flying(shadows: tuple[str, ...] = ()) -> Pilot:

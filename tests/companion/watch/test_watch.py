@@ -26,10 +26,10 @@ from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
-from sitl.testing.mosquitto import Broker
-from sitl.testing.mqtt_service import SESSION, decision, running, status, until
-from sitl.testing.mqtt_service import event as pending_event
 from tests.companion.mqtt.conftest import broker, certificates
+from tests.support.mosquitto import Broker
+from tests.support.mqtt_service import SESSION, decision, running, status, until
+from tests.support.mqtt_service import event as pending_event
 
 __all__ = ["broker", "certificates"]
 

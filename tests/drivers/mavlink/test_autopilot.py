@@ -19,14 +19,14 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample, VehicleStatus
-from sitl.testing.fake_ardrone import until
-from sitl.testing.fake_autopilot import EPOCH_NS, FakeAutopilot
+from sitl.autopilots.miniature import EPOCH_NS, MiniatureAutopilot
+from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"
 
 
 @asynccontextmanager
-async def flown(fake: FakeAutopilot, parameters: tuple[str, ...] = (), **options: Any) -> AsyncIterator[Autopilot]:
+async def flown(fake: MiniatureAutopilot, parameters: tuple[str, ...] = (), **options: Any) -> AsyncIterator[Autopilot]:
     quick = {"silence_s": 0.8, "command_period_s": 0.02, "restart_first_s": 0.02, "restart_most_s": 0.1}
     given = AutopilotOptions(f"udpin://{HOST}:0", **(quick | options))
     async with open_autopilot(given, SystemClock(), parameters=parameters) as autopilot:
@@ -43,7 +43,9 @@ def drain(autopilot: Autopilot) -> list[Sample]:
 
 @pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
 async def test_a_fresh_link_is_asked_for_streams_and_gives_samples(stack: Stack) -> None:
-    fake = FakeAutopilot(stack, mode="loiter" if stack is Stack.ARDUPILOT else "auto.loiter", v_ned=np.array([0.0, 1.0, 0.0]))
+    fake = MiniatureAutopilot(
+        stack, mode="loiter" if stack is Stack.ARDUPILOT else "auto.loiter", v_ned=np.array([0.0, 1.0, 0.0])
+    )
     fake.rpy = lambda t: (0.0, 0.0, math.radians(90.0))
     async with flown(fake) as autopilot:
         await until(lambda: autopilot.streams is not None and autopilot.streams.settled)
@@ -70,7 +72,7 @@ async def test_a_fresh_link_is_asked_for_streams_and_gives_samples(stack: Stack)
 
 
 async def test_an_autopilot_that_waits_to_be_spoken_to_is_found() -> None:
-    fake = FakeAutopilot()
+    fake = MiniatureAutopilot()
     async with fake.talking_to(f"udpin://{HOST}:0"):
         await until(lambda: fake.links is not None and fake.links.all[0].local is not None)
         assert fake.links is not None
@@ -80,7 +82,7 @@ async def test_an_autopilot_that_waits_to_be_spoken_to_is_found() -> None:
 
 
 async def test_a_refused_stream_is_known() -> None:
-    fake = FakeAutopilot(unsupported={mav.MAVLINK_MSG_ID_DISTANCE_SENSOR})
+    fake = MiniatureAutopilot(unsupported={mav.MAVLINK_MSG_ID_DISTANCE_SENSOR})
     async with flown(fake) as autopilot:
         await until(lambda: autopilot.streams is not None and autopilot.streams.settled)
         assert autopilot.streams is not None
@@ -88,7 +90,7 @@ async def test_a_refused_stream_is_known() -> None:
 
 
 async def test_timesync_is_answered_with_our_clock() -> None:
-    fake = FakeAutopilot()
+    fake = MiniatureAutopilot()
     async with flown(fake):
         for _ in range(3):
             fake.send(fake_request(fake))
@@ -97,12 +99,12 @@ async def test_timesync_is_answered_with_our_clock() -> None:
             assert 0 <= received_at - EPOCH_NS - ours < 50_000_000
 
 
-def fake_request(fake: FakeAutopilot) -> Any:
+def fake_request(fake: MiniatureAutopilot) -> Any:
     return TimeSyncV2(0, fake.boot_ns)
 
 
 async def test_silence_is_said_and_everything_is_asked_for_again() -> None:
-    fake = FakeAutopilot(parameters={"PLND_LAG": 0.02})
+    fake = MiniatureAutopilot(parameters={"PLND_LAG": 0.02})
     async with flown(fake, parameters=("PLND_LAG",)) as autopilot:
         await until(lambda: autopilot.streams is not None and autopilot.streams.settled)
         asked = fake.commands[511]
@@ -121,7 +123,7 @@ async def test_silence_is_said_and_everything_is_asked_for_again() -> None:
 
 
 async def test_a_reboot_is_noticed_and_streams_are_asked_for_again() -> None:
-    fake = FakeAutopilot()
+    fake = MiniatureAutopilot()
     async with flown(fake) as autopilot:
         await until(lambda: autopilot.sync is not None and autopilot.sync.locked)
         await until(lambda: autopilot.attitude is not None)
@@ -132,9 +134,9 @@ async def test_a_reboot_is_noticed_and_streams_are_asked_for_again() -> None:
 
 
 async def test_others_are_not_mistaken_for_the_autopilot() -> None:
-    ship = FakeAutopilot(system=17)
+    ship = MiniatureAutopilot(system=17)
     ship.heartbeat = lambda: mav.MAVLink_heartbeat_message(11, 3, 0, 0, 4, 3)  # type: ignore[method-assign]
-    fake = FakeAutopilot()
+    fake = MiniatureAutopilot()
     async with flown(fake, vessel_id=17) as autopilot:
         host, port = autopilot.links.all[0].local or ("", 0)
         async with ship.talking_to(f"udpout://{host}:{port}"):
@@ -154,7 +156,7 @@ async def test_others_are_not_mistaken_for_the_autopilot() -> None:
 
 
 async def test_flown_by_velocity_and_landed_through_mavlink_alone() -> None:
-    fake = FakeAutopilot(Stack.PX4, mode="auto.loiter")
+    fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter")
     fake.rpy = lambda t: (0.0, 0.0, math.radians(90.0))
     async with flown(fake, prestream_s=1.6) as autopilot:
         async with asyncio.timeout(60):
@@ -177,7 +179,7 @@ async def test_flown_by_velocity_and_landed_through_mavlink_alone() -> None:
 
 
 async def test_leaving_holds_the_vehicle() -> None:
-    fake = FakeAutopilot(Stack.ARDUPILOT, mode="guided")
+    fake = MiniatureAutopilot(Stack.ARDUPILOT, mode="guided")
     async with flown(fake) as autopilot:
         autopilot.command(Velocity(np.array([1.0, 0.0, 0.0]), 0.0))
         await until(lambda: fake.v_ned[0] > 0.5)

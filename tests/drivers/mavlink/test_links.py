@@ -20,7 +20,7 @@ from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing, SigningKey
 from drivers.mavlink.signing_times import SigningTimes
 from estimator.contracts.errors import BadInput, Recoverable
-from sitl.testing.fake_ardrone import until
+from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"
 ANYBODY = NamedSenders(everybody=True)

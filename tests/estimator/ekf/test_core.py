@@ -19,12 +19,12 @@ from estimator.ekf.packed_event import packed_event
 from estimator.ekf.process_event import process_event
 from estimator.ekf.propagate import FilterParams
 from estimator.ekf.state import PAD_YAW, POS_REL, Belief, N
-from sitl.testing.estimator_truth import Setting, TruthFlight, events
 from tests.estimator.ekf.hand import MS, TILTED, TOOLS, T, belief, correlated, params, stamp, state
 from tests.estimator.ekf.oracle import aiding, motion
 from tests.estimator.ekf.oracle.algebra import ALGEBRA
 from tests.estimator.ekf.oracle.propagate import propagated, ready_to_fuse
 from tests.estimator.ekf.oracle.samples import Sample, process_sample
+from tests.support.estimator_truth import Setting, TruthFlight, events
 
 EITHER = params(velocity_is_over="either", deck_radius_m=3.0)
 OVER_PAD = params(velocity_is_over="pad", aiding_period_s=0.02, hold_s=0.02)

@@ -29,7 +29,6 @@ from estimator.ekf.state import (
     InnovationRatios,
     RejectionStreak,
 )  # fmt: skip
-from sitl.testing.estimator_truth import Setting, TruthFlight, events
 from tests.estimator.ekf import flown
 from tests.estimator.ekf.hand import MS, OPTIONS, TOOLS, T, params, stamp
 from tests.estimator.ekf.oracle import bank as oracle_bank
@@ -39,6 +38,7 @@ from tests.estimator.ekf.oracle.sighting import deck, levelling
 from tests.estimator.ekf.oracle.vessel_update import fuse_vessel
 from tests.estimator.ekf.oracle.vision_update import fuse_sighting
 from tests.estimator.ekf.test_core import NUMBERS, beginning, close, row, same, same_outcome, same_sea
+from tests.support.estimator_truth import Setting, TruthFlight, events
 
 EXACT = params(sighting_has_attitude_error=False, min_confidence=0.5)
 EASILY_RESET = params(reopen_count=2, reopen_s=0.01, gate_probability=0.01, heading_memory_s=0.3)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from estimator.ekf.state import POS_DOWN, POS_EAST, POS_NORTH, SWAY_PER_HEAVE, WAVES, InnovationRatios, N
-from sitl.testing.voyage_score import fly
-from sitl.testing.voyage_truth import VoyageScene
 from tests.estimator.ekf.oracle import deck_jolt
+from tests.support.voyage_score import fly
+from tests.support.voyage_truth import VoyageScene
 
 COV = np.diag([0.01, 0.02, 0.03]) ** 2
 

@@ -13,7 +13,7 @@ import pytest
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import Imu
 from estimator.ekf import at
-from sitl.testing.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns
+from tests.support.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns
 
 PAGE = Path(__file__).parents[3] / "docs" / "estimator.md"
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sitl.testing import mocap_flight
+from tests.support import mocap_flight
 
 pytestmark = pytest.mark.skipif(not mocap_flight.FOLDER.is_dir(), reason="the recorded flight with motion capture is not here")
 

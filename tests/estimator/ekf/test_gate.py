@@ -12,10 +12,10 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import Imu, Range
 from estimator.ekf import Ekf, EkfOptions, at, start, step
 from estimator.ekf.state import VEL_SCALE, N, RejectionStreak
-from sitl.testing.approach_settings import OPTIONS, setting
-from sitl.testing.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns, stamp
 from tests.estimator.ekf.oracle import gate
 from tests.estimator.ekf.oracle.algebra import Algebra
+from tests.support.approach_settings import OPTIONS, setting
+from tests.support.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns, stamp
 
 CALM = Setting(seed=1, sea=2, duration_s=9.0, imu_hz=100.0, sighting_hz=20.0, attitude_hz=20.0, velocity_hz=20.0)
 

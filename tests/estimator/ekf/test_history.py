@@ -15,7 +15,7 @@ from estimator.contracts.estimates import RelativeState, Sighting, Verdict
 from estimator.contracts.samples import Baro, Imu, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf import Ekf, EkfOptions, at, start, step
-from sitl.testing.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns
+from tests.support.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns
 
 SETTING = Setting(seed=4, sea=4, duration_s=5.0, pose6=True, range_hz=20.0, baro_hz=10.0, imu_hz=100.0, outliers=0.05)
 

@@ -15,10 +15,10 @@ from estimator.contracts.time import MonoNs
 from estimator.ekf import Ekf, at, moving, start, step
 from estimator.ekf.propagate import parameters
 from estimator.ekf.state import TURN_RATE, VEL
-from sitl.testing import voyage_faults, voyage_truth
-from sitl.testing.voyage_faults import BEGIN_S, SCENE, suffered
-from sitl.testing.voyage_score import CHI2_7, Score, fly
-from sitl.testing.voyage_truth import OPTIONS, Event, Voyage, VoyageScene, ns
+from tests.support import voyage_faults, voyage_truth
+from tests.support.voyage_faults import BEGIN_S, SCENE, suffered
+from tests.support.voyage_score import CHI2_7, Score, fly
+from tests.support.voyage_truth import OPTIONS, Event, Voyage, VoyageScene, ns
 
 QUICK = VoyageScene(duration_s=20.0, imu_hz=50.0, sighting_hz=10.0, range_hz=5.0, gaps=1)
 

@@ -14,11 +14,11 @@ from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocit
 from estimator.ekf import Ekf, EkfOptions, at, gate, start, step
 from estimator.ekf.propagate import parameters
 from estimator.ekf.state import ATT_BIAS, ATT_ERR, BARO_OFFSET, CAMERA_DELAY, PAD_YAW, POS_REL, VEL, VEL_SCALE, VESSEL_VEL
-from sitl.testing.voyage_truth import OPTIONS, Voyage, VoyageScene, events, ns, stamp
 from tests.estimator.ekf import flown
 from tests.estimator.ekf.oracle import sighting as models
 from tests.estimator.ekf.oracle.vision_update import _compared
 from tests.estimator.ekf.test_jacobians import random_belief, sighting
+from tests.support.voyage_truth import OPTIONS, Voyage, VoyageScene, events, ns, stamp
 
 SCENE = VoyageScene(seed=3, sea="jonswap", duration_s=9.5, imu_hz=50.0, sighting_hz=10.0, range_hz=2.0, gaps=0, outliers=0.0)
 

@@ -6,7 +6,7 @@ import pytest
 
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from sitl.testing.shipped import shipped_camera, shipped_pad
+from tests.support.shipped import shipped_camera, shipped_pad
 
 
 @pytest.fixture(scope="session")

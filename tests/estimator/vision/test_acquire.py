@@ -19,8 +19,8 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from sitl.light import Light
 from sitl.surroundings import Decal
-from sitl.testing.deck_images import covered, disc_of, shown
-from sitl.testing.shipped import shipped_camera, shipped_pad
+from tests.support.deck_images import covered, disc_of, shown
+from tests.support.shipped import shipped_camera, shipped_pad
 
 DATA = Path(__file__).parents[3] / "../shared/data"
 

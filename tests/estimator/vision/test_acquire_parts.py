@@ -23,8 +23,8 @@ from estimator.vision.detect.template import DISC, ORANGE, STEP_M, H, paints_at,
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from sitl.light import Light
-from sitl.testing.deck_images import shown
-from sitl.testing.pad_images import sim_camera
+from tests.support.deck_images import shown
+from tests.support.pad_images import sim_camera
 
 
 def test_a_part_of_a_small_image_is_that_part_of_the_small_image() -> None:

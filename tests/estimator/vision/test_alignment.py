@@ -18,10 +18,10 @@ from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.native import address, pixels
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from sitl.testing.pad_scenes import CONDITIONS, pad_scene
 from tests.estimator.vision.oracle import alignment as oracle
 from tests.estimator.vision.oracle import paint as paint_oracle
 from tests.estimator.vision.oracle import verification as verification_oracle
+from tests.support.pad_scenes import CONDITIONS, pad_scene
 
 SIGMA = alignment.SIGMA_TILT_RAD
 INDEX, SEED = st.integers(0, 11), st.integers(0, 10_000)

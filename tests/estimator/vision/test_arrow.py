@@ -13,7 +13,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.segmentation import SIMULATOR
-from sitl.testing.pad_images import STAMP, PadPlacement, errors, image, project
+from tests.support.pad_images import STAMP, PadPlacement, errors, image, project
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 35.0, 90.0, 179.9, -90.0, -145.0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sitl.testing.bound import information, sigmas
+from tests.support.bound import information, sigmas
 
 
 def test_a_line_through_noisy_points() -> None:

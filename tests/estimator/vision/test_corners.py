@@ -16,7 +16,7 @@ from estimator.vision.thesis.corners import Side, find_corners, side_of
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.right_angles import RightAngle, candidates, refine
 from estimator.vision.thesis.segmentation import SIMULATOR, segment
-from sitl.testing.pad_images import PadPlacement, errors, image, project
+from tests.support.pad_images import PadPlacement, errors, image, project
 
 
 def corners_of(scene: PadPlacement, camera: Camera, pad: Pad, seed: int = 0) -> Sighting | None:

@@ -18,8 +18,8 @@ from estimator.vision.pad import Pad
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS, INDOOR, SIMULATOR, HsvRange, segment
 from estimator.vision.thesis.select import choose, with_heading_of
-from sitl.testing.pad_images import STAMP, PadPlacement, errors, image, sim_camera
-from sitl.testing.shipped import shipped_camera, shipped_pad
+from tests.support.pad_images import STAMP, PadPlacement, errors, image, sim_camera
+from tests.support.shipped import shipped_camera, shipped_pad
 
 DATA = Path(__file__).parents[3] / "../shared/data"
 

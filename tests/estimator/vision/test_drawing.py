@@ -15,10 +15,10 @@ from estimator.contracts.geometry import Rotation
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from sitl.testing.pad_images import _paint
-from sitl.testing.shipped import shipped_camera, shipped_pad
 from tests.estimator.vision.oracle.blurred import Blurred, Coverage
 from tests.estimator.vision.oracle.state import RegistrationState
+from tests.support.pad_images import _paint
+from tests.support.shipped import shipped_camera, shipped_pad
 
 PADS = [shipped_pad("thesis"), shipped_pad("printed")]
 

@@ -17,8 +17,8 @@ from estimator.vision.pad import Pad
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.ellipse import Ellipse, fit_ellipse
 from estimator.vision.thesis.segmentation import SIMULATOR
-from sitl.testing.pad_images import PadPlacement, errors, image, project
-from sitl.testing.shipped import shipped_pad
+from tests.support.pad_images import PadPlacement, errors, image, project
+from tests.support.shipped import shipped_pad
 
 
 @settings(max_examples=60)

@@ -16,7 +16,7 @@ from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Frame
 from estimator.vision.camera import Camera
 from estimator.vision.marker import Marker, MarkerBoard, find_markers
-from sitl.testing.pad_images import STAMP, PadPlacement, sim_camera
+from tests.support.pad_images import STAMP, PadPlacement, sim_camera
 
 SEA = Path(__file__).parents[3] / "../shared/data/sea"
 NESTED = MarkerBoard.from_mapping(

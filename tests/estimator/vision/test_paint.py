@@ -16,7 +16,7 @@ from estimator.vision.detect.template import AROUND, DISC
 from estimator.vision.detect.verification import keeps_claim
 from estimator.vision.pad import Pad
 from sitl.light import Light
-from sitl.testing.deck_images import shown
+from tests.support.deck_images import shown
 
 
 def aligned(camera: Camera, pad: Pad, light: Light, seed: int = 0) -> AlignedTemplate:

@@ -14,7 +14,7 @@ from estimator.contracts.samples import Attitude
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pose import SIGMA_LEVEL_ASSUMED_RAD, Marks, Orientation, OrientedCamera, point_modes, solve
-from sitl.testing.pad_images import STAMP, PadPlacement, project, sim_camera
+from tests.support.pad_images import STAMP, PadPlacement, project, sim_camera
 
 angle = st.floats(-math.pi + 1e-6, math.pi, allow_nan=False)
 tilt = st.floats(-0.35, 0.35)

@@ -14,9 +14,9 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.registration import Registration, RegistrationOptions, register
 from estimator.vision.register.sighting import confidence
-from sitl.testing.pad_images import sim_camera
-from sitl.testing.pad_scenes import CONDITIONS, load_camera, load_pad, pad_scene
 from tests.estimator.vision.oracle.registration import register as register_in_numpy
+from tests.support.pad_images import sim_camera
+from tests.support.pad_scenes import CONDITIONS, load_camera, load_pad, pad_scene
 
 TRACK = RegistrationOptions(coarse=False)
 SETTLED_PX = 0.05

@@ -19,8 +19,8 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.register.registration import RegistrationOptions, register
 from sitl.light import Light, Sensor
 from sitl.surroundings import Surroundings
-from sitl.testing.pad_images import sim_camera
-from sitl.testing.pad_views import RenderedView, Stage, error, pad_error
+from tests.support.pad_images import sim_camera
+from tests.support.pad_views import RenderedView, Stage, error, pad_error
 
 TRACK = RegistrationOptions(coarse=False)
 

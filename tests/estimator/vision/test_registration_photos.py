@@ -12,7 +12,7 @@ import pytest
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.register.registration import RegistrationOptions, register
-from sitl.testing.shipped import shipped_camera, shipped_pad
+from tests.support.shipped import shipped_camera, shipped_pad
 
 DATA = Path(__file__).parents[3] / "../shared/data/pad_photos"
 

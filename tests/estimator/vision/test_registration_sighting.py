@@ -16,7 +16,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
 from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.register.sighting import registered_sighting
-from sitl.testing.pad_views import RenderedView, Stage
+from tests.support.pad_views import RenderedView, Stage
 
 TRACK = RegistrationOptions(coarse=False)
 

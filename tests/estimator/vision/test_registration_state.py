@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from estimator.contracts.geometry import Rotation
 from estimator.vision.pad_pose import PadPose
-from sitl.testing.shipped import shipped_camera
 from tests.estimator.vision.oracle.state import RegistrationState
+from tests.support.shipped import shipped_camera
 
 CHANGE = st.lists(st.floats(-60.0, 60.0), min_size=3, max_size=3)
 

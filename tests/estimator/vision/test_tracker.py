@@ -14,9 +14,9 @@ from estimator.vision.options import TrackerMethod, TrackerOptions
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, expected, track
 from sitl.light import Light
 from sitl.surroundings import Decal, Surroundings
-from sitl.testing.deck_images import shown
-from sitl.testing.pad_images import STAMP
-from sitl.testing.pad_views import RenderedView, Stage
+from tests.support.deck_images import shown
+from tests.support.pad_images import STAMP
+from tests.support.pad_views import RenderedView, Stage
 
 SIM = load("sim")
 CAMERA, PAD = camera_model(SIM), pad_model(SIM)

@@ -14,8 +14,8 @@ from estimator.vision.fusion import fuse
 from estimator.vision.tracker import TrackerMemory, track
 from sitl.light import Light
 from sitl.surroundings import Surroundings
-from sitl.testing.pad_views import Stage
 from tests.estimator.vision.test_tracker import CAMERA, PAD, attitude, belief, tracker
+from tests.support.pad_views import Stage
 
 STEP_M = 0.03
 

@@ -14,7 +14,7 @@ from estimator.vision.detect.verification import FEATURES, arrow_support, confid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from sitl.light import Light
-from sitl.testing.deck_images import covered, disc_of, shown
+from tests.support.deck_images import covered, disc_of, shown
 
 
 def at(px: np.ndarray, camera: Camera, pad: Pad, pose: PadPose) -> AlignedTemplate:

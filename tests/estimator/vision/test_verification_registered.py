@@ -18,8 +18,8 @@ from estimator.vision.pose import Orientation
 from estimator.vision.register.fit_verification import FITTED_FEATURES, HAND_SET_FEATURES, confidence, features
 from estimator.vision.register.registration import RegistrationOptions, register
 from sitl.surroundings import Decal
-from sitl.testing.deck_images import covered, disc_of, shown
-from sitl.testing.pad_images import STAMP
+from tests.support.deck_images import covered, disc_of, shown
+from tests.support.pad_images import STAMP
 
 
 def sure(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_level_body: Rotation) -> float:

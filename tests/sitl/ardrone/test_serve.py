@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from sitl.ardrone import serve, truth_log
-from sitl.testing.processes import started
+from tests.support.processes import started
 
 ANY = ("--navdata-port", "0", "--video-port", "0", "--at-port", "0", "--control-port", "0")
 

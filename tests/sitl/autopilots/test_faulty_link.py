@@ -20,13 +20,13 @@ from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.commands import Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from sitl.autopilots.faulty_link import FaultyLink
+from sitl.autopilots.miniature import MiniatureAutopilot
 from sitl.autopilots.program import free_udp_port
 from sitl.fault_timer import FaultTimer
 from sitl.faults import LinkLost
 from sitl.faulty_streams import VehicleStreams
 from sitl.stream_faults import CommandStream, NavdataStream, StreamFault
-from sitl.testing.fake_ardrone import until
-from sitl.testing.fake_autopilot import FakeAutopilot
+from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"
 
@@ -35,7 +35,7 @@ HOST = "127.0.0.1"
 class Linked:
     """A stand-in and the driver with the relay between them."""
 
-    fake: FakeAutopilot
+    fake: MiniatureAutopilot
     driver: Autopilot
     link: FaultyLink
     timer: FaultTimer
@@ -55,7 +55,7 @@ async def linked(*faults: StreamFault | LinkLost) -> AsyncIterator[Linked]:
     clock, relay_port, port = SystemClock(), free_udp_port(), free_udp_port()
     timer = FaultTimer(faults, 1)
     link = FaultyLink(VehicleStreams(timer, 1), clock)
-    fake = FakeAutopilot()
+    fake = MiniatureAutopilot()
     samples: list[Sample] = []
     async with (
         asyncio.timeout(60),

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
-from sitl.testing.processes import gone, started
 from tests.sitl.near import NEAR
+from tests.support.processes import gone, started
 
 ROOT = Path(__file__).parents[3]
 REAL = os.environ.get("DECKLANDER_ARDUCOPTER", "")

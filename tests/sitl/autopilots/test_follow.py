@@ -18,10 +18,10 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 from sitl.autopilots.follow import DeckUnder, follow
+from sitl.autopilots.miniature import MiniatureAutopilot
 from sitl.autopilots.pose import AutopilotPose, PoseSource
 from sitl.autopilots.program import free_udp_port
 from sitl.scenario import load
-from sitl.testing.fake_autopilot import FakeAutopilot
 
 HOST = "127.0.0.1"
 
@@ -131,7 +131,7 @@ def test_the_pad_lies_where_the_scenarios_start_says() -> None:
     assert flying.frame_at(over)().px.shape == (360, 640, 3)
 
 
-class Elsewhere(FakeAutopilot):
+class Elsewhere(MiniatureAutopilot):
     """A copter that another simulator flies, with a level attitude; its LAND sinks to the ground at 0."""
 
     def _streams(self, t: float) -> list[Message]:

@@ -20,8 +20,8 @@ from sitl.autopilots.program import executable, running
 from sitl.fault_timer import FaultTimer
 from sitl.faulty_streams import VehicleStreams
 from sitl.scenario import load
-from sitl.testing.fake_ardrone import until
-from sitl.testing.processes import alive
+from tests.support.fake_ardrone import until
+from tests.support.processes import alive
 
 STEP_S = 0.005
 

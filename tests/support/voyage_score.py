@@ -13,8 +13,8 @@ import numpy as np
 
 from estimator import ekf
 from estimator.contracts.geometry import F64
-from sitl.testing import voyage_truth
-from sitl.testing.voyage_truth import OPTIONS, Event, Voyage, VoyageScene, ns
+from tests.support import voyage_truth
+from tests.support.voyage_truth import OPTIONS, Event, Voyage, VoyageScene, ns
 
 HORIZONS_S = (1.0, 2.0, 3.0)
 CHI2_7 = (1.690, 16.013)

@@ -1,7 +1,6 @@
 """An autopilot in miniature on a real socket: it says and obeys what ArduCopter and PX4 were measured to say and obey.
 
-It flies as a point whose velocity follows the setpoint at once, and keeps its own receiver's arithmetic for LANDING_TARGET in
-`tests.companion.mavlink.receivers`. Its clock is its own: `epoch_ns` before ours.
+It flies as a point whose velocity follows the setpoint at once. Its clock is its own: `epoch_ns` before ours.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ def global_position(boot_ms: int, p_ned: F64, v_ned: F64, heading_deg: float | N
 
 
 @dataclass
-class FakeAutopilot:
+class MiniatureAutopilot:
     """See the module."""
 
     stack: Stack = Stack.ARDUPILOT
@@ -230,7 +229,7 @@ class FakeAutopilot:
             self._on_message(received)
 
     @asynccontextmanager
-    async def talking_to(self, url: str) -> AsyncIterator[FakeAutopilot]:
+    async def talking_to(self, url: str) -> AsyncIterator[MiniatureAutopilot]:
         """Alive on a link to `url`."""
         option = LinkOptions(parse_endpoint(url), limits=LinkLimits(restart_first_s=0.02, restart_most_s=0.1))
         async with (

@@ -13,8 +13,8 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range
 from estimator.contracts.time import MonoNs
-from sitl.testing.voyage_score import Score, fly
-from sitl.testing.voyage_truth import Event, VoyageScene
+from tests.support.voyage_score import Score, fly
+from tests.support.voyage_truth import Event, VoyageScene
 
 BEGIN_S = 12.0
 SCENE = VoyageScene(sea="jonswap", duration_s=22.0, gaps=0, imu_hz=100.0)

@@ -17,7 +17,7 @@ from estimator.vision.pose import Orientation
 from sitl.camera import Exposure, Renderer
 from sitl.light import FLAT, Light, Sensor
 from sitl.surroundings import Decal, Deck, Surroundings
-from sitl.testing.pad_images import STAMP
+from tests.support.pad_images import STAMP
 
 PLAIN = Surroundings(
     Deck(length_m=12.0, width_m=12.0), decals=(Decal("green_disc", (0.0, 0.0), 10.0, 0.0, "deck", (110, 112, 115)),)

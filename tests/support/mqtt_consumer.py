@@ -10,7 +10,7 @@ from paho.mqtt.properties import Properties
 
 from companion.mqtt.access import password, tls_context
 from companion.mqtt.messages import EventMessage, decode
-from sitl.testing.mosquitto import Broker
+from tests.support.mosquitto import Broker
 
 
 class Consumer:

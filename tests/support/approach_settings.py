@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from estimator import ekf
-from sitl.testing.estimator_truth import Setting
+from tests.support.estimator_truth import Setting
 
 LEGS = (
     (0.0, 2.5, 1.5, 5.0),
