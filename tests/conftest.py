@@ -11,9 +11,10 @@ from typing import Any
 import hypothesis
 import pytest
 
-# A busy machine is no failure: no example is timed.
-hypothesis.settings.register_profile("untimed", deadline=None)
-hypothesis.settings.load_profile("untimed")
+# A busy machine is no failure: no example is timed. Every run has the same examples; others come by --hypothesis-profile=drawn.
+hypothesis.settings.register_profile("drawn", deadline=None)
+hypothesis.settings.register_profile("same", deadline=None, derandomize=True)
+hypothesis.settings.load_profile("same")
 
 # One test, one core: `make test` starts a worker for each core. Set before numpy is imported; what tests start inherits it.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
