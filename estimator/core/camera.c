@@ -1,7 +1,10 @@
 #include "camera.h"
 
+#include <math.h>
+
 /* Newton steps from the distorted place, and from where the pixels beside it lead. */
 enum { FIRST_STEPS = 12, NEXT_STEPS = 2 };
+static const double NEAREST_M = 1e-3;
 
 /* Source: Brown, Close-range camera calibration, Photogrammetric Engineering 37(8), 1971; the order of coefficients is OpenCV's. */
 static inline void distort(const double d[5], double x, double y, double out[2])
@@ -29,12 +32,23 @@ static inline void undistort_step(const double d[5], double u, double v, double 
 
 void camera_project(const camera_lens *c, const double p[3], double uv[2])
 {
-    double xy[2] = {p[0] / p[2], p[1] / p[2]};
+    const double z = p[2] > NEAREST_M ? p[2] : NAN;
+    double xy[2] = {p[0] / z, p[1] / z};
     if (c->distorted) {
-        distort(c->distortion, p[0] / p[2], p[1] / p[2], xy);
+        distort(c->distortion, xy[0], xy[1], xy);
     }
     uv[0] = xy[0] * c->fx + c->cx;
     uv[1] = xy[1] * c->fy + c->cy;
+}
+
+void camera_ray(const camera_lens *c, double u, double v, double ray[2])
+{
+    const double x = (u - c->cx) / c->fx, y = (v - c->cy) / c->fy;
+    ray[0] = x;
+    ray[1] = y;
+    for (int step = c->distorted ? FIRST_STEPS : 0; step > 0; step--) {
+        undistort_step(c->distortion, x, y, ray);
+    }
 }
 
 /* Each pixel's solution starts where the two before it lead, so two steps are enough. */

@@ -4,8 +4,11 @@
 
 #include "interface.h"
 
-/* The pixel of a point in front of the lens, px. */
+/* The pixel of a point in `cam`, px; nan at or behind the lens. */
 void camera_project(const camera_lens *c, const double p[3], double uv[2]);
+
+/* The ray (x/z, y/z) of a place in the frame, px. */
+void camera_ray(const camera_lens *c, double u, double v, double ray[2]);
 
 /* x/z and y/z of the pixels of a part of a frame, row by row. */
 void camera_rays(const camera_lens *c, const frame_part *part, float *x, float *y);

@@ -1,6 +1,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "camera.h"
 #include "interface.h"
 #include "register_near.h"
 #include "rotation.h"
@@ -53,7 +54,7 @@ static int opposite_in_view(const task *k, const fit_state *s)
     for (int i = 0; i < POINTER_MARKS && k->pad->pointer_kind >= 0; i++) {
         double p[3], uv[2];
         in_camera(s, -k->pad->pointer_marks_m[2 * i], -k->pad->pointer_marks_m[2 * i + 1], p);
-        project(camera, p, uv);
+        camera_project(camera, p, uv);
         some |= uv[0] > 0.0 && uv[0] < (double)camera->width && uv[1] > 0.0 && uv[1] < (double)camera->height;
     }
     return some;
@@ -187,7 +188,7 @@ static int conclude(const task *k, const fit_solved *s, registration *out, doubl
     for (int i = 0; i < k->edges.points; i += OUTLINE_STEP, outline += 2) {
         double p[3];
         in_camera(&pose, k->edges.at[5 * i], k->edges.at[5 * i + 1], p);
-        project(k->seen.camera, p, outline);
+        camera_project(k->seen.camera, p, outline);
     }
     return 1;
 }

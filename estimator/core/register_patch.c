@@ -3,6 +3,8 @@
 #include <math.h>
 #include <stddef.h>
 
+#include "camera.h"
+
 /* The fewest pixels that a fit is tried with, and the fewest lines and columns of their grid. */
 enum { PIXELS_MIN = 24, SIDE_MIN = 4, RIM_POINTS = 24 };
 /* Depth below which a point of the disc's rim counts as behind the camera, m. */
@@ -36,7 +38,7 @@ static part around_rim(const camera_lens *camera, double rim[RIM_POINTS][3], dou
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
     for (int i = 0; i < RIM_POINTS; i++) {
         double uv[2];
-        project(camera, rim[i], uv);
+        camera_project(camera, rim[i], uv);
         for (int k = 0; k < 2; k++) {
             low[k] = fmin(low[k], uv[k]);
             high[k] = fmax(high[k], uv[k]);
@@ -110,7 +112,7 @@ static void list_pixels(const view *v, const part *p, patch *out)
             if (k == 1) {
                 pixel_ray(v->camera, v->rays, p->x0 + i, p->y0 + j, ray);
             } else {
-                ray_of(v->camera, p->x0 + k * i + offset, p->y0 + k * j + offset, ray);
+                camera_ray(v->camera, p->x0 + k * i + offset, p->y0 + k * j + offset, ray);
             }
             out->ray_x[out->n] = (float)ray[0], out->ray_y[out->n] = (float)ray[1];
             out->at[out->n++] = j * out->columns + i;

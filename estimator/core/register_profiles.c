@@ -3,6 +3,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "camera.h"
+
 /* Smallest distance between profiles along an edge, px; depth from which a point is in front of the camera, m. */
 static const double SPACING_PX = 1.3, NEAREST_M = 0.02;
 /* The fewest edge points in view. */
@@ -23,11 +25,11 @@ static int see_point(const camera_lens *camera, const fit_state *s, const double
     if (!(p[2] > NEAREST_M)) {
         return 0;
     }
-    project(camera, p, seen->uv);
+    camera_project(camera, p, seen->uv);
     if (camera->distorted) {
         const double step = 1e-4, ahead[3] = {p[0] + step * way[0], p[1] + step * way[1], p[2] + step * way[2]};
         double uv[2];
-        project(camera, ahead, uv);
+        camera_project(camera, ahead, uv);
         seen->out[0] = (uv[0] - seen->uv[0]) / step, seen->out[1] = (uv[1] - seen->uv[1]) / step;
     } else {
         const double per = 1.0 / p[2];

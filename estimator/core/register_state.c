@@ -3,6 +3,7 @@
 #include <math.h>
 #include <stddef.h>
 
+#include "camera.h"
 #include "rotation.h"
 #include "wide.h"
 
@@ -10,8 +11,6 @@
 static const double PIXEL_VAR = 1.0 / 12.0, MAX_BLUR_PX2 = 49.0;
 /* The least depth of a pixel's ray along the normal for which the plane is met. */
 static const float FLATTEST = 1e-3f;
-/* Newton's steps for the ray of a distorting lens; they converge to 1e-9 where the distortion is one-to-one. */
-enum { RAY_STEPS = 12 };
 
 float *take_rows(rows *r, int count)
 {
@@ -22,47 +21,6 @@ float *take_rows(rows *r, int count)
     float *taken = r->next;
     r->next += wanted, r->left -= (int32_t)wanted;
     return taken;
-}
-
-/* Source: Brown, Close-range camera calibration, 1971; the parameter order is OpenCV's. */
-static void distort(const camera_lens *camera, const double xy[2], double out[2])
-{
-    const double *k = camera->distortion, x = xy[0], y = xy[1], r2 = x * x + y * y;
-    const double radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]));
-    out[0] = x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x);
-    out[1] = y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y;
-}
-
-void project(const camera_lens *camera, const double p[3], double uv[2])
-{
-    const double z = p[2] > 1e-3 ? p[2] : NAN;
-    double xy[2] = {p[0] / z, p[1] / z};
-    if (camera->distorted) {
-        const double ideal[2] = {xy[0], xy[1]};
-        distort(camera, ideal, xy);
-    }
-    uv[0] = xy[0] * camera->fx + camera->cx;
-    uv[1] = xy[1] * camera->fy + camera->cy;
-}
-
-void ray_of(const camera_lens *camera, double u, double v, double ray[2])
-{
-    const double target[2] = {(u - camera->cx) / camera->fx, (v - camera->cy) / camera->fy}, h = 1e-6;
-    ray[0] = target[0], ray[1] = target[1];
-    for (int step = 0; camera->distorted && step < RAY_STEPS; step++) {
-        double f[2], right[2], left[2], below[2], above[2];
-        distort(camera, ray, f);
-        f[0] -= target[0], f[1] -= target[1];
-        if (fmax(fabs(f[0]), fabs(f[1])) < 1e-12) {
-            break;
-        }
-        distort(camera, (const double[2]){ray[0] + h, ray[1]}, right), distort(camera, (const double[2]){ray[0] - h, ray[1]}, left);
-        distort(camera, (const double[2]){ray[0], ray[1] + h}, below), distort(camera, (const double[2]){ray[0], ray[1] - h}, above);
-        const double a = (right[0] - left[0]) / (2.0 * h), b = (below[0] - above[0]) / (2.0 * h);
-        const double c = (right[1] - left[1]) / (2.0 * h), d = (below[1] - above[1]) / (2.0 * h), det = a * d - b * c;
-        ray[0] -= (f[0] * d - f[1] * b) / det;
-        ray[1] -= (f[1] * a - f[0] * c) / det;
-    }
 }
 
 void pixel_ray(const camera_lens *camera, const double *rays, int32_t u, int32_t v, double ray[2])
@@ -87,11 +45,11 @@ static double depth_in_view(const camera_lens *camera, const double R[9], const 
 {
     double uv[2] = {camera->cx, camera->cy}, ray[2];
     if (t[2] > 0.05) {
-        project(camera, t, uv);
+        camera_project(camera, t, uv);
         uv[0] = fmin(fmax(uv[0], 0.0), (double)camera->width - 1.0);
         uv[1] = fmin(fmax(uv[1], 0.0), (double)camera->height - 1.0);
     }
-    ray_of(camera, uv[0], uv[1], ray);
+    camera_ray(camera, uv[0], uv[1], ray);
     const double down = R[2] * ray[0] + R[5] * ray[1] + R[8], reach = R[2] * t[0] + R[5] * t[1] + R[8] * t[2];
     return fmax(fabs(down) > 0.05 ? reach / down : sqrt(dot(t, t)), 0.03);
 }

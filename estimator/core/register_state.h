@@ -34,10 +34,6 @@ typedef struct {
     double blur_m2[3], m2_per_px2;
 } footprint;
 
-/* Project a point in `cam` to px; nan at or behind the lens. */
-void project(const camera_lens *camera, const double p[3], double uv[2]);
-/* The ray (x/z, y/z) of a place in the frame, px. */
-void ray_of(const camera_lens *camera, double u, double v, double ray[2]);
 /* The ray of a whole pixel; `rays` has them all if the lens distorts. */
 void pixel_ray(const camera_lens *camera, const double *rays, int32_t u, int32_t v, double ray[2]);
 /* p_cam = R p_pad + t for a point of the pad's plane. */

@@ -15,6 +15,7 @@ from estimator.core.library import address
 from estimator.core.records import record
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
+from estimator.vision.native import packed_camera
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
 from estimator.vision.register.options import RegistrationOptions
@@ -39,10 +40,7 @@ class PackedLens:
 @lru_cache(maxsize=8)
 def packed_lens(camera: Camera) -> PackedLens:
     """Return a camera as the core reads it; the result is cached."""
-    words = record("camera_lens", {
-        "width": camera.width, "height": camera.height, "distorted": camera.distorted, "fx": camera.fx, "fy": camera.fy,
-        "cx": camera.cx, "cy": camera.cy, "distortion": camera.distortion, "R_body_cam": camera.T_body_cam.R.matrix,
-    })  # fmt: skip
+    words = packed_camera(camera)
     rays = ray_map(camera) if camera.distorted else None
     return PackedLens(words, rays, (address(words), 0 if rays is None else address(rays)))
 
