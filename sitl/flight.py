@@ -52,7 +52,6 @@ from sitl.vessel_reports import VesselReporter
 from sitl.world import World
 
 NAVDATA_DELAY_S = 0.004
-COMMAND_DELAY_S = 0.004
 STAMP_SIGMA_S = 0.002
 _NO_PIXELS = np.empty((0, 0, 3), np.uint8)
 _WATCH_EACH = 10

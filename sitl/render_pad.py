@@ -41,11 +41,6 @@ class Stroke:
         return Stroke(pose, pose, pose, rows)
 
     @property
-    def is_still(self) -> bool:
-        """Whether the pad does not move."""
-        return self.first is self.last
-
-    @property
     def in_front(self) -> bool:
         """Whether the camera sees the pad's upper side all the time."""
         return all(float(R[:, 2] @ t) > 1e-3 for R, t in (self.first, self.middle, self.last))

@@ -124,8 +124,6 @@ GROUND = frozenset({State.STANDBY, State.WAIT, State.LANDED, State.LANDED_BY_OTH
 """States in which guidance leaves the vehicle alone."""
 ENDED = frozenset({State.LANDED, State.LANDED_BY_OTHERS, State.EMERGENCY, *_STAYS_UP})
 """States that end a flight; the next one begins when the vehicle has stood and flies again."""
-AGAIN = frozenset({State.REFUSED, State.GAVE_UP})
-"""States that end a flight and in which the operator may begin again in the air."""
 FLOWN = frozenset(State) - GROUND - ENDED - {State.READY, State.PAUSED}
 """States in which the machine flies a landing."""
 DESCENDS = frozenset({State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN})

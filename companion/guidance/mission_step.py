@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from companion.guidance.mission import ENDED, TABLES, Event, State, StateChange
+from companion.guidance.mission import ENDED, TABLES, Event, StateChange
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress, entered
 from companion.guidance.reason import Reason, ReasonCause
@@ -78,8 +78,3 @@ def _first(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Progress,
         if changes:
             return moved, changes[0]
     return p, None
-
-
-def outcome_state(p: Progress) -> State | None:
-    """Return the state that ended the flight, or None while it goes on."""
-    return p.state if p.state in ENDED else None

@@ -167,16 +167,8 @@ class Recorder:
         if self._thread.is_alive():
             log.error("recorder: the disk took nothing for %.1f s; the end of the recording is lost", self._close_s)
 
-    def pause(self) -> None:
-        """End the file, and write nothing more until `resume`."""
-        self._paused = True
-
-    def resume(self) -> None:
-        """Continue with a new file."""
-        self._paused = False
-
     def switch(self, on: bool) -> str | None:
-        """Start or stop recording for the operator; return the reason if that is impossible, else None."""
+        """Begin a new file, or end the file and write nothing more; return the reason if that is impossible, else None."""
         self._paused = not on
         return self.why if on and self._state is RecorderState.BLOCKED else None
 

@@ -59,7 +59,7 @@ def recorder_of(settings: Settings, clock: Clock, health: Health) -> Recorder:
     described = about(settings, {"kind": "service"}, wall_offset_ns(clock))
     recorder = Recorder(storage_policy, camera_model(settings), described, r, health, close_s=1.5)
     if not r.enabled:
-        recorder.pause()
+        recorder.switch(False)
     return recorder
 
 

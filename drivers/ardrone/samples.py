@@ -55,19 +55,6 @@ AS_REPORTED = ArDroneOptions(velocity_scale=1.0, sigma_velocity_fraction=0.2)
 """Options that take velocities as the drone reports them; the covariance covers the uncertainty of their scale."""
 
 
-def samples_from_navdata(navdata: Navdata, stamp: Stamp, options: ArDroneOptions = DEFAULT) -> list[Sample]:
-    """Return every sample of the datagram, all with the same stamp; readings that are absent or not finite are left out.
-
-    Returns:
-        Imu (body), Attitude (R_ned_body, yaw from the drone's own heading), BodyVelocity (level; down has `UNKNOWN_VAR`),
-        Range (along the body's down axis), Baro (height over the 1013.25 hPa level), GeoFix (by the flight
-        recorder, where there is one), VehicleStatus, in this order.
-    """
-    out = _of_every_datagram(navdata, stamp, options, _attitude_cov(options))
-    out += [made for make, _ in _REPEATED.values() if (made := make(navdata, stamp, options)) is not None]
-    return out
-
-
 def _of_every_datagram(navdata: Navdata, stamp: Stamp, options: ArDroneOptions, attitude_cov: F64) -> list[Sample]:
     """Return the samples whose sensors are read anew for every datagram."""
     out: list[Sample] = []
@@ -108,7 +95,7 @@ def pressure_of_height_pa(height_m: float) -> float:
 
 
 class NavdataSampler:
-    """Converts navdata as `samples_from_navdata` does, without repeats.
+    """Converts the datagrams of navdata to samples, without repeats.
 
     The drone repeats a reading in every datagram until the sensor has a new one (ultrasound 25 Hz, barometer about 100 Hz in
     200 datagrams a second). A range, height or status is returned when its source changed, or after `repeat_s`.
@@ -121,7 +108,13 @@ class NavdataSampler:
         self._given: dict[type[Any], tuple[Any, MonoNs]] = {}
 
     def samples(self, navdata: Navdata, stamp: Stamp) -> list[Sample]:
-        """Return the samples that are new in this datagram."""
+        """Return the samples that are new in this datagram, all with the same stamp; readings absent or not finite are left out.
+
+        Returns:
+            Imu (body), Attitude (R_ned_body, yaw from the drone's own heading), BodyVelocity (level; down has `UNKNOWN_VAR`),
+            Range (along the body's down axis), Baro (height over the 1013.25 hPa level), GeoFix (by the flight
+            recorder, where there is one), VehicleStatus, in this order.
+        """
         out = _of_every_datagram(navdata, stamp, self._options, self._attitude_cov)
         measured_at = stamp.measured_at
         for kind, (make, source) in _REPEATED.items():

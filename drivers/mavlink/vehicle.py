@@ -44,7 +44,6 @@ VELOCITY_MODE = {Stack.ARDUPILOT: "guided", Stack.PX4: "offboard"}
 """The mode in which each stack follows velocity setpoints."""
 LAND_MODE = {Stack.ARDUPILOT: "land", Stack.PX4: "auto.land"}
 HOLD_MODE = {Stack.ARDUPILOT: "brake", Stack.PX4: "auto.loiter"}
-TAKE_OFF_MODE = {Stack.ARDUPILOT: "guided", Stack.PX4: "auto.takeoff"}
 
 
 def stack_of(heartbeat: Message) -> Stack:

@@ -39,8 +39,6 @@ def _grid() -> tuple[F64, F64, F64, F64]:
 
 W, ZETA, SIGMA, LOG_PRIOR = _grid()
 """(G,) rad/s, (G,), (5, G) m or rad, (G,): the members."""
-AT_REST = stationary(W, ZETA)
-"""(G, 4, 4) for sigma = 1."""
 CARRIED = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
 """Whether the IMU's errors affect a direction, (5,); a deck's roll and pitch are measured directly."""
 _PAIRS = np.triu_indices(MEMBER_STATES)
@@ -167,11 +165,6 @@ def packed_members() -> F64:
         words[_MEMBERS[name]] = values.ravel()
     words.setflags(write=False)
     return words
-
-
-def pairs_of(P: F64) -> F64:
-    """Return the upper triangles in rows, (5, 28, G), of covariances (5, G, 7, 7)."""
-    return np.ascontiguousarray(P[:, :, _PAIRS[0], _PAIRS[1]].transpose(0, 2, 1))
 
 
 def _read(words: F64) -> DeckMotionBank:

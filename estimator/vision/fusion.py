@@ -38,8 +38,6 @@ class Fused:
 
     sighting: Sighting
     """The fused sighting. Its `method` is "fused"; its `pose6` comes from the most certain cue that has one."""
-    agreeing: tuple[str, ...]
-    """Names of the methods that took part."""
     outliers: tuple[str, ...]
     """Names of the methods that disagreed and were left out."""
 
@@ -60,7 +58,6 @@ def fuse(cues: Iterable[Sighting]) -> Fused | None:
     confidence = max(cue.confidence for cue in inliers) * fraction
     return Fused(
         _intersected(inliers, confidence),
-        tuple(cue.method for cue in inliers),
         tuple(cue.method for cue in seen if cue not in inliers),
     )
 

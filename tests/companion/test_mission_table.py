@@ -9,7 +9,6 @@ import pytest
 
 from companion.guidance import mission_page
 from companion.guidance.mission import (
-    AGAIN,
     CONTACT_INTENDED,
     DESCENDS,
     ENDED,
@@ -26,6 +25,8 @@ MISSIONS = sorted(TABLES)
 PAIRS = [(name, state, event) for name in MISSIONS for state, event in product(State, Event)]
 REPORTS = {Event.CUT: State.EMERGENCY, Event.GROUNDED: State.LANDED, Event.GROUNDED_BY_OTHERS: State.LANDED_BY_OTHERS}
 AIRBORNE = set(State) - GROUND - ENDED
+AGAIN = {State.REFUSED, State.GAVE_UP}
+"""Ends after which the operator may begin again in the air."""
 
 
 @pytest.mark.parametrize(("name", "state", "event"), PAIRS, ids=lambda x: getattr(x, "name", x))

@@ -255,11 +255,11 @@ def test_pause_ends_the_file_and_resume_begins_another(tmp_path: Path) -> None:
         for i in range(30):
             if i == 10:
                 wait_for(lambda: recorder._queue.empty())
-                recorder.pause()
+                recorder.switch(False)
             if i == 20:
                 wait_for(lambda: recorder._queue.empty())
                 assert recorder.state is RecorderState.PAUSED
-                recorder.resume()
+                recorder.switch(True)
             recorder.on_sample(imu(0.01 * i))
     assert len(samples_of(tmp_path / "a.mcap")) in (9, 10)
     assert len(samples_of(tmp_path / "a-2.mcap")) == 10

@@ -13,7 +13,6 @@ from drivers.ardrone.samples import (
     NavdataSampler,
     height_of_pressure_m,
     pressure_of_height_pa,
-    samples_from_navdata,
     time_us,
 )
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
@@ -42,7 +41,7 @@ def at(ms: int) -> Stamp:
 def test_the_captured_drone_stands_with_its_nose_up() -> None:
     navdata = nd.decode((CAPTURES / "navdata_full_gps.bin").read_bytes())
     assert isinstance(navdata, nd.Navdata)
-    samples = samples_from_navdata(navdata, STAMP)
+    samples = NavdataSampler().samples(navdata, STAMP)
     assert [type(s) for s in samples] == [Imu, Attitude, BodyVelocity, Range, Baro, GeoFix, VehicleStatus]
     imu, attitude = the(Imu, samples), the(Attitude, samples)
     np.testing.assert_allclose(imu.f_body, np.array([80.297, -33.3186, -942.528]) * 9.80665e-3, rtol=1e-4)
@@ -76,7 +75,7 @@ def test_units_and_signs_of_everything_in_flight() -> None:
         nd.PressureRaw(0, 0, 400, 101325),
         state=nd.NavdataState.FLYING,
     )
-    samples = samples_from_navdata(navdata, STAMP, AS_REPORTED)
+    samples = NavdataSampler(AS_REPORTED).samples(navdata, STAMP)
     np.testing.assert_allclose(the(Imu, samples).f_body, [0.980665, 1.96133, -9.80665])
     np.testing.assert_allclose(the(Imu, samples).w_body, np.radians([10.0, -20.0, 30.0]))
     np.testing.assert_allclose(the(Attitude, samples).R_ned_body.rpy_rad, np.radians([-3.0, 2.0, 90.0]), atol=1e-9)
@@ -91,8 +90,8 @@ def test_units_and_signs_of_everything_in_flight() -> None:
 
 
 def test_velocity_scale_is_corrected_unless_velocities_are_taken_as_reported() -> None:
-    plain = the(BodyVelocity, samples_from_navdata(of(DEMO), STAMP, AS_REPORTED))
-    scaled = the(BodyVelocity, samples_from_navdata(of(DEMO), STAMP, ArDroneOptions(velocity_scale=0.8)))
+    plain = the(BodyVelocity, NavdataSampler(AS_REPORTED).samples(of(DEMO), STAMP))
+    scaled = the(BodyVelocity, NavdataSampler(ArDroneOptions(velocity_scale=0.8)).samples(of(DEMO), STAMP))
     np.testing.assert_allclose(scaled.v_level[:2], plain.v_level[:2] / 0.8)
     speed = float(np.hypot(*plain.v_level[:2]))
     assert math.sqrt(plain.cov_level[0, 0]) >= 0.2 * speed, "an under-reading of a fifth must lie within a sigma"
@@ -101,7 +100,7 @@ def test_velocity_scale_is_corrected_unless_velocities_are_taken_as_reported() -
 
 def test_demo_mode_has_no_imu_and_its_range_is_along_the_body() -> None:
     tilted = DEMO._replace(theta_mdeg=20000.0, phi_mdeg=0.0, altitude_mm=1000)
-    samples = samples_from_navdata(of(tilted), STAMP)
+    samples = NavdataSampler().samples(of(tilted), STAMP)
     assert not [s for s in samples if isinstance(s, Imu)]
     assert the(Range, samples).range_m == pytest.approx(1.0 / math.cos(math.radians(20.0)))
 
@@ -119,11 +118,12 @@ def test_demo_mode_has_no_imu_and_its_range_is_along_the_body() -> None:
     ],
 )
 def test_what_is_not_known_is_left_out(navdata: nd.Navdata, absent: type[Any]) -> None:
-    assert not [s for s in samples_from_navdata(navdata, STAMP) if isinstance(s, absent)]
+    assert not [s for s in NavdataSampler().samples(navdata, STAMP) if isinstance(s, absent)]
 
 
 def test_faults_reach_the_status() -> None:
-    status = the(VehicleStatus, samples_from_navdata(of(state=nd.NavdataState.EMERGENCY | nd.NavdataState.COM_WATCHDOG), STAMP))
+    navdata = of(state=nd.NavdataState.EMERGENCY | nd.NavdataState.COM_WATCHDOG)
+    status = the(VehicleStatus, NavdataSampler().samples(navdata, STAMP))
     assert (status.emergency, status.link_ok, status.mode, status.battery_fraction) == (True, False, "unknown", None)
 
 
@@ -171,7 +171,7 @@ def test_a_place_that_the_receiver_does_not_have_is_none(wrong: dict[str, float]
 
     def fixes(**changed: float) -> list[GeoFix]:
         gps = nd.Gps(**{**right, "gps_plugged": 1, **changed})  # type: ignore[arg-type]
-        made = samples_from_navdata(of(gps), STAMP)
+        made = NavdataSampler().samples(of(gps), STAMP)
         return [sample for sample in made if isinstance(sample, GeoFix)]
 
     assert fixes(**wrong) == []

@@ -43,7 +43,6 @@ _LOST = "Failsafe activated: Offboard signal lost, entering Hold"
 _LOW_THRUST = 0.3
 """How far above the least thrust, on the way to that of hovering, the land detector counts a vehicle as on the ground."""
 _WANTS_UP_M_S = 0.3
-_HELD_MODES = ("auto.loiter", "posctl")
 
 
 class Px4StandIn(StandIn):

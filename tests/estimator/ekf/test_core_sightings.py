@@ -14,12 +14,13 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Pose6, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import VesselReport
-from estimator.ekf import deck_motion_bank, so3
+from estimator.ekf import deck_motion_bank
 from estimator.ekf.deck_motion_bank import DeckMotionBank
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import Event, packed_event
 from estimator.ekf.process_event import process_event
 from estimator.ekf.propagate import FilterParams
+from estimator.ekf.so3 import about_down, heading
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,
@@ -33,6 +34,8 @@ from tests.estimator.ekf import flown
 from tests.estimator.ekf.hand import MS, OPTIONS, TOOLS, T, params, stamp
 from tests.estimator.ekf.oracle import bank as oracle_bank
 from tests.estimator.ekf.oracle import sighting as models
+from tests.estimator.ekf.oracle import so3
+from tests.estimator.ekf.oracle.bank import pairs_of
 from tests.estimator.ekf.oracle.samples import Sample, process_sample
 from tests.estimator.ekf.oracle.sighting import deck, levelling
 from tests.estimator.ekf.oracle.vessel_update import fuse_vessel
@@ -86,12 +89,12 @@ def look(rng: np.random.Generator, b: Belief, t: int) -> Sighting:
         size=3
     )
     M = A @ so3.exp(-b.x[CAMERA_MOUNT]) @ b.R.T @ deck(b.x).R
-    turned = so3.about_down(rng.choice([0.0, math.pi, 2.0], p=[0.6, 0.3, 0.1])) @ so3.exp(0.02 * rng.normal(size=3))
+    turned = about_down(rng.choice([0.0, math.pi, 2.0], p=[0.6, 0.3, 0.1])) @ so3.exp(0.02 * rng.normal(size=3))
     seen = M @ turned
     spread = rng.normal(size=(6, 6)) * 0.3 + np.eye(6)
     cov6 = spread @ np.diag(rng.choice([1e-4, 1e-3]) * rng.uniform(0.5, 2.0, 6)) @ spread.T
     cov = cov6[:4, :4].copy()
-    yaw = None if rng.random() < 0.2 else -so3.heading(seen)
+    yaw = None if rng.random() < 0.2 else -heading(seen)
     if yaw is None:
         cov[3] = cov[:, 3] = 0.0
         cov[3, 3] = math.pi**2 / 3.0
@@ -259,5 +262,5 @@ def test_the_triangles_of_the_members_covariances_are_whole_again() -> None:
     rng = np.random.default_rng(0)
     P: F64 = rng.normal(size=(5, 136, 7, 7))
     P = P + P.transpose(0, 1, 3, 2)
-    bank = deck_motion_bank.unknown()._replace(pairs=deck_motion_bank.pairs_of(P))
+    bank = deck_motion_bank.unknown()._replace(pairs=pairs_of(P))
     np.testing.assert_array_equal(bank.P, P)

@@ -12,10 +12,11 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Verdic
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Baro
 from estimator.contracts.time import MonoNs
-from estimator.ekf import Ekf, EkfOptions, at, deck_motion_bank, forecast, moving, so3, start, step
+from estimator.ekf import Ekf, EkfOptions, at, deck_motion_bank, forecast, moving, start, step
 from estimator.ekf.forecast import probability_of_motion
 from estimator.ekf.history import History
 from estimator.ekf.packed_belief import WITH_COVARIANCE, PackedBelief
+from estimator.ekf.so3 import about_down
 from estimator.ekf.state import (
     ACCEL_BIAS,
     BARO_OFFSET,
@@ -35,6 +36,7 @@ from estimator.ekf.state import (
 )
 from estimator.integrity import IntegrityOptions
 from tests.estimator.ekf.hand import MS, TILTED, TOOLS, S, T, belief, correlated, imu, params, stamp, state
+from tests.estimator.ekf.oracle import so3
 
 NOW = MonoNs(T)
 
@@ -61,7 +63,7 @@ def test_place_and_velocity_are_of_the_pad_as_it_is_now_in_axes_that_turn_with_t
     """Where the deck was when the camera showed it, less what it has moved in the delay; velocities are of the same deck."""
     b = belief(TILTED, x=state())
     found = told(b)
-    into_level = so3.about_down(-0.8)
+    into_level = about_down(-0.8)
     v_waves = b.x[[19, 23, 27]]
     sway = np.array([*(b.x[52:54] * v_waves[2]), 0.0])
     d = b.x[POS_REL] - b.x[CAMERA_DELAY] * (v_waves + sway)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from estimator.contracts.estimates import Pose6, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import deck_motion_bank, motion, so3
+from estimator.ekf import deck_motion_bank, motion
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.state import (
     ATT_ERR,
@@ -36,6 +36,7 @@ from tests.estimator.ekf import flown
 from tests.estimator.ekf.oracle import measure as oracle
 from tests.estimator.ekf.oracle import motion as oracle_motion
 from tests.estimator.ekf.oracle import sighting as models
+from tests.estimator.ekf.oracle import so3
 from tests.estimator.ekf.oracle.algebra import Algebra
 from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement
 

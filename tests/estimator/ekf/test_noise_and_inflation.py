@@ -9,7 +9,8 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import Ekf, EkfOptions, at, so3, start, step
+from estimator.ekf import Ekf, EkfOptions, at, start, step
+from estimator.ekf.so3 import about_down, heading, wrap
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -26,7 +27,7 @@ from estimator.ekf.state import (
     Belief,
 )
 from tests.estimator.ekf import flown as core
-from tests.estimator.ekf.oracle import aiding, vision_update
+from tests.estimator.ekf.oracle import aiding, so3, vision_update
 from tests.estimator.ekf.oracle.measure import BY_ATTITUDE
 from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement
 
@@ -148,10 +149,10 @@ def test_north_known_at_last_turns_the_world_and_not_the_pad_under_the_body() ->
     assert two.yaw_rad == pytest.approx(one.yaw_rad, abs=0.01)
     np.testing.assert_allclose(two.d_body_pad_level, one.d_body_pad_level, atol=0.01)
     turned, b = belief(after), belief(before)
-    assert so3.heading(turned.R) == pytest.approx(1.2, abs=1e-6)
-    angle = 1.2 - so3.heading(b.R)
-    assert so3.wrap(float(turned.x[PAD_YAW] - b.x[PAD_YAW])) == pytest.approx(so3.wrap(angle), abs=0.01)
-    np.testing.assert_allclose(turned.x[POS_REL], so3.about_down(angle) @ b.x[POS_REL], atol=0.02)
+    assert heading(turned.R) == pytest.approx(1.2, abs=1e-6)
+    angle = 1.2 - heading(b.R)
+    assert wrap(float(turned.x[PAD_YAW] - b.x[PAD_YAW])) == pytest.approx(wrap(angle), abs=0.01)
+    np.testing.assert_allclose(turned.x[POS_REL], about_down(angle) @ b.x[POS_REL], atol=0.02)
 
 
 # A sensor that contradicts for long

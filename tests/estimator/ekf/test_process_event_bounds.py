@@ -10,9 +10,9 @@ import pytest
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
-from estimator.ekf import so3
 from estimator.ekf.packed_event import Event
 from estimator.ekf.process_event import process_event
+from estimator.ekf.so3 import about_down, wrap
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -31,6 +31,7 @@ from estimator.ekf.state import (
     initial,
 )  # fmt: skip
 from tests.estimator.ekf.hand import LEVEL, MS, OPTIONS, TILTED, TOOLS, S, T, belief, correlated, imu, sighting, stamp, state
+from tests.estimator.ekf.oracle import so3
 
 G = 9.80665
 REST = np.array([0.0, 0.0, -G])
@@ -297,7 +298,7 @@ def test_north_told_first_turns_every_direction_of_the_world_and_what_is_known_o
     R = rpy_matrix(-0.05, 0.1, 2.0)
     after, verdict = folded(b, told(R))
     assert verdict is Verdict.FUSED
-    Z = so3.about_down(2.0 - 0.8)
+    Z = about_down(2.0 - 0.8)
     turn = np.eye(N)
     for part in (POS_REL, VEL):
         turn[part, part] = Z
@@ -306,7 +307,7 @@ def test_north_told_first_turns_every_direction_of_the_world_and_what_is_known_o
     for part in (VESSEL_VEL, SWAY_PER_HEAVE):
         turn[part, part] = Z[:2, :2]
     expected = turn @ x
-    expected[PAD_YAW] = so3.wrap(x[PAD_YAW] + 1.2)
+    expected[PAD_YAW] = wrap(x[PAD_YAW] + 1.2)
     np.testing.assert_allclose(after.x, expected, atol=1e-12)
     np.testing.assert_allclose(after.P, _with_attitude_told(turn @ b.P @ turn.T, R), atol=1e-12)
     np.testing.assert_allclose(after.P, after.P.T)

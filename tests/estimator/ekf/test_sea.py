@@ -16,8 +16,9 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import VesselReport
 from estimator.ekf import Ekf, EkfOptions, at, deck_motion_bank, forecast, moving, start, step
 from estimator.ekf.motion import ProcessNoise
-from estimator.ekf.oscillator import stationary, transition
+from estimator.ekf.oscillator import stationary
 from tests.estimator.ekf import flown
+from tests.estimator.ekf.oracle.oscillator import transition
 from tests.support.estimator_truth import Setting, TruthFlight, events, ns, stamp
 
 QUICK = Setting(seed=3, sea=4, duration_s=20.0, imu_hz=50.0, sighting_hz=10.0, attitude_hz=10.0, velocity_hz=10.0, pose6=True)

@@ -11,10 +11,9 @@ from msgspec.structs import replace
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64, rpy_matrix
-from estimator.ekf import so3
 from estimator.ekf.gate import nis_max
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.so3 import wrap
+from estimator.ekf.so3 import about_down, wrap
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,
@@ -50,7 +49,7 @@ from tests.estimator.ekf.hand import (
     under,
     whole,
 )  # fmt: skip
-from tests.estimator.ekf.oracle import algebra, gate, vision_update
+from tests.estimator.ekf.oracle import algebra, gate, so3, vision_update
 from tests.estimator.ekf.oracle import sighting as models
 from tests.estimator.ekf.oracle.algebra import Algebra, Correction
 
@@ -306,7 +305,7 @@ def test_a_heading_never_known_cannot_be_contradicted() -> None:
 
 
 def test_a_heading_is_known_once_a_sighting_tells_it_without_an_either_or() -> None:
-    turned = so3.about_down(0.0)
+    turned = about_down(0.0)
     for seen, known in (
         (sighting((0.0, 0.0, 2.0), 0.0), True),
         (sighting((0.0, 0.0, 2.0)), False),

@@ -11,11 +11,12 @@ from msgspec.structs import replace
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64, rpy_matrix
-from estimator.ekf import deck_motion_bank, so3
+from estimator.ekf import deck_motion_bank
 from estimator.ekf.propagate import FilterParams
+from estimator.ekf.so3 import about_down, heading
 from estimator.ekf.state import CAMERA_DELAY, CAMERA_MOUNT, VEL, Belief
 from tests.estimator.ekf.hand import LEVEL, MS, TILTED, TOOLS, S, T, belief, diagonal, learned, sighting, under, whole
-from tests.estimator.ekf.oracle import bank, vision_update
+from tests.estimator.ekf.oracle import bank, so3, vision_update
 from tests.estimator.ekf.oracle.vision_update import fuse_sighting
 
 
@@ -74,7 +75,7 @@ def test_the_sea_is_shown_the_place_less_the_delay_s_part_and_how_far_away_it_is
 
 def test_the_sea_is_shown_north_east_down_and_the_noise_along_them(monkeypatch: pytest.MonkeyPatch) -> None:
     look = Detection(monkeypatch)
-    R = so3.about_down(0.6)
+    R = about_down(0.6)
     x = under()
     x[CAMERA_MOUNT] = 0.05, -0.1, 0.2
     seen = replace(sighting((1.0, 0.0, 3.0)), cov=np.diag([0.01, 0.02, 0.03, 9.0]))
@@ -98,8 +99,8 @@ def test_the_sea_is_shown_roll_and_pitch_of_a_pad_seen_whole(monkeypatch: pytest
     (_, y, var, _, _), (_, y_mounted, _, _, _) = look.shown
     np.testing.assert_allclose(y[3:], [0.2, -0.3], atol=1e-12)
     np.testing.assert_allclose(var[3:], np.diag(R_level_pad.T @ cov[3:, 3:] @ R_level_pad)[:2], atol=1e-12)
-    mounted = TILTED @ so3.exp(x[CAMERA_MOUNT]) @ TILTED.T @ so3.about_down(0.8) @ R_level_pad
-    np.testing.assert_allclose(rpy_matrix(y_mounted[3], y_mounted[4], so3.heading(mounted)), mounted, atol=1e-12)
+    mounted = TILTED @ so3.exp(x[CAMERA_MOUNT]) @ TILTED.T @ about_down(0.8) @ R_level_pad
+    np.testing.assert_allclose(rpy_matrix(y_mounted[3], y_mounted[4], heading(mounted)), mounted, atol=1e-12)
 
 
 @pytest.mark.parametrize("up", [1.0, -1.0])

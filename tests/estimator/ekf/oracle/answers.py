@@ -8,8 +8,8 @@ import numpy as np
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR
 from estimator.contracts.geometry import F64, skew, wrap_pi
-from estimator.ekf import so3
 from estimator.ekf.propagate import FilterParams
+from estimator.ekf.so3 import about_down, heading
 from estimator.ekf.state import (
     ACCEL_BIAS,
     ATT_ERR,
@@ -34,7 +34,7 @@ from estimator.ekf.state import (
     Belief,
     N,
 )
-from tests.estimator.ekf.oracle import motion
+from tests.estimator.ekf.oracle import motion, so3
 from tests.estimator.ekf.oracle.motion import QUARTER
 from tests.estimator.ekf.oracle.pad_velocity import by_v_pad_ned, v_pad_ned
 from tests.estimator.ekf.oracle.propagate import propagated
@@ -106,8 +106,8 @@ def settled(b: Belief, t: int, params: FilterParams) -> Settled:
 
 def pad(now: Settled) -> Pad:
     b, F, Q, x, T = now
-    psi = so3.heading(b.R)
-    Z = so3.about_down(-psi)
+    psi = heading(b.R)
+    Z = about_down(-psi)
     d, v = Z.dot(x[POS_REL]), Z.dot(v_pad_ned(x) - x[VEL])
     turning = so3.heading_row(b.R).dot(b.R)
     J = np.zeros((7, N))
@@ -131,19 +131,19 @@ def pad(now: Settled) -> Pad:
 
 def body(now: Settled, params: FilterParams) -> Body:
     b, R = now.b, now.b.R
-    Z = so3.about_down(-so3.heading(R))
+    Z = about_down(-heading(R))
     f = R.dot(b.f - b.x[ACCEL_BIAS])
     J = np.zeros((3, N))
     J[:, ATT_ERR] = Z.dot(-skew(f)).dot(R)
     J[:, ACCEL_BIAS] = -Z.dot(R)
     cov = J.dot(b.P).dot(J.T) + np.eye(3) * (params.options.asd_accel_m_s2**2 * _IMU_HZ)
-    return Body(so3.heading(R), Z.dot(f + G_NED), cov, b.w - b.x[GYRO_BIAS])
+    return Body(heading(R), Z.dot(f + G_NED), cov, b.w - b.x[GYRO_BIAS])
 
 
 def deck(now: Settled) -> Deck:
     b, x, T = now.b, now.x, now.T
     sea, P = b.sea, T.dot(b.P).dot(T.T)
-    Z = so3.about_down(-so3.heading(b.R))
+    Z = about_down(-heading(b.R))
     w2, damp = sea.w_rad_s**2, 2.0 * sea.zeta * sea.w_rad_s
     rows = np.zeros((5, N))
     channel = np.arange(5)

@@ -10,7 +10,6 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from estimator.core.interface.filter import MEMBER_STATES
 from estimator.ekf.deck_motion_bank import (
-    AT_REST,
     LOG_PRIOR,
     REST_ODDS,
     SIGMA,
@@ -18,12 +17,14 @@ from estimator.ekf.deck_motion_bank import (
     Carrying,
     DeckMotionBank,
     W,
-    pairs_of,
 )
-from estimator.ekf.oscillator import transition
+from estimator.ekf.oscillator import stationary
 from estimator.ekf.skill import HORIZONS_S
 from tests.estimator.ekf.oracle import skill
+from tests.estimator.ekf.oracle.oscillator import transition
 
+AT_REST = stationary(W, ZETA)
+"""(G, 4, 4) for sigma = 1."""
 MEMORY_S = 180.0
 """Evidence fades over this time, so that another sea is learned."""
 PERIOD_S = 0.2
@@ -39,6 +40,12 @@ _AHEAD = np.stack([transition(W, ZETA, h, AT_REST).A[:, :2] for h in HORIZONS_S.
 _UPRIGHT = slice(2, 5)
 """Heave, roll, pitch: they decide whether the deck is at rest. Sideways an attitude that errs looks like a deck that moves, and
 no deck surges without heaving."""
+
+
+def pairs_of(P: F64) -> F64:
+    """Return the upper triangles in rows, (5, 28, G), of covariances (5, G, 7, 7)."""
+    rows, columns = np.triu_indices(MEMBER_STATES)
+    return np.ascontiguousarray(P[:, :, rows, columns].transpose(0, 2, 1))
 
 
 def unknown() -> DeckMotionBank:

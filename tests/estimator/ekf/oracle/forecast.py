@@ -10,11 +10,10 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.ekf import so3
-from estimator.ekf.deck_motion_bank import AT_REST, SIGMA, ZETA, DeckMotionBank, W
+from estimator.ekf.deck_motion_bank import SIGMA, ZETA, DeckMotionBank, W
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.oscillator import transition
+from estimator.ekf.so3 import about_down, heading
 from estimator.ekf.state import (
     ATT_ERR,
     DECK_DISP,
@@ -30,9 +29,10 @@ from estimator.ekf.state import (
     Belief,
     N,
 )
-from tests.estimator.ekf.oracle import skill
-from tests.estimator.ekf.oracle.bank import weight_ahead
+from tests.estimator.ekf.oracle import skill, so3
+from tests.estimator.ekf.oracle.bank import AT_REST, weight_ahead
 from tests.estimator.ekf.oracle.motion import QUARTER, turned
+from tests.estimator.ekf.oracle.oscillator import transition
 
 _PRESENT = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -113,7 +113,7 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
     x, P = b.x, b.P
     waves = ahead(b.sea, at, x[DECK_RATE], h)
 
-    Z = so3.about_down(-so3.heading(b.R))
+    Z = about_down(-heading(b.R))
     d_now = Z.dot(x[POS_REL])
     by_heading = np.array([d_now[1], -d_now[0], 0.0])
     u, sway = x[VESSEL_VEL], x[SWAY_PER_HEAVE]

@@ -7,9 +7,8 @@ import math
 import numpy as np
 
 from estimator.contracts.geometry import F64, skew
-from estimator.ekf import so3
 from estimator.ekf.motion import NOT_MEASURED_VAR
-from estimator.ekf.so3 import Vec3
+from estimator.ekf.so3 import Vec3, about_down, heading
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -28,6 +27,7 @@ from estimator.ekf.state import (
     VESSEL_NORTH,
     N,
 )
+from tests.estimator.ekf.oracle import so3
 from tests.estimator.ekf.oracle.pad_velocity import by_v_pad_ned, pad_velocity, v_pad_ned
 from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement, deck
 
@@ -100,7 +100,7 @@ def by_deck_velocity(x: F64, R: F64) -> tuple[F64, F64]:
 
 def _by_measured(v_ned: F64, by_v_ned: F64, R: F64, scale: float) -> F64:
     """Return the (3, N) Jacobian of `measured_velocity` for a velocity and that velocity's own Jacobian (3, N)."""
-    to_level = so3.about_down(-so3.heading(R))
+    to_level = about_down(-heading(R))
     to_level[:2] *= scale
     ahead, aside, _ = v = to_level.dot(v_ned)
     H: F64 = to_level.dot(by_v_ned)

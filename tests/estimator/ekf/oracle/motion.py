@@ -9,9 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64, orthonormalised, skew
-from estimator.ekf import so3
 from estimator.ekf.motion import ProcessNoise
-from estimator.ekf.oscillator import transition
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ACCEL_BIAS,
@@ -42,7 +40,9 @@ from estimator.ekf.state import (
     Belief,
     N,
 )  # fmt: skip
+from tests.estimator.ekf.oracle import so3
 from tests.estimator.ekf.oracle.algebra import Algebra
+from tests.estimator.ekf.oracle.oscillator import transition
 
 QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 """Rotation of a horizontal vector clockwise by 90 degrees. A vector v that turns at w rad/s has the rate w QUARTER v."""

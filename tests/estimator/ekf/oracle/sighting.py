@@ -13,8 +13,7 @@ import numpy as np
 
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, rpy_matrix, skew
-from estimator.ekf import so3
-from estimator.ekf.so3 import Vec3, wrap
+from estimator.ekf.so3 import Vec3, about_down, heading, wrap
 from estimator.ekf.state import (
     ATT_ERR,
     CAMERA_DELAY,
@@ -33,6 +32,7 @@ from estimator.ekf.state import (
     YAW_RATE,
     N,
 )
+from tests.estimator.ekf.oracle import so3
 from tests.estimator.ekf.oracle.pad_velocity import by_v_pad_ned, v_pad_ned
 
 _DOWN = np.array([0.0, 0.0, 1.0])
@@ -165,7 +165,7 @@ def sighting(
         G[:, CAMERA_DELAY] = spin
         if whole is None:
             row = so3.heading_row(M)
-            yaw = wrap((s.yaw_rad or 0.0) + so3.heading(M))
+            yaw = wrap((s.yaw_rad or 0.0) + heading(M))
             if s.yaw_ambiguous and abs(yaw) > math.pi / 2:
                 yaw = wrap(yaw + math.pi)
             innov[3] = yaw
@@ -173,7 +173,7 @@ def sighting(
         else:
             seen = whole.R_level_pad.matrix
             if s.yaw_ambiguous and float(np.trace(seen.dot(M.T))) < 1.0:
-                seen = seen.dot(so3.about_down(math.pi))
+                seen = seen.dot(about_down(math.pi))
             innov[3:] = so3.log(seen.dot(M.T))
             H[3:] = G
             J[3:] = tilt
@@ -188,7 +188,7 @@ def sighting(
 def levelling(R: F64, levelled_by: F64 | None) -> F64:
     """Return the (3, 3) R_level_body that vision used."""
     source = R if levelled_by is None else levelled_by
-    return np.asarray(so3.about_down(-so3.heading(source)).dot(source))
+    return np.asarray(about_down(-heading(source)).dot(source))
 
 
 def seen_from_body(s: Sighting, A: F64) -> F64:

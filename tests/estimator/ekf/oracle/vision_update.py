@@ -8,12 +8,12 @@ import numpy as np
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64
-from estimator.ekf import so3
 from estimator.ekf.deck_motion_bank import CARRIED
 from estimator.ekf.gate import nis_max
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.propagate import FilterParams
+from estimator.ekf.so3 import heading, wrap
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,
@@ -32,7 +32,7 @@ from estimator.ekf.state import (
     RejectionStreak,
     waves_unknown,
 )  # fmt: skip
-from tests.estimator.ekf.oracle import algebra, bank, deck_jolt, gate, sighting
+from tests.estimator.ekf.oracle import algebra, bank, deck_jolt, gate, sighting, so3
 from tests.estimator.ekf.oracle.algebra import Correction
 from tests.estimator.ekf.oracle.propagate import corrected, forgotten, partial, ready_to_fuse
 
@@ -140,11 +140,11 @@ def _with_new_heading(b: Belief, event: Sighting) -> Belief:
     """Set the pad's yaw from this sighting, with a uniform prior on it."""
     yaw = event.yaw_rad
     if event.pose6 is not None:
-        yaw = -so3.heading(event.pose6.R_level_pad.matrix)
+        yaw = -heading(event.pose6.R_level_pad.matrix)
     if yaw is None:
         return b
     P, x = b.P.copy(), b.x.copy()
-    x[PAD_YAW] = so3.wrap(so3.heading(b.R) - yaw)
+    x[PAD_YAW] = wrap(heading(b.R) - yaw)
     x[[YAW_RATE, WAVE_YAW]] = 0.0
     P[PAD_YAW, :] = P[:, PAD_YAW] = 0.0
     P[PAD_YAW, PAD_YAW] = math.pi**2 / 3.0
@@ -189,7 +189,7 @@ def _initialized(b: Belief, event: Sighting, o: EkfOptions, *, reset: bool) -> B
         P[WAVES[:3, :, None], WAVES[:3, None, :]] = waves_unknown(b.sea)[:3]
         x[WAVES[:3]] = 0.0
     if (reset or not b.heading_known) and event.yaw_rad is not None and not event.yaw_ambiguous:
-        x[PAD_YAW] = so3.wrap(so3.heading(b.R) - event.yaw_rad)
+        x[PAD_YAW] = wrap(heading(b.R) - event.yaw_rad)
         P[PAD_YAW, :] = P[:, PAD_YAW] = 0.0
         P[PAD_YAW, PAD_YAW] = math.pi**2 / 3.0
     return b._replace(x=x, P=P, rejections=RejectionStreak(), heading_held_s=0.0)
