@@ -18,7 +18,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from companion.cli import record_option, report_option
+from companion.cli import page_option, record_option, report_option
 from companion.cli.progress import ProgressObserver
 from companion.cli.version import version
 from companion.config.model import CameraSettings, PadSettings, Settings
@@ -72,6 +72,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--no-report", action="store_true", help="write no report")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of progress")
+    page_option.add_argument(parser)
     record_option.add_arguments(parser)
 
 
@@ -93,6 +94,8 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
         async with AsyncExitStack() as drone:
             child = await drone.enter_async_context(_drone(args.scenario, args.seed, truth_path))
             settings = _profile(scenario, child.ports)
+            if args.page is not None:
+                settings = page_option.with_page(settings, args.page, Path(folder))
             pilot = make_pilot(settings, shadows=SHADOWS)
             log = FlightLog(scenario.title, clock.now(), pilot.pad, pilot.camera, steering=settings.estimator.path)
             progress = None if args.json else ProgressObserver()
@@ -101,11 +104,11 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
             with record_option.recording(args, settings, facts, live=True) as recorder:
                 if recorder is not None:
                     observers.append(recorder)
-                daemon = make_daemon(settings, pilot, clock=clock, observers=observers, once=True)
+                daemon = make_daemon(settings, pilot, clock=clock, observers=observers, once=args.page is None)
                 if recorder is not None:
                     recorder.watch(daemon.health)
                 try:
-                    async with asyncio.timeout(scenario.duration_limit_s):
+                    async with asyncio.timeout(None if args.page is not None else scenario.duration_limit_s):
                         outcome = await live(daemon, pilot)
                 except TimeoutError:
                     outcome = None

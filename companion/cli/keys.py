@@ -1,4 +1,4 @@
-"""`decklander keys`: make and show MAVLink signing keys, install them on an autopilot and remove them."""
+"""`decklander keys`: make and show MAVLink signing keys, install and remove them on an autopilot; make a page's token."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from companion.mavlink.key_setup import Met, meet, observe, send_key
+from companion.page.access import make_token
 from drivers.clock import SystemClock
 from drivers.mavlink.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.signing import SigningKey, load_key
@@ -21,13 +22,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add `decklander keys` to the parser."""
     parser = subparsers.add_parser(
         "keys",
-        help="make, show, install and remove MAVLink signing keys",
+        help="make, show, install and remove MAVLink signing keys; make the operator page's token",
         description="Make, show, install and remove MAVLink signing keys (docs/mavlink.md). Exit code 0 if the autopilot "
         "was seen to take the change, 1 if not.",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     make = actions.add_parser("make", help="write a new key of 32 random bytes, readable by you alone; never overwrite a file")
     make.add_argument("file", metavar="FILE", help="key file to write")
+    token = actions.add_parser("token", help="write a token for the operator page, readable by you alone; never overwrite a file")
+    token.add_argument("file", metavar="FILE", help="token file to write")
     show = actions.add_parser("show", help="print the fingerprint of a key, never the key")
     show.add_argument("file", metavar="FILE", help="key file: 32 bytes, 64 hexadecimal digits, or a line 'passphrase: ...'")
     install = actions.add_parser("install", help="install a key on the autopilot of a link (SETUP_SIGNING)")
@@ -54,6 +57,8 @@ def run(args: argparse.Namespace) -> int:
     logging.basicConfig(level=logging.ERROR)  # what a link does is told by the result
     if args.action == "make":
         return _make(Path(args.file))
+    if args.action == "token":
+        return _make_token(Path(args.file))
     if args.action == "show":
         sys.stdout.write(f"{args.file}: fingerprint {load_key(args.file).fingerprint}\n")
         return 0
@@ -68,19 +73,36 @@ def run(args: argparse.Namespace) -> int:
 
 def _make(path: Path) -> int:
     key = SigningKey(secrets.token_bytes(32))
-    try:
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with open(file, "wb") as out:
-            out.write(key.secret)
-    except FileExistsError:
-        raise BadInput(f"{path}: there is a file already, and an overwritten key is lost; choose another name") from None
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
+    _write(path, key.secret)
     sys.stdout.write(
         f"{path}: a new key, fingerprint {key.fingerprint}\n"
         f'next: decklander keys install --link URL {path}; then signing_key_file = "{path}" under [vehicle]; keep a copy\n'
     )
     return 0
+
+
+def _make_token(path: Path) -> int:
+    _write(path, make_token().encode() + b"\n")
+    sys.stdout.write(
+        f'{path}: a new token\nnext: endpoint = "http" and token_file = "{path}" under [page]; enter the token on the page\n'
+    )
+    return 0
+
+
+def _write(path: Path, secret: bytes) -> None:
+    """Write a secret for this user alone.
+
+    Raises:
+        BadInput: there is a file of that name, or it cannot be written.
+    """
+    try:
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with open(file, "wb") as out:
+            out.write(secret)
+    except FileExistsError:
+        raise BadInput(f"{path}: there is a file already, and an overwritten key is lost; choose another name") from None
+    except OSError as why:
+        raise BadInput(f"{path}: {why.strerror or why}") from why
 
 
 async def _set_up(args: argparse.Namespace, endpoint: Endpoint, current: SigningKey | None, key: SigningKey | None) -> int:

@@ -47,6 +47,8 @@ _RULES = (
     _Rule("mqtt.ca_file,mqtt.certificate_file,mqtt.key_file", lambda s: s.mqtt.transport == "tcp", 'mqtt.transport is "tcp"'),
     _Rule("mqtt.commands_max_hz", lambda s: s.mqtt.transport != "off" and s.mqtt.commands == "off", 'mqtt.commands is "off"'),
     _Rule("metrics.", lambda s: s.metrics.endpoint == "off", 'metrics.endpoint is "off"', "metrics.endpoint"),
+    _Rule("page.", lambda s: s.page.endpoint == "off", 'page.endpoint is "off"', "page.endpoint"),
+    _Rule("page.certificate_file,page.key_file", lambda s: s.page.endpoint == "http", 'page.endpoint is "http"'),
     _Rule(
         "limits.fence_radius_m,limits.fence_polygon,limits.fence_brake_s,limits.fence_ends_s",
         lambda s: s.limits.fence == "off",

@@ -18,6 +18,7 @@ from companion.metrics.settings import MetricsSettings
 from companion.mqtt.settings import MqttSettings
 from companion.operator.limit_options import LimitOptions
 from companion.operator.options import OperatorOptions
+from companion.page.settings import PageSettings
 from companion.recorder.options import RecorderOptions
 from companion.runtime.restart_options import RestartOptions
 from drivers.ardrone.options import ArDroneOptions
@@ -85,6 +86,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     recorder: RecorderOptions = RecorderOptions()
     mqtt: MqttSettings = MqttSettings()
     metrics: MetricsSettings = MetricsSettings()
+    page: PageSettings = PageSettings()
     landing_target: OutputOptions = OutputOptions()
     bridge: BridgeOptions = BridgeOptions()
     operator: OperatorOptions = OperatorOptions()

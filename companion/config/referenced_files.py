@@ -52,14 +52,21 @@ def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Call
         )
         yield "mqtt.ca_file", (m.ca_file, m.certificate_file, m.key_file), lambda: access.tls_context(m)
     if settings.metrics.endpoint != "off" and settings.metrics.token_file:
-        from companion.metrics.endpoint import read_token
+        yield _token("metrics", settings.metrics.token_file)
+    if settings.page.endpoint != "off":
+        from companion.page.access import server_context
 
-        yield "metrics.token_file", (settings.metrics.token_file,), lambda: read_token(settings.metrics)
-
+        page = settings.page
+        yield _token("page", page.token_file)
+        yield "page.certificate_file", (page.certificate_file, page.key_file), lambda: server_context(page)
     if settings.operator.gamepad != "off":
         from companion.operator.gamepad_file import mapping_of
 
         yield "operator.gamepad", (settings.operator.gamepad,), lambda: mapping_of(settings.operator.gamepad)
+
+
+def _token(section: str, reference: str) -> tuple[str, tuple[str, ...], Callable[[], object]]:
+    return f"{section}.token_file", (reference,), lambda: secret_files.token(reference, section, "token_file")
 
 
 def _signing(section: str, reference: str) -> tuple[str, tuple[str, ...], Callable[[], object]]:

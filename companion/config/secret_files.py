@@ -19,6 +19,7 @@ CREDENTIAL = "credential:"
 """Prefix that marks the name of a systemd credential in place of a path."""
 KEY_BYTES = 32
 _LONGEST = 4096
+_SHORTEST_TOKEN = 16
 
 
 def find(reference: str, part: str, environment: Mapping[str, str] = os.environ) -> Path | None:
@@ -95,6 +96,20 @@ def key(reference: str, part: str, name: str, environment: Mapping[str, str] = o
     if len(found) != KEY_BYTES:
         raise BadInput(f"{where}: holds neither {KEY_BYTES} bytes nor {2 * KEY_BYTES} hexadecimal digits")
     return found
+
+
+def token(reference: str, part: str, name: str, environment: Mapping[str, str] = os.environ) -> bytes | None:
+    """Return the token that callers must know, from a file; None for an empty setting.
+
+    Raises:
+        BadInput: the file cannot be read, or holds no token.
+    """
+    secret = text(reference, part, name, environment)
+    if secret is None:
+        return None
+    if len(secret) < _SHORTEST_TOKEN or not secret.isascii() or any(c.isspace() for c in secret):
+        raise BadInput(f"{part}.{name}: a token has {_SHORTEST_TOKEN} or more ASCII characters without spaces")
+    return secret.encode()
 
 
 def _content(path: Path) -> bytes:

@@ -12,15 +12,14 @@ from aiohttp import web
 
 from companion.config import secret_files
 from companion.metrics.exposition import CONTENT_TYPE, text
-from companion.metrics.limits import ConnectionLimits, bounded
 from companion.metrics.settings import MetricsSettings
+from companion.runtime.connection_limits import ConnectionLimits, bounded
 from companion.runtime.health import Health
 from companion.runtime.liveness import stuck
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import Recoverable
 
 log = logging.getLogger(__name__)
 
-_SHORTEST_TOKEN = 16
 _PAGE_S = 0.2
 """The shortest time between two renderings of a page, s: a flood of requests must not cost the flight more than that."""
 
@@ -41,7 +40,7 @@ class MetricsEndpoint:
         self._settings = settings
         self._health = health
         self._limits = limits or ConnectionLimits()
-        self._token = read_token(settings)
+        self._token = secret_files.token(settings.token_file, "metrics", "token_file")
         self._page = b""
         self._made_s = -math.inf
         self.port: int | None = None
@@ -123,17 +122,3 @@ def _closing(answer: web.Response) -> web.Response:
     """Return the answer, set to close its connection: a connection's time is bounded, and an idle one holds no descriptor."""
     answer.force_close()
     return answer
-
-
-def read_token(settings: MetricsSettings) -> bytes | None:
-    """Return the token that /metrics asks for, None if none is set.
-
-    Raises:
-        BadInput: the file cannot be read, or holds no token.
-    """
-    secret = secret_files.text(settings.token_file, "metrics", "token_file")
-    if secret is None:
-        return None
-    if len(secret) < _SHORTEST_TOKEN or not secret.isascii() or any(c.isspace() for c in secret):
-        raise BadInput(f"metrics.token_file: a token has {_SHORTEST_TOKEN} or more ASCII characters without spaces")
-    return secret.encode()

@@ -170,7 +170,7 @@ class OperatorArbiter:
 
     def take(self, order: OperatorOrder, sender: OrderSender, now: MonoNs, detail: str = "") -> HandledOrder:
         """Answer an order, and carry it out if the table allows."""
-        refusal = self._refusal(order, sender, now)
+        refusal = self.refusal(order, sender, now)
         if refusal is None:
             self._carry_out(order, Given(sender, now))
         return self.tell(HandledOrder(now, sender, order, refusal, detail))
@@ -274,7 +274,8 @@ class OperatorArbiter:
         v = np.array([sticks.forward * o.speed_max_m_s, sticks.right * o.speed_max_m_s, -sticks.climb * o.climb_max_m_s])
         return Velocity(v, sticks.turn * o.turn_max_rad_s)
 
-    def _refusal(self, order: OperatorOrder, sender: OrderSender, now: MonoNs) -> str | None:
+    def refusal(self, order: OperatorOrder, sender: OrderSender, now: MonoNs) -> str | None:
+        """Return why an order would be refused at this instant; None if it would be carried out."""
         situation = self.situation(now)
         rule = TABLE[order][situation]
         control, status = self._control, self._guided.vehicle

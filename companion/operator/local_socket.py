@@ -16,12 +16,12 @@ from collections import Counter, deque
 from collections.abc import Mapping
 from pathlib import Path
 
+from companion.operator.flight_state import FlightWatch
 from companion.operator.orders import OperatorOrder, OrderSender, OrderSource
 from companion.operator.pilot_operator import PilotOperator
 from companion.operator.socket_path import answers
 from companion.operator.wire import (
     LINE_MAX,
-    FlightState,
     OrderAnswer,
     OrderRequest,
     RequestRefused,
@@ -34,7 +34,7 @@ from companion.runtime.observer import Decision, NullObserver
 from companion.runtime.pilot import Pilot
 from estimator.contracts.errors import Recoverable, unusable
 from estimator.contracts.ports import Clock
-from estimator.contracts.samples import Range, Sample
+from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, seconds_between
 
 log = logging.getLogger(__name__)
@@ -45,7 +45,6 @@ _REQUESTS_EACH_S = 100
 """The number of requests of one connection in a second; sticks come at 20 Hz."""
 _UNREAD_BYTES = 64 * 1024
 """A terminal that leaves this much unread is dropped."""
-_RANGE_S = 1.0
 
 
 class OperatorSocket(NullObserver):
@@ -61,19 +60,17 @@ class OperatorSocket(NullObserver):
         self.clock = clock
         self.connections: set[_Connection] = set()
         self.counts: Counter[str] = Counter()
-        self._decision: Decision | None = None
-        self._range: Range | None = None
+        self.flight = FlightWatch(pilot, clock)
 
     def counted(self) -> Mapping[str, float]:
         """Return the counters for health."""
         return {**self.counts, "connections": len(self.connections), "ignored_sticks": self.pilot.operator.ignored_sticks}
 
     def on_decision(self, decision: Decision) -> None:
-        self._decision = decision
+        self.flight.on_decision(decision)
 
     def on_sample(self, sample: Sample) -> None:
-        if isinstance(sample, Range):
-            self._range = sample
+        self.flight.on_sample(sample)
 
     async def run(self) -> None:
         """Serve until cancelled.
@@ -114,28 +111,6 @@ class OperatorSocket(NullObserver):
             return listening
         except OSError as why:
             raise Recoverable(f"the local socket cannot be made: {unusable(str(self.path), why)}") from why
-
-    def state(self, sender: OrderSender) -> FlightState:
-        """Return the present state as this terminal sees it."""
-        now, decision = self.clock.now(), self._decision
-        status = self.pilot.operator.newest_status(now)
-        belief = None if decision is None else decision.belief
-        height_m = None if belief is None else belief.height_m
-        if height_m is None and self._range is not None and seconds_between(self._range.stamp.received_at, now) < _RANGE_S:
-            height_m = self._range.range_m
-        hand = self.pilot.operator.hand
-        return FlightState(
-            situation=self.pilot.operator.situation(now).value,
-            phase="" if decision is None else decision.phase,
-            reason="" if decision is None else decision.reason,
-            hand=None if hand is None else str(hand),
-            yours=hand == sender,
-            flying=None if status is None else status.flying,
-            mode=None if status is None else status.mode,
-            battery_fraction=None if status is None else status.battery_fraction,
-            height_m=height_m,
-            lateral_m=None if belief is None else belief.lateral_m,
-        )
 
 
 class _Connection(asyncio.Protocol):
@@ -184,7 +159,7 @@ class _Connection(asyncio.Protocol):
 
     def send_state(self) -> None:
         """Send the present state."""
-        self._send(line_of(self._served.state(self._sender)))
+        self._send(line_of(self._served.flight.state(self._sender)))
 
     def _take(self, line: bytes) -> None:
         now = self._served.clock.now()

@@ -41,6 +41,8 @@ class OrderSource(Enum):
 
     GAMEPAD = "gamepad"
     TERMINAL = "terminal"
+    PAGE = "page"
+    """The operator page in a browser."""
     MAVLINK = "mavlink"
     MQTT = "mqtt"
     SIGNAL = "signal"

@@ -62,7 +62,7 @@ def annotate(image: U8, overlay: Overlay, camera: Camera, pad: Pad, scale: float
     view[:] = cv2.resize(image, (out_w, h), interpolation=cv2.INTER_LINEAR if scale >= 1.0 else cv2.INTER_AREA)
     pen = _Pen(view, scale)
     if overlay.estimate is not None:
-        for line in _pad_lines(overlay.estimate, overlay.R_level_body or Rotation.identity(), camera, pad):
+        for line in pad_lines(overlay.estimate, overlay.R_level_body or Rotation.identity(), camera, pad):
             pen.polyline(line, bgr(OUTLINE), closed=True)
     for sighting in overlay.sightings:
         if sighting.method == "selected" and len(overlay.sightings) > 1:
@@ -116,7 +116,7 @@ class _Pen:
                 self.polyline(uv, ink, closed=True)
 
 
-def _pad_lines(estimate: RelativeState, R_level_body: Rotation, camera: Camera, pad: Pad) -> list[F64]:
+def pad_lines(estimate: RelativeState, R_level_body: Rotation, camera: Camera, pad: Pad) -> list[F64]:
     """Return lines of (n, 2) px: the disc, and if the heading is known the ring, the arrowhead and the H."""
     shapes = [pad.circle(pad.disc_radius_m)]
     if estimate.yaw_rad is not None:

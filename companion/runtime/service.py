@@ -101,6 +101,13 @@ def make_daemon(
         from companion.metrics.endpoint import MetricsEndpoint
 
         extras["metrics"] = MetricsEndpoint(settings.metrics, health).run
+    if settings.page.endpoint != "off":
+        from companion.page.endpoint import PageEndpoint
+
+        page = PageEndpoint(settings.page, pilot, health, ticking, vehicle_name(settings))
+        watching.append(page)
+        extras["page"] = page.run
+        health.counters("page", page.counted)
     if (pulse := _pulse(pilot, health, ticking)) is not None:
         watching.append(pulse)
         extras["manager"] = pulse.run
@@ -121,6 +128,12 @@ def make_daemon(
         reports=reports,
         prepare=partial(_prepare, pilot),
     )
+
+
+def vehicle_name(settings: Settings) -> str:
+    """Return the vehicle's name for a person."""
+    v = settings.vehicle
+    return f"autopilot on {v.links}" if isinstance(v, AutopilotOptions) else f"AR.Drone at {v.host}"
 
 
 def _prepare(pilot: Pilot) -> None:

@@ -16,8 +16,8 @@ from prometheus_client.parser import text_string_to_metric_families
 from companion.config.settings import from_mapping
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.metrics.exposition import text
-from companion.metrics.limits import ConnectionLimits
 from companion.metrics.settings import MetricsSettings
+from companion.runtime.connection_limits import ConnectionLimits
 from companion.runtime.health import Health
 from companion.runtime.restart_options import RestartOptions
 from companion.runtime.supervise import run

@@ -1,4 +1,4 @@
-"""Bound the connections to the metrics port: their number, their duration and their bytes.
+"""Bound the connections to an HTTP port: their number, their duration and their bytes.
 
 aiohttp itself waits indefinitely for the first byte of a request. Here each connection has one deadline from its opening to its
 end, whatever it does meanwhile, and the newest connection is served: when there are too many, the oldest is closed.
@@ -29,6 +29,11 @@ class ConnectionLimits:
     open: dict[_Bounded, asyncio.Transport] = field(default_factory=dict)
     """The open connections from the oldest to the newest."""
 
+    def lift(self, transport: asyncio.BaseTransport | None) -> None:
+        """Bound this connection no longer: its peer has proven who it is, and whoever admitted it bounds it from here on."""
+        for protocol in [protocol for protocol, open_one in self.open.items() if open_one is transport]:
+            protocol.lift()
+
 
 def bounded(server: web.Server, limits: ConnectionLimits) -> Callable[[], asyncio.Protocol]:
     """Return a factory of protocols that serve one bounded connection each."""
@@ -43,6 +48,7 @@ class _Bounded(asyncio.Protocol):
         self._limits = limits
         self._deadline: asyncio.TimerHandle | None = None
         self._received = 0
+        self._lifted = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -54,6 +60,13 @@ class _Bounded(asyncio.Protocol):
         self._deadline = asyncio.get_running_loop().call_later(limits.connection_s, self._overdue, transport)
         self._inner.connection_made(transport)
 
+    def lift(self) -> None:
+        """End the bounds of this connection."""
+        self._lifted = True
+        if self._deadline is not None:
+            self._deadline.cancel()
+        self._limits.open.pop(self, None)
+
     def connection_lost(self, exc: Exception | None) -> None:
         if self._deadline is not None:
             self._deadline.cancel()
@@ -62,7 +75,7 @@ class _Bounded(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         self._received += len(data)
-        if self._received > self._limits.request_bytes:
+        if self._received > self._limits.request_bytes and not self._lifted:
             self._limits.oversized += 1
             if (transport := self._limits.open.get(self)) is not None:
                 transport.abort()

@@ -1,0 +1,320 @@
+"""The page's server: an observer of the flight and a supervised part beside it.
+
+No cookie is set, so no other page can use a login: the token is the first message of a websocket, whose origin must be ours.
+Until the token was right a connection is bounded in bytes and time, and the oldest gives way; a flood of such connections
+therefore neither grows nor touches the browsers that are logged in.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import Counter, deque
+from collections.abc import Mapping
+
+from aiohttp import WSMsgType, web
+
+from companion.guidance.mission import FAULTS
+from companion.operator.flight_state import FlightWatch
+from companion.operator.orders import HandledOrder, OrderSender, OrderSource
+from companion.operator.wire import RequestRefused
+from companion.page.access import HEADERS, is_token, same_origin, server_context, token_of
+from companion.page.assets import assets
+from companion.page.messages import (
+    TEXT_MAX,
+    Level,
+    LoginRequest,
+    PageEvent,
+    PageHealth,
+    PageState,
+    PageWelcome,
+    request_in,
+    text_of,
+)
+from companion.page.picture import AHEAD_S, picture
+from companion.page.settings import PageSettings
+from companion.page.state import HORIZONS_S, page_health, place
+from companion.page.viewer import ORDERS, PageViewer
+from companion.runtime.connection_limits import ConnectionLimits, bounded
+from companion.runtime.health import Health
+from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
+from companion.runtime.pilot import Pilot
+from companion.runtime.worker import Worker
+from drivers.mailbox import Latest
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Attitude, Sample
+from estimator.contracts.time import MonoNs, seconds_between
+
+log = logging.getLogger(__name__)
+
+WRONG_TOKEN_CODE, FULL_CODE, GOING_CODE = 4401, 4409, 1001
+_STATE_S, _HEALTH_EACH = 0.1, 10
+_LOGIN_S = 3.0
+"""The time in which a connection must name the token."""
+_WRONG_TOKEN_S = 1.0
+"""A wrong token is answered after this time."""
+_ALIVE_S = 4.0
+"""How often a browser is asked whether it is still there; half of it without an answer ends the connection."""
+_ATTITUDE_S = 1.0
+_EVENTS = 60
+"""Events that are kept for a browser that comes later."""
+
+
+class PageEndpoint(NullObserver):
+    """See the module's docstring.
+
+    Args:
+        vehicle: the vehicle's name for the page.
+
+    Raises:
+        BadInput: the token or the certificate cannot be read.
+    """
+
+    def __init__(
+        self,
+        settings: PageSettings,
+        pilot: Pilot,
+        health: Health,
+        clock: Clock,
+        vehicle: str,
+        limits: ConnectionLimits | None = None,
+    ) -> None:
+        self._settings = settings
+        self.pilot = pilot
+        self.clock = clock
+        self._health = health
+        self._vehicle = vehicle
+        self._token = token_of(settings)
+        self._tls = server_context(settings)
+        self._limits = limits or ConnectionLimits()
+        self._assets = assets()
+        self._flight = FlightWatch(pilot, clock)
+        self._attitude: Attitude | None = None
+        self._viewers: list[PageViewer] = []
+        self._frames: Latest[ProcessedFrame] = Latest()
+        self._offered: MonoNs | None = None
+        self._events: deque[PageEvent] = deque(maxlen=_EVENTS)
+        self._counts: Counter[str] = Counter()
+        self._began = clock.now()
+        self.port: int | None = None
+        """The port that the page listens on; None while it does not listen."""
+
+    def count(self, what: str) -> None:
+        """Count something for health."""
+        self._counts[what] += 1
+
+    def counted(self) -> Mapping[str, float]:
+        """Return the counters for health."""
+        limits = self._limits
+        return {
+            **self._counts,
+            "viewers": len(self._viewers),
+            "connections_evicted": limits.evicted,
+            "connections_overdue": limits.overdue,
+            "connections_oversized": limits.oversized,
+        }
+
+    def on_sample(self, sample: Sample) -> None:
+        if type(sample) is Attitude:
+            self._attitude = sample
+        self._flight.on_sample(sample)
+
+    def on_decision(self, decision: Decision) -> None:
+        self._flight.on_decision(decision)
+        for change in decision.transitions:
+            level: Level = "warning" if change.event in FAULTS else "info"
+            self._tell(decision.at, level, f"{change.target.value}: {change.reason.text}")
+
+    def on_order(self, handled: HandledOrder) -> None:
+        self._tell(handled.at, "info" if handled.accepted else "warning", str(handled))
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        now = self.clock.now()
+        due = self._offered is None or seconds_between(self._offered, now) >= 1.0 / self._settings.picture_rate_hz
+        if due and any(viewer.ready for viewer in self._viewers):
+            self._offered = now
+            self._frames.offer(processed)
+
+    async def run(self) -> None:
+        """Serve until cancelled.
+
+        Raises:
+            Recoverable: the port is taken, or the address is none of this machine's.
+        """
+        app = web.Application(client_max_size=1024)
+        app.router.add_get("/live", self._live)
+        app.router.add_get("/{name:.*}", self._file)
+        app.on_response_prepare.append(_secured)
+        runner = web.AppRunner(app, access_log=None, shutdown_timeout=0.5)
+        await runner.setup()
+        worker = Worker("page")
+        try:
+            server = await self._listen(runner)
+            try:
+                self.port = server.sockets[0].getsockname()[1]
+                log.info("operator page on %s://%s:%d/", self._settings.endpoint, self._settings.host, self.port)
+                async with asyncio.TaskGroup() as group:
+                    group.create_task(self._send_states())
+                    group.create_task(self._send_pictures(worker))
+            finally:
+                server.close()
+        finally:
+            self.port = None
+            worker.close()
+            for viewer in list(self._viewers):
+                await viewer.close(GOING_CODE, "the service ends")
+            await runner.cleanup()
+
+    async def _listen(self, runner: web.AppRunner) -> asyncio.Server:
+        assert runner.server is not None
+        host, port = self._settings.host, self._settings.port
+        make = bounded(runner.server, self._limits)
+        try:
+            return await asyncio.get_running_loop().create_server(
+                make, host, port, backlog=self._limits.connections, ssl=self._tls
+            )
+        except OSError as why:
+            raise Recoverable(f"the page cannot be served on {host}:{port}: {why.strerror or why}") from why
+
+    async def _file(self, request: web.Request) -> web.Response:
+        asset = self._assets.get(request.path)
+        if asset is None:
+            answer = web.Response(status=404, text="there is no such file\n")
+        else:
+            answer = web.Response(body=asset.body, headers={"Content-Type": asset.content_type})
+        answer.force_close()  # a connection's time is bounded, and an idle one holds no descriptor
+        return answer
+
+    async def _live(self, request: web.Request) -> web.StreamResponse:
+        if not same_origin(request.headers.get("Origin"), request.headers.get("Host")):
+            self.count("foreign_origins")
+            answer = web.Response(status=403, text="this connection belongs to another page\n")
+            answer.force_close()
+            return answer
+        socket = web.WebSocketResponse(max_msg_size=TEXT_MAX, compress=False, heartbeat=_ALIVE_S, timeout=1.0)
+        if not socket.can_prepare(request).ok:
+            answer = web.Response(status=426, text="this address is for a websocket\n", headers={"Upgrade": "websocket"})
+            answer.force_close()
+            return answer
+        await socket.prepare(request)
+        if not await self._knows_token(socket):
+            return socket
+        if len(self._viewers) >= self._settings.viewers_max:
+            await _refuse(socket, FULL_CODE, f"{self._settings.viewers_max} browsers watch already, and there may be no more")
+            return socket
+        self._limits.lift(request.transport)
+        await self._serve(socket, request.remote or "unknown")
+        return socket
+
+    async def _knows_token(self, socket: web.WebSocketResponse) -> bool:
+        """Wait for the token; refuse whoever does not name it in time."""
+        try:
+            async with asyncio.timeout(_LOGIN_S):
+                message = await socket.receive()
+        except TimeoutError:
+            await _refuse(socket, WRONG_TOKEN_CODE, f"no token within {_LOGIN_S:g} s")
+            return False
+        request = request_in(message.data) if message.type is WSMsgType.TEXT else ""
+        if isinstance(request, LoginRequest) and is_token(request.token, self._token):
+            return True
+        if not socket.closed:
+            self.count("wrong_tokens")
+            if self._counts["wrong_tokens"] == 1:
+                log.warning("a wrong token was given to the operator page; further ones are only counted")
+            await asyncio.sleep(_WRONG_TOKEN_S)
+            await _refuse(socket, WRONG_TOKEN_CODE, "the token is wrong")
+        return False
+
+    async def _serve(self, socket: web.WebSocketResponse, remote: str) -> None:
+        self.count("opened")
+        viewer = PageViewer(self, socket, OrderSender(OrderSource.PAGE, f"{self._counts['opened']} ({remote})"))
+        viewer.tell(self._welcome(viewer))
+        for event in self._events:
+            viewer.tell(event)
+        viewer.tell(self._health_report())
+        self._viewers.append(viewer)
+        try:
+            await viewer.serve()
+        finally:
+            self._viewers.remove(viewer)
+
+    def _welcome(self, viewer: PageViewer) -> PageWelcome:
+        pad, camera = self.pilot.pad, self.pilot.camera
+        lines = (pad.circle(pad.ring_radius_m, 48), pad.arrowhead(), pad.h_corners())
+        return PageWelcome(
+            you=str(viewer.sender),
+            vehicle=self._vehicle,
+            camera_px=(camera.width, camera.height),
+            pad_lines_m=tuple(tuple((float(x), float(y)) for x, y, _ in line) for line in lines),
+            pad_radius_m=pad.disc_radius_m,
+        )
+
+    async def _send_states(self) -> None:
+        rounds = 0
+        while True:
+            await self.clock.sleep(_STATE_S)
+            if self._viewers:
+                if rounds % _HEALTH_EACH == 0:
+                    health = self._health_report()
+                    for viewer in self._viewers:
+                        viewer.tell(health)
+                self._tell_states()
+            rounds += 1
+
+    def _tell_states(self) -> None:
+        now, decision = self.clock.now(), self._flight.decision
+        belief = None if decision is None else decision.belief
+        where = None if belief is None else place(belief, self.pilot.forecast(now, HORIZONS_S), now)
+        roll = pitch = None
+        if self._attitude is not None and seconds_between(self._attitude.stamp.received_at, now) < _ATTITUDE_S:
+            roll, pitch, _ = self._attitude.R_ned_body.rpy_rad
+        for viewer in self._viewers:
+            flight = self._flight.state(viewer.sender)
+            viewer.tell(
+                PageState(
+                    **{name: getattr(flight, name) for name in flight.__struct_fields__},
+                    at_s=seconds_between(self._began, now),
+                    place=where,
+                    roll_rad=roll,
+                    pitch_rad=pitch,
+                    refusals={order.value: self.pilot.operator.refusal(order, viewer.sender, now) for order in ORDERS},
+                    picture_delay_s=viewer.picture_delay_s,
+                )
+            )
+
+    def _health_report(self) -> PageHealth:
+        status = self.pilot.vehicle
+        return page_health(self._health.snapshot(), self._flight.decision, flying=status is not None and bool(status.flying))
+
+    async def _send_pictures(self, worker: Worker) -> None:
+        number = 0
+        async for processed in self._frames:
+            exposed = processed.frame.stamp.measured_at
+            belief, ahead = self.pilot.believed(exposed), self.pilot.forecast(exposed, AHEAD_S)
+            number += 1
+            message = await worker.run(
+                picture, number, processed, belief, ahead, self.pilot.camera, self.pilot.pad, self._settings.picture_quality
+            )
+            for viewer in self._viewers:
+                viewer.show(number, exposed, message)
+
+    def _tell(self, at: MonoNs, level: Level, text: str) -> None:
+        event = PageEvent(at_s=seconds_between(self._began, at), level=level, text=text)
+        self._events.append(event)
+        for viewer in self._viewers:
+            viewer.tell(event)
+
+
+async def _secured(request: web.Request, answer: web.StreamResponse) -> None:
+    """Set the headers of every answer."""
+    answer.headers.update(HEADERS)
+
+
+async def _refuse(socket: web.WebSocketResponse, code: int, why: str) -> None:
+    """Say why a connection is refused, and close it."""
+    try:
+        await socket.send_str(text_of(RequestRefused(text=why)))
+        await socket.close(code=code, message=why.encode()[:120])
+    except ConnectionError:
+        pass

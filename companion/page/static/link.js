@@ -1,0 +1,89 @@
+// The connection: login, messages to those who want them, and trying again after a loss.
+const WRONG_TOKEN = 4401;
+const SILENT_MS = 2500; // a state comes ten times a second
+const AGAIN_MS = 1000;
+
+export class Link {
+  #handlers = new Map();
+  #socket = null;
+  #token = "";
+  #heard = 0;
+  #said = "";
+  #decoder = new TextDecoder();
+  onLost = () => {};
+  onRefused = () => {};
+
+  constructor() {
+    setInterval(() => this.#watch(), 500);
+    addEventListener("online", () => this.#watch());
+  }
+
+  on(kind, handler) {
+    this.#handlers.set(kind, handler);
+  }
+
+  get live() {
+    return this.#socket !== null && this.#socket.readyState === WebSocket.OPEN;
+  }
+
+  open(token) {
+    this.#token = token;
+    this.#drop();
+    const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+    socket.binaryType = "arraybuffer";
+    this.#socket = socket;
+    this.#heard = performance.now();
+    this.#said = "";
+    socket.onopen = () => socket.send(JSON.stringify({ kind: "login", token }));
+    socket.onmessage = (message) => this.#take(message.data);
+    socket.onclose = (event) => {
+      if (this.#socket !== socket) return;
+      this.#socket = null;
+      if (event.code === WRONG_TOKEN) this.onRefused(this.#said || event.reason || "the token is wrong");
+      else this.#again(this.#said || event.reason || "The connection is lost");
+    };
+  }
+
+  // Returns whether the message left; what a lost connection does not take is never sent later.
+  send(message) {
+    if (!this.live) return false;
+    this.#socket.send(JSON.stringify(message));
+    return true;
+  }
+
+  #take(data) {
+    this.#heard = performance.now();
+    if (data instanceof ArrayBuffer) {
+      const length = new DataView(data).getUint32(0, true);
+      const header = JSON.parse(this.#decoder.decode(new Uint8Array(data, 4, length)));
+      this.#handlers.get("picture")?.(header, new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" }));
+      return;
+    }
+    const message = JSON.parse(data);
+    if (message.kind === "refused") this.#said = message.text;
+    else this.#handlers.get(message.kind)?.(message);
+  }
+
+  #watch() {
+    if (this.#socket === null || performance.now() - this.#heard < SILENT_MS) return;
+    this.#drop();
+    this.#again("The service is silent");
+  }
+
+  #again(why) {
+    this.onLost(why.charAt(0).toUpperCase() + why.slice(1));
+    setTimeout(() => {
+      if (this.#socket === null) this.open(this.#token);
+    }, AGAIN_MS);
+  }
+
+  #drop() {
+    const socket = this.#socket;
+    this.#socket = null;
+    if (socket !== null) {
+      socket.onmessage = null;
+      socket.onclose = null;
+      socket.close();
+    }
+  }
+}

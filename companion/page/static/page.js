@@ -1,0 +1,90 @@
+// The page's beginning: the theme, the login, and who gets which message.
+import { Link } from "./link.js";
+import { Picture } from "./picture.js";
+import { Orders } from "./orders.js";
+import { Above, Side } from "./place.js";
+import * as telling from "./telling.js";
+
+const $ = (id) => document.getElementById(id);
+const TOKEN = "decklander.token";
+const THEME = "decklander.theme";
+
+function theme(name) {
+  document.documentElement.dataset.theme = name;
+}
+const system = matchMedia("(prefers-color-scheme: dark)");
+const chosen = () => localStorage.getItem(THEME) ?? (system.matches ? "dark" : "light");
+theme(chosen());
+system.addEventListener("change", () => theme(chosen()));
+$("theme").addEventListener("click", () => {
+  localStorage.setItem(THEME, document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+  theme(chosen());
+});
+
+// A token in the address's fragment never reaches a server or its log; it leaves the address at once.
+const given = new URLSearchParams(location.hash.slice(1)).get("token");
+if (given !== null) {
+  sessionStorage.setItem(TOKEN, given);
+  history.replaceState(null, "", location.pathname);
+}
+
+const link = new Link();
+const orders = new Orders(link);
+const picture = new Picture($("picture"), $("picture-note"), (number) => link.send({ kind: "drawn", number }));
+const views = [new Above($("above")), new Side($("side"))];
+$("lines").addEventListener("change", (event) => picture.showLines(event.target.checked));
+
+function askForToken(why) {
+  $("flight").hidden = true;
+  $("lost").hidden = true;
+  $("login").hidden = false;
+  $("login-error").textContent = why;
+  $("token").focus();
+}
+
+$("login-form").addEventListener("submit", (event) => {
+  event.preventDefault();
+  sessionStorage.setItem(TOKEN, $("token").value.trim());
+  $("token").value = "";
+  $("login-error").textContent = "";
+  link.open(sessionStorage.getItem(TOKEN));
+});
+
+link.on("welcome", (message) => {
+  $("login").hidden = true;
+  $("lost").hidden = true;
+  $("flight").hidden = false;
+  $("flight").classList.remove("stale");
+  telling.welcome(message);
+  telling.chip($("link"), "info", "live");
+  picture.camera(...message.camera_px);
+  for (const view of views) view.pad(message);
+  orders.enable(true);
+});
+link.on("state", (message) => {
+  telling.state(message);
+  orders.state(message);
+  for (const view of views) view.show(message);
+});
+link.on("health", telling.health);
+link.on("event", telling.event);
+link.on("answer", (message) => orders.answered(message));
+link.on("picture", (header, jpeg) => picture.show(header, jpeg));
+link.onLost = (why) => {
+  telling.chip($("link"), "fault", "lost");
+  orders.enable(false);
+  picture.forget();
+  $("flight").classList.add("stale");
+  $("lost").hidden = $("flight").hidden;
+  $("lost").textContent = `${why}. Trying again. A landing goes on without this page.`;
+  if ($("flight").hidden) askForToken(`${why}. Trying again.`);
+};
+link.onRefused = (why) => {
+  sessionStorage.removeItem(TOKEN);
+  telling.chip($("link"), "warning", "not connected");
+  askForToken(`Refused: ${why}.`);
+};
+
+const known = sessionStorage.getItem(TOKEN);
+if (known) link.open(known);
+else askForToken("");

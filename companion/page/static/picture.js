@@ -1,0 +1,90 @@
+// The live picture with the estimate's lines over it. A picture is drawn as soon as it is decoded, and the service is told so.
+const INK = { pad: "#f0e442", seen: "#cc79a7", sigma: "#ff6f3c", ahead: "#56b4e9" };
+const DASH = { sigma: [4, 3], ahead: [6, 4] };
+const OLD_MS = 1000;
+
+export class Picture {
+  #canvas;
+  #note;
+  #drawn;
+  #newest = null;
+  #at = null;
+  #lines = true;
+  #camera = [640, 360];
+
+  constructor(canvas, note, drawn) {
+    this.#canvas = canvas;
+    this.#note = note;
+    this.#drawn = drawn;
+    new ResizeObserver(() => this.#draw()).observe(canvas);
+    setInterval(() => this.#age(), 250);
+  }
+
+  camera(width, height) {
+    this.#camera = [width, height];
+    this.#canvas.parentElement.style.setProperty("--aspect", `${width} / ${height}`);
+  }
+
+  showLines(on) {
+    this.#lines = on;
+    this.#draw();
+  }
+
+  forget() {
+    this.#at = null;
+    this.#age();
+  }
+
+  async show(header, jpeg) {
+    try {
+      const bitmap = await createImageBitmap(jpeg);
+      this.#newest?.bitmap.close();
+      this.#newest = { bitmap, header };
+      this.#at = performance.now();
+      this.#draw();
+      this.#age();
+    } finally {
+      this.#drawn(header.number);
+    }
+  }
+
+  #age() {
+    const age = this.#at === null ? null : performance.now() - this.#at;
+    this.#note.hidden = age !== null && age < OLD_MS;
+    this.#note.textContent = age === null ? "no picture yet" : `no picture for ${Math.round(age / 1000)} s`;
+  }
+
+  #draw() {
+    if (this.#newest === null) return;
+    const { bitmap, header } = this.#newest;
+    const canvas = this.#canvas;
+    const scale = devicePixelRatio || 1;
+    const width = Math.round(canvas.clientWidth * scale);
+    const height = Math.round(canvas.clientHeight * scale);
+    if (width === 0) return;
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    const pen = canvas.getContext("2d", { alpha: false });
+    pen.drawImage(bitmap, 0, 0, width, height);
+    if (!this.#lines) return;
+    pen.lineJoin = "round";
+    // The centre of pixel 0 sits half a pixel in.
+    const k = [width / this.#camera[0], height / this.#camera[1]];
+    for (const line of header.lines) {
+      const path = new Path2D();
+      for (let i = 0; i < line.uv_px.length; i += 2) {
+        path[i ? "lineTo" : "moveTo"]((line.uv_px[i] + 0.5) * k[0], (line.uv_px[i + 1] + 0.5) * k[1]);
+      }
+      const thick = (line.kind === "pad" ? 2 : 1.5) * scale;
+      pen.setLineDash([]);
+      if (line.kind === "pad") {
+        pen.strokeStyle = "rgb(0 0 0 / 0.55)";
+        pen.lineWidth = thick + 2 * scale;
+        pen.stroke(path);
+      }
+      pen.setLineDash((DASH[line.kind] ?? []).map((d) => d * scale));
+      pen.strokeStyle = INK[line.kind];
+      pen.lineWidth = thick;
+      pen.stroke(path);
+    }
+  }
+}

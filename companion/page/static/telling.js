@@ -1,0 +1,104 @@
+// What the page says in words and figures: phase and reason, who commands, figures, health and its causes, events.
+const $ = (id) => document.getElementById(id);
+const EVENTS = 100;
+const DEGREES = 180 / Math.PI;
+const CHI_95 = 2.448; // two dimensions
+
+function set(id, text, unit = "", level = "") {
+  const element = $(id);
+  const key = `${text}|${unit}|${level}`;
+  if (element.dataset.shown === key) return;
+  element.dataset.shown = key;
+  element.dataset.level = level;
+  element.replaceChildren(text);
+  if (unit) {
+    const small = document.createElement("small");
+    small.textContent = unit;
+    element.append(small);
+  }
+}
+
+function words(id, text) {
+  if ($(id).textContent !== text) $(id).textContent = text;
+}
+
+export function chip(element, level, text) {
+  element.dataset.level = level;
+  element.textContent = text;
+}
+
+export function welcome(message) {
+  words("vehicle", message.vehicle);
+  $("events").replaceChildren();
+}
+
+export function state(message) {
+  words("phase", message.phase || "no decision yet");
+  words("reason", message.reason);
+  const who = message.yours ? "you fly by hand" : message.hand ? `${message.hand} flies by hand` : "";
+  words("who", [message.situation, message.mode && `vehicle: ${message.mode.replaceAll("_", " ")}`, who].filter(Boolean).join(" · "));
+  battery(message.battery_fraction);
+  const place = message.place;
+  length("height", message.height_m);
+  length("lateral", message.lateral_m);
+  if (place === null) {
+    for (const id of ["sigma", "climb", "speed", "heading", "deck"]) set(id, "–");
+  } else {
+    const level = place.consistent ? "" : "warning";
+    const [xx, , yy] = place.cov_m2;
+    length("sigma", CHI_95 * Math.sqrt(Math.max(xx, yy)), level);
+    set("climb", signed(place.v_m_s[2], 2), "m/s");
+    set("speed", Math.hypot(place.v_m_s[0], place.v_m_s[1]).toFixed(2), "m/s");
+    set("heading", place.heading_known ? `${signed(place.heading_rad * DEGREES, 0)}°` : "–");
+    const tilt = [place.deck_roll_rad, place.deck_pitch_rad];
+    set("deck", tilt.includes(null) ? "–" : tilt.map((rad) => `${signed(rad * DEGREES, 1)}°`).join(" / "));
+  }
+  const delay = message.picture_delay_s;
+  set("delay", delay === null ? "–" : String(Math.round(1000 * delay)), delay === null ? "" : "ms", delay > 0.5 ? "warning" : "");
+}
+
+function signed(value, digits) {
+  const text = value.toFixed(digits);
+  return Number(text) === 0 ? (0).toFixed(digits) : value > 0 ? `+${text}` : text.replace("-", "−");
+}
+
+function length(id, metres, level = "") {
+  if (metres === null) set(id, "–");
+  else if (metres < 1) set(id, (100 * metres).toFixed(metres < 0.1 ? 1 : 0), "cm", level);
+  else set(id, metres.toFixed(2), "m", level);
+}
+
+function battery(fraction) {
+  $("battery").hidden = fraction === null;
+  if (fraction === null) return;
+  const percent = Math.round(100 * fraction);
+  chip($("battery"), percent < 20 ? "fault" : percent < 35 ? "warning" : "info", `battery ${percent} %`);
+}
+
+export function health(message) {
+  const causes = message.causes.length ? message.causes : [{ level: "info", text: "everything the flight needs is up" }];
+  const key = JSON.stringify(causes.map(({ level, text }) => [level, text.replace(/\d+/g, "")]));
+  const list = $("causes");
+  if (list.dataset.shown === key) {
+    causes.forEach(({ text }, i) => (list.children[i].textContent = text));
+  } else {
+    list.dataset.shown = key;
+    list.replaceChildren(...causes.map(({ level, text }) => item("li", text, level)));
+  }
+  $("service").replaceChildren(...message.figures.flatMap(([name, value]) => [item("dt", name), item("dd", value)]));
+}
+
+export function event(message) {
+  const line = item("li", "", message.level);
+  const minutes = Math.floor(message.at_s / 60);
+  line.append(item("time", `${minutes}:${(message.at_s % 60).toFixed(1).padStart(4, "0")}`), item("span", message.text, message.level));
+  $("events").prepend(line);
+  while ($("events").children.length > EVENTS) $("events").lastChild.remove();
+}
+
+function item(tag, text, level = "") {
+  const element = document.createElement(tag);
+  element.textContent = text;
+  if (level) element.dataset.level = level;
+  return element;
+}

@@ -1,0 +1,236 @@
+"""The operator page's server with real sockets and the real pilot: who may watch, who may command, and what a loss leads to."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from pathlib import Path
+
+import aiohttp
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.page import viewer
+from companion.page.messages import request_in
+from companion.page.settings import PageSettings
+from companion.runtime.connection_limits import ConnectionLimits
+from estimator.contracts.commands import Hover, Land, Velocity
+from estimator.contracts.errors import BadInput
+from tests.support.fake_ardrone import until
+from tests.support.page_service import TOKEN, PageService, browsing, serving
+
+
+async def test_a_browser_watches_and_gives_orders_through_the_arbiter(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service, browsing(service) as browser:
+        welcome = await browser.read("welcome")
+        assert welcome["camera_px"] == [640, 360]
+        state = await browser.read("state")
+        assert state["battery_fraction"] == 0.5
+        assert state["refusals"]["takeoff"] == "the vehicle flies already"
+        assert state["refusals"]["land"] is None
+        assert (await browser.order("hold"))["accepted"]
+        assert service.pilot.paused
+        refused = await browser.order("takeoff")
+        assert (refused["accepted"], refused["text"]) == (False, "refused: the vehicle flies already")
+        assert (await browser.order("land"))["accepted"]
+        await until(lambda: isinstance(service.command, Land))
+        assert [str(o.sender) for o in service.orders] == [welcome["you"]] * 3
+        await browser.read("state")
+        assert any("hold: accepted" in message.get("text", "") for message in browser.messages if message["kind"] == "event")
+        assert "an order of MQTT" in (await browser.order("record"))["text"]
+
+
+async def test_pictures_come_one_after_the_other_and_wait_for_the_browser(tmp_path: Path) -> None:
+    async with serving(tmp_path, picture_rate_hz=60.0) as service, browsing(service) as browser:
+        first = await browser.read("picture")
+        image = cv2.imdecode(np.frombuffer(browser.pictures[0][1], np.uint8), cv2.IMREAD_COLOR)
+        assert image.shape == (360, 640, 3)
+        assert abs(int(image[0, 0, 0]) - 90) < 3
+        assert first["verdict"] == "no_pad"
+        before = service.cycles
+        await until(lambda: service.cycles > before + 60)
+        assert service.page.counted()["pictures"] == viewer._IN_FLIGHT, "a browser that says nothing gets no more"
+        await browser.read("picture")
+        await browser.send(kind="drawn", number=browser.pictures[-1][0]["number"])
+        newer = await browser.read("picture")
+        assert newer["number"] > first["number"] + 1
+        await until(lambda: service.page._viewers[0].picture_delay_s is not None)
+
+
+async def test_a_browser_that_has_the_hand_and_goes_leads_to_a_hold(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service:
+        async with browsing(service) as browser:
+            assert (await browser.order("manual"))["accepted"]
+            await browser.send(kind="sticks", forward=1.0)
+            await until(lambda: isinstance(service.command, Velocity))
+        await until(lambda: isinstance(service.command, Hover))
+        assert service.pilot.paused
+        assert service.orders[-1].detail == "(its page closed)"
+
+
+async def test_losing_every_page_changes_nothing_of_a_landing_under_way(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service:
+        async with browsing(service) as browser, browsing(service) as other:
+            await other.read("welcome")
+            assert (await browser.order("begin"))["accepted"]
+            state = service.pilot.state
+        await until(lambda: service.page.counted()["viewers"] == 0)
+        assert (service.pilot.state, service.pilot.paused) == (state, False)
+        assert [order.order.value for order in service.orders] == ["begin"]
+
+
+async def test_two_operators_see_each_other_s_orders_and_one_has_the_hand(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service, browsing(service) as one, browsing(service) as two:
+        me = (await one.read("welcome"))["you"]
+        await two.read("welcome")
+        assert (await one.order("manual"))["accepted"]
+        await one.send(kind="sticks", forward=0.5)
+        assert (await two.order("begin"))["text"] == f"refused: {me} has the hand"
+        assert (await two.read("state"))["hand"] == me
+        assert (await two.order("emergency"))["accepted"]
+        while "emergency: accepted" not in (await one.read("event"))["text"]:
+            pass
+
+
+async def refused_with(service: PageService, token: str) -> None:
+    async with browsing(service, token) as browser:
+        await browser.send(kind="order", number=1, order="emergency")
+        assert (await browser.read("refused"))["text"] == "the token is wrong"
+        assert (await browser.read("closed"))["code"] == 4401
+        assert [message["kind"] for message in browser.messages] == ["refused"]
+
+
+async def test_without_the_token_nothing_is_told_and_nothing_is_obeyed(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service:
+        tokens = ("", "another-token-of-sixteen", TOKEN[:-1], TOKEN + "x")
+        await asyncio.gather(*(refused_with(service, token) for token in tokens))
+        assert service.orders == []
+        assert service.page.counted()["wrong_tokens"] == 4
+        async with browsing(service) as browser:
+            await browser.read("welcome")
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1", "https://localhost"])
+async def test_another_page_cannot_open_the_connection(tmp_path: Path, origin: str) -> None:
+    async with serving(tmp_path) as service:
+        with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+            async with browsing(service, origin=origin):
+                pass
+        assert refused.value.status == 403
+        async with aiohttp.ClientSession() as session:
+            with pytest.raises(aiohttp.WSServerHandshakeError):
+                await session.ws_connect(f"{service.address}/live")
+
+
+async def test_every_answer_has_strict_headers_and_no_path_leads_out(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service, aiohttp.ClientSession(service.address) as client:
+        async with client.get("/") as answer:
+            page, policy = await answer.text(), answer.headers["Content-Security-Policy"]
+            assert "default-src 'none'" in policy
+            assert "unsafe" not in policy
+            assert answer.headers["Server"] == "decklander"
+            assert "Set-Cookie" not in answer.headers
+        assert not re.search(r'(src|href)="https?:|style="|onclick=|<style', page), "nothing of another host, nothing inline"
+        for name in re.findall(r'(?:src|href)="(/[a-z.]+)"', page):
+            async with client.get(name) as answer:
+                assert answer.status == 200
+                assert not re.search(rb"https?://(?!www\.w3\.org/)", await answer.read())
+        for path in ("/../settings.py", "/%2e%2e/settings.py", "/static/index.html", "/live/", "/token"):
+            async with client.get(path) as answer:
+                assert answer.status == 404
+                assert answer.headers["X-Content-Type-Options"] == "nosniff"
+        async with client.get("/live", headers={"Origin": service.address}) as answer:
+            assert answer.status == 426
+        async with client.post("/", data=b"x" * 100) as answer:
+            assert answer.status == 405
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        "{}",
+        "x" * 900,
+        '{"kind":"sticks","forward":2.0}',
+        '{"kind":"login","token":"again"}',
+        '{"kind":"order","number":-1,"order":"land"}',
+    ],
+)
+async def test_garbage_ends_its_own_connection_alone(tmp_path: Path, said: str) -> None:
+    async with serving(tmp_path) as service, browsing(service) as other:
+        async with browsing(service) as browser:
+            await browser.read("welcome")
+            await browser.socket.send_str(said)
+            assert (await browser.read("closed"))["code"] == 4400
+        assert (await other.order("hold"))["accepted"]
+
+
+async def test_a_flood_and_a_huge_message_end_their_own_connection_alone(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service, browsing(service) as other:
+        async with browsing(service) as browser:
+            for _ in range(150):
+                await browser.send(kind="sticks")
+            assert (await browser.read("closed"))["code"] == 4400
+        async with browsing(service) as browser:
+            await browser.socket.send_str("x" * 70_000)
+            assert (await browser.read("closed"))["code"] in (1006, 1009)
+        before = service.cycles
+        assert (await other.order("hold"))["accepted"]
+        await until(lambda: service.cycles > before + 5)
+
+
+async def test_a_flood_of_connections_neither_grows_nor_touches_who_is_logged_in(tmp_path: Path) -> None:
+    limits = ConnectionLimits(connections=8, connection_s=0.4)
+    async with serving(tmp_path, limits) as service, browsing(service) as browser:
+        await browser.read("welcome")
+        opened = [await asyncio.open_connection("127.0.0.1", service.page.port) for _ in range(60)]
+        for _, writer in opened:
+            writer.write(b"GET /live HTTP/1.1\r\nHost: x\r\n")
+        await until(lambda: not limits.open)
+        assert limits.evicted + limits.overdue >= 60
+        assert (await browser.order("hold"))["accepted"]
+        for _, writer in opened:
+            writer.close()
+
+
+async def test_no_more_browsers_than_the_settings_allow(tmp_path: Path) -> None:
+    async with serving(tmp_path, viewers_max=1) as service, browsing(service) as browser:
+        await browser.read("welcome")
+        async with browsing(service) as second:
+            assert (await second.read("refused"))["text"] == "1 browsers watch already, and there may be no more"
+            assert (await second.read("closed"))["code"] == 4409
+        assert (await browser.order("hold"))["accepted"]
+
+
+async def test_a_silent_connection_is_asked_for_its_token_in_time(tmp_path: Path) -> None:
+    limits = ConnectionLimits(connection_s=0.3)
+    async with serving(tmp_path, limits) as service, aiohttp.ClientSession() as session:
+        socket = await session.ws_connect(f"{service.address}/live", origin=service.address)
+        async with asyncio.timeout(20):
+            assert (await socket.receive()).type in (aiohttp.WSMsgType.CLOSED, aiohttp.WSMsgType.CLOSE)
+        assert limits.overdue == 1
+
+
+def test_settings_that_would_give_the_token_away_are_refused() -> None:
+    for options, why in (
+        ({"endpoint": "http"}, "token_file is needed"),
+        ({"endpoint": "http", "token_file": "t", "host": "0.0.0.0"}, 'endpoint must be "https"'),
+        ({"endpoint": "https", "token_file": "t"}, "certificate_file and key_file are needed"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            PageSettings(**options)
+
+
+def test_a_token_that_is_missing_or_short_keeps_the_service_from_beginning(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="token_file"):
+        PageService(tmp_path, token_file=str(tmp_path / "none"))
+    (tmp_path / "short").write_text("abc")
+    with pytest.raises(BadInput, match="16 or more"):
+        PageService(tmp_path, token_file=str(tmp_path / "short"))
+
+
+@given(st.text(max_size=80))
+def test_no_text_makes_the_decoder_raise(text: str) -> None:
+    assert request_in(text) is not None

@@ -1,0 +1,160 @@
+"""The parts of a service that the operator page meets: its endpoint, the pilot and guidance cycles, without a vehicle."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import numpy as np
+
+from companion.config.settings import load
+from companion.operator.orders import HandledOrder
+from companion.page.endpoint import PageEndpoint
+from companion.page.settings import PageSettings
+from companion.runtime.connection_limits import ConnectionLimits
+from companion.runtime.health import Health
+from companion.runtime.make_pilot import make_pilot
+from companion.runtime.observer import ProcessedFrame
+from companion.runtime.pilot import Pilot
+from drivers.clock import SystemClock
+from estimator.contracts.errors import in_words
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.samples import Frame, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp
+
+TOKEN = "a-token-of-sixteen-and-more"
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+class PageService:
+    """See the module's docstring."""
+
+    def __init__(self, folder: Path, limits: ConnectionLimits | None = None, **settings: Any) -> None:
+        file = folder / "token"
+        file.write_text(TOKEN + "\n")
+        file.chmod(0o600)
+        self.pilot: Pilot = make_pilot(load("sim"))
+        self.clock = SystemClock()
+        self.health = Health(self.clock)
+        given = {"endpoint": "http", "port": free_port(), "token_file": str(file)} | settings
+        self.page = PageEndpoint(PageSettings(**given), self.pilot, self.health, self.clock, "a vehicle", limits)
+        self.health.counters("page", self.page.counted)
+        self.orders: list[HandledOrder] = []
+        self.pilot.operator.on_order = self._on_order
+        self.command: object = None
+        self.flying = True
+        self.cycles = 0
+        self._frames = 0
+
+    def _on_order(self, handled: HandledOrder) -> None:
+        self.orders.append(handled)
+        self.page.on_order(handled)
+
+    async def live(self) -> None:
+        """Run guidance cycles, each with a status of the vehicle and every third with a frame."""
+        while True:
+            now = self.clock.now()
+            self.health.beat("Decision")
+            self.pilot.on_sample(VehicleStatus(Stamp(now, now, 0.001, "arrival"), self.flying, "hovering", 0.5, False, True))
+            decision = self.pilot.decide(now)
+            self.page.on_decision(decision)
+            self.command = decision.command
+            self.cycles += 1
+            if self.cycles % 3 == 0:
+                self.page.on_frame(self.frame(now))
+            await asyncio.sleep(0.02)
+
+    def frame(self, now: MonoNs) -> ProcessedFrame:
+        self._frames += 1
+        px = np.full((360, 640, 3), 90, np.uint8)
+        frame = Frame(Stamp(now, now, 0.001, "arrival"), self._frames, px)
+        return ProcessedFrame(frame, None, None, Verdict.NO_PAD, now, now)
+
+    @property
+    def address(self) -> str:
+        return f"http://127.0.0.1:{self.page.port}"
+
+
+@asynccontextmanager
+async def serving(folder: Path, limits: ConnectionLimits | None = None, **settings: Any) -> AsyncIterator[PageService]:
+    """Serve the page; at the end show that neither it nor guidance has failed."""
+    service = PageService(folder, limits, **settings)
+    ended: list[BaseException] = []
+
+    async def part() -> None:
+        try:
+            await service.page.run()
+        except Exception as why:
+            ended.append(why)
+
+    async with asyncio.TaskGroup() as group:
+        tasks = [group.create_task(part()), group.create_task(service.live())]
+        async with asyncio.timeout(30):
+            while service.page.port is None:
+                assert not ended, in_words(ended[0])
+                await asyncio.sleep(0.005)
+        yield service
+        for task in tasks:
+            task.cancel()
+    assert not ended, in_words(ended[0])
+
+
+class Browser:
+    """A websocket as a browser opens it, and what arrived on it."""
+
+    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
+        self.socket = socket
+        self.messages: list[dict[str, Any]] = []
+        self.pictures: list[tuple[dict[str, Any], bytes]] = []
+        self._number = 0
+
+    async def send(self, **message: Any) -> None:
+        await self.socket.send_str(json.dumps(message))
+
+    async def read(self, kind: str) -> dict[str, Any]:
+        """Read until a message of this kind, and return it."""
+        async with asyncio.timeout(20):
+            while True:
+                message = await self.socket.receive()
+                if message.type is aiohttp.WSMsgType.BINARY:
+                    length = int.from_bytes(message.data[:4], "little")
+                    self.pictures.append((json.loads(message.data[4 : 4 + length]), message.data[4 + length :]))
+                    if kind == "picture":
+                        return self.pictures[-1][0]
+                    continue
+                if message.type is not aiohttp.WSMsgType.TEXT:
+                    return {"kind": "closed", "code": self.socket.close_code}
+                self.messages.append(json.loads(message.data))
+                if self.messages[-1]["kind"] == kind:
+                    return self.messages[-1]
+
+    async def order(self, order: str) -> dict[str, Any]:
+        self._number += 1
+        await self.send(kind="order", number=self._number, order=order)
+        answer = await self.read("answer")
+        assert answer["number"] == self._number
+        return answer
+
+
+@asynccontextmanager
+async def browsing(service: PageService, token: str = TOKEN, origin: str | None = None) -> AsyncIterator[Browser]:
+    """Connect as the page does."""
+    async with (
+        aiohttp.ClientSession() as session,
+        session.ws_connect(f"{service.address}/live", origin=service.address if origin is None else origin) as socket,
+    ):
+        browser = Browser(socket)
+        await browser.send(kind="login", token=token)
+        yield browser
