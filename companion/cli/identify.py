@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from pathlib import Path
 
 from companion.config.settings import find_file, read_toml, response_model
+from companion.guidance.margins import LoopMargins, margins
 from companion.guidance.response import Response, response_from_mapping
 from companion.guidance.response_file import text
 from companion.guidance.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt
@@ -19,6 +21,8 @@ from estimator.contracts.errors import BadInput, unusable
 
 NOTHING_TOLD_S = 0.1
 """A delay that is known worse than this is not known at all."""
+DELAY_MARGIN_S = 0.06
+"""Least delay beyond the known one that the law should stand."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -64,10 +68,12 @@ def run(args: argparse.Namespace) -> int:
 
         assert courses.tilt is not None
         write_response(args.plot, recording.name, courses, tilt, climb)
+    loops = {"by_the_given": margins(start.tilt, tilt.response), "by_the_identified": margins(tilt.response)}
     if args.json:
-        sys.stdout.write(json.dumps(_record(tilt, climb)) + "\n")
+        record = _record(tilt, climb) | {"loop": {name: _loop_record(loop) for name, loop in loops.items()}}
+        sys.stdout.write(json.dumps(record) + "\n")
     else:
-        sys.stdout.write("\n".join(_lines(args, start, courses, tilt, climb)) + "\n")
+        sys.stdout.write("\n".join(_lines(args, start, courses, tilt, climb, loops)) + "\n")
     return 0
 
 
@@ -107,7 +113,14 @@ def _write(path: Path, content: str) -> None:
         raise unusable(f"--out {path}", why) from why
 
 
-def _lines(args: argparse.Namespace, start: Response, courses: FlownCourses, tilt: TiltFit, climb: ClimbFit | None) -> list[str]:
+def _lines(
+    args: argparse.Namespace,
+    start: Response,
+    courses: FlownCourses,
+    tilt: TiltFit,
+    climb: ClimbFit | None,
+    loops: dict[str, LoopMargins],
+) -> list[str]:
     t = tilt.response
     out = [
         f"tilt   delay {_ms(t.delay_s, t.delay_sigma_s)} ms, {_of(t.frequency_rad_s, t.frequency_sigma_rad_s)} rad/s, damping "
@@ -129,8 +142,29 @@ def _lines(args: argparse.Namespace, start: Response, courses: FlownCourses, til
         f"{_of(start.tilt.damping, start.tilt.damping_sigma)}; climb delay {_ms(start.climb.delay_s, start.climb.delay_sigma_s)} "
         f"ms, lag {_ms(start.climb.lag_s, start.climb.lag_sigma_s)} ms"
     )
+    out += [f"loop   {name.replace('_', ' ')} response: {_margins(loop)}" for name, loop in loops.items()]
     out += [f"written to {path}" for path in (args.out, args.plot) if path is not None]
     return out
+
+
+def _margins(loop: LoopMargins) -> str:
+    if not loop.stable:
+        return "UNSTABLE"
+    down, up = loop.gain
+    short = f", less than {1e3 * DELAY_MARGIN_S:.0f}" if loop.delay_s < DELAY_MARGIN_S else ""
+    return (
+        f"gain {down:.2f} to {up:.1f} times, phase {loop.phase_deg:.0f} degrees, "
+        f"{1e3 * loop.delay_s:.0f} ms of further delay{short}; {1e2 * loop.error_m:.1f} cm a side at sea state 4"
+    )
+
+
+def _loop_record(loop: LoopMargins) -> dict[str, object]:
+    finite = math.isfinite(loop.error_m)
+    return {
+        "stable": loop.stable, "gain_down": loop.gain[0], "gain_up": loop.gain[1] if math.isfinite(loop.gain[1]) else None,
+        "phase_deg": loop.phase_deg, "delay_s": loop.delay_s if math.isfinite(loop.delay_s) else None,
+        "sensitivity": loop.sensitivity, "error_m": loop.error_m if finite else None,
+    }  # fmt: skip
 
 
 def _of(value: float, sigma: float | None) -> str:

@@ -193,8 +193,14 @@ def test_a_recorded_flight_gives_the_response_of_the_simulated_vehicle(
 
 def test_a_longer_delay_of_the_commands_is_found(recordings: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["identify", str(recordings["late"]), "--json"]) == 0
-    tilt = json.loads(capsys.readouterr().out)["tilt"]
+    told = json.loads(capsys.readouterr().out)
+    tilt, loop = told["tilt"], told["loop"]
     assert abs(tilt["delay_s"] - truth()[0] - 0.1) < 3.0 * tilt["delay_sigma_s"] < 0.12
+    assert loop["by_the_identified"]["delay_s"] >= 0.06, "the law by what was found stands what it should"
+    assert loop["by_the_given"]["delay_s"] < 0.06, "and by the file's 50 ms it does not"
+    assert main(["identify", str(recordings["late"])]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert "ms of further delay, less than 60;" in next(line for line in said if "by the given response" in line)
 
 
 def test_the_flight_itself_found_the_longer_delay_and_flew_by_it(recordings: dict[str, Path]) -> None:
