@@ -11,19 +11,16 @@ from pathlib import Path
 
 import msgspec
 
-from companion.config.settings import Settings, load
+from companion.cli import doctor_fix
+from companion.cli.doctor_links import given_links
+from companion.config.settings import load
 from companion.doctor.diagnose import RULES, diagnose
 from companion.doctor.finding import Finding, Severity
 from companion.doctor.gather import examine
 from companion.doctor.gather_service import examine_service
 from companion.doctor.snapshot import Snapshot, decode, encode
-from companion.mavlink.signed_links import signed_links
 from companion.runtime import event_loop
 from drivers.clock import SystemClock
-from drivers.mavlink.links import LinkOptions
-from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.signing import Signing, load_key
-from drivers.mavlink.signing_times import SigningTimes
 from estimator.contracts.errors import BadInput
 
 
@@ -33,10 +30,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "doctor",
         help="diagnose the setup: autopilot, links, camera, broker",
         description="Diagnose the setup: read firmware, parameters, message rates, links, camera and broker, and print "
-        "each known "
-        "fault with its fix. The command sets no parameter and flies nothing; it requests message streams. Stop the "
-        "service first "
-        "if it holds the serial port. Exit code 0 if nothing was found, or advice only; else 1.",
+        "each known fault with its fix. The command flies nothing, and sets no parameter but those that you agree to with "
+        "--fix; it requests message streams. Stop the service first if it holds the serial port. "
+        "Exit code 0 if nothing was found (or is left), or advice only; else 1.",
     )
     parser.add_argument(
         "--link",
@@ -58,11 +54,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--snapshot", metavar="FILE", help="examine a saved snapshot instead of this machine; - for stdin")
     parser.add_argument("--save", metavar="FILE", help="save the snapshot into this file, to examine it elsewhere")
     parser.add_argument("--json", action="store_true", help="print JSON Lines, one object per finding")
+    doctor_fix.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     logging.basicConfig(level=logging.ERROR)  # that a link does not open is a finding, not news
+    doctor_fix.check_options(args)
+    if args.undo:
+        return doctor_fix.undo(args)
     snapshot = _saved(args.snapshot) if args.snapshot else event_loop.run(_examined(args))
     snapshot = msgspec.structs.replace(snapshot, moving_pad=snapshot.moving_pad and not args.still_pad)
     if args.save:
@@ -76,6 +76,8 @@ def run(args: argparse.Namespace) -> int:
             sys.stdout.write(json.dumps(asdict(finding) | {"severity": finding.severity.name.lower()}) + "\n")
     else:
         sys.stdout.write(_page(snapshot, found))
+    if args.fix:
+        return doctor_fix.fix(args, snapshot, found)
     return 1 if any(f.severity is not Severity.ADVICE for f in found) else 0
 
 
@@ -96,31 +98,12 @@ async def _examined(args: argparse.Namespace) -> Snapshot:
         raise BadInput(f"--broker {args.broker}: write HOST:PORT")
     settings = load(args.config) if args.config else None
     service = await examine_service(settings, args.broker, SystemClock())
-    found = _links(args, settings)
+    found = given_links(args, settings)
     if found is None:
         return Snapshot(0.0, service=service)
     options, links = found
     snapshot = await examine(options, SystemClock(), args.seconds, _progress, links)
     return msgspec.structs.replace(snapshot, service=service)
-
-
-def _links(args: argparse.Namespace, settings: Settings | None) -> tuple[AutopilotOptions, tuple[LinkOptions, ...]] | None:
-    """Return the options and the links with their keys, as given or as the settings have them; None if there is no link."""
-    if not args.link:
-        vehicle = None if settings is None else settings.vehicle
-        return (vehicle, signed_links(vehicle)) if isinstance(vehicle, AutopilotOptions) else None
-    if args.system is not None and not 1 <= args.system <= 255:
-        raise BadInput(f"--system must lie in 1 to 255, got {args.system}")
-    try:
-        options = AutopilotOptions(", ".join(args.link), system_id=args.system or 0)
-    except ValueError as why:
-        raise BadInput(str(why).replace("links:", "--link:", 1)) from why
-    key = load_key(args.signing_key) if args.signing_key else None
-    times = SigningTimes(None)
-    return options, tuple(
-        LinkOptions(endpoint, None if key is None else Signing(key, times, number))
-        for number, endpoint in enumerate(options.endpoints())
-    )
 
 
 def _progress(text: str) -> None:

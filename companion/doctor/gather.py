@@ -64,7 +64,7 @@ async def examine(
     async with open_autopilot(options, clock, links) as autopilot:
         autopilot.add_listener(notes.on_message)
         say(f"listening on {', '.join(str(link.endpoint) for link in autopilot.links.all)}")
-        await _wait(clock, seconds, lambda: autopilot.connected)
+        await wait_until(clock, seconds, lambda: autopilot.connected)
         rates: dict[str, float] = {}
         if autopilot.identity is not None:
             rates = await _ask(autopilot, clock, seconds, say)
@@ -80,7 +80,7 @@ async def _ask(autopilot: Autopilot, clock: Clock, seconds: float, say: Say) -> 
     parameters.request(PARAMETERS[identity.stack.value])
     version = int(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
     autopilot.send(mav.MAVLink_command_long_message(*identity.address, mav.MAV_CMD_REQUEST_MESSAGE, 0, version, 0, 0, 0, 0, 0, 0))
-    await _wait(clock, _ASKING_MAX_S, lambda: parameters.settled and streams.settled)
+    await wait_until(clock, _ASKING_MAX_S, lambda: parameters.settled and streams.settled)
     say("counting messages")
     before, since = autopilot.counts.copy(), clock.now()
     await clock.sleep(seconds)
@@ -88,7 +88,8 @@ async def _ask(autopilot: Autopilot, clock: Clock, seconds: float, say: Say) -> 
     return {name: (n - before[name]) / lasted_s for name, n in autopilot.counts.items() if n > before[name]}
 
 
-async def _wait(clock: Clock, seconds: float, done: Callable[[], bool]) -> None:
+async def wait_until(clock: Clock, seconds: float, done: Callable[[], bool]) -> None:
+    """Return as soon as `done`, or after so many seconds."""
     began: MonoNs = clock.now()
     while not done() and seconds_between(began, clock.now()) < seconds:
         await clock.sleep(_POLL_S)

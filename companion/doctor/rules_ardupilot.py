@@ -50,7 +50,7 @@ def plnd_disabled(p: Snapshot) -> Finding | None:
     """Find precision landing switched off."""
     if _value(p, "PLND_ENABLED") != 0.0:
         return None
-    return error("plnd-disabled", "PLND_ENABLED is 0", "set PLND_ENABLED 1 and reboot the autopilot")
+    return error("plnd-disabled", "PLND_ENABLED is 0", "set PLND_ENABLED 1 and reboot the autopilot", {"PLND_ENABLED": 1.0})
 
 
 def plnd_not_rebooted(p: Snapshot) -> Finding | None:
@@ -72,7 +72,8 @@ def plnd_type(p: Snapshot) -> Finding | None:
     kind = _value(p, "PLND_TYPE")
     if not _enabled(p) or kind is None or kind == _COMPANION:
         return None
-    return error("plnd-type", f"PLND_TYPE is {kind:g}", "set PLND_TYPE 1 (companion computer) and reboot the autopilot")
+    fix = "set PLND_TYPE 1 (companion computer) and reboot the autopilot"
+    return error("plnd-type", f"PLND_TYPE is {kind:g}", fix, {"PLND_TYPE": _COMPANION})
 
 
 def plnd_estimator(p: Snapshot) -> Finding | None:
@@ -80,7 +81,8 @@ def plnd_estimator(p: Snapshot) -> Finding | None:
     kind = _value(p, "PLND_EST_TYPE")
     if not _enabled(p) or kind is None or kind == _KALMAN:
         return None
-    return warning("plnd-estimator", "PLND_EST_TYPE is 0: raw measurements, no velocity of the pad", "set PLND_EST_TYPE 1")
+    what = "PLND_EST_TYPE is 0: raw measurements, no velocity of the pad"
+    return warning("plnd-estimator", what, "set PLND_EST_TYPE 1", {"PLND_EST_TYPE": _KALMAN})
 
 
 def plnd_lag(p: Snapshot) -> Finding | None:
@@ -95,6 +97,7 @@ def plnd_lag(p: Snapshot) -> Finding | None:
         "plnd-lag",
         f"PLND_LAG is {lag_s:g} s, but a frame is {1e3 * delay_s:.0f} ms old when it is understood",
         f"set PLND_LAG {best_s:.2f} and reboot: then targets are of instants that were seen, not predicted",
+        {"PLND_LAG": round(best_s, 2)},
     )
 
 
@@ -107,6 +110,7 @@ def plnd_still_target(p: Snapshot) -> Finding | None:
         "plnd-still-target",
         "PLND_OPTIONS takes the pad to stand still: on a ship at 1.5 m/s it touches down 1.5 m behind",
         f"set PLND_OPTIONS {int(options) | _MOVING_TARGET} (bit 0: moving target)",
+        {"PLND_OPTIONS": float(int(options) | _MOVING_TARGET)},
     )
 
 
@@ -115,16 +119,17 @@ def plnd_mount_twice(p: Snapshot) -> Finding | None:
     if not _enabled(p):
         return None
     names = ("PLND_CAM_POS_X", "PLND_CAM_POS_Y", "PLND_CAM_POS_Z", "PLND_YAW_ALIGN")
-    wrong = [f"{n} {v:g}" for n in names if (v := _value(p, n)) not in (None, 0.0)]
+    wrong = {n: v for n in names if (v := _value(p, n)) is not None and v != 0.0}
     orient = _value(p, "PLND_ORIENT")
-    if orient not in (None, _DOWN):
-        wrong.append(f"PLND_ORIENT {orient:g}")
+    if orient is not None and orient != _DOWN:
+        wrong["PLND_ORIENT"] = orient
     if not wrong:
         return None
     return error(
         "plnd-mount-twice",
-        f"the camera's mount is set in the autopilot too: {', '.join(wrong)}",
+        f"the camera's mount is set in the autopilot too: {', '.join(f'{n} {v:g}' for n, v in wrong.items())}",
         "set PLND_CAM_POS_* and PLND_YAW_ALIGN 0, PLND_ORIENT 25: what is sent is already from the body's origin",
+        {n: _DOWN if n == "PLND_ORIENT" else 0.0 for n in wrong},
     )
 
 
@@ -136,6 +141,7 @@ def plnd_blind(p: Snapshot) -> Finding | None:
         "plnd-blind",
         "PLND_STRICT is 0: with the pad out of sight it lands anyway, wherever it is",
         "set PLND_STRICT 2 (hover) or 1 (climb and try again)",
+        {"PLND_STRICT": 2.0 if p.moving_pad else 1.0},
     )
 
 
@@ -144,9 +150,8 @@ def plnd_low_ceiling(p: Snapshot) -> Finding | None:
     ceiling_m = _value(p, "PLND_ALT_MAX")
     if not _enabled(p) or ceiling_m is None or ceiling_m >= 4.0:
         return None
-    return warning(
-        "plnd-ceiling", f"PLND_ALT_MAX is {ceiling_m:g} m: above it the pad is not looked for", "set PLND_ALT_MAX 8 or more"
-    )
+    what = f"PLND_ALT_MAX is {ceiling_m:g} m: above it the pad is not looked for"
+    return warning("plnd-ceiling", what, "set PLND_ALT_MAX 8 or more", {"PLND_ALT_MAX": 8.0})
 
 
 def _kinds(p: Snapshot) -> dict[int, float]:
@@ -186,6 +191,7 @@ def rangefinder_turned(p: Snapshot) -> Finding | None:
                 "rangefinder-turned",
                 f"RNGFND{n}_ORIENT is {orient:g}: distances that look down are dropped",
                 f"set RNGFND{n}_ORIENT 25 and reboot",
+                {f"RNGFND{n}_ORIENT": _DOWN},
             )
     return None
 
@@ -200,18 +206,21 @@ def ekf_external(p: Snapshot) -> Finding | None:
         "ekf-external",
         f"{', '.join(wrong)} {'is' if len(wrong) == 1 else 'are'} 6: the EKF waits for a position that is never sent",
         "set EK3_SRC1_POSXY, VELXY and VELZ 3 (GNSS), POSZ 1 (barometer), YAW 1 (compass): the pad moves, it is no reference",
+        {name: 1.0 if name.endswith(("POSZ", "YAW")) else 3.0 for name in wrong},
     )
 
 
 def ekf_height_by_range(p: Snapshot) -> Finding | None:
     """Find an EKF whose height follows a moving deck."""
-    by_range = _value(p, "EK3_SRC1_POSZ") == _BY_RANGE or (_value(p, "EK3_RNG_USE_HGT") or 0.0) > 0.0
-    if not by_range or not p.moving_pad:
+    to = {"EK3_SRC1_POSZ": 1.0} if _value(p, "EK3_SRC1_POSZ") == _BY_RANGE else {}
+    to |= {"EK3_RNG_USE_HGT": -1.0} if (_value(p, "EK3_RNG_USE_HGT") or 0.0) > 0.0 else {}
+    if not to or not p.moving_pad:
         return None
     return error(
         "ekf-height-by-range",
         "the EKF takes height from the rangefinder: it follows the deck's heave, and jumps at the deck's edge",
         "set EK3_SRC1_POSZ 1 (barometer) or 3 (GNSS) and EK3_RNG_USE_HGT -1",
+        to,
     )
 
 

@@ -10,6 +10,13 @@ PARAMETERS = (
     "MAV_PROTO_VER",
 )  # fmt: skip
 _RANGE_HEIGHT = 2.0
+_OFFBOARD_ACTIONS = {
+    3.0: ("return", "leaves the ship"),
+    4.0: ("land", "lands where it is"),
+    6.0: ("terminate", "falls out of the air"),
+    7.0: ("disarm", "falls out of the air"),
+}
+_MOTORS_OFF = (6.0, 7.0)
 
 
 def event_id(name: str) -> int:
@@ -77,19 +84,21 @@ def offboard_loss(p: Snapshot) -> Finding | None:
         "px4-offboard-loss",
         f"COM_OF_LOSS_T is {timeout_s:g} s: so long it flies on with the last velocity when the service dies",
         "set COM_OF_LOSS_T 1",
+        {"COM_OF_LOSS_T": 1.0},
     )
 
 
 def offboard_action(p: Snapshot) -> Finding | None:
     """Find an action at the loss of OFFBOARD that leaves a moving ship."""
     action = _value(p, "COM_OBL_RC_ACT")
-    if action is None or action not in (3.0, 4.0) or not p.moving_pad:
+    if action is None or action not in _OFFBOARD_ACTIONS or not p.moving_pad:
         return None
-    name = {3.0: "return", 4.0: "land"}[action]
-    return warning(
+    name, does = _OFFBOARD_ACTIONS[action]
+    return (error if action in _MOTORS_OFF else warning)(
         "px4-offboard-action",
-        f"COM_OBL_RC_ACT is {action:g} ({name}): when the service dies it leaves the ship, or lands where it is",
+        f"COM_OBL_RC_ACT is {action:g} ({name}): when the service dies it {does}",
         "set COM_OBL_RC_ACT 0 (position) or 5 (hold)",
+        {"COM_OBL_RC_ACT": 5.0},
     )
 
 
@@ -101,6 +110,7 @@ def height_by_range(p: Snapshot) -> Finding | None:
         "ekf-height-by-range",
         "EKF2_HGT_REF is 2: the height follows the deck's heave, and jumps at the deck's edge",
         "set EKF2_HGT_REF 1 (GNSS) or 0 (barometer)",
+        {"EKF2_HGT_REF": 1.0},
     )
 
 
@@ -112,6 +122,7 @@ def external_vision(p: Snapshot) -> Finding | None:
         "px4-external-vision",
         f"EKF2_EV_CTRL is {_value(p, 'EKF2_EV_CTRL'):g}: the EKF waits for a vision position, and a pad on a ship is none",
         "set EKF2_EV_CTRL 0 unless another source sends ODOMETRY",
+        {"EKF2_EV_CTRL": 0.0},
     )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from companion.doctor.finding import Finding, Severity
+from companion.doctor.finding import Finding, ParameterChange, Severity
 from companion.doctor.snapshot import Snapshot
 
 _ERROR, _WARNING, _ADVICE = Severity.ERROR, Severity.WARNING, Severity.ADVICE
@@ -24,7 +24,7 @@ class ValueRule:
     stack: str
     parameter: str
     good: float
-    """The value that the fix names."""
+    """The value that the fix names; where bits must not be set, the fix clears these alone."""
     why: str
     """What a wrong value does."""
     low: float = -math.inf
@@ -47,9 +47,9 @@ class ValueRule:
             return None
         if self.low <= value <= self.high and value not in self.wrong and not (self.bits and int(value) & self.bits):
             return None
-        return Finding(
-            self.rule, self.severity, f"{self.parameter} is {value:g}: {self.why}", f"set {self.parameter} {self.good:g}"
-        )
+        to = float(int(value) & ~self.bits) if self.bits else self.good
+        what, fix = f"{self.parameter} is {value:g}: {self.why}", f"set {self.parameter} {to:g}"
+        return Finding(self.rule, self.severity, what, fix, (ParameterChange(self.parameter, to),))
 
 
 _A, _P = "ArduPilot", "PX4"
@@ -92,7 +92,8 @@ _ARDUPILOT = (
 )  # fmt: skip
 _PX4 = (
     ValueRule("px4-gnss-checks", _P, "EKF2_GPS_CHECK", 21,
-              "its checks of drift never pass on a ship under way: arming is refused for ever", bits=0b11100000, severity=_ERROR),
+              "its checks of drift never pass on a ship under way: arming is refused for ever",
+              bits=0b111100000, severity=_ERROR),
     ValueRule("px4-offboard-short", _P, "COM_OF_LOSS_T", 1,
               "every gap between setpoints is a failsafe", 0.5, severity=_ERROR, on_ship=False),
     ValueRule("px4-land-heave", _P, "LNDMC_Z_VEL_MAX", 1, "a heaving deck hides from it that it stands", 0.5, severity=_ADVICE),

@@ -23,6 +23,37 @@ _VALUES_MAX = 4096
 _INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
 """MAV_PARAM_TYPE to struct layout, for integers that travel as bytes in a float."""
 
+
+def parameter_value(stack: Stack, wire: float, kind: int) -> float:
+    """Return the value of a PARAM_VALUE: ArduPilot sends an integer as its value in a float, PX4 as its bytes in a float.
+
+    Args:
+        wire: the message's float.
+        kind: MAV_PARAM_TYPE.
+    """
+    if stack is not Stack.PX4 or kind in _REAL:
+        return float(wire)
+    return float(struct.unpack_from(_INTEGERS.get(kind, "<i"), struct.pack("<f", wire))[0])
+
+
+def wire_value(stack: Stack, value: float, kind: int) -> float:
+    """Return the float of a PARAM_SET, the inverse of `parameter_value`.
+
+    Raises:
+        ValueError: the parameter is an integer, and the value is none or does not fit.
+    """
+    if stack is not Stack.PX4 or kind in _REAL:
+        return value
+    layout = _INTEGERS.get(kind, "<i")
+    try:
+        data = struct.pack(layout, int(value))
+    except struct.error as why:
+        raise ValueError(f"{value:g} does not fit a parameter of type {kind}") from why
+    if int(value) != value:
+        raise ValueError(f"{value:g} is no integer, and the parameter is one")
+    return float(struct.unpack("<f", data.ljust(4, b"\0"))[0])
+
+
 COMMON_RATES_HZ = {
     "EXTENDED_SYS_STATE": 5.0,
     "SYS_STATUS": 1.0,
@@ -154,6 +185,8 @@ class Parameters:
         self._retry_s, self._tries, self._at_once = retry_s, tries, at_once
         self.values: dict[str, float] = {}
         """Every parameter that the autopilot sent, requested or not."""
+        self.kinds: dict[str, int] = {}
+        """MAV_PARAM_TYPE of each parameter that the autopilot sent."""
         self.absent: set[str] = set()
         """Parameters that were requested and never answered, or refused: this firmware does not have them."""
 
@@ -190,16 +223,11 @@ class Parameters:
         """Process any message of the autopilot."""
         kind = message.get_type()
         if kind == "PARAM_VALUE":
-            name, value = message.param_id, self._value(message)
+            name, kind_of = message.param_id, int(message.param_type)
+            value = parameter_value(self._stack, message.param_value, kind_of)
             if math.isfinite(value) and (name in self._asked or name in self.values or len(self.values) < _VALUES_MAX):
-                self.values[name] = value
+                self.values[name], self.kinds[name] = value, kind_of
             self._asked.pop(name, None)
         elif kind == "PARAM_ERROR" and message.param_id in self._asked:
             del self._asked[message.param_id]
             self.absent.add(message.param_id)
-
-    def _value(self, message: Message) -> float:
-        if self._stack is not Stack.PX4 or message.param_type in _REAL:
-            return float(message.param_value)
-        layout = _INTEGERS.get(message.param_type, "<i")
-        return float(struct.unpack_from(layout, struct.pack("<f", message.param_value))[0])

@@ -59,6 +59,8 @@ class MiniatureAutopilot:
     armed: bool = True
     landed_state: int = 2
     parameters: dict[str, float] = field(default_factory=dict)
+    fixed_parameters: frozenset[str] = frozenset()
+    """Parameters that are read-only."""
     unsupported: set[int] = field(default_factory=set)
     """Messages whose stream is refused."""
     distance_cm: int | None = None
@@ -133,12 +135,24 @@ class MiniatureAutopilot:
             self.sync_answers.append((m.tc1, m.ts1, self.boot_ns))
 
     def _on_param_request_read(self, m: Message, received: ReceivedMessage) -> None:
-        if m.param_id not in self.parameters:
+        if m.param_id in self.parameters:
+            self._tell_parameter(m.param_id)
+
+    def _on_param_set(self, m: Message, received: ReceivedMessage) -> None:
+        """Take a parameter's value and tell the one in force, as both programs do; an unknown name is not answered."""
+        if m.target_system != self.system or m.param_id not in self.parameters:
             return
-        value, kind = self.parameters[m.param_id], 9
+        if m.param_id not in self.fixed_parameters:
+            integer = self.stack is Stack.PX4 and isinstance(self.parameters[m.param_id], int)
+            bits = struct.unpack("<i", struct.pack("<f", m.param_value))[0]
+            self.parameters[m.param_id] = bits if integer else float(m.param_value)
+        self._tell_parameter(m.param_id)
+
+    def _tell_parameter(self, name: str) -> None:
+        value, kind = self.parameters[name], 9
         if self.stack is Stack.PX4 and isinstance(value, int):
             value, kind = struct.unpack("<f", struct.pack("<i", value))[0], 6
-        self.send(mav.MAVLink_param_value_message(m.param_id.encode(), value, kind, len(self.parameters), 0))
+        self.send(mav.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 0))
 
     def _on_command_long(self, m: Message, received: ReceivedMessage) -> None:
         if m.target_system != self.system or m.target_component != 1:

@@ -203,6 +203,11 @@ def test_the_trap_is_named_with_its_cure_and_no_other(name: str) -> None:
     assert [f.rule for f in found] == [rule]
     assert word in found[0].fix
     assert "\n" not in found[0].what + found[0].fix
+    for change in found[0].changes:
+        assert change.parameter.removesuffix("_X") in found[0].fix.replace("*", "")
+        assert snapshot.autopilot is not None
+        healed = replace(snapshot.autopilot, parameters=snapshot.autopilot.parameters | {change.parameter: change.value})
+        assert diagnose(replace(snapshot, autopilot=healed)) == (), "the change heals it"
 
 
 def test_every_rule_has_a_broken_set_up() -> None:

@@ -52,7 +52,7 @@ def wrong_values(rule: ValueRule) -> list[float]:
         out.append(rule.low - max(0.1, 0.2 * abs(rule.low)))
     if math.isfinite(rule.high):
         out.append(rule.high + max(0.1, 0.2 * abs(rule.high)))
-    out += [float(int(rule.good) | 1 << k) for k in range(8) if rule.bits >> k & 1]
+    out += [float(int(rule.good) | 1 << k) for k in range(12) if rule.bits >> k & 1]
     return out
 
 
@@ -64,7 +64,10 @@ def test_a_value_that_spoils_a_landing_is_named_with_its_fix_and_nothing_else(ru
     found = diagnose(stand_in(rule.stack, **{rule.parameter: value}))
     assert [f.rule for f in found] == [rule.rule]
     assert rule.parameter in found[0].what
-    assert found[0].fix == f"set {rule.parameter} {rule.good:g}"
+    (change,) = found[0].changes
+    assert found[0].fix == f"set {rule.parameter} {change.value:g}"
+    assert change.value == rule.good
+    assert diagnose(stand_in(rule.stack, **{rule.parameter: change.value})) == ()
     assert rule.parameter in PARAMETERS[rule.stack], "and it is asked for"
 
 

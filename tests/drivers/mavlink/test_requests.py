@@ -7,7 +7,7 @@ import struct
 import pytest
 
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.requests import Parameters, Streams, message_id
+from drivers.mavlink.requests import Parameters, Streams, message_id, parameter_value, wire_value
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.time import MonoNs
 
@@ -116,3 +116,17 @@ def test_px4_sends_integers_as_bytes_and_ardupilot_as_values(number: int, kind: 
     assert px4.values["A"] == ardupilot.values["A"] == number
     px4.on_message(value("B", 0.25))
     assert px4.values["B"] == 0.25
+
+
+@pytest.mark.parametrize(("value", "kind"), [(245, 6), (-1, 6), (-3, 2), (200, 1), (4_000_000_000, 5), (0.25, 9)])
+def test_a_parameter_comes_back_as_it_was_set(value: float, kind: int) -> None:
+    for stack in (Stack.PX4, Stack.ARDUPILOT):
+        sent = mav.MAVLink_param_set_message(1, 1, b"NAME", wire_value(stack, value, kind), kind)
+        (wire,) = struct.unpack("<f", struct.pack("<f", sent.param_value))
+        assert parameter_value(stack, wire, kind) == pytest.approx(value, rel=1e-7)
+
+
+@pytest.mark.parametrize(("value", "kind"), [(0.5, 6), (300, 1), (-1, 5)])
+def test_what_does_not_fit_an_integer_is_refused(value: float, kind: int) -> None:
+    with pytest.raises(ValueError, match=r"integer|does not fit"):
+        wire_value(Stack.PX4, value, kind)
