@@ -66,7 +66,12 @@ def image_of(px: np.ndarray, camera: Camera, pad: Pad, truth: PadPose | None, be
     """Return the frame with the candidate drawn in magenta; a far pad is enlarged."""
     im = px.copy()
     if best is not None:
-        for points in (pad.circle(pad.disc_radius_m), pad.circle(pad.ring_radius_m), pad.h_corners(), pad.arrowhead()):
+        for points in (
+            pad.circle(pad.disc_radius_m),
+            pad.circle(pad.markings.ring_radius_m),
+            pad.markings.h_corners(),
+            pad.markings.arrowhead(),
+        ):
             uv = camera.project(best.pose.points(points))
             if np.isfinite(uv).all():
                 cv2.polylines(im, [np.clip(uv, -4000, 4000).astype(np.int32)], True, (255, 0, 255), 1)
@@ -167,7 +172,7 @@ def photographs(failures: Path | None) -> None:
             result = None if best is None else register(px, camera, pad, best.pose, None, RegistrationOptions(coarse=False))
             if result is not None:
                 ways = [result.pose, result.pose.turned(math.pi)][: 2 if result.yaw_ambiguous else 1]
-                off = [np.hypot(*(camera.project(way.points(pad.h_corners())) - labels[row["frame"]]).T) for way in ways]
+                off = [np.hypot(*(camera.project(way.points(pad.markings.h_corners())) - labels[row["frame"]]).T) for way in ways]
                 corner_px.append(min(float(np.median(d)) for d in off))
                 range_off.append(100 * float(np.linalg.norm(result.pose.t_cam_pad - truth.t_cam_pad)) / truth.range_m)
     print(

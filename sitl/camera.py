@@ -377,6 +377,6 @@ def _pose(shot: Exposure, camera: Camera, later_s: float) -> tuple[F64, F64]:
 
 def _pad_scene(pad: Pad, blend: str) -> U16:
     """Return the paints (5, 4) of the background (unused), rim, disc, orange, white, as pixels of a scene."""
-    c = pad.colours
+    c = pad.markings.colours
     rim = c.rim if c.rim is not None else c.disc
     return scene_of(np.array([(0, 0, 0), rim[::-1], c.disc[::-1], c.ring[::-1], c.h[::-1]]), blend)

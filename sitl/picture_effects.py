@@ -14,6 +14,7 @@ from companion.config.settings import find_file, read_toml
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+from estimator.vision.regions import outline_of
 from sitl.camera import Exposure
 from sitl.light import Light, linear_from_srgb
 from sitl.picture_faults import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
@@ -78,7 +79,7 @@ class PictureEffects:
                 there = Pad.from_mapping(read_toml(path), str(path))
                 hidden = [(self._pad.circle(1.1 * self._pad.disc_radius_m)[:, :2], _DECK)] if fault.instead else []
                 own = [
-                    (_moved(fault.size * points[:, :2], fault.turned_deg, fault.forward_m, fault.right_m), rgb)
+                    (_moved(fault.size * points, fault.turned_deg, fault.forward_m, fault.right_m), rgb)
                     for points, rgb in pad_polygons(there)
                 ]
                 return [*hidden, *own]
@@ -120,12 +121,8 @@ class PictureEffects:
 
 
 def pad_polygons(pad: Pad) -> list[tuple[F64, RGB]]:
-    """Return the outlines of a pad's drawing, in paint order."""
-    c = pad.colours
-    out: list[tuple[F64, RGB]] = [(pad.circle(pad.disc_radius_m), c.rim or c.disc)]
-    out.append((pad.circle(pad.disc_radius_m - pad.rim_width_m), c.disc))
-    out += [(pad.circle(pad.ring_outer_m), c.ring), (pad.circle(pad.ring_inner_m), c.disc)]
-    return [*out, (pad.arrowhead(), c.ring), (pad.h_corners(), c.h)]
+    """Return the outlines of a pad's regions, (N, 2) m, in paint order."""
+    return [(outline_of(region), pad.rgb(region)) for region in pad.regions]
 
 
 def _thing(fault: ObjectOnPad) -> list[Polygon]:

@@ -98,13 +98,14 @@ class PadPainter:
 
 def _drawing(pad: Pad) -> F32:
     """Return the numbers of a pad's drawing in the order of `DRAWING`."""
-    slant = math.hypot(pad.arrow_half_base_m, pad.arrow_depth_m)
-    inner = pad.h_width_m / 2 - pad.leg_width_m
+    marks = pad.markings
+    slant = math.hypot(marks.arrow_half_base_m, marks.arrow_depth_m)
+    inner = marks.h_width_m / 2 - marks.leg_width_m
     numbers = (
-        pad.disc_radius_m, pad.disc_radius_m - pad.rim_width_m, pad.ring_outer_m, pad.ring_inner_m,
-        pad.arrow_tip_m, pad.arrow_tip_m - pad.arrow_depth_m, pad.arrow_half_base_m / slant, pad.arrow_depth_m / slant,
-        pad.h_length_m / 2, pad.h_width_m / 2, inner, pad.bar_width_m / 2,
-        min(pad.ring_inner_m, pad.arrow_tip_m - pad.arrow_depth_m, pad.disc_radius_m - pad.rim_width_m),
+        pad.disc_radius_m, marks.field_radius_m, marks.ring_outer_m, marks.ring_inner_m,
+        marks.arrow_tip_m, marks.arrow_tip_m - marks.arrow_depth_m, marks.arrow_half_base_m / slant, marks.arrow_depth_m / slant,
+        marks.h_length_m / 2, marks.h_width_m / 2, inner, marks.bar_width_m / 2,
+        min(marks.ring_inner_m, marks.arrow_tip_m - marks.arrow_depth_m, marks.field_radius_m),
     )  # fmt: skip
     return np.array(numbers, np.float32)
 

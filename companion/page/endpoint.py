@@ -241,12 +241,11 @@ class PageEndpoint(NullObserver):
 
     def _welcome(self, viewer: PageViewer) -> PageWelcome:
         pad, camera = self.pilot.pad, self.pilot.camera
-        lines = (pad.circle(pad.ring_radius_m, 48), pad.arrowhead(), pad.h_corners())
         return PageWelcome(
             you=str(viewer.sender),
             vehicle=self._vehicle,
             camera_px=(camera.width, camera.height),
-            pad_lines_m=tuple(tuple((float(x), float(y)) for x, y, _ in line) for line in lines),
+            pad_lines_m=tuple(tuple((float(x), float(y)) for x, y, _ in line) for line in pad.borders()),
             pad_radius_m=pad.disc_radius_m,
         )
 

@@ -9,9 +9,12 @@ import numpy as np
 from companion.calibrate.board import Board
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
+from estimator.vision.regions import PaintedDisc, outline_of
 
 Rgb = tuple[int, int, int]
 BLACK: Rgb = (0, 0, 0)
+_RING_POINTS = 720
+"""Corners of a printed circle of a ring: at a radius of a metre they stand out by a hundredth of a millimetre."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,20 +53,15 @@ def pad_drawing(pad: Pad) -> Drawing:
     r = 1000 * pad.disc_radius_m
 
     def paper(p_pad: F64) -> F64:
-        """Convert (N, 3) m in `pad` to (N, 2) mm: starboard is right, the arrow is up."""
+        """Convert (N, 2) m in `pad` to (N, 2) mm: starboard is right, the arrow is up."""
         return np.stack([r + 1000 * p_pad[:, 1], r - 1000 * p_pad[:, 0]], axis=1)
 
-    c = pad.colours
     shapes: list[Shape] = []
-    if pad.rim_width_m > 0 and c.rim is not None:
-        shapes.append(Disc(r, r, r, c.rim))
-    shapes += [
-        Disc(r, r, r - 1000 * pad.rim_width_m, c.disc),
-        Disc(r, r, 1000 * pad.ring_outer_m, c.ring),
-        Disc(r, r, 1000 * pad.ring_inner_m, c.disc),
-        Polygon(paper(pad.arrowhead()), c.ring),
-        Polygon(paper(pad.h_corners()), c.h),
-    ]
+    for region in pad.regions:
+        if isinstance(region, PaintedDisc):
+            shapes.append(Disc(r, r, 1000 * region.radius_m, pad.rgb(region)))
+        else:
+            shapes.append(Polygon(paper(outline_of(region, _RING_POINTS)), pad.rgb(region)))
     return Drawing(f"pad {pad.name}", 2 * r, 2 * r, tuple(shapes))
 
 

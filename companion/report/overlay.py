@@ -117,10 +117,10 @@ class _Pen:
 
 
 def pad_lines(estimate: RelativeState, R_level_body: Rotation, camera: Camera, pad: Pad) -> list[F64]:
-    """Return lines of (n, 2) px: the disc, and if the heading is known the ring, the arrowhead and the H."""
+    """Return lines of (n, 2) px: the circle around the pad, and if the heading is known the borders of all that is painted."""
     shapes = [pad.circle(pad.disc_radius_m)]
     if estimate.yaw_rad is not None:
-        shapes += [pad.circle(pad.ring_radius_m), pad.arrowhead(), pad.h_corners()]
+        shapes += pad.borders()
     R_level_pad = Rotation.from_rpy(0.0, 0.0, -(estimate.yaw_rad or 0.0))
     R_body_level, T_cam_body = R_level_body.inv, camera.T_body_cam.inv
     return [camera.project(T_cam_body @ (R_body_level @ (R_level_pad @ p + estimate.d_body_pad_level))) for p in shapes]

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from estimator.vision.pad import Pad
+from estimator.vision.regions import outline_of, part_of
 
 INK, FAINT = "#010203", "#040506"
 """Stand-ins for the page's own colours."""
@@ -42,9 +43,10 @@ _STYLE: dict[Any, Any] = {
 def draw_pad(ax: Axes, pad: Pad) -> None:
     """Draw the pad from above, the arrow upward."""
     ax.add_patch(Circle((0, 0), pad.disc_radius_m, color="#0a9d76", alpha=0.28, linewidth=0, zorder=0.5))
-    ax.add_patch(Circle((0, 0), pad.ring_radius_m, fill=False, color="#e69f00", linewidth=1.2, zorder=0.6))
-    for shape, ink in ((pad.arrowhead(), "#e69f00"), (pad.h_corners(), INK)):
-        ax.add_patch(Polygon(shape[:, [1, 0]], color=ink, alpha=0.55, linewidth=0, zorder=0.6))
+    for region in pad.regions:
+        if (part := part_of(region)) in ("ring", "arrow", "letter"):
+            ink = INK if part == "letter" else "#e69f00"
+            ax.add_patch(Polygon(outline_of(region)[:, ::-1], color=ink, alpha=0.55, linewidth=0, zorder=0.6))
 
 
 def svg(draw: Callable[[Figure], None], width_in: float, height_in: float, name: str) -> str:

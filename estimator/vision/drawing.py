@@ -1,4 +1,4 @@
-"""The pad's drawing for measuring: its edges as points with normals."""
+"""The pad's drawing for measuring: its edges as points with normals, and the paints that meet there."""
 
 from __future__ import annotations
 
@@ -11,13 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from estimator.vision.markings import BARE, Markings, Rgb
 from estimator.vision.pad import Pad
+from estimator.vision.regions import depth_in
+from estimator.vision.srgb import linear_light
 
 _SPACING_M = 0.004
+_LUMA = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of linear red, green, blue in luminance. Source: ITU-R BT.709."""
 
 
 class EdgeKind(IntEnum):
-    """Kinds of edges, by the paints that meet: the paint inside is named first."""
+    """Kinds of edges, by the paints that meet: the paint inside is named first. A pad may lack some of them."""
 
     DISC = 0
     """The edge between the disc and the surroundings, or between the disc and its rim if it has one."""
@@ -26,65 +31,125 @@ class EdgeKind(IntEnum):
     ARROW = 2
     """The edge between the disc and the part of the arrowhead beyond the ring."""
     H = 3
-    """The edge between the H and the disc."""
+    """The edge between the lettering and the disc."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edges:
-    """Points on every edge of the drawing. Neighbours of a piece are in order, and the pieces of one kind are contiguous."""
+    """Points on the edges of a pad. Neighbours of a piece are in order, and the pieces of one kind are contiguous."""
 
     at_m: F64
-    """Positions of the points, (M, 2) m."""
+    """Positions of the points, (M, 2) m: x along the arrow, y to starboard of it."""
     normal: F64
     """Unit normals, (M, 2), pointing out of the inner paint."""
     kind: NDArray[np.intp]
     """The `EdgeKind` of each point, (M,), ascending."""
     piece: NDArray[np.intp]
-    """Index of the piece of each point, (M,), ascending: disc, ring inside, ring outside, the arrow's two sides, the H's
-    twelve.
+    """Index of the piece of each point, (M,), ascending: disc, ring inside, ring outside, the arrow's two sides, the lettering's
+    sides. A piece is one circle or one straight side.
     """
     spacing_m: F64
     """Distance between neighbours, (M,)."""
+    inside_rgb: NDArray[np.uint8]
+    """The paint on the inner side, against the normal, (M, 3) sRGB."""
+    outside_rgb: NDArray[np.uint8]
+    """The paint on the outer side, along the normal, (M, 3) sRGB; a bare deck's grey where that is the surroundings."""
+    bare: NDArray[np.bool_]
+    """Whether the outer side is the surroundings, whose colour is not known, (M,)."""
+    contrast: F64
+    """Luminance inside minus outside, (M,), -1..1 of a white surface: positive where the inner paint is the brighter one."""
 
 
 @lru_cache(maxsize=8)
 def edges_of(pad: Pad) -> Edges:
-    """Return the edges of a pad's drawing; the result is cached.
+    """Return the edges that a pad is recognised and measured by, every few millimetres; the result is cached.
 
-    The ring near the arrowhead is left out, because its outer edge is covered there.
+    They are derived from the pad's regions: for each border the stretches at which two paints meet. The outer edge of a rim is
+    left out, as the deck may have its colour, and so is the ring beside the arrowhead, where another edge is too near.
     """
-    pieces: list[tuple[EdgeKind, F64, F64]] = []
-    clear = math.atan2(1.25 * pad.arrow_half_base_m, pad.ring_inner_m)
-    for kind, radius, sign, gap in (
-        (EdgeKind.DISC, pad.disc_radius_m - pad.rim_width_m, 1.0, 0.0),
-        (EdgeKind.RING, pad.ring_inner_m, -1.0, clear),
-        (EdgeKind.RING, pad.ring_outer_m, 1.0, clear),
-    ):
-        n = math.ceil((math.tau - 2 * gap) * radius / (1.5 * _SPACING_M))
-        a = gap + (np.arange(n) + 0.5) / n * (math.tau - 2 * gap)
-        normal = np.stack([np.cos(a), np.sin(a)], axis=1)
-        pieces.append((kind, radius * normal, sign * normal))
-    tip, *base = pad.arrowhead()[:, :2]
-    for corner in base:
-        pieces.append((EdgeKind.ARROW, *_side(tip, _until_circle(tip, corner, pad.ring_outer_m), np.zeros(2))))
-    corners = pad.h_corners()[:, :2]
-    for i in range(12):
-        a_, b_ = corners[i], corners[(i + 1) % 12]
-        along = (b_ - a_) / np.linalg.norm(b_ - a_)
-        # The corners run clockwise seen from above with z into the deck, from x to y, so outside is to the left of the direction
-        # of travel.
-        pieces.append((EdgeKind.H, *_along(a_, b_, np.array([along[1], -along[0]]))))
-    order = [EdgeKind.DISC, EdgeKind.RING, EdgeKind.ARROW, EdgeKind.H]
-    pieces.sort(key=lambda p: order.index(p[0]))
-    count = [len(at) for _, at, _ in pieces]
+    marks = pad.markings
+    pieces = [*_circles(marks), *_arrow_sides(marks), *_letter_sides(marks)]
+    paints, count = _paints(marks), [len(at) for _, at, _ in pieces]
     spacing = [float(np.linalg.norm(at[1] - at[0])) if len(at) > 1 else _SPACING_M for _, at, _ in pieces]
+    kind = np.repeat([int(kind) for kind, _, _ in pieces], count)
+    inside, outside = (np.array([paints[k][side] or BARE for k in EdgeKind], np.uint8)[kind] for side in (0, 1))
     return Edges(
         np.concatenate([at for _, at, _ in pieces]),
         np.concatenate([normal for _, _, normal in pieces]),
-        np.repeat([int(kind) for kind, _, _ in pieces], count),
+        kind,
         np.repeat(np.arange(len(pieces)), count),
         np.repeat(spacing, count),
+        inside,
+        outside,
+        np.array([paints[k][1] is None for k in EdgeKind])[kind],
+        np.asarray((linear_light(inside) - linear_light(outside)) @ _LUMA),
     )
+
+
+def _paints(marks: Markings) -> dict[EdgeKind, tuple[Rgb, Rgb | None]]:
+    """Return the paints inside and outside of each kind of edge; None for the surroundings."""
+    c = marks.colours
+    below = c.disc if marks.field_radius_m else None
+    return {
+        EdgeKind.DISC: (c.disc, c.rim),
+        EdgeKind.RING: (c.ring, below),
+        EdgeKind.ARROW: (c.ring, below),
+        EdgeKind.H: (c.h, below),
+    }
+
+
+_Piece = tuple[EdgeKind, F64, F64]
+
+
+def _circles(marks: Markings) -> list[_Piece]:
+    """Return the disc's edge and the ring's two."""
+    pieces: list[_Piece] = []
+    beside_arrow = math.atan2(1.25 * marks.arrow_half_base_m, marks.ring_inner_m)
+    for kind, radius, sign, gap in (
+        (EdgeKind.DISC, marks.field_radius_m, 1.0, 0.0),
+        (EdgeKind.RING, marks.ring_inner_m, -1.0, beside_arrow),
+        (EdgeKind.RING, marks.ring_outer_m, 1.0, beside_arrow),
+    ):
+        if radius > 0.0:
+            n = math.ceil((math.tau - 2 * gap) * radius / (1.5 * _SPACING_M))
+            a = gap + (np.arange(n) + 0.5) / n * (math.tau - 2 * gap)
+            normal = np.stack([np.cos(a), np.sin(a)], axis=1)
+            pieces.append((kind, radius * normal, sign * normal))
+    return pieces
+
+
+def _arrow_sides(marks: Markings) -> list[_Piece]:
+    """Return the arrowhead's two slanted sides, from the apex to where the ring covers them."""
+    corners = marks.arrowhead()[:, :2]
+    pieces: list[_Piece] = []
+    for i in range(1, len(corners)):
+        a, b = corners[0], _until_circle(corners[0], corners[i], marks.ring_outer_m)
+        along = (b - a) / np.linalg.norm(b - a)
+        normal = np.array([along[1], -along[0]])
+        pieces.append((EdgeKind.ARROW, *_along(a, b, normal if normal @ a > 0 else -normal)))
+    return pieces
+
+
+def _letter_sides(marks: Markings) -> list[_Piece]:
+    """Return the lettering's sides without what lies inside another letter or stroke."""
+    pieces: list[_Piece] = []
+    for letter in marks.letters:
+        corners = letter.corners()
+        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            along = (b - a) / np.linalg.norm(b - a)
+            # The corners run clockwise seen from above with z into the deck, from x to y, so outside is to the left of the
+            # direction of travel.
+            at, normal = _along(a, b, np.array([along[1], -along[0]]))
+            free = np.ones(len(at), bool)
+            for other in marks.letters:
+                if other is not letter:
+                    free &= depth_in(other, at) < 1e-9
+            if free.all():
+                pieces.append((EdgeKind.H, at, normal))
+            else:
+                borders = np.flatnonzero(np.diff(np.r_[False, free, False]))
+                pieces += [(EdgeKind.H, at[i:j], normal[i:j]) for i, j in borders.reshape(-1, 2).tolist()]
+    return pieces
 
 
 def _until_circle(start: F64, end: F64, radius: float) -> F64:
@@ -96,12 +161,6 @@ def _until_circle(start: F64, end: F64, radius: float) -> F64:
         return end
     s = (-b - math.sqrt(disc)) / a
     return start + way * s if 0 < s < 1 else end
-
-
-def _side(a: F64, b: F64, inside: F64) -> tuple[F64, F64]:
-    along = (b - a) / np.linalg.norm(b - a)
-    normal = np.array([along[1], -along[0]])
-    return _along(a, b, normal if normal @ (a - inside) > 0 else -normal)
 
 
 def _along(a: F64, b: F64, normal: F64) -> tuple[F64, F64]:

@@ -57,24 +57,24 @@ def test_the_sheets_put_together_are_the_pad_in_its_true_size(tmp_path: Path, pa
         part = part[cut_y : cut_y + side - at_y - cut_y, cut_x : cut_x + side - at_x - cut_x]
         target = whole[at_y + cut_y : at_y + cut_y + part.shape[0], at_x + cut_x : at_x + cut_x + part.shape[1]]
         np.copyto(target, part[: target.shape[0], : target.shape[1]])
-    green, white = near(whole, PAD.colours.disc), near(whole, (255, 255, 255))
-    orange = near(whole, PAD.colours.ring)
+    green, white = near(whole, PAD.markings.colours.disc), near(whole, (255, 255, 255))
+    orange = near(whole, PAD.markings.colours.ring)
     ys, xs = np.nonzero(~white)
     for low, high in ((xs.min(), xs.max()), (ys.min(), ys.max())):
         assert (high - low + 1) / PX_PER_MM == pytest.approx(2000 * PAD.disc_radius_m, abs=0.8)
     ys, xs = np.nonzero(orange)
     centre = (10 + 1000 * PAD.disc_radius_m) * PX_PER_MM
     reach_mm = (centre - ys.min()) / PX_PER_MM
-    assert reach_mm == pytest.approx(1000 * PAD.arrow_tip_m, abs=1.0)  # the arrow is up
+    assert reach_mm == pytest.approx(1000 * PAD.markings.arrow_tip_m, abs=1.0)  # the arrow is up
     area_mm2 = float(np.count_nonzero(orange)) / PX_PER_MM**2
-    ring = np.pi * (PAD.ring_outer_m**2 - PAD.ring_inner_m**2)
-    head = PAD.arrow_depth_m * PAD.arrow_half_base_m
+    ring = np.pi * (PAD.markings.ring_outer_m**2 - PAD.markings.ring_inner_m**2)
+    head = PAD.markings.arrow_depth_m * PAD.markings.arrow_half_base_m
     ring_under_head = area_mm2 / 1e6 - ring
     assert 0.3 * head < ring_under_head < 1.02 * head
     assert area_mm2 / 1e6 == pytest.approx(ring + head, rel=0.05)
     half = side // 2
     assert np.count_nonzero(white[half - 5 : half + 5, half - 5 : half + 5]) == 100  # the H's cross-bar
-    h = 2 * PAD.h_length_m * PAD.leg_width_m + PAD.bar_length_m * PAD.bar_width_m
+    h = 2 * PAD.markings.h_length_m * PAD.markings.leg_width_m + PAD.markings.bar_length_m * PAD.markings.bar_width_m
     left = np.pi * PAD.disc_radius_m**2 - ring - head - h
     assert np.count_nonzero(green) / PX_PER_MM**2 / 1e6 == pytest.approx(left, rel=0.01)
 

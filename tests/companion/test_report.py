@@ -21,14 +21,12 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, RelativeStat
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
-from estimator.vision.pad import Colours, Pad
+from tests.support.shipped import shipped_pad
 
 CAMERA = Camera(
     320, 180, 187.3, 187.3, 159.5, 89.5, np.zeros(5), Transform(Rotation.from_rpy(0, 0, math.pi / 2), np.array([0.15, 0, 0]))
 )
-PAD = Pad(
-    "thesis", 0.39, 0.0, 0.243, 0.261, 0.3, 0.048, 0.048, 0.28, 0.2, 0.04, 0.04, Colours((0, 102, 0), (255, 149, 0), (255,) * 3)
-)
+PAD = shipped_pad("thesis")
 
 
 def ns(seconds: float) -> MonoNs:

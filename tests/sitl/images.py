@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+from msgspec.structs import replace
 
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
-from estimator.vision.pad import Colours, Pad
+from estimator.vision.pad import Pad
+from estimator.vision.regions import part_of
 from sitl.camera import Exposure
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -27,8 +28,9 @@ def pad(name: str, **colours: tuple[int, int, int]) -> Pad:
         whole = Pad.from_mapping(tomllib.load(file))
     if not colours:
         return whole
-    painted = {"disc": BLACK, "ring": BLACK, "h": BLACK, "rim": BLACK, **colours}
-    return replace(whole, colours=Colours(**painted))
+    part = {"arrow": "ring", "letter": "h"}
+    regions = tuple(replace(r, paint=part.get(part_of(r), part_of(r))) for r in whole.regions)
+    return Pad(whole.name, tuple({"disc": BLACK, "ring": BLACK, "h": BLACK, "rim": BLACK, **colours}.items()), regions)
 
 
 def shot(

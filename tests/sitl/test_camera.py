@@ -68,11 +68,13 @@ def brute_force(camera: Camera, s: Exposure, p: Pad, n: int) -> dict[str, F64]:
             q = np.c_[rays, np.ones(len(rays))] @ M.T
             u, v = (q[:, :2] / q[:, 2:]).T
             r, au, av = np.hypot(u, v), np.abs(u), np.abs(v)
-            base = p.arrow_tip_m - p.arrow_depth_m
-            side = p.arrow_half_base_m * (p.arrow_tip_m - u) - p.arrow_depth_m * av
-            half, inner = p.h_width_m / 2, p.h_width_m / 2 - p.leg_width_m
-            white = ((av <= half) & (av >= inner) & (au <= p.h_length_m / 2)) | ((av < inner) & (au <= p.bar_width_m / 2))
-            orange = ((r <= p.ring_outer_m) & (r >= p.ring_inner_m)) | ((u >= base) & (side >= 0))
+            base = p.markings.arrow_tip_m - p.markings.arrow_depth_m
+            side = p.markings.arrow_half_base_m * (p.markings.arrow_tip_m - u) - p.markings.arrow_depth_m * av
+            half, inner = p.markings.h_width_m / 2, p.markings.h_width_m / 2 - p.markings.leg_width_m
+            white = ((av <= half) & (av >= inner) & (au <= p.markings.h_length_m / 2)) | (
+                (av < inner) & (au <= p.markings.bar_width_m / 2)
+            )
+            orange = ((r <= p.markings.ring_outer_m) & (r >= p.markings.ring_inner_m)) | ((u >= base) & (side >= 0))
             for key, hit in (("disc", r <= p.disc_radius_m), ("ring", orange), ("h", white)):
                 out[key][y0:y1, x0:x1] += hit.reshape(yy.shape) / n**2
     return out
@@ -131,7 +133,7 @@ def edge(camera: Camera, s: Exposure, points: F64, inward: F64, margin_px: float
 
 def straight_sides(p: Pad, part: str) -> list[tuple[F64, F64, F64]]:
     """(from, to, inward unit normal), each (3,), of the long sides of the H or of the arrowhead's two slanted ones."""
-    corners = p.h_corners() if part == "h" else p.arrowhead()
+    corners = p.markings.h_corners() if part == "h" else p.markings.arrowhead()
     out = []
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         if np.linalg.norm(b - a) > (0.09 if part == "h" else 0.0) and not (part == "ring" and a[0] == b[0]):
@@ -167,7 +169,7 @@ def test_edges_cross_half_way_where_opencv_projects_them(camera: Camera, s: Expo
 def test_the_h_s_corners_by_line_fits_are_opencv_s(camera: Camera, s: Exposure) -> None:
     p = pad("thesis")
     shares = share(camera, s, "h")
-    corners = p.h_corners()
+    corners = p.markings.h_corners()
     checked = 0
     for i in range(12):
         lines = []

@@ -119,7 +119,14 @@ def _trace(
     paint = _paint(a, b, pad)
     paint[s <= 0] = 0
     palette = np.array(
-        [deck, pad.colours.rim or pad.colours.disc, pad.colours.disc, pad.colours.ring, pad.colours.h], np.float32
+        [
+            deck,
+            pad.markings.colours.rim or pad.markings.colours.disc,
+            pad.markings.colours.disc,
+            pad.markings.colours.ring,
+            pad.markings.colours.h,
+        ],
+        np.float32,
     )[:, ::-1]
     colour = _light(palette)[paint]
     return np.asarray(colour.reshape(h, samples, w, samples, 3).mean(axis=(1, 3)), np.float32)
@@ -129,17 +136,17 @@ def _paint(x: F64, y: F64, pad: Pad) -> NDArray[np.uint8]:
     r2 = x * x + y * y
     out = np.zeros(r2.shape, np.uint8)
     out[r2 <= pad.disc_radius_m**2] = 1
-    out[r2 <= (pad.disc_radius_m - pad.rim_width_m) ** 2] = 2
-    out[(r2 <= pad.ring_outer_m**2) & (r2 >= pad.ring_inner_m**2)] = 3
-    behind_tip = pad.arrow_tip_m - x
+    out[r2 <= (pad.markings.field_radius_m) ** 2] = 2
+    out[(r2 <= pad.markings.ring_outer_m**2) & (r2 >= pad.markings.ring_inner_m**2)] = 3
+    behind_tip = pad.markings.arrow_tip_m - x
     out[
         (behind_tip >= 0)
-        & (behind_tip <= pad.arrow_depth_m)
-        & (np.abs(y) <= behind_tip / pad.arrow_depth_m * pad.arrow_half_base_m)
+        & (behind_tip <= pad.markings.arrow_depth_m)
+        & (np.abs(y) <= behind_tip / pad.markings.arrow_depth_m * pad.markings.arrow_half_base_m)
     ] = 3
-    half = 0.5 * pad.h_width_m
-    leg = (np.abs(y) <= half) & (np.abs(y) >= half - pad.leg_width_m) & (np.abs(x) <= 0.5 * pad.h_length_m)
-    bar = (np.abs(y) <= half) & (np.abs(x) <= 0.5 * pad.bar_width_m)
+    half = 0.5 * pad.markings.h_width_m
+    leg = (np.abs(y) <= half) & (np.abs(y) >= half - pad.markings.leg_width_m) & (np.abs(x) <= 0.5 * pad.markings.h_length_m)
+    bar = (np.abs(y) <= half) & (np.abs(x) <= 0.5 * pad.markings.bar_width_m)
     out[leg | bar] = 4
     return out
 

@@ -198,7 +198,7 @@ def _from_discs(
     A circle may be the disc's own edge, or the ring's inner or outer edge.
     """
     least = 1.2 * image.step / camera.fx
-    edges = (disc_edge_m(pad), pad.ring_inner_m, pad.ring_outer_m)
+    edges = (disc_edge_m(pad), pad.markings.ring_inner_m, pad.markings.ring_outer_m)
     for limit in limits(image, memory.dominance(pad)):
         out: list[_Guess] = []
         for disc_region in disc_regions(image, limit):

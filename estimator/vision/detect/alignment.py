@@ -147,7 +147,7 @@ def align(
     if part is None:
         return None
     out = np.empty(_ALIGNED_WORDS)
-    arrow_px = camera.fx * pad.arrow_depth_m / float(words[-1])
+    arrow_px = camera.fx * pad.markings.arrow_depth_m / float(words[-1])
     level = min(FRAME_LEVELS, math.floor(math.log2(max(1.0, arrow_px / _ARROW_SAMPLES))))
     arrow_image = pyramid[level]
     arrow_part = np.array([level, 0, 0, arrow_image.shape[1], arrow_image.shape[0]])

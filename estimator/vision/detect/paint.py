@@ -54,7 +54,7 @@ class PaintMemory:
         """
         if not self.trusted:
             return None
-        main = 2 - int(np.argmax(pad.colours.disc))
+        main = 2 - int(np.argmax(pad.markings.colours.disc))
         others = [(main + 1) % 3, (main + 2) % 3]
         disc, around = (float(self.mean[k, main] - self.mean[k, others].max()) for k in (DISC, AROUND))
         spread = float(np.sqrt(self.var[[DISC, AROUND]].mean()))

@@ -93,7 +93,7 @@ class DiscRegion:
 
 def coarse(small: U8, step: int, pad: Pad) -> Coarse:
     """Compute the measure on a frame that is `step` times smaller than the camera's."""
-    main = 2 - int(np.argmax(pad.colours.disc))
+    main = 2 - int(np.argmax(pad.markings.colours.disc))
     channels = cv2.split(cv2.LUT(small, _LOG))
     others = cv2.max(channels[(main + 1) % 3], channels[(main + 2) % 3])
     excess = np.asarray(cv2.addWeighted(channels[main], 1.0, others, -1.0, float(_MIDDLE)), np.uint8)

@@ -115,7 +115,7 @@ def _places(mask: F32, angle: float, step: int, camera: Camera, pad: Pad, plane:
             # Map from the small upright image to the plane, and to metres by the stroke's width.
             x, y = (u + 0.5) / k - 0.5, (v + 0.5) / k - 0.5
             place = (from_upright @ np.array([x, y, 1.0]))[:2]
-            depth = pad.leg_width_m * f / width
+            depth = pad.markings.leg_width_m * f / width
             R = Rotation(plane.R_cam_plane) @ Rotation.from_rpy(0.0, 0.0, turn + (math.pi / 2 if across else 0.0))
             t = plane.R_cam_plane @ np.array([place[0] * depth, place[1] * depth, depth])
             if t[2] > 0.02:
@@ -153,9 +153,9 @@ def _stroke_widths(upright: F32) -> list[float]:
 
 def _correlate(small: F32, pad: Pad) -> list[tuple[float, float, float, bool]]:
     """Return (score, u, v, legs across) of the best positions for the H's two headings."""
-    k = _STROKE_PX / pad.leg_width_m
-    half_long, half_wide = pad.h_length_m / 2 * k, pad.h_width_m / 2 * k
-    leg, bar, margin = pad.leg_width_m * k, pad.bar_width_m / 2 * k, _MARGIN_M * k
+    k = _STROKE_PX / pad.markings.leg_width_m
+    half_long, half_wide = pad.markings.h_length_m / 2 * k, pad.markings.h_width_m / 2 * k
+    leg, bar, margin = pad.markings.leg_width_m * k, pad.markings.bar_width_m / 2 * k, _MARGIN_M * k
     reach = math.ceil(half_long + margin) + 1
     image = cv2.copyMakeBorder(small, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=0.0)
     sums = [np.asarray(cv2.integral(m, sdepth=cv2.CV_32F), np.float32) for m in (image, np.abs(image))]

@@ -15,6 +15,7 @@ from estimator.contracts.geometry import F64
 from estimator.core.interface.eyes import TEMPLATE_ONE
 from estimator.core.records import record
 from estimator.vision.pad import Pad
+from estimator.vision.regions import rectangles_of
 from estimator.vision.srgb import linear_light
 
 F32 = NDArray[np.float32]
@@ -45,22 +46,24 @@ H, ORANGE, DISC, AROUND = 0, 1, 2, 3
 
 
 def disc_edge_m(pad: Pad) -> float:
-    """Return the radius at which the disc's own paint ends: at the rim if there is one."""
-    return pad.disc_radius_m - pad.rim_width_m
+    """Return the radius at which the disc's own paint ends: at the rim if there is one; on a bare deck where the pad ends."""
+    return pad.markings.field_radius_m or pad.disc_radius_m
 
 
 def paints_at(xy_m: F64, pad: Pad) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Return disjoint masks of H, ring, arrowhead and disc at (N, 2) positions on the pad, m."""
     x, y = xy_m[:, 0], xy_m[:, 1]
     r = np.hypot(x, y)
-    half = pad.h_width_m / 2
-    leg = (np.abs(y) <= half) & (np.abs(y) >= half - pad.leg_width_m) & (np.abs(x) <= pad.h_length_m / 2)
-    bar = (np.abs(y) <= half) & (np.abs(x) <= pad.bar_width_m / 2)
-    ring = (r >= pad.ring_inner_m) & (r <= pad.ring_outer_m)
-    behind = pad.arrow_tip_m - x
-    arrow = (behind >= 0) & (behind <= pad.arrow_depth_m) & (np.abs(y) * pad.arrow_depth_m <= behind * pad.arrow_half_base_m)
-    h_marking = leg | bar
-    arrow &= ~ring
+    marks, nothing = pad.markings, np.zeros(len(r), bool)
+    h_marking, ring, arrow = nothing, nothing, nothing
+    for x0, x1, y0, y1 in rectangles_of(marks.letters):
+        h_marking = h_marking | ((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1))
+    if marks.ring_outer_m:
+        ring = (r >= marks.ring_inner_m) & (r <= marks.ring_outer_m)
+    if marks.arrow_tip_m:
+        behind = marks.arrow_tip_m - x
+        slanted = np.abs(y) * marks.arrow_depth_m <= behind * marks.arrow_half_base_m
+        arrow = (behind >= 0) & (behind <= marks.arrow_depth_m) & slanted & ~ring
     return h_marking, ring, arrow, (r <= disc_edge_m(pad)) & ~h_marking & ~ring & ~arrow
 
 
@@ -148,17 +151,18 @@ def _sharp(pad: Pad) -> F32:
 
 
 def _packed(pad: Pad, n: int) -> F64:
+    marks = pad.markings
     rows, columns = (
         math.ceil((length_m + 2.0 * _ARROW_MARGIN_M) / _ARROW_PITCH_M - 1e-9)
-        for length_m in (pad.arrow_depth_m, 2.0 * pad.arrow_half_base_m)
+        for length_m in (marks.arrow_depth_m, 2.0 * marks.arrow_half_base_m)
     )
     words = record("pad_template", {
-        "n": n, "disc_channel": 2 - int(np.argmax(pad.colours.disc)), "arrow_rows": rows, "arrow_columns": columns + 1,
+        "n": n, "disc_channel": 2 - int(np.argmax(marks.colours.disc)), "arrow_rows": rows, "arrow_columns": columns + 1,
         "per_m": 1.0 / STEP_M, "log_blur": np.log(BLURS_M), "local_m": LOCAL_M, "reach_m": REACH * pad.disc_radius_m,
         "disc_radius_m": pad.disc_radius_m, "disc_edge_m": disc_edge_m(pad),
-        "h_half_length_m": pad.h_length_m / 2, "h_half_width_m": pad.h_width_m / 2,
-        "ring_inner_m": pad.ring_inner_m, "ring_outer_m": pad.ring_outer_m,
-        "arrow_tip_m": pad.arrow_tip_m, "arrow_depth_m": pad.arrow_depth_m, "arrow_half_base_m": pad.arrow_half_base_m,
+        "h_half_length_m": marks.h_length_m / 2, "h_half_width_m": marks.h_width_m / 2,
+        "ring_inner_m": marks.ring_inner_m, "ring_outer_m": marks.ring_outer_m,
+        "arrow_tip_m": marks.arrow_tip_m, "arrow_depth_m": marks.arrow_depth_m, "arrow_half_base_m": marks.arrow_half_base_m,
         "arrow_margin_m": _ARROW_MARGIN_M, "arrow_pitch_m": _ARROW_PITCH_M, "orange_place": _orange_place(pad),
     })  # fmt: skip
     words.setflags(write=False)
@@ -167,7 +171,9 @@ def _packed(pad: Pad, n: int) -> F64:
 
 def _orange_place(pad: Pad) -> F64:
     """Return the (3,) nominal place of the orange between disc (0) and H (1), by square roots of light in blue, green, red."""
-    white, orange, green = (np.sqrt(linear_light(rgb[::-1])) for rgb in (pad.colours.h, pad.colours.ring, pad.colours.disc))
+    white, orange, green = (
+        np.sqrt(linear_light(rgb[::-1])) for rgb in (pad.markings.colours.h, pad.markings.colours.ring, pad.markings.colours.disc)
+    )
     return np.asarray((orange - green) / (white - green))
 
 

@@ -103,7 +103,9 @@ def _orange_off(found: Registration, pad: Pad) -> float:
 def _orange_places(pad: Pad) -> tuple[float, ...]:
     """Return the ring's nominal place between disc (0) and H (1), in blue, green, red."""
     table = light_table(True)
-    of_ring, of_h, of_disc = (table[list(rgb[::-1])] for rgb in (pad.colours.ring, pad.colours.h, pad.colours.disc))
+    of_ring, of_h, of_disc = (
+        table[list(rgb[::-1])] for rgb in (pad.markings.colours.ring, pad.markings.colours.h, pad.markings.colours.disc)
+    )
     return tuple(((of_ring - of_disc) / np.maximum(of_h - of_disc, 0.05)).tolist())
 
 

@@ -29,19 +29,20 @@ _H_FIGURE, _ARROW_FIGURE, _NO_FIGURE = 0, 1, -1
 @lru_cache(maxsize=8)
 def pad_shape(pad: Pad) -> F64:
     """Return the words of the core's `pad_shape`; the result is cached."""
-    field_m, arrow = pad.disc_radius_m - pad.rim_width_m, pad.arrowhead()[:, :2]
+    marks = pad.markings
+    field_m, arrow = marks.field_radius_m, marks.arrowhead()[:, :2]
     disc, h = _region((field_m,)), _region((), _H_FIGURE)
-    ring = (pad.ring_outer_m, pad.ring_inner_m)
+    ring = (marks.ring_outer_m, marks.ring_inner_m)
     contrasts = [disc, _region(ring, _ARROW_FIGURE), h]
-    if pad.rim_width_m:
+    if marks.rim_width_m:
         contrasts.append(_region((pad.disc_radius_m, field_m)))
     return record("pad_shape", {
         "contrast_count": len(contrasts), "pointer_kind": EdgeKind.ARROW, "pointer_contrast": _RING,
         "pointer_figure": _ARROW_FIGURE, "lies_on": (_SURROUNDINGS, _DISC, _DISC, _SURROUNDINGS),
         "contrast_of_kind": (_DISC, _RING, _RING, _H),
         "paint_of_kind": (EdgeKind.DISC, EdgeKind.RING, EdgeKind.RING, EdgeKind.H),
-        "disc_radius_m": pad.disc_radius_m, "half_length_m": 0.5 * pad.h_length_m, "pointer_clear_m": pad.ring_inner_m,
-        "gap_m": min(field_m - pad.arrow_tip_m, pad.ring_inner_m - math.hypot(pad.h_length_m, pad.h_width_m) / 2),
+        "disc_radius_m": pad.disc_radius_m, "half_length_m": 0.5 * marks.h_length_m, "pointer_clear_m": marks.ring_inner_m,
+        "gap_m": min(field_m - marks.arrow_tip_m, marks.ring_inner_m - math.hypot(marks.h_length_m, marks.h_width_m) / 2),
         "pointer_marks_m": [*arrow, arrow.mean(axis=0)], "nominal": _contrasts(pad), "zones": _zones(pad),
         "contrasts": contrasts, "kinds": [disc, _region(ring), _region(ring, has_wedge=True), h],
         "figures": [_h_figure(pad), _arrow_figure(pad)], "wedge": _arrow_wedge(pad),
@@ -68,8 +69,8 @@ def _figure(rectangles: Sequence[tuple[float, float, float, float]]) -> dict[str
 
 
 def _h_figure(pad: Pad) -> dict[str, Any]:
-    length, bar, outer = 0.5 * pad.h_length_m, 0.5 * pad.bar_width_m, 0.5 * pad.h_width_m
-    inner = outer - pad.leg_width_m
+    length, bar, outer = 0.5 * pad.markings.h_length_m, 0.5 * pad.markings.bar_width_m, 0.5 * pad.markings.h_width_m
+    inner = outer - pad.markings.leg_width_m
     return _figure([(-length, length, -outer, -inner), (-length, length, inner, outer), (-bar, bar, -inner, inner)])
 
 
@@ -79,14 +80,14 @@ def _arrow_figure(pad: Pad) -> dict[str, Any]:
     A product of blurred sides is valid only while each side is blurred separately. Strips between an arc and a slanted side are
     exact in the limit of many; a few leave steps far finer than the blur.
     """
-    slope = pad.arrow_half_base_m / pad.arrow_depth_m
-    base = pad.arrow_tip_m - pad.arrow_depth_m
+    slope = pad.markings.arrow_half_base_m / pad.markings.arrow_depth_m
+    base = pad.markings.arrow_tip_m - pad.markings.arrow_depth_m
 
     def extent(y: F64) -> tuple[F64, F64]:
-        end = pad.arrow_tip_m - np.abs(y) / slope
-        return np.maximum(base, np.sqrt(np.maximum(pad.ring_outer_m**2 - y * y, 0.0))), end
+        end = pad.markings.arrow_tip_m - np.abs(y) / slope
+        return np.maximum(base, np.sqrt(np.maximum(pad.markings.ring_outer_m**2 - y * y, 0.0))), end
 
-    fine = np.linspace(0.0, pad.arrow_half_base_m, 1001)
+    fine = np.linspace(0.0, pad.markings.arrow_half_base_m, 1001)
     begin, end = extent(fine)
     half = float(fine[np.nonzero(end > begin)[0][-1]])
     borders = np.linspace(0.0, half, _STRIPS // 2 + 1)
@@ -98,38 +99,38 @@ def _arrow_figure(pad: Pad) -> dict[str, Any]:
 
 def _arrow_wedge(pad: Pad) -> dict[str, Any]:
     """Return the arrowhead beyond the ring where the blur is small compared with it: two sides and the base."""
-    slant = math.hypot(pad.arrow_half_base_m, pad.arrow_depth_m)
-    along, aside = pad.arrow_half_base_m / slant, pad.arrow_depth_m / slant
-    base = pad.arrow_tip_m - pad.arrow_depth_m
-    if math.hypot(base, pad.arrow_half_base_m) <= pad.ring_outer_m:
+    slant = math.hypot(pad.markings.arrow_half_base_m, pad.markings.arrow_depth_m)
+    along, aside = pad.markings.arrow_half_base_m / slant, pad.markings.arrow_depth_m / slant
+    base = pad.markings.arrow_tip_m - pad.markings.arrow_depth_m
+    if math.hypot(base, pad.markings.arrow_half_base_m) <= pad.markings.ring_outer_m:
         # The ring hides the base, and a blurred base would reduce the part beyond the ring. The base is cut where the ring covers
         # it all.
-        base = 0.5 * pad.arrow_tip_m
+        base = 0.5 * pad.markings.arrow_tip_m
     return {
-        "sides": 3, "nx": (along, along, -1.0), "ny": (aside, -aside, 0.0), "beyond_m": pad.ring_outer_m,
-        "offset_m": (along * pad.arrow_tip_m, along * pad.arrow_tip_m, -base),
+        "sides": 3, "nx": (along, along, -1.0), "ny": (aside, -aside, 0.0), "beyond_m": pad.markings.ring_outer_m,
+        "offset_m": (along * pad.markings.arrow_tip_m, along * pad.markings.arrow_tip_m, -base),
     }  # fmt: skip
 
 
 def _zones(pad: Pad) -> list[dict[str, Any]]:
     """Return, for each kind of edge, where edges of another kind are."""
-    field_m, length, width = pad.disc_radius_m - pad.rim_width_m, 0.5 * pad.h_length_m, 0.5 * pad.h_width_m
+    field_m, length, width = pad.markings.field_radius_m, 0.5 * pad.markings.h_length_m, 0.5 * pad.markings.h_width_m
 
     def zone(inside: float, outside: float, box: tuple[float, ...] = (_FAR_M,) * 4, radius: float = _FAR_M) -> dict[str, Any]:
         return {"inside_m": inside, "outside_m": outside, "thinnest_m": _FAR_M, "box_m": box, "box_radius_m": radius}
 
-    beside_arrow = (0.0, pad.arrow_tip_m, -pad.arrow_half_base_m, pad.arrow_half_base_m)
-    disc = zone(pad.ring_outer_m, _FAR_M, beside_arrow, pad.arrow_tip_m)
-    if pad.rim_width_m:
+    beside_arrow = (0.0, pad.markings.arrow_tip_m, -pad.markings.arrow_half_base_m, pad.markings.arrow_half_base_m)
+    disc = zone(pad.markings.ring_outer_m, _FAR_M, beside_arrow, pad.markings.arrow_tip_m)
+    if pad.markings.rim_width_m:
         # If no pixel sees the rim alone, its inner edge cannot be separated from its outer one.
-        disc |= {"outside_m": pad.disc_radius_m, "thinnest_m": pad.rim_width_m}
+        disc |= {"outside_m": pad.disc_radius_m, "thinnest_m": pad.markings.rim_width_m}
     h = (-length, length, -width, width)
-    return [disc, zone(-_FAR_M, field_m, h), zone(-_FAR_M, field_m), zone(-_FAR_M, pad.ring_inner_m)]
+    return [disc, zone(-_FAR_M, field_m, h), zone(-_FAR_M, field_m), zone(-_FAR_M, pad.markings.ring_inner_m)]
 
 
 def _contrasts(pad: Pad) -> F64:
     """Return the (4, 3) BGR unit vectors from the disc's paint to that inside each kind of edge; zero for the disc's own."""
-    paints = pad.colours
+    paints = pad.markings.colours
     disc, ring, h = (linear_light(rgb[::-1]) for rgb in (paints.disc, paints.ring, paints.h))
     ways = np.array([np.zeros(3), ring - disc, ring - disc, h - disc])
     return np.asarray(ways / np.maximum(np.linalg.norm(ways, axis=1), 1e-6)[:, None])

@@ -63,12 +63,12 @@ def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F3
     if centre is None:
         return None
     origin = np.array(seg.origin_px, dtype=float)
-    h_area_m2 = 2.0 * pad.h_length_m * pad.leg_width_m + pad.bar_length_m * pad.bar_width_m
+    h_area_m2 = 2.0 * pad.markings.h_length_m * pad.markings.leg_width_m + pad.markings.bar_length_m * pad.markings.bar_width_m
     scale = math.sqrt(centre.area_plane / h_area_m2)
     centre_plane = view.plane(centre.uv_px[None, :])
     px_per_m = _local_px(view, centre_plane[0]) * scale
     # Between the arms of the arrowhead there is nothing else within three quarters of their length.
-    reach_px = 0.75 * math.hypot(pad.arrow_depth_m, pad.arrow_half_base_m) * px_per_m
+    reach_px = 0.75 * math.hypot(pad.markings.arrow_depth_m, pad.markings.arrow_half_base_m) * px_per_m
     if reach_px < _MIN_REACH_PX:
         return None
     starts = _farthest(seg.orange, centre.uv_px - origin, pad, px_per_m)
@@ -98,7 +98,7 @@ def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F3
     n_edge = max(4.0, centre.perimeter_px / 4.0)
     sigma = np.array(
         [
-            math.hypot(0.25 / math.sqrt(n_edge), _SIGMA_CENTROID_PX, _SIGMA_CENTROID * pad.h_length_m * px_per_m),
+            math.hypot(0.25 / math.sqrt(n_edge), _SIGMA_CENTROID_PX, _SIGMA_CENTROID * pad.markings.h_length_m * px_per_m),
             math.hypot(exact.sigma_px, _SIGMA_TIP_PX),
         ]
     )
@@ -111,7 +111,7 @@ def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F3
         Feature("point", "tip", tip_uv[None, :]),
         Feature("point", "centre", centre.uv_px[None, :]),
     )
-    return Arrow(Marks(uv, np.array([[0.0, 0.0], [pad.arrow_tip_m, 0.0]]), modes), confidence, features)
+    return Arrow(Marks(uv, np.array([[0.0, 0.0], [pad.markings.arrow_tip_m, 0.0]]), modes), confidence, features)
 
 
 def _centroid(seg: Segmentation, whiteness: F32, view: OrientedCamera) -> _Centroid | None:
@@ -154,7 +154,7 @@ def _farthest(orange: U8, centre: F64, pad: Pad, px_per_m: float) -> F64:
     d = cv2.findNonZero(orange)[:, 0, :] - centre
     r = np.sqrt(d[:, 0] ** 2 + d[:, 1] ** 2)
     # The area of the H gives the scale to a few percent; the tip extends beyond the ring by 15 %.
-    near = (r > 1.03 * pad.ring_outer_m * px_per_m) & (r < 1.25 * pad.arrow_tip_m * px_per_m)
+    near = (r > 1.03 * pad.markings.ring_outer_m * px_per_m) & (r < 1.25 * pad.markings.arrow_tip_m * px_per_m)
     d, r = d[near], r[near]
     if len(r) == 0:
         return np.zeros((0, 2))
@@ -166,7 +166,7 @@ def _farthest(orange: U8, centre: F64, pad: Pad, px_per_m: float) -> F64:
 
 def _paint_behind(tips: F64, inwards: F64, orangeness: F32, pad: Pad, px_per_m: float) -> F64:
     """Return (N,) coverage by orange in the middle of the arrowheads with these tips, (N, 2), and directions."""
-    incentre_m = math.sqrt(2.0) * (pad.arrow_depth_m + pad.arrow_half_base_m) * 0.5 * (math.sqrt(2.0) - 1.0)
+    incentre_m = math.sqrt(2.0) * (pad.markings.arrow_depth_m + pad.markings.arrow_half_base_m) * 0.5 * (math.sqrt(2.0) - 1.0)
     at = tips + inwards / np.linalg.norm(inwards, axis=1, keepdims=True) * incentre_m * px_per_m
     spread = 0.25 * incentre_m * px_per_m
     grid = at[:, None, :] + spread * np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
@@ -185,7 +185,7 @@ def _score(tip: RightAngle, origin: F64, centre_plane: F64, view: OrientedCamera
         return None
     v = q[0] - centre_plane
     length = float(np.linalg.norm(v))
-    off_length = math.log(length / (pad.arrow_tip_m * scale)) / 0.12
+    off_length = math.log(length / (pad.markings.arrow_tip_m * scale)) / 0.12
     arms = (q[1:] - q[0]) / np.linalg.norm(q[1:] - q[0], axis=1, keepdims=True)
     inward = -(arms[0] + arms[1])
     off_bisector = math.acos(float(np.clip(inward @ v / (np.linalg.norm(inward) * length), -1.0, 1.0))) / math.radians(10.0)

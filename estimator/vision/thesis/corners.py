@@ -67,7 +67,7 @@ def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Corners |
     origin = np.array(seg.origin_px, dtype=float)
     uv = np.array([c.uv_px for c in found]) + origin
     plane = view.plane(uv)
-    drawing = pad.h_corners()[:, :2]
+    drawing = pad.markings.h_corners()[:, :2]
     best: tuple[int, float, Side, list[tuple[int, int]]] | None = None
     for a, b in itertools.combinations([i for i, c in enumerate(found) if c.inner], 2):
         side = side_of(found[a], found[b])
@@ -146,7 +146,7 @@ def _match(
     other_kind = np.array([c.inner for c in found])[:, None] != _IS_INNER[None, :]
     for round_ in range(2):
         predicted = _apply(similarity, drawing)
-        unit = math.hypot(similarity[0], similarity[1]) * pad.leg_width_m
+        unit = math.hypot(similarity[0], similarity[1]) * pad.markings.leg_width_m
         distance = np.linalg.norm(plane[:, None, :] - predicted[None, :, :], axis=2) / unit
         distance[other_kind] = np.inf
         nearest = np.argmin(distance, axis=1)
@@ -170,24 +170,24 @@ def _match(
         return [], math.inf
     at = np.array([i for i, _ in pairs])
     off = plane[at] - _apply(similarity, drawing[[k for _, k in pairs]])
-    unit = math.hypot(similarity[0], similarity[1]) * pad.leg_width_m
+    unit = math.hypot(similarity[0], similarity[1]) * pad.markings.leg_width_m
     return pairs, float(np.sqrt(np.mean(np.sum(off**2, axis=1)))) / unit
 
 
 def _painted(similarity: Similarity, seg: Segmentation, view: OrientedCamera, pad: Pad, whiteness: F32) -> bool:
     """Return whether the frame is white on the aligned drawing and not white beside it, at the points inside the frame."""
-    leg_y = 0.5 * (pad.h_width_m - pad.leg_width_m)
-    ends = 0.4 * pad.h_length_m
+    leg_y = 0.5 * (pad.markings.h_width_m - pad.markings.leg_width_m)
+    ends = 0.4 * pad.markings.h_length_m
     white = [(0.0, 0.0), (0.0, leg_y), (0.0, -leg_y), (ends, leg_y), (ends, -leg_y), (-ends, leg_y), (-ends, -leg_y)]
-    notch = 0.25 * pad.h_length_m
-    beside = 0.5 * pad.h_width_m + 0.7 * pad.leg_width_m
+    notch = 0.25 * pad.markings.h_length_m
+    beside = 0.5 * pad.markings.h_width_m + 0.7 * pad.markings.leg_width_m
     ground = [
         (notch, 0.0),
         (-notch, 0.0),
         (0.0, beside),
         (0.0, -beside),
-        (2 * notch + pad.leg_width_m, leg_y),
-        (-2 * notch - pad.leg_width_m, -leg_y),
+        (2 * notch + pad.markings.leg_width_m, leg_y),
+        (-2 * notch - pad.markings.leg_width_m, -leg_y),
     ]
     uv = view.pixels(_apply(similarity, np.array(white + ground))) - np.array(seg.origin_px)
     h, w = whiteness.shape

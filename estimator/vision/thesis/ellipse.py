@@ -126,7 +126,7 @@ def find_disc(seg: Segmentation, view: OrientedCamera, pad: Pad) -> DiscOutline 
     coarse = fit_ellipse(_resampled(seg.hull_px))
     if coarse is None or coarse.b < _MIN_RADIUS_PX or coarse.b < 0.4 * coarse.a:
         return None
-    radius_m = pad.disc_radius_m - pad.rim_width_m
+    radius_m = pad.markings.field_radius_m
     search = min(0.13 * coarse.b, 20.0) + 1.0
     axis = _rim_axis(pad)
     edges = _edges(seg, coarse, search, axis, _POINTS // 2)
@@ -194,9 +194,9 @@ def _resampled(hull: F64) -> F64:
 
 def _rim_axis(pad: Pad) -> F64 | None:
     """Return the (3,) blue, green, red direction from the disc's paint to its rim's, without grey; None for a pad without rim."""
-    if pad.colours.rim is None or pad.rim_width_m <= 0.0:
+    if pad.markings.colours.rim is None or pad.markings.rim_width_m <= 0.0:
         return None
-    step = np.array(pad.colours.rim[::-1], dtype=float) - pad.colours.disc[::-1]
+    step = np.array(pad.markings.colours.rim[::-1], dtype=float) - pad.markings.colours.disc[::-1]
     return np.asarray(step - step.mean())
 
 

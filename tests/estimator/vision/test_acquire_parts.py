@@ -99,10 +99,10 @@ def test_shares_of_the_drawing_add_up_and_match_its_areas(pad: Pad) -> None:
     drawn = template(pad)
     assert np.abs(drawn.coverage.sum(axis=3) - TEMPLATE_ONE).max() <= 2, "rounded"
     area = drawn.coverage[0].sum(axis=(0, 1)) / TEMPLATE_ONE * STEP_M**2
-    h_marking = 2 * pad.h_length_m * pad.leg_width_m + pad.bar_length_m * pad.bar_width_m
+    h_marking = 2 * pad.markings.h_length_m * pad.markings.leg_width_m + pad.markings.bar_length_m * pad.markings.bar_width_m
     assert area[H] == pytest.approx(h_marking, rel=0.02)
-    ring = math.pi * (pad.ring_outer_m**2 - pad.ring_inner_m**2)
-    assert ring < area[ORANGE] < ring + pad.arrow_depth_m * pad.arrow_half_base_m
+    ring = math.pi * (pad.markings.ring_outer_m**2 - pad.markings.ring_inner_m**2)
+    assert ring < area[ORANGE] < ring + pad.markings.arrow_depth_m * pad.markings.arrow_half_base_m
     assert area[DISC] == pytest.approx(math.pi * pad.disc_radius_m**2 - area[H] - area[ORANGE], rel=0.01)
     assert np.abs(drawn.local.sum(axis=3)).max() <= 2, "less its neighbourhood"
     places = polar_drawing(pad).xy_m

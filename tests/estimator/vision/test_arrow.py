@@ -39,7 +39,7 @@ def test_centre_and_tip_keep_their_fractions_of_a_pixel(camera: Camera, pad: Pad
         ]
         assert s is not None
         seen = {f.label: f.uv_px[0] for f in s.features if f.kind == "point"}
-        true = project(np.array([[0.0, 0.0, 0.0], [pad.arrow_tip_m, 0.0, 0.0]]), scene, camera)
+        true = project(np.array([[0.0, 0.0, 0.0], [pad.markings.arrow_tip_m, 0.0, 0.0]]), scene, camera)
         centre.append(seen["centre"] - true[0])
         tip.append(seen["tip"] - true[1])
     assert np.all(np.abs(np.mean(centre, axis=0)) < 0.03)

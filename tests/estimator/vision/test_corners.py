@@ -109,7 +109,7 @@ def test_two_inner_corners_do_on_the_long_side_and_on_the_short_one(
 )
 def test_arms_tell_the_side_of_the_cross_bar(pair: tuple[int, int], side: Side | None, pad: Pad) -> None:
     """Inner corners drawn by hand, bow up: arms along the leg outwards, arms along the bar inwards."""
-    inner = pad.h_corners()[[2, 3, 8, 9], :2]
+    inner = pad.markings.h_corners()[[2, 3, 8, 9], :2]
     corners = []
     for forward, right in inner:
         arms = np.array([[0.0, -math.copysign(1.0, forward)], [-math.copysign(1.0, right), 0.0]])
@@ -124,7 +124,7 @@ def test_corners_keep_their_fractions_of_a_pixel(camera: Camera, pad: Pad) -> No
         scene = PadPlacement((0.15 + rng.uniform(-0.01, 0.01), rng.uniform(-0.01, 0.01), 0.9), rng.uniform(-3, 3))
         s = corners_of(scene, camera, pad, seed=i)
         assert s is not None
-        true = project(pad.h_corners(), scene, camera)
+        true = project(pad.markings.h_corners(), scene, camera)
         for uv in next(f.uv_px for f in s.features if f.label == "corners"):
             off.append(uv - true[np.argmin(np.linalg.norm(true - uv, axis=1))])
     assert len(off) >= 60
@@ -149,7 +149,7 @@ def test_figures_drawn_beside_the_h_do_not_move_its_corners(camera: Camera, pad:
 def test_a_bare_white_square_is_no_h(camera: Camera, pad: Pad) -> None:
     scene = PadPlacement((0.15, 0.0, 0.9), 0.2)
     px = image(scene, camera, pad).px.copy()
-    outline = project(pad.h_corners()[[0, 5, 6, 11]], scene, camera)
+    outline = project(pad.markings.h_corners()[[0, 5, 6, 11]], scene, camera)
     cv2.fillPoly(px, [np.rint(outline).astype(np.int32)], (231, 231, 231))
     frame = image(scene, camera, pad)
     seen = detect(type(frame)(frame.stamp, 0, px), scene.attitude(), camera, pad, SIMULATOR)

@@ -58,12 +58,12 @@ def test_sharp_orange_is_the_drawing_too() -> None:
 
 
 def ring(b: Blurred) -> Coverage:
-    outer, inner = b.circles(b.pad.ring_outer_m, b.pad.ring_inner_m)
+    outer, inner = b.circles(b.pad.markings.ring_outer_m, b.pad.markings.ring_inner_m)
     return outer[0] - inner[0], outer[1] - inner[1]
 
 
 def orange_of(b: Blurred) -> Coverage:
-    outer, inner = b.circles(b.pad.ring_outer_m, b.pad.ring_inner_m)
+    outer, inner = b.circles(b.pad.markings.ring_outer_m, b.pad.markings.ring_inner_m)
     head, d_head = b.arrow(outer)
     return outer[0] - inner[0] + head, outer[1] - inner[1] + d_head
 
@@ -88,7 +88,7 @@ def test_edges_shares_together_are_those_of_each_by_itself(pad: Pad) -> None:
     disc, ring_, arrow, h = (slice(a, b) for a, b in itertools.pairwise(borders))
     b = Blurred(pad, near[:, 0], near[:, 1], (9e-6, 2e-6, 7e-6), np.linspace(0.8, 1.2, len(near), dtype=np.float32))
     share, d, head = b.edge_coverages(disc, ring_, arrow, h)
-    field = pad.disc_radius_m - pad.rim_width_m
+    field = pad.markings.field_radius_m
     for part, shape in ((disc, lambda b: b.circles(field)[0]), (ring_, ring), (arrow, orange_of), (h, lambda b: b.h())):
         alone = shape(b.part(part))
         assert share[part] == pytest.approx(alone[0], abs=1e-6)
@@ -139,6 +139,6 @@ def test_edges_lie_between_the_two_paints() -> None:
             assert set(outside[of]) == {paints[1]}
         of = e.kind == EdgeKind.DISC
         assert set(inside[of]) == {2}
-        assert set(outside[of]) == ({1} if pad.rim_width_m else {0})
+        assert set(outside[of]) == ({1} if pad.markings.rim_width_m else {0})
         assert np.all(np.diff(e.kind) >= 0)
         assert np.all(np.diff(e.piece) >= 0)

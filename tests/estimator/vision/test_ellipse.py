@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,11 +13,11 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+from estimator.vision.regions import PaintedRing
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.ellipse import Ellipse, fit_ellipse
 from estimator.vision.thesis.segmentation import SIMULATOR
 from tests.support.pad_images import PadPlacement, errors, image, project
-from tests.support.shipped import shipped_pad
 
 
 @settings(max_examples=60)
@@ -100,9 +99,8 @@ def test_a_disc_that_leaves_the_image_has_no_ellipse(camera: Camera, pad: Pad) -
 
 def test_a_red_rim_is_no_part_of_the_disc(camera: Camera, pad: Pad) -> None:
     """Same green disc with and without a rim around it: the same range."""
-    printed = shipped_pad("printed")
-    colours = replace(pad.colours, rim=printed.colours.rim)
-    rimmed = replace(pad, disc_radius_m=pad.disc_radius_m + 0.013, rim_width_m=0.013, colours=colours)
+    rim = PaintedRing("red", pad.disc_radius_m, pad.disc_radius_m + 0.013, "rim")
+    rimmed = Pad("rimmed", (*pad.paints, ("red", (190, 40, 40))), (*pad.regions, rim))
     for height_m in (1.0, 2.5):
         scene = PadPlacement((0.15, 0.0, height_m), 0.2)
         s = detect(image(scene, camera, rimmed, blur_px=0.6), scene.attitude(), camera, rimmed, SIMULATOR).methods["ellipse"]

@@ -87,7 +87,7 @@ def test_the_covariance_is_what_a_monte_carlo_finds(pad: Pad) -> None:
     camera = sim_camera()
     sigma_px, sigma_tilt, sigma_deck = 0.3, math.radians(0.6), math.radians(0.8)
     scene = PadPlacement((0.6, -0.5, 1.5), 0.6, 0.08, -0.05)
-    points = np.concatenate([np.zeros((1, 3)), pad.arrowhead()[:1]])
+    points = np.concatenate([np.zeros((1, 3)), pad.markings.arrowhead()[:1]])
     attitude = Attitude(STAMP, scene.attitude().R_ned_body, np.diag([1.0, 1.0, 4.0]) * sigma_tilt**2)
     orientation = Orientation.of(attitude, sigma_deck)
     predicted = solve(marks_of(points, scene, camera, sigma_px), OrientedCamera(camera, orientation))

@@ -41,7 +41,7 @@ def test_the_corners_of_the_h() -> None:
         found += 1
         headings += not result.yaw_ambiguous
         # The labels go round the H the other way.
-        off = camera.project(result.pose.points(pad.h_corners())) - labels[name][:24].reshape(12, 2)[::-1]
+        off = camera.project(result.pose.points(pad.markings.h_corners())) - labels[name][:24].reshape(12, 2)[::-1]
         median.append(float(np.median(np.hypot(*off.T))))
         aside.append(np.median(off, axis=0))
     assert found >= 0.98 * len(names)

@@ -47,8 +47,10 @@ class _Design:
 
 @lru_cache(maxsize=16)
 def _design(pad: Pad, blur: int) -> _Design:
-    x = np.arange(pad.arrow_tip_m - pad.arrow_depth_m - _MARGIN_M, pad.arrow_tip_m + _MARGIN_M - 1e-9, _PITCH_M)
-    y = np.arange(-pad.arrow_half_base_m - _MARGIN_M, pad.arrow_half_base_m + _MARGIN_M + 1e-9, _PITCH_M)
+    x = np.arange(
+        pad.markings.arrow_tip_m - pad.markings.arrow_depth_m - _MARGIN_M, pad.markings.arrow_tip_m + _MARGIN_M - 1e-9, _PITCH_M
+    )
+    y = np.arange(-pad.markings.arrow_half_base_m - _MARGIN_M, pad.markings.arrow_half_base_m + _MARGIN_M + 1e-9, _PITCH_M)
     xx, yy = np.meshgrid(x, y, indexing="ij")
     xy = np.stack([xx.ravel(), yy.ravel()], axis=1).astype(np.float32)
     drawing = maps(pad)[blur]
@@ -80,7 +82,7 @@ def arrow_places(
     way = root_paints[ORANGE] - root_paints[DISC]
     length = float(way @ way)
     pixel_m = step * float(pose.t_cam_pad[2]) / camera.fx
-    if length < 1e-4 or pixel_m > 1.2 * pad.arrow_depth_m:
+    if length < 1e-4 or pixel_m > 1.2 * pad.markings.arrow_depth_m:
         return nothing, nothing
     blur = int(np.argmin(np.abs(np.log(np.array(BLURS_M) / math.hypot(0.29 * pixel_m, 0.7 * pixel_m / step)))))
     design = _design(pad, blur)
@@ -110,7 +112,7 @@ def arrow_places(
         strength = float(T @ rest) / total if total > 1e-9 else 0.0
         explained = strength**2 * total / max(square, 1e-9) if strength > 0.0 else 0.0
         left = (square - strength**2 * total) / len(v)
-        fine = min(1.0, 2.0 * pad.arrow_depth_m / pixel_m - 1.0) if pixel_m > pad.arrow_depth_m / 2 else 1.0
+        fine = min(1.0, 2.0 * pad.markings.arrow_depth_m / pixel_m - 1.0) if pixel_m > pad.markings.arrow_depth_m / 2 else 1.0
         out.append(
             ArrowPlace(min(1.0, max(0.0, strength)) * min(1.0, explained), seen * max(0.0, fine), math.exp(-left / _CLEAR_VAR))
         )

@@ -160,11 +160,11 @@ class Blurred:
         round_ = self.part(slice(0, arrow.stop))._round()
         stroke = slice(ring.start, arrow.stop)
         edge = np.empty(arrow.stop, np.float32)
-        edge[disc], edge[stroke] = pad.disc_radius_m - pad.rim_width_m, pad.ring_outer_m
+        edge[disc], edge[stroke] = pad.markings.field_radius_m, pad.markings.ring_outer_m
         at_h, at_arrow = self.part(h), self.part(arrow)
         (c, c_d, c_v), (inner, i_d, i_v), in_h, in_arrow = _phi_at_once(
             (edge - round_.seen, round_.per_sigma),
-            (np.float32(pad.ring_inner_m) - round_.seen[stroke], round_.per_sigma[stroke]),
+            (np.float32(pad.markings.ring_inner_m) - round_.seen[stroke], round_.per_sigma[stroke]),
             at_h._h_arguments(),
             at_arrow._arrow_arguments(),
         )
@@ -222,7 +222,7 @@ class Blurred:
         xx, xy, yy = self.blur_m2
         cu, cv, base = _arrow_lines(pad)
         d, per = np.empty((3, len(x)), np.float32), np.empty((3, len(x)), np.float32)
-        ahead, aside = cu * (pad.arrow_tip_m - x), cv * y
+        ahead, aside = cu * (pad.markings.arrow_tip_m - x), cv * y
         np.subtract(ahead, aside, out=d[0])
         np.add(ahead, aside, out=d[1])
         np.subtract(x, base, out=d[2])
@@ -291,7 +291,7 @@ class Blurred:
         xx, _, yy = self.blur_m2
         starboard, low, high = _strips(pad)
         reach = 4.0 * math.sqrt(max(xx, yy) * float(m.max(initial=0.0)))
-        near = (np.abs(y) < starboard[-1] + reach) & (x > low.min() - reach) & (x < pad.arrow_tip_m + reach)
+        near = (np.abs(y) < starboard[-1] + reach) & (x > low.min() - reach) & (x < pad.markings.arrow_tip_m + reach)
         at = np.nonzero(near)[0]
         value, d = np.zeros(len(x), np.float32), np.zeros((5, len(x)), np.float32)
         if len(at) == 0:
@@ -314,33 +314,35 @@ class Blurred:
 @lru_cache(maxsize=8)
 def _arrow_lines(pad: Pad) -> tuple[float, float, float]:
     """Return the unit normal of the arrowhead's sides, along the arrow and across it, and the x of its base."""
-    slant = math.hypot(pad.arrow_half_base_m, pad.arrow_depth_m)
-    base = pad.arrow_tip_m - pad.arrow_depth_m
-    if math.hypot(base, pad.arrow_half_base_m) <= pad.ring_outer_m:
+    slant = math.hypot(pad.markings.arrow_half_base_m, pad.markings.arrow_depth_m)
+    base = pad.markings.arrow_tip_m - pad.markings.arrow_depth_m
+    if math.hypot(base, pad.markings.arrow_half_base_m) <= pad.markings.ring_outer_m:
         # The ring hides the base, and a blurred base would reduce the part beyond the ring. The base is cut where the ring covers
         # it all.
-        base = 0.5 * pad.arrow_tip_m
-    return pad.arrow_half_base_m / slant, pad.arrow_depth_m / slant, base
+        base = 0.5 * pad.markings.arrow_tip_m
+    return pad.markings.arrow_half_base_m / slant, pad.markings.arrow_depth_m / slant, base
 
 
 @lru_cache(maxsize=8)
 def _h_halves(pad: Pad) -> F32:
     """Return (4, 1): half lengths of legs and bar along the arrow, half widths of the H and of the gap between its legs."""
-    half_w = pad.h_width_m / 2
-    return np.array([pad.h_length_m / 2, pad.bar_width_m / 2, half_w, half_w - pad.leg_width_m], np.float32)[:, None]
+    half_w = pad.markings.h_width_m / 2
+    return np.array(
+        [pad.markings.h_length_m / 2, pad.markings.bar_width_m / 2, half_w, half_w - pad.markings.leg_width_m], np.float32
+    )[:, None]
 
 
 @lru_cache(maxsize=8)
 def _strips(pad: Pad, n: int = 6) -> tuple[F32, F32, F32]:
     """Return the strips of the arrowhead beyond the ring: (n + 1,) borders in y, and (n,) beginnings and ends in x."""
-    slope = pad.arrow_half_base_m / pad.arrow_depth_m
-    base = pad.arrow_tip_m - pad.arrow_depth_m
+    slope = pad.markings.arrow_half_base_m / pad.markings.arrow_depth_m
+    base = pad.markings.arrow_tip_m - pad.markings.arrow_depth_m
 
     def extent(y: F64) -> tuple[F64, F64]:
-        end = pad.arrow_tip_m - np.abs(y) / slope
-        return np.maximum(base, np.sqrt(np.maximum(pad.ring_outer_m**2 - y * y, 0.0))), end
+        end = pad.markings.arrow_tip_m - np.abs(y) / slope
+        return np.maximum(base, np.sqrt(np.maximum(pad.markings.ring_outer_m**2 - y * y, 0.0))), end
 
-    fine = np.linspace(0.0, pad.arrow_half_base_m, 1001)
+    fine = np.linspace(0.0, pad.markings.arrow_half_base_m, 1001)
     begin, end = extent(fine)
     half = float(fine[np.nonzero(end > begin)[0][-1]])
     borders = np.linspace(-half, half, n + 1)

@@ -165,17 +165,17 @@ def basis(fp: Footprint, cut: Patch) -> tuple[F64, F64]:
     """Return the (K, N) regressors of the paint coefficients, and the (K - 3, 5, N) derivatives by the pose of those with any."""
     b = fp.places
     pad = b.pad
-    if pad.rim_width_m:
+    if pad.markings.rim_width_m:
         (disc, d_disc), (field, d_field), outer, inner = b.circles(
-            pad.disc_radius_m, pad.disc_radius_m - pad.rim_width_m, pad.ring_outer_m, pad.ring_inner_m
+            pad.disc_radius_m, pad.markings.field_radius_m, pad.markings.ring_outer_m, pad.markings.ring_inner_m
         )
     else:
-        (field, d_field), outer, inner = b.circles(pad.disc_radius_m, pad.ring_outer_m, pad.ring_inner_m)
+        (field, d_field), outer, inner = b.circles(pad.disc_radius_m, pad.markings.ring_outer_m, pad.markings.ring_inner_m)
     arrow, d_arrow = b.arrow_small()
     white, d_white = b.h()
     values = [1.0, *cut.slope, field, outer[0] - inner[0] + arrow, white]
     changes = [d_field, outer[1] - inner[1] + d_arrow, d_white]
-    if pad.rim_width_m:
+    if pad.markings.rim_width_m:
         values.append(disc - field)
         changes.append(d_disc - d_field)
     out = np.empty((len(values), len(field)))
@@ -315,7 +315,7 @@ def arrow_amplitudes(state: RegistrationState, cut: Patch, pad: Pad, fit: DenseF
     field, ring = fit.values[3], fit.values[4] - here
     # Beyond the ring the H has no effect; the surroundings do.
     r = np.hypot(b.x, b.y)
-    w = ((r > pad.ring_inner_m) & (field > 0.98)).astype(float)
+    w = ((r > pad.markings.ring_inner_m) & (field > 0.98)).astype(float)
     if float(w @ here) < 0.1 and float(w @ there) < 0.1:
         return None
     columns = np.stack([np.ones_like(ring), ring, here, there])

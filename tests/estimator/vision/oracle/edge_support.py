@@ -74,7 +74,7 @@ def beside(support: EdgeSupport, kind: EdgeKind, pad: Pad) -> EdgeSupport:
 @lru_cache(maxsize=8)
 def _contrasts(pad: Pad) -> Mapping[EdgeKind, F64]:
     """Return the (3,) BGR unit vectors from the disc's paint to the others of the pad file."""
-    table, paints = light_table(True), pad.colours
+    table, paints = light_table(True), pad.markings.colours
     ways = {kind: table[list(rgb[::-1])] - table[list(paints.disc[::-1])] for kind, rgb in (
         (EdgeKind.RING, paints.ring), (EdgeKind.ARROW, paints.ring), (EdgeKind.H, paints.h),
     )}  # fmt: skip

@@ -289,6 +289,7 @@ def arrow_amplitude(state: RegistrationState, profiles: Profiles, pad: Pad, mixe
 def spacing_ok(state: RegistrationState, pad: Pad) -> bool:
     """Return whether edges of different kinds are far enough apart for profiles."""
     gap = min(
-        pad.disc_radius_m - pad.rim_width_m - pad.arrow_tip_m, pad.ring_inner_m - math.hypot(pad.h_length_m, pad.h_width_m) / 2
+        pad.markings.field_radius_m - pad.markings.arrow_tip_m,
+        pad.markings.ring_inner_m - math.hypot(pad.markings.h_length_m, pad.markings.h_width_m) / 2,
     )
     return gap > 4.5 * state.sigma_px * state.m_per_px

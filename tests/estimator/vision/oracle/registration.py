@@ -265,7 +265,7 @@ def _dense_edges_off(state: RegistrationState, pad: Pad, options: RegistrationOp
     out = np.zeros((N_STATE, N_STATE))
     out[0, 0] = out[1, 1] = sigma_m**2 / 4.0
     out[2, 2] = (sigma_m * state.depth_m / pad.disc_radius_m) ** 2 / 8.0
-    out[5, 5] = (sigma_h_m / (0.5 * pad.h_length_m)) ** 2
+    out[5, 5] = (sigma_h_m / (0.5 * pad.markings.h_length_m)) ** 2
     return out
 
 
@@ -292,7 +292,7 @@ def _arrow_is_opposite(px: U8, camera: Camera, pad: Pad, state: RegistrationStat
 
 def _opposite_in_view(camera: Camera, pad: Pad, state: RegistrationState) -> bool:
     """Return whether a corner of an arrowhead turned by 180 degrees, or its middle, lies in the frame."""
-    corners = -pad.arrowhead()[:, :2]
+    corners = -pad.markings.arrowhead()[:, :2]
     at = np.concatenate([corners, corners.mean(axis=0, keepdims=True)]) @ state.R[:, :2].T + state.t
     uv = camera.project(at)
     with np.errstate(invalid="ignore"):

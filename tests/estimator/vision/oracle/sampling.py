@@ -152,16 +152,20 @@ def _foreign(state: RegistrationState, profiles: Profiles, fp: Footprint, pad: P
     x, y = np.abs(places.x), np.abs(places.y)
     r = np.sqrt(x * x + y * y)
     clear = 3.0 * state.sigma_px * state.m_per_px
-    field = pad.disc_radius_m - pad.rim_width_m
+    field = pad.markings.field_radius_m
     out = np.empty(len(r), np.bool_)
     disc, ring, arrow, h = profiles.kind_parts
     at = r[disc]
-    out[disc] = at < pad.ring_outer_m + clear
-    out[disc] |= (places.x[disc] > 0) & (at < pad.arrow_tip_m + clear) & (y[disc] < pad.arrow_half_base_m + clear)
-    if pad.rim_width_m:
+    out[disc] = at < pad.markings.ring_outer_m + clear
+    out[disc] |= (
+        (places.x[disc] > 0) & (at < pad.markings.arrow_tip_m + clear) & (y[disc] < pad.markings.arrow_half_base_m + clear)
+    )
+    if pad.markings.rim_width_m:
         # If no pixel sees the rim alone, its inner edge cannot be separated from its outer one.
-        out[disc] |= (at > pad.disc_radius_m - clear) | (pad.rim_width_m < 2.0 * clear)
-    out[ring] = (r[ring] > field - clear) | ((x[ring] < pad.h_length_m / 2 + clear) & (y[ring] < pad.h_width_m / 2 + clear))
+        out[disc] |= (at > pad.disc_radius_m - clear) | (pad.markings.rim_width_m < 2.0 * clear)
+    out[ring] = (r[ring] > field - clear) | (
+        (x[ring] < pad.markings.h_length_m / 2 + clear) & (y[ring] < pad.markings.h_width_m / 2 + clear)
+    )
     out[arrow] = r[arrow] > field - clear
-    out[h] = r[h] > pad.ring_inner_m - clear
+    out[h] = r[h] > pad.markings.ring_inner_m - clear
     return out

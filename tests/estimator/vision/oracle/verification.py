@@ -40,14 +40,14 @@ def features(aligned: Aligned, pad: Pad) -> F64:
     reach = max(0.02, 1.0 * aligned.sample_m)
     disc = disc_edge_m(pad)
     zones = (
-        (x < pad.h_length_m / 2 + reach) & (y < pad.h_width_m / 2 + reach),
-        (r > pad.ring_inner_m - 2 * reach) & (r < pad.ring_outer_m + 2 * reach),
+        (x < pad.markings.h_length_m / 2 + reach) & (y < pad.markings.h_width_m / 2 + reach),
+        (r > pad.markings.ring_inner_m - 2 * reach) & (r < pad.markings.ring_outer_m + 2 * reach),
         r > disc - 2.5 * reach,
     )
     around = ((np.arctan2(xy[1], xy[0]) + math.pi) * (_SECTORS / math.tau)).astype(np.intp) % _SECTORS
     areas = (
-        pad.h_length_m * pad.h_width_m,
-        math.pi * ((pad.ring_outer_m + 2 * reach) ** 2 - (pad.ring_inner_m - 2 * reach) ** 2),
+        pad.markings.h_length_m * pad.markings.h_width_m,
+        math.pi * ((pad.markings.ring_outer_m + 2 * reach) ** 2 - (pad.markings.ring_inner_m - 2 * reach) ** 2),
         math.pi * ((1.12 * pad.disc_radius_m + aligned.sample_m) ** 2 - (disc - 2.5 * reach) ** 2),
     )
     gains, shown = [], []
@@ -105,10 +105,10 @@ def _flanks(aligned: Aligned, residual: F32, r: F32, pad: Pad) -> float:
     """
     way = (aligned.local.paints[ORANGE] - aligned.local.paints[DISC]).astype(np.float32)
     length = float(way @ way)
-    width = pad.ring_outer_m - pad.ring_inner_m
+    width = pad.markings.ring_outer_m - pad.markings.ring_inner_m
     if length < 1e-4:
         return 0.0
-    aside = r - pad.ring_radius_m
+    aside = r - pad.markings.ring_radius_m
     near = (np.abs(aside) < 1.3 * width).nonzero()[0]
     aside, much = aside.take(near), way @ residual.take(near, axis=1)
     sides = []
@@ -174,13 +174,15 @@ def _orange_place(white: F64, orange: F64, green: F64, pad: Pad) -> float:
 
 @lru_cache(maxsize=8)
 def _nominal_place(pad: Pad) -> F64:
-    white, orange, green = (np.sqrt(linear_light(rgb[::-1])) for rgb in (pad.colours.h, pad.colours.ring, pad.colours.disc))
+    white, orange, green = (
+        np.sqrt(linear_light(rgb[::-1])) for rgb in (pad.markings.colours.h, pad.markings.colours.ring, pad.markings.colours.disc)
+    )
     return np.asarray((orange - green) / (white - green))
 
 
 def _disc_place(white: F64, green: F64, pad: Pad) -> float:
     """Return the logarithm of the disc's excess in its dominant channel over the others, measured against white."""
-    main = 2 - int(np.argmax(pad.colours.disc))
+    main = 2 - int(np.argmax(pad.markings.colours.disc))
     ratio = (np.maximum(green, 0.0) + 0.01) / (np.maximum(white, 0.0) + 0.01)
     return _clip(math.log(ratio[main] / max(ratio[(main + 1) % 3], ratio[(main + 2) % 3])), -1.0, 2.0)
 

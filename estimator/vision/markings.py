@@ -1,0 +1,133 @@
+"""The sizes of the parts of a pad that detection knows by name: disc and rim, ring, arrowhead, lettering."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+from estimator.vision.regions import (
+    Lettering,
+    PaintedArrowhead,
+    PaintedDisc,
+    PaintedLetter,
+    PaintedPolygon,
+    PaintedRing,
+    PaintedStroke,
+    Region,
+    reach_of,
+)
+
+Rgb = tuple[int, int, int]
+BARE: Rgb = (128, 128, 128)
+"""What a deck without paint is taken for where a paint must be compared with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Colours:
+    """Nominal colours of the parts, sRGB 0..255; a bare deck's grey for those that the pad does not have.
+
+    They are a starting point for rendered frames and colour limits. Detection never relies on them alone.
+    """
+
+    disc: Rgb
+    ring: Rgb
+    h: Rgb
+    rim: Rgb | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Markings:
+    """Sizes of a pad's parts, m; 0 for those of a part that it does not have."""
+
+    outer_radius_m: float
+    """Radius of the disc about the centre that holds everything."""
+    field_radius_m: float
+    """Radius at which the disc's own paint ends."""
+    rim_width_m: float
+    ring_inner_m: float
+    ring_outer_m: float
+    arrow_tip_m: float
+    arrow_depth_m: float
+    arrow_half_base_m: float
+    h_length_m: float
+    """Extent of the lettering along the arrow."""
+    h_width_m: float
+    """Extent of the lettering across the arrow."""
+    leg_width_m: float
+    """Width of the strokes along the arrow."""
+    bar_width_m: float
+    """Width of the strokes across the arrow."""
+    colours: Colours
+    letters: tuple[Lettering, ...]
+    arrow: PaintedArrowhead | None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether there are a disc, a ring, an arrowhead and an H: the markings that the thesis' methods measure."""
+        is_h = len(self.letters) == 1 and isinstance(self.letters[0], PaintedLetter) and self.letters[0].letter == "H"
+        return bool(self.field_radius_m and self.ring_outer_m and self.arrow is not None and is_h)
+
+    @property
+    def ring_radius_m(self) -> float:
+        """Radius of the ring's centre-line."""
+        return (self.ring_inner_m + self.ring_outer_m) / 2
+
+    @property
+    def bar_length_m(self) -> float:
+        """Length of the H's cross-bar between the legs, across the arrow."""
+        return self.h_width_m - 2 * self.leg_width_m
+
+    def h_corners(self) -> F64:
+        """Return (N, 3) m: the lettering's corners; for an H 12, clockwise seen from above, from the fore outer one to port."""
+        outlines = [letter.corners() for letter in self.letters] or [np.empty((0, 2))]
+        return np.pad(np.concatenate(outlines), ((0, 0), (0, 1)))
+
+    def arrowhead(self) -> F64:
+        """Return (3, 3) m: the arrowhead's apex, starboard base corner and port base corner; (0, 3) if there is none."""
+        return np.pad(np.empty((0, 2)) if self.arrow is None else self.arrow.corners(), ((0, 0), (0, 1)))
+
+
+def markings_of(regions: Sequence[Region], paints: Mapping[str, Rgb]) -> Markings:
+    """Return the sizes of the parts that these regions are."""
+    disc = next((r for r in regions if isinstance(r, PaintedDisc)), None)
+    rings = {r.part: r for r in regions if isinstance(r, PaintedRing)}
+    ring, rim = rings.get("ring"), rings.get("rim")
+    arrow = next((r for r in regions if isinstance(r, PaintedArrowhead)), None)
+    letters = tuple(r for r in regions if isinstance(r, PaintedLetter | PaintedStroke | PaintedPolygon))
+    outer = max(reach_of(r)[1] for r in regions)
+    corners = np.concatenate([letter.corners() for letter in letters]) if letters else np.zeros((1, 2))
+    leg, bar = _strokes(letters)
+
+    def rgb(region: Region | None) -> Rgb:
+        return BARE if region is None else paints[region.paint]
+
+    length, width = np.ptp(corners, axis=0).tolist() if letters else (0.0, 0.0)
+    return Markings(
+        outer_radius_m=outer,
+        field_radius_m=disc.radius_m if disc is not None else 0.0,
+        rim_width_m=rim.outer_m - rim.inner_m if rim is not None else 0.0,
+        ring_inner_m=ring.inner_m if ring is not None else 0.0,
+        ring_outer_m=ring.outer_m if ring is not None else 0.0,
+        arrow_tip_m=arrow.tip_m if arrow is not None else 0.0,
+        arrow_depth_m=arrow.depth_m if arrow is not None else 0.0,
+        arrow_half_base_m=arrow.half_base_m if arrow is not None else 0.0,
+        h_length_m=length,
+        h_width_m=width,
+        leg_width_m=leg,
+        bar_width_m=bar,
+        colours=Colours(rgb(disc), rgb(ring or arrow), rgb(letters[0] if letters else None), None if rim is None else rgb(rim)),
+        letters=letters,
+        arrow=arrow,
+    )
+
+
+def _strokes(letters: Sequence[Lettering]) -> tuple[float, float]:
+    """Return the least widths of strokes along and across the arrow; a polygon's are its sides'."""
+    if len(letters) == 1 and isinstance(letters[0], PaintedLetter):
+        return letters[0].stroke_m, letters[0].bar_m or letters[0].stroke_m
+    outlines = [letter.corners() for letter in letters]
+    least = min((float(np.abs(np.roll(line, -1, axis=0) - line).max(axis=1).min()) for line in outlines), default=0.0)
+    return least, least

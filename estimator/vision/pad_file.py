@@ -1,0 +1,140 @@
+"""Read a pad's file, and refuse lengths and shapes that no pad has: path, value and cure in one line."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from itertools import combinations
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+from msgspec.structs import asdict
+
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import F64
+from estimator.vision.file_numbers import shown
+from estimator.vision.pad_rules import check_regions
+from estimator.vision.regions import PaintedArrowhead, PaintedLetter, PaintedPolygon, PaintedRing, PaintedStroke, Region
+
+SMALLEST_M, LARGEST_M = 0.001, 20.0
+"""Limits of a length. The largest bounds memory: edges are sampled every few millimetres."""
+_TOUCH_M = 1e-6
+
+Channel = Annotated[int, Meta(ge=0, le=255)]
+
+
+class PadFile(Struct, frozen=True, forbid_unknown_fields=True):
+    """A pad's file: what is painted, from the lowest region to the topmost."""
+
+    name: Annotated[str, Meta(min_length=1, max_length=60)]
+    paints: dict[str, tuple[Channel, Channel, Channel]]
+    """Red, green, blue of each paint by its name."""
+    regions: Annotated[tuple[Region, ...], Meta(min_length=1, max_length=24)]
+
+
+def pad_file(data: Mapping[str, Any], where: str) -> PadFile:
+    """Return a pad's file, checked.
+
+    Raises:
+        BadInput: see `estimator.vision.pad.Pad.from_mapping`.
+    """
+    if "disc_radius_m" in data:
+        raise BadInput(f'{where}: disc_radius_m is no key of a pad: write [[regions]] with shape = "disc", paint and radius_m')
+    try:
+        file = msgspec.convert(dict(data), PadFile, strict=True)
+    except (msgspec.ValidationError, OverflowError, TypeError) as why:
+        raise BadInput(f"{where}: {_explained(data, str(why))}") from why
+    for i, region in enumerate(file.regions):
+        _check_lengths(region, f"{where}: regions[{i}]")
+        _check_shape(region, f"{where}: regions[{i}]")
+        if region.paint not in file.paints:
+            known = ", ".join(file.paints)
+            raise BadInput(
+                f"{where}: regions[{i}].paint {shown(region.paint)} is not in [paints], which has {shown(known)}; add it there"
+            )
+    check_regions(file.regions, file.paints, where)
+    return file
+
+
+def _explained(data: Mapping[str, Any], message: str) -> str:
+    """Return msgspec's message in one line with the path and the value found there."""
+    reason, _, place = message.rpartition(" - at `$")
+    if not reason:
+        return " ".join(message.split())
+    found: Any = data
+    for key in re.findall(r"\w+", place):
+        try:
+            found = found[int(key)] if isinstance(found, list) else found[key]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return f"{place.strip('.`')}: {reason}"
+    value = "" if isinstance(found, Mapping) else f", got {shown(found)}"
+    return " ".join(f"{place.strip('.`')}: {reason}{value}".split())
+
+
+def _check_lengths(region: Region, where: str) -> None:
+    for key, value in asdict(region).items():
+        if not key.endswith("_m") or value is None:
+            continue
+        if key in ("from_m", "to_m", "points_m"):
+            if not all(math.isfinite(v) and abs(v) <= LARGEST_M for v in np.ravel(value)):
+                raise BadInput(f"{where}.{key} must be at most {LARGEST_M:g} m from the centre, got {shown(value)}{_cure(value)}")
+        elif not (math.isfinite(value) and SMALLEST_M <= value <= LARGEST_M):
+            raise BadInput(f"{where}.{key} must be {SMALLEST_M:g} to {LARGEST_M:g} m, got {shown(value)}{_cure(value)}")
+
+
+def _cure(value: object) -> str:
+    largest = float(np.max(np.abs(np.ravel(np.asarray(value, dtype=float)))))
+    if not LARGEST_M < largest <= 1000.0 * LARGEST_M:
+        return ""
+    return f": is it in millimetres? Write metres, {largest / 1000.0:g} for {largest:g}"
+
+
+def _check_shape(region: Region, where: str) -> None:
+    match region:
+        case PaintedRing() if not region.inner_m < region.outer_m:
+            raise BadInput(f"{where}: inner_m must be less than outer_m, got {region.inner_m:g} and {region.outer_m:g}")
+        case PaintedArrowhead() if region.depth_m >= region.tip_m:
+            raise BadInput(
+                f"{where}.depth_m must be less than tip_m, got {region.depth_m:g}: an arrowhead lies ahead of the centre"
+            )
+        case PaintedLetter():
+            across, along = (2.0 if region.letter == "H" else 1.0), (2.0 if region.letter == "L" else 1.0)
+            bar = region.bar_m or region.stroke_m
+            if across * region.stroke_m >= region.width_m or along * bar >= region.length_m:
+                raise BadInput(
+                    f"{where}: stroke_m {region.stroke_m:g} or bar_m {bar:g} leaves no room in a letter of "
+                    f"{region.length_m:g} x {region.width_m:g} m"
+                )
+        case PaintedStroke():
+            if not _along_axes(np.array([region.from_m, region.to_m], dtype=float)):
+                raise BadInput(
+                    f"{where}: from_m and to_m must differ along x or along y alone, got {region.from_m} and {region.to_m}"
+                )
+        case PaintedPolygon():
+            points = np.array(region.points_m, dtype=float).reshape(-1, 2)
+            simple = 4 <= len(points) <= 60 and _along_axes(np.vstack([points, points[:1]])) and not _crosses_itself(points)
+            if not simple:
+                raise BadInput(
+                    f"{where}.points_m must be 4 to 60 corners of a line that does not touch itself, with sides along x and y"
+                )
+        case _:
+            pass
+
+
+def _along_axes(points: F64) -> bool:
+    """Return whether each side of a line is along one axis, and neighbours along different ones."""
+    moved = np.abs(np.diff(points, axis=0)) > _TOUCH_M
+    return bool(np.all(moved.sum(axis=1) == 1) and not np.any(moved[1:] & moved[:-1]))
+
+
+def _crosses_itself(points: F64) -> bool:
+    """Return whether two sides of a closed line with sides along axes meet that are not neighbours."""
+    sides = list(zip(points, np.roll(points, -1, axis=0), strict=True))
+    for (i, (a, b)), (j, (c, d)) in combinations(enumerate(sides), 2):
+        low, high = np.minimum(a, b) - _TOUCH_M, np.maximum(a, b) + _TOUCH_M
+        if j - i not in (1, len(sides) - 1) and np.all(np.minimum(c, d) <= high) and np.all(np.maximum(c, d) >= low):
+            return True
+    return False

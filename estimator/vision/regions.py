@@ -1,0 +1,227 @@
+"""The shapes that a pad is painted with, in metres from its centre: x along the arrow, y to starboard of it.
+
+Discs and rings lie about the centre, letters and polygons have sides along x or y, the arrowhead points along x. Registration
+blurs each of these exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from msgspec import Struct
+
+from estimator.contracts.geometry import F64
+
+Letter = Literal["H", "I", "L", "T", "X"]
+Part = Literal["disc", "rim", "ring", "arrow", "letter"]
+"""What detection takes a region for: the disc that the rest is painted on, its rim, a ring, the pointer, or lettering."""
+Rectangle = tuple[float, float, float, float]
+"""Limits x0, x1, y0, y1, m."""
+
+
+class PaintedDisc(Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="disc"):
+    """A disc about the centre."""
+
+    paint: str
+    radius_m: float
+
+
+class PaintedRing(Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="ring"):
+    """A ring about the centre."""
+
+    paint: str
+    inner_m: float
+    outer_m: float
+    part: Literal["ring", "rim"] = "ring"
+    """A rim lies around the disc and is not measured: the deck around it may have its colour."""
+
+
+class PaintedArrowhead(Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="arrowhead"):
+    """A triangle whose apex lies on +x and points outward. It says which of two headings is right."""
+
+    paint: str
+    tip_m: float
+    """Distance of the apex from the centre."""
+    depth_m: float
+    half_base_m: float
+
+    def corners(self) -> F64:
+        """Return (3, 2) m: apex, starboard base corner, port base corner."""
+        base = self.tip_m - self.depth_m
+        return np.array([(self.tip_m, 0.0), (base, self.half_base_m), (base, -self.half_base_m)])
+
+
+class PaintedLetter(Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="letter"):
+    """A letter about the centre, its upper end towards +x. An X has its arms along x and y, so +x is between two of its ends."""
+
+    paint: str
+    letter: Letter
+    length_m: float
+    """Extent along x."""
+    width_m: float
+    """Extent along y."""
+    stroke_m: float
+    """Width of the strokes along x, and of the others if `bar_m` is not given."""
+    bar_m: float | None = None
+    """Width of the strokes along y."""
+
+    def corners(self) -> F64:
+        """Return the (N, 2) m outline, clockwise seen from above."""
+        x, y, s, b = 0.5 * self.length_m, 0.5 * self.width_m, self.stroke_m, self.bar_m or self.stroke_m
+        inner, leg, bar = y - s, 0.5 * s, 0.5 * b
+        match self.letter:
+            case "H":
+                port = [(x, -y), (x, -inner), (bar, -inner), (bar, inner), (x, inner), (x, y)]
+                return np.array([*port, *((-u, -v) for u, v in port)])
+            case "X":
+                fore = [(x, -leg), (x, leg), (bar, leg), (bar, y), (-bar, y), (-bar, leg)]
+                return np.array([*fore, *((-u, -v) for u, v in fore)])
+            case "I":
+                return np.array([(x, -leg), (x, leg), (-x, leg), (-x, -leg)])
+            case "T":
+                return np.array([(x, -y), (x, y), (x - b, y), (x - b, leg), (-x, leg), (-x, -leg), (x - b, -leg), (x - b, -y)])
+            case _:
+                return np.array([(x, -y), (x, s - y), (b - x, s - y), (b - x, y), (-x, y), (-x, -y)])
+
+
+class PaintedStroke(Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="stroke"):
+    """A straight stroke along x or y with square ends."""
+
+    paint: str
+    from_m: tuple[float, float]
+    to_m: tuple[float, float]
+    width_m: float
+
+    def corners(self) -> F64:
+        """Return the (4, 2) m outline, clockwise seen from above."""
+        a, b = np.array(self.from_m), np.array(self.to_m)
+        along = (b - a) / max(float(np.linalg.norm(b - a)), 1e-12)
+        aside = 0.5 * self.width_m * np.array([-along[1], along[0]])
+        return np.array([a - aside, b - aside, b + aside, a + aside])
+
+
+class PaintedPolygon(Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="polygon"):
+    """A polygon whose sides lie along x or y."""
+
+    paint: str
+    points_m: tuple[tuple[float, float], ...]
+
+    def corners(self) -> F64:
+        """Return the (N, 2) m outline, clockwise seen from above."""
+        points = np.array(self.points_m, dtype=float).reshape(-1, 2)
+        return points if _area(points) > 0.0 else points[::-1]
+
+
+Region = PaintedDisc | PaintedRing | PaintedArrowhead | PaintedLetter | PaintedStroke | PaintedPolygon
+Lettering = PaintedLetter | PaintedStroke | PaintedPolygon
+
+
+def part_of(region: Region) -> Part:
+    """Return what detection takes a region for."""
+    match region:
+        case PaintedDisc():
+            return "disc"
+        case PaintedRing():
+            return region.part
+        case PaintedArrowhead():
+            return "arrow"
+        case _:
+            return "letter"
+
+
+def circle(radius_m: float, n: int = 72) -> F64:
+    """Return (n, 2) m: points of a circle about the centre, clockwise seen from above, starting at +x."""
+    a = np.linspace(0.0, math.tau, n, endpoint=False)
+    return np.stack([radius_m * np.cos(a), radius_m * np.sin(a)], axis=1)
+
+
+def borders_of(region: Region, n: int = 72) -> tuple[F64, ...]:
+    """Return the closed lines (N, 2) m around a region; those of a ring have `n` points each."""
+    match region:
+        case PaintedDisc():
+            return (circle(region.radius_m, n),)
+        case PaintedRing():
+            return circle(region.outer_m, n), circle(region.inner_m, n)
+        case _:
+            return (region.corners(),)
+
+
+def outline_of(region: Region, n: int = 72) -> F64:
+    """Return the corners (N, 2) m of one closed line whose inside is the region; a ring's goes once around and back within."""
+    borders = borders_of(region, n)
+    if len(borders) == 1:
+        return borders[0]
+    outer, inner = (np.vstack([line, line[:1]]) for line in borders)
+    return np.vstack([outer, inner[::-1]])
+
+
+def depth_in(region: Region, xy_m: F64) -> F64:
+    """Return the signed distances (N,) of points (N, 2) to a region's border, m: positive inside."""
+    match region:
+        case PaintedDisc():
+            return np.asarray(region.radius_m - np.hypot(*xy_m.T))
+        case PaintedRing():
+            r = np.hypot(*xy_m.T)
+            return np.asarray(np.minimum(region.outer_m - r, r - region.inner_m))
+        case _:
+            return _depth_in_polygon(region.corners(), xy_m)
+
+
+def reach_of(region: Region) -> tuple[float, float]:
+    """Return the least and the largest distance of a region's border from the centre, m."""
+    match region:
+        case PaintedDisc():
+            return region.radius_m, region.radius_m
+        case PaintedRing():
+            return region.inner_m, region.outer_m
+        case _:
+            corners = region.corners()
+            far = float(np.hypot(*corners.T).max())
+            return abs(float(_depth_in_polygon(corners, np.zeros((1, 2)))[0])), far
+
+
+def rectangles_of(letters: Sequence[Lettering]) -> list[Rectangle]:
+    """Return rectangles that do not overlap and cover all of the letters, the largest first."""
+    outlines = [letter.corners() for letter in letters]
+    if not outlines:
+        return []
+    cuts = np.unique(np.concatenate([corners[:, 1] for corners in outlines]))
+    found: list[Rectangle] = []
+    for y0, y1 in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
+        spans = sorted(span for corners in outlines for span in _spans(corners, 0.5 * (y0 + y1)))
+        merged: list[tuple[float, float]] = []
+        for x0, x1 in spans:
+            if merged and x0 <= merged[-1][1]:
+                merged[-1] = merged[-1][0], max(merged[-1][1], x1)
+            else:
+                merged.append((x0, x1))
+        found += [(x0, x1, y0, y1) for x0, x1 in merged]
+    return sorted(found, key=lambda r: -round((r[1] - r[0]) * (r[3] - r[2]), 12))
+
+
+def _spans(corners: F64, y: float) -> list[tuple[float, float]]:
+    """Return where a line of constant y lies inside a polygon with sides along x or y."""
+    a, b = corners, np.roll(corners, -1, axis=0)
+    crossed = (np.minimum(a[:, 1], b[:, 1]) < y) & (np.maximum(a[:, 1], b[:, 1]) > y)
+    x = sorted(a[crossed, 0].tolist())
+    return list(zip(x[::2], x[1::2], strict=False))
+
+
+def _area(points: F64) -> float:
+    """Return the signed area of a polygon, m^2: positive clockwise seen from above, as z points into the deck."""
+    x, y = points.T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def _depth_in_polygon(corners: F64, xy_m: F64) -> F64:
+    a, b = corners[None, :, :], np.roll(corners, -1, axis=0)[None, :, :]
+    p, way = xy_m[:, None, :], b - a
+    s = np.clip(np.sum((p - a) * way, axis=2) / np.maximum(np.sum(way * way, axis=2), 1e-18), 0.0, 1.0)
+    away = np.linalg.norm(p - a - s[..., None] * way, axis=2).min(axis=1)
+    above = (a[..., 1] > p[..., 1]) != (b[..., 1] > p[..., 1])
+    x = a[..., 0] + (p[..., 1] - a[..., 1]) / np.where(way[..., 1] == 0.0, 1.0, way[..., 1]) * way[..., 0]
+    inside = np.count_nonzero(above & (x > p[..., 0]), axis=1) % 2 == 1
+    return np.asarray(np.where(inside, away, -away))
