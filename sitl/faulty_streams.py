@@ -114,7 +114,9 @@ class InTransit(Generic[_T]):
             self._held.append((packet, fate.copies))
             return None
         due = after(now, usual_s + self._stream.delay_s)
-        self._due = due = due if self._due is None else max(due, self._due)
+        if self._due is not None and self._due > due:
+            due = self._due
+        self._due = due
         if fate.copies == 1 and not self._held and (not self._under_way or self._under_way[-1][0] <= due):
             self._under_way.append((due, packet))
             return due

@@ -7,7 +7,7 @@ Sockets, the video codec and threads are left out, so that a scenario and a seed
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -179,8 +179,10 @@ class Flight:
             place = traceback.extract_tb(why.__traceback__)[-1]
             self._grader.died = f"{type(why).__name__}: {why} ({place.filename.rpartition('/')[2]}:{place.lineno})"
             return False
+        if self._pilot.outcome is not None:
+            return False
         left_s = self._limit_s - seconds_between(self.world.started, now)
-        return self._pilot.outcome is None and left_s > (-self._overtime_s if self._tries(now) else 0.0)
+        return left_s > 0.0 or (left_s > -self._overtime_s and self._tries(now))
 
     def _tries(self, now: MonoNs) -> bool:
         """Return whether guidance commands and is trying to land, so that an outcome will come."""
@@ -188,8 +190,9 @@ class Flight:
 
     def _serve(self, now: MonoNs) -> None:
         """Run the service for one tick."""
-        for navdata, measured_at, received_at in self._navdata(now):
-            self._deliver_samples(navdata, measured_at, received_at)
+        self._send_navdata(now)
+        while (arrived := self._arrived_navdata(now)) is not None:
+            self._deliver_samples(*arrived)
         if reports := self._reporter.reports(now):
             self._take(reports)
         self._film(now)
@@ -224,8 +227,9 @@ class Flight:
 
     def _hold(self, now: MonoNs) -> None:
         """Act as the sender, which outlives the service."""
-        for navdata, _, received_at in self._navdata(now):
-            self._arbiter.on_report(DroneReport.of(navdata), received_at)
+        self._send_navdata(now)
+        while (arrived := self._arrived_navdata(now)) is not None:
+            self._arbiter.on_report(DroneReport.of(arrived[0]), arrived[2])
         if now >= self._due_command:
             self._due_command = after(self._due_command, self._options.command_period_s)
             self._send(self._arbiter.commands(now))
@@ -259,13 +263,20 @@ class Flight:
         while (packet := self._commands_under_way.arrived(now)) is not None:
             self._drone.take(packet[1], now)
 
-    def _navdata(self, now: MonoNs) -> Iterator[tuple[Navdata, MonoNs, MonoNs]]:
-        """Send the drone's next datagram; return those that arrive, in order, with the instants of measuring and of arrival."""
-        self._navdata_under_way.send(lambda: (self._drone.navdata(), self._drone.measured_at), now)
+    def _send_navdata(self, now: MonoNs) -> None:
+        """Send the drone's next datagram."""
+        self._navdata_under_way.send(self._datagram, now)
+
+    def _datagram(self) -> tuple[Navdata, MonoNs]:
+        return self._drone.navdata(), self._drone.measured_at
+
+    def _arrived_navdata(self, now: MonoNs) -> tuple[Navdata, MonoNs, MonoNs] | None:
+        """Return the next datagram that has arrived, in order, and the instants of measuring and of arrival; None without one."""
         while (packet := self._navdata_under_way.arrived(now)) is not None:
             navdata, measured_at = packet[1]
             if self._navdata_order.place(navdata.sequence)[0] is not SequencePlace.OLD:
-                yield navdata, measured_at, after(now, NAVDATA_DELAY_S)
+                return navdata, measured_at, after(now, NAVDATA_DELAY_S)
+        return None
 
     def _deliver_samples(self, navdata: Navdata, measured_at: MonoNs, received_at: MonoNs) -> None:
         self._streamer.on_navdata(navdata, received_at)

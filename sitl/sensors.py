@@ -109,11 +109,14 @@ class Sensors:
             pressure_drift=s.pressure_drift_sigma_pa * block.first,
         )  # fmt: skip
         """The core's `sensors`."""
+        self._read = np.empty(_READINGS)
+        self._read_at = start_of(self._read)
 
     def read(self, at: MonoNs) -> Readings:
         """Return the readings of the newest step. Reading changes nothing."""
-        v, out = self._vehicle, np.empty(_READINGS)
-        sensors_read(v.params.address, v.state.address, self.params.address, self.state.address, start_of(out))
+        v = self._vehicle
+        sensors_read(v.params.address, v.state.address, self.params.address, self.state.address, self._read_at)
+        out = self._read.copy()
         echo_m, pressure_pa, battery, front_left, front_right, rear_right, rear_left = out[14:].tolist()
         return Readings(
             at,

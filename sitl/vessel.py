@@ -120,7 +120,9 @@ class Vessel:
             periods = mooring.period_s * np.array([0.5, 1.0, 1.5])
             coefficient = np.concatenate([coefficient, slow], axis=-1)
             w = np.concatenate([w, np.broadcast_to(math.tau / periods, (batch, 3))], axis=-1)
-        self._c = np.ascontiguousarray(coefficient.transpose(1, 2, 0))
+        c, rate = np.ascontiguousarray(coefficient.transpose(1, 2, 0)), (-1j * w)[..., None]
+        self._derivatives = [c * rate**n for n in range(3)]
+        """The harmonics' complex amplitudes of the motion and of its two derivatives, each (B, N, 6)."""
         self._w = w
 
     @property
@@ -133,8 +135,7 @@ class Vessel:
         flat = t.reshape(-1)
         turn = np.exp(-1j * self._w[:, None, :] * flat[:, None])
         shape = (self.batch, *t.shape, 6)
-        rate = (-1j * self._w)[..., None]
-        eta, dot, ddot = ((turn @ (self._c * rate**n)).real.reshape(shape) for n in range(3))
+        eta, dot, ddot = ((turn @ c).real.reshape(shape) for c in self._derivatives)
         return Motion(eta, dot, ddot)
 
     def origin(self, t: F64) -> tuple[F64, F64, F64, F64, Motion]:
@@ -161,8 +162,8 @@ class Vessel:
         p0, v0, a0, heading, m = self.origin(t)
         R = _from_rpy(m.eta[..., 3], m.eta[..., 4], heading + m.eta[..., 5])
         w, w_dot = body_rates(m)
-        arm_v = np.cross(w, d)
-        arm_a = np.cross(w_dot, d) + np.cross(w, arm_v)
+        arm_v = _cross(w, d)
+        arm_a = _cross(w_dot, d) + _cross(w, arm_v)
         mount = np.eye(3) if R_vessel is None else R_vessel.matrix
         return Mounted(
             p0 + R @ d,
@@ -197,12 +198,24 @@ def horizontal(axes: F64, v: F64) -> F64:
 def _from_rpy(roll: F64, pitch: F64, yaw: F64) -> F64:
     """Return `Rotation.from_rpy` for arrays, (..., 3, 3)."""
     cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
-    rows = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    rows = (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    )
+    out = np.empty((*roll.shape, 3, 3))
+    for i, row in enumerate(rows):
+        for j, value in enumerate(row):
+            out[..., i, j] = value
+    return out
+
+
+def _cross(a: F64, b: F64) -> F64:
+    """Return `np.cross(a, b)` of (..., 3) vectors. For few of them that takes most of its time to look at their shapes."""
+    (ax, ay, az), (bx, by, bz) = ((v[..., 0], v[..., 1], v[..., 2]) for v in (a, b))
+    out = np.empty(np.broadcast(a, b).shape)
+    out[..., 0], out[..., 1], out[..., 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    return out
 
 
 def body_rates(m: Motion) -> tuple[F64, F64]:

@@ -40,6 +40,8 @@ class VesselReporter:
         if self._period_s is not None and now >= self._due:
             self._due = after(self._due, self._period_s)
             self._make(now)
+        if not self._under_way:
+            return ()
         faults = [fault for fault, _ in self._world.faults.on(VesselReports)]
         late_s = max((fault.late_s for fault in faults), default=0.0)
         newest: Reports = ()

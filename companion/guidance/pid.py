@@ -35,8 +35,8 @@ class SetPoint:
     """(3,) m/s: the velocity of the set point itself relative to the pad."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "d_body_pad_level", _vector("SetPoint.d_body_pad_level", self.d_body_pad_level, (3,)))
-        object.__setattr__(self, "v_body_level", _vector("SetPoint.v_body_level", self.v_body_level, (3,)))
+        object.__setattr__(self, "d_body_pad_level", _vector("SetPoint.d_body_pad_level", self.d_body_pad_level))
+        object.__setattr__(self, "v_body_level", _vector("SetPoint.v_body_level", self.v_body_level))
         if self.yaw_rad is not None and not math.isfinite(self.yaw_rad):
             raise ValueError(f"SetPoint.yaw_rad must be finite or None, got {self.yaw_rad}")
 

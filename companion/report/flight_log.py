@@ -32,8 +32,8 @@ class TruthSample:
     """The heading of the body relative to the arrow, positive clockwise from above, in (-pi, pi]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "d_body_pad_level", _vector("TruthSample.d_body_pad_level", self.d_body_pad_level, (3,)))
-        object.__setattr__(self, "v_pad_level", _vector("TruthSample.v_pad_level", self.v_pad_level, (3,)))
+        object.__setattr__(self, "d_body_pad_level", _vector("TruthSample.d_body_pad_level", self.d_body_pad_level))
+        object.__setattr__(self, "v_pad_level", _vector("TruthSample.v_pad_level", self.v_pad_level))
         if not -math.pi <= self.yaw_rad <= math.pi:
             raise ValueError(f"TruthSample.yaw_rad must lie in (-pi, pi], got {self.yaw_rad}")
 

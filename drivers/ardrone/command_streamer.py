@@ -25,6 +25,7 @@ _CUT_AGAIN_S, _LEAVE_AGAIN_S = 0.3, 2.0
 """The emergency bit is sent again if navdata this long after it does not show its effect. If the first was only late, that undoes
 it: motors that were to stop stay off all the same, but a drone that was to leave the emergency state would be back in it."""
 _ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED, None)
+_IN_THE_AIR_OR_DEAD = NavdataState.FLYING | NavdataState.EMERGENCY
 _NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LANDED)
 
 
@@ -118,19 +119,21 @@ class CommandStreamer:
     def on_navdata(self, navdata: Navdata, now: MonoNs) -> None:
         """Take the next navdata datagram, in order."""
         self._state, self._navdata_at = navdata.state, now
-        if (control := navdata.control_state) is not None:
-            self._control = control
-        self._watch.on_report(DroneReport.of(navdata), now, ordered=self._landing is not None)
-        if self._state & NavdataState.FLYING or self._state & NavdataState.EMERGENCY:
+        report = DroneReport.of(navdata)
+        if report.control is not None:
+            self._control = report.control
+        self._watch.on_report(report, now, ordered=self._landing is not None)
+        if report.state & _IN_THE_AIR_OR_DEAD:
             self._take_off_at = None
         elif self._control in _ON_GROUND:
             self._landing, self._landing_called_off, self._loop = None, False, RESET
 
     def on_sample(self, sample: Sample) -> None:
         """Take a sample of the drone; velocities and attitudes are kept for steering, others are ignored."""
-        if isinstance(sample, BodyVelocity):
+        # By the type itself, as there are hundreds of samples a second.
+        if type(sample) is BodyVelocity:
             self._velocity = sample
-        elif isinstance(sample, Attitude):
+        elif type(sample) is Attitude:
             self._attitude = sample
 
     def command(self, now: MonoNs) -> TimedCommand:

@@ -11,7 +11,7 @@ from enum import Enum
 
 from msgspec import Struct
 
-from drivers.ardrone.navdata import ControlState, Demo, Navdata, NavdataState
+from drivers.ardrone.navdata import ControlState, Demo, Navdata, NavdataState, control_state_of
 from estimator.contracts.time import MonoNs, seconds_between
 
 GAP_S = 1.0
@@ -23,6 +23,7 @@ SILENT_ABOVE_M = 0.5
 """An unordered landing, or one that guidance no longer asks for, is called off above this height and finished below it."""
 ORDERED_ABOVE_M = 0.15
 """A landing that guidance takes back by another command is called off above this height."""
+_UNHEARD = NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST
 _NOT_FOR_SILENCE = (
     NavdataState.BATTERY_LOW
     | NavdataState.USER_EMERGENCY
@@ -57,7 +58,9 @@ class DroneReport(Struct, frozen=True):
     def of(navdata: Navdata) -> DroneReport:
         """Return the report that a datagram holds."""
         demo = navdata.get(Demo)
-        return DroneReport(navdata.state, navdata.control_state, None if demo is None else 1e-3 * demo.altitude_mm)
+        if demo is None:
+            return DroneReport(navdata.state, None, None)
+        return DroneReport(navdata.state, control_state_of(demo), 1e-3 * demo.altitude_mm)
 
     @property
     def flying(self) -> bool:
@@ -80,8 +83,7 @@ class LandingWatch:
         """Take the newest report; `ordered` says whether we are asking the drone to land."""
         gap = self._newest is None or seconds_between(self._newest[1], now) > GAP_S
         self._newest = report, now
-        unheard = bool(report.state & (NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST))
-        if not unheard:
+        if not report.state & _UNHEARD:
             self._unheard_since = None
         elif self._unheard_since is None:
             self._unheard_since = now

@@ -26,7 +26,7 @@ from drivers.ardrone.navdata_flight import (
     References,
     Trims,
 )
-from drivers.ardrone.navdata_layout import LAYOUT_OF_CLASS, OPTION_HEADER, OptionLayout
+from drivers.ardrone.navdata_layout import LAYOUT_OF_CLASS, OPTION_HEADER, TAG_OF_CLASS, OptionLayout
 from drivers.ardrone.navdata_sensors import (
     AdcDataFrame,
     Gps,
@@ -162,6 +162,13 @@ class ControlState(IntEnum):
 
 
 _CONTROL_STATES = {state.value: state for state in ControlState}
+
+
+def control_state_of(demo: Demo) -> ControlState | None:
+    """Return the control state of the option; None if its number is not known."""
+    return _CONTROL_STATES.get(demo.ctrl_state >> 16)
+
+
 NO_OPTIONS: Mapping[int, Any] = {}
 
 
@@ -210,14 +217,14 @@ class Navdata(Struct, frozen=True):
 
     def get(self, cls: type[T]) -> T | None:
         """Return the option of this class; None if the datagram does not hold it."""
-        found = self.options.get(LAYOUT_OF_CLASS[cls].tag)
+        found = self.options.get(TAG_OF_CLASS[cls])
         return found if type(found) is cls else None
 
     @property
     def control_state(self) -> ControlState | None:
         """The control state of the `Demo` option; None if the option is absent or its number is not known."""
         demo = self.options.get(0)
-        return None if demo is None else _CONTROL_STATES.get(demo.ctrl_state >> 16)
+        return None if demo is None else control_state_of(demo)
 
     @staticmethod
     def of(state: int, sequence: int, options: tuple[Any, ...] = (), vision_defined: int = 1) -> Navdata:

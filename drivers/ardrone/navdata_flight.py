@@ -6,7 +6,9 @@ phi right side down, psi clockwise from above.
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from typing import Annotated
+
+from msgspec import Struct
 
 from drivers.ardrone.navdata_layout import F32, I16, I32, U16, U32, Floats, Ints, option
 
@@ -15,7 +17,7 @@ _ZERO9 = (0.0,) * 9
 
 
 @option(0)
-class Demo(NamedTuple):
+class Demo(Struct, frozen=True):
     """The short summary, which is also sent in demo mode."""
 
     ctrl_state: U32
@@ -41,7 +43,7 @@ class Demo(NamedTuple):
 
 
 @option(1)
-class NavdataTime(NamedTuple):
+class NavdataTime(Struct, frozen=True):
     """The drone's clock: seconds in the high 11 bits, microseconds in the low 21; wraps every 2048 s."""
 
     time: U32
@@ -59,7 +61,7 @@ class NavdataTime(NamedTuple):
 
 
 @option(2)
-class RawMeasures(NamedTuple):
+class RawMeasures(Struct, frozen=True):
     """Converter counts, battery, and the ultrasound's last echo."""
 
     raw_accs: Annotated[Ints, "3H"] = (0, 0, 0)
@@ -81,7 +83,7 @@ class RawMeasures(NamedTuple):
 
 
 @option(3)
-class PhysMeasures(NamedTuple):
+class PhysMeasures(Struct, frozen=True):
     """Calibrated accelerometer (at rest and level about (0, 0, -1000) mg) and rate gyro, in forward-right-down axes."""
 
     accs_temp_c: F32
@@ -94,14 +96,14 @@ class PhysMeasures(NamedTuple):
 
 
 @option(4)
-class GyrosOffsets(NamedTuple):
+class GyrosOffsets(Struct, frozen=True):
     """Offsets of the rate gyros as estimated by the drone."""
 
     offset_g: Annotated[Floats, "3f"] = _ZERO3
 
 
 @option(5)
-class EulerAngles(NamedTuple):
+class EulerAngles(Struct, frozen=True):
     """The tilt that the accelerometer alone gives, millidegrees."""
 
     theta_a_mdeg: F32 = 0.0
@@ -109,7 +111,7 @@ class EulerAngles(NamedTuple):
 
 
 @option(6)
-class References(NamedTuple):
+class References(Struct, frozen=True):
     """The setpoints of the inner loops."""
 
     ref_theta: I32 = 0
@@ -136,7 +138,7 @@ class References(NamedTuple):
 
 
 @option(7)
-class Trims(NamedTuple):
+class Trims(Struct, frozen=True):
     """Flat-trim results, millidegrees."""
 
     angular_rates_trim_r: F32 = 0.0
@@ -145,7 +147,7 @@ class Trims(NamedTuple):
 
 
 @option(8)
-class RcReferences(NamedTuple):
+class RcReferences(Struct, frozen=True):
     """Pilot commands as received."""
 
     rc_ref_pitch: I32 = 0
@@ -156,7 +158,7 @@ class RcReferences(NamedTuple):
 
 
 @option(9)
-class Pwm(NamedTuple):
+class Pwm(Struct, frozen=True):
     """The motor commands and the terms that they are made of."""
 
     motor: Annotated[Ints, "4B"] = (0, 0, 0, 0)
@@ -180,7 +182,7 @@ class Pwm(NamedTuple):
 
 
 @option(10)
-class Altitude(NamedTuple):
+class Altitude(Struct, frozen=True):
     """The altitude loop; `altitude_raw_mm` is the ultrasound's own reading along the body's down axis."""
 
     altitude_vision_mm: I32 = 0

@@ -1,4 +1,4 @@
-"""Field tables of navdata options: a named tuple whose annotations carry the wire type of each field.
+"""Field tables of navdata options: a structure whose annotations carry the wire type of each field.
 
 All options are packed, little-endian. A field `Annotated[int, "I"]` is one number, `Annotated[tuple[float, ...], "9f"]` nine;
 the letters are those of the `struct` module.
@@ -29,10 +29,10 @@ class OptionLayout:
 
     def __init__(self, tag: int, cls: type[Any]) -> None:
         hints = get_type_hints(cls, include_extras=True)
-        codes = [hints[name].__metadata__[0] for name in cls._fields]
+        codes = [hints[name].__metadata__[0] for name in cls.__struct_fields__]
         self.tag = tag
         self.cls = cls
-        self.names: tuple[str, ...] = cls._fields
+        self.names: tuple[str, ...] = cls.__struct_fields__
         self.body = struct.Struct("<" + "".join(codes))
         self.size = OPTION_HEADER.size + self.body.size
         self._plan: list[tuple[int, int | None]] = []
@@ -67,6 +67,7 @@ class OptionLayout:
 
 
 LAYOUT_OF_CLASS: dict[type[Any], OptionLayout] = {}
+TAG_OF_CLASS: dict[type[Any], int] = {}
 C = TypeVar("C", bound=type[Any])
 
 
@@ -74,7 +75,7 @@ def option(tag: int) -> Callable[[C], C]:
     """Enter a class into the table of options under its tag; two classes of one tag differ in size."""
 
     def enter(cls: C) -> C:
-        LAYOUT_OF_CLASS[cls] = OptionLayout(tag, cls)
+        LAYOUT_OF_CLASS[cls], TAG_OF_CLASS[cls] = OptionLayout(tag, cls), tag
         return cls
 
     return enter

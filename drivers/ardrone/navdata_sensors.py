@@ -5,7 +5,9 @@ Source: Parrot SDK 2.0.1 `navdata_common.h`; the GPS body from a datagram of fir
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from typing import Annotated
+
+from msgspec import Struct
 
 from drivers.ardrone.navdata_layout import F32, F64, I16, I32, U8, U32, Floats, Ints, option
 
@@ -13,14 +15,14 @@ _ZERO3 = (0.0, 0.0, 0.0)
 
 
 @option(17)
-class Watchdog(NamedTuple):
+class Watchdog(Struct, frozen=True):
     """Count of the control loop's watchdog."""
 
     watchdog: I32 = 0
 
 
 @option(18)
-class AdcDataFrame(NamedTuple):
+class AdcDataFrame(Struct, frozen=True):
     """Raw frame of the converter board."""
 
     version: U32 = 0
@@ -28,7 +30,7 @@ class AdcDataFrame(NamedTuple):
 
 
 @option(21)
-class PressureRaw(NamedTuple):
+class PressureRaw(Struct, frozen=True):
     """Barometer."""
 
     up: I32
@@ -39,7 +41,7 @@ class PressureRaw(NamedTuple):
 
 
 @option(22)
-class Magneto(NamedTuple):
+class Magneto(Struct, frozen=True):
     """Magnetometer, milligauss and degrees."""
 
     mx: I16 = 0
@@ -59,7 +61,7 @@ class Magneto(NamedTuple):
 
 
 @option(23)
-class WindSpeed(NamedTuple):
+class WindSpeed(Struct, frozen=True):
     """The wind that the drone estimates: speed in m/s, direction in radians in the north-east plane."""
 
     wind_speed_m_s: F32 = 0.0
@@ -71,7 +73,7 @@ class WindSpeed(NamedTuple):
 
 
 @option(24)
-class KalmanPressure(NamedTuple):
+class KalmanPressure(Struct, frozen=True):
     """The drone's own height filter over pressure, ultrasound and motors."""
 
     offset_pressure_pa: F32 = 0.0
@@ -94,14 +96,14 @@ class KalmanPressure(NamedTuple):
 
 
 @option(26)
-class Wifi(NamedTuple):
+class Wifi(Struct, frozen=True):
     """Radio link."""
 
     link_quality: U32 = 0
 
 
 @option(27)
-class Zimmu3000(NamedTuple):
+class Zimmu3000(Struct, frozen=True):
     """Option 27 of firmware up to 2.3."""
 
     vzimmu_lsb: I32 = 0
@@ -109,7 +111,7 @@ class Zimmu3000(NamedTuple):
 
 
 @option(27)
-class Gps(NamedTuple):
+class Gps(Struct, frozen=True):
     """Option 27 of firmware 2.4.8 with the flight recorder."""
 
     lat_deg: F64 = 0.0

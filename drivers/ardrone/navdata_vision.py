@@ -5,7 +5,9 @@ Source: Parrot SDK 2.0.1 `navdata_common.h`, checked against a datagram of firmw
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from typing import Annotated
+
+from msgspec import Struct
 
 from drivers.ardrone.navdata_layout import F32, I32, U8, U32, Floats, Ints, option
 
@@ -14,14 +16,14 @@ _ZERO5F = (0.0,) * 5
 
 
 @option(11)
-class VisionRaw(NamedTuple):
+class VisionRaw(Struct, frozen=True):
     """The translation between two frames that the flow sensor measured."""
 
     vision_t_raw: Annotated[Floats, "3f"] = (0.0, 0.0, 0.0)
 
 
 @option(12)
-class VisionOf(NamedTuple):
+class VisionOf(Struct, frozen=True):
     """Optical flow at five points."""
 
     of_dx: Annotated[Floats, "5f"] = _ZERO5F
@@ -29,7 +31,7 @@ class VisionOf(NamedTuple):
 
 
 @option(13)
-class Vision(NamedTuple):
+class Vision(Struct, frozen=True):
     """The state of the flow sensor, with the attitude at the frame that it used last."""
 
     vision_state: U32 = 0
@@ -57,7 +59,7 @@ class Vision(NamedTuple):
 
 
 @option(14)
-class VisionPerf(NamedTuple):
+class VisionPerf(Struct, frozen=True):
     """The times that the vision stages took."""
 
     time_szo: F32 = 0.0
@@ -70,7 +72,7 @@ class VisionPerf(NamedTuple):
 
 
 @option(15)
-class TrackersSend(NamedTuple):
+class TrackersSend(Struct, frozen=True):
     """Thirty tracked points: locked flags, then x0, y0, x1, y1, ..."""
 
     locked: Annotated[Ints, "30i"] = (0,) * 30
@@ -78,7 +80,7 @@ class TrackersSend(NamedTuple):
 
 
 @option(16)
-class VisionDetect(NamedTuple):
+class VisionDetect(Struct, frozen=True):
     """Up to four tags that the drone itself detected; positions and sizes are 0..1000 for any frame size."""
 
     nb_detected: U32 = 0
@@ -95,7 +97,7 @@ class VisionDetect(NamedTuple):
 
 
 @option(19)
-class VideoStream(NamedTuple):
+class VideoStream(Struct, frozen=True):
     """The live encoder."""
 
     quant: U8 = 0
@@ -113,7 +115,7 @@ class VideoStream(NamedTuple):
 
 
 @option(20)
-class Games(NamedTuple):
+class Games(Struct, frozen=True):
     """Counters of the drone's games."""
 
     double_tap_counter: U32 = 0
@@ -121,7 +123,7 @@ class Games(NamedTuple):
 
 
 @option(25)
-class HdvideoStream(NamedTuple):
+class HdvideoStream(Struct, frozen=True):
     """The state of the recorder; its bits are 0 FIFO full, 8 key present, 9 recording, 10 key full."""
 
     hdvideo_state: U32 = 0

@@ -11,8 +11,6 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from drivers.ardrone.navdata import (
     Altitude,
     ControlState,
@@ -27,7 +25,7 @@ from drivers.ardrone.navdata import (
 )
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vector
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 
@@ -63,10 +61,10 @@ def _of_every_datagram(navdata: Navdata, stamp: Stamp, options: ArDroneOptions, 
         out.append(imu)
     demo = navdata.get(Demo)
     if demo is not None:
-        angles = (demo.phi_mdeg, demo.theta_mdeg, demo.psi_mdeg)
-        if _finite(angles):
-            roll, pitch, yaw = (math.radians(a * 1e-3) for a in angles)
-            out.append(Attitude(stamp, Rotation.from_rpy(roll, pitch, yaw), attitude_cov))
+        roll, pitch, yaw = demo.phi_mdeg, demo.theta_mdeg, demo.psi_mdeg
+        if _finite((roll, pitch, yaw)):
+            angles = math.radians(roll * 1e-3), math.radians(pitch * 1e-3), math.radians(yaw * 1e-3)
+            out.append(Attitude(stamp, Rotation.from_rpy(*angles), attitude_cov))
         if _finite((demo.vx_mm_s, demo.vy_mm_s)):
             out.append(_velocity(demo, stamp, options))
     return out
@@ -74,14 +72,7 @@ def _of_every_datagram(navdata: Navdata, stamp: Stamp, options: ArDroneOptions, 
 
 def _attitude_cov(options: ArDroneOptions) -> F64:
     tilt_var, yaw_var = options.sigma_tilt_rad**2, options.sigma_yaw_rad**2
-    return _fixed([[tilt_var, 0.0, 0.0], [0.0, tilt_var, 0.0], [0.0, 0.0, yaw_var]])
-
-
-def _fixed(numbers: list[Any]) -> F64:
-    """Return numbers as a read-only array, which a sample keeps without a copy."""
-    a = np.array(numbers)
-    a.setflags(write=False)
-    return a
+    return fixed_matrix(tilt_var, 0.0, 0.0, 0.0, tilt_var, 0.0, 0.0, 0.0, yaw_var)
 
 
 def height_of_pressure_m(pressure_pa: float) -> float:
@@ -143,16 +134,18 @@ def _imu(navdata: Navdata, stamp: Stamp) -> Imu | None:
     measures = navdata.get(PhysMeasures)
     if measures is None or not _finite(measures.phys_accs_mg + measures.phys_gyros_deg_s):
         return None
-    w_body = _fixed([math.radians(w) for w in measures.phys_gyros_deg_s])
-    return Imu(stamp, w_body, _fixed([f * _M_S2_PER_MG for f in measures.phys_accs_mg]))
+    wx, wy, wz = measures.phys_gyros_deg_s
+    fx, fy, fz = measures.phys_accs_mg
+    w_body = fixed_vector(math.radians(wx), math.radians(wy), math.radians(wz))
+    return Imu(stamp, w_body, fixed_vector(fx * _M_S2_PER_MG, fy * _M_S2_PER_MG, fz * _M_S2_PER_MG))
 
 
 def _velocity(demo: Demo, stamp: Stamp, options: ArDroneOptions) -> BodyVelocity:
     scale = 1e-3 / options.velocity_scale
     ahead, aside = scale * demo.vx_mm_s, scale * demo.vy_mm_s
     var = options.sigma_velocity_m_s**2 + (options.sigma_velocity_fraction * min(math.hypot(ahead, aside), 1e6)) ** 2
-    cov = _fixed([[var, 0.0, 0.0], [0.0, var, 0.0], [0.0, 0.0, UNKNOWN_VAR]])
-    return BodyVelocity(stamp, _fixed([ahead, aside, 0.0]), cov)
+    cov = fixed_matrix(var, 0.0, 0.0, 0.0, var, 0.0, 0.0, 0.0, UNKNOWN_VAR)
+    return BodyVelocity(stamp, fixed_vector(ahead, aside, 0.0), cov)
 
 
 def _range(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> Range | None:

@@ -86,7 +86,7 @@ class Pose6:
     """Covariance, (6, 6): [d_body_pad_level (m), small rotation of the pad written in `level` (rad)]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "d_body_pad_level", _vector("Pose6.d_body_pad_level", self.d_body_pad_level, (3,)))
+        object.__setattr__(self, "d_body_pad_level", _vector("Pose6.d_body_pad_level", self.d_body_pad_level))
         object.__setattr__(self, "cov", _covariance("Pose6.cov", self.cov, 6))
 
 
@@ -110,7 +110,7 @@ class Sighting(Struct, frozen=True, eq=False):
     features: tuple[Feature, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        force_setattr(self, "d_body_pad_level", _vector("Sighting.d_body_pad_level", self.d_body_pad_level, (3,)))
+        force_setattr(self, "d_body_pad_level", _vector("Sighting.d_body_pad_level", self.d_body_pad_level))
         force_setattr(self, "cov", _covariance("Sighting.cov", self.cov, 4))
         if self.yaw_rad is not None and not -math.pi <= self.yaw_rad <= math.pi:
             raise ValueError(f"Sighting.yaw_rad must lie in (-pi, pi], got {self.yaw_rad}")
@@ -182,8 +182,8 @@ class RelativeState(Struct, frozen=True, eq=False):
     """The reasons not to descend by this belief; `consistent` is False while there are any."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "d_body_pad_level", _vector("RelativeState.d_body_pad_level", self.d_body_pad_level, (3,)))
-        force_setattr(self, "v_pad_level", _vector("RelativeState.v_pad_level", self.v_pad_level, (3,)))
+        force_setattr(self, "d_body_pad_level", _vector("RelativeState.d_body_pad_level", self.d_body_pad_level))
+        force_setattr(self, "v_pad_level", _vector("RelativeState.v_pad_level", self.v_pad_level))
         force_setattr(self, "cov", _covariance("RelativeState.cov", self.cov, 7))
 
     @property

@@ -8,7 +8,8 @@ A value called `R_a_b` or `T_a_b` takes coordinates of b to a, so neighbours can
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import struct
+from dataclasses import dataclass, field
 from typing import overload
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 F64 = NDArray[np.float64]
 _THRICE = 3.0 * np.eye(3)
+_THREE, _NINE = struct.Struct("3d"), struct.Struct("9d")
 
 
 def wrap_pi(angle_rad: float) -> float:
@@ -32,21 +34,29 @@ def skew(v: ArrayLike) -> F64:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def fixed_vector(x: float, y: float, z: float) -> F64:
+    """Return a read-only array, (3,), for samples that come hundreds of times a second. `np.array` takes three times as long."""
+    return np.ndarray((3,), np.float64, _THREE.pack(x, y, z))
+
+
+def fixed_matrix(*rows: float) -> F64:
+    """Return a read-only array, (3, 3), of nine numbers, row by row; as `fixed_vector`."""
+    return np.ndarray((3, 3), np.float64, _NINE.pack(*rows))
+
+
 def rpy_matrix(roll_rad: float, pitch_rad: float, yaw_rad: float) -> F64:
-    """Return Rz(yaw) Ry(pitch) Rx(roll), (3, 3). `Rotation.from_rpy` is the checked form.
+    """Return Rz(yaw) Ry(pitch) Rx(roll), (3, 3) and read-only. `Rotation.from_rpy` is the checked form.
 
     Source: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., eq. 2.31.
     """
     cr, sr = math.cos(roll_rad), math.sin(roll_rad)
     cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
     cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    return fixed_matrix(
+        cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr,
+        sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr,
+        -sp, cp * sr, cp * cr,
+    )  # fmt: skip
 
 
 def orthonormalised(m: F64) -> F64:
@@ -63,13 +73,16 @@ class Rotation:
     """
 
     matrix: F64
+    _rpy_rad: tuple[float, float, float] | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         m = np.array(self.matrix, dtype=float)
-        # In plain numbers: numpy's calls on nine of them take ten times as long, and there are many rotations.
-        if m.shape != (3, 3) or not all(map(math.isfinite, m.ravel().tolist())):
+        if m.shape != (3, 3):
             raise ValueError(f"a rotation needs a finite (3, 3) matrix, got shape {m.shape}")
+        # In plain numbers: numpy's calls on nine of them take ten times as long, and there are many rotations.
         (a, b, c), (d, e, f), (g, h, i) = m.tolist()
+        if not math.isfinite(a + b + c + d + e + f + g + h + i):
+            raise ValueError(f"a rotation needs a finite (3, 3) matrix, got shape {m.shape}")
         off = (
             a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0,
             a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i,
@@ -131,11 +144,15 @@ class Rotation:
     @property
     def rpy_rad(self) -> tuple[float, float, float]:
         """(roll, pitch, yaw) of `from_rpy`; pitch in [-pi/2, pi/2]; at the gimbal lock roll is given as 0."""
-        (a, b, _), (d, e, _), (g, h, i) = self.matrix.tolist()
-        pitch = math.asin(min(1.0, max(-1.0, -g)))
-        if abs(g) > 1.0 - 1e-12:
-            return 0.0, pitch, math.atan2(-b, e)
-        return math.atan2(h, i), pitch, math.atan2(d, a)
+        found = self._rpy_rad
+        if found is None:
+            # Kept, because everybody who takes an attitude asks for it.
+            (a, b, _), (d, e, _), (g, h, i) = self.matrix.tolist()
+            pitch = math.asin(min(1.0, max(-1.0, -g)))
+            locked = abs(g) > 1.0 - 1e-12
+            found = (0.0, pitch, math.atan2(-b, e)) if locked else (math.atan2(h, i), pitch, math.atan2(d, a))
+            object.__setattr__(self, "_rpy_rad", found)
+        return found
 
     @property
     def rotvec_rad(self) -> F64:
@@ -192,6 +209,7 @@ def _unchecked(matrix: F64) -> Rotation:
     made = object.__new__(Rotation)
     matrix.setflags(write=False)
     object.__setattr__(made, "matrix", matrix)
+    object.__setattr__(made, "_rpy_rad", None)
     return made
 
 

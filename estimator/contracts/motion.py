@@ -32,8 +32,8 @@ class BodyMotion(Struct, frozen=True, eq=False):
     """Covariance of the reported attitude's error, (3, 3) rad^2 in `body`."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "a_level", _vector("BodyMotion.a_level", self.a_level, (3,)))
-        force_setattr(self, "w_body", _vector("BodyMotion.w_body", self.w_body, (3,)))
+        force_setattr(self, "a_level", _vector("BodyMotion.a_level", self.a_level))
+        force_setattr(self, "w_body", _vector("BodyMotion.w_body", self.w_body))
         force_setattr(self, "cov_a_level", _covariance("BodyMotion.cov_a_level", self.cov_a_level, 3))
         force_setattr(self, "cov_reported", _covariance("BodyMotion.cov_reported", self.cov_reported, 3))
 
@@ -67,8 +67,8 @@ class DeckMotion(Struct, frozen=True, eq=False):
     """Covariance of roll, pitch and their rates, (4, 4)."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "v_level", _vector("DeckMotion.v_level", self.v_level, (3,)))
-        force_setattr(self, "a_level", _vector("DeckMotion.a_level", self.a_level, (3,)))
+        force_setattr(self, "v_level", _vector("DeckMotion.v_level", self.v_level))
+        force_setattr(self, "a_level", _vector("DeckMotion.a_level", self.a_level))
         force_setattr(self, "cov_level", _covariance("DeckMotion.cov_level", self.cov_level, 6))
         force_setattr(self, "cov_tilt", _covariance("DeckMotion.cov_tilt", self.cov_tilt, 4))
 

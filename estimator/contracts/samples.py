@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import chain
 from typing import Literal
 
 import numpy as np
@@ -25,29 +26,39 @@ _CHECKED: dict[str, F64] = {}
 
 def _own(value: F64) -> F64:
     """Return the numbers as a read-only array that nobody else can write to: the value itself if it is one, else a copy."""
-    if type(value) is np.ndarray and value.dtype is _DOUBLE and value.base is None and not value.flags.writeable:
-        return value
+    if type(value) is np.ndarray and value.dtype is _DOUBLE and not value.flags.writeable:
+        base: object = value.base
+        if base is None or type(base) is bytes:
+            return value
     a = np.array(value, dtype=float)
     a.setflags(write=False)
     return a
 
 
-def _vector(name: str, value: F64, shape: tuple[int, ...]) -> F64:
+def _vector(name: str, value: F64) -> F64:
     a = _own(value)
     # In plain numbers: there are hundreds of samples a second, and numpy's calls on a few numbers take ten times as long.
-    numbers = a.tolist() if a.ndim == 1 else a.ravel().tolist()
-    # A sum is finite only of finite numbers; one that is not may have overflowed.
-    if a.shape != shape or not (math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))):
-        raise ValueError(f"{name} needs finite numbers of shape {shape}, got {value!r}")
-    return a
+    if a.shape == (3,):
+        x, y, z = a.tolist()
+        # A sum is finite only of finite numbers; one that is not may have overflowed.
+        if math.isfinite(x + y + z) or (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+            return a
+    raise ValueError(f"{name} needs finite numbers of shape (3,), got {value!r}")
 
 
 def _covariance(name: str, value: F64, n: int) -> F64:
     if value is _CHECKED.get(name):
         return value
-    a = _vector(name, value, (n, n))
-    gap = 0.0 if a.tobytes() == a.T.tobytes() else float(np.abs(a - a.T).max())
-    if min(a.diagonal().tolist()) < 0.0 or (gap > 1e-9 and gap > 1e-9 * float(np.abs(a).max())):
+    a = _own(value)
+    if a.shape != (n, n):
+        raise ValueError(f"{name} needs finite numbers of shape ({n}, {n}), got {value!r}")
+    rows = a.tolist()
+    numbers = list(chain.from_iterable(rows))
+    if not (math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))):
+        raise ValueError(f"{name} needs finite numbers of shape ({n}, {n}), got {value!r}")
+    columns = list(map(list, zip(*rows, strict=True)))
+    gap = 0.0 if rows == columns else float(np.abs(a - a.T).max())
+    if min(numbers[:: n + 1]) < 0.0 or (gap > 1e-9 and gap > 1e-9 * float(np.abs(a).max())):
         raise ValueError(f"{name} must be symmetric with a non-negative diagonal, got {value!r}")
     if a is value:
         _CHECKED[name] = a
@@ -81,8 +92,8 @@ class Imu(Struct, frozen=True, eq=False):
     """Specific force, (3,) m/s^2: at rest and level it reads (0, 0, -9.81)."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "w_body", _vector("Imu.w_body", self.w_body, (3,)))
-        force_setattr(self, "f_body", _vector("Imu.f_body", self.f_body, (3,)))
+        force_setattr(self, "w_body", _vector("Imu.w_body", self.w_body))
+        force_setattr(self, "f_body", _vector("Imu.f_body", self.f_body))
 
 
 class Attitude(Struct, frozen=True, eq=False):
@@ -107,7 +118,7 @@ class BodyVelocity(Struct, frozen=True, eq=False):
     """Covariance of the velocity, (3, 3) (m/s)^2."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "v_level", _vector("BodyVelocity.v_level", self.v_level, (3,)))
+        force_setattr(self, "v_level", _vector("BodyVelocity.v_level", self.v_level))
         force_setattr(self, "cov_level", _covariance("BodyVelocity.cov_level", self.cov_level, 3))
 
 
@@ -153,7 +164,7 @@ class VesselReport(Struct, frozen=True, eq=False):
         if (self.heading_rad is None) != (self.sigma_heading_rad is None):
             raise ValueError("VesselReport: a heading needs its sigma and the other way round")
         if self.v_vessel_ned is not None and self.cov_v_ned is not None:
-            force_setattr(self, "v_vessel_ned", _vector("VesselReport.v_vessel_ned", self.v_vessel_ned, (3,)))
+            force_setattr(self, "v_vessel_ned", _vector("VesselReport.v_vessel_ned", self.v_vessel_ned))
             force_setattr(self, "cov_v_ned", _covariance("VesselReport.cov_v_ned", self.cov_v_ned, 3))
 
 
@@ -174,7 +185,7 @@ class GeoFix(Struct, frozen=True, eq=False):
         if not (math.isfinite(self.sigma_m) and self.sigma_m > 0):
             raise ValueError(f"GeoFix needs a sigma > 0, got {self.sigma_m}")
         if self.v_ned is not None:
-            force_setattr(self, "v_ned", _vector("GeoFix.v_ned", self.v_ned, (3,)))
+            force_setattr(self, "v_ned", _vector("GeoFix.v_ned", self.v_ned))
 
 
 class VehicleStatus(Struct, frozen=True):

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from itertools import chain, repeat, starmap
 from typing import NamedTuple
 
+from msgspec import Struct
+
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
@@ -30,7 +32,7 @@ _ROW_OVER_KEPT = 4
 """Length of a row over the number of its beliefs that are left, from which on these are copied and the row is freed."""
 
 
-class Entry(NamedTuple):
+class Entry(Struct, frozen=True):
     """An event in the history."""
 
     key: Key

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any
+
+from msgspec import Struct
 
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
@@ -13,15 +16,15 @@ Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
 """What the filter processes."""
 
 _VALUES = size_of("event") - 2
-_EVENT = struct.Struct(f"2q{_VALUES}d")
-_NO_VALUES = (0.0,) * _VALUES
+_HEAD, _TWO, _VESSEL = struct.Struct("2q"), struct.Struct("2d"), struct.Struct("16d")
+_NO_VALUES = bytes(8 * _VALUES)
 _FLAGS = 3
 _SIGHTING = struct.Struct(f"{_FLAGS}q{size_of('sighting') - _FLAGS}d")
 _NO_POSE = (0.0,) * (3 + 9 + 36)
 _NO_VELOCITY = (0.0,) * (3 + 9)
 
 
-class PackedEvent(NamedTuple):
+class PackedEvent(Struct, frozen=True):
     """An event as the core reads it."""
 
     record: bytes
@@ -32,30 +35,36 @@ class PackedEvent(NamedTuple):
 
 def packed_event(event: Event) -> PackedEvent:
     """Return an event as the core reads it."""
-    values: tuple[float, ...] = ()
-    match event:
-        case Imu():
-            kind, values = "IMU", (*event.w_body.tolist(), *event.f_body.tolist())
-        case Attitude():
-            kind, values = "ATTITUDE", (*event.R_ned_body.matrix.ravel().tolist(), *event.cov_body.ravel().tolist())
-        case BodyVelocity():
-            kind, values = "VELOCITY", (*event.v_level.tolist(), *event.cov_level.ravel().tolist())
-        case Range():
-            kind, values = "RANGE", (event.range_m, event.sigma_m)
-        case Baro():
-            kind, values = "HEIGHT", (event.height_m, event.sigma_m)
-        case VesselReport():
-            kind, values = "VESSEL", _of_vessel(event)
-        case Sighting():
-            kind = "SIGHTING"
-    record = _EVENT.pack(CONSTANTS[kind], event.stamp.measured_at, *values, *_NO_VALUES[len(values) :])
-    return PackedEvent(record, _seen(event) if isinstance(event, Sighting) else b"")
+    kind, values_of = _KINDS[type(event)]
+    values = values_of(event)
+    record = _HEAD.pack(kind, event.stamp.measured_at) + values + _NO_VALUES[len(values) :]
+    return PackedEvent(record, _seen(event) if type(event) is Sighting else b"")
 
 
-def _of_vessel(report: VesselReport) -> tuple[float, ...]:
+def _of_imu(event: Imu) -> bytes:
+    return event.w_body.tobytes() + event.f_body.tobytes()
+
+
+def _of_attitude(event: Attitude) -> bytes:
+    return event.R_ned_body.matrix.tobytes() + event.cov_body.tobytes()
+
+
+def _of_velocity(event: BodyVelocity) -> bytes:
+    return event.v_level.tobytes() + event.cov_level.tobytes()
+
+
+def _of_range(event: Range) -> bytes:
+    return _TWO.pack(event.range_m, event.sigma_m)
+
+
+def _of_height(event: Baro) -> bytes:
+    return _TWO.pack(event.height_m, event.sigma_m)
+
+
+def _of_vessel(report: VesselReport) -> bytes:
     v, cov, heading, sigma = report.v_vessel_ned, report.cov_v_ned, report.heading_rad, report.sigma_heading_rad
     velocity = _NO_VELOCITY if v is None or cov is None else (*v.tolist(), *cov.ravel().tolist())
-    return (*velocity, heading or 0.0, sigma or 0.0, v is not None, heading is not None)
+    return _VESSEL.pack(*velocity, heading or 0.0, sigma or 0.0, v is not None, heading is not None)
 
 
 def _seen(s: Sighting) -> bytes:
@@ -67,3 +76,14 @@ def _seen(s: Sighting) -> bytes:
         s.yaw_rad is not None, s.yaw_ambiguous, whole is not None,
         s.confidence, s.stamp.sigma_s, *s.d_body_pad_level.tolist(), s.yaw_rad or 0.0, *s.cov.ravel().tolist(), *pose,
     )  # fmt: skip
+
+
+_KINDS: dict[type[Event], tuple[int, Callable[[Any], bytes]]] = {
+    Imu: (CONSTANTS["IMU"], _of_imu),
+    Attitude: (CONSTANTS["ATTITUDE"], _of_attitude),
+    BodyVelocity: (CONSTANTS["VELOCITY"], _of_velocity),
+    Range: (CONSTANTS["RANGE"], _of_range),
+    Baro: (CONSTANTS["HEIGHT"], _of_height),
+    VesselReport: (CONSTANTS["VESSEL"], _of_vessel),
+    Sighting: (CONSTANTS["SIGHTING"], lambda event: b""),
+}

@@ -10,6 +10,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
+from msgspec import Struct
+from msgspec.structs import replace
+
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import Stamp
 
@@ -28,7 +31,7 @@ class _Rival(NamedTuple):
     kinds: frozenset[str]
 
 
-class Delay(NamedTuple):
+class Delay(Struct, frozen=True):
     """The delay of one stream."""
 
     median_s: float
@@ -37,7 +40,7 @@ class Delay(NamedTuple):
     """Arrival, ns, of the first of an unbroken series of samples with another delay."""
 
 
-class ClockWatch(NamedTuple):
+class ClockWatch(Struct, frozen=True):
     """The arrivals and delays so far."""
 
     now: int | None = None
@@ -55,7 +58,7 @@ def watch_arrival(state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float)
     """Process an arrival; return TOO_NEW or TOO_OLD if no other arrival confirms its time."""
     received_at, now = stamp.received_at, state.now
     if now is None:
-        return state._replace(now=received_at), None
+        return replace(state, now=received_at), None
     step = round(step_max_s * 1e9)
     if abs(received_at - now) <= step:
         return ClockWatch(max(now, received_at), None, state.delays), None
@@ -68,7 +71,7 @@ def watch_arrival(state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float)
     lasting = rival.n >= _CONFIRMED_BY and rival.last - rival.first >= _CONFIRMED_IN_NS
     if lasting or len(rival.kinds) >= 2:
         return ClockWatch(rival.last), None
-    return state._replace(rival=rival), Verdict.TOO_NEW if received_at > now else Verdict.TOO_OLD
+    return replace(state, rival=rival), Verdict.TOO_NEW if received_at > now else Verdict.TOO_OLD
 
 
 def watch_delay(
@@ -84,7 +87,7 @@ def delay_after(delay: Delay | None, stamp: Stamp, step_max_s: float, settle_s: 
     d = stamp.delay_s
     if delay is None:
         return Delay(d), None
-    median_s, n, off_since = delay
+    median_s, n, off_since = delay.median_s, delay.n, delay.off_since
     off_s = d - median_s
     if abs(off_s) <= step_max_s:
         # The median moves in small steps, so that an outlier has no more effect than any other sample.

@@ -51,7 +51,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
         verdict = None
         # One more arrival at the known time changes nothing: the samples of one datagram share theirs.
         if stamp.received_at != watch.now or watch.rival is not None:
-            known = watch._replace(delays=delays)
+            known = replace(watch, delays=delays)
             watch, verdict = clock.watch_arrival(known, kind.__name__, stamp, o.clock_step_max_s)
             delays = dict(watch.delays)
         if verdict is None:

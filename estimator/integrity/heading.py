@@ -8,8 +8,8 @@ in between it passes unchanged. A report that goes on from another heading is so
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from estimator.contracts.geometry import Rotation, wrap_pi
@@ -22,7 +22,7 @@ _APART = 0.25
 """Share of the slip with which a report beyond the tolerance is followed: it is not the gyro's bias that took it there."""
 
 
-class HeadingWatch(NamedTuple):
+class HeadingWatch(Struct, frozen=True):
     """The body's turn by the gyro, and the reported heading's offset from it."""
 
     turned_rad: float = 0.0
@@ -45,7 +45,7 @@ def turned(watch: HeadingWatch, imu: Imu) -> HeadingWatch:
     rate = x * p + y * q + z * r
     dt = (t - watch.turned_at) * 1e-9
     if watch.turned_at < 0 or dt > _GAP_S:
-        return watch._replace(turned_at=t, rate_rad_s=rate, held_rad=None)
+        return replace(watch, turned_at=t, rate_rad_s=rate, held_rad=None)
     if dt <= 0.0:
         return watch
     turn = watch.turned_rad + 0.5 * (rate + watch.rate_rad_s) * dt
@@ -58,10 +58,10 @@ def steadied(watch: HeadingWatch, event: Attitude, o: IntegrityOptions) -> tuple
     (c, _, _), (s, _, _), (x, y, z) = m.tolist()
     since_s = (t - watch.turned_at) * 1e-9
     if watch.turned_at < 0 or abs(since_s) > _GAP_S:
-        return watch._replace(down=(x, y, z), held_rad=None, off_rad=0.0), event
+        return replace(watch, down=(x, y, z), held_rad=None, off_rad=0.0), event
     offset = math.atan2(s, c) - watch.turned_rad - watch.rate_rad_s * since_s
     if watch.held_rad is None:
-        return watch._replace(down=(x, y, z), held_rad=wrap_pi(offset), held_at=t, off_rad=0.0), event
+        return replace(watch, down=(x, y, z), held_rad=wrap_pi(offset), held_at=t, off_rad=0.0), event
     off = wrap_pi(offset - watch.held_rad)
     slip = 1.0 if abs(off) <= math.radians(o.heading_tolerance_deg) else _APART
     most = slip * math.radians(o.heading_slip_deg_s) * max(0.0, (t - watch.held_at) * 1e-9)
@@ -72,4 +72,4 @@ def steadied(watch: HeadingWatch, event: Attitude, o: IntegrityOptions) -> tuple
         return HeadingWatch(watch.turned_rad, watch.turned_at, watch.rate_rad_s, (x, y, z), held, t, 0.0), event
     # Turning about the vertical leaves roll and pitch, and the last row, as they are.
     R = Rotation.from_rpy(0.0, 0.0, -off) @ event.R_ned_body
-    return watch._replace(down=(x, y, z), held_rad=held, held_at=t, off_rad=off), replace(event, R_ned_body=R)
+    return replace(watch, down=(x, y, z), held_rad=held, held_at=t, off_rad=off), replace(event, R_ned_body=R)

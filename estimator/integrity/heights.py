@@ -7,7 +7,9 @@ difference means nothing. If the camera reports the pad below and there is none 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import Rotation
@@ -27,7 +29,7 @@ _BARO_LAG = 0.1
 """Weight of a new difference in the mean: a barometer's noise is half a metre."""
 
 
-class HeightWatch(NamedTuple):
+class HeightWatch(Struct, frozen=True):
     """The comparison of the other heights with the camera's so far."""
 
     seen_at: int = 0
@@ -57,31 +59,31 @@ def sighted(state: HeightWatch, sighting: Sighting, R_ned_body: Rotation) -> Hei
     """Record a sighting that the estimator fused."""
     x, y, z = sighting.d_body_pad_level.tolist()
     cx, cy, cz = R_ned_body.without_heading().matrix[:, 2].tolist()
-    return state._replace(seen_at=sighting.stamp.measured_at, d_level=(x, y, z), down_level=(cx, cy, cz))
+    return replace(state, seen_at=sighting.stamp.measured_at, d_level=(x, y, z), down_level=(cx, cy, cz))
 
 
 def ranged(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch:
     """Compare a range with the newest sighting if that is fresh and has the pad below."""
     t = event.stamp.measured_at
     if state.seen_at == 0 or abs(t - state.seen_at) > _FRESH_S * 1e9:
-        return state._replace(range_at=t)
+        return replace(state, range_at=t)
     x, y, z = state.d_level
     cx, cy, cz = state.down_level
     if cz < _UPRIGHT or z < _NEAREST_M or event.range_m < 0.5 * _NEAREST_M:
-        return state._replace(range_at=t)
+        return replace(state, range_at=t)
     along = z / cz
     foot = math.hypot(x - cx * along, y - cy * along)
     tolerance = o.range_tolerance_m + o.range_tolerance_fraction * z
     if foot > o.deck_radius_m - _EDGE_M:
         # The beam is not certainly over the deck, so the previous result holds until it is.
-        return state._replace(range_at=t)
+        return replace(state, range_at=t)
     # A cone measures the nearest surface, which lies between the axis and the perpendicular.
     off = max(event.range_m - along, z - event.range_m, 0.0)
     dt = min(max(0.0, (t - state.range_at) * 1e-9), _PAUSE_S)
     agrees = off <= tolerance + 2.0 * event.sigma_m
     against = min(max(0.0, state.against_s + (-dt if agrees else dt)), 1.5 * o.range_disagree_s)
     contradicted = against >= o.range_disagree_s or (state.contradicted and against > 0.0)
-    return state._replace(range_at=t, against_s=against, contradicted=contradicted, agreed_at=t if agrees else state.agreed_at)
+    return replace(state, range_at=t, against_s=against, contradicted=contradicted, agreed_at=t if agrees else state.agreed_at)
 
 
 def weighed(state: HeightWatch, event: Baro, o: IntegrityOptions) -> HeightWatch:
@@ -99,4 +101,4 @@ def weighed(state: HeightWatch, event: Baro, o: IntegrityOptions) -> HeightWatch
     drift = max((abs(now - r) for _, r in rise), default=0.0)
     change = max((abs(height - h) for _, h in seen), default=0.0)
     against = drift > o.height_tolerance_m + change / 3.0
-    return state._replace(rise=rise, rise_now=now, seen_height=seen, baro_contradicted=against)
+    return replace(state, rise=rise, rise_now=now, seen_height=seen, baro_contradicted=against)

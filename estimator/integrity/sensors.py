@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
+
+from msgspec import Struct
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
@@ -18,7 +20,7 @@ _UNMEASURED_VAR = 1e3
 """Variance above which a velocity component was not measured."""
 
 
-class Repeat(NamedTuple):
+class Repeat(Struct, frozen=True):
     """The newest reading, for the bitwise comparison."""
 
     value: bytes | float
@@ -26,7 +28,7 @@ class Repeat(NamedTuple):
     """Instant when it was first read, ns."""
 
 
-class Plausible(NamedTuple):
+class Plausible(Struct, frozen=True):
     """The newest reading that passed."""
 
     numbers: tuple[float, ...]
@@ -35,7 +37,7 @@ class Plausible(NamedTuple):
     """Instant of the measurement, ns."""
 
 
-class SensorWatch(NamedTuple):
+class SensorWatch(Struct, frozen=True):
     """The state of one stream of readings."""
 
     repeat: Repeat | None = None
@@ -54,7 +56,7 @@ def watch(state: SensorWatch, event: Reading, o: IntegrityOptions, flying: bool)
     """
     t = event.stamp.measured_at
     value, numbers, beyond, frozen_s = _READ[type(event)](event, o)
-    repeat, _, before, refused_since = state
+    repeat, before, refused_since = state.repeat, state.plausible, state.refused_since
     since = t if repeat is None or repeat.value != value else min(repeat.since, t)
     repeat = Repeat(value, since)
     if beyond:
@@ -68,47 +70,39 @@ def watch(state: SensorWatch, event: Reading, o: IntegrityOptions, flying: bool)
     return SensorWatch(repeat, False, Plausible(numbers, t), None), None
 
 
-class _Read(NamedTuple):
-    """What the checks need of a reading."""
-
-    value: bytes | float
-    """What must change."""
-    numbers: tuple[float, ...]
-    """The numbers that `_step` compares."""
-    beyond: bool
-    """Whether a value is more than the vehicle can do."""
-    frozen_s: float
-    """Longest time without a change; infinity if it need not change."""
+_Read = tuple[bytes | float, tuple[float, ...], bool, float]
+"""What the checks need of a reading: what must change; the numbers that `_step` compares; whether a value is more than the
+vehicle can do; the longest time without a change, s, infinity if it need not change. There are hundreds a second."""
 
 
 def _imu(event: Imu, o: IntegrityOptions) -> _Read:
     w, f = event.w_body, event.f_body
     beyond = math.hypot(*f.tolist()) > o.specific_force_max_m_s2 or math.hypot(*w.tolist()) > o.turn_rate_max_rad_s
-    return _Read(w.tobytes() + f.tobytes(), (), beyond, o.imu_frozen_s)
+    return (w.tobytes() + f.tobytes(), (), beyond, o.imu_frozen_s)
 
 
 def _attitude(event: Attitude, o: IntegrityOptions) -> _Read:
     m = event.R_ned_body.matrix
-    return _Read(m.tobytes(), tuple(m[2].tolist()), False, o.attitude_frozen_s)
+    return (m.tobytes(), tuple(m[2].tolist()), False, o.attitude_frozen_s)
 
 
 def _velocity(event: BodyVelocity, o: IntegrityOptions) -> _Read:
     v, var = event.v_level, event.cov_level.diagonal().tolist()
     numbers = tuple([x if of < _UNMEASURED_VAR else 0.0 for x, of in zip(v.tolist(), var, strict=True)])
-    return _Read(v.tobytes(), numbers, math.hypot(*numbers) > o.speed_max_m_s, o.velocity_frozen_s)
+    return (v.tobytes(), numbers, math.hypot(*numbers) > o.speed_max_m_s, o.velocity_frozen_s)
 
 
 def _vessel(event: VesselReport, o: IntegrityOptions) -> _Read:
     v = event.v_vessel_ned
-    return _Read(b"", (), v is not None and math.hypot(*v.tolist()) > o.speed_max_m_s, math.inf)
+    return (b"", (), v is not None and math.hypot(*v.tolist()) > o.speed_max_m_s, math.inf)
 
 
 _READ: dict[type[Reading], Callable[[Any, IntegrityOptions], _Read]] = {
     Imu: _imu,
     Attitude: _attitude,
     BodyVelocity: _velocity,
-    Range: lambda event, o: _Read(event.range_m, (), False, o.range_frozen_s),
-    Baro: lambda event, o: _Read(event.height_m, (event.height_m,), False, o.baro_frozen_s),
+    Range: lambda event, o: (event.range_m, (), False, o.range_frozen_s),
+    Baro: lambda event, o: (event.height_m, (event.height_m,), False, o.baro_frozen_s),
     VesselReport: _vessel,
 }
 

@@ -188,6 +188,8 @@ class Configuration:
 
     def __init__(self, ports: Mapping[str, int] | None = None) -> None:
         """`ports`: what network:navdata_port, video_port, at_port and cmd_port say, where they are not the usual ones."""
+        self.writes = 0
+        """Number of keys that clients have written or tried to write: what is known of the values holds until the next."""
         self._values: dict[str, str] = {}
         self._numbers: dict[str, float] = {}
         self._common = {k.name: k.default for k in KEYS.values() if k.scope is Scope.COMMON}
@@ -234,6 +236,7 @@ class Configuration:
         """
         self._values.clear()
         self._numbers.clear()
+        self.writes += 1
         name, value = name.strip().lower(), value.strip()
         key = KEYS.get(name)
         if key is None:

@@ -126,12 +126,13 @@ def _demo(s: Situation) -> navdata.Demo:
 
 
 def _raw_measures(s: Situation) -> navdata.RawMeasures:
-    x, y, z = (1e3 * f / STANDARD_GRAVITY for f in s.readings.f_body.tolist())
-    gyros = [_clip(math.degrees(w) * 16.4, -(2**15), 2**15 - 1) for w in s.readings.w_body.tolist()]
+    fx, fy, fz = s.readings.f_body.tolist()
+    p, q, r = s.readings.w_body.tolist()
+    x, y, z = 1e3 * fx / STANDARD_GRAVITY, 1e3 * fy / STANDARD_GRAVITY, 1e3 * fz / STANDARD_GRAVITY
     echo = s.readings.ultrasound_m
     return navdata.RawMeasures(
-        raw_accs=tuple([_clip(2048 + 0.512 * mg, 0, 4095) for mg in (x, -y, -z)]),
-        raw_gyros=tuple(gyros),
+        raw_accs=(_raw_acc(x), _raw_acc(-y), _raw_acc(-z)),
+        raw_gyros=(_raw_gyro(p), _raw_gyro(q), _raw_gyro(r)),
         vbat_raw_mv=round(10_772 + 1_828 * s.readings.battery_fraction),
         flag_echo_ini=1,
         nb_echo=0 if echo is None else 1,
@@ -140,13 +141,22 @@ def _raw_measures(s: Situation) -> navdata.RawMeasures:
     )
 
 
+def _raw_acc(mg: float) -> int:
+    return _clip(2048 + 0.512 * mg, 0, 4095)
+
+
+def _raw_gyro(w_rad_s: float) -> int:
+    return _clip(math.degrees(w_rad_s) * 16.4, -(2**15), 2**15 - 1)
+
+
 def _phys_measures(s: Situation) -> navdata.PhysMeasures:
-    f, w = s.readings.f_body, s.readings.w_body
+    x, y, z = s.readings.f_body.tolist()
+    p, q, r = s.readings.w_body.tolist()
     return navdata.PhysMeasures(
         accs_temp_c=float(s.readings.temperature_c),
         gyro_temp=0,
-        phys_accs_mg=tuple([1e3 * v / STANDARD_GRAVITY for v in f.tolist()]),
-        phys_gyros_deg_s=tuple([math.degrees(v) for v in w.tolist()]),
+        phys_accs_mg=(1e3 * x / STANDARD_GRAVITY, 1e3 * y / STANDARD_GRAVITY, 1e3 * z / STANDARD_GRAVITY),
+        phys_gyros_deg_s=(math.degrees(p), math.degrees(q), math.degrees(r)),
     )
 
 
@@ -170,11 +180,12 @@ def _pwm(s: Situation) -> navdata.Pwm:
 
 def _altitude(s: Situation) -> navdata.Altitude:
     echo = s.readings.ultrasound_m
+    vx, vy = s.readings.v_level_m_s.tolist()
     return navdata.Altitude(
         altitude_vision_mm=round(1e3 * s.altitude_m),
         altitude_raw_mm=0 if echo is None else round(1e3 * echo),
         obs_alt=s.altitude_m,
-        est_vb=(1e3 * float(s.readings.v_level_m_s[0]), 1e3 * float(s.readings.v_level_m_s[1])),
+        est_vb=(1e3 * vx, 1e3 * vy),
     )
 
 

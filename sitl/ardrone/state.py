@@ -54,6 +54,7 @@ _MAJOR = {
     VehiclePhase.LANDING: ControlState.LANDING,
     VehiclePhase.EMERGENCY: ControlState.DEFAULT,
 }
+_WORDS = {phase: major.word for phase, major in _MAJOR.items()}
 
 
 class RefAction(Enum):
@@ -107,6 +108,8 @@ class DroneState:
         self._landed_for_silence = False
         self._emergency_asked = False
         self._user_emergency = False
+        self._flags_at = -1
+        self._newest_flags = False, False, False
 
     @property
     def bootstrap(self) -> bool:
@@ -156,12 +159,13 @@ class DroneState:
 
     def word(self, phase: VehiclePhase, battery_low: bool, ultrasound_deaf: bool) -> int:
         """Navdata's state word."""
+        video, vision, demo = self._flags()
         of = (
             phase in AIRBORNE,
-            self.config.flag("general:video_enable"),
-            self.config.flag("general:vision_enable"),
+            video,
+            vision,
             self._ack,
-            not self._bootstrap and self.config.flag("general:navdata_demo"),
+            not self._bootstrap and demo,
             self._bootstrap,
             self._silent,
             battery_low,
@@ -172,9 +176,17 @@ class DroneState:
         )
         return _word(of)
 
+    def _flags(self) -> tuple[bool, bool, bool]:
+        """Return what the configuration says of video, vision and demo mode."""
+        if self._flags_at != self.config.writes:
+            names = ("general:video_enable", "general:vision_enable", "general:navdata_demo")
+            video, vision, demo = map(self.config.flag, names)
+            self._flags_at, self._newest_flags = self.config.writes, (video, vision, demo)
+        return self._newest_flags
+
     def control_state(self, phase: VehiclePhase) -> int:
         """The demo option's control state: major in the upper, minor in the lower 16 bits."""
-        return _MAJOR[phase].word | (LOST_COM if self._silent and phase is VehiclePhase.HOVERING else 0)
+        return _WORDS[phase] | (LOST_COM if self._silent and phase is VehiclePhase.HOVERING else 0)
 
     def _obey(self, command: at.AtCommand, ids: Ids | None, phase: VehiclePhase) -> Iterator[RefAction | Stick]:
         match command:

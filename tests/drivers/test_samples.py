@@ -5,6 +5,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.options import ArDroneOptions
@@ -99,7 +100,7 @@ def test_velocity_scale_is_corrected_unless_velocities_are_taken_as_reported() -
 
 
 def test_demo_mode_has_no_imu_and_its_range_is_along_the_body() -> None:
-    tilted = DEMO._replace(theta_mdeg=20000.0, phi_mdeg=0.0, altitude_mm=1000)
+    tilted = replace(DEMO, theta_mdeg=20000.0, phi_mdeg=0.0, altitude_mm=1000)
     samples = NavdataSampler().samples(of(tilted), STAMP)
     assert not [s for s in samples if isinstance(s, Imu)]
     assert the(Range, samples).range_m == pytest.approx(1.0 / math.cos(math.radians(20.0)))
@@ -110,9 +111,9 @@ def test_demo_mode_has_no_imu_and_its_range_is_along_the_body() -> None:
     [
         (of(DEMO, nd.Altitude(altitude_raw_mm=0)), Range),
         (of(DEMO, nd.Altitude(altitude_raw_mm=900), state=nd.NavdataState.ULTRASOUND_DEAF), Range),
-        (of(DEMO._replace(altitude_mm=0)), Range),
-        (of(DEMO._replace(psi_mdeg=math.nan)), Attitude),
-        (of(DEMO._replace(vy_mm_s=math.inf)), BodyVelocity),
+        (of(replace(DEMO, altitude_mm=0)), Range),
+        (of(replace(DEMO, psi_mdeg=math.nan)), Attitude),
+        (of(replace(DEMO, vy_mm_s=math.inf)), BodyVelocity),
         (of(nd.PhysMeasures(0.0, 0, (0.0, math.nan, 0.0), (0.0, 0.0, 0.0))), Imu),
         (of(nd.PressureRaw(0, 0, 0, 0)), Baro),
     ],

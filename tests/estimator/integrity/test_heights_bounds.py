@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import Rotation
@@ -62,14 +63,14 @@ def test_a_sighting_is_kept_with_the_bodys_down_axis() -> None:
 def test_a_range_may_lie_a_length_a_share_and_two_sigmas_away(
     height_m: float, range_m: float, sigma_m: float, agrees: bool
 ) -> None:
-    assert speaks(OVER._replace(d_level=(0.0, 0.0, height_m)), range_m, sigma_m=sigma_m) is agrees
+    assert speaks(replace(OVER, d_level=(0.0, 0.0, height_m)), range_m, sigma_m=sigma_m) is agrees
 
 
 def leaning(cx: float, cy: float, foot_m: tuple[float, float] = (0.0, 0.0), height_m: float = 2.0) -> HeightWatch:
     """The sensor's axis meets the deck so far from the pad."""
     cz = math.sqrt(1.0 - cx * cx - cy * cy)
     d = (cx * height_m / cz + foot_m[0], cy * height_m / cz + foot_m[1], height_m)
-    return OVER._replace(d_level=d, down_level=(cx, cy, cz))
+    return replace(OVER, d_level=d, down_level=(cx, cy, cz))
 
 
 @pytest.mark.parametrize("lean", [(0.4, 0.0), (0.0, 0.4), (-0.3, 0.3)])
@@ -86,18 +87,18 @@ def test_it_counts_where_the_axis_meets_the_deck_and_anything_between_axis_and_p
 
 
 def test_a_foot_on_the_edge_counts() -> None:
-    assert speaks(OVER._replace(d_level=(0.5, 0.0, 2.0)), 2.0) is True
+    assert speaks(replace(OVER, d_level=(0.5, 0.0, 2.0)), 2.0) is True
 
 
 @pytest.mark.parametrize(
     ("state", "range_m", "counts"),
     [
-        (OVER._replace(down_level=(0.0, 0.0, 0.85)), 3.0, True),
-        (OVER._replace(down_level=(0.0, 0.0, 0.849)), 3.0, False),
-        (OVER._replace(d_level=(0.0, 0.0, 0.35)), 3.0, True),
-        (OVER._replace(d_level=(0.0, 0.0, 0.349)), 3.0, False),
-        (OVER._replace(d_level=(0.0, 0.0, 0.6)), 0.175, True),
-        (OVER._replace(d_level=(0.0, 0.0, 0.6)), 0.174, False),
+        (replace(OVER, down_level=(0.0, 0.0, 0.85)), 3.0, True),
+        (replace(OVER, down_level=(0.0, 0.0, 0.849)), 3.0, False),
+        (replace(OVER, d_level=(0.0, 0.0, 0.35)), 3.0, True),
+        (replace(OVER, d_level=(0.0, 0.0, 0.349)), 3.0, False),
+        (replace(OVER, d_level=(0.0, 0.0, 0.6)), 0.175, True),
+        (replace(OVER, d_level=(0.0, 0.0, 0.6)), 0.174, False),
     ],
 )
 def test_a_lean_or_a_height_beyond_the_sensor_says_nothing(state: HeightWatch, range_m: float, counts: bool) -> None:
@@ -108,7 +109,7 @@ def test_a_lean_or_a_height_beyond_the_sensor_says_nothing(state: HeightWatch, r
     ("after", "counts"), [(3 * S // 10, True), (3 * S // 10 + 1, False), (-3 * S // 10, True), (-3 * S // 10 - 1, False)]
 )
 def test_a_sighting_is_compared_for_three_tenths_of_a_second(after: int, counts: bool) -> None:
-    state = OVER._replace(range_at=T - S)
+    state = replace(OVER, range_at=T - S)
     assert speaks(state, 2.0, T + after) is (True if counts else None)
     weighed_after = weighed(state, Baro(stamp(T + after), 30.0, 0.5), LIMITS)
     assert (weighed_after.rise != ()) is counts
@@ -116,26 +117,26 @@ def test_a_sighting_is_compared_for_three_tenths_of_a_second(after: int, counts:
 
 @pytest.mark.parametrize(("since_s", "counted_s"), [(0.25, 0.25), (0.3, 0.3), (5.0, 0.3), (0.0, 0.0), (-1.0, 0.0)])
 def test_time_against_is_counted_between_ranges_up_to_a_pause(since_s: float, counted_s: float) -> None:
-    state = OVER._replace(range_at=T - round(since_s * S), against_s=0.5)
+    state = replace(OVER, range_at=T - round(since_s * S), against_s=0.5)
     assert received_at(state, 3.0).against_s == pytest.approx(0.5 + counted_s)
     assert received_at(state, 2.0).against_s == pytest.approx(0.5 - counted_s)
 
 
 def test_a_second_against_contradicts_and_agreement_ends_it_only_when_it_has_weighed_it_up() -> None:
-    assert received_at(OVER._replace(against_s=0.75), 3.0).contradicted
-    assert not received_at(OVER._replace(against_s=0.74), 3.0).contradicted
-    assert received_at(OVER._replace(against_s=1.4), 3.0).against_s == 1.5, "no grudge for ever"
-    assert received_at(OVER._replace(against_s=0.5, contradicted=True), 2.0).contradicted
-    over = received_at(OVER._replace(against_s=0.25, contradicted=True), 2.0)
+    assert received_at(replace(OVER, against_s=0.75), 3.0).contradicted
+    assert not received_at(replace(OVER, against_s=0.74), 3.0).contradicted
+    assert received_at(replace(OVER, against_s=1.4), 3.0).against_s == 1.5, "no grudge for ever"
+    assert received_at(replace(OVER, against_s=0.5, contradicted=True), 2.0).contradicted
+    over = received_at(replace(OVER, against_s=0.25, contradicted=True), 2.0)
     assert (over.against_s, over.contradicted) == (0.0, False)
-    assert received_at(OVER._replace(against_s=0.1), 2.0).against_s == 0.0
-    assert not received_at(OVER._replace(against_s=0.5), 2.0).contradicted
+    assert received_at(replace(OVER, against_s=0.1), 2.0).against_s == 0.0
+    assert not received_at(replace(OVER, against_s=0.5), 2.0).contradicted
 
 
 def test_an_agreement_confirms_for_two_seconds_and_a_disagreement_does_not_take_it_back() -> None:
     state = received_at(received_at(OVER, 2.0), 3.0, T + S // 10)
     assert [state.confirmed(now) for now in (T - 1, T, T + 2 * S, T + 2 * S + 1)] == [False, True, True, False]
-    assert OVER._replace(agreed_at=0).confirmed(0)
+    assert replace(OVER, agreed_at=0).confirmed(0)
 
 
 def pressed(state: HeightWatch, baro_m: float, t: int = T) -> HeightWatch:
@@ -145,14 +146,14 @@ def pressed(state: HeightWatch, baro_m: float, t: int = T) -> HeightWatch:
 def test_the_difference_is_smoothed_and_kept_once_a_second_for_ten() -> None:
     state = pressed(OVER, 32.0)
     assert (state.rise_now, state.rise, state.seen_height) == (30.0, ((T, 30.0),), ((T, 2.0),))
-    late = pressed(state._replace(seen_at=T + S), 33.0, T + S - 1)
+    late = pressed(replace(state, seen_at=T + S), 33.0, T + S - 1)
     assert late.rise_now == pytest.approx(30.1)
     assert len(late.rise) == len(late.seen_height) == 1
-    second = pressed(state._replace(seen_at=T + S, d_level=(0.0, 0.0, 3.0)), 33.0, T + S)
+    second = pressed(replace(state, seen_at=T + S, d_level=(0.0, 0.0, 3.0)), 33.0, T + S)
     assert second.rise == ((T, 30.0), (T + S, 30.0))
     assert second.seen_height == ((T, 2.0), (T + S, 3.0))
     for age, kept in ((10 * S, 2), (10 * S + 1, 1)):
-        later = pressed(state._replace(seen_at=T + age), 32.0, T + age)
+        later = pressed(replace(state, seen_at=T + age), 32.0, T + age)
         assert len(later.rise) == len(later.seen_height) == kept
 
 
@@ -165,5 +166,5 @@ def test_the_difference_is_smoothed_and_kept_once_a_second_for_ten() -> None:
 )  # fmt: skip
 def test_it_contradicts_beyond_its_tolerance_and_a_third_of_the_change(drift_m: float, from_m: float, contradicts: bool) -> None:
     rise = ((T - S // 2, 0.0), (T - S // 4, 0.75 * drift_m))
-    state = OVER._replace(rise=rise, rise_now=drift_m, seen_height=((T - S // 2, from_m), (T - S // 4, 2.0)))
+    state = replace(OVER, rise=rise, rise_now=drift_m, seen_height=((T - S // 2, from_m), (T - S // 4, 2.0)))
     assert pressed(state, 2.0 + drift_m).baro_contradicted is contradicts
