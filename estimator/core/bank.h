@@ -20,6 +20,11 @@
  * No sea is exactly one of the members, so the evidence counts for less than if one of them were the truth.
  * Source: Grunwald and van Ommen, Inconsistency of Bayesian inference for misspecified linear models, Bayesian Analysis, 2017. */
 void weigh_ahead(const bank_members *m, const double *log_weight, double rest, double weight[MEMBERS]);
+/* The members' weights, and frequency, damping and size of each direction's mixture. Its variances of displacement and rate are kept:
+ * while the period is unknown, the quick members count. */
+void summarise(const bank_members *m, sea *s);
+/* The largest of n numbers. */
+double largest(int n, const double *values);
 /* The place of (i, j) in the rows of the upper triangle of a member's covariance. */
 int member_pair(int i, int j);
 

@@ -5,6 +5,7 @@
 
 #include "aiding.h"
 #include "gate.h"
+#include "gathering.h"
 #include "interface.h"
 #include "propagate.h"
 #include "vessel.h"
