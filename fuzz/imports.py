@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.cli import detect
-from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog
+from drivers.imports import ardrone_capture, attitude_csv, dataflash, dataflash_history, px4_ulog, ulog_history
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
 from fuzz import ardrone
@@ -56,8 +56,13 @@ _FORMATS = {
     "BARO": (134, "QBf", "TimeUS,I,Alt"),
     "RFND": (135, "QBfBB", "TimeUS,Instance,Dist,Stat,Orient"),
     "EV": (136, "QB", "TimeUS,Id"),
+    "PARM": (137, "QNf", "TimeUS,Name,Value"),
+    "ERR": (138, "QBB", "TimeUS,Subsys,ECode"),
+    "VIBE": (139, "QBfffI", "TimeUS,IMU,VibeX,VibeY,VibeZ,Clip"),
+    "XKF4": (140, "QBcccc", "TimeUS,C,SV,SP,SH,SM"),
+    "PL": (141, "QBB", "TimeUS,Heal,TAcq"),
 }
-_CODES = {"Q": "Q", "B": "B", "f": "f", "c": "h", "n": "4s", "N": "16s", "Z": "64s"}
+_CODES = {"Q": "Q", "B": "B", "f": "f", "c": "h", "n": "4s", "N": "16s", "Z": "64s", "I": "I"}
 
 
 def _row(name: str, *values: object) -> bytes:
@@ -74,6 +79,8 @@ def dataflash_seeds() -> Iterator[bytes]:
     log += _row("IMU", 1000, 0, 0.0, 0.0, 0.1, 0.0, 0.0, -9.8) + _row("ATT", 1100, 0, 100, 0, -100, 9000)
     log += _row("XKF1", 1200, 0, 1.0, 2.0, 3.0) + _row("BARO", 1300, 0, 10.0) + _row("RFND", 1400, 0, 2.0, 4, 25)
     log += _row("EV", 1500, 28) + _row("IMU", 900, 0, np.nan, 0.0, 0.1, 0.0, 0.0, -9.8) + _row("EV", 1500, 18)
+    log += _row("PARM", 1600, b"PLND_ENABLED", 1.0) + _row("ERR", 1700, 16, 2) + _row("VIBE", 1800, 0, 40.0, 1.0, 1.0, 200)
+    log += _row("XKF4", 1900, 0, 120, 30, 30, 30) + _row("PL", 2000, 1, 1) + _row("PL", 2100, 1, 0)
     yield log
     yield log[: len(log) * 2 // 3]
 
@@ -96,6 +103,11 @@ def ulog_seeds() -> Iterator[bytes]:
         ),
         "vehicle_air_data": ("float baro_alt_meter", struct.pack("<f", 12)),
         "vehicle_land_detected": ("bool landed", struct.pack("<B", 1)),
+        "vehicle_status": ("uint8_t arming_state;bool failsafe", struct.pack("<BB", 2, 1)),
+        "failsafe_flags": ("bool gcs_connection_lost", struct.pack("<B", 1)),
+        "estimator_status": ("float vel_test_ratio;float mag_test_ratio", struct.pack("<2f", 2, 0.1)),
+        "vehicle_imu_status": ("uint32_t[3] accel_clipping;float accel_vibration_metric", struct.pack("<3If", 1, 2, 3, 12)),
+        "event": ("uint32_t id", struct.pack("<I", 17)),
     }  # fmt: skip
     head = px4_ulog.MAGIC + b"\x01" + struct.pack("<Q", 1000)
     formats = b"".join(_ulog("F", f"{name}:uint64_t timestamp;{fields};".encode()) for name, (fields, _) in topics.items())
@@ -123,7 +135,7 @@ def capture_seeds() -> Iterator[bytes]:
 
 TARGETS = {
     "attitude_csv": Target(reader("a.csv", attitude_csv.read, _tilts), csv_seeds, 1024),
-    "dataflash": Target(reader("log.bin", dataflash.read), dataflash_seeds),
-    "ulog": Target(reader("log.ulg", px4_ulog.read), ulog_seeds),
+    "dataflash": Target(reader("log.bin", dataflash.read, lambda path: [dataflash_history.read_history(path)]), dataflash_seeds),
+    "ulog": Target(reader("log.ulg", px4_ulog.read, lambda path: [ulog_history.read_history(path)]), ulog_seeds),
     "ardrone_capture": Target(reader("x", ardrone_capture.samples, ardrone_capture.frames), capture_seeds, 8192),
 }

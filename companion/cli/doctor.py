@@ -17,10 +17,12 @@ from companion.config.settings import load
 from companion.doctor.diagnose import RULES, diagnose
 from companion.doctor.finding import Finding, Severity
 from companion.doctor.gather import examine
+from companion.doctor.gather_log import examine_log
 from companion.doctor.gather_service import examine_service
 from companion.doctor.snapshot import Snapshot, decode, encode
 from companion.runtime import event_loop
 from drivers.clock import SystemClock
+from drivers.imports.log_history import LogHistory
 from estimator.contracts.errors import BadInput
 
 
@@ -33,6 +35,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "each known fault with its fix. The command flies nothing, and sets no parameter but those that you agree to with "
         "--fix; it requests message streams. Stop the service first if it holds the serial port. "
         "Exit code 0 if nothing was found (or is left), or advice only; else 1.",
+    )
+    parser.add_argument(
+        "log",
+        nargs="?",
+        metavar="LOG",
+        help="examine a flight log instead: dataflash (.bin) or PX4 (.ulg); parameters and events",
     )
     parser.add_argument(
         "--link",
@@ -61,9 +69,11 @@ def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     logging.basicConfig(level=logging.ERROR)  # that a link does not open is a finding, not news
     doctor_fix.check_options(args)
+    if args.log is not None and (args.fix or args.undo):
+        raise BadInput("a log cannot be fixed: examine the autopilot with --link URL --fix")
     if args.undo:
         return doctor_fix.undo(args)
-    snapshot = _saved(args.snapshot) if args.snapshot else event_loop.run(_examined(args))
+    snapshot = _snapshot(args)
     snapshot = msgspec.structs.replace(snapshot, moving_pad=snapshot.moving_pad and not args.still_pad)
     if args.save:
         try:
@@ -81,6 +91,14 @@ def run(args: argparse.Namespace) -> int:
     return 1 if any(f.severity is not Severity.ADVICE for f in found) else 0
 
 
+def _snapshot(args: argparse.Namespace) -> Snapshot:
+    if args.log is None:
+        return _saved(args.snapshot) if args.snapshot else event_loop.run(_examined(args))
+    if args.link or args.config or args.broker or args.snapshot:
+        raise BadInput(f"a log is examined by itself: give {args.log} without --link, --config, --broker and --snapshot")
+    return examine_log(Path(args.log))
+
+
 def _saved(where: str) -> Snapshot:
     try:
         data = sys.stdin.buffer.read() if where == "-" else Path(where).read_bytes()
@@ -91,7 +109,7 @@ def _saved(where: str) -> Snapshot:
 
 async def _examined(args: argparse.Namespace) -> Snapshot:
     if not (args.link or args.config or args.broker):
-        raise BadInput("nothing to examine: give --link URL, --config FILE, --broker HOST:PORT or --snapshot FILE")
+        raise BadInput("nothing to examine: give --link URL, --config FILE, --broker HOST:PORT, --snapshot FILE or a LOG")
     if not 0.5 <= args.seconds <= 600:
         raise BadInput(f"--seconds must lie in 0.5..600, got {args.seconds:g}")
     if args.broker and ":" in args.broker and not args.broker.rpartition(":")[2].isdigit():
@@ -111,11 +129,24 @@ def _progress(text: str) -> None:
         sys.stderr.write(f"{text} ...\n")
 
 
+def _log_lines(of: str, parameters: int, log: LogHistory) -> list[str]:
+    lines = [f"{of}: log of {log.lasted_s:.0f} s, {parameters} of the parameters that are judged"]
+    lines += [
+        f"  landing at {one.at_s:.1f} s, taken back by the detector {one.lost} times, armed for {one.armed_s:.1f} s after"
+        for one in log.landings
+    ]
+    lines += [f"  EKF {name}: worst ratio {r.worst:.2f}, above 1 for {r.over_s:.1f} s" for name, r in log.ratios.items()]
+    return lines
+
+
 def _page(snapshot: Snapshot, found: tuple[Finding, ...]) -> str:
     lines = []
     if (a := snapshot.autopilot) is not None:
         version = "" if a.firmware is None else " " + ".".join(map(str, a.firmware))
-        lines.append(f"{a.stack}{version}, system {a.system}, mode {a.mode}, {len(a.parameters)} parameters read")
+        if snapshot.log is None:
+            lines.append(f"{a.stack}{version}, system {a.system}, mode {a.mode}, {len(a.parameters)} parameters read")
+        else:
+            lines += _log_lines(f"{a.stack}{version}, system {a.system}", len(a.parameters), snapshot.log)
         lines += [f"  {name:<22} {rate:6.1f} Hz" for name, rate in sorted(a.rates_hz.items(), key=lambda i: -i[1])[:8]]
     if snapshot.sync is not None and snapshot.sync.round_trip_s is not None:
         lines.append(

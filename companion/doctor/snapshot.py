@@ -11,6 +11,7 @@ import msgspec
 from msgspec import Struct, field
 
 from companion.config.ship_place import Contradiction
+from drivers.imports.log_history import LogHistory
 from estimator.contracts.errors import BadInput
 
 
@@ -111,6 +112,8 @@ class Snapshot(Struct, frozen=True):
     autopilot: AutopilotSnapshot | None = None
     sync: TimeSyncSnapshot | None = None
     service: ServiceSnapshot = ServiceSnapshot()
+    log: LogHistory | None = None
+    """Events of the flight log that was examined; None for a setup that was examined itself."""
     moving_pad: bool = True
     """Whether the pad is on something that moves."""
 

@@ -33,16 +33,7 @@ def read(path: Path) -> list[Sample]:
     Raises:
         BadInput: the file cannot be read, is no dataflash log, or holds neither IMU nor attitude.
     """
-    try:
-        with path.open("rb") as file:
-            binary = file.read(2) == MAGIC
-        log = _Log(str(path)) if binary else None
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
-    except Exception as why:  # pymavlink lets any error of its parser through
-        raise BadInput(f"{path}: not a readable dataflash log: {why}") from why
-    if log is None:
-        raise BadInput(f"{path}: not a dataflash log (its text form is not read: keep the .bin)")
+    log = open_log(path)
     try:
         samples = _Reader(log).samples()
     except Exception as why:
@@ -54,7 +45,26 @@ def read(path: Path) -> list[Sample]:
     return sorted(samples, key=lambda s: s.stamp.received_at)
 
 
-class _Log(DFReader.DFReader_binary):  # type: ignore[misc]
+def open_log(path: Path) -> DataflashLog:
+    """Open a log; `close` it, or `give_up` after an error.
+
+    Raises:
+        BadInput: the file cannot be read or is no dataflash log.
+    """
+    try:
+        with path.open("rb") as file:
+            binary = file.read(2) == MAGIC
+        log = DataflashLog(str(path)) if binary else None
+    except OSError as why:
+        raise BadInput(f"{path}: {why.strerror or why}") from why
+    except Exception as why:  # pymavlink lets any error of its parser through
+        raise BadInput(f"{path}: not a readable dataflash log: {why}") from why
+    if log is None:
+        raise BadInput(f"{path}: not a dataflash log (its text form is not read: keep the .bin)")
+    return log
+
+
+class DataflashLog(DFReader.DFReader_binary):  # type: ignore[misc]
     """A reader that ends at a message of length 0, at which pymavlink's own loops forever, and closes unreadable files."""
 
     def __init__(self, filename: str) -> None:
@@ -98,7 +108,7 @@ class _Reader:
     def samples(self) -> list[Sample]:
         out: list[Sample] = []
         while (message := self._log.recv_match(type=list(self._makers))) is not None:
-            at_us = _time_us(message)
+            at_us = time_us(message)
             if at_us is not None:
                 self._first_us = at_us if self._first_us is None else self._first_us
                 self._now_ns = max(0, at_us - self._first_us) * 1000
@@ -149,7 +159,8 @@ class _Reader:
         return VehicleStatus(stamp(at), flying, "flying" if flying else "landed", None, False, True)
 
 
-def _time_us(m: Any) -> int | None:
+def time_us(m: Any) -> int | None:
+    """Return a message's time since the start of the autopilot, microseconds; None if it has none."""
     if hasattr(m, "TimeUS"):
         return int(m.TimeUS)
     return int(m.TimeMS) * 1000 if hasattr(m, "TimeMS") else None

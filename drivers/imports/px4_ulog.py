@@ -33,14 +33,7 @@ def read(path: Path) -> list[Sample]:
     Raises:
         BadInput: the file cannot be read, is no ULog, or holds neither IMU nor attitude.
     """
-    try:
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            log = ULog(_Bounded(file, size), message_name_filter_list=list(_TOPICS))
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
-    except Exception as why:  # pyulog lets any error of its parser through
-        raise BadInput(f"{path}: not a readable PX4 log: {why}") from why
+    log = open_ulog(path, _TOPICS)
     topics = {data.name: data.data for data in reversed(log.data_list)}
     if not topics.keys() & {"sensor_combined", "vehicle_attitude"}:
         raise BadInput(f"{path}: holds neither sensor_combined nor vehicle_attitude")
@@ -48,6 +41,22 @@ def read(path: Path) -> list[Sample]:
         return _samples(topics)
     except (KeyError, IndexError, TypeError, ValueError, OverflowError) as why:
         raise BadInput(f"{path}: not the topics of a PX4 log: {type(why).__name__}: {why}") from why
+
+
+def open_ulog(path: Path, topics: tuple[str, ...]) -> Any:
+    """Return the parsed log, a `pyulog.ULog`, with these topics.
+
+    Raises:
+        BadInput: the file cannot be read or is no ULog.
+    """
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            return ULog(_Bounded(file, size), message_name_filter_list=list(topics))
+    except OSError as why:
+        raise BadInput(f"{path}: {why.strerror or why}") from why
+    except Exception as why:  # pyulog lets any error of its parser through
+        raise BadInput(f"{path}: not a readable PX4 log: {why}") from why
 
 
 class _Bounded:

@@ -1,0 +1,147 @@
+"""What a flight log of an autopilot says besides its samples: parameters, texts, and events that can spoil a landing."""
+
+from __future__ import annotations
+
+from msgspec import Struct, field
+
+RATIO_LIMIT = 1.0
+"""The test ratio of an innovation above which both estimators refuse a measurement."""
+VIBRATION_LIMIT_M_S2 = {"ArduPilot": 30.0, "PX4": 9.81}
+"""The vibration that each stack's documentation calls too much. Sources: ArduPilot, "Measuring vibration" (VIBE); PX4, "Log
+analysis using Flight Review" (accel_vibration_metric)."""
+AGAIN_S = 10.0
+"""A landing that is detected again within this time is the same landing, seconds."""
+
+
+class LoggedMoment(Struct, frozen=True):
+    """Something that happened once."""
+
+    at_s: float
+    """Time since the log began, seconds."""
+    what: str
+
+
+class Excess(Struct, frozen=True):
+    """How far and how long a value was above its limit while the vehicle was armed."""
+
+    worst: float
+    at_s: float
+    """Time of the worst, since the log began, seconds."""
+    over_s: float
+    """Time above the limit, in all, seconds."""
+
+
+class LoggedLanding(Struct, frozen=True):
+    """One landing as the autopilot's own detector saw it."""
+
+    at_s: float
+    lost: int
+    """How often the detector took it back."""
+    armed_s: float
+    """Time from the last detection until the motors were off, or the log ended, seconds."""
+
+
+class LogHistory(Struct, frozen=True):
+    """Events of one log."""
+
+    lasted_s: float
+    failsafes: tuple[LoggedMoment, ...] = ()
+    ratios: dict[str, Excess] = field(default_factory=dict)
+    """Test ratios of the estimator's innovations, by what was measured: velocity, position, height, compass."""
+    vibration_m_s2: Excess | None = None
+    clipped: int = 0
+    """Number of accelerometer readings at the end of the range, while armed."""
+    landings: tuple[LoggedLanding, ...] = ()
+    targets_lost: int = 0
+    """How often the autopilot's precision landing lost its target while armed."""
+    dropouts_s: float = 0.0
+    """Time that the log lost, seconds."""
+
+
+class AutopilotLog(Struct, frozen=True):
+    """A log's content apart from its samples."""
+
+    stack: str
+    vehicle: str | None
+    """Name of the firmware, such as "ArduCopter", if the log tells it."""
+    firmware: tuple[int, int, int] | None
+    parameters: dict[str, float]
+    """The last value of each."""
+    texts: tuple[str, ...]
+    events: tuple[int, ...]
+    """Numbers of PX4's EVENTs."""
+    history: LogHistory
+
+
+class ExcessMeter:
+    """Measures an `Excess` from readings in order of time; a gap of more than half a second counts as half a second.
+
+    Args:
+        limit: the value above which time is counted.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self._limit = limit
+        self._worst, self._worst_at_s, self._over_s = -1.0, 0.0, 0.0
+        self._before_s: float | None = None
+
+    def add(self, value: float, at_s: float) -> None:
+        """Take one reading; values that are not numbers are left out."""
+        if not value >= 0.0:
+            return
+        if value > self._limit and self._before_s is not None:
+            self._over_s += min(max(at_s - self._before_s, 0.0), 0.5)
+        self._before_s = at_s
+        if value > self._worst:
+            self._worst, self._worst_at_s = value, at_s
+
+    @property
+    def excess(self) -> Excess | None:
+        """The measured excess; None without a reading."""
+        return None if self._worst < 0.0 else Excess(round(self._worst, 3), round(self._worst_at_s, 2), round(self._over_s, 2))
+
+
+class LandingMeter:
+    """Finds the landings in what the detector and the motors reported, in order of time."""
+
+    def __init__(self) -> None:
+        self._flown = False
+        self._detected_s: list[float] = []
+        self._lost = 0
+        self._armed_since_s: float | None = None
+        self._lost_at_s: float | None = None
+        self._landings: list[LoggedLanding] = []
+
+    def flying(self, at_s: float) -> None:
+        """Note that the detector takes the vehicle to fly."""
+        self._flown = True
+        if self._armed_since_s is not None:
+            self._lost += 1
+            self._lost_at_s, self._armed_since_s = at_s, None
+
+    def landed(self, at_s: float) -> None:
+        """Note that the detector takes the vehicle to stand."""
+        if not self._flown or self._armed_since_s is not None:
+            return
+        if self._lost_at_s is not None and at_s - self._lost_at_s > AGAIN_S:
+            self._end(self._lost_at_s, go_around=True)
+        self._detected_s.append(at_s)
+        self._armed_since_s, self._lost_at_s = at_s, None
+
+    def disarmed(self, at_s: float) -> None:
+        """Note that the motors are off."""
+        self._end(at_s)
+        self._flown = False
+
+    def landings(self, end_s: float) -> tuple[LoggedLanding, ...]:
+        """Return all landings of a log that ended at this time."""
+        self._end(end_s)
+        return tuple(self._landings)
+
+    def _end(self, at_s: float, *, go_around: bool = False) -> None:
+        if self._detected_s:
+            armed_s = 0.0 if self._armed_since_s is None else max(at_s - self._armed_since_s, 0.0)
+            # A take-off after a stand on deck ends a landing, and is no doubt about it.
+            lost = self._lost - 1 if go_around or self._armed_since_s is None else self._lost
+            self._landings.append(LoggedLanding(round(self._detected_s[0], 2), lost, round(armed_s, 2)))
+        self._detected_s, self._lost, self._armed_since_s, self._lost_at_s = [], 0, None, None

@@ -1,0 +1,224 @@
+"""`doctor LOG`: the parameters in a log are judged like those on the wire, and what spoiled a landing in it is named."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+from companion.cli import doctor
+from companion.cli.main import Parser
+from companion.doctor.diagnose import diagnose
+from companion.doctor.finding import Finding, Severity
+from companion.doctor.gather_log import examine_log
+from companion.doctor.snapshot import decode, encode
+from drivers.imports.log_history import LandingMeter
+from estimator.contracts.errors import BadInput
+from tests.companion.doctor.test_rules import ARDUPILOT, PX4
+from tests.support.flight_logs import dataflash, ulog
+
+DATA = Path(__file__).parents[3] / "../shared/data/mavlink"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the shared recordings are not here")
+Row = tuple[float, str, tuple[object, ...]]
+ARM, DISARM, LANDED, FLYING = 10, 11, 18, 28
+FLIGHT: list[Row] = [(1.0, "EV", (ARM,)), (3.0, "EV", (FLYING,)), (40.0, "EV", (LANDED,)), (41.0, "EV", (DISARM,))]
+STATUS = {"arming_state": "uint8_t", "failsafe": "bool"}
+TOPICS = {
+    "vehicle_status": STATUS,
+    "vehicle_land_detected": {"landed": "bool"},
+    "failsafe_flags": {"offboard_control_signal_lost": "bool", "gcs_connection_lost": "bool"},
+    "estimator_status": {"vel_test_ratio": "float", "mag_test_ratio": "float"},
+    "vehicle_imu_status": {"accel_clipping[0]": "uint32_t", "accel_vibration_metric": "float"},
+}
+PX4_FLIGHT: list[Row] = [
+    (0.0, "vehicle_status", (1, False)), (0.0, "vehicle_land_detected", (True,)), (1.0, "vehicle_status", (2, False)),
+    (3.0, "vehicle_land_detected", (False,)), (40.0, "vehicle_land_detected", (True,)), (41.0, "vehicle_status", (1, False)),
+]  # fmt: skip
+
+
+def copter(path: Path, rows: list[Row] = FLIGHT, **wrong: float) -> tuple[Finding, ...]:
+    return diagnose(examine_log(dataflash(path / "x.bin", ARDUPILOT.parameters | wrong, sorted(rows, key=lambda r: r[0]))))
+
+
+def px4(
+    path: Path, rows: list[Row] = PX4_FLIGHT, texts: tuple[tuple[float, str], ...] = (), **wrong: float
+) -> tuple[Finding, ...]:
+    log = ulog(path / "x.ulg", PX4.parameters | wrong, TOPICS, sorted(rows, key=lambda r: r[0]), texts)
+    return diagnose(examine_log(log))
+
+
+def during(begin_s: float, end_s: float, name: str, *values: object) -> list[Row]:
+    return [(begin_s + 0.1 * k, name, values) for k in range(round(10 * (end_s - begin_s)))]
+
+
+def test_a_good_flight_of_each_stack_is_left_in_peace(tmp_path: Path) -> None:
+    calm = [*during(1, 40, "XKF4", 0, 30, 20, 40, 50, 0), *during(1, 40, "VIBE", 0, 5.0, 6.0, 9.0, 7), *during(5, 39, "PL", 1, 1)]
+    assert copter(tmp_path, [*FLIGHT, *calm]) == ()
+    assert px4(tmp_path, [*PX4_FLIGHT, *during(1, 40, "estimator_status", 0.3, 0.2)]) == ()
+
+
+def test_parameters_in_a_log_are_judged_like_those_on_the_wire(tmp_path: Path) -> None:
+    assert [f.rule for f in copter(tmp_path, LAND_SPEED=250, PLND_TYPE=2)] == ["plnd-type", "land-speed"]
+    assert [f.rule for f in px4(tmp_path, EKF2_GPS_CHECK=245, COM_OF_LOSS_T=10.0)] == ["px4-gnss-checks", "px4-offboard-loss"]
+
+
+COPTER_EVENTS: dict[str, tuple[str, list[Row], str]] = {
+    "battery failsafe": ("log-failsafe", [(30.0, "ERR", (6, 1))], "failsafe: battery at 30.0 s"),
+    "EKF check": ("log-failsafe", [(30.0, "ERR", (16, 2)), (31.0, "ERR", (16, 0))], "EKF check: variances too large at 30.0 s"),
+    "crash": ("log-failsafe", [(40.2, "ERR", (12, 1))], "crash detected"),
+    "thrust": ("log-failsafe", [(30.0, "ERR", (25, 1))], "loss of thrust"),
+    "velocity refused": ("log-ekf", during(30, 34, "XKF4", 0, 240, 20, 40, 50, 0), "velocity for 3.9 s (ratio 2.4 at 30.0 s)"),
+    "compass refused": ("log-ekf", during(30, 32, "XKF4", 0, 20, 20, 40, 150, 0), "compass for 1.9 s"),
+    "clipping": ("log-clipping", [(5.0, "VIBE", (0, 5.0, 5.0, 5.0, 3)), (39.0, "VIBE", (0, 5.0, 5.0, 5.0, 500))], "497 times"),
+    "vibration": ("log-vibration", during(10, 15, "VIBE", 0, 12.0, 45.0, 20.0, 0), "above 30 m/s^2 for 4.9 s"),
+    "target lost": (
+        "log-target-lost",
+        [r for k in range(3) for r in ((20.0 + k, "PL", (1, 1)), (20.5 + k, "PL", (1, 0)))],
+        "3 times",
+    ),
+    "landing taken back": ("log-land-detector", [(35.0, "EV", (LANDED,)), (37.0, "EV", (FLYING,))], "taken back once"),
+}
+
+
+@pytest.mark.parametrize("name", COPTER_EVENTS)
+def test_what_spoiled_a_landing_of_arducopter_is_named(name: str, tmp_path: Path) -> None:
+    rule, rows, says = COPTER_EVENTS[name]
+    (found,) = copter(tmp_path, [*FLIGHT, *rows])
+    assert found.rule == rule
+    assert says in found.what
+
+
+PX4_EVENTS: dict[str, tuple[str, list[Row], str]] = {
+    "setpoints lost": (
+        "log-failsafe",
+        [
+            (5.0, "failsafe_flags", (False, True)), (29.5, "failsafe_flags", (True, True)), (30.0, "vehicle_status", (2, True)),
+            (32.0, "vehicle_status", (2, False)),
+        ],
+        "failsafe: setpoints lost at 30.0 s",
+    ),
+    "velocity refused": ("log-ekf", during(30, 34, "estimator_status", 2.4, 0.1), "velocity for 3.9 s"),
+    "clipping": ("log-clipping", [(5.0, "vehicle_imu_status", (9, 1.0)), (39.0, "vehicle_imu_status", (300, 1.0))], "291 times"),
+    "vibration": ("log-vibration", during(10, 15, "vehicle_imu_status", 0, 15.0), "above 9.81 m/s^2"),
+    "landing taken back": (
+        "log-land-detector",
+        [(t, "vehicle_land_detected", (k % 2 == 0,)) for k, t in enumerate((34.0, 35.0, 36.0, 37.0))],
+        "at 34.0 s was detected and taken back 2 times",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PX4_EVENTS)
+def test_what_spoiled_a_landing_of_px4_is_named(name: str, tmp_path: Path) -> None:
+    rule, rows, says = PX4_EVENTS[name]
+    (found,) = px4(tmp_path, [*PX4_FLIGHT, *rows])
+    assert found.rule == rule
+    assert says in found.what
+
+
+def test_a_failsafe_without_flags_is_named_by_px4_s_own_words(tmp_path: Path) -> None:
+    text = (30.0, "Failsafe activated: Offboard signal lost, entering Hold")
+    (found,) = px4(tmp_path, [*PX4_FLIGHT, (30.0, "vehicle_status", (2, True))], (text,))
+    assert found.what == f"{text[1]} at 30.0 s"
+
+
+def test_a_log_with_holes_is_told(tmp_path: Path) -> None:
+    path = ulog(tmp_path / "x.ulg", PX4.parameters, TOPICS, PX4_FLIGHT)
+    path.write_bytes(path.read_bytes() + struct.pack("<HBH", 2, ord("O"), 2500))
+    (found,) = diagnose(examine_log(path))
+    assert (found.rule, found.severity) == ("log-dropouts", Severity.ADVICE)
+    assert "lost 2.5 s" in found.what
+
+
+def test_armed_on_deck_matters_on_a_ship(tmp_path: Path) -> None:
+    rows = [*FLIGHT[:-1], (60.0, "EV", (DISARM,))]
+    (found,) = copter(tmp_path, rows)
+    assert found.rule == "log-armed-on-deck"
+    assert "armed for 20 s after the landing at 40.0 s" in found.what
+    snapshot = examine_log(dataflash(tmp_path / "x.bin", ARDUPILOT.parameters, rows))
+    assert diagnose(replace(snapshot, moving_pad=False)) == ()
+
+
+def test_what_happens_before_arming_is_no_fault(tmp_path: Path) -> None:
+    still = [
+        (0.5, "EV", (DISARM,)),
+        *during(0.6, 0.9, "XKF4", 0, 900, 20, 40, 50, 0),
+        *during(0.6, 0.9, "VIBE", 0, 99.0, 1.0, 1.0, 9),
+    ]
+    assert copter(tmp_path, [*FLIGHT, *still]) == ()
+
+
+def test_a_go_around_is_no_doubt_about_the_landing() -> None:
+    meter = LandingMeter()
+    for at_s, call in (
+        (3.0, meter.flying),
+        (40.0, meter.landed),
+        (42.0, meter.flying),
+        (80.0, meter.landed),
+        (81.0, meter.disarmed),
+    ):
+        call(at_s)
+    first, second = meter.landings(90.0)
+    assert (first.at_s, first.lost, second.at_s, second.lost, second.armed_s) == (40.0, 0, 80.0, 0, 1.0)
+
+
+def test_a_log_s_snapshot_can_be_saved(tmp_path: Path) -> None:
+    snapshot = examine_log(dataflash(tmp_path / "x.bin", ARDUPILOT.parameters, FLIGHT))
+    assert decode(encode(snapshot), "there") == snapshot
+    assert snapshot.autopilot is not None
+    assert snapshot.autopilot.firmware == (4, 5, 7)
+
+
+def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
+    parser = Parser(prog="decklander")
+    doctor.add_parser(parser.add_subparsers())
+    code = doctor.run(parser.parse_args(["doctor", *argv]))
+    return code, capsys.readouterr().out
+
+
+def test_the_command_on_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = dataflash(tmp_path / "x.bin", ARDUPILOT.parameters, [*FLIGHT, (41.5, "ERR", (6, 1))])
+    code, out = run(capsys, str(path))
+    assert code == 1
+    assert out.startswith("ArduPilot 4.5.7, system 1: log of 42 s")
+    assert "landing at 40.0 s, taken back by the detector 0 times, armed for 1.0 s after" in out
+    assert "error: failsafe: battery at 41.5 s [log-failsafe]" in out
+    assert run(capsys, str(ulog(tmp_path / "x.ulg", PX4.parameters, TOPICS, PX4_FLIGHT)))[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("argv", "says"),
+    [
+        (("x.bin", "--link", "udpin://127.0.0.1:0"), "examined by itself"),
+        (("x.bin", "--fix", "--link", "udpin://127.0.0.1:0"), "a log cannot be fixed"),
+        (("/no/such.bin",), "No such file"),
+        ((__file__,), "neither a dataflash log"),
+    ],
+)
+def test_wrong_use_of_a_log_is_one_line(argv: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(BadInput, match=says):
+        run(capsys, *argv)
+
+
+def test_a_log_of_another_kind_of_vehicle_or_of_nothing_is_refused(tmp_path: Path) -> None:
+    path = dataflash(tmp_path / "x.bin", {"A": 1.0})
+    path.write_bytes(path.read_bytes().replace(b"ArduCopter V4.5.7", b"ArduPlane V4.5.07"))
+    with pytest.raises(BadInput, match="a log of ArduPlane"):
+        examine_log(path)
+    with pytest.raises(BadInput, match="no parameters"):
+        examine_log(dataflash(tmp_path / "y.bin", {}))
+    with pytest.raises(BadInput, match="no parameters"):
+        examine_log(ulog(tmp_path / "y.ulg", {}, TOPICS))
+
+
+@needs_data
+def test_recorded_logs_of_both_stacks() -> None:
+    old = examine_log(DATA / "arducopter_flight.bin")
+    assert old.log is not None
+    assert [m.what for m in old.log.failsafes] == ["EKF check: variances too large"]
+    assert {"log-failsafe", "log-ekf", "firmware-old", "fence"} <= {f.rule for f in diagnose(old)}
+    assert {f.rule for f in diagnose(examine_log(DATA / "px4_sample.ulg"))} == {
+        "px4-offboard-short", "px4-precland-missing", "px4-disarm-late"
+    }  # fmt: skip
