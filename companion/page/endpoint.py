@@ -293,7 +293,7 @@ class PageEndpoint(NullObserver):
             belief, ahead = self.pilot.believed(exposed), self.pilot.forecast(exposed, AHEAD_S)
             number += 1
             message = await worker.run(
-                picture, number, processed, belief, ahead, self.pilot.camera, self.pilot.pad, self._settings.picture_quality
+                picture, number, processed, belief, ahead, self.pilot.camera, self.pilot.pad, self._settings.jpeg_quality
             )
             for viewer in self._viewers:
                 viewer.show(number, exposed, message)

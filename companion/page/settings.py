@@ -36,9 +36,9 @@ class PageSettings(Struct, frozen=True, forbid_unknown_fields=True):
         str, text("file with the page's own TLS certificate (PEM), and the chain that issued it", 4096, shortest=0)
     ] = ""
     key_file: Annotated[str, text("file with the private key of the certificate (PEM)", 4096, shortest=0)] = ""
-    viewers_max: Annotated[int, number("browsers that may watch at a time", "browsers", 1, 16)] = 4
+    viewers_max: Annotated[int, number("browsers that may watch at a time", "1", 1, 16)] = 4
     picture_rate_hz: Annotated[float, number("largest rate of the live picture", "Hz", 1.0, 60.0)] = 15.0
-    picture_quality: Annotated[int, number("JPEG quality of the live picture", "1", 10, 95)] = 70
+    jpeg_quality: Annotated[int, number("JPEG quality of the live picture", "1", 10, 95)] = 70
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -151,6 +151,7 @@ GAINS_AND_RATIOS = {
     "restart_give_up_after",
     "request_tries",
     "peers_max",
+    "viewers_max",
     "buffers",
     "sigma_velocity_scale",
     "sigma_velocity_fraction",
@@ -216,6 +217,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
     data.setdefault("mqtt", {}).update(reconnect_first_s=0.1, reconnect_cap_s=1.0, user="a", certificate_file="", key_file="")
     data["mqtt"].update(commands="off", command_key_file="")
     data.setdefault("metrics", {}).update(endpoint="off")
+    data.setdefault("page", {}).update(endpoint="off")
     data["vehicle"].pop("vessel_id", None)
     for table in (data["vehicle"], data.setdefault("bridge", {})):
         if table is not data["vehicle"] or kind == "mavlink":
