@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from msgspec.structs import replace
+
 from companion.config.settings import Settings
 from companion.mavlink.signed_links import signed_links
 from drivers.mavlink.links import LinkOptions
@@ -25,7 +27,9 @@ def given_links(args: argparse.Namespace, settings: Settings | None) -> GivenLin
         raise BadInput(f"--system must lie in 1 to 255, got {args.system}")
     if not args.link:
         vehicle = None if settings is None else settings.vehicle
-        return (vehicle, signed_links(vehicle)) if isinstance(vehicle, AutopilotOptions) else None
+        if not isinstance(vehicle, AutopilotOptions):
+            return None
+        return vehicle if args.system is None else replace(vehicle, system_id=args.system), signed_links(vehicle)
     try:
         options = AutopilotOptions(", ".join(args.link), system_id=args.system or 0)
     except ValueError as why:

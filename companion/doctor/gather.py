@@ -6,20 +6,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from companion.doctor.diagnose import PARAMETERS
-from companion.doctor.snapshot import AutopilotSnapshot, LinkSnapshot, Snapshot, TimeSyncSnapshot
+from companion.doctor.snapshot import AutopilotSnapshot, HeardSystem, LinkSnapshot, Snapshot, TimeSyncSnapshot
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.links import LinkOptions, ReceivedMessage
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.requests import RATES_HZ
-from drivers.mavlink.vehicle import is_autopilot
+from drivers.mavlink.vehicle import is_autopilot, stack_of
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
 _PRECLAND_BIT = int(mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION)
 """The SYS_STATUS bit in which ArduCopter reports precision landing."""
 _ASKING_MAX_S = 15.0
+_FIRST_ANSWER_S = 5.0
+"""Time after which an autopilot that answered nothing at all is not waited for, seconds."""
 _POLL_S = 0.05
+_HEARD_MAX = 256
 
 Say = Callable[[str], None]
 
@@ -28,21 +31,29 @@ Say = Callable[[str], None]
 class _Notes:
     """Messages on the links that `Autopilot` does not keep."""
 
-    systems: set[int] = field(default_factory=set)
+    heard: dict[tuple[int, int], HeardSystem] = field(default_factory=dict)
     firmware: tuple[int, int, int] | None = None
     enabled: bool | None = None
     healthy: bool | None = None
 
     def on_message(self, received: ReceivedMessage) -> None:
         m, name = received.message, received.message.get_type()
-        if name == "HEARTBEAT" and is_autopilot(m, received.component):
-            self.systems.add(received.system)
+        if name == "HEARTBEAT" and len(self.heard) < _HEARD_MAX:
+            self.heard[received.system, received.component] = _heard(received)
         elif name == "AUTOPILOT_VERSION" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
             v = m.flight_sw_version
             self.firmware = (v >> 24 & 0xFF, v >> 16 & 0xFF, v >> 8 & 0xFF)
         elif name == "SYS_STATUS" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
             self.enabled = bool(m.onboard_control_sensors_enabled & _PRECLAND_BIT)
             self.healthy = bool(m.onboard_control_sensors_health & _PRECLAND_BIT)
+
+
+def _heard(received: ReceivedMessage) -> HeardSystem:
+    m = received.message
+    stack = "" if m.autopilot == mav.MAV_AUTOPILOT_INVALID else stack_of(m).value
+    named = mav.enums["MAV_TYPE"].get(m.type)
+    kind = f"type {m.type}" if named is None else named.name.removeprefix("MAV_TYPE_").replace("_", " ").lower()
+    return HeardSystem(received.system, received.component, stack, kind, is_autopilot(m, received.component))
 
 
 async def examine(
@@ -68,7 +79,7 @@ async def examine(
         rates: dict[str, float] = {}
         if autopilot.identity is not None:
             rates = await _ask(autopilot, clock, seconds, say)
-        return _snapshot(autopilot, notes, rates, seconds_between(began, clock.now()))
+        return _snapshot(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now()))
 
 
 async def _ask(autopilot: Autopilot, clock: Clock, seconds: float, say: Say) -> dict[str, float]:
@@ -80,7 +91,14 @@ async def _ask(autopilot: Autopilot, clock: Clock, seconds: float, say: Say) -> 
     parameters.request(PARAMETERS[identity.stack.value])
     version = int(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
     autopilot.send(mav.MAVLink_command_long_message(*identity.address, mav.MAV_CMD_REQUEST_MESSAGE, 0, version, 0, 0, 0, 0, 0, 0))
-    await wait_until(clock, _ASKING_MAX_S, lambda: parameters.settled and streams.settled)
+
+    def answered() -> bool:
+        heard = bool(parameters.values) or autopilot.counts["COMMAND_ACK"] > 0
+        return heard or (autopilot.sync is not None and autopilot.sync.round_trip_s is not None)
+
+    await wait_until(clock, _FIRST_ANSWER_S, answered)
+    if answered():
+        await wait_until(clock, _ASKING_MAX_S, lambda: parameters.settled and streams.settled)
     say("counting messages")
     before, since = autopilot.counts.copy(), clock.now()
     await clock.sleep(seconds)
@@ -95,7 +113,8 @@ async def wait_until(clock: Clock, seconds: float, done: Callable[[], bool]) -> 
         await clock.sleep(_POLL_S)
 
 
-def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], seconds: float) -> Snapshot:
+def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], wanted: int, seconds: float) -> Snapshot:
+    heard = tuple(notes.heard[ids] for ids in sorted(notes.heard))
     links = tuple(
         LinkSnapshot(
             str(link.endpoint),
@@ -113,7 +132,7 @@ def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], seco
     )
     identity, sync = autopilot.identity, autopilot.sync
     if identity is None or sync is None:
-        return Snapshot(seconds, links)
+        return Snapshot(seconds, links, wanted_system=wanted, heard=heard)
     parameters, streams, condition = autopilot.parameters, autopilot.streams, autopilot.condition
     return Snapshot(
         seconds,
@@ -121,7 +140,7 @@ def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], seco
         AutopilotSnapshot(
             stack=identity.stack.value,
             system=identity.system,
-            others=tuple(sorted(notes.systems - {identity.system})),
+            others=tuple(sorted({one.system for one in heard if one.hovers} - {identity.system})),
             firmware=notes.firmware,
             mode=condition.mode,
             armed=condition.armed,
@@ -137,4 +156,6 @@ def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], seco
             precland_healthy=notes.healthy,
         ),
         TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps),
+        wanted_system=wanted,
+        heard=heard,
     )

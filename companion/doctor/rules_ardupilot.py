@@ -37,7 +37,7 @@ def _texts_of(p: Snapshot, text: str) -> bool:
 def plnd_missing(p: Snapshot) -> Finding | None:
     """Find a firmware that was built without precision landing."""
     a = _ardupilot(p)
-    if a is None or "PLND_ENABLED" not in a.absent:
+    if a is None or not a.parameters or "PLND_ENABLED" not in a.absent:
         return None
     return error(
         "plnd-missing",

@@ -9,6 +9,8 @@ from drivers.mavlink.requests import INSTEAD
 
 ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
 """Messages without which the service can neither report to an autopilot nor fly it."""
+_NO_ANSWER = -1
+_LISTED_MAX = 6
 _REASONS = {
     "permission denied": "let the service's user open it: usermod -aG dialout USER, and log in anew",
     "could not exclusively lock": "another program has it: stop the daemon or ModemManager, or the other ground station",
@@ -93,14 +95,18 @@ def link_unknown_senders(p: Snapshot) -> Finding | None:
 
 def link_old_version(p: Snapshot) -> Finding | None:
     """Find a MAVLink 1 link: it cuts the position off a LANDING_TARGET."""
-    for link in _open(p):
-        if link.messages >= 20 and link.old_version > 0.5 * link.messages:
-            return warning(
-                "link-mavlink1",
-                f"{link.url}: the other side speaks MAVLink 1",
-                "set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4): version 1 has no position in LANDING_TARGET",
-            )
-    return None
+    link = _old_link(p)
+    if link is None or unanswered(p):
+        return None
+    return warning(
+        "link-mavlink1",
+        f"{link.url}: the other side speaks MAVLink 1",
+        "set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4): version 1 has no position in LANDING_TARGET",
+    )
+
+
+def _old_link(p: Snapshot) -> LinkSnapshot | None:
+    return next((link for link in _open(p) if link.messages >= 8 and link.old_version > 0.5 * link.messages), None)
 
 
 def link_lossy(p: Snapshot) -> Finding | None:
@@ -116,27 +122,86 @@ def link_lossy(p: Snapshot) -> Finding | None:
     return None
 
 
+def wrong_system(p: Snapshot) -> Finding | None:
+    """Find a wished system id that no autopilot has, while others are heard."""
+    there = sorted({one.system for one in p.heard if one.hovers})
+    if p.autopilot is not None or not p.wanted_system or not there:
+        return None
+    names = " or ".join(map(str, there))
+    return error(
+        "wrong-system",
+        f"system {p.wanted_system} is not heard; heard: {_listed(p)}",
+        f"give --system {names}, and vehicle.system_id = {names} in the settings; an autopilot's own id is SYSID_THISMAV "
+        "(MAV_SYSID since ArduPilot 4.7) or MAV_SYS_ID (PX4)",
+    )
+
+
 def no_autopilot(p: Snapshot) -> Finding | None:
-    """Find links with messages but no autopilot."""
-    if p.autopilot is None and any(link.messages > 0 for link in p.links):
-        return error(
-            "no-autopilot",
-            "MAVLink messages come, but no HEARTBEAT of a copter's autopilot (component 1)",
-            "check the vehicle's frame type and that this link reaches the autopilot, not only a ground station; check --system",
-        )
-    return None
+    """Find links with messages but no autopilot of a copter."""
+    if p.autopilot is not None or wrong_system(p) is not None or not any(link.messages > 0 for link in p.links):
+        return None
+    others = [one for one in p.heard if one.stack]
+    if others:
+        fix = "this service lands copters: check the firmware, the vehicle's frame type and the link"
+        if any(one.component != 1 for one in others):
+            fix = "an autopilot is expected as component 1: set its component id to 1"
+        return error("no-autopilot", f"no HEARTBEAT of a copter's autopilot (component 1); heard: {_listed(p)}", fix)
+    said = f"heard: {_listed(p)}" if p.heard else "nothing sends HEARTBEATs"
+    return error(
+        "no-autopilot",
+        f"MAVLink messages come, but no HEARTBEAT of a copter's autopilot (component 1); {said}",
+        "check the vehicle's frame type and that this link reaches the autopilot, not only a ground station; check --system",
+    )
+
+
+def _listed(p: Snapshot) -> str:
+    shown = [str(one) if one.component == 1 or not one.stack else f"{one}, component {one.component}" for one in p.heard]
+    return ", ".join(shown[:_LISTED_MAX]) + (f" and {len(shown) - _LISTED_MAX} more" if len(shown) > _LISTED_MAX else "")
 
 
 def several_autopilots(p: Snapshot) -> Finding | None:
     """Find several vehicles on one network, where the service may choose the wrong one."""
     a = p.autopilot
-    if a is not None and a.others:
+    if a is not None and a.others and not p.wanted_system:
+        there = ", ".join(str(one) for one in p.heard if one.hovers and one.system in a.others) or ", ".join(map(str, a.others))
         return warning(
             "several-autopilots",
-            f"system {a.system} was taken, but {', '.join(map(str, a.others))} fly on the same links",
-            "name the one that is meant by its system id (SYSID_THISMAV, MAV_SYS_ID), and give each vehicle its own",
+            f"system {a.system} was taken, because it was heard first; there too: {there}",
+            f"name the one that is meant by --system and vehicle.system_id ({a.system} or {' or '.join(map(str, a.others))}); "
+            "each vehicle needs an id of its own (SYSID_THISMAV, MAV_SYS_ID)",
         )
     return None
+
+
+def unanswered(p: Snapshot) -> bool:
+    """Return whether an autopilot is heard and answered nothing at all: then silence is no refusal, and nothing is absent."""
+    a = p.autopilot
+    if a is None or not p.links or not a.wanted_hz or a.parameters:
+        return False
+    return (
+        bool(a.refused)
+        and all(result == _NO_ANSWER for result in a.refused.values())
+        and (p.sync is None or p.sync.round_trip_s is None)
+    )
+
+
+def link_one_way(p: Snapshot) -> Finding | None:
+    """Find a link on which the autopilot is heard and does not hear us."""
+    if not unanswered(p) or p.autopilot is None:
+        return None
+    what = f"system {p.autopilot.system} is heard, and answers nothing: no parameter, no stream, no TIMESYNC"
+    if _old_link(p) is not None:
+        return error(
+            "link-one-way",
+            f"{what}; it speaks MAVLink 1, and something between drops MAVLink 2",
+            "put a router or radio there that passes MAVLink 2, and set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4)",
+        )
+    return error(
+        "link-one-way",
+        what,
+        "check the wire from our TX to its RX, a radio or router that passes one direction only, and a signing key that it has "
+        "and we have not",
+    )
 
 
 def stream_refused(p: Snapshot) -> Finding | None:
@@ -144,7 +209,11 @@ def stream_refused(p: Snapshot) -> Finding | None:
     a = p.autopilot
     if a is None:
         return None
-    refused = [n for n in a.refused if n in ESSENTIAL and a.rates_hz.get(INSTEAD.get(n, ""), 0.0) < 0.2]
+    refused = [
+        n
+        for n, result in a.refused.items()
+        if result != _NO_ANSWER and n in ESSENTIAL and a.rates_hz.get(INSTEAD.get(n, ""), 0.0) < 0.2
+    ]
     if refused:
         return error(
             "stream-refused",
@@ -157,9 +226,11 @@ def stream_refused(p: Snapshot) -> Finding | None:
 def stream_silent(p: Snapshot) -> Finding | None:
     """Find a stream that was accepted but does not arrive."""
     a = p.autopilot
-    if a is None or p.seconds < 3.0:
+    if a is None or p.seconds < 3.0 or unanswered(p):
         return None
-    silent = [n for n in ESSENTIAL if n in a.wanted_hz and n not in a.refused and a.rates_hz.get(n, 0.0) < 0.2]
+    heard = {n for n, rate in a.rates_hz.items() if rate >= 0.2}
+    asked = [n for n in ESSENTIAL if n in a.wanted_hz and a.refused.get(n, _NO_ANSWER) == _NO_ANSWER]
+    silent = [n for n in asked if n not in heard and INSTEAD.get(n, n) not in heard]
     if silent:
         return error(
             "stream-silent",
@@ -187,7 +258,7 @@ def stream_slow(p: Snapshot) -> Finding | None:
 
 def clock_not_locked(p: Snapshot) -> Finding | None:
     """Find a clock that is not synchronized, which makes stamps meaningless."""
-    if p.autopilot is None or p.sync is None or p.sync.locked:
+    if p.autopilot is None or p.sync is None or p.sync.locked or unanswered(p):
         return None
     return error(
         "clock-not-locked",
@@ -309,7 +380,7 @@ def ship_silent(p: Snapshot) -> Finding | None:
 
 RULES: tuple[Rule, ...] = (
     link_down, link_silent, link_garbage, link_signature, link_old_version, link_lossy, link_unsigned,
-    link_unknown_senders, no_autopilot, several_autopilots,
+    link_unknown_senders, link_one_way, wrong_system, no_autopilot, several_autopilots,
     stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, camera_fault, camera_device,
     camera_size, camera_slow,
     broker_fault, drone_fault, ship_place, ship_silent,

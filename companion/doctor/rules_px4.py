@@ -39,7 +39,7 @@ def _value(p: Snapshot, name: str) -> float | None:
 def precland_missing(p: Snapshot) -> Finding | None:
     """Find a firmware that was built without precision landing."""
     a = _px4(p)
-    if a is None or "PLD_HACC_RAD" not in a.absent:
+    if a is None or not a.parameters or "PLD_HACC_RAD" not in a.absent:
         return None
     return warning(
         "px4-precland-missing",

@@ -70,6 +70,22 @@ class AutopilotSnapshot(Struct, frozen=True):
     """Whether SYS_STATUS reports precision landing as enabled by parameter and its backend as running."""
 
 
+class HeardSystem(Struct, frozen=True):
+    """A component that sent HEARTBEATs, whether or not it is the autopilot that is meant."""
+
+    system: int
+    component: int
+    stack: str
+    """ArduPilot, PX4 or other; empty for what is no autopilot, such as a ground station."""
+    kind: str
+    """Its MAV_TYPE in words, such as "quadrotor" or "gcs"."""
+    hovers: bool
+    """Whether it is the autopilot of a vehicle that can hover."""
+
+    def __str__(self) -> str:
+        return f"system {self.system} ({self.stack} {self.kind})" if self.stack else f"system {self.system} ({self.kind})"
+
+
 class ServiceSnapshot(Struct, frozen=True):
     """The service itself, as far as it runs or could be queried."""
 
@@ -112,6 +128,10 @@ class Snapshot(Struct, frozen=True):
     autopilot: AutopilotSnapshot | None = None
     sync: TimeSyncSnapshot | None = None
     service: ServiceSnapshot = ServiceSnapshot()
+    wanted_system: int = 0
+    """System id of the autopilot that was asked for; 0 for any."""
+    heard: tuple[HeardSystem, ...] = ()
+    """Everything that sent HEARTBEATs."""
     log: LogHistory | None = None
     """Events of the flight log that was examined; None for a setup that was examined itself."""
     moving_pad: bool = True

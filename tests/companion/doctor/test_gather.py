@@ -36,12 +36,12 @@ from tests.support.fake_ardrone import until
 HOST = "127.0.0.1"
 
 
-async def examined(fake: MiniatureAutopilot, seconds: float = 1.0) -> Snapshot:
+async def examined(fake: MiniatureAutopilot, seconds: float = 1.0, system: int = 0) -> Snapshot:
     async with fake.talking_to(f"udpin://{HOST}:0"):
         await until(lambda: fake.links is not None and fake.links.all[0].local is not None)
         assert fake.links is not None
         host, port = fake.links.all[0].local or ("", 0)
-        options = AutopilotOptions(f"udpout://{host}:{port}", silence_s=1.0, command_period_s=0.01)
+        options = AutopilotOptions(f"udpout://{host}:{port}", system_id=system, silence_s=1.0, command_period_s=0.01)
         return await examine(options, SystemClock(), seconds)
 
 
@@ -77,6 +77,20 @@ async def test_a_px4_without_the_module_and_with_an_event() -> None:
     assert snapshot.autopilot is not None
     assert snapshot.autopilot.events == (0x1123456,)
     assert {f.rule for f in diagnose(snapshot)} == {"px4-precland-missing"}
+
+
+async def test_the_systems_that_are_heard_when_the_wished_one_is_not() -> None:
+    snapshot = await examined(MiniatureAutopilot(Stack.PX4, 3, "auto.loiter"), system=5)
+    (found,) = diagnose(snapshot)
+    assert found.what == "system 5 is not heard; heard: system 3 (PX4 quadrotor)"
+    assert found.fix.startswith("give --system 3, and vehicle.system_id = 3 in the settings")
+
+
+async def test_an_autopilot_that_does_not_hear_us_is_one_finding_and_not_four() -> None:
+    deaf = MiniatureAutopilot(deaf=True)
+    (found,) = diagnose(await examined(deaf, 0.5))
+    assert found.rule == "link-one-way"
+    assert found.what.startswith("system 7 is heard, and answers nothing")
 
 
 async def test_nobody_there() -> None:

@@ -14,7 +14,16 @@ from companion.doctor import rules_log, rules_values
 from companion.doctor.diagnose import RULES, diagnose
 from companion.doctor.finding import Severity
 from companion.doctor.rules_px4 import event_id
-from companion.doctor.snapshot import AutopilotSnapshot, LinkSnapshot, ServiceSnapshot, Snapshot, TimeSyncSnapshot, decode, encode
+from companion.doctor.snapshot import (
+    AutopilotSnapshot,
+    HeardSystem,
+    LinkSnapshot,
+    ServiceSnapshot,
+    Snapshot,
+    TimeSyncSnapshot,
+    decode,
+    encode,
+)
 from drivers.mavlink.requests import RATES_HZ
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
@@ -110,6 +119,10 @@ def settings_of(**tables: dict[str, Any]) -> Settings:
     )
 
 
+HEARD = HeardSystem(1, 1, "ArduPilot", "quadrotor", True)
+SILENCE = dict.fromkeys(ARDUPILOT.wanted_hz, -1)
+UNANSWERED = replace(ARDUPILOT, parameters={}, absent=("PLND_ENABLED",), rates_hz={"HEARTBEAT": 1.0}, refused=SILENCE)
+ONE_WAY = replace(GOOD, autopilot=UNANSWERED, sync=TimeSyncSnapshot(False), heard=(HEARD,))
 NO_SOURCE = contradiction(settings_of(guidance={"rendezvous": {"enabled": True}}))
 UNUSED = contradiction(settings_of(vessel={"nmea": "127.0.0.1:10110"}))
 
@@ -126,7 +139,28 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "a station that is not named": ("link-unknown-senders", link(unknown_senders=300), "vehicle.operators"),
     "MAVLink 1 on the port": ("link-mavlink1", link(old_version=2900), "SERIALn_PROTOCOL 2"),
     "overloaded link": ("link-lossy", link(lost=600), "921600"),
-    "only a ground station heard": ("no-autopilot", replace(GOOD, autopilot=None, sync=None), "frame type"),
+    "only a ground station heard": (
+        "no-autopilot",
+        replace(GOOD, autopilot=None, sync=None, heard=(HeardSystem(255, 190, "", "gcs", False),)),
+        "frame type",
+    ),
+    "nothing with a heart": ("no-autopilot", replace(GOOD, autopilot=None, sync=None), "frame type"),
+    "a rover": (
+        "no-autopilot",
+        replace(GOOD, autopilot=None, sync=None, heard=(HeardSystem(1, 1, "ArduPilot", "ground rover", False),)),
+        "lands copters",
+    ),
+    "another id than the wished one": (
+        "wrong-system",
+        replace(GOOD, autopilot=None, sync=None, wanted_system=5, heard=(HEARD, HeardSystem(3, 1, "PX4", "hexarotor", True))),
+        "--system 1 or 3",
+    ),
+    "a radio that passes one direction": ("link-one-way", ONE_WAY, "TX"),
+    "a radio that passes MAVLink 1 only": (
+        "link-one-way",
+        replace(ONE_WAY, links=(replace(LINK, messages=40, old_version=40),)),
+        "MAVLink 2",
+    ),
     "two drones, one network": ("several-autopilots", ardupilot(others=(2, 5)), "SYSID_THISMAV"),
     "firmware without a stream": ("stream-refused", ardupilot(refused={"LOCAL_POSITION_NED": 2}), "update the firmware"),
     "stream silent": ("stream-silent", rates(LOCAL_POSITION_NED=0.0), "SRn_"),
