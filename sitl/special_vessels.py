@@ -121,6 +121,16 @@ class TurningVessel(Vessel):
         whole = Motion(m.eta, m.eta_dot + rate.reshape(*t.shape, 6), m.eta_ddot + rate_dot.reshape(*t.shape, 6))
         return p0.reshape(*lead, 3), v0.reshape(*lead, 3), a0.reshape(*lead, 3), heading.reshape(lead), whole
 
+    def way_at(self, t_s: float) -> F64:
+        at = np.array([t_s])
+        course = self._course.at(at)
+        heading, rate = float(self.heading_rad[0] + course.yaw[0]), float(course.rate[0])
+        ahead, aside, _ = self.d_vessel_pad
+        # A place ahead of the ship's middle is carried aside by the turn.
+        c, s = math.cos(heading), math.sin(heading)
+        carried = rate * np.array([-s * ahead - c * aside, c * ahead - s * aside, 0.0])
+        return np.asarray(self._path(at)[1][0, 0] + carried)
+
     def _path(self, t_s: F64) -> tuple[F64, F64, F64]:
         """Return position, velocity and acceleration of the course in ned, (B, T, 3)."""
         c = self._course.at(t_s)

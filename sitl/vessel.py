@@ -152,6 +152,10 @@ class Vessel:
             m,
         )
 
+    def way_at(self, t_s: float) -> F64:
+        """Return the velocity of the pad's place on the course of the first vessel, without the waves, (3,) m/s in ned."""
+        return np.array(self._v0[0])
+
     def mounted(self, t_s: ArrayLike, d_vessel_m: ArrayLike, R_vessel: Rotation | None = None) -> Mounted:
         """Return the motion at times (...) of a point (3,) m from the vessel's origin, with axes rotated by `R_vessel`.
 

@@ -15,9 +15,10 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from companion.guidance import climb_law, disturbance, own_part
+from companion.guidance import climb_law, deck_turn, disturbance, own_part
 from companion.guidance.axis import AxisMeasured, TiltAxis, begun, command, commanded, observed, reference
 from companion.guidance.controller import Knowledge, Target
+from companion.guidance.deck_turn import DeckTurn
 from companion.guidance.disturbance import ObserverNoise
 from companion.guidance.heave import STILL, DeckAhead, deck_ahead
 from companion.guidance.own_part import OwnPart
@@ -61,6 +62,8 @@ class FollowDeckMemory(Struct, frozen=True):
     """The memory of the fallback."""
     own: tuple[OwnPart, OwnPart] | None = None
     """What a vehicle with a velocity loop of its own adds to the lean; None for one without."""
+    turn: DeckTurn | None = None
+    """The deck's turn; None while no heading against the arrow is known."""
 
 
 class _Frame(NamedTuple):
@@ -179,7 +182,8 @@ class FollowDeck:
             memory.pushed_down_m_s2, float(body.a_level[2]), v_down, arrived, self.period_s, self.response.climb
         )
         own = self._own(memory, now, axes, steers=target is not None) if self._over_ground else None
-        memory = replace(memory, at=now, axes=axes, pushed_down_m_s2=pushed, own=own)
+        turn = _deck_turn(memory, now, relative, body)
+        memory = replace(memory, at=now, axes=axes, pushed_down_m_s2=pushed, own=own, turn=turn)
         if target is None:
             return self._noted(memory, (axes[0].lean, axes[1].lean), v_down), Hover()
         soon = self._blended(memory, self._slowness_s)
@@ -195,7 +199,7 @@ class FollowDeck:
         if deck is not None:
             v_deck = deck.v_level.tolist()
             along = v_deck[0] + soon * a[0] - v[0], v_deck[1] + soon * a[1] - v[1]
-        return memory, Lean(np.array(a), np.array(trim), np.array([*along, down]), _turn(relative, target))
+        return memory, Lean(np.array(a), np.array(trim), np.array([*along, down]), _turn(relative, target, turn))
 
     def _own(
         self, memory: FollowDeckMemory, now: MonoNs, axes: tuple[TiltAxis, TiltAxis], *, steers: bool
@@ -317,8 +321,16 @@ def _sigma_m(relative: RelativeState) -> float:
     return math.sqrt(max(*relative.cov.diagonal()[:2].tolist(), 0.0))
 
 
-def _turn(relative: RelativeState, target: Target) -> float:
-    if target.yaw_rad is None or relative.yaw_rad is None:
+def _deck_turn(memory: FollowDeckMemory, now: MonoNs, relative: RelativeState, body: BodyMotion) -> DeckTurn | None:
+    if relative.yaw_rad is None:
+        return None
+    dt = 0.0 if memory.at is None else seconds_between(memory.at, now)
+    known = memory.turn if 0.0 < dt <= _GAP_MAX_S else None
+    return deck_turn.observed(known, relative.yaw_rad, float(body.w_body[2]), dt)
+
+
+def _turn(relative: RelativeState, target: Target, deck: DeckTurn | None) -> float:
+    if target.yaw_rad is None or relative.yaw_rad is None or deck is None:
         return 0.0
-    turn = _HEADING_GAIN_1_S * wrap_pi(target.yaw_rad - relative.yaw_rad)
+    turn = deck.rate_rad_s + _HEADING_GAIN_1_S * wrap_pi(target.yaw_rad - relative.yaw_rad)
     return min(_TURN_MAX_RAD_S, max(-_TURN_MAX_RAD_S, turn))

@@ -1,4 +1,4 @@
-"""The heading to the arrow: turn or hold, with hysteresis, and never through half a turn that the estimate made by itself."""
+"""The heading to the arrow: the nose follows it, and never through half a turn that the estimate made by itself."""
 
 from __future__ import annotations
 
@@ -11,10 +11,6 @@ from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
 
-BEGIN_RAD = math.radians(15.0)
-"""Error beyond which a drone that holds its heading begins to turn."""
-END_RAD = math.radians(4.0)
-"""Error within which a drone that turns begins to hold its heading."""
 JUMP_RAD = math.radians(90.0)
 """Change of the estimated heading within one guidance cycle that no vehicle makes."""
 SIGMA_MAX_RAD = math.radians(20.0)
@@ -24,7 +20,6 @@ SIGMA_MAX_RAD = math.radians(20.0)
 class HeadingMemory(Struct, frozen=True):
     """The heading's memory."""
 
-    turning: bool = True
     last_rad: float | None = None
     """Heading against the arrow in the newest estimate that knew it."""
 
@@ -35,12 +30,11 @@ def watch(memory: HeadingMemory, estimate: RelativeState) -> tuple[HeadingMemory
     if yaw is None:
         return memory, None
     jump = 0.0 if memory.last_rad is None else abs(wrap_pi(yaw - memory.last_rad))
-    turning = abs(yaw) > (END_RAD if memory.turning else BEGIN_RAD)
-    memory = replace(memory, turning=turning, last_rad=yaw)
+    memory = replace(memory, last_rad=yaw)
     return memory, Reason(ReasonCause.HEADING_TURNED, math.degrees(jump), math.degrees(JUMP_RAD)) if jump > JUMP_RAD else None
 
 
-def wanted_rad(memory: HeadingMemory, estimate: RelativeState) -> float | None:
+def wanted_rad(estimate: RelativeState) -> float | None:
     """Return the heading to turn to, or None to keep the present one."""
     known = estimate.yaw_rad is not None and float(estimate.cov[6, 6]) <= SIGMA_MAX_RAD**2
-    return 0.0 if known and memory.turning else None
+    return 0.0 if known else None

@@ -64,7 +64,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
 
 
 def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Target:
-    yaw = heading.wanted_rad(p.heading, estimate) if o.tries.heading == "align" else None
+    yaw = heading.wanted_rad(estimate) if o.tries.heading == "align" else None
     if o.mission == "thesis":
         way = o.thesis
         height_m = way.approach_height_m if p.state is State.INTERCEPT else way.final_height_m

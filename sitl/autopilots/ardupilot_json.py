@@ -83,14 +83,17 @@ class JsonBackend:
     Args:
         make: makes a body with a physics step of the given length, s; called again when ArduPilot was restarted.
         stepped: called after each step.
+        body: the first body, with a physics step of `STEP_S`; None to make it with the first packet.
     """
 
-    def __init__(self, make: Callable[[float], Body], stepped: Callable[[Body], None] = lambda body: None) -> None:
+    def __init__(
+        self, make: Callable[[float], Body], stepped: Callable[[Body], None] = lambda body: None, body: Body | None = None
+    ) -> None:
         self._make = make
         self._stepped = stepped
         self._frame: int | None = None
         self._answer = b""
-        self.body: Body | None = None
+        self.body = body
         self.refused = 0
         """Number of datagrams that were not packets."""
         self.restarts = 0

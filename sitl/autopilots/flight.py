@@ -30,11 +30,11 @@ from drivers.mavlink.dialect import mav
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.vehicle import Stack
-from estimator.contracts.errors import BadInput, Recoverable
-from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.time import seconds_between
 from sitl.autopilots import arducopter, px4
-from sitl.autopilots.ardupilot_json import CURVE, JsonBackend, serve_json
+from sitl.autopilots.ardupilot_json import CURVE, STEP_S, JsonBackend, serve_json
 from sitl.autopilots.beside import FlightDaemon, beside_autopilot
 from sitl.autopilots.body import Body, Landing
 from sitl.autopilots.camera import LockStepCamera
@@ -156,11 +156,11 @@ class AutopilotFlight:
         from_program, to_station = px4.MAVLINK_PORTS if fixed else (free_udp_port(), free_udp_port())
         to_daemon = free_udp_port() if self.scenario.faults else from_program
         settings = beside_autopilot(self.settings, f"udpin://{HOST}:{to_daemon}")
-        if self.perception.level == "truth" and self.autopilot.binary is not None:
-            raise BadInput("--perception truth goes with --binary stand-in: a program begins its world itself")
         pilot = self.perception.pilot(settings)
-        if self.autopilot.binary is None:
-            self._make(in_process.STEP_S, CURVE if self.autopilot.name == "arducopter" else 0.0)
+        # The world begins before the program does: at the level `truth` the pilot reads it from its first cycle on.
+        copter = self.autopilot.name == "arducopter"
+        step_s = in_process.STEP_S if self.autopilot.binary is None else STEP_S if copter else px4.STEP_S
+        self._make(step_s, CURVE if copter else 0.0)
         side = FlightDaemon(settings, pilot, self.clock, (*self.observers, self.graded))
         link = LinkOptions(parse_endpoint(f"udpin://{HOST}:{to_station}"))
         failed: Recoverable | None = None
@@ -238,7 +238,7 @@ class AutopilotFlight:
         to_pad = Rotation.from_rpy(0.0, 0.0, heading) @ np.array([start.pad_forward_m, start.pad_right_m, start.height_m])
         level = Rotation.from_rpy(0.0, 0.0, yaw).inv
         # The ship's steady velocity, without the motion of the pad on the waves.
-        v_start = self._way() if start.with_vessel else np.zeros(3)
+        v_start = body.vessel.way_at(body.t_s) if start.with_vessel else np.zeros(3)
         return OperatorView(
             level @ (body.p_pad_ned - to_pad - state.p_ned),
             level @ v_start,
@@ -248,10 +248,6 @@ class AutopilotFlight:
             float(body.p_pad_ned[2] - state.p_ned[2]),
             level @ body.v_pad_ned,
         )
-
-    def _way(self) -> F64:
-        course, speed = math.radians(self.scenario.vessel.heading_deg), self.scenario.vessel.speed_m_s
-        return speed * np.array([math.cos(course), math.sin(course), 0.0])
 
     async def _listen(self, links: Links) -> None:
         async for received in links.received:
@@ -307,7 +303,8 @@ class AutopilotFlight:
                 yield program
             return
         if chosen.name == "px4":
-            hil = HilBackend(self._make(px4.STEP_S, 0.0), seed=self.seed, stepped=self._stepped)
+            assert self.body is not None
+            hil = HilBackend(self.body, seed=self.seed, stepped=self._stepped)
             argv, environment = px4.start(chosen.binary, height_m=self.height_m, parameters=dict(chosen.parameters))
             async with (
                 serve_hil(hil, HOST, px4.PHYSICS_PORT, settle=self._settle),
@@ -315,7 +312,7 @@ class AutopilotFlight:
             ):
                 yield program
             return
-        backend = JsonBackend(lambda step_s: self._make(step_s, CURVE), self._stepped)
+        backend = JsonBackend(lambda step_s: self._make(step_s, CURVE), self._stepped, self.body)
         async with serve_json(backend, HOST, 0, settle=self._settle) as port:
             argv = arducopter.argv(
                 chosen.binary, self.folder, physics_port=port, mavlink_ports=ports, speedup=chosen.pace,

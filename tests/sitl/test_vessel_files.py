@@ -303,3 +303,12 @@ def test_a_moored_ship_in_a_current_meets_the_waves_where_they_pass() -> None:
         water = np.array([waves.elevation(p[i, :2], t[i])[0] for i in range(t.size)])
         assert np.corrcoef(-p[:, 2], water)[0, 1] > 0.98
         assert np.hypot(*(p[-1, :2] - p[0, :2])) == pytest.approx(0.0 if mooring else 59.5 * math.hypot(1.2, 0.4), abs=4.0)
+
+
+@pytest.mark.parametrize("turn_rate_deg_s", [0.0, 0.7, -2.0])
+def test_the_way_is_the_velocity_of_the_pad_without_waves(turn_rate_deg_s: float) -> None:
+    course = {"heading_rad": 0.7, "speed_m_s": 4.0}
+    turn = Turn(math.radians(turn_rate_deg_s), 5.0, 10.0)
+    ship = TurningVessel(TURNING, Waves.flat(), turn, **course) if turn_rate_deg_s else Vessel(TURNING, Waves.flat(), **course)
+    for t_s in (0.0, 9.0, 40.0):
+        assert ship.way_at(t_s) == pytest.approx(ship.pad_at(t_s).v_ned, abs=0.01), "but for the heel"
