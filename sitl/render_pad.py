@@ -12,14 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.render import PAINTS, STROKE_NUMBERS
+from estimator.core.interface.render import PAINTS, REGION_NUMBERS, SHAPES, STROKE_NUMBERS
 from estimator.vision.pad import Pad
+from estimator.vision.regions import PaintedArrowhead, PaintedDisc, PaintedRing, Rectangle, part_of, rectangles_of
 from sitl.light import PadInImage
 from sitl.native import address, render_pad_kinds, render_pad_shares
 from sitl.projection import F32, Lens
 
 _BUDGET = 16_000
 """Aim for the number of subsamples of a frame: 3 x 3 a pixel at 5 m, 5 x 5 at 20 m, 8 x 8 at 30 m, one from near by."""
+
+_ANNULUS, _RECTANGLE, _ARROW = (list(SHAPES).index(name) for name in ("PAD_ANNULUS", "PAD_RECTANGLE", "PAD_ARROW"))
+_PAINT_OF = {"rim": 1, "disc": 2, "ring": 3, "arrow": 3, "letter": 4}
+"""Index in `PAINTS` of the paint of each part."""
 
 Pose = tuple[F64, F64]
 """Rotation (3, 3) of the pad and its centre (3,) m in `cam`."""
@@ -52,7 +57,7 @@ class PadPainter:
     def __init__(self, lens: Lens, pad: Pad) -> None:
         self._lens, self._pad = lens, pad
         self._change = lens.jacobian if lens.camera.distorted else np.ascontiguousarray(lens.jacobian[0, 0])
-        self._drawing = _drawing(pad)
+        self._regions = regions_of(pad)
         self._reference = np.concatenate([np.zeros((1, 3)), pad.circle(pad.disc_radius_m, 8)])
         self._edges = np.empty(lens.camera.height * lens.camera.width, np.int32)
 
@@ -68,7 +73,7 @@ class PadPainter:
         strokes = [stroke for stroke in strokes if stroke.in_front]
         if not strokes:
             return None
-        camera, drawing = self._lens.camera, address(self._drawing, np.float32)
+        camera, drawn = self._lens.camera, (len(self._regions), address(self._regions, np.float32))
         h, w, rolling = camera.height, camera.width, strokes[0].rows is not None
         middle = strokes[len(strokes) // 2]
         whole = _numbers([Stroke(strokes[0].first, middle.middle, strokes[-1].last, middle.rows)])
@@ -76,14 +81,14 @@ class PadPainter:
         rays, change = address(self._lens.rays, np.float32), address(self._change, np.float32)
         seen = h, w, rays, change, int(camera.distorted)
         where = address(edges, np.int32)
-        count = render_pad_kinds(*seen, address(whole, np.float32), int(rolling), drawing, address(kinds, np.uint8), where)
+        count = render_pad_kinds(*seen, address(whole, np.float32), int(rolling), *drawn, address(kinds, np.uint8), where)
         shares = np.empty((count, len(PAINTS)), np.float32)
         if count:
             samples = _BUDGET / (count * len(strokes))
             fine = 8 if samples >= 64 else 5 if samples >= 20 else 3 if samples >= 7 else 2 if samples >= 5 else 1
             numbers = _numbers(strokes) if len(strokes) > 1 else whole
             parts = len(strokes), address(numbers, np.float32), int(rolling)
-            render_pad_shares(*seen, *parts, drawing, fine, count, where, address(shares, np.float32))
+            render_pad_shares(*seen, *parts, *drawn, fine, count, where, address(shares, np.float32))
         return PadInImage(kinds, edges[:count], shares)
 
     def travel_px(self, first: Pose, last: Pose) -> F64:
@@ -96,18 +101,35 @@ class PadPainter:
         return np.asarray(np.nanmax(ways, axis=0, initial=0.0))
 
 
-def _drawing(pad: Pad) -> F32:
-    """Return the numbers of a pad's drawing in the order of `DRAWING`."""
-    marks = pad.markings
-    slant = math.hypot(marks.arrow_half_base_m, marks.arrow_depth_m)
-    inner = marks.h_width_m / 2 - marks.leg_width_m
-    numbers = (
-        pad.disc_radius_m, marks.field_radius_m, marks.ring_outer_m, marks.ring_inner_m,
-        marks.arrow_tip_m, marks.arrow_tip_m - marks.arrow_depth_m, marks.arrow_half_base_m / slant, marks.arrow_depth_m / slant,
-        marks.h_length_m / 2, marks.h_width_m / 2, inner, marks.bar_width_m / 2,
-        min(marks.ring_inner_m, marks.arrow_tip_m - marks.arrow_depth_m, marks.field_radius_m),
-    )  # fmt: skip
-    return np.array(numbers, np.float32)
+def regions_of(pad: Pad) -> F32:
+    """Return the regions of a pad, the lowest first, (N, `REGION_NUMBERS`)."""
+    rows: list[tuple[float, ...]] = []
+    ground = {part_of(region) for region in pad.regions} & {"disc"}
+    below = _PAINT_OF["disc"] if ground else 0
+    for region in pad.regions:
+        paint = _PAINT_OF[part_of(region)]
+        match region:
+            case PaintedDisc():
+                rows.append((_ANNULUS, paint, 0, 0.0, region.radius_m, -1.0, region.radius_m))
+            case PaintedRing():
+                around = 0 if region.part == "rim" else below
+                rows.append((_ANNULUS, paint, around, region.inner_m, region.outer_m, region.inner_m, region.outer_m))
+            case PaintedArrowhead():
+                slant = math.hypot(region.half_base_m, region.depth_m)
+                sides = region.half_base_m / slant, region.depth_m / slant
+                base = region.tip_m - region.depth_m
+                far = max(region.tip_m, math.hypot(base, region.half_base_m))
+                rows.append((_ARROW, paint, below, base, far, region.tip_m, base, *sides))
+            case _:
+                pass
+    rows += [(_RECTANGLE, _PAINT_OF["letter"], below, *_rectangle(limits)) for limits in rectangles_of(pad.markings.letters)]
+    return np.array([(*row, *[0.0] * (REGION_NUMBERS - len(row))) for row in rows], np.float32)
+
+
+def _rectangle(limits: Rectangle) -> tuple[float, ...]:
+    """Return a rectangle's least and largest distance from the centre, m, and its limits."""
+    x0, x1, y0, y1 = limits
+    return math.hypot(max(x0, -x1, 0.0), max(y0, -y1, 0.0)), math.hypot(max(-x0, x1), max(-y0, y1)), *limits
 
 
 def _numbers(strokes: Sequence[Stroke]) -> F32:

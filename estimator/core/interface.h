@@ -113,30 +113,37 @@
 #define PAD_PAINTS 5
 #define PAD_EDGE 255
 #define STROKE_NUMBERS 36
+#define PAD_REGION 9
+#define PAD_REGIONS_MOST 16
 #define PAD_NONE 0
 #define PAD_RIM 1
 #define PAD_DISC 2
 #define PAD_ORANGE 3
 #define PAD_WHITE 4
-#define PAD_DISC_RADIUS 0
-#define PAD_RIM_INNER 1
-#define PAD_RING_OUTER 2
-#define PAD_RING_INNER 3
-#define PAD_ARROW_TIP 4
-#define PAD_ARROW_BASE 5
-#define PAD_ARROW_COS 6
-#define PAD_ARROW_SIN 7
-#define PAD_H_HALF_LENGTH 8
-#define PAD_H_HALF_WIDTH 9
-#define PAD_H_INNER 10
-#define PAD_BAR_HALF 11
-#define PAD_CLEAR_RADIUS 12
 #define SEA_SMALL 0
 #define SEA_LARGE 1
 #define SEA_CALM 2
 #define SEA_CAP 3
 #define SEA_SHADE 4
 #define SEA_WHITE 5
+#define PAD_SHAPE 0
+#define PAD_PAINT 1
+#define PAD_BELOW 2
+#define PAD_NEAREST 3
+#define PAD_FARTHEST 4
+#define PAD_ANNULUS 0
+#define PAD_RECTANGLE 1
+#define PAD_ARROW 2
+#define PAD_ANNULUS_INNER 5
+#define PAD_ANNULUS_OUTER 6
+#define PAD_RECTANGLE_U0 5
+#define PAD_RECTANGLE_U1 6
+#define PAD_RECTANGLE_V0 7
+#define PAD_RECTANGLE_V1 8
+#define PAD_ARROW_TIP 5
+#define PAD_ARROW_BASE 6
+#define PAD_ARROW_COS 7
+#define PAD_ARROW_SIN 8
 #define ROTORS_MAX 6
 #define GUSTS_MAX 100
 #define COMMANDS_MAX 1024
@@ -830,8 +837,10 @@ void render_expose(int32_t pixels, const uint16_t *scene, const uint8_t *kinds, 
 void render_mix(int32_t edges, const int32_t *where, const float *shares, const uint16_t *scene, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int16_t *light);
 
 /* render_pad.c */
-int32_t render_pad_kinds(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *whole, int32_t rolling, const float *pad, uint8_t *kinds, int32_t *edges);
-void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes, const float *stroke_numbers, int32_t rolling, const float *pad, int32_t fine, int32_t count, const int32_t *edges, float *shares);
+int32_t render_pad_kinds(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *whole, int32_t rolling, int32_t regions, const float *pad, uint8_t *kinds, int32_t *edges);
+
+/* render_pad_shares.c */
+void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes, const float *stroke_numbers, int32_t rolling, int32_t regions, const float *pad, int32_t fine, int32_t count, const int32_t *edges, float *shares);
 
 /* render_sea.c */
 void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const float *small_texels, const float *large_texels, const float *caps_texels, const float *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, const uint8_t *shade, const uint8_t *white, uint8_t *codes);
@@ -861,7 +870,7 @@ void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea
 void vehicle_carry(vehicle *v, const deck *g);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 796470541u
+#define INTERFACE_DIGEST 3056974540u
 #endif
 
 #endif

@@ -26,13 +26,19 @@ PAINTS = ("PAD_NONE", "PAD_RIM", "PAD_DISC", "PAD_ORANGE", "PAD_WHITE")
 """The paints of a pad, in the order of their shares; the first is what lies around it."""
 PAD_EDGE = 255
 """Kind of a pixel that shows several paints."""
-DRAWING = (
-    "PAD_DISC_RADIUS", "PAD_RIM_INNER", "PAD_RING_OUTER", "PAD_RING_INNER",
-    "PAD_ARROW_TIP", "PAD_ARROW_BASE", "PAD_ARROW_COS", "PAD_ARROW_SIN",
-    "PAD_H_HALF_LENGTH", "PAD_H_HALF_WIDTH", "PAD_H_INNER", "PAD_BAR_HALF",
-    "PAD_CLEAR_RADIUS",
-)  # fmt: skip
-"""The numbers of a pad's drawing, in their order: m, and the direction of the arrowhead's sides."""
+REGION = ("PAD_SHAPE", "PAD_PAINT", "PAD_BELOW", "PAD_NEAREST", "PAD_FARTHEST")
+"""The first numbers of a painted region: its shape, its paint, the paint that it lies on, and its least and largest distance from
+the centre, m; then those of its shape.
+"""
+SHAPES = {
+    "PAD_ANNULUS": ("PAD_ANNULUS_INNER", "PAD_ANNULUS_OUTER"),
+    "PAD_RECTANGLE": ("PAD_RECTANGLE_U0", "PAD_RECTANGLE_U1", "PAD_RECTANGLE_V0", "PAD_RECTANGLE_V1"),
+    "PAD_ARROW": ("PAD_ARROW_TIP", "PAD_ARROW_BASE", "PAD_ARROW_COS", "PAD_ARROW_SIN"),
+}
+"""The shapes of regions, and their numbers: m from the centre, and the direction of the arrowhead's sides."""
+REGION_NUMBERS = len(REGION) + max(map(len, SHAPES.values()))
+REGIONS_MOST = 16
+"""The largest number of regions: disc, rim, ring, arrowhead, and the rectangles of the lettering."""
 SEA_WEIGHTS = ("SEA_SMALL", "SEA_LARGE", "SEA_CALM", "SEA_CAP", "SEA_SHADE", "SEA_WHITE")
 """The strengths of what lies on the sea: small and large ripples, the height below which no crest breaks, the brightness of those
 that do, the largest share of light that a ship's shade takes, and the brightness of full foam."""
@@ -44,7 +50,9 @@ CONSTANTS = {
     "LEVELS_BY_ONE": LEVELS_BY_ONE, "COUNTS_BY_EIGHT": COUNTS_BY_EIGHT, "LEVELS_BY_EIGHT": LEVELS_BY_EIGHT,
     "LIGHT_LEVELS": LIGHT_LEVELS, "GRAIN_LEVELS": GRAIN_LEVELS,
     "PAD_PAINTS": len(PAINTS), "PAD_EDGE": PAD_EDGE, "STROKE_NUMBERS": STROKE_NUMBERS,
-    **{name: value for names in (PAINTS, DRAWING, SEA_WEIGHTS) for value, name in enumerate(names)},
+    "PAD_REGION": REGION_NUMBERS, "PAD_REGIONS_MOST": REGIONS_MOST,
+    **{name: value for names in (PAINTS, SEA_WEIGHTS, REGION, SHAPES) for value, name in enumerate(names)},
+    **{name: value for names in SHAPES.values() for value, name in enumerate(names, len(REGION))},
 }  # fmt: skip
 """Numbers by their names in the header: what simulated frames are made of."""
 
@@ -111,16 +119,16 @@ FUNCTIONS = (
         "render_pad_kinds",
         "int32_t",
         "int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *whole, int32_t rolling, "
-        "const float *pad, uint8_t *kinds, int32_t *edges",
+        "int32_t regions, const float *pad, uint8_t *kinds, int32_t *edges",
         "render_pad.c",
     ),
     Function(
         "render_pad_shares",
         "void",
         "int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes, "
-        "const float *stroke_numbers, int32_t rolling, const float *pad, int32_t fine, int32_t count, const int32_t *edges, "
-        "float *shares",
-        "render_pad.c",
+        "const float *stroke_numbers, int32_t rolling, int32_t regions, const float *pad, int32_t fine, int32_t count, "
+        "const int32_t *edges, float *shares",
+        "render_pad_shares.c",
     ),
     Function(
         "render_expose",

@@ -67,7 +67,16 @@ static void surface(int h, int w, float scale, int with_mask)
 
 static void pad_in_light(int h, int w, float height_m, int rolling, int radius)
 {
-    const float drawing[] = {0.39f, 0.39f, 0.261f, 0.243f, 0.3f, 0.252f, 0.7071f, 0.7071f, 0.14f, 0.1f, 0.06f, 0.02f, 0.243f};
+    const float drawing[][PAD_REGION] = {
+        {PAD_ANNULUS, PAD_DISC, PAD_NONE, 0.0f, 0.38f, -1.0f, 0.38f},
+        {PAD_ANNULUS, PAD_RIM, PAD_NONE, 0.38f, 0.39f, 0.38f, 0.39f},
+        {PAD_ANNULUS, PAD_ORANGE, PAD_DISC, 0.243f, 0.261f, 0.243f, 0.261f},
+        {PAD_ARROW, PAD_ORANGE, PAD_DISC, 0.252f, 0.3f, 0.3f, 0.252f, 0.7071f, 0.7071f},
+        {PAD_RECTANGLE, PAD_WHITE, PAD_DISC, 0.06f, 0.1721f, -0.14f, 0.14f, -0.1f, -0.06f},
+        {PAD_RECTANGLE, PAD_WHITE, PAD_DISC, 0.06f, 0.1721f, -0.14f, 0.14f, 0.06f, 0.1f},
+        {PAD_RECTANGLE, PAD_WHITE, PAD_DISC, 0.0f, 0.0633f, -0.02f, 0.02f, -0.06f, 0.06f},
+    };
+    const int32_t regions = sizeof drawing / sizeof *drawing;
     const float change[4] = {1.0f / 100.0f, 0.0f, 0.0f, 1.0f / 100.0f}, exposure[4] = {0.2f, 0.2f, 0.2f, 0.0f};
     float *rays = malloc((size_t)h * w * 2 * sizeof(float)), *strokes = floats(2 * STROKE_NUMBERS, 0.02f);
     for (int i = 0; i < h * w; i++) {
@@ -87,9 +96,9 @@ static void pad_in_light(int h, int w, float height_m, int rolling, int radius)
     uint16_t *scratch = calloc((size_t)((2 * radius + 4 + CELL_PX) * values + 6 * radius + 1), 2);
     int16_t *gain = light_of(h * w), *light = light_of(h * values + 1), *blurred = (int16_t *)room((size_t)h * values * 2);
     uint8_t *noise = room((size_t)h * values);
-    const int count = render_pad_kinds(h, w, rays, change, 0, strokes, rolling, drawing, kinds, edges);
+    const int count = render_pad_kinds(h, w, rays, change, 0, strokes, rolling, regions, drawing[0], kinds, edges);
     float *shares = malloc((size_t)count * PAD_PAINTS * sizeof(float) + 1);
-    render_pad_shares(h, w, rays, change, 0, 2, strokes, rolling, drawing, 3, count, edges, shares);
+    render_pad_shares(h, w, rays, change, 0, 2, strokes, rolling, regions, drawing[0], 3, count, edges, shares);
     render_expose(h * w, scene, kinds, gain, exposure, pad_scene, light);
     render_mix(count, edges, shares, scene, gain, exposure, pad_scene, light);
     for (int t = 0; t <= radius; t++) {
