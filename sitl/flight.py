@@ -21,7 +21,7 @@ from companion.operator.orders import HandledOrder
 from companion.operator.precedence import ControlSituation
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer, ProcessedFrame
-from companion.runtime.pilot import Pilot
+from companion.runtime.pilot import WAITING_MOST, Pilot
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.command_streamer import CommandStreamer
@@ -215,6 +215,7 @@ class Flight:
         """Whether the service's process is gone; after a restart it is a new process."""
         if self.world.active("service_killed"):
             if not self._gone:
+                self._report_fused()
                 self._arbiter.lost(self._clock.t)
                 self._send(self._options.timeouts(self._options.hold_com_watchdog_s))
             self._gone = True
@@ -286,11 +287,18 @@ class Flight:
         self._take(samples)
 
     def _take(self, samples: Sequence[Sample]) -> None:
-        for sample, results in zip(samples, self._pilot.on_samples(samples), strict=True):
-            if results:
-                self.health.fused(sample, results)
-            for observer in self._observers:
+        waiting = self._pilot.take_samples(samples)
+        for observer in self._observers:
+            for sample in samples:
                 observer.on_sample(sample)
+        if waiting >= WAITING_MOST:
+            self._report_fused()
+
+    def _report_fused(self) -> None:
+        """Tell health and observers of the samples that the estimator has processed."""
+        for sample, results in self._pilot.fused():
+            self.health.fused(sample, results)
+            for observer in self._observers:
                 for result in results:
                     observer.on_fusion(sample.stamp.received_at, result)
 
@@ -338,6 +346,7 @@ class Flight:
     def _conclude(self, processed: ProcessedFrame) -> None:
         if processed.detection is not None:
             verdict, results = self._pilot.on_detection(processed.detection)
+            self._report_fused()
             processed = replace(processed, verdict=verdict, results=results)
         self.health.frame(processed.verdict)
         self._pilot.on_verdict(processed.verdict)
@@ -356,6 +365,7 @@ class Flight:
     def _decide(self, now: MonoNs) -> None:
         self._person.act(self._pilot.operator, now)
         decision = self._pilot.decide(now)
+        self._report_fused()
         self._grader.on_decision(decision)
         if decision.command is not None:
             self._streamer.take(decision.command, now)
@@ -366,6 +376,7 @@ class Flight:
 
     def result(self) -> FlightResult:
         """Return the result of the flight: final if it has ended, else the result so far."""
+        self._report_fused()
         return self._grader.result(self._pilot.outcome, self._pilot.operator.situation(self._clock.t), self.health)
 
 

@@ -11,6 +11,7 @@ Source: Smeur, de Croon & Chu, Gust disturbance alleviation with incremental non
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -57,6 +58,7 @@ class Observed(NamedTuple):
     b: float
 
 
+@lru_cache(maxsize=16)
 def observer_gains(noise: ObserverNoise, period_s: float) -> tuple[ObserverGains, ...]:
     """Return the steady gains for each of `SIGMAS_P_M`."""
     T = period_s

@@ -10,6 +10,7 @@ ISA J. 6(2), 1959; Mirkin & Raskin, Every stabilizing dead-time controller has a
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -39,8 +40,9 @@ class TiltGains(NamedTuple):
     """Of the commands under way, newest first."""
 
 
+@lru_cache(maxsize=256)
 def tilt_gains(response: TiltResponse, weights: TiltWeights, period_s: float, *, delay_line: bool = True) -> TiltGains:
-    """Return the gains for a vehicle, solved once.
+    """Return the gains for a vehicle, solved once in a process: a campaign flies the same vehicle again and again.
 
     Args:
         delay_line: whether commands under way are in the state; False takes the vehicle to answer at once.

@@ -26,7 +26,7 @@ from companion.runtime.garbage import GroundedCollector, no_full_collections
 from companion.runtime.health import Health
 from companion.runtime.missing_inputs import SHIP_PLACE, missing_inputs
 from companion.runtime.observer import Decision, FrameTimes, Observer, ProcessedFrame
-from companion.runtime.pilot import FlightOutcome, Pilot
+from companion.runtime.pilot import WAITING_MOST, FlightOutcome, Pilot
 from companion.runtime.restart_options import RestartOptions
 from companion.runtime.supervise import Body, run, uncancelled
 from companion.runtime.vision_share import VisionShare
@@ -171,11 +171,18 @@ class Daemon:
             self._take(samples)
 
     def _take(self, samples: Sequence[Sample]) -> None:
-        for sample, results in zip(samples, self._pilot.on_samples(samples), strict=True):
+        waiting = self._pilot.take_samples(samples)
+        for sample in samples:
             place_of_ship = isinstance(sample, GeoFix) and sample.whose == "vessel"
             self.health.beat(SHIP_PLACE if place_of_ship else type(sample).__name__)
-            self.health.fused(sample, results)
             self._audience.on_sample(sample)
+        if waiting >= WAITING_MOST:
+            self._report_fused()
+
+    def _report_fused(self) -> None:
+        """Tell health and observers of the samples that the estimator has processed."""
+        for sample, results in self._pilot.fused():
+            self.health.fused(sample, results)
             for result in results:
                 self._audience.on_fusion(sample.stamp.received_at, result)
 
@@ -236,6 +243,7 @@ class Daemon:
             self._share.looked(waited_from, seconds_between(waited_from, seen))
             verdict, results = self._pilot.on_detection(found)
         done, times = self._clock.now(), None
+        self._report_fused()
         if detection is not None:
             decode_s, waited_s = seconds_between(frame.stamp.received_at, began), seconds_between(began, seen) - look_s
             times = FrameTimes(decode_s, waited_s, look_s, seconds_between(seen, done))
@@ -290,6 +298,7 @@ class Daemon:
                     log.debug("command not sent: %s", why)
             self._tell(decision)
             self.health.decision(decision, self._pilot.vehicle)
+            self._report_fused()
             self._audience.on_decision(decision)
             vehicle = self._pilot.vehicle
             self._collector.tick(began, None if vehicle is None else vehicle.flying)

@@ -91,6 +91,9 @@ _PLAIN = (
 _BY_REPORTS = (State.SEARCH, State.RENDEZVOUS)
 """States in which the drone flies by the reports of ship and vehicle, where it may."""
 _FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
+WAITING_MOST = 256
+"""Number of samples, a third of a second of an AR.Drone's, from which on whoever gives them calls `Pilot.fused`, were nobody else
+to ask the estimator."""
 _NOT_FUSED = frozenset({VehicleStatus, GeoFix})
 _OUTCOMES = {outcome.value: outcome for outcome in FlightOutcome}
 REFUSALS = (FlightOutcome.GAVE_UP, FlightOutcome.REFUSED)
@@ -133,6 +136,9 @@ class Pilot:
         self._tracker = tracker
         self._tracker_memory = TrackerMemory()
         self._memory = pipeline.start(options, shadows)
+        self._waiting: list[Sample] = []
+        """Samples that the estimator has not processed yet."""
+        self._fused: list[tuple[Sample, tuple[FusionResult, ...]]] = []
         self._guidance = guidance
         self._mission = Progress.start(automatic=automatic)
         self._make_law = law or _law_for_ardrone
@@ -238,6 +244,7 @@ class Pilot:
         runs_along = path in {one.name for one in self._memory.paths}
         if self.state in FLOWN and not runs_along:
             return f"{path} does not run along; pause the approach first"
+        self._settle()
         try:
             self._memory = pipeline.steer_by(self._memory, path)
         except ValueError as why:
@@ -251,6 +258,7 @@ class Pilot:
             self._law_memory = self._law.start()
             self._response.retune(guidance)
         self._guidance = guidance
+        self._settle()
         options = structs.replace(self._memory.options, min_confidence=min_confidence, max_delay_s=max_delay_s)
         self._memory = structs.replace(self._memory, options=options)
 
@@ -264,10 +272,12 @@ class Pilot:
 
     def believed(self, now: MonoNs) -> RelativeState | None:
         """Return the steering path's estimate as the estimator has it; None while there is none."""
+        self._settle()
         return pipeline.belief(self._memory, now)
 
     def all_believed(self, now: MonoNs) -> tuple[RelativeState, ...]:
         """Return every path's estimate; the steering path's comes first if it has one."""
+        self._settle()
         return pipeline.beliefs(self._memory, now)
 
     def _knowledge(self, now: MonoNs, relative: RelativeState | None) -> Knowledge:
@@ -280,10 +290,12 @@ class Pilot:
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
         """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
+        self._settle()
         return pipeline.motion(self._memory, now)
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
         """Return the deck at these times, s, after an instant by the steering path; None if it does not forecast."""
+        self._settle()
         return pipeline.forecast(self._memory, now, horizons_s)
 
     def vessel_counts(self) -> dict[str, float]:
@@ -296,6 +308,16 @@ class Pilot:
 
     def on_samples(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
         """Process samples in the order in which they were received. Return the fusion results of each, path by path."""
+        self.take_samples(samples)
+        results = {id(sample): results for sample, results in self.fused()}
+        return [results.get(id(sample), ()) for sample in samples]
+
+    def take_samples(self, samples: Sequence[Sample]) -> int:
+        """Take samples in the order in which they were received; return how many wait for `fused`.
+
+        The estimator processes them when somebody next asks it, those of several datagrams together: beliefs and results are the
+        same as one by one, and what surrounds each step costs once.
+        """
         self.operator.on_samples(samples)
         fused: list[Sample] = []
         for sample in samples:
@@ -318,8 +340,8 @@ class Pilot:
                 self._heard = sample.stamp.received_at
             if type(sample) not in _NOT_FUSED:
                 fused.append(sample)
-        results = iter(self._fuse(fused))
-        return [() if type(sample) in _NOT_FUSED else next(results) for sample in samples]
+        self._keep(fused)
+        return len(self._waiting) + len(self._fused)
 
     def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
         """Process one sample. Return its fusion results, path by path."""
@@ -336,16 +358,32 @@ class Pilot:
             self._response.on_take_off()
         self._changes += changes
 
-    def _fuse(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
+    def fused(self) -> list[tuple[Sample, tuple[FusionResult, ...]]]:
+        """Process what waits; return all samples that were processed since the last call, each with its results, path by path."""
+        self._settle()
+        fused, self._fused = self._fused, []
+        return fused
+
+    def _keep(self, samples: Sequence[Sample]) -> None:
+        """Keep samples for the estimator."""
+        self._waiting += samples
+
+    def _settle(self) -> None:
+        """Let the estimator process the samples that wait."""
+        if not self._waiting:
+            return
+        samples, self._waiting = self._waiting, []
         self._memory, results = pipeline.step_samples(self._memory, samples)
-        return results
+        self._fused += zip(samples, results, strict=True)
 
     def attitude_at(self, stamp: Stamp) -> Attitude | None:
         """Return the attitude at the exposure of a frame; None when no sample covers it."""
+        self._settle()
         return pipeline.attitude_at(self._memory, stamp)
 
     def admit(self, frame: Frame) -> Verdict | None:
         """Register a frame before the search; return None if it may be searched, otherwise its verdict."""
+        self._settle()
         self._memory, verdict = pipeline.on_frame(self._memory, frame)
         return verdict
 
@@ -370,6 +408,7 @@ class Pilot:
         """
         if seen.selected is None:
             return Verdict.NO_PAD, ()
+        self._settle()
         self._memory, results = pipeline.step(self._memory, seen.selected)
         steering = results[0]
         mean = self._quality.normalized_nis

@@ -200,12 +200,11 @@ class TruthPilot(Pilot):
             self._true_motion = self._level.true_motion()
         return self._true_motion
 
-    def _fuse(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
+    def _keep(self, samples: Sequence[Sample]) -> None:
         """Keep the attitude that the vehicle reports; no other sample is of use without a filter."""
         for sample in samples:
             if type(sample) is Attitude:
                 self._reported = sample
-        return [()] * len(samples)
 
     def attitude_at(self, stamp: Stamp) -> Attitude | None:
         """Return the true attitude now; nothing is computed from it."""

@@ -147,6 +147,7 @@ def test_a_replay_makes_the_results_of_the_flight_again(tmp_path: Path) -> None:
         flight = Flight(load_scenario("demo"), 1, settings, make_pilot(settings), observers=[flown, recorder])
         for _ in range(150):
             flight.step()
+        flight.result()
     recording = open_recording([path])
     Replay(recording, pilot_of(recording, settings, None, own_camera=False, alone=True), sightings=True, observers=[again]).run()
     assert {r.source for _, r in flown.observations} >= {"sighting", "attitude", "velocity", "baro", "imu"}
