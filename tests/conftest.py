@@ -38,6 +38,7 @@ SLOW = (
     "tests/test_examples.py",
     "tests/companion/test_pad_print.py",
     "tests/companion/test_signals.py",
+    "tests/companion/page/test_browser.py",
     "tests/estimator/vision/test_corners.py",
     "tests/companion/mavlink/test_landing.py",
     "tests/companion/test_fault_domains.py",

@@ -31,7 +31,7 @@ from companion.page.messages import (
     request_in,
     text_of,
 )
-from companion.page.picture import AHEAD_S, picture
+from companion.page.picture import AHEAD_S, camera_lean, picture
 from companion.page.settings import PageSettings
 from companion.page.state import HORIZONS_S, page_health, place
 from companion.page.viewer import ORDERS, PageViewer
@@ -42,6 +42,7 @@ from companion.runtime.pilot import Pilot
 from companion.runtime.worker import Worker
 from drivers.mailbox import Latest
 from estimator.contracts.errors import Recoverable
+from estimator.contracts.geometry import Rotation
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import MonoNs, seconds_between
@@ -287,13 +288,14 @@ class PageEndpoint(NullObserver):
         return page_health(self._health.snapshot(), self._flight.decision, flying=status is not None and bool(status.flying))
 
     async def _send_pictures(self, worker: Worker) -> None:
-        number = 0
+        number, lean = 0, Rotation.identity()
         async for processed in self._frames:
             exposed = processed.frame.stamp.measured_at
             belief, ahead = self.pilot.believed(exposed), self.pilot.forecast(exposed, AHEAD_S)
+            lean = camera_lean(processed, belief) or lean
             number += 1
             message = await worker.run(
-                picture, number, processed, belief, ahead, self.pilot.camera, self.pilot.pad, self._settings.jpeg_quality
+                picture, number, processed, belief, ahead, lean, self.pilot.camera, self.pilot.pad, self._settings.jpeg_quality
             )
             for viewer in self._viewers:
                 viewer.show(number, exposed, message)

@@ -33,6 +33,7 @@ def picture(
     processed: ProcessedFrame,
     belief: RelativeState | None,
     ahead: Forecast | None,
+    lean: Rotation,
     camera: Camera,
     pad: Pad,
     quality: int,
@@ -42,6 +43,7 @@ def picture(
     Args:
         belief: the estimate at the exposure.
         ahead: the deck after the exposure.
+        lean: see `camera_lean`.
         quality: of the JPEG, 1 to 100.
 
     Raises:
@@ -50,12 +52,34 @@ def picture(
     done, jpeg = cv2.imencode(".jpg", processed.frame.px, [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
         raise ValueError(f"a frame of {processed.frame.px.shape} cannot be encoded as JPEG")
-    lines = tuple(_lines(processed, belief, ahead, camera, pad))
+    lines = tuple(_lines(processed, belief, ahead, lean, camera, pad))
     return picture_message(PictureHeader(number=number, verdict=processed.verdict.value, lines=lines), jpeg.tobytes())
 
 
+def camera_lean(processed: ProcessedFrame, belief: RelativeState | None) -> Rotation | None:
+    """Return the rotation in `body` from the pad by the reported attitude to the pad where the filter expects it in the frame.
+
+    The filter knows errors of the attitude and of the camera's mount, degrees in all, that neither the reported attitude nor the
+    camera's file has. It is None for a frame that was not compared with the steering estimate.
+    """
+    seen = None if processed.detection is None else processed.detection.selected
+    if belief is None or seen is None or processed.attitude is None:
+        return None
+    compared = next((one for one in processed.results if one.path == belief.path and one.innovation is not None), None)
+    if compared is None or compared.innovation is None:
+        return None
+    R_body_level = processed.attitude.R_ned_body.without_heading().inv
+    believed: F64 = R_body_level @ belief.d_body_pad_level
+    expected: F64 = R_body_level @ seen.d_body_pad_level - compared.innovation[:3]
+    axis = np.cross(believed, expected)
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12:
+        return Rotation.identity()
+    return Rotation.from_rotvec(axis * (math.atan2(sine, float(believed @ expected)) / sine))
+
+
 def _lines(
-    processed: ProcessedFrame, belief: RelativeState | None, ahead: Forecast | None, camera: Camera, pad: Pad
+    processed: ProcessedFrame, belief: RelativeState | None, ahead: Forecast | None, lean: Rotation, camera: Camera, pad: Pad
 ) -> Iterator[PictureLine]:
     seen = None if processed.detection is None else processed.detection.selected
     for feature in () if seen is None else seen.features:
@@ -65,6 +89,7 @@ def _lines(
     if belief is None:
         return
     R_level_body = Rotation.identity() if processed.attitude is None else processed.attitude.R_ned_body.without_heading()
+    R_level_body = R_level_body @ lean.inv
     for line in pad_lines(belief, R_level_body, camera, pad):
         for uv in _pieces(line, closed=True):
             yield PictureLine("pad", uv)

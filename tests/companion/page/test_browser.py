@@ -1,0 +1,167 @@
+"""The operator page in Debian's Chromium, driven by Playwright over the service's own endpoint and the real pilot."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from estimator.contracts.commands import CutMotors, Hover, Land
+from tests.support.fake_ardrone import until
+from tests.support.page_service import TOKEN, PageService, serving
+
+CHROMIUM = shutil.which("chromium")
+playwright = pytest.importorskip("playwright.async_api", reason="playwright is not installed (requirements/dev.txt)")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium here (apt install chromium)")
+PHONE, LAPTOP = {"width": 390, "height": 844}, {"width": 1280, "height": 800}
+WAIT_MS = 30_000.0
+
+
+class Window:
+    """A browser's window with the page, and what went wrong in it."""
+
+    def __init__(self, page: Any) -> None:
+        self.page = page
+        self.faults: list[str] = []
+        page.set_default_timeout(WAIT_MS)
+        page.on("pageerror", lambda error: self.faults.append(str(error)))
+        page.on("console", lambda said: self.faults.append(said.text) if said.type == "error" else None)
+
+    async def text(self, name: str) -> str:
+        found: str = await self.page.inner_text(f"#{name}")
+        return found
+
+    async def shows(self, name: str, pattern: str) -> str:
+        """Wait until an element's text matches, and return it."""
+        await playwright.expect(self.page.locator(f"#{name}")).to_have_text(re.compile(pattern), timeout=WAIT_MS)
+        return await self.text(name)
+
+    async def press(self, order: str) -> str:
+        """Press an order's button, also one that would be refused, and return the answer."""
+        button = self.page.locator(f'[data-order="{order}"]')
+        await button.click(force=True)
+        return await self.shows("answer", f"{await button.inner_text()}: (accepted|refused)")
+
+
+@asynccontextmanager
+async def chromium() -> AsyncIterator[Any]:
+    # As root, which a container's tests are, Chromium runs only without its sandbox; it opens nothing but our own page.
+    options = ["--no-sandbox"] if os.getuid() == 0 else []
+    async with playwright.async_playwright() as driver:
+        browser = await driver.chromium.launch(executable_path=CHROMIUM, args=options, timeout=120_000)
+        yield browser
+        await browser.close()
+
+
+@asynccontextmanager
+async def window(browser: Any, service: PageService, token: str = TOKEN, **options: Any) -> AsyncIterator[Window]:
+    context = await browser.new_context(viewport=LAPTOP, **options)
+    opened = Window(await context.new_page())
+    await opened.page.goto(f"{service.address}/" + (f"#token={token}" if token else ""))
+    yield opened
+    await context.close()
+
+
+@pytest.mark.timeout(300)
+async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service, chromium() as browser, window(browser, service) as one:
+        await one.shows("phase", "search")
+        assert TOKEN not in one.page.url, "the token leaves the address"
+        await one.page.wait_for_function(
+            "document.querySelector('#picture').width > 300 && document.querySelector('#picture-note').hidden"
+        )
+        await one.shows("delay", "ms")
+        assert "accepted" in await one.press("begin")
+        assert (await one.press("takeoff")).endswith("refused: the vehicle flies already")
+        async with window(browser, service) as two:
+            await two.shows("phase", ".")
+            assert "accepted" in await two.press("hold")
+            await one.shows("phase", "paused")
+            await one.shows("events", r"hold: accepted")
+            assert "accepted" in await two.press("land")
+        await until(lambda: isinstance(service.command, Land))
+        for way, cut in ((0.5, False), (1.0, True)):
+            knob = await one.page.locator("#emergency .knob").bounding_box()
+            track = await one.page.locator("#emergency").bounding_box()
+            x, y = knob["x"] + knob["width"] / 2, knob["y"] + knob["height"] / 2
+            await one.page.mouse.move(x, y)
+            await one.page.mouse.down()
+            await one.page.mouse.move(x + way * track["width"], y, steps=8)
+            await one.page.mouse.up()
+            await one.page.wait_for_timeout(500)  # the knob goes back
+            orders = [order.order.value for order in service.orders]
+            if cut:
+                await one.shows("answer", "Emergency: accepted")
+                await until(lambda: isinstance(service.command, CutMotors) or service.orders[-1].order.value == "emergency")
+            else:
+                assert "emergency" not in orders, "half of the way confirms nothing"
+        assert one.faults == []
+
+
+@pytest.mark.timeout(300)
+async def test_a_lost_connection_is_told_and_comes_back(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service, chromium() as browser, window(browser, service) as one:
+        await one.shows("link", "live")
+        await one.press("begin")
+        paused = service.pilot.paused
+        for viewer in list(service.page._viewers):
+            await viewer._socket.close()
+        await one.shows("lost", "A landing goes on without this page")
+        await one.shows("link", "live")
+        assert service.pilot.paused == paused
+        assert await one.page.is_hidden("#lost")
+        assert "accepted" in await one.press("hold")
+        assert service.page.counted()["opened"] == 2
+
+
+@pytest.mark.timeout(300)
+async def test_a_wrong_token_is_refused_and_the_right_one_typed_in(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service, chromium() as browser, window(browser, service, "not-the-right-token") as one:
+        await one.shows("login-error", "the token is wrong")
+        assert await one.page.is_hidden("#flight")
+        await one.page.fill("#token", TOKEN)
+        await one.page.keyboard.press("Enter")
+        await one.shows("link", "live")
+        await one.page.reload()
+        await one.shows("link", "live")
+        assert await one.page.is_hidden("#login"), "a tab keeps its token over a reload"
+
+
+@pytest.mark.timeout(300)
+async def test_a_phone_shows_every_order_without_scrolling_sideways(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service, chromium() as browser, window(browser, service, has_touch=True) as one:
+        for scheme in ("light", "dark"):
+            await one.page.emulate_media(color_scheme=scheme)
+            await one.page.set_viewport_size(PHONE)
+            await one.shows("link", "live")
+            assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            for name in ("takeoff", "begin", "hold", "land", "abort"):
+                box = await one.page.locator(f'[data-order="{name}"]').bounding_box()
+                assert box["height"] >= 44, "a thumb's size"
+                assert box["y"] + box["height"] <= PHONE["height"]
+        names = await one.page.evaluate(
+            "[...document.querySelectorAll('button, input, [role=slider]')].filter((e) => !e.hidden && e.checkVisibility())"
+            ".map((e) => e.getAttribute('aria-label') || e.textContent.trim() || e.labels?.[0]?.textContent.trim() || '')"
+        )
+        assert all(names), "everything that can be pressed has a name for a screen reader"
+
+
+@pytest.mark.timeout(300)
+async def test_the_keyboard_reaches_and_gives_every_order(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service, chromium() as browser, window(browser, service) as one:
+        await one.shows("link", "live")
+        await one.page.focus('[data-order="hold"]')
+        await one.page.keyboard.press("Enter")
+        await one.shows("answer", "Hold: accepted")
+        await until(lambda: isinstance(service.command, Hover))
+        await one.page.focus("#emergency")
+        for presses in range(10):
+            assert "emergency" not in [order.order.value for order in service.orders], presses
+            await one.page.keyboard.press("ArrowRight")
+        await one.shows("answer", "Emergency: accepted")
