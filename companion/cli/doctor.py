@@ -59,6 +59,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--signing-key", metavar="FILE", help="key file (or credential:NAME) of signed links")
     parser.add_argument("--seconds", type=float, default=4.0, metavar="S", help="listen this long for each answer (default: 4)")
     parser.add_argument("--still-pad", action="store_true", help="skip the checks that matter on a moving ship only")
+    parser.add_argument(
+        "--ship-speed", type=float, metavar="M_S", help="the ship's greatest speed, m/s: judge limits of speed against it"
+    )
     parser.add_argument("--snapshot", metavar="FILE", help="examine a saved snapshot instead of this machine; - for stdin")
     parser.add_argument("--save", metavar="FILE", help="save the snapshot into this file, to examine it elsewhere")
     parser.add_argument("--json", action="store_true", help="print JSON Lines, one object per finding")
@@ -69,12 +72,16 @@ def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     logging.basicConfig(level=logging.ERROR)  # that a link does not open is a finding, not news
     doctor_fix.check_options(args)
+    if args.ship_speed is not None and not 0 <= args.ship_speed <= 15:
+        raise BadInput(f"--ship-speed must lie in 0 to 15 m/s, got {args.ship_speed:g}")
     if args.log is not None and (args.fix or args.undo):
         raise BadInput("a log cannot be fixed: examine the autopilot with --link URL --fix")
     if args.undo:
         return doctor_fix.undo(args)
     snapshot = _snapshot(args)
-    snapshot = msgspec.structs.replace(snapshot, moving_pad=snapshot.moving_pad and not args.still_pad)
+    speed_m_s = snapshot.ship_speed_m_s if args.ship_speed is None else args.ship_speed
+    moving = snapshot.moving_pad and not args.still_pad
+    snapshot = msgspec.structs.replace(snapshot, moving_pad=moving, ship_speed_m_s=speed_m_s)
     if args.save:
         try:
             Path(args.save).write_bytes(encode(snapshot))

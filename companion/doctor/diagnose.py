@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from companion.doctor import rules_ardupilot, rules_links, rules_log, rules_px4, rules_values
+from companion.doctor import rules_ardupilot, rules_failsafes, rules_links, rules_log, rules_px4, rules_values
 from companion.doctor.finding import Finding, Rule
 from companion.doctor.snapshot import Snapshot
 
 RULES: tuple[Rule, ...] = (
-    *rules_links.RULES, *rules_log.RULES, *rules_ardupilot.RULES, *rules_px4.RULES, *rules_values.RULES,
+    *rules_links.RULES, *rules_log.RULES, *rules_ardupilot.RULES, *rules_px4.RULES, *rules_failsafes.RULES,
+    *rules_values.RULES,
 )  # fmt: skip
+
+
+def _asked(stack: str, own: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys((*own, *rules_failsafes.PARAMETERS[stack], *rules_values.PARAMETERS[stack])))
+
+
 PARAMETERS = {
-    "ArduPilot": tuple(dict.fromkeys((*rules_ardupilot.PARAMETERS, *rules_values.PARAMETERS["ArduPilot"]))),
-    "PX4": tuple(dict.fromkeys((*rules_px4.PARAMETERS, *rules_values.PARAMETERS["PX4"]))),
+    "ArduPilot": _asked("ArduPilot", rules_ardupilot.PARAMETERS),
+    "PX4": _asked("PX4", rules_px4.PARAMETERS),
     "other": (),
 }
 """Parameters that the rules need from an autopilot, by stack."""

@@ -18,7 +18,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 _PRECLAND_BIT = int(mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION)
 """The SYS_STATUS bit in which ArduCopter reports precision landing."""
-_ASKING_MAX_S = 15.0
+_ASKING_MAX_S = 30.0
 _FIRST_ANSWER_S = 5.0
 """Time after which an autopilot that answered nothing at all is not waited for, seconds."""
 _POLL_S = 0.05

@@ -7,7 +7,7 @@ from companion.doctor.snapshot import AutopilotSnapshot, Snapshot
 
 PARAMETERS = (
     "PLND_ENABLED", "PLND_TYPE", "PLND_EST_TYPE", "PLND_LAG", "PLND_OPTIONS", "PLND_STRICT", "PLND_ORIENT", "PLND_YAW_ALIGN",
-    "PLND_CAM_POS_X", "PLND_CAM_POS_Y", "PLND_CAM_POS_Z", "PLND_XY_DIST_MAX", "PLND_ALT_MAX", "INS_GYRO_CAL",
+    "PLND_CAM_POS_X", "PLND_CAM_POS_Y", "PLND_CAM_POS_Z", "PLND_XY_DIST_MAX", "PLND_ALT_MAX", "INS_GYR_CAL",
     "EK3_SRC1_POSXY", "EK3_SRC1_VELXY", "EK3_SRC1_POSZ", "EK3_SRC1_VELZ", "EK3_SRC1_YAW", "EK3_RNG_USE_HGT",
     *(f"RNGFND{n}_{what}" for n in range(1, 5) for what in ("TYPE", "ORIENT")),
 )  # fmt: skip
@@ -226,12 +226,12 @@ def ekf_height_by_range(p: Snapshot) -> Finding | None:
 
 def gyro_calibration(p: Snapshot) -> Finding | None:
     """Find gyros that are calibrated at each boot, on a deck that moves."""
-    if _value(p, "INS_GYRO_CAL") != 1.0 or not p.moving_pad:
+    if _value(p, "INS_GYR_CAL") != 1.0 or not p.moving_pad:
         return None
     return warning(
         "gyro-calibration",
-        "INS_GYRO_CAL is 1: at each boot the gyros are calibrated, and the deck's motion with them",
-        "calibrate once ashore, then set INS_GYRO_CAL 0",
+        "INS_GYR_CAL is 1: at each boot the gyros are calibrated, and the deck's motion with them",
+        "calibrate once ashore, then set INS_GYR_CAL 0",
     )
 
 

@@ -31,8 +31,16 @@ class ValueRule:
     high: float = math.inf
     wrong: tuple[float, ...] = ()
     """Single values that are wrong inside the range."""
+    right: tuple[float, ...] = ()
+    """Single values that are right outside the range: those that switch a filter or a check off."""
     bits: int = 0
     """Bits that must not be set."""
+    needed: int = 0
+    """Bits that must be set."""
+    over_ship: float | None = None
+    """By how much a limit of speed must exceed the ship's, m/s; None where her speed is of no matter."""
+    per_m_s: float = 1.0
+    """Value of the parameter for 1 m/s."""
     severity: Severity = _WARNING
     on_ship: bool = True
     """Whether it only matters where the pad moves."""
@@ -45,11 +53,21 @@ class ValueRule:
         value = autopilot.parameters.get(self.parameter)
         if value is None:
             return None
-        if self.low <= value <= self.high and value not in self.wrong and not (self.bits and int(value) & self.bits):
+        low = self._low(snapshot)
+        inside = low <= value <= self.high and value not in self.wrong
+        if value in self.right or (inside and not int(value) & self.bits and int(value) & self.needed == self.needed):
             return None
-        to = float(int(value) & ~self.bits) if self.bits else self.good
+        masked = self.bits or self.needed
+        to = float(int(value) & ~self.bits | self.needed) if masked else max(self.good, low) if low > self.low else self.good
         what, fix = f"{self.parameter} is {value:g}: {self.why}", f"set {self.parameter} {to:g}"
+        if low > self.low:
+            what += f", which makes {snapshot.ship_speed_m_s:g} m/s"
         return Finding(self.rule, self.severity, what, fix, (ParameterChange(self.parameter, to),))
+
+    def _low(self, snapshot: Snapshot) -> float:
+        if self.over_ship is None or snapshot.ship_speed_m_s is None:
+            return self.low
+        return max(self.low, self.per_m_s * (snapshot.ship_speed_m_s + self.over_ship))
 
 
 _A, _P = "ArduPilot", "PX4"
@@ -62,7 +80,7 @@ _ARDUPILOT = (
               "it comes down on the ship faster than a deck can be followed", 0, 200),
     ValueRule("range-max", _A, "RNGFND1_MAX_CM", 700, "above it the rangefinder says nothing, and LAND does not slow down", 400),
     ValueRule("range-min", _A, "RNGFND1_MIN_CM", 5, "below it the rangefinder says nothing of the deck", -1, 30),
-    ValueRule("plnd-distance", _A, "PLND_XY_DIST_MAX", 2.5, "it holds its height for ever where the pad is farther off", 0.5),
+    ValueRule("plnd-distance", _A, "PLND_XY_DIST_MAX", 2.5, "farther off it never descends, and 0 allows it beside the pad", 0.5),
     ValueRule("plnd-timeout", _A, "PLND_TIMEOUT", 4, "each short loss of sight begins a new try", 2),
     ValueRule("plnd-low", _A, "PLND_ALT_MIN", 0.75, "below it the pad is not looked for", -1, 1.5),
     ValueRule("guided-accel", _A, "WPNAV_ACCEL", 250, "it cannot follow the deck sideways", 150),
@@ -80,8 +98,29 @@ _ARDUPILOT = (
     ValueRule("notch-low", _A, "INS_HNTCH_FREQ", 80, "a notch so low delays the loops", 30, on_ship=False),
     ValueRule("disarm-delay", _A, "DISARM_DELAY", 10, "it disarms before it has climbed, or stays armed on deck", 5, 30),
     ValueRule("spin-min", _A, "MOT_SPIN_MIN", 0.15, "it cannot descend on a deck that falls away", -1, 0.3, on_ship=False),
-    ValueRule("station-loss", _A, "FS_GCS_ENABLE", 1, "without a station it lands where it is, in the sea", wrong=(5.0,)),
-    ValueRule("remote-loss", _A, "FS_THR_ENABLE", 1, "without a remote control it lands where it is, in the sea", wrong=(3.0,)),
+    ValueRule("guided-unstabilized", _A, "GUID_OPTIONS", 0, "it holds neither place nor velocity in GUIDED",
+              bits=0b110000, severity=_ERROR, on_ship=False),
+    ValueRule("slow-too-late", _A, "LAND_ALT_LOW", 1000, "LAND slows down only so high over the ground", 500, on_ship=False),
+    ValueRule("cruise-speed", _A, "WPNAV_SPEED", 1000, "it cannot overtake the ship on its way to her", 300,
+              over_ship=3, per_m_s=100),
+    ValueRule("loiter-speed", _A, "LOIT_SPEED", 1250, "a person who takes over in LOITER cannot keep up with the ship", 300,
+              over_ship=3, per_m_s=100),
+    ValueRule("velocity-loose", _A, "PSC_VELXY_P", 2, "its velocity follows too late for a deck", 1),
+    ValueRule("climb-loose", _A, "PSC_VELZ_P", 5, "it cannot follow the deck's heave", 2.5),
+    ValueRule("velocity-filter", _A, "PSC_VELXY_FLTE", 5, "the filter delays the velocity loop", 2),
+    ValueRule("climb-filter", _A, "PSC_VELZ_FLTE", 5, "the filter delays the climb loop", 2),
+    ValueRule("thrust-filter", _A, "PSC_ACCZ_FLTE", 20, "the filter delays the climb loop", 5),
+    ValueRule("roll-filter", _A, "ATC_RAT_RLL_FLTD", 20, "the filter delays the loops", 8, right=(0.0,), on_ship=False),
+    ValueRule("pitch-filter", _A, "ATC_RAT_PIT_FLTD", 20, "the filter delays the loops", 8, right=(0.0,), on_ship=False),
+    ValueRule("pitch-loose", _A, "ATC_ANG_PIT_P", 4.5, "its lean follows too late for a deck", 3),
+    ValueRule("second-notch-low", _A, "INS_HNTC2_FREQ", 80, "a notch so low delays the loops", 30, on_ship=False),
+    ValueRule("notch-wide", _A, "INS_HNTCH_BW", 40, "a notch so wide delays the loops", 1, 100, on_ship=False),
+    ValueRule("gnss-rate", _A, "GPS_RATE_MS", 200, "its velocity comes too rarely for a deck", 50, 200),
+    ValueRule("rotors-slow", _A, "MOT_SPOOL_TIME", 0.5, "take-off is late by so much", 0, 1.5),
+    ValueRule("compass-learns", _A, "COMPASS_LEARN", 0, "it learns the ship's steel", wrong=(2.0, 3.0)),
+    ValueRule("ekf-failsafe", _A, "FS_EKF_THRESH", 0.8, "an EKF that is wrong is flown on", 0.5, 1.0),
+    ValueRule("ekf-action", _A, "FS_EKF_ACTION", 1, "an EKF in doubt lands it even where a person flies it", wrong=(3.0,)),
+    ValueRule("station-loss", _A, "FS_GCS_ENABLE", 0, "without a station it lands where it is, in the sea", wrong=(5.0,)),
     ValueRule("battery-action", _A, "BATT_FS_LOW_ACT", 0, "with a low battery it lands where it is, in the sea", wrong=(1.0,)),
     ValueRule("battery-critical", _A, "BATT_FS_CRT_ACT", 0, "with an empty battery it lands where it is", wrong=(1.0, 5.0)),
     ValueRule("fence", _A, "FENCE_ENABLE", 0, "the fence stays where the ship was, and ends the flight there", wrong=(1.0,)),
@@ -97,10 +136,11 @@ _PX4 = (
     ValueRule("px4-offboard-short", _P, "COM_OF_LOSS_T", 1,
               "every gap between setpoints is a failsafe", 0.5, severity=_ERROR, on_ship=False),
     ValueRule("px4-land-heave", _P, "LNDMC_Z_VEL_MAX", 1, "a heaving deck hides from it that it stands", 0.5, severity=_ADVICE),
-    ValueRule("px4-land-way", _P, "LNDMC_XY_VEL_MAX", 1.5, "the ship's way hides from it that it stands", 1.0, severity=_ADVICE),
+    ValueRule("px4-land-way", _P, "LNDMC_XY_VEL_MAX", 1.5, "the ship's way hides from it that it stands", 1.0,
+              over_ship=0.5, severity=_ADVICE),
     ValueRule("px4-land-time", _P, "LNDMC_TRIG_TIME", 1, "it sees too late that it stands", -1, 3),
     ValueRule("px4-land-rotation", _P, "LNDMC_ROT_MAX", 20, "a rolling deck hides from it that it stands", 10),
-    ValueRule("px4-speed-limit", _P, "MPC_XY_VEL_MAX", 12, "the ship sails away from it", 3, severity=_ERROR),
+    ValueRule("px4-speed-limit", _P, "MPC_XY_VEL_MAX", 12, "it cannot overtake the ship", 3, over_ship=3, severity=_ERROR),
     ValueRule("px4-descent-limit", _P, "MPC_Z_VEL_MAX_DN", 1.5, "a deck that falls away is not reached", 1, severity=_ERROR),
     ValueRule("px4-climb-limit", _P, "MPC_Z_VEL_MAX_UP", 3, "a deck that rises strikes it from below", 1.5),
     ValueRule("px4-lean-limit", _P, "MPC_TILTMAX_AIR", 45, "it cannot hold against wind and follow the deck", 20),
@@ -116,6 +156,29 @@ _PX4 = (
     ValueRule("px4-take-off-ramp", _P, "MPC_TKO_RAMP_T", 3, "it stands half weightless on a moving deck for so long", -1, 4),
     ValueRule("px4-disarm-late", _P, "COM_DISARM_LAND", 2, "it stays armed on deck", 0.1, 5, on_ship=False),
     ValueRule("px4-disarm-early", _P, "COM_DISARM_PRFLT", 10, "it disarms before it has climbed", 5, on_ship=False),
+    ValueRule("px4-setpoints-ignored", _P, "MAV_FWDEXTSP", 1, "setpoints are not passed on: OFFBOARD never begins",
+              wrong=(0.0,), severity=_ERROR, on_ship=False),
+    ValueRule("px4-manual-speed", _P, "MPC_VEL_MANUAL", 10, "a person who takes over cannot keep up with the ship", 3,
+              over_ship=2),
+    ValueRule("px4-gnss-control", _P, "EKF2_GPS_CTRL", 7, "GNSS gives it no position or no velocity",
+              needed=0b101, severity=_ERROR),
+    ValueRule("px4-gnss-delay", _P, "EKF2_GPS_DELAY", 110, "its velocity is old by so much", 0, 250),
+    ValueRule("px4-gnss-wait", _P, "EKF2_REQ_GPS_H", 10, "so long it refuses to arm on deck", 0, 30),
+    ValueRule("px4-heading", _P, "EKF2_MAG_TYPE", 0, "it has no heading until it has flown", wrong=(5.0,), severity=_ERROR),
+    ValueRule("px4-compass-strength", _P, "COM_ARM_MAG_STR", 2, "a deck of steel keeps it from arming", wrong=(1.0,),
+              severity=_ADVICE),
+    ValueRule("px4-velocity-doubt", _P, "COM_VEL_FS_EVH", 1, "a small doubt about its velocity ends OFFBOARD", 0.5),
+    ValueRule("px4-wind-limit", _P, "COM_WIND_MAX", -1, "wind at sea ends the landing", 10, right=(-1.0,)),
+    ValueRule("px4-roll-limit", _P, "FD_FAIL_R", 60, "a lean against a gust counts as a failure", 45, right=(0.0,)),
+    ValueRule("px4-pitch-limit", _P, "FD_FAIL_P", 60, "a lean against a gust counts as a failure", 45, right=(0.0,)),
+    ValueRule("px4-pitch-loose", _P, "MC_PITCH_P", 6.5, "its lean follows too late for a deck", 4),
+    ValueRule("px4-hover-thrust", _P, "MPC_THR_HOVER", 0.5, "it leaps or sinks at take-off, and sees landings where none are",
+              0.1, 0.8, on_ship=False),
+    ValueRule("px4-velocity-filter", _P, "MPC_VELD_LP", 5, "the filter delays the velocity loop", 2, right=(0.0,)),
+    ValueRule("px4-notch-low", _P, "IMU_GYRO_NF0_FRQ", 0, "a notch so low delays the loops", 30, right=(0.0,), on_ship=False),
+    ValueRule("px4-second-notch-low", _P, "IMU_GYRO_NF1_FRQ", 0, "a notch so low delays the loops", 30, right=(0.0,),
+              on_ship=False),
+    ValueRule("px4-gyro-rate", _P, "IMU_GYRO_RATEMAX", 400, "the rate loop is too slow", 250, on_ship=False),
     ValueRule("px4-remote-loss", _P, "NAV_RCL_ACT", 1,
               "without a remote control it comes down where it is, in the sea", wrong=(3.0, 5.0, 6.0)),
     ValueRule("px4-station-loss", _P, "NAV_DLL_ACT", 0,

@@ -134,6 +134,8 @@ class Snapshot(Struct, frozen=True):
     """Everything that sent HEARTBEATs."""
     log: LogHistory | None = None
     """Events of the flight log that was examined; None for a setup that was examined itself."""
+    ship_speed_m_s: float | None = None
+    """Greatest speed of the ship over the ground, m/s; None if it was not told."""
     moving_pad: bool = True
     """Whether the pad is on something that moves."""
 

@@ -28,7 +28,7 @@ from sitl.autopilots.stand_in.cascade import COPTER_GAINS, Cascade
 DEFAULTS: dict[str, float] = {
     "GUID_TIMEOUT": 3.0, "LAND_SPEED": 50.0, "WPNAV_ACCEL": 250.0, "WPNAV_ACCEL_Z": 100.0, "WPNAV_SPEED_DN": 150.0,
     "WPNAV_SPEED_UP": 250.0, "PSC_JERK_XY": 5.0, "PSC_JERK_Z": 5.0, "INS_ACCEL_FILTER": 20.0, "PLND_XY_DIST_MAX": 2.5,
-    "PLND_ALT_MAX": 8.0, "PLND_ORIENT": 25, "PLND_YAW_ALIGN": 0, "INS_GYRO_CAL": 0, "EK3_SRC1_POSXY": 3, "EK3_SRC1_VELXY": 3,
+    "PLND_ALT_MAX": 8.0, "PLND_ORIENT": 25, "PLND_YAW_ALIGN": 0, "INS_GYR_CAL": 0, "EK3_SRC1_POSXY": 3, "EK3_SRC1_VELXY": 3,
     "EK3_SRC1_POSZ": 1, "EK3_SRC1_VELZ": 3, "EK3_SRC1_YAW": 1, "EK3_RNG_USE_HGT": -1,
     **{f"PLND_CAM_POS_{axis}": 0.0 for axis in "XYZ"},
 }  # fmt: skip

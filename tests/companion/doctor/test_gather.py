@@ -48,7 +48,7 @@ async def examined(fake: MiniatureAutopilot, seconds: float = 1.0, system: int =
 async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
     good = {r.parameter: r.good for r in rules_values.RULES if r.stack == "ArduPilot"}
     parameters = {n: ARDUPILOT.parameters.get(n, good.get(n, 0.0)) for n in PARAMETERS["ArduPilot"]}
-    parameters |= {"PLND_TYPE": 2.0, "EK3_SRC1_POSXY": 6.0, "INS_GYRO_CAL": 1.0}
+    parameters |= {"PLND_TYPE": 2.0, "EK3_SRC1_POSXY": 6.0, "INS_GYR_CAL": 1.0}
     fake = MiniatureAutopilot(parameters=parameters)
     talking = asyncio.create_task(examined(fake, 1.5))
     await until(lambda: fake.commands[512] > 0)
@@ -68,7 +68,7 @@ async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
 async def test_a_px4_without_the_module_and_with_an_event() -> None:
     good = {r.parameter: r.good for r in rules_values.RULES if r.stack == "PX4"}
     asked = {n: good.get(n, 1.0) for n in PARAMETERS["PX4"] if n != "PLD_HACC_RAD"}
-    parameters = asked | {"EKF2_EV_CTRL": 0, "COM_OBL_RC_ACT": 0}
+    parameters = asked | {"EKF2_EV_CTRL": 0, "COM_OBL_RC_ACT": 0, "COM_RC_IN_MODE": 4}
     fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter", parameters=parameters)
     talking = asyncio.create_task(examined(fake))
     await until(lambda: fake.commands[512] > 0)

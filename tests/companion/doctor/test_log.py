@@ -220,5 +220,5 @@ def test_recorded_logs_of_both_stacks() -> None:
     assert [m.what for m in old.log.failsafes] == ["EKF check: variances too large"]
     assert {"log-failsafe", "log-ekf", "firmware-old", "fence"} <= {f.rule for f in diagnose(old)}
     assert {f.rule for f in diagnose(examine_log(DATA / "px4_sample.ulg"))} == {
-        "px4-offboard-short", "px4-precland-missing", "px4-disarm-late"
+        "px4-offboard-short", "px4-precland-missing", "px4-disarm-late", "px4-return-lands"
     }  # fmt: skip

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from companion.config.model import Settings
 from companion.config.settings import from_mapping
 from companion.config.ship_place import contradiction
-from companion.doctor import rules_log, rules_values
+from companion.doctor import rules_failsafes, rules_log, rules_values
 from companion.doctor.diagnose import RULES, diagnose
 from companion.doctor.finding import Severity
 from companion.doctor.rules_px4 import event_id
@@ -49,7 +49,7 @@ ARDUPILOT = AutopilotSnapshot(
     parameters={
         "PLND_ENABLED": 1.0, "PLND_TYPE": 1.0, "PLND_EST_TYPE": 1.0, "PLND_LAG": 0.05, "PLND_OPTIONS": 1.0, "PLND_STRICT": 1.0,
         "PLND_ORIENT": 25.0, "PLND_YAW_ALIGN": 0.0, "PLND_CAM_POS_X": 0.0, "PLND_CAM_POS_Y": 0.0, "PLND_CAM_POS_Z": 0.0,
-        "PLND_ALT_MAX": 8.0, "INS_GYRO_CAL": 0.0, "EK3_SRC1_POSXY": 3.0, "EK3_SRC1_VELXY": 3.0, "EK3_SRC1_POSZ": 1.0,
+        "PLND_ALT_MAX": 8.0, "INS_GYR_CAL": 0.0, "EK3_SRC1_POSXY": 3.0, "EK3_SRC1_VELXY": 3.0, "EK3_SRC1_POSZ": 1.0,
         "EK3_SRC1_VELZ": 3.0, "EK3_SRC1_YAW": 1.0, "EK3_RNG_USE_HGT": -1.0, "RNGFND1_TYPE": 10.0, "RNGFND1_ORIENT": 25.0,
         "RNGFND2_TYPE": 0.0, "RNGFND2_ORIENT": 25.0,
     },
@@ -201,7 +201,7 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "EKF waits for vision": ("ekf-external", parameter("EK3_SRC1_POSXY", 6.0), "EK3_SRC1_POSXY"),
     "height from the deck": ("ekf-height-by-range", parameter("EK3_SRC1_POSZ", 2.0), "EK3_SRC1_POSZ 1"),
     "height from the deck when low": ("ekf-height-by-range", parameter("EK3_RNG_USE_HGT", 70.0), "EK3_RNG_USE_HGT"),
-    "gyros calibrated at sea": ("gyro-calibration", parameter("INS_GYRO_CAL", 1.0), "ashore"),
+    "gyros calibrated at sea": ("gyro-calibration", parameter("INS_GYR_CAL", 1.0), "ashore"),
     "another program's frame": ("frame-not-supported", ardupilot(texts=("Plnd: Frame not supported",)), "another program"),
     "targets at 1 Hz": ("target-too-rare", ardupilot(texts=("PrecLand: Init Failed",)), "10 Hz"),
     "target lost": ("target-lost", ardupilot(texts=("PrecLand: Target Lost",)), "light"),
@@ -246,7 +246,7 @@ def test_the_trap_is_named_with_its_cure_and_no_other(name: str) -> None:
 
 def test_every_rule_has_a_broken_set_up() -> None:
     fired = {rule for rule in RULES for _, snapshot, _ in BROKEN.values() if rule(snapshot) is not None}
-    assert fired == set(RULES) - {*rules_values.RULES, *rules_log.RULES}, "those have tests of their own"
+    assert fired == set(RULES) - {*rules_values.RULES, *rules_log.RULES, *rules_failsafes.RULES}, "those have tests of their own"
     assert len(BROKEN) >= 20
 
 
@@ -262,7 +262,7 @@ def test_on_a_pad_that_does_not_move_the_ships_traps_are_none() -> None:
 
 def test_the_gravest_comes_first() -> None:
     snapshot = ardupilot(
-        parameters=ARDUPILOT.parameters | {"PLND_STRICT": 0.0, "PLND_TYPE": 0.0, "INS_GYRO_CAL": 1.0},
+        parameters=ARDUPILOT.parameters | {"PLND_STRICT": 0.0, "PLND_TYPE": 0.0, "INS_GYR_CAL": 1.0},
     )
     snapshot = replace(snapshot, service=replace(SERVICE, exposure_to_belief_s=0.2))
     found = diagnose(snapshot)

@@ -1,0 +1,76 @@
+"""Broken set-ups of both stacks as data: each is named by its rules and by nothing else, on top of each of three good ones."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from companion.doctor import rules_failsafes, rules_values
+from companion.doctor.diagnose import PARAMETERS, diagnose
+from companion.doctor.snapshot import Snapshot
+from tests.companion.doctor.test_rules import ARDUPILOT, GOOD, PX4
+
+DATA = {
+    stack: tomllib.loads((Path(__file__).parent / name).read_text())
+    for stack, name in (("ArduPilot", "arducopter.toml"), ("PX4", "px4.toml"))
+}
+GOOD_ONES = [(stack, name) for stack, data in DATA.items() for name in data["good"]]
+BROKEN_ONES = [(stack, name) for stack, data in DATA.items() for name in data["broken"]]
+
+
+def set_up(stack: str, good: str, **changes: float) -> Snapshot:
+    """A good set-up, which begins with the defaults, and changes to it."""
+    values = DATA[stack]["good"]["defaults"] | DATA[stack]["good"][good] | changes
+    asked = {name: float(value) for name, value in values.items() if name in PARAMETERS[stack]}
+    return replace(GOOD, autopilot=replace(ARDUPILOT if stack == "ArduPilot" else PX4, parameters=asked))
+
+
+@pytest.mark.parametrize(("stack", "name"), GOOD_ONES)
+def test_a_good_one_is_left_in_peace(stack: str, name: str) -> None:
+    assert diagnose(set_up(stack, name)) == ()
+    assert diagnose(replace(set_up(stack, name), moving_pad=False)) == ()
+
+
+@pytest.mark.parametrize(("stack", "name"), BROKEN_ONES)
+def test_a_broken_one_is_named_and_its_changes_heal_it(stack: str, name: str) -> None:
+    one: dict[str, Any] = DATA[stack]["broken"][name]
+    for good in DATA[stack]["good"]:
+        snapshot = replace(set_up(stack, good, **one["set"]), ship_speed_m_s=one.get("ship_speed_m_s"))
+        found = diagnose(snapshot)
+        assert {f.rule for f in found} >= set(one["rules"]), good
+        if good == "defaults":
+            assert sorted(f.rule for f in found) == sorted(one["rules"])
+        assert snapshot.autopilot is not None
+        changed = {c.parameter: c.value for f in found for c in f.changes}
+        healed = replace(snapshot, autopilot=replace(snapshot.autopilot, parameters=snapshot.autopilot.parameters | changed))
+        assert {f.rule for f in diagnose(healed)} <= {f.rule for f in found if not f.changes}, (
+            "what is offered makes nothing worse"
+        )
+
+
+def test_there_are_forty_of_each_stack() -> None:
+    for data in DATA.values():
+        assert len(data["broken"]) >= 40
+        assert len(data["good"]) == 3
+
+
+def test_each_parameter_that_a_single_rule_judges_is_broken_or_good_in_the_data() -> None:
+    for stack, data in DATA.items():
+        told = {name for one in data["broken"].values() for name in one["set"]} | set(data["good"]["defaults"])
+        left = {rule.parameter for rule in rules_values.RULES if rule.stack == stack} - told
+        assert left <= {"INS_HNTC2_FREQ"}
+        assert set(rules_failsafes.PARAMETERS[stack]) <= told
+
+
+def test_limits_of_speed_are_judged_against_the_ship_s() -> None:
+    slow = replace(set_up("PX4", "defaults", MPC_XY_VEL_MAX=7.0), ship_speed_m_s=2.0)
+    assert [f.rule for f in diagnose(slow)] == ["px4-land-way"]
+    (speed, way) = diagnose(replace(slow, ship_speed_m_s=6.0))
+    assert (speed.rule, way.rule) == ("px4-speed-limit", "px4-land-way")
+    assert speed.what == "MPC_XY_VEL_MAX is 7: it cannot overtake the ship, which makes 6 m/s"
+    assert speed.fix == "set MPC_XY_VEL_MAX 12"
+    assert way.fix == "set LNDMC_XY_VEL_MAX 6.5"
