@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from companion.doctor.diagnose import PARAMETERS
+from companion.doctor.renamed import names_in
 from companion.doctor.snapshot import AutopilotSnapshot, HeardSystem, LinkSnapshot, Snapshot, TimeSyncSnapshot
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import mav
@@ -19,6 +20,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 _PRECLAND_BIT = int(mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION)
 """The SYS_STATUS bit in which ArduCopter reports precision landing."""
 _ASKING_MAX_S = 30.0
+_VERSION_S = 1.0
 _FIRST_ANSWER_S = 5.0
 """Time after which an autopilot that answered nothing at all is not waited for, seconds."""
 _POLL_S = 0.05
@@ -78,19 +80,20 @@ async def examine(
         await wait_until(clock, seconds, lambda: autopilot.connected)
         rates: dict[str, float] = {}
         if autopilot.identity is not None:
-            rates = await _ask(autopilot, clock, seconds, say)
+            rates = await _ask(autopilot, notes, clock, seconds, say)
         return _snapshot(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now()))
 
 
-async def _ask(autopilot: Autopilot, clock: Clock, seconds: float, say: Say) -> dict[str, float]:
+async def _ask(autopilot: Autopilot, notes: _Notes, clock: Clock, seconds: float, say: Say) -> dict[str, float]:
     identity, parameters, streams = autopilot.identity, autopilot.parameters, autopilot.streams
     assert identity is not None
     assert parameters is not None
     assert streams is not None
     say(f"{identity.stack.value}, system {identity.system}: reading parameters, asking for streams")
-    parameters.request(PARAMETERS[identity.stack.value])
     version = int(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
     autopilot.send(mav.MAVLink_command_long_message(*identity.address, mav.MAV_CMD_REQUEST_MESSAGE, 0, version, 0, 0, 0, 0, 0, 0))
+    await wait_until(clock, _VERSION_S, lambda: notes.firmware is not None)
+    parameters.request(names_in(PARAMETERS[identity.stack.value], notes.firmware))
 
     def answered() -> bool:
         heard = bool(parameters.values) or autopilot.counts["COMMAND_ACK"] > 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from companion.doctor.diagnose import PARAMETERS
+from companion.doctor.renamed import names_in
 from companion.doctor.snapshot import AutopilotSnapshot, Snapshot
 from drivers.imports import dataflash, dataflash_history, px4_ulog, ulog_history
 from drivers.imports.log_history import AutopilotLog
@@ -36,7 +37,7 @@ def examine_log(path: Path) -> Snapshot:
 def _snapshot(path: Path, log: AutopilotLog) -> Snapshot:
     if log.vehicle not in (None, _COPTER):
         raise BadInput(f"{path}: it is a log of {log.vehicle}, and no rule knows that vehicle")
-    asked = PARAMETERS[log.stack]
+    asked = names_in(PARAMETERS[log.stack], log.firmware)
     system = next((int(log.parameters[n]) for n in ("SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID") if n in log.parameters), 1)
     return Snapshot(
         0.0,

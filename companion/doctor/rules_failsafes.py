@@ -7,6 +7,7 @@ which a person can take over. Sources: parameter references of ArduCopter 4.5 (F
 from __future__ import annotations
 
 from companion.doctor.finding import Finding, Rule, error, warning
+from companion.doctor.renamed import NamedValue, named_value
 from companion.doctor.snapshot import AutopilotSnapshot, Snapshot
 
 PARAMETERS = {
@@ -19,7 +20,7 @@ _RETURNS = {
 }  # fmt: skip
 """Values of ArduCopter's failsafe actions that return."""
 _REMOTE_LANDS = {3.0: "land", 5.0: "smart return or land", 7.0: "brake or land"}
-_HOVER_CM = 200.0
+_HOVER_CM, _HOVER_TO_CM = 200.0, 500.0
 _GUIDED_GOES_ON = 1 << 2
 _OFFBOARD = 1 << 2
 _NO_STICKS = 4.0
@@ -31,19 +32,25 @@ def _of(p: Snapshot, stack: str) -> AutopilotSnapshot | None:
     return a if a is not None and a.stack == stack and p.moving_pad else None
 
 
+def _hover(a: AutopilotSnapshot) -> tuple[str, str]:
+    final = named_value(a.parameters, "RTL_ALT_FINAL") or NamedValue("RTL_ALT_FINAL", 0.0, 1.0)
+    return final.name, f"{final.there(_HOVER_TO_CM):g}"
+
+
 def copter_remote_loss(p: Snapshot) -> Finding | None:
     """Find an ArduCopter that lands where it is when the remote control is lost."""
     a = _of(p, "ArduPilot")
     action = None if a is None else a.parameters.get("FS_THR_ENABLE")
     if a is None or action not in _REMOTE_LANDS:
         return None
+    final = named_value(a.parameters, "RTL_ALT_FINAL")
     to = {"FS_THR_ENABLE": 1.0}
-    if a.parameters.get("RTL_ALT_FINAL", _HOVER_CM) < _HOVER_CM:
-        to["RTL_ALT_FINAL"] = 500.0
+    if final is not None and final.value < _HOVER_CM:
+        to[final.name] = final.there(_HOVER_TO_CM)
     return warning(
         "remote-loss",
         f"FS_THR_ENABLE is {action:g} ({_REMOTE_LANDS[action]}): without a remote control it lands where it is, in the sea",
-        "set FS_THR_ENABLE 1 (return) and RTL_ALT_FINAL 500 (which ends in a hover 5 m up)",
+        "set FS_THR_ENABLE 1 (return) and " + " ".join(_hover(a)) + " (which ends in a hover 5 m up)",
         to,
     )
 
@@ -51,7 +58,8 @@ def copter_remote_loss(p: Snapshot) -> Finding | None:
 def copter_return(p: Snapshot) -> Finding | None:
     """Find a failsafe of ArduCopter that returns, where a return ends with a landing."""
     a = _of(p, "ArduPilot")
-    if a is None or a.parameters.get("RTL_ALT_FINAL", _HOVER_CM) >= _HOVER_CM:
+    final = None if a is None else named_value(a.parameters, "RTL_ALT_FINAL")
+    if a is None or final is None or final.value >= _HOVER_CM:
         return None
     goes_on = int(a.parameters.get("FS_OPTIONS", 0.0)) & _GUIDED_GOES_ON
     returning = [
@@ -61,12 +69,12 @@ def copter_return(p: Snapshot) -> Finding | None:
     ]
     if not returning:
         return None
-    lands = f"RTL_ALT_FINAL {a.parameters['RTL_ALT_FINAL']:g} lands it there"
+    lands = f"{final.name} {final.there(final.value):g} lands it there"
     return warning(
         "return-lands",
         f"{', '.join(returning)}: it returns to where the ship was, and {lands}",
-        "set RTL_ALT_FINAL 500: a return ends in a hover 5 m up, for a person to take over",
-        {"RTL_ALT_FINAL": 500.0},
+        f"set {' '.join(_hover(a))}: a return ends in a hover 5 m up, for a person to take over",
+        {final.name: final.there(_HOVER_TO_CM)},
     )
 
 

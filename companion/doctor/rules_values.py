@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 from companion.doctor.finding import Finding, ParameterChange, Severity
+from companion.doctor.renamed import named_value
 from companion.doctor.snapshot import Snapshot
 
 _ERROR, _WARNING, _ADVICE = Severity.ERROR, Severity.WARNING, Severity.ADVICE
@@ -50,19 +51,21 @@ class ValueRule:
         autopilot = snapshot.autopilot
         if autopilot is None or autopilot.stack != self.stack or (self.on_ship and not snapshot.moving_pad):
             return None
-        value = autopilot.parameters.get(self.parameter)
-        if value is None:
+        named = named_value(autopilot.parameters, self.parameter)
+        if named is None:
             return None
-        low = self._low(snapshot)
+        value, low = named.value, self._low(snapshot)
         inside = low <= value <= self.high and value not in self.wrong
         if value in self.right or (inside and not int(value) & self.bits and int(value) & self.needed == self.needed):
             return None
         masked = self.bits or self.needed
         to = float(int(value) & ~self.bits | self.needed) if masked else max(self.good, low) if low > self.low else self.good
-        what, fix = f"{self.parameter} is {value:g}: {self.why}", f"set {self.parameter} {to:g}"
+        to = named.there(to)
+        what = f"{named.name} is {named.there(value):g}: {self.why}"
         if low > self.low:
             what += f", which makes {snapshot.ship_speed_m_s:g} m/s"
-        return Finding(self.rule, self.severity, what, fix, (ParameterChange(self.parameter, to),))
+        fix = f"set {named.name} {to:g}"
+        return Finding(self.rule, self.severity, what, fix, (ParameterChange(named.name, to),))
 
     def _low(self, snapshot: Snapshot) -> float:
         if self.over_ship is None or snapshot.ship_speed_m_s is None:
@@ -128,6 +131,8 @@ _ARDUPILOT = (
               "its checks of drift take a ship under way for a bad GNSS", bits=0b11100000, severity=_ERROR),
     ValueRule("arming-checks", _A, "ARMING_CHECK", 1,
               "it takes off without its checks", wrong=(0.0,), severity=_ADVICE, on_ship=False),
+    ValueRule("arming-skipped", _A, "ARMING_SKIPCHK", 0,
+              "it takes off without its checks", wrong=(-1.0,), severity=_ADVICE, on_ship=False),
 )  # fmt: skip
 _PX4 = (
     ValueRule("px4-gnss-checks", _P, "EKF2_GPS_CHECK", 21,

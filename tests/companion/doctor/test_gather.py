@@ -20,6 +20,7 @@ from companion.doctor import rules_values
 from companion.doctor.diagnose import PARAMETERS, diagnose
 from companion.doctor.gather import examine
 from companion.doctor.gather_service import examine_service
+from companion.doctor.renamed import names_in
 from companion.doctor.snapshot import Snapshot, encode
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.metrics.settings import MetricsSettings
@@ -59,10 +60,20 @@ async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
     a = snapshot.autopilot
     assert a is not None
     assert a.firmware == (4, 5, 7)
-    assert len(a.parameters) == len(PARAMETERS["ArduPilot"])
+    assert set(a.parameters) == set(names_in(PARAMETERS["ArduPilot"], a.firmware))
     assert 30 < a.rates_hz["ATTITUDE_QUATERNION"] < 130
     assert snapshot.sync is not None
     assert snapshot.sync.locked
+
+
+async def test_a_later_firmware_is_asked_by_its_own_names() -> None:
+    fake = MiniatureAutopilot(parameters={"LAND_SPD_MS": 2.5, "LAND_SPEED": 50.0, "PLND_ENABLED": 1.0})
+    talking = asyncio.create_task(examined(fake, 0.3))
+    await until(lambda: fake.commands[512] > 0)
+    fake.send(mav.MAVLink_autopilot_version_message(0, 0x040700FF, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0))
+    await until(lambda: any(m.param_id == "LAND_SPD_MS" for m in fake.of("PARAM_REQUEST_READ")))
+    talking.cancel()
+    assert not any(m.param_id == "LAND_SPEED" for m in fake.of("PARAM_REQUEST_READ"))
 
 
 async def test_a_px4_without_the_module_and_with_an_event() -> None:

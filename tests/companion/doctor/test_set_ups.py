@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from msgspec.structs import replace
 
 from companion.doctor import rules_failsafes, rules_values
 from companion.doctor.diagnose import PARAMETERS, diagnose
+from companion.doctor.renamed import RENAMED, names_in
 from companion.doctor.snapshot import Snapshot
 from tests.companion.doctor.test_rules import ARDUPILOT, GOOD, PX4
 
@@ -52,6 +54,45 @@ def test_a_broken_one_is_named_and_its_changes_heal_it(stack: str, name: str) ->
         )
 
 
+@pytest.mark.parametrize("name", DATA["ArduPilot"]["broken"])
+def test_the_names_and_units_of_arducopter_4_7_are_judged_alike(name: str) -> None:
+    one = DATA["ArduPilot"]["broken"][name]
+    old = replace(set_up("ArduPilot", "defaults", **one["set"]), ship_speed_m_s=one.get("ship_speed_m_s"))
+    assert old.autopilot is not None
+    new_names = {}
+    for parameter, value in old.autopilot.parameters.items():
+        later = RENAMED.get(parameter)
+        new_names[parameter if later is None else later.name] = value if later is None else in_32_bits(value * later.factor)
+    new = replace(old, autopilot=replace(old.autopilot, firmware=(4, 7, 0), parameters=new_names))
+    found = diagnose(new)
+    assert [f.rule for f in found] == [f.rule for f in diagnose(old)]
+    changes = {c.parameter: c.value for f in found for c in f.changes}
+    assert new.autopilot is not None
+    assert set(changes) <= set(new_names)
+    healed = replace(new, autopilot=replace(new.autopilot, parameters=new_names | changes))
+    assert {f.rule for f in diagnose(healed)} <= {f.rule for f in found if not f.changes}
+
+
+def in_32_bits(value: float) -> float:
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
+
+
+def test_a_later_name_is_told_in_its_own_unit() -> None:
+    autopilot = replace(ARDUPILOT, firmware=(4, 7, 0), parameters={"LAND_SPD_MS": in_32_bits(2.5), "ARMING_SKIPCHK": -1.0})
+    speed, skipped = diagnose(replace(GOOD, autopilot=autopilot))
+    assert speed.what.startswith("LAND_SPD_MS is 2.5: it strikes the deck")
+    assert speed.fix == "set LAND_SPD_MS 0.4"
+    assert skipped.rule == "arming-skipped"
+
+
+def test_each_firmware_is_asked_by_its_own_names() -> None:
+    names = ("LAND_SPEED", "GPS_RATE_MS", "GUID_TIMEOUT")
+    assert names_in(names, None) == names_in(names, (4, 5, 7)) == names
+    assert names_in(names, (4, 6, 2)) == ("LAND_SPEED", "GPS1_RATE_MS", "GUID_TIMEOUT")
+    assert names_in(names, (4, 7, 0)) == ("LAND_SPD_MS", "GPS1_RATE_MS", "GUID_TIMEOUT")
+    assert names_in(("ARMING_SKIPCHK",), (4, 5, 7)) == ()
+
+
 def test_there_are_forty_of_each_stack() -> None:
     for data in DATA.values():
         assert len(data["broken"]) >= 40
@@ -62,7 +103,7 @@ def test_each_parameter_that_a_single_rule_judges_is_broken_or_good_in_the_data(
     for stack, data in DATA.items():
         told = {name for one in data["broken"].values() for name in one["set"]} | set(data["good"]["defaults"])
         left = {rule.parameter for rule in rules_values.RULES if rule.stack == stack} - told
-        assert left <= {"INS_HNTC2_FREQ"}
+        assert left <= {"INS_HNTC2_FREQ", "ARMING_SKIPCHK"}
         assert set(rules_failsafes.PARAMETERS[stack]) <= told
 
 
