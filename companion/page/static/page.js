@@ -2,6 +2,8 @@
 import { Link } from "./link.js";
 import { Picture } from "./picture.js";
 import { Orders } from "./orders.js";
+import { Plots } from "./plots.js";
+import { Sticks } from "./sticks.js";
 import { Above, Side } from "./place.js";
 import * as telling from "./telling.js";
 
@@ -31,6 +33,8 @@ if (given !== null) {
 const link = new Link();
 const orders = new Orders(link);
 const picture = new Picture($("picture"), $("picture-note"), (number) => link.send({ kind: "drawn", number }));
+const sticks = new Sticks(link, orders, $("sticks"), $("by-hand"), $("hand-note"));
+const plots = new Plots();
 const views = [new Above($("above")), new Side($("side"))];
 $("lines").addEventListener("change", (event) => picture.showLines(event.target.checked));
 
@@ -64,6 +68,8 @@ link.on("welcome", (message) => {
 link.on("state", (message) => {
   telling.state(message);
   orders.state(message);
+  sticks.state(message);
+  plots.show(message);
   for (const view of views) view.show(message);
 });
 link.on("health", telling.health);
@@ -73,6 +79,7 @@ link.on("picture", (header, jpeg) => picture.show(header, jpeg));
 link.onLost = (why) => {
   telling.chip($("link"), "fault", "lost");
   orders.enable(false);
+  sticks.lost();
   picture.forget();
   $("flight").classList.add("stale");
   $("lost").hidden = $("flight").hidden;

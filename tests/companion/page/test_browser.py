@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from estimator.contracts.commands import CutMotors, Hover, Land
+from estimator.contracts.commands import CutMotors, Hover, Land, Velocity
 from tests.support.fake_ardrone import until
 from tests.support.page_service import TOKEN, PageService, serving
 
@@ -165,3 +165,64 @@ async def test_the_keyboard_reaches_and_gives_every_order(tmp_path: Path) -> Non
             assert "emergency" not in [order.order.value for order in service.orders], presses
             await one.page.keyboard.press("ArrowRight")
         await one.shows("answer", "Emergency: accepted")
+
+
+TRIES = 5
+"""A browser that a busy machine stops for half a second loses the hand, as it must; then it is taken again."""
+
+
+@pytest.mark.timeout(300)
+async def test_a_person_flies_by_hand_by_keys_touch_and_gamepad(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service, chromium() as browser, window(browser, service) as one:
+        await one.shows("link", "live")
+
+        async def flies(axis: int, sign: float) -> None:
+            def commanded() -> bool:
+                command = service.command
+                return isinstance(command, Velocity) and float(command.v_level[axis]) * sign > 0.1
+
+            await until(commanded, 3.0)
+
+        async def hovers() -> None:
+            await until(lambda: isinstance(service.command, Hover), 3.0)
+
+        async def by_keys() -> None:
+            for key, axis, sign in (("ArrowUp", 0, 1.0), ("ArrowLeft", 1, -1.0), ("w", 2, -1.0)):
+                await one.page.keyboard.down(key)
+                await flies(axis, sign)
+                await one.page.keyboard.up(key)
+                await hovers()
+
+        async def by_touch() -> None:
+            box = await one.page.locator(".stick >> nth=1").bounding_box(timeout=3000)
+            x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+            await one.page.mouse.move(x, y)
+            await one.page.mouse.down()
+            await one.page.mouse.move(x, y + box["height"] * 0.4)
+            await flies(0, -1.0)
+            await one.page.mouse.up()
+            await hovers()
+
+        async def by_gamepad() -> None:
+            pad = "{connected: true, mapping: 'standard', id: 'a pad', axes: [0, 0, 0.8, 0]}"
+            await one.page.evaluate(f"navigator.getGamepads = () => [{pad}]")
+            await flies(1, 1.0)
+            await one.shows("hand-note", "a pad")
+
+        for way in (by_keys, by_touch, by_gamepad):
+            for tried in range(TRIES):
+                if service.pilot.operator.hand is None:
+                    await one.page.click("#by-hand")
+                    await until(lambda: service.pilot.operator.hand is not None)
+                try:
+                    await way()
+                    break
+                except (TimeoutError, playwright.TimeoutError):
+                    assert tried < TRIES - 1, way.__name__
+                    await one.page.mouse.up()
+        if service.pilot.operator.hand is not None:
+            await one.shows("by-hand", "Give the hand back")
+            await one.page.click("#by-hand")
+            await one.shows("answer", "Give the hand back: (accepted|refused: nobody)")
+        await hovers()
+        assert one.faults == []

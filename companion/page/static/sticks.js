@@ -1,0 +1,129 @@
+// Flight by hand: touch, keyboard or gamepad. Positions leave 20 times a second while this page has the hand; when they stop
+// (a hidden tab, a lost link) the service holds.
+const EACH_MS = 50;
+const DEAD = 0.1;
+const ASKED_MS = 1000; // the sticks leave before the state says who has the hand: the service waits for them half a second
+const NOTE = "Sticks on the picture, keys W A S D and arrows, or a gamepad. Letting go hovers.";
+// The sticks of the thesis: left for height and turning, right for forward and sideways.
+const KEYS = {
+  KeyW: ["climb", 1], KeyS: ["climb", -1], KeyA: ["turn", -1], KeyD: ["turn", 1],
+  ArrowUp: ["forward", 1], ArrowDown: ["forward", -1], ArrowLeft: ["right", -1], ArrowRight: ["right", 1],
+};
+const AXES = ["forward", "right", "climb", "turn"];
+
+export class Sticks {
+  #link;
+  #host;
+  #button;
+  #note;
+  #pads;
+  #pressed = new Set();
+  #yours = false;
+  #asked = -ASKED_MS;
+
+  constructor(link, orders, host, button, note) {
+    this.#link = link;
+    this.#host = host;
+    this.#button = button;
+    this.#note = note;
+    this.#pads = [new Pad(host, "Height and turning", "turn", "climb"), new Pad(host, "Sideways and forward", "right", "forward")];
+    button.addEventListener("click", () => {
+      this.#asked = this.#yours ? -ASKED_MS : performance.now();
+      orders.give(this.#yours ? "release" : "manual", button);
+    });
+    addEventListener("keydown", (event) => this.#key(event, true));
+    addEventListener("keyup", (event) => this.#key(event, false));
+    addEventListener("blur", () => this.#pressed.clear());
+    setInterval(() => this.#send(), EACH_MS);
+  }
+
+  state(message) {
+    this.#yours = message.yours;
+    this.#host.hidden = !message.yours;
+    this.#button.setAttribute("aria-pressed", String(message.yours));
+    const name = message.yours ? "Give the hand back" : "Fly by hand";
+    if (this.#button.textContent !== name) this.#button.textContent = name;
+    const why = message.refusals[message.yours ? "release" : "manual"];
+    this.#button.setAttribute("aria-disabled", String(why !== null));
+    this.#button.title = why ?? "";
+    if (!message.yours) this.#centre();
+  }
+
+  lost() {
+    this.#yours = false;
+    this.#host.hidden = true;
+    this.#centre();
+  }
+
+  #centre() {
+    this.#pressed.clear();
+    for (const pad of this.#pads) pad.centre();
+  }
+
+  #key(event, down) {
+    if (!this.#yours || !(event.code in KEYS) || event.target.closest?.("input, [role=slider]")) return;
+    event.preventDefault();
+    if (down) this.#pressed.add(event.code);
+    else this.#pressed.delete(event.code);
+  }
+
+  #send() {
+    const flies = this.#yours || performance.now() - this.#asked < ASKED_MS;
+    if (!flies || document.hidden) return;
+    const sum = Object.fromEntries(AXES.map((axis) => [axis, 0]));
+    for (const code of this.#pressed) sum[KEYS[code][0]] += KEYS[code][1];
+    for (const pad of this.#pads) for (const [axis, value] of pad.positions) sum[axis] += value;
+    const gamepad = [...(navigator.getGamepads?.() ?? [])].find((one) => one?.connected && one.mapping === "standard");
+    if (gamepad) {
+      const [x, y, u, v] = gamepad.axes.map((value) => (Math.abs(value) < DEAD ? 0 : (value - Math.sign(value) * DEAD) / (1 - DEAD)));
+      for (const [axis, value] of [["turn", x], ["climb", -y], ["right", u], ["forward", -v]]) sum[axis] += value;
+    }
+    this.#note.textContent = gamepad ? `Gamepad: ${gamepad.id}` : NOTE;
+    for (const axis of AXES) sum[axis] = Math.min(1, Math.max(-1, sum[axis]));
+    this.#link.send({ kind: "sticks", ...sum });
+  }
+}
+
+class Pad {
+  #knob;
+  #axes;
+  #at = [0, 0];
+
+  constructor(host, name, horizontal, vertical) {
+    this.#axes = [horizontal, vertical];
+    const pad = document.createElement("div");
+    pad.className = "stick";
+    pad.setAttribute("role", "img");
+    pad.setAttribute("aria-label", `${name}: touch and drag; or use the keyboard`);
+    this.#knob = document.createElement("span");
+    pad.append(this.#knob);
+    host.append(pad);
+    const move = (event) => {
+      const box = pad.getBoundingClientRect();
+      const reach = box.width * 0.36;
+      const [x, y] = [(event.clientX - box.x - box.width / 2) / reach, (event.clientY - box.y - box.height / 2) / reach];
+      const far = Math.max(1, Math.hypot(x, y));
+      this.#at = [x / far, -y / far];
+      this.#show();
+    };
+    pad.addEventListener("pointerdown", (event) => {
+      pad.setPointerCapture(event.pointerId);
+      move(event);
+    });
+    pad.addEventListener("pointermove", (event) => pad.hasPointerCapture(event.pointerId) && move(event));
+    for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) pad.addEventListener(end, () => this.centre());
+  }
+
+  get positions() {
+    return this.#axes.map((axis, i) => [axis, Math.abs(this.#at[i]) < DEAD ? 0 : this.#at[i]]);
+  }
+
+  centre() {
+    this.#at = [0, 0];
+    this.#show();
+  }
+
+  #show() {
+    this.#knob.style.transform = `translate(${this.#at[0] * 90}%, ${-this.#at[1] * 90}%)`;
+  }
+}
