@@ -49,8 +49,8 @@ _AIDS = _BELIEF["aids"].start + _AID_SIZE * np.arange(KINDS)[:, None] + [_AID[na
 _AXES = tuple(tuple([i for i in range(4) if mask >> i & 1]) for mask in range(16))
 """The axes of a velocity and of a vessel's report, by the bits of the core's mask."""
 _NONE_GATHERED = (0, 0, 0, 0)
-_OUTCOME_WORDS = struct.Struct(f"4q{_OUTCOME_SIZE - 4}d")
-_INNOV, _COV = (slice(_OUTCOME[name].start - 4, _OUTCOME[name].stop - 4) for name in ("innov", "S"))
+_OUTCOME_HEAD, _NIS = struct.Struct("4q"), struct.Struct("2d")
+_INNOV_AT, _COV_AT, _NIS_AT = (8 * _OUTCOME[name].start for name in ("innov", "S", "nis"))
 _RATIOS = places_of("innovation_ratios")
 _WITHOUT_COMPARISON = {verdict: Outcome(verdict) for verdict in _VERDICTS.values()}
 
@@ -222,11 +222,14 @@ class Followed(Sequence[PackedBelief]):
 
 def _outcome(block: F64, at: int) -> Outcome:
     """Return the core's `outcome` so many bytes after the beginning of a block."""
-    verdict, m, axes, has_S, *numbers = _OUTCOME_WORDS.unpack_from(block.data, at)
+    words = block.data
+    verdict, m, axes, has_S = _OUTCOME_HEAD.unpack_from(words, at)
     if m == 0:
         return _WITHOUT_COMPARISON[_VERDICTS[verdict]]
-    innov, S, (nis, nis_max) = numbers[_INNOV][:m], numbers[_COV][: m * m], numbers[-2:]
-    cov = np.array(S).reshape(m, m) if has_S else None
+    first, S = (at + _INNOV_AT) >> 3, (at + _COV_AT) >> 3
+    innov = np.ndarray((m,), np.float64, words[first : first + m].tobytes())
+    cov = np.ndarray((m, m), np.float64, words[S : S + m * m].tobytes()) if has_S else None
+    nis, nis_max = _NIS.unpack_from(words, at + _NIS_AT)
     return Outcome(_VERDICTS[verdict], innov, cov, nis, nis_max, _AXES[axes])
 
 

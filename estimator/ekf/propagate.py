@@ -28,7 +28,7 @@ def parameters(options: EkfOptions) -> FilterParams:
 def result(event: Event, outcome: Outcome) -> FusionResult:
     """Return the outcome of an event with the event's source, instants and names of components."""
     verdict, compared, S, nis, nis_max, axes = outcome
-    innov = None if compared is None else np.array(compared)
+    innov = None if compared is None else np.asarray(compared)
     source = source_of(event)
     components: tuple[str, ...] = ()
     if axes:
@@ -36,7 +36,7 @@ def result(event: Event, outcome: Outcome) -> FusionResult:
     elif innov is not None:
         components = components_of(source, innov.size)
     for array in (innov, S):
-        if array is not None:
+        if array is not None and array.flags.writeable:
             array.setflags(write=False)
     stamp = event.stamp
     return FusionResult("ekf", source, verdict, stamp.measured_at, stamp.received_at, innov, S, components, nis, nis / nis_max)

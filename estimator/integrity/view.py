@@ -32,7 +32,7 @@ class ViewWatch(NamedTuple):
 def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: IntegrityOptions) -> ViewWatch:
     """Process one sighting and the attitude at its exposure."""
     t = sighting.stamp.measured_at
-    distance_m = float(np.linalg.norm(sighting.d_body_pad_level))
+    distance_m = math.sqrt(float(sighting.d_body_pad_level.dot(sighting.d_body_pad_level)))
     if distance_m < 1e-6:
         return state
     R_body_level = attitude.R_ned_body.without_heading().inv.matrix
@@ -47,11 +47,13 @@ def _is_still(bearings: tuple[tuple[int, F64, F64], ...], o: IntegrityOptions) -
         return False
     seen = np.array([bearing for _, bearing, _ in bearings])
     axes = np.array([R for _, _, R in bearings])
-    mean_level = np.einsum("nij,ni->nj", axes, seen).mean(axis=0)
+    mean_level = np.add.reduce(np.einsum("nij,ni->nj", axes, seen), axis=0) / len(seen)
     turned = _spread(axes @ mean_level)
     return turned > o.view_turned_min_rad and _spread(seen) < o.view_still_ratio * turned
 
 
 def _spread(directions: F64) -> float:
     """Return the root of the mean squared distance from the mean, rad."""
-    return math.sqrt(float(np.mean(np.sum((directions - directions.mean(axis=0)) ** 2, axis=1))))
+    n = len(directions)
+    apart = directions - np.add.reduce(directions, axis=0) / n
+    return math.sqrt(float(np.add.reduce(np.add.reduce(apart * apart, axis=1))) / n)

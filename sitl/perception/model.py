@@ -49,6 +49,7 @@ _SPAWN_KEY = 1301
 """Keeps the random numbers of detections apart from those of the world, which has the first children of the seed."""
 MODELLED = (PadCovered, LightFalls, FocalLength)
 """Faults of the picture that act without a rendered one: on what is shown of the pad, on its light, on its distance."""
+_EYE = np.eye(3)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 _NOTHING = np.zeros((0, 2))
 _TOKEN = 4
@@ -85,7 +86,7 @@ class Scenes:
     def expose(self, shot: Exposure | None, tick: int) -> NDArray[np.uint8]:
         """Keep a scene and return its frame, (H, W, 3)."""
         chance = Chance(self._rng.standard_normal(7), self._rng.random(4))
-        view, R = None, np.eye(3)
+        view, R = None, _EYE
         if shot is not None:
             R = shot.R_ned_body.matrix
             view = self._viewer.view(R, shot.p_pad_ned - shot.p_body_ned, shot.R_ned_pad.matrix)
@@ -248,8 +249,8 @@ def _turned(rotation: F64) -> F64:
     angle = math.sqrt(x * x + y * y + z * z)
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     if angle < 1e-9:
-        return np.asarray(np.eye(3) + K)
-    return np.asarray(np.eye(3) + (math.sin(angle) / angle) * K + ((1.0 - math.cos(angle)) / (angle * angle)) * K.dot(K))
+        return np.asarray(_EYE + K)
+    return np.asarray(_EYE + (math.sin(angle) / angle) * K + ((1.0 - math.cos(angle)) / (angle * angle)) * K.dot(K))
 
 
 def _registration(pose: PadPose, cov: F64, ambiguous: bool) -> Registration:

@@ -54,6 +54,8 @@ _AGREED = 3
 """Number of sightings after which the filter's estimate counts as consistent."""
 _TRUE_TILT_COV, _LEAST_COV = 1e-12 * np.eye(3), 1e-12 * np.eye(_N)
 _TRUE_TILT_COV.setflags(write=False)
+_SEEN, _LEAST_SEEN_COV = np.ix_([0, 1, 2, 6], [0, 1, 2, 6]), 1e-12 * np.eye(4)
+"""Where place and heading are in the estimate's covariance, and the least covariance of a sighting."""
 
 
 class EstimateTable:
@@ -231,9 +233,8 @@ class TruthPilot(Pilot):
         arrow = R_ned_cam @ view.R_cam_pad[:, 0]
         yaw = wrap_pi(heading - math.atan2(arrow[1], arrow[0]))
         _, square = self._estimates.root(float(d[2]), 0.0)
-        at = [0, 1, 2, 6]
         scale = np.array([d[2], d[2], d[2], 1.0])
-        cov = square[np.ix_(at, at)] * np.outer(scale, scale) + 1e-12 * np.eye(4)
+        cov = square[_SEEN] * np.multiply.outer(scale, scale) + _LEAST_SEEN_COV
         seen = Sighting(frame.stamp, frame.seq, "registration", d, yaw, False, cov, 1.0)
         return Detection(seen, "registration", MappingProxyType({"registration": seen}))
 

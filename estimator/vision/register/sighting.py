@@ -19,6 +19,9 @@ from estimator.vision.register.tilt import roll_pitch, tilt_axes
 _WORTH = {EdgeKind.DISC: 0.4, EdgeKind.RING: 0.6, EdgeKind.ARROW: 0.4, EdgeKind.H: 0.6}
 """Weight of each kind of edge as evidence that this is the pad and no other round or white thing."""
 
+_EYE, _THRICE = np.eye(2), 3.0 * np.eye(3)
+_QUARTER_TURN = -np.array([[0.0, 1.0], [-1.0, 0.0]])
+
 
 def registered_sighting(frame: Frame, found: Registration, camera: Camera, orientation: Orientation) -> Sighting:
     """Return the sighting of method "registration".
@@ -36,8 +39,8 @@ def registered_sighting(frame: Frame, found: Registration, camera: Camera, orien
 
     normal = R_level_cam @ R_cam_pad[:, 2]
     # An error e of the attitude turns the normal by (axes @ e) x z; the remainder is the deck's own tilt.
-    A = -np.array([[0.0, 1.0], [-1.0, 0.0]]) @ axes[:2]
-    gain = C @ A.T @ np.linalg.inv(A @ C @ A.T + (orientation.sigma_deck_rad**2 + 1e-12) * np.eye(2))
+    A = _QUARTER_TURN @ axes[:2]
+    gain = C @ A.T @ np.linalg.inv(A @ C @ A.T + (orientation.sigma_deck_rad**2 + 1e-12) * _EYE)
     turn = cv2.Rodrigues(axes @ (gain @ normal[:2]))[0]
     R_level_cam = turn @ R_level_cam
     d = R_level_cam @ t + turn @ (R_level_body @ camera.T_body_cam.t)
@@ -86,17 +89,19 @@ def confidence(found: Registration) -> float:
     for kind, evidence in found.edges.items():
         if evidence.seen:
             doubt *= 1.0 - _WORTH[kind] * evidence.inliers
-    return float(np.clip((1.0 - doubt) * min(1.0, found.inliers / 0.6), 0.0, 1.0))
+    return max(0.0, min(1.0, (1.0 - doubt) * min(1.0, found.inliers / 0.6)))
 
 
 def _finite(uv: F64) -> F64:
+    if uv.size == 0:
+        return uv
     ok = np.isfinite(uv)
     return uv if ok.all() else uv[ok.all(axis=1)]
 
 
 def _nearest(m: F64) -> F64:
     """Return the nearest rotation by one Newton step; the matrix is a product of a few rotations (Higham 1986)."""
-    return np.asarray(0.5 * m @ (3.0 * np.eye(3) - m.T @ m))
+    return np.asarray(0.5 * m @ (_THRICE - m.T @ m))
 
 
 def _symmetric(m: F64) -> F64:
