@@ -102,6 +102,9 @@ async def _ask(autopilot: Autopilot, notes: _Notes, clock: Clock, seconds: float
     await wait_until(clock, _FIRST_ANSWER_S, answered)
     if answered():
         await wait_until(clock, _ASKING_MAX_S, lambda: parameters.settled and streams.settled)
+    if autopilot.condition.armed is False:
+        check = mav.MAV_CMD_RUN_PREARM_CHECKS
+        autopilot.send(mav.MAVLink_command_long_message(*identity.address, check, 0, 0, 0, 0, 0, 0, 0, 0))
     say("counting messages")
     before, since = autopilot.counts.copy(), clock.now()
     await clock.sleep(seconds)

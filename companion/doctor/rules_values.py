@@ -63,7 +63,7 @@ class ValueRule:
         to = named.there(to)
         what = f"{named.name} is {named.there(value):g}: {self.why}"
         if low > self.low:
-            what += f", which makes {snapshot.ship_speed_m_s:g} m/s"
+            what += f" (she makes {snapshot.ship_speed_m_s:g} m/s)"
         fix = f"set {named.name} {to:g}"
         return Finding(self.rule, self.severity, what, fix, (ParameterChange(named.name, to),))
 

@@ -67,13 +67,26 @@ async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
 
 
 async def test_a_later_firmware_is_asked_by_its_own_names() -> None:
-    fake = MiniatureAutopilot(parameters={"LAND_SPD_MS": 2.5, "LAND_SPEED": 50.0, "PLND_ENABLED": 1.0})
+    fake = MiniatureAutopilot(parameters=dict.fromkeys(names_in(PARAMETERS["ArduPilot"], (4, 7, 0)), 1.0))
     talking = asyncio.create_task(examined(fake, 0.3))
     await until(lambda: fake.commands[512] > 0)
     fake.send(mav.MAVLink_autopilot_version_message(0, 0x040700FF, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0))
     await until(lambda: any(m.param_id == "LAND_SPD_MS" for m in fake.of("PARAM_REQUEST_READ")))
     talking.cancel()
     assert not any(m.param_id == "LAND_SPEED" for m in fake.of("PARAM_REQUEST_READ"))
+
+
+async def test_only_a_disarmed_vehicle_is_asked_why_it_does_not_arm() -> None:
+    names = dict.fromkeys(PARAMETERS["ArduPilot"], 0.0)
+    fake = MiniatureAutopilot(armed=False, parameters=names)
+    talking = asyncio.create_task(examined(fake, 0.5))
+    await until(lambda: fake.commands[mav.MAV_CMD_RUN_PREARM_CHECKS] > 0)
+    fake.text(2, "PreArm: Compass not healthy")
+    assert "it refuses to arm: Compass not healthy" in {f.what for f in diagnose(await talking)}
+    armed = MiniatureAutopilot(armed=True, parameters=names)
+    await examined(armed, 0.3)
+    assert armed.commands[511] > 0, "it was examined"
+    assert armed.commands[mav.MAV_CMD_RUN_PREARM_CHECKS] == 0
 
 
 async def test_a_px4_without_the_module_and_with_an_event() -> None:

@@ -205,6 +205,20 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "another program's frame": ("frame-not-supported", ardupilot(texts=("Plnd: Frame not supported",)), "another program"),
     "targets at 1 Hz": ("target-too-rare", ardupilot(texts=("PrecLand: Init Failed",)), "10 Hz"),
     "target lost": ("target-lost", ardupilot(texts=("PrecLand: Target Lost",)), "light"),
+    "refuses to arm": (
+        "arming-refused",
+        ardupilot(
+            armed=False, texts=("PreArm: Need Position Estimate", "PreArm: Battery 1 low", "PreArm: Need Position Estimate")
+        ),
+        "open sky",
+    ),
+    "PX4 refuses to arm": (
+        "arming-refused",
+        px4(
+            armed=False, texts=("Preflight Fail: Compass Sensor 0 missing", "Arming denied: Resolve system health failures first")
+        ),
+        "steel",
+    ),
     "ArduPilot 4.0": ("firmware-old", ardupilot(firmware=(4, 0, 7)), "update"),
     "PX4 without the module": (
         "px4-precland-missing",
@@ -242,6 +256,10 @@ def test_the_trap_is_named_with_its_cure_and_no_other(name: str) -> None:
         assert snapshot.autopilot is not None
         healed = replace(snapshot.autopilot, parameters=snapshot.autopilot.parameters | {change.parameter: change.value})
         assert diagnose(replace(snapshot, autopilot=healed)) == (), "the change heals it"
+
+
+def test_an_old_refusal_of_a_vehicle_that_is_armed_is_none() -> None:
+    assert diagnose(ardupilot(armed=True, texts=("PreArm: Need Position Estimate",))) == ()
 
 
 def test_every_rule_has_a_broken_set_up() -> None:

@@ -112,6 +112,6 @@ def test_limits_of_speed_are_judged_against_the_ship_s() -> None:
     assert [f.rule for f in diagnose(slow)] == ["px4-land-way"]
     (speed, way) = diagnose(replace(slow, ship_speed_m_s=6.0))
     assert (speed.rule, way.rule) == ("px4-speed-limit", "px4-land-way")
-    assert speed.what == "MPC_XY_VEL_MAX is 7: it cannot overtake the ship, which makes 6 m/s"
+    assert speed.what == "MPC_XY_VEL_MAX is 7: it cannot overtake the ship (she makes 6 m/s)"
     assert speed.fix == "set MPC_XY_VEL_MAX 12"
     assert way.fix == "set LNDMC_XY_VEL_MAX 6.5"
