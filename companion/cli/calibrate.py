@@ -31,7 +31,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     p = outer.add_subparsers(dest="action", metavar="WHAT", required=True).add_parser(
         "camera",
         help="measure intrinsics and distortion with a printed board",
-        description="Measure intrinsics and distortion with images of a printed board (decklander pad --board charuco). "
+        description="Measure intrinsics and distortion with images of a printed board (decklander pad print --board charuco). "
         "The result "
         "is graded: good; fair, if the numbers hold but parts of the image or of the tilts are not covered; poor. If the "
         "grade is "

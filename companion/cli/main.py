@@ -36,7 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "record": ("companion.cli.record", "inspect, cut, repair and import recordings"),
     "watch": ("companion.cli.watch", "watch drones live in the terminal, over MQTT"),
     "calibrate": ("companion.cli.calibrate", "calibrate a camera"),
-    "pad": ("companion.cli.pad", "print the pad or a calibration board to scale"),
+    "pad": ("companion.cli.pad", "list, check or print pads"),
     "doctor": ("companion.cli.doctor", "diagnose the setup: autopilot, links, camera, broker"),
     "keys": ("companion.cli.keys", "make, show, install and remove MAVLink signing keys"),
     "config": ("companion.cli.config", "check, show or explain settings"),

@@ -1,4 +1,4 @@
-"""`decklander pad`: print the pad or a calibration board to scale."""
+"""`decklander pad`: list and check pads, print one or a calibration board to scale."""
 
 from __future__ import annotations
 
@@ -6,22 +6,33 @@ import argparse
 import sys
 from pathlib import Path
 
-from companion.cli import board_option
-from companion.config.settings import find_file, read_toml
+from companion.cli import board_option, pad_check
+from companion.config.settings import SHIPPED, find_file, read_toml, shipped
 from companion.print_pad.drawing import board_drawing, pad_drawing
 from companion.print_pad.pdf import pdf
 from companion.print_pad.sheets import PAPERS, sheets
 from companion.print_pad.svg import svg
 from estimator.contracts.errors import BadInput
 from estimator.vision.pad import Pad
+from estimator.vision.regions import part_of
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `decklander pad` to the parser."""
     p = subparsers.add_parser(
-        "pad",
-        help="print the pad or a calibration board to scale",
-        description="Print the pad or a calibration board to scale. Print at 100 % and measure the ruler on each sheet. Cut at "
+        "pad", help="list, check or print pads", description="List and check pads, print one or a calibration board to scale."
+    )
+    actions = p.add_subparsers(dest="action", required=True, metavar="ACTION")
+    actions.add_parser("list", help="list the shipped pads", description="List the shipped pads.")
+    pad_check.add_parser(actions)
+    _add_print(actions)
+
+
+def _add_print(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    p = actions.add_parser(
+        "print",
+        help="print a pad or a calibration board to scale",
+        description="Print a pad or a calibration board to scale. Print at 100 % and measure the ruler on each sheet. Cut at "
         "the marks, which lie in the middle of each overlap, and join the sheets edge to edge.",
     )
     p.add_argument(
@@ -40,6 +51,29 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
+    """List, check or print; return 0.
+
+    Raises:
+        BadInput: see the actions.
+    """
+    match args.action:
+        case "list":
+            for name in shipped("pads"):
+                pad = _pad(SHIPPED / "pads" / f"{name}.toml")
+                parts = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions))
+                sys.stdout.write(f"{name:10s} {2 * pad.disc_radius_m:5.2f} m across: {parts}\n")
+            return 0
+        case "check":
+            return pad_check.run(args)
+        case _:
+            return _print(args)
+
+
+def _pad(file: Path) -> Pad:
+    return Pad.from_mapping(read_toml(file), str(file))
+
+
+def _print(args: argparse.Namespace) -> int:
     """Write the sheets; return 0.
 
     Raises:
@@ -48,8 +82,7 @@ def run(args: argparse.Namespace) -> int:
     if args.board is not None:
         drawing = board_drawing(board_option.board(args, args.board))
     else:
-        file = find_file(args.pad, "pads", Path(), "PAD")
-        drawing = pad_drawing(Pad.from_mapping(read_toml(file), str(file)))
+        drawing = pad_drawing(_pad(find_file(args.pad, "pads", Path(), "PAD")))
     out = Path(args.out)
     if out.suffix.lower() not in (".pdf", ".svg"):
         raise BadInput(f"--out must end in .pdf or .svg, got {args.out!r}")

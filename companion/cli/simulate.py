@@ -10,7 +10,7 @@ from pathlib import Path
 
 from companion.cli import perception_option, record_option, report_option
 from companion.cli.progress import ProgressObserver
-from companion.config.settings import camera_model, pad_model, shipped
+from companion.config.settings import camera_model, find_file, pad_model, shipped
 from companion.report.drawing import require_drawing
 from companion.report.flight_log import FlightLog, TruthSample
 from companion.report.log_observer import LogObserver
@@ -59,6 +59,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="SCENARIO",
         help="fly it on this scenario instead of the base that its file names, as a fault in another sea",
     )
+    parser.add_argument("--pad", metavar="FILE", help="pad file, or the name of a shipped one, on deck and looked for")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write a report into this folder")
     record_option.add_arguments(parser)
@@ -85,6 +86,10 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--perception-model goes with --perception model or truth")
     if args.set and args.follow is not None:
         raise BadInput("--set does not go with --follow")
+    if args.pad is not None and args.follow is not None:
+        raise BadInput("--pad does not go with --follow")
+    if args.pad is not None:
+        args.set = [f"pad.file={find_file(args.pad, 'pads', Path(), '--pad')}", *args.set]
     if args.follow is not None:
         from companion.cli import simulate_follow
 

@@ -17,7 +17,7 @@ static const double LEAST_REACH_M = 0.02;
 
 /* One part of the drawing: its paint, and where its samples lie. */
 typedef struct {
-    int paint;
+    int paint, drawn;
     double half_length, half_width, inner, outer, area_m2;
 } zone;
 
@@ -42,10 +42,10 @@ static void zones_of(const pad_template *p, double side_m, zone out[PARTS])
     const double pi = acos(-1.0), reach = fmax(LEAST_REACH_M, side_m), edge = p->disc_edge_m - 2.5 * reach;
     const double inner = p->ring_inner_m - 2.0 * reach, outer = p->ring_outer_m + 2.0 * reach;
     const double around = AROUND_RADII * p->disc_radius_m + side_m;
-    const zone h = {PAINT_H, p->h_half_length_m + reach, p->h_half_width_m + reach, -1.0, INFINITY,
+    const zone h = {PAINT_H, p->h_half_length_m > 0.0, p->h_half_length_m + reach, p->h_half_width_m + reach, -1.0, INFINITY,
                     4.0 * p->h_half_length_m * p->h_half_width_m};
-    const zone ring = {PAINT_ORANGE, INFINITY, INFINITY, inner, outer, pi * (outer * outer - inner * inner)};
-    const zone disc = {PAINT_AROUND, INFINITY, INFINITY, edge, INFINITY, pi * (around * around - edge * edge)};
+    const zone ring = {PAINT_ORANGE, p->ring_outer_m > 0.0, INFINITY, INFINITY, inner, outer, pi * (outer * outer - inner * inner)};
+    const zone disc = {PAINT_AROUND, (int)p->disc_drawn, INFINITY, INFINITY, edge, INFINITY, pi * (around * around - edge * edge)};
     out[0] = h, out[1] = ring, out[2] = disc;
 }
 
@@ -211,14 +211,30 @@ static double missing(const part_gain *part)
     return -fmin(1.0, TELLING * part->shown) * exp(-2.0 * fmax(0.0, part->gain));
 }
 
+/* The gains of the parts. One that the pad does not have says what the weakest of the others says, and is not missed. */
+static void gains_of_parts(const samples *s, const painted *local, const zone zones[PARTS], double side_m, part_gain parts[PARTS])
+{
+    part_gain least = {ENOUGH, ENOUGH, 0.0};
+    for (int k = 0; k < PARTS; k++) {
+        if (zones[k].drawn) {
+            parts[k] = gain_of_part(s, local, &zones[k], side_m);
+            least.gain = fmin(least.gain, parts[k].gain);
+            least.all = fmin(least.all, parts[k].all);
+        }
+    }
+    for (int k = 0; k < PARTS; k++) {
+        parts[k] = zones[k].drawn ? parts[k] : least;
+    }
+}
+
 void align_features(const pad_template *p, const samples *s, const painted *local, aligned_pad *out)
 {
     zone zones[PARTS];
     part_gain parts[PARTS];
     double *f = out->features, gains[PARTS];
     zones_of(p, out->sample_m, zones);
+    gains_of_parts(s, local, zones, out->sample_m, parts);
     for (int k = 0; k < PARTS; k++) {
-        parts[k] = gain_of_part(s, local, &zones[k], out->sample_m);
         gains[k] = parts[k].gain;
     }
     const double h = gains[0], ring = gains[1], edge = gains[2];

@@ -527,6 +527,7 @@ typedef struct {
     int64_t disc_channel;
     int64_t arrow_rows;
     int64_t arrow_columns;
+    int64_t disc_drawn;
     double per_m;
     double log_blur[5];
     double local_m;
@@ -870,7 +871,7 @@ void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea
 void vehicle_carry(vehicle *v, const deck *g);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 3056974540u
+#define INTERFACE_DIGEST 4016957680u
 #endif
 
 #endif

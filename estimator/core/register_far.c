@@ -26,6 +26,15 @@ static const double COVERED = 0.98, POINTER_IN_VIEW = 0.1;
  * white balance off by 20 % and light of 3000 K, white against green and orange against green stay above 0.8. */
 static const double SNR_SEEN = 5.0, LIKENESS_SEEN = 0.4;
 
+int kinds_drawn(const pad_shape *pad)
+{
+    int drawn = 0;
+    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+        drawn += pad->contrast_of_kind[kind] >= 0;
+    }
+    return drawn ? drawn : 1;
+}
+
 int stands_out(double amplitude, double opposite, double sigma)
 {
     return amplitude - opposite > fmax(0.5, 4.0 * sigma);
@@ -66,10 +75,12 @@ static int robust_information(const dense_fit *fit, double out[STATES * STATES])
     memcpy(meat, fit->meat, sizeof meat);
     memcpy(X, fit->H, sizeof X);
     for (int i = 0; i < STATES; i++) {
-        if (!(fit->H[i * (STATES + 1)] > 0.0)) {
+        const double own = fit->H[i * (STATES + 1)];
+        if (!(own >= 0.0)) {
             return 0;
         }
-        meat[i * (STATES + 1)] += 1e-9 * fit->H[i * (STATES + 1)];
+        /* Rectangles do not say how the blur slants: of that state nothing is known but its prior. */
+        meat[i * (STATES + 1)] += own > 0.0 ? 1e-9 * own : 1.0;
     }
     if (!solve_symmetric(STATES, STATES, meat, STATES, X)) {
         return 0;
@@ -184,6 +195,10 @@ static void find_support(const pad_shape *pad, const patch *cut, const dense_fit
     out->inliers = fmin(1.0, all / cut->n / MEAN_WEIGHT);
     for (int kind = 0; kind < EDGE_KINDS; kind++) {
         edge_support *e = &out->edges[kind];
+        if (pad->contrast_of_kind[kind] < 0) {
+            *e = (edge_support){.likeness = 1.0};
+            continue;
+        }
         const int row = FIRST_REGION + (int)pad->contrast_of_kind[kind];
         double total = 0.0, agree = 0.0, snr2 = 0.0;
         if (kind == pad->pointer_kind) {
@@ -250,7 +265,7 @@ int register_far(const view *v, const pad_shape *pad, const fit_options *o, cons
     find_support(pad, &cut, &fit, &d, in_view ? &seen : NULL, out);
     out->arrow_seen = in_view && stands_out(seen.here, seen.there, seen.sigma) && !out->doubted;
     for (int kind = 0; kind < EDGE_KINDS; kind++) {
-        out->visible += out->edges[kind].in_view / EDGE_KINDS;
+        out->visible += out->edges[kind].in_view / kinds_drawn(pad);
     }
     out->inliers *= out->doubted ? 0.5 : 1.0;
     out->noise_light = sqrt(fit.noise * 0.5 / NOISE_LEFT);

@@ -12,6 +12,9 @@ typedef struct {
 
 /* Whether an amplitude is so much larger than the one at the opposite place that the heading is certain. */
 int stands_out(double amplitude, double opposite, double sigma);
+/* The number of kinds of edges that the pad has. */
+int kinds_drawn(const pad_shape *pad);
+
 /* The support for a pointer of this amplitude; 1 is nominal. */
 edge_support pointer_support(double amplitude, double sigma, const double contrast[CHANNELS], double in_view);
 

@@ -242,7 +242,7 @@ static void find_support(const pad_shape *pad, const profiles *p, const channel_
     double all[2] = {0.0, 0.0}, amplitude, sigma;
     for (int kind = 0; kind < EDGE_KINDS; kind++) {
         support_of(p, kind, mix, d, fit, all, &out->edges[kind]);
-        out->visible += p->in_view[kind] / EDGE_KINDS;
+        out->visible += p->in_view[kind] / kinds_drawn(pad);
     }
     out->inliers = fmin(1.0, all[1] / fmax(1.0, MEAN_WEIGHT * all[0]));
     out->noise_light = noise_of_light(mix, fit);

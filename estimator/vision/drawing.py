@@ -14,11 +14,9 @@ from estimator.contracts.geometry import F64
 from estimator.vision.markings import BARE, Markings, Rgb
 from estimator.vision.pad import Pad
 from estimator.vision.regions import depth_in
-from estimator.vision.srgb import linear_light
+from estimator.vision.srgb import LUMA, linear_light
 
 _SPACING_M = 0.004
-_LUMA = np.array([0.2126, 0.7152, 0.0722])
-"""Weights of linear red, green, blue in luminance. Source: ITU-R BT.709."""
 
 
 class EdgeKind(IntEnum):
@@ -82,7 +80,7 @@ def edges_of(pad: Pad) -> Edges:
         inside,
         outside,
         np.array([paints[k][1] is None for k in EdgeKind])[kind],
-        np.asarray((linear_light(inside) - linear_light(outside)) @ _LUMA),
+        np.asarray((linear_light(inside) - linear_light(outside)) @ LUMA),
     )
 
 

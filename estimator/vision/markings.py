@@ -67,8 +67,12 @@ class Markings:
     @property
     def is_whole(self) -> bool:
         """Whether there are a disc, a ring, an arrowhead and an H: the markings that the thesis' methods measure."""
-        is_h = len(self.letters) == 1 and isinstance(self.letters[0], PaintedLetter) and self.letters[0].letter == "H"
-        return bool(self.field_radius_m and self.ring_outer_m and self.arrow is not None and is_h)
+        return bool(self.field_radius_m and self.ring_outer_m and self.arrow is not None and self.is_h)
+
+    @property
+    def is_h(self) -> bool:
+        """Whether the lettering is an H."""
+        return len(self.letters) == 1 and isinstance(self.letters[0], PaintedLetter) and self.letters[0].letter == "H"
 
     @property
     def ring_radius_m(self) -> float:

@@ -7,6 +7,10 @@ from numpy.typing import ArrayLike
 
 from estimator.contracts.geometry import F64
 
+LUMA = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of linear red, green, blue in luminance. Source: ITU-R BT.709."""
+LUMA.setflags(write=False)
+
 
 def linear_light(values: ArrayLike) -> F64:
     """Return the linear light, 0..1, of sRGB values 0..255 of any shape."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET
@@ -39,7 +40,7 @@ def near(px: NDArray[np.uint8], rgb: tuple[int, int, int]) -> NDArray[np.bool_]:
 @pytest.mark.parametrize(("paper", "pages"), [("a4", 15), ("a3", 6), ("full", 1)])
 def test_the_sheets_put_together_are_the_pad_in_its_true_size(tmp_path: Path, paper: str, pages: int) -> None:
     out = tmp_path / "pad.pdf"
-    assert main(["pad", "thesis", "--paper", paper, "--out", str(out)]) == 0
+    assert main(["pad", "print", "thesis", "--paper", paper, "--out", str(out)]) == 0
     drawing = pad_drawing(PAD)
     layout = sheets(drawing, paper)  # type: ignore[arg-type]
     images = rendered(out)
@@ -87,7 +88,7 @@ def test_the_printed_board_is_found_where_it_was_drawn(tmp_path: Path, board: Bo
     chosen = ["--square-mm", str(1000 * board.square_m), "--marker-mm", str(1000 * board.marker_m), "--paper", paper]
     if board.kind == "chessboard":
         chosen += ["--squares", "7x10"]
-    assert main(["pad", "--board", board.kind, *chosen, "--out", str(out)]) == 0
+    assert main(["pad", "print", "--board", board.kind, *chosen, "--out", str(out)]) == 0
     (px,) = rendered(out)
     found = board.find(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY))
     assert found is not None
@@ -133,14 +134,14 @@ def test_neighbouring_sheets_share_their_cut() -> None:
 
 def test_svg_says_millimetres_and_draws_the_same_circles(tmp_path: Path) -> None:
     out = tmp_path / "pad.svg"
-    assert main(["pad", "--paper", "full", "--out", str(out)]) == 0
+    assert main(["pad", "print", "--paper", "full", "--out", str(out)]) == 0
     root = ET.parse(out).getroot()
     width_mm, height_mm = (float(root.attrib[k].removesuffix("mm")) for k in ("width", "height"))
     assert root.attrib["viewBox"] == f"0 0 {width_mm:g} {height_mm:g}"
     assert (width_mm, height_mm) == (800.0, 800.0)
     drawn = [float(c.attrib["r"]) for c in root.iter("{http://www.w3.org/2000/svg}circle")]
     assert drawn == pytest.approx([s.radius_mm for s in pad_drawing(PAD).shapes if isinstance(s, Disc)])
-    assert main(["pad", "--out", str(out)]) == 0
+    assert main(["pad", "print", "--out", str(out)]) == 0
     assert len(list(tmp_path.glob("pad_r*c*.svg"))) == len(sheets(pad_drawing(PAD), "a4"))
 
 
@@ -158,7 +159,32 @@ def test_wrong_use_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["pad", *arguments]) == 2
+    assert main(["pad", "print", *arguments]) == 2
     said = capsys.readouterr().err
     assert words in said
     assert said.count("\n") == 1
+
+
+def test_shipped_pads_are_listed_and_checked(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["pad", "list"]) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert {"thesis", "printed", "icao", "helideck", "h", "x"} <= set(listed)
+    assert main(["pad", "check", "x", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["alike_headings"] == 4
+    assert "quarter turn" in found["warnings"][0]
+    ranges = [bound["range_m"] for bound in found["bounds"]]
+    assert ranges[2:] == sorted(ranges[2:]), "less is known from farther away"
+    assert main(["pad", "check", "thesis"]) == 0
+    said = capsys.readouterr().out
+    assert "0.78 m across, 4 regions" in said
+    assert "deck green" in said.splitlines()[-1]
+
+
+def test_a_pad_in_millimetres_is_refused_with_its_cure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "mm.toml"
+    file.write_text('name = "mm"\n[paints]\nred = [200, 0, 0]\n[[regions]]\nshape = "disc"\npaint = "red"\nradius_m = 390\n')
+    assert main(["pad", "check", str(file)]) == 2
+    said = capsys.readouterr().err
+    assert "regions[0].radius_m" in said
+    assert "Write metres, 0.39 for 390" in said

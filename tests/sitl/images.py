@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
 from estimator.vision.regions import part_of
 from sitl.camera import Exposure
 
@@ -44,6 +45,12 @@ def shot(
     d_cam_pad = np.array([aside[0] * height_m, aside[1] * height_m, height_m])
     p_body = p_pad - R_ned_cam @ d_cam_pad - R_ned_body @ MOUNT.t
     return Exposure(4.0, R_ned_body, p_body, R_ned_pad, p_pad, **more)
+
+
+def pad_pose(s: Exposure, camera: Camera) -> PadPose:
+    """The pad as the camera sees it in the middle of the exposure."""
+    R_cam_ned = (s.R_ned_body @ camera.T_body_cam.R).inv
+    return PadPose(R_cam_ned @ s.R_ned_pad, R_cam_ned @ (s.p_pad_ned - s.p_body_ned - s.R_ned_body @ camera.T_body_cam.t))
 
 
 def project(camera: Camera, s: Exposure, p_pad: F64) -> F64:

@@ -35,7 +35,7 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
     "frame_part": integers("level", "left", "top", "width", "height"),
     "pad_pose": doubles(R=9, t=3),
     "pad_template": (
-        *integers("n", "disc_channel", "arrow_rows", "arrow_columns"),
+        *integers("n", "disc_channel", "arrow_rows", "arrow_columns", "disc_drawn"),
         *doubles(
             per_m=1, log_blur=TEMPLATE_BLURS, local_m=1, reach_m=1, disc_radius_m=1, disc_edge_m=1,
             h_half_length_m=1, h_half_width_m=1, ring_inner_m=1, ring_outer_m=1,

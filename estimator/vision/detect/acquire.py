@@ -198,7 +198,7 @@ def _from_discs(
     A circle may be the disc's own edge, or the ring's inner or outer edge.
     """
     least = 1.2 * image.step / camera.fx
-    edges = (disc_edge_m(pad), pad.markings.ring_inner_m, pad.markings.ring_outer_m)
+    edges = [radius_m for radius_m in (disc_edge_m(pad), pad.markings.ring_inner_m, pad.markings.ring_outer_m) if radius_m]
     for limit in limits(image, memory.dominance(pad)):
         out: list[_Guess] = []
         for disc_region in disc_regions(image, limit):
@@ -290,7 +290,8 @@ def _from_strokes(pyramid: Pyramid, level: int, camera: Camera, pad: Pad, plane:
 
     The camera must be near enough for a stroke to be a few pixels wide in the coarse frame.
     """
-    return [_Guess(f.pose, 0.0, f.score, plane.known) for f in h_markings(pyramid[level], 1 << level, camera, pad, plane)]
+    found = h_markings(pyramid[level], 1 << level, camera, pad, plane) if pad.markings.is_h else []
+    return [_Guess(f.pose, 0.0, f.score, plane.known) for f in found]
 
 
 def _from_blobs(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> list[_Guess]:

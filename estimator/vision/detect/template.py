@@ -158,6 +158,7 @@ def _packed(pad: Pad, n: int) -> F64:
     )
     words = record("pad_template", {
         "n": n, "disc_channel": 2 - int(np.argmax(marks.colours.disc)), "arrow_rows": rows, "arrow_columns": columns + 1,
+        "disc_drawn": bool(pad.markings.field_radius_m),
         "per_m": 1.0 / STEP_M, "log_blur": np.log(BLURS_M), "local_m": LOCAL_M, "reach_m": REACH * pad.disc_radius_m,
         "disc_radius_m": pad.disc_radius_m, "disc_edge_m": disc_edge_m(pad),
         "h_half_length_m": marks.h_length_m / 2, "h_half_width_m": marks.h_width_m / 2,

@@ -66,6 +66,7 @@ def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
 
     Args:
         aligned: the drawing aligned at the registered pose.
+        pad: what is compared with a part that it does not have counts as nothing.
     """
     values = aligned.features
     template_score = verification.log_odds(values)
@@ -73,13 +74,18 @@ def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
     shown = {kind: min(1.0, _TELLING * found.edges[kind].in_view) for kind in kinds}
     off = {kind: -shown[kind] * (1.0 - found.edges[kind].inliers) for kind in kinds}
     unseen = {kind: -shown[kind] * (not found.edges[kind].seen) for kind in kinds}
-    dense, orange_off = float(found.dense), _orange_off(found, pad) if found.dense else 0.0
+    marks = pad.markings
+    has_ring, has_both = bool(marks.ring_outer_m), bool(marks.ring_outer_m and marks.letters)
+    has_field = bool(marks.field_radius_m)
+    faint_disc = found.edges[EdgeKind.DISC].snr < _SNR_VISIBLE
+    dense, orange_off = float(found.dense), _orange_off(found, pad) if found.dense and has_both else 0.0
     return np.array([
         1.0, max(-8.0, min(8.0, template_score)), found.inliers, *off.values(), unseen[EdgeKind.RING], unseen[EdgeKind.H],
         dense, dense * found.inliers, -min(1.0, found.edge_rms_px), found.visible,
-        dense * max(-8.0, min(8.0, template_score)), dense * _clear(found, EdgeKind.DISC), -orange_off,
-        _no_ring(values, found), (1.0 - dense) * shown[EdgeKind.DISC] * (found.edges[EdgeKind.DISC].snr < _SNR_VISIBLE),
-        dense * _painted(found, orange_off), dense * _faint(found), dense * _h_contrast_odd(found),
+        dense * max(-8.0, min(8.0, template_score)), dense * _clear(found, EdgeKind.DISC) * has_field, -orange_off,
+        _no_ring(values, found) * has_ring, (1.0 - dense) * shown[EdgeKind.DISC] * faint_disc,
+        dense * _painted(found, orange_off) * has_both, dense * _faint(found) * bool(has_field and marks.letters),
+        dense * _h_contrast_odd(found) * has_both,
     ])  # fmt: skip
 
 

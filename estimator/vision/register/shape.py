@@ -8,45 +8,73 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from estimator.contracts.geometry import F64
+from estimator.core.interface.registration import PAD_CONTRASTS, POINTER_MARKS
 from estimator.core.records import record
 from estimator.vision.drawing import EdgeKind
+from estimator.vision.markings import Markings
 from estimator.vision.pad import Pad
+from estimator.vision.regions import rectangles_of
 from estimator.vision.srgb import linear_light
 
 _STRIPS = 6
 _FAR_M = 1e6
-_DISC, _RING, _H = 0, 1, 2
-"""Indices of the regions as painted; the rim, if there is one, is the last."""
-_SURROUNDINGS = -1
+_SURROUNDINGS = _NONE = -1
 _H_FIGURE, _ARROW_FIGURE, _NO_FIGURE = 0, 1, -1
 
 
 @lru_cache(maxsize=8)
 def pad_shape(pad: Pad) -> F64:
-    """Return the words of the core's `pad_shape`; the result is cached."""
-    marks = pad.markings
-    field_m, arrow = marks.field_radius_m, marks.arrowhead()[:, :2]
-    disc, h = _region((field_m,)), _region((), _H_FIGURE)
-    ring = (marks.ring_outer_m, marks.ring_inner_m)
-    contrasts = [disc, _region(ring, _ARROW_FIGURE), h]
+    """Return the words of the core's `pad_shape`; the result is cached. A kind of edge that the pad lacks has no contrast."""
+    marks, arrow = pad.markings, pad.markings.arrowhead()[:, :2]
+    field_m, ring = marks.field_radius_m, (marks.ring_outer_m, marks.ring_inner_m) if marks.ring_outer_m else ()
+    disc, h = _region((field_m,) if field_m else ()), _region((), _H_FIGURE if marks.letters else _NO_FIGURE)
+    painted: dict[str, dict[str, Any]] = {}
+    if field_m:
+        painted["disc"] = disc
+    if ring or marks.arrow is not None:
+        painted["ring"] = _region(ring, _ARROW_FIGURE if marks.arrow is not None else _NO_FIGURE)
+    if marks.letters:
+        painted["h"] = h
     if marks.rim_width_m:
-        contrasts.append(_region((pad.disc_radius_m, field_m)))
+        painted["rim"] = _region((pad.disc_radius_m, field_m))
+    at = {name: index for index, name in enumerate(painted)}
+    below = {"disc": _SURROUNDINGS, "rim": _SURROUNDINGS}
+    lies_on = [below.get(name, at.get("disc", _SURROUNDINGS)) for name in painted]
+    pointer = at["ring"] if marks.arrow is not None else _NONE
     return record("pad_shape", {
-        "contrast_count": len(contrasts), "pointer_kind": EdgeKind.ARROW, "pointer_contrast": _RING,
-        "pointer_figure": _ARROW_FIGURE, "lies_on": (_SURROUNDINGS, _DISC, _DISC, _SURROUNDINGS),
-        "contrast_of_kind": (_DISC, _RING, _RING, _H),
-        "paint_of_kind": (EdgeKind.DISC, EdgeKind.RING, EdgeKind.RING, EdgeKind.H),
-        "disc_radius_m": pad.disc_radius_m, "half_length_m": 0.5 * marks.h_length_m, "pointer_clear_m": marks.ring_inner_m,
-        "gap_m": min(field_m - marks.arrow_tip_m, marks.ring_inner_m - math.hypot(marks.h_length_m, marks.h_width_m) / 2),
-        "pointer_marks_m": [*arrow, arrow.mean(axis=0)], "nominal": _contrasts(pad), "zones": _zones(pad),
-        "contrasts": contrasts, "kinds": [disc, _region(ring), _region(ring, has_wedge=True), h],
-        "figures": [_h_figure(pad), _arrow_figure(pad)], "wedge": _arrow_wedge(pad),
+        "contrast_count": len(painted), "pointer_kind": EdgeKind.ARROW if marks.arrow is not None else _NONE,
+        "pointer_contrast": pointer, "pointer_figure": _ARROW_FIGURE,
+        "lies_on": [*lies_on, *[_SURROUNDINGS] * (PAD_CONTRASTS - len(lies_on))],
+        "contrast_of_kind": (at.get("disc", _NONE), at.get("ring", _NONE) if ring else _NONE, pointer, at.get("h", _NONE)),
+        "paint_of_kind": (EdgeKind.DISC, EdgeKind.RING, EdgeKind.RING if ring else EdgeKind.ARROW, EdgeKind.H),
+        "disc_radius_m": pad.disc_radius_m, "half_length_m": 0.5 * marks.h_length_m or pad.disc_radius_m,
+        "pointer_clear_m": marks.ring_inner_m, "gap_m": _gap(marks),
+        "pointer_marks_m": [*arrow, arrow.mean(axis=0)] if len(arrow) else np.zeros((POINTER_MARKS, 2)),
+        "nominal": _contrasts(marks), "zones": _zones(pad), "contrasts": list(painted.values()),
+        "kinds": [disc, _region(ring), _region(ring, has_wedge=marks.arrow is not None), h],
+        "figures": [_figure(rectangles_of(marks.letters)), _arrow_figure(pad)], "wedge": _arrow_wedge(pad),
     })  # fmt: skip
+
+
+def _gap(marks: Markings) -> float:
+    """Return the least distance between edges of different kinds, m; of a pad with one kind the width of what is painted."""
+    around = [
+        (0.0, math.hypot(marks.h_length_m, marks.h_width_m) / 2) if marks.letters else None,
+        (marks.ring_inner_m or marks.arrow_tip_m - marks.arrow_depth_m, marks.arrow_tip_m or marks.ring_outer_m)
+        if marks.ring_outer_m or marks.arrow is not None
+        else None,
+        (marks.field_radius_m, marks.field_radius_m) if marks.field_radius_m else None,
+    ]
+    parts = [part for part in around if part is not None]
+    if len(parts) > 1:
+        return min(outer[0] - inner[1] for inner, outer in pairwise(parts))
+    return min(marks.leg_width_m, marks.bar_width_m) or marks.ring_outer_m - marks.ring_inner_m or marks.field_radius_m
 
 
 def _region(radii_m: Sequence[float], figure: int = _NO_FIGURE, has_wedge: bool = False) -> dict[str, Any]:
@@ -59,6 +87,8 @@ def _region(radii_m: Sequence[float], figure: int = _NO_FIGURE, has_wedge: bool 
 
 def _figure(rectangles: Sequence[tuple[float, float, float, float]]) -> dict[str, Any]:
     """Return a figure of rectangles (x0, x1, y0, y1) that do not overlap."""
+    if not rectangles:
+        return {"rectangles": 0}
     sides = np.array(rectangles)
     x_m, y_m = np.unique(sides[:, :2]), np.unique(sides[:, 2:])
     x, y = np.searchsorted(x_m, sides[:, :2]), np.searchsorted(y_m, sides[:, 2:])
@@ -68,18 +98,14 @@ def _figure(rectangles: Sequence[tuple[float, float, float, float]]) -> dict[str
     }  # fmt: skip
 
 
-def _h_figure(pad: Pad) -> dict[str, Any]:
-    length, bar, outer = 0.5 * pad.markings.h_length_m, 0.5 * pad.markings.bar_width_m, 0.5 * pad.markings.h_width_m
-    inner = outer - pad.markings.leg_width_m
-    return _figure([(-length, length, -outer, -inner), (-length, length, inner, outer), (-bar, bar, -inner, inner)])
-
-
 def _arrow_figure(pad: Pad) -> dict[str, Any]:
     """Return the arrowhead beyond the ring where the blur is not small compared with it, as strips along x.
 
     A product of blurred sides is valid only while each side is blurred separately. Strips between an arc and a slanted side are
     exact in the limit of many; a few leave steps far finer than the blur.
     """
+    if pad.markings.arrow is None:
+        return _figure([])
     slope = pad.markings.arrow_half_base_m / pad.markings.arrow_depth_m
     base = pad.markings.arrow_tip_m - pad.markings.arrow_depth_m
 
@@ -99,6 +125,8 @@ def _arrow_figure(pad: Pad) -> dict[str, Any]:
 
 def _arrow_wedge(pad: Pad) -> dict[str, Any]:
     """Return the arrowhead beyond the ring where the blur is small compared with it: two sides and the base."""
+    if pad.markings.arrow is None:
+        return {"sides": 0}
     slant = math.hypot(pad.markings.arrow_half_base_m, pad.markings.arrow_depth_m)
     along, aside = pad.markings.arrow_half_base_m / slant, pad.markings.arrow_depth_m / slant
     base = pad.markings.arrow_tip_m - pad.markings.arrow_depth_m
@@ -114,23 +142,30 @@ def _arrow_wedge(pad: Pad) -> dict[str, Any]:
 
 def _zones(pad: Pad) -> list[dict[str, Any]]:
     """Return, for each kind of edge, where edges of another kind are."""
-    field_m, length, width = pad.markings.field_radius_m, 0.5 * pad.markings.h_length_m, 0.5 * pad.markings.h_width_m
+    marks = pad.markings
+    length, width, field_m = 0.5 * marks.h_length_m, 0.5 * marks.h_width_m, marks.field_radius_m or _FAR_M
 
     def zone(inside: float, outside: float, box: tuple[float, ...] = (_FAR_M,) * 4, radius: float = _FAR_M) -> dict[str, Any]:
         return {"inside_m": inside, "outside_m": outside, "thinnest_m": _FAR_M, "box_m": box, "box_radius_m": radius}
 
-    beside_arrow = (0.0, pad.markings.arrow_tip_m, -pad.markings.arrow_half_base_m, pad.markings.arrow_half_base_m)
-    disc = zone(pad.markings.ring_outer_m, _FAR_M, beside_arrow, pad.markings.arrow_tip_m)
-    if pad.markings.rim_width_m:
+    disc = zone(marks.ring_outer_m or math.hypot(length, width), _FAR_M)
+    if marks.arrow is not None:
+        beside_arrow = (0.0, marks.arrow_tip_m, -marks.arrow_half_base_m, marks.arrow_half_base_m)
+        disc = zone(marks.ring_outer_m, _FAR_M, beside_arrow, marks.arrow_tip_m)
+    if marks.rim_width_m:
         # If no pixel sees the rim alone, its inner edge cannot be separated from its outer one.
-        disc |= {"outside_m": pad.disc_radius_m, "thinnest_m": pad.markings.rim_width_m}
-    h = (-length, length, -width, width)
-    return [disc, zone(-_FAR_M, field_m, h), zone(-_FAR_M, field_m), zone(-_FAR_M, pad.markings.ring_inner_m)]
+        disc |= {"outside_m": pad.disc_radius_m, "thinnest_m": marks.rim_width_m}
+    h = (-length, length, -width, width) if marks.letters else (_FAR_M,) * 4
+    beyond_h = marks.ring_inner_m or (marks.arrow_tip_m - marks.arrow_depth_m) or field_m
+    return [disc, zone(-_FAR_M, field_m, h), zone(-_FAR_M, field_m), zone(-_FAR_M, beyond_h)]
 
 
-def _contrasts(pad: Pad) -> F64:
-    """Return the (4, 3) BGR unit vectors from the disc's paint to that inside each kind of edge; zero for the disc's own."""
-    paints = pad.markings.colours
+def _contrasts(marks: Markings) -> F64:
+    """Return the (4, 3) BGR unit vectors from the disc's paint to that inside each kind of edge.
+
+    They are zero for the disc's own edge and on a bare deck, whose colour is not known.
+    """
+    paints = marks.colours
     disc, ring, h = (linear_light(rgb[::-1]) for rgb in (paints.disc, paints.ring, paints.h))
-    ways = np.array([np.zeros(3), ring - disc, ring - disc, h - disc])
+    ways = np.array([np.zeros(3), ring - disc, ring - disc, h - disc]) * bool(marks.field_radius_m)
     return np.asarray(ways / np.maximum(np.linalg.norm(ways, axis=1), 1e-6)[:, None])

@@ -43,6 +43,8 @@ def detect(
 ) -> Detection:
     """Run all methods on one frame. This is a pure function.
 
+    The methods measure the thesis' markings, so on a pad without all of them they find nothing.
+
     Args:
         attitude: the attitude at the frame's exposure. None assumes a level vehicle, with a wide covariance.
         sigma_deck_rad: one standard deviation of the roll and pitch of the deck, which is assumed level.
@@ -54,7 +56,7 @@ def detect(
         h, w = frame.px.shape[:2]
         raise ValueError(f"the frame is {w}x{h} px, the camera's are {camera.width}x{camera.height}")
     view = OrientedCamera(camera, Orientation.of(attitude, sigma_deck_rad))
-    seg = segment(frame.px, colours)
+    seg = segment(frame.px, colours) if pad.markings.is_whole else None
     if seg is None:
         return Detection(None, None, MappingProxyType({"ellipse": None, "arrow": None, "corners": None}))
     disc = find_disc(seg, view, pad)

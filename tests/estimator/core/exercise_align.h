@@ -8,6 +8,7 @@ static pad_template random_template(int half, double radius_m)
     p.per_m = half / (1.22 * radius_m), p.local_m = 0.15 * radius_m, p.reach_m = 1.22 * radius_m;
     p.disc_radius_m = radius_m, p.disc_edge_m = radius_m, p.h_half_length_m = 0.35 * radius_m, p.h_half_width_m = 0.25 * radius_m;
     p.ring_inner_m = 0.62 * radius_m, p.ring_outer_m = 0.67 * radius_m;
+    p.disc_drawn = half % 2;
     p.arrow_tip_m = 0.77 * radius_m, p.arrow_depth_m = p.arrow_half_base_m = 0.12 * radius_m;
     p.arrow_margin_m = 0.05 * radius_m, p.arrow_pitch_m = 0.04 * radius_m;
     for (int k = 0; k < TEMPLATE_BLURS; k++) {

@@ -1,0 +1,126 @@
+"""`decklander pad check`: how accurately a pad can be measured, how it stands out, and whether it tells its heading."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.config.settings import find_file, read_toml
+from estimator.vision.camera import Camera
+from estimator.vision.drawing import EdgeKind, edges_of
+from estimator.vision.pad import Pad
+from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings
+from estimator.vision.srgb import LUMA, linear_light
+
+_HEIGHTS_M = (0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0)
+_DECKS = {
+    "grey steel": (128, 128, 128), "dark non-slip": (58, 60, 62), "deck green": (40, 80, 60), "red lead": (120, 50, 40),
+    "concrete": (180, 176, 168),
+}  # fmt: skip
+_LEAST_CONTRAST = 0.05
+"""Least luminance between a deck and what is painted on it, full scale 1: less drowns in wear, ripples and shadows."""
+_LEAST_RADIUS_PX = 5.0
+"""Least radius of a pad that is searched for: below it the parts merge into a spot."""
+_NAMES = {EdgeKind.DISC: "disc", EdgeKind.RING: "ring", EdgeKind.ARROW: "arrowhead", EdgeKind.H: "lettering"}
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander pad check` to the parser of `decklander pad`."""
+    p = subparsers.add_parser(
+        "check",
+        help="check a pad's file, and say how well it can be measured",
+        description="Check a pad's file, and say how accurately it can be measured by height (Cramer-Rao bound of one frame), "
+        "how it stands out from decks, and whether it tells its heading. Exit code 0; 2 if the file is refused.",
+    )
+    p.add_argument("pad", metavar="PAD", help="pad file, or the name of a shipped one")
+    p.add_argument(
+        "--camera", default="sim", metavar="FILE", help="camera file, or the name of a shipped one (default: %(default)s)"
+    )
+    p.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the findings; return 0.
+
+    Raises:
+        BadInput: the pad or the camera is missing or has a fault.
+    """
+    file, camera_file = find_file(args.pad, "pads", Path(), "PAD"), find_file(args.camera, "cameras", Path(), "--camera")
+    pad, camera = Pad.from_mapping(read_toml(file), str(file)), Camera.from_mapping(read_toml(camera_file), str(camera_file))
+    deck = linear_light(_DECKS["grey steel"])
+    bounds = [accuracy(pad, camera, height_m, deck) for height_m in _HEIGHTS_M]
+    headings, contrasts, lowest = alike_headings(pad), _contrasts(pad), _lowest(pad)
+    farthest_m = 0.5 * (camera.fx + camera.fy) * pad.disc_radius_m / _LEAST_RADIUS_PX
+    warnings = [*_heading_warnings(headings), *_deck_warnings(lowest)]
+    if args.json:
+        found: dict[str, Any] = {
+            "pad": pad.name, "radius_m": pad.disc_radius_m, "alike_headings": headings, "contrasts": contrasts,
+            "deck_contrasts": lowest, "farthest_m": farthest_m, "bounds": [_record(b) for b in bounds], "warnings": warnings,
+        }  # fmt: skip
+        sys.stdout.write(json.dumps(found) + "\n")
+        return 0
+    lines = [f"{pad.name}: {2 * pad.disc_radius_m:g} m across, {len(pad.regions)} regions", ""]
+    lines.append(
+        f"what one frame can tell at best ({args.camera}, {100 * NOISE:g} % noise, straight above, tilt known), one sigma:"
+    )
+    lines.append(f"{'height':>9} {'radius':>9} {'in view':>8} {'lateral':>10} {'range':>10} {'heading':>9}")
+    lines += [_line(bound) for bound in bounds]
+    lines += [f"its radius falls below {_LEAST_RADIUS_PX:g} px at {farthest_m:.0f} m", ""]
+    lines += [f"{name}: luminance {value:+.2f} of what it lies on" for name, value in contrasts.items()]
+    lines += [f"on {name}: luminance {value:+.2f} at the outer edge" for name, value in lowest.items()]
+    lines += [f"warning: {warning}" for warning in warnings] or ["no warnings"]
+    sys.stdout.write("\n".join(lines) + "\n")
+    return 0
+
+
+def _record(bound: PadAccuracy) -> dict[str, float | None]:
+    yaw = math.degrees(bound.yaw_rad) if math.isfinite(bound.yaw_rad) else None
+    return {
+        "height_m": bound.height_m, "radius_px": bound.radius_px, "in_view": bound.in_view, "lateral_m": bound.lateral_m,
+        "range_m": bound.range_m, "yaw_deg": yaw,
+    }  # fmt: skip
+
+
+def _line(b: PadAccuracy) -> str:
+    yaw = f"{math.degrees(b.yaw_rad):7.3f}" if math.isfinite(b.yaw_rad) else "   none"
+    return (
+        f"{b.height_m:7.1f} m {b.radius_px:6.1f} px {100 * b.in_view:6.0f} % {1000 * b.lateral_m:7.3f} mm "
+        f"{1000 * b.range_m:7.2f} mm {yaw} deg"
+    )
+
+
+def _contrasts(pad: Pad) -> dict[str, float]:
+    """Return the luminance of each part against the known paint below it."""
+    edges = edges_of(pad)
+    return {
+        _NAMES[kind]: float(edges.contrast[at].mean()) for kind in EdgeKind if (at := (edges.kind == kind) & ~edges.bare).any()
+    }
+
+
+def _lowest(pad: Pad) -> dict[str, float]:
+    """Return the luminance of what meets the bare deck against each kind of deck; a pad with a rim is seen by its rim."""
+    marks, edges = pad.markings, edges_of(pad)
+    rim = marks.colours.rim
+    inside = [rim] if rim is not None else np.unique(edges.inside_rgb[edges.bare], axis=0).tolist()
+    lights = [float(linear_light(rgb) @ LUMA) for rgb in inside]
+    return {name: min((light - float(linear_light(rgb) @ LUMA) for light in lights), key=abs) for name, rgb in _DECKS.items()}
+
+
+def _heading_warnings(headings: int) -> list[str]:
+    if headings == 0:
+        return ["it looks the same from all sides: no heading is measured; paint a letter or an arrowhead"]
+    if headings > 1:
+        turn = {2: "half a turn", 4: "a quarter turn"}.get(headings, f"1/{headings} of a turn")
+        return [f"it looks the same after {turn}: its heading is ambiguous until a track resolves it; paint an arrowhead"]
+    return []
+
+
+def _deck_warnings(lowest: dict[str, float]) -> list[str]:
+    faint = [name for name, value in lowest.items() if abs(value) < _LEAST_CONTRAST]
+    return [f"its outer edge hardly stands out from {', '.join(faint)}: paint a rim around it"] if faint else []

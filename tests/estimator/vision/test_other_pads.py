@@ -1,0 +1,92 @@
+"""Pads of other shapes than the thesis': each is registered from a rough pose, near and far, and verified there."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from estimator.contracts.geometry import Rotation
+from estimator.vision.camera import Camera
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
+from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.drawing import EdgeKind
+from estimator.vision.pad import Pad
+from estimator.vision.pad_information import accuracy, alike_headings
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.register import fit_verification
+from estimator.vision.register.registration import RegistrationOptions, register
+from sitl.camera import Renderer
+from tests.sitl.images import PLAIN, pad_pose, shot
+from tests.support.shipped import shipped_pad
+
+NAMES = ("h", "helideck", "icao", "x")
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("height_m", [0.6, 2.0, 6.0, 10.0])
+def test_a_pad_of_any_shape_is_registered_and_verified(name: str, height_m: float) -> None:
+    pad, camera, exposure = shipped_pad(name), PLAIN, shot(height_m, (0.05, -0.05))
+    px = Renderer(camera, pad).render(exposure, np.random.default_rng(1))
+    truth = pad_pose(exposure, camera)
+    off = np.array([0.5, -0.5, 0.0]) * height_m / camera.fx + np.array([0.0, 0.0, 0.002 * height_m])
+    start = PadPose(truth.R_cam_pad @ Rotation.from_rpy(0.01, 0.01, 0.02), truth.t_cam_pad + off)
+    found = register(px, camera, pad, start, None, RegistrationOptions(coarse=False))
+    assert found is not None
+    error, sigma = found.pose.t_cam_pad - truth.t_cam_pad, np.sqrt(np.diag(found.cov)[:3])
+    assert np.all(np.abs(error) < 4.0 * sigma + 1e-5)
+    assert abs(error[2]) < 0.005 * height_m
+    assert found.yaw_ambiguous, "none of them has an arrowhead"
+    lacking = [
+        kind
+        for kind, has in ((EdgeKind.DISC, pad.markings.field_radius_m), (EdgeKind.RING, pad.markings.ring_outer_m))
+        if not has
+    ]
+    assert all(found.edges[kind].in_view == 0.0 for kind in lacking)
+    aligned = align(Pyramid(px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)
+    assert aligned is not None
+    assert fit_verification.confidence(fit_verification.features(aligned, found, pad)) > 0.9
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_pad_is_not_seen_in_another_one(name: str) -> None:
+    """The thesis' pad, registered as if it were another, is doubted."""
+    pad, exposure = shipped_pad(name), shot(2.0)
+    px = Renderer(PLAIN, shipped_pad("thesis")).render(exposure, np.random.default_rng(2))
+    found = register(px, PLAIN, pad, pad_pose(exposure, PLAIN), None, RegistrationOptions(coarse=False))
+    if found is None:
+        return
+    aligned = align(Pyramid(px), PLAIN, pad, found.pose, SIGMA_TILT_RAD, 0)
+    sure = 0.0 if aligned is None else fit_verification.confidence(fit_verification.features(aligned, found, pad))
+    # The plain H is the thesis' H: on a green disc it is the same marking.
+    assert sure < 0.5 or name == "h"
+
+
+@pytest.mark.parametrize(("name", "count"), [("thesis", 1), ("printed", 1), ("icao", 2), ("helideck", 2), ("h", 2), ("x", 4)])
+def test_headings_that_look_alike_are_counted(name: str, count: int) -> None:
+    assert alike_headings(shipped_pad(name)) == count
+
+
+def test_a_ring_alone_has_no_heading() -> None:
+    data = {
+        "name": "ring", "paints": {"white": [255, 255, 255]},
+        "regions": [{"shape": "ring", "paint": "white", "inner_m": 0.2, "outer_m": 0.3}],
+    }  # fmt: skip
+    ring = Pad.from_mapping(data)
+    assert alike_headings(ring) == 0
+    assert accuracy(ring, PLAIN, 3.0, np.full(3, 0.2)).yaw_rad == math.inf
+
+
+def test_the_bound_scales_as_a_pinhole_camera_does() -> None:
+    """The same image through twice the focal length from twice as high: only the range's error doubles."""
+    deck, pad = np.full(3, 0.2), shipped_pad("thesis")
+    half = Camera(
+        PLAIN.width, PLAIN.height, 0.5 * PLAIN.fx, 0.5 * PLAIN.fy, PLAIN.cx, PLAIN.cy, PLAIN.distortion, PLAIN.T_body_cam
+    )
+    near, far = accuracy(pad, half, 4.0, deck), accuracy(pad, PLAIN, 8.0, deck)
+    assert near.radius_px == pytest.approx(far.radius_px)
+    assert far.lateral_m == pytest.approx(near.lateral_m, rel=1e-6)
+    assert far.yaw_rad == pytest.approx(near.yaw_rad, rel=1e-6)
+    assert far.range_m == pytest.approx(2.0 * near.range_m, rel=1e-6)
+    assert accuracy(pad, PLAIN, 4.0, deck).range_m < far.range_m
