@@ -15,9 +15,11 @@ PARAMETERS = {
     "PX4": ("NAV_RCL_ACT", "NAV_DLL_ACT", "COM_RC_IN_MODE", "COM_RCL_EXCEPT", "COM_DLL_EXCEPT", "RTL_LAND_DELAY"),
 }
 _RETURNS = {
-    "FS_THR_ENABLE": (1.0, 2.0, 4.0), "FS_GCS_ENABLE": (1.0, 2.0, 3.0), "BATT_FS_LOW_ACT": (2.0, 3.0),
-    "BATT_FS_CRT_ACT": (2.0, 3.0),
-}  # fmt: skip
+    "FS_THR_ENABLE": (1.0, 2.0, 4.0, 6.0),
+    "FS_GCS_ENABLE": (1.0, 2.0, 3.0, 6.0),
+    "BATT_FS_LOW_ACT": (2.0, 3.0, 6.0),
+    "BATT_FS_CRT_ACT": (2.0, 3.0, 6.0),
+}
 """Values of ArduCopter's failsafe actions that return."""
 _REMOTE_LANDS = {3.0: "land", 5.0: "smart return or land", 7.0: "brake or land"}
 _HOVER_CM, _HOVER_TO_CM = 200.0, 500.0
