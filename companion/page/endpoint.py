@@ -11,6 +11,7 @@ import asyncio
 import logging
 from collections import Counter, deque
 from collections.abc import Mapping
+from pathlib import Path
 
 from aiohttp import WSMsgType, web
 
@@ -32,6 +33,7 @@ from companion.page.messages import (
     text_of,
 )
 from companion.page.picture import AHEAD_S, camera_lean, picture
+from companion.page.recordings import Recordings
 from companion.page.settings import PageSettings
 from companion.page.state import HORIZONS_S, page_health, place
 from companion.page.viewer import ORDERS, PageViewer
@@ -40,7 +42,7 @@ from companion.runtime.health import Health
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.pilot import Pilot
 from companion.runtime.worker import Worker
-from drivers.mailbox import Latest
+from drivers.mailbox import Latest, Line
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.ports import Clock
@@ -67,6 +69,7 @@ class PageEndpoint(NullObserver):
 
     Args:
         vehicle: the vehicle's name for the page.
+        recordings: the recorder's folder.
 
     Raises:
         BadInput: the token or the certificate cannot be read.
@@ -79,6 +82,7 @@ class PageEndpoint(NullObserver):
         health: Health,
         clock: Clock,
         vehicle: str,
+        recordings: Path,
         limits: ConnectionLimits | None = None,
     ) -> None:
         self._settings = settings
@@ -90,6 +94,8 @@ class PageEndpoint(NullObserver):
         self._tls = server_context(settings)
         self._limits = limits or ConnectionLimits()
         self._assets = assets()
+        self._recordings = Recordings(recordings, clock)
+        self._asking: Line[PageViewer] = Line(settings.viewers_max)
         self._flight = FlightWatch(pilot, clock)
         self._attitude: Attitude | None = None
         self._viewers: list[PageViewer] = []
@@ -145,6 +151,7 @@ class PageEndpoint(NullObserver):
         """
         app = web.Application(client_max_size=1024)
         app.router.add_get("/live", self._live)
+        app.router.add_get("/recordings/{ticket}", self._recording)
         app.router.add_get("/{name:.*}", self._file)
         app.on_response_prepare.append(_secured)
         runner = web.AppRunner(app, access_log=None, shutdown_timeout=0.5)
@@ -158,6 +165,7 @@ class PageEndpoint(NullObserver):
                 async with asyncio.TaskGroup() as group:
                     group.create_task(self._send_states())
                     group.create_task(self._send_pictures(worker))
+                    group.create_task(self._send_lists())
             finally:
                 server.close()
         finally:
@@ -186,6 +194,37 @@ class PageEndpoint(NullObserver):
             answer = web.Response(body=asset.body, headers={"Content-Type": asset.content_type})
         answer.force_close()  # a connection's time is bounded, and an idle one holds no descriptor
         return answer
+
+    def list_recordings(self, viewer: PageViewer) -> None:
+        """Send this viewer the list of recordings soon."""
+        self._asking.offer(viewer)
+
+    def offer_recording(self, viewer: PageViewer, name: str) -> None:
+        """Send this viewer an address for a recording, or why there is none."""
+        viewer.tell(self._recordings.ticket(name, flying=self._flying))
+
+    @property
+    def _flying(self) -> bool:
+        status = self.pilot.vehicle
+        return status is not None and bool(status.flying)
+
+    async def _send_lists(self) -> None:
+        worker = Worker("page lists")
+        try:
+            async for viewer in self._asking:
+                viewer.tell(await worker.run(self._recordings.listed))
+        finally:
+            worker.close()
+
+    async def _recording(self, request: web.Request) -> web.StreamResponse:
+        name = self._recordings.redeem(request.match_info["ticket"])
+        if name is None:
+            answer = web.Response(status=404, text="this address holds once, and only for a short time\n")
+            answer.force_close()
+            return answer
+        self.count("downloads")
+        self._limits.lift(request.transport)
+        return await self._recordings.send(request, name)
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if not same_origin(request.headers.get("Origin"), request.headers.get("Host")):
@@ -284,8 +323,7 @@ class PageEndpoint(NullObserver):
             )
 
     def _health_report(self) -> PageHealth:
-        status = self.pilot.vehicle
-        return page_health(self._health.snapshot(), self._flight.decision, flying=status is not None and bool(status.flying))
+        return page_health(self._health.snapshot(), self._flight.decision, flying=self._flying)
 
     async def _send_pictures(self, worker: Worker) -> None:
         number, lean = 0, Rotation.identity()

@@ -29,7 +29,17 @@ class DrawnNotice(Struct, frozen=True, kw_only=True, tag_field="kind", tag="draw
     number: Annotated[int, Meta(ge=0, le=1 << 53)]
 
 
-PageRequest = LoginRequest | OrderRequest | SticksRequest | DrawnNotice
+class RecordingsRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="recordings", forbid_unknown_fields=True):
+    """Which recordings are there? It is answered by a `RecordingList`."""
+
+
+class DownloadRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="download", forbid_unknown_fields=True):
+    """From where may a recording be loaded? It is answered by a `DownloadAnswer`."""
+
+    name: Annotated[str, Meta(max_length=205)]
+
+
+PageRequest = LoginRequest | OrderRequest | SticksRequest | DrawnNotice | RecordingsRequest | DownloadRequest
 
 
 class PageWelcome(Struct, frozen=True, kw_only=True, tag_field="kind", tag="welcome"):
@@ -105,6 +115,31 @@ class PageEvent(Struct, frozen=True, kw_only=True, tag_field="kind", tag="event"
     text: str
 
 
+class RecordingFile(Struct, frozen=True, kw_only=True):
+    """One recording on the service's disk."""
+
+    name: str
+    size_bytes: int
+    unix_s: float
+    """When it was last written, wall time."""
+
+
+class RecordingList(Struct, frozen=True, kw_only=True, tag_field="kind", tag="recordings"):
+    """The recordings, the newest first."""
+
+    files: tuple[RecordingFile, ...]
+    fault: str
+    """Why the folder cannot be read; empty if it can."""
+
+
+class DownloadAnswer(Struct, frozen=True, kw_only=True, tag_field="kind", tag="download"):
+    """Where a recording may be loaded from, once and soon; or why not."""
+
+    name: str
+    address: str | None
+    text: str
+
+
 class PictureLine(Struct, frozen=True):
     """A line to draw over the picture."""
 
@@ -120,7 +155,7 @@ class PictureHeader(Struct, frozen=True, kw_only=True):
     lines: tuple[PictureLine, ...]
 
 
-ToPage = PageWelcome | PageState | PageHealth | PageEvent | OrderAnswer | RequestRefused
+ToPage = PageWelcome | PageState | PageHealth | PageEvent | OrderAnswer | RequestRefused | RecordingList | DownloadAnswer
 
 _requests = msgspec.json.Decoder(PageRequest)
 _encode = msgspec.json.Encoder().encode

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from msgspec import Struct
 
 from companion.config.addresses import on_loopback
-from estimator.contracts.keys import check_ranges, choice, number, text
+from estimator.contracts.keys import choice, number, text
 
 
 class PageSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -41,7 +41,6 @@ class PageSettings(Struct, frozen=True, forbid_unknown_fields=True):
     jpeg_quality: Annotated[int, number("JPEG quality of the live picture", "1", 10, 95)] = 70
 
     def __post_init__(self) -> None:
-        check_ranges(self)
         if self.endpoint == "off":
             return
         if not self.token_file:

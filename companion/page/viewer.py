@@ -15,7 +15,16 @@ from aiohttp import WSMsgType, web
 from companion.operator.orders import OperatorOrder, OrderSender
 from companion.operator.pilot_operator import PilotOperator
 from companion.operator.wire import OrderAnswer, OrderRequest, RequestRefused, SticksRequest
-from companion.page.messages import DrawnNotice, LoginRequest, PageState, ToPage, request_in, text_of
+from companion.page.messages import (
+    DownloadRequest,
+    DrawnNotice,
+    LoginRequest,
+    PageState,
+    RecordingsRequest,
+    ToPage,
+    request_in,
+    text_of,
+)
 from companion.runtime.pilot import Pilot
 from drivers.mailbox import Latest, Line
 from estimator.contracts.ports import Clock
@@ -40,6 +49,10 @@ class Served(Protocol):
     clock: Clock
 
     def count(self, what: str) -> None: ...
+
+    def list_recordings(self, viewer: PageViewer) -> None: ...
+
+    def offer_recording(self, viewer: PageViewer, name: str) -> None: ...
 
 
 class PageViewer:
@@ -135,6 +148,10 @@ class PageViewer:
                 self._served.pilot.operator.move(self.sender, request.positions, now)
             case DrawnNotice():
                 self._drawn(request.number, now)
+            case RecordingsRequest():
+                self._served.list_recordings(self)
+            case DownloadRequest():
+                self._served.offer_recording(self, request.name)
             case LoginRequest():
                 return "this page is logged in already"
             case str():

@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from companion.config.model import Settings
@@ -104,7 +105,7 @@ def make_daemon(
     if settings.page.endpoint != "off":
         from companion.page.endpoint import PageEndpoint
 
-        page = PageEndpoint(settings.page, pilot, health, ticking, vehicle_name(settings))
+        page = PageEndpoint(settings.page, pilot, health, ticking, vehicle_name(settings), Path(settings.recorder.folder))
         watching.append(page)
         extras["page"] = page.run
         health.counters("page", page.counted)

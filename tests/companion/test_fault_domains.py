@@ -19,6 +19,8 @@ from companion.mavlink.bridge_part import BridgePart
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.mqtt.part import MqttPart
 from companion.operator.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
+from companion.page.endpoint import PageEndpoint
+from companion.page.settings import PageSettings
 from companion.recorder.recorder import Recorder
 from companion.runtime import event_loop, service
 from companion.runtime.daemon import Daemon
@@ -256,12 +258,14 @@ def test_an_observer_that_was_set_aside_is_tried_again_and_comes_back() -> None:
 
 
 def settings_with_everything(folder: Path) -> Settings:
-    sim = load("sim")
+    sim, token = load("sim"), folder / "token"
+    token.write_text("a-token-of-sixteen-and-more")
     return msgspec.structs.replace(
         sim,
         recorder=msgspec.structs.replace(sim.recorder, enabled=True, folder=str(folder / "recordings"), frames="none"),
         mqtt=msgspec.structs.replace(sim.mqtt, transport="tcp", host="127.0.0.1", port=1, spool=str(folder / "spool")),
         metrics=msgspec.structs.replace(sim.metrics, endpoint="http", port=0),
+        page=PageSettings(endpoint="http", port=0, token_file=str(token)),
         bridge=msgspec.structs.replace(sim.bridge, links="udpin://127.0.0.1:0"),
     )
 
@@ -270,6 +274,7 @@ PARTS: dict[str, tuple[type, str]] = {
     **{f"recorder {m}": (Recorder, m) for m in (*METHODS, "run", "__init__")},
     **{f"mqtt {m}": (MqttPart, m) for m in (*METHODS, "run", "__init__", "counts", "tell")},
     **{f"metrics {m}": (MetricsEndpoint, m) for m in ("run",)},
+    **{f"page {m}": (PageEndpoint, m) for m in ("on_sample", "on_frame", "on_decision", "on_order", "run")},
     **{f"pulse {m}": (Pulse, m) for m in ("on_decision", "run")},
     **{f"face {m}": (BridgePart, m) for m in ("on_sample", "run")},
 }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -31,13 +30,6 @@ from estimator.contracts.time import MonoNs, Stamp
 TOKEN = "a-token-of-sixteen-and-more"
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 class PageService:
     """See the module's docstring."""
 
@@ -48,8 +40,10 @@ class PageService:
         self.pilot: Pilot = make_pilot(load("sim"))
         self.clock = SystemClock()
         self.health = Health(self.clock)
-        given = {"endpoint": "http", "port": free_port(), "token_file": str(file)} | settings
-        self.page = PageEndpoint(PageSettings(**given), self.pilot, self.health, self.clock, "a vehicle", limits)
+        given = {"endpoint": "http", "port": 0, "token_file": str(file)} | settings
+        self.page = PageEndpoint(
+            PageSettings(**given), self.pilot, self.health, self.clock, "a vehicle", folder / "recordings", limits
+        )
         self.health.counters("page", self.page.counted)
         self.orders: list[HandledOrder] = []
         self.pilot.operator.on_order = self._on_order

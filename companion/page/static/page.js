@@ -3,6 +3,7 @@ import { Link } from "./link.js";
 import { Picture } from "./picture.js";
 import { Orders } from "./orders.js";
 import { Plots } from "./plots.js";
+import { RecordingsList } from "./recordings.js";
 import { Sticks } from "./sticks.js";
 import { Above, Side } from "./place.js";
 import * as telling from "./telling.js";
@@ -35,6 +36,7 @@ const orders = new Orders(link);
 const picture = new Picture($("picture"), $("picture-note"), (number) => link.send({ kind: "drawn", number }));
 const sticks = new Sticks(link, orders, $("sticks"), $("by-hand"), $("hand-note"));
 const plots = new Plots();
+new RecordingsList(link);
 const views = [new Above($("above")), new Side($("side"))];
 $("lines").addEventListener("change", (event) => picture.showLines(event.target.checked));
 

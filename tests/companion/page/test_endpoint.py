@@ -234,3 +234,35 @@ def test_a_token_that_is_missing_or_short_keeps_the_service_from_beginning(tmp_p
 @given(st.text(max_size=80))
 def test_no_text_makes_the_decoder_raise(text: str) -> None:
     assert request_in(text) is not None
+
+
+async def test_a_recording_is_loaded_once_from_an_address_that_only_the_page_gets(tmp_path: Path) -> None:
+    (tmp_path / "recordings").mkdir()
+    content = bytes(range(256)) * 1024
+    (tmp_path / "recordings/decklander-1.mcap").write_bytes(content)
+    (tmp_path / "recordings/notes.txt").write_text("not a recording")
+    (tmp_path / "recordings/link.mcap").symlink_to(tmp_path / "token")
+    async with serving(tmp_path) as service, browsing(service) as browser, aiohttp.ClientSession(service.address) as client:
+        await browser.send(kind="recordings")
+        listed = await browser.read("recordings")
+        assert [(file["name"], file["size_bytes"]) for file in listed["files"]] == [("decklander-1.mcap", len(content))]
+        await browser.send(kind="download", name="decklander-1.mcap")
+        assert "the vehicle flies" in (await browser.read("download"))["text"]
+        service.flying = False
+        await until(lambda: service.pilot.vehicle is not None and service.pilot.vehicle.flying is False)
+        await browser.send(kind="download", name="decklander-1.mcap")
+        address = (await browser.read("download"))["address"]
+        async with client.get(address) as answer:
+            assert answer.headers["Content-Disposition"] == 'attachment; filename="decklander-1.mcap"'
+            assert await answer.read() == content
+        async with client.get(address) as answer:
+            assert answer.status == 404, "an address holds once"
+        for name in ("../token", "/etc/passwd", "notes.txt", ".mcap"):
+            await browser.send(kind="download", name=name)
+            assert (await browser.read("download"))["address"] is None
+        for name in ("link.mcap", "decklander-2.mcap"):
+            await browser.send(kind="download", name=name)
+            async with client.get((await browser.read("download"))["address"]) as answer:
+                assert answer.status == 404, "no link is followed, and nothing made up"
+        async with client.get("/recordings/AAAAAAAAAAAAAAAA") as answer:
+            assert answer.status == 404
