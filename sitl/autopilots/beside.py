@@ -69,17 +69,26 @@ class FlightDaemon:
         return sum(self.daemon.health.frames.values())
 
 
-def beside_autopilot(settings: Settings, links: str, start: Literal["automatic", "signal"] = "signal") -> Settings:
-    """Return the settings with an autopilot at `links` as the vehicle, external frames, and the given start of the landing."""
+def beside_autopilot(
+    settings: Settings, links: str, start: Literal["automatic", "signal"] = "signal", response: str | None = None
+) -> Settings:
+    """Return the settings with an autopilot at `links` as the vehicle, external frames, and the given start of the landing.
+
+    Args:
+        response: the shipped response of this stack, where the settings leave it to the vehicle; None for an autopilot's.
+    """
     vehicle, tries = settings.vehicle, settings.guidance.tries
     if isinstance(vehicle, AutopilotOptions):
         vehicle = msgspec.structs.replace(vehicle, links=links, signing_key_file="")
     else:
         vehicle = AutopilotOptions(links=links)
         tries = msgspec.structs.replace(tries, heading="align")
+    follow = settings.guidance.follow_deck
+    if response is not None and follow.response_by_vehicle:
+        follow = msgspec.structs.replace(follow, response=response)
     return msgspec.structs.replace(
         settings,
         vehicle=vehicle,
         camera=CameraSettings(settings.camera.file),
-        guidance=msgspec.structs.replace(settings.guidance, start=start, tries=tries),
+        guidance=msgspec.structs.replace(settings.guidance, start=start, tries=tries, follow_deck=follow),
     )

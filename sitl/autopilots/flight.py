@@ -155,7 +155,8 @@ class AutopilotFlight:
         fixed = self.autopilot.name == "px4" and self.autopilot.binary is not None
         from_program, to_station = px4.MAVLINK_PORTS if fixed else (free_udp_port(), free_udp_port())
         to_daemon = free_udp_port() if self.scenario.faults else from_program
-        settings = beside_autopilot(self.settings, f"udpin://{HOST}:{to_daemon}")
+        response = "px4" if self.autopilot.name == "px4" else None
+        settings = beside_autopilot(self.settings, f"udpin://{HOST}:{to_daemon}", response=response)
         pilot = self.perception.pilot(settings)
         # The world begins before the program does: at the level `truth` the pilot reads it from its first cycle on.
         copter = self.autopilot.name == "arducopter"

@@ -342,5 +342,5 @@ def test_every_shipped_response_of_a_real_vehicle_is_only_assumed() -> None:
     # The others are of simulated vehicles, which were flown.
     known_s = load("sim").guidance.follow_deck.delay_known_s
     states = {name: begun(shipped_response(name).tilt, known_s).in_use.state for name in shipped("responses")}
-    assert {name for name, state in states.items() if state is ResponseState.ASSUMED} == {"ardrone2", "autopilot"}
+    assert {name for name, state in states.items() if state is ResponseState.ASSUMED} == {"ardrone2", "autopilot", "px4"}
     assert {name for name, state in states.items() if state is ResponseState.KNOWN} == {"quad_1_5kg", "hexa_7kg"}

@@ -18,6 +18,9 @@ _TORQUE_MAX_N_M = 1.0
 _YAW_MAX_N_M = 0.15
 _WOUND_MAX_N_M = 0.6
 _LEAST_LIFT = 0.5
+_LIFT_FILTER_S = 0.016
+"""Time constant of the filter of the vertical acceleration's error, 10 Hz (PSC_ACCZ_FLTE)."""
+_LIFT_MAX_M_S2 = 6.0
 
 
 def command_of(fraction: float, curve: float) -> float:
@@ -40,7 +43,7 @@ class LoopGains:
     climb_p: float
     """1/s: MPC_Z_VEL_P_ACC, PSC_VELZ_P."""
     climb_i: float
-    """1/s^2: MPC_Z_VEL_I_ACC; for ArduCopter the integral of its acceleration loop."""
+    """1/s^2: MPC_Z_VEL_I_ACC, PSC_VELZ_I."""
     angle_p: float
     """1/s: MC_ROLL_P, ATC_ANG_RLL_P."""
     angle_lag_s: float
@@ -48,11 +51,16 @@ class LoopGains:
     lean_max_rad: float
     rate_i: float
     """Torque that an angle which does not follow winds up, N m per rad and s: MC_ROLLRATE_I, ATC_RAT_RLL_I."""
+    lift_p: float = 0.0
+    """Lift over weight that one m/s^2 of missing vertical acceleration gives, times g: PSC_ACCZ_P over MOT_THST_HOVER. At 1 half
+    of a wanted acceleration is flown at once. 0 for a stack that takes thrust for acceleration."""
+    lift_i: float = 0.0
+    """1/s: what it winds up of the rest, PSC_ACCZ_I over MOT_THST_HOVER."""
 
 
 PX4_GAINS = LoopGains(1.8, 0.4, 4.0, 2.0, 6.5, 0.0, math.radians(45.0), 1.0)
 """PX4's defaults. Source: parameter reference of PX4 1.16."""
-COPTER_GAINS = LoopGains(2.0, 1.0, 5.0, 1.0, 4.5, 0.15, math.radians(30.0), 0.5)
+COPTER_GAINS = LoopGains(2.0, 1.0, 5.0, 0.0, 4.5, 0.15, math.radians(30.0), 0.5, 1.0, 2.0)
 """ArduCopter's defaults. Source: parameter reference of ArduCopter 4.5."""
 
 
@@ -68,13 +76,15 @@ class Cascade:
     """Integral of the velocity loops, m/s^2."""
     thrust_fraction: float = 0.0
     """Newest collective thrust as a fraction of the largest."""
+    _a_down: float = 0.0
+    _lift: float = 0.0
     _lean: tuple[float, float] = (0.0, 0.0)
     _wound: tuple[float, float] = (0.0, 0.0)
 
     def reset(self) -> None:
         """Forget everything that was wound up, as autopilots do on the ground."""
         self.wind_ned, self._lean, self._wound = np.zeros(3), (0.0, 0.0), (0.0, 0.0)
-        self.thrust_fraction = 0.0
+        self.thrust_fraction = self._a_down = self._lift = 0.0
 
     def accelerations(self, s: BodyState, v_wanted: F64, a_wanted: F64) -> F64:
         """Return the acceleration that follows a velocity with an acceleration fed forward, (3,) m/s^2 ned."""
@@ -83,7 +93,14 @@ class Cascade:
         most = np.array([3.0, 3.0, 6.0])
         self.wind_ned = np.clip(self.wind_ned + self.step_s * rate * error, -most, most)
         p = np.array([g.velocity_p, g.velocity_p, g.climb_p])
-        return np.asarray(a_wanted + p * error + self.wind_ned)
+        a = np.asarray(a_wanted + p * error + self.wind_ned)
+        if g.lift_p > 0.0:
+            a_down = float((s.R_ned_body @ s.f_body)[2]) + G_M_S2
+            self._a_down += (1.0 - math.exp(-self.step_s / _LIFT_FILTER_S)) * (a_down - self._a_down)
+            missing = float(a[2]) - self._a_down
+            self._lift = _within(self._lift + self.step_s * g.lift_i * missing, _LIFT_MAX_M_S2)
+            a[2] = g.lift_p * missing + self._lift
+        return a
 
     def motors(
         self, s: BodyState, a: F64, yaw_rate_rad_s: float, *, thrust_max: float = 1.0, thrust_min: float = 0.0,

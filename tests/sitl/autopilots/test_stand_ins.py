@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.config.settings import shipped_response
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.vehicle import Stack, set_mode
@@ -205,6 +206,22 @@ def test_arducopter_leaves_the_ground_by_its_take_off_only_and_brakes_when_setpo
     assert deck.body.state().v_ned[0] > 0.7
     deck.fly(2.0)
     assert deck.body.state().v_ned[0] < 0.3
+
+
+@pytest.mark.parametrize(("stack", "response", "link_s"), [(Stack.ARDUPILOT, "autopilot", 0.04), (Stack.PX4, "px4", 0.04)])
+def test_a_climb_follows_a_velocity_as_late_as_the_shipped_response_says(stack: Stack, response: str, link_s: float) -> None:
+    """ArduCopter 4.5.7 in its logs: 0.24 to 0.32 s of delay and 0.15 to 0.25 s of lag, and it overshoots a little."""
+    deck = Deck("calm", stack, QUICK if stack is Stack.PX4 else None)
+    deck.up(4.0)
+    deck.fly(3.0, 0.0)
+    speeds = []
+    for _ in range(35):
+        deck.fly(0.04, 0.5)
+        speeds.append(float(deck.body.state().v_ned[2]))
+    climb = shipped_response(response).climb
+    two_thirds_s = 0.04 * (1 + int(np.argmax(np.array(speeds) > 0.5 * (1.0 - math.exp(-1.0)))))
+    assert two_thirds_s + link_s == pytest.approx(climb.delay_s + climb.lag_s, abs=0.16)
+    assert 0.45 < speeds[-1] < 0.56
 
 
 def test_arducopter_stays_armed_on_a_deck_in_loiter_and_disarms_in_land() -> None:
