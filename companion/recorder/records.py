@@ -152,7 +152,6 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     arrow: SightingRecord | None = None
     corners: SightingRecord | None = None
     registration: SightingRecord | None = None
-    marker: SightingRecord | None = None
     fused: SightingRecord | None = None
     times: FrameTimesRecord | None = None
     """Left out if vision did not search the frame, and in virtual time."""

@@ -11,14 +11,13 @@ SERIES: dict[str, str] = {
     "arrow": "#e69f00",
     "corners": "#0a9d76",
     "registration": "#cc79a7",
-    "marker": "#56b4e9",
     "selected": "#d55e00",
     "fused": "#8a63d2",
     "median_mean": "#56b4e9",
     "dead_reckoning": "#d55e00",
     "ekf": "#8a63d2",
 }
-MARKERS: dict[str, str] = {"ellipse": "o", "arrow": "^", "corners": "s", "registration": "D", "marker": "P", "selected": "x"}
+MARKERS: dict[str, str] = {"ellipse": "o", "arrow": "^", "corners": "s", "registration": "D", "selected": "x"}
 OTHER = "#888888"
 OUTLINE = "#f0e442"
 """The colour of the estimated pad in the video."""

@@ -16,7 +16,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import _covariance, _vector
 from estimator.contracts.time import MonoNs, Stamp
 
-Method = Literal["ellipse", "arrow", "corners", "registration", "marker", "selected", "fused"]
+Method = Literal["ellipse", "arrow", "corners", "registration", "selected", "fused"]
 PathName = Literal["median_mean", "dead_reckoning", "ekf"]
 
 UNKNOWN_YAW_VAR = math.pi**2 / 3.0

@@ -84,7 +84,7 @@ def test_samples_of_one_instant_lie_by_kind_and_those_of_one_kind_as_they_came()
         Range(one, 1.0, 0.1),
         Baro(one, 1.0, 0.5),
         VesselReport(one, None, None, 0.1, 0.1),
-        Sighting(one, 0, "marker", np.array([0.0, 0.0, 2.0]), 0.0, False, 1e-4 * np.eye(4), 0.9),
+        Sighting(one, 0, "fused", np.array([0.0, 0.0, 2.0]), 0.0, False, 1e-4 * np.eye(4), 0.9),
     ]
     for order in (kinds, kinds[::-1]):
         assert [node.event for node in after(*order)[0].nodes] == kinds
@@ -101,7 +101,7 @@ def test_what_is_no_measurement_is_named() -> None:
 def test_a_late_one_is_taken_into_the_belief_before_it() -> None:
     """By the belief two before, the attitude would be missing and nothing be made of it."""
     level = Attitude(stamp(T), Rotation.identity(), 1e-4 * np.eye(3))
-    late = Sighting(stamp(T + 5), 0, "marker", np.array([0.0, 0.0, 2.0]), 0.0, False, 1e-4 * np.eye(4), 0.9)
+    late = Sighting(stamp(T + 5), 0, "fused", np.array([0.0, 0.0, 2.0]), 0.0, False, 1e-4 * np.eye(4), 0.9)
     history, verdicts = after(baro(T - 1), level, baro(T + 9), late)
     assert verdicts == [Verdict.NO_ATTITUDE, Verdict.FUSED, Verdict.GATED, Verdict.FUSED]
     assert [node.after and node.after.sighted for node in history.nodes] == [None, -1, T + 5, T + 5]
@@ -115,8 +115,8 @@ def test_sightings_of_one_instant_lie_by_number_and_method() -> None:
     def seen(seq: int, method: str) -> Sighting:
         return Sighting(stamp(T), seq, method, np.array([0.0, 0.0, 2.0]), 0.0, False, 1e-4 * np.eye(4), 0.9)  # type: ignore[arg-type]
 
-    history, _ = after(seen(2, "marker"), seen(1, "selected"), seen(1, "marker"))
-    assert [node.key for node in history.nodes] == [(T, 6, 1, "marker"), (T, 6, 1, "selected"), (T, 6, 2, "marker")]
+    history, _ = after(seen(2, "fused"), seen(1, "selected"), seen(1, "fused"))
+    assert [node.key for node in history.nodes] == [(T, 6, 1, "fused"), (T, 6, 1, "selected"), (T, 6, 2, "fused")]
 
 
 def test_the_belief_before_an_instant_is_the_one_after_the_last_event_not_later() -> None:
