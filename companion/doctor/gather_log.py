@@ -45,6 +45,7 @@ def _snapshot(path: Path, log: AutopilotLog) -> Snapshot:
             stack="ArduPilot" if log.stack == "ArduPilot" else "PX4",
             system=system,
             firmware=log.firmware,
+            mode="auto.precland" if log.precision_landing else "unknown",
             parameters={n: v for n, v in log.parameters.items() if n in asked},
             absent=tuple(n for n in asked if n not in log.parameters) if len(log.parameters) >= _MANY else (),
             texts=log.texts,

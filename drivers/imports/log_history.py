@@ -71,6 +71,8 @@ class AutopilotLog(Struct, frozen=True):
     events: tuple[int, ...]
     """Numbers of PX4's EVENTs."""
     history: LogHistory
+    precision_landing: bool = False
+    """Whether PX4 flew AUTO.PRECLAND."""
 
 
 class ExcessMeter:

@@ -32,6 +32,8 @@ _TOPICS = (
 )  # fmt: skip
 _ARMED = 2
 """arming_state of vehicle_status."""
+_PRECLAND = 20
+"""nav_state of AUTO.PRECLAND."""
 _RATIOS = {"vel_test_ratio": "velocity", "pos_test_ratio": "position", "hgt_test_ratio": "height", "mag_test_ratio": "compass"}
 _REASONS = {
     "offboard_control_signal_lost": "setpoints lost", "manual_control_signal_lost": "remote control lost",
@@ -67,11 +69,13 @@ def read_history(path: Path) -> AutopilotLog:
             topics.setdefault(data.name, data.data)
     try:
         history = _history(log, topics)
+        states = topics.get("vehicle_status", {}).get("nav_state", ())
+        precision = any(int(state) == _PRECLAND for state in states)
         events = tuple(int(n) for n in topics.get("event", {}).get("id", ()))
     except (KeyError, IndexError, TypeError, ValueError, OverflowError) as why:
         raise BadInput(f"{path}: not the topics of a PX4 log: {type(why).__name__}: {why}") from why
     texts = tuple(str(m.message) for m in log.logged_messages)
-    return AutopilotLog("PX4", None, _firmware(log), parameters, texts, events, history)
+    return AutopilotLog("PX4", None, _firmware(log), parameters, texts, events, history, precision)
 
 
 def _firmware(log: Any) -> tuple[int, int, int] | None:

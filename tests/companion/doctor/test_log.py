@@ -124,6 +124,17 @@ def test_a_failsafe_without_flags_is_named_by_px4_s_own_words(tmp_path: Path) ->
     assert found.what == f"{text[1]} at 30.0 s"
 
 
+def test_px4_s_own_precision_landing_on_a_ship_is_named(tmp_path: Path) -> None:
+    topics = {"vehicle_status": {"arming_state": "uint8_t", "failsafe": "bool", "nav_state": "uint8_t"}}
+    rows = [
+        (0.0, "vehicle_status", (1, False, 4)),
+        (9.0, "vehicle_status", (2, False, 20)),
+        (30.0, "vehicle_status", (1, False, 4)),
+    ]
+    (found,) = diagnose(examine_log(ulog(tmp_path / "x.ulg", PX4.parameters, topics, rows)))
+    assert found.rule == "px4-precland-moving"
+
+
 def test_a_log_with_holes_is_told(tmp_path: Path) -> None:
     path = ulog(tmp_path / "x.ulg", PX4.parameters, TOPICS, PX4_FLIGHT)
     path.write_bytes(path.read_bytes() + struct.pack("<HBH", 2, ord("O"), 2500))

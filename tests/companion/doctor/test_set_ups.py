@@ -12,9 +12,11 @@ from msgspec.structs import replace
 
 from companion.doctor import rules_failsafes, rules_values
 from companion.doctor.diagnose import PARAMETERS, diagnose
+from companion.doctor.gather_log import examine_log
 from companion.doctor.renamed import RENAMED, names_in
 from companion.doctor.snapshot import Snapshot
 from tests.companion.doctor.test_rules import ARDUPILOT, GOOD, PX4
+from tests.support.flight_logs import dataflash, ulog
 
 DATA = {
     stack: tomllib.loads((Path(__file__).parent / name).read_text())
@@ -52,6 +54,15 @@ def test_a_broken_one_is_named_and_its_changes_heal_it(stack: str, name: str) ->
         assert {f.rule for f in diagnose(healed)} <= {f.rule for f in found if not f.changes}, (
             "what is offered makes nothing worse"
         )
+
+
+@pytest.mark.parametrize(("stack", "name"), BROKEN_ONES)
+def test_a_log_of_a_broken_one_names_the_same(stack: str, name: str, tmp_path: Path) -> None:
+    one: dict[str, Any] = DATA[stack]["broken"][name]
+    values = DATA[stack]["good"]["defaults"] | one["set"]
+    log = dataflash(tmp_path / "x.bin", values) if stack == "ArduPilot" else ulog(tmp_path / "x.ulg", values, {})
+    found = diagnose(replace(examine_log(log), ship_speed_m_s=one.get("ship_speed_m_s")))
+    assert sorted(f.rule for f in found) == sorted(one["rules"])
 
 
 @pytest.mark.parametrize("name", DATA["ArduPilot"]["broken"])
