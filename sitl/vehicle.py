@@ -131,6 +131,8 @@ class Vehicle:
         self.state = Packed("vehicle", q=(1.0, 0.0, 0.0, 0.0), R=np.eye(3).ravel(), attached_q=(1.0, 0.0, 0.0, 0.0),
                             touched_s=math.nan, touched_d=math.nan, touched_v=math.nan, touched_yaw=math.nan)  # fmt: skip
         """The core's `vehicle`."""
+        self.phase_word = self.state.buffer.cast("B").cast("q")[_STATE["phase"]]
+        """The phase in that memory, for those who ask hundreds of times a second."""
         self._deck = Packed("deck")
         self.noise = NoiseRows.of(seed, FLIGHT_NOISE)
         """The numbers of its own errors and of the gusts."""

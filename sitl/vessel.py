@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike
 
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64, Rotation, known_rotation
 from sitl.sea import Waves
 from sitl.seakeeping import Hull, encounter_rad_s, responses
 
@@ -58,7 +58,9 @@ class Mounted(Struct, frozen=True, eq=False):
         Raises:
             ValueError: this is a batch.
         """
-        return Rotation(self.R_ned)
+        if self.R_ned.ndim != 2:
+            raise ValueError(f"{len(self.R_ned)} mounted points have no single rotation")
+        return known_rotation(self.R_ned)
 
 
 class Vessel:

@@ -19,7 +19,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64, known_rotation
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.airframe import StickLimits
 from sitl.camera import Exposure, Renderer
@@ -116,7 +116,7 @@ class World:
 
     @property
     def phase(self) -> VehiclePhase:
-        return _PHASES[int(self._vehicle.phase)]
+        return _PHASES[self._vehicle.phase_word[0]]
 
     @property
     def limits(self) -> StickLimits:
@@ -242,10 +242,10 @@ class World:
         v, pad = self._vehicle, self.pad_motion()
         return Exposure(
             t_s=self._seconds,
-            R_ned_body=Rotation(v.R_ned_body),
+            R_ned_body=known_rotation(v.R_ned_body),
             # The scene stays where it is and the camera looks from beside its true place: every part is seen shifted alike.
             p_body_ned=v.p_ned - pad.R_ned @ aside,
-            R_ned_pad=Rotation(pad.R_ned),
+            R_ned_pad=known_rotation(pad.R_ned),
             p_pad_ned=pad.p_ned,
             v_body_ned=v.v_ned,
             w_body=v.w_body,
@@ -275,10 +275,10 @@ class World:
             at=self.at,
             p_body_ned=v.p_ned,
             v_body_ned=v.v_ned,
-            R_ned_body=Rotation(v.R_ned_body),
+            R_ned_body=known_rotation(v.R_ned_body),
             p_pad_ned=pad.p_ned,
             v_pad_ned=pad.v_ned,
-            R_ned_pad=Rotation(pad.R_ned),
+            R_ned_pad=known_rotation(pad.R_ned),
             phase=self.phase,
             touchdown=self._contacts[-1] if self._contacts else None,
             contacts=tuple(self._contacts),

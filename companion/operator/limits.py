@@ -65,7 +65,9 @@ def place_step(memory: PlaceMemory, samples: Sequence[Sample]) -> PlaceMemory:
             if velocity is not None and attitude is not None and flying:
                 dt_s = seconds_between(velocity.stamp.measured_at, sample.stamp.measured_at)
                 if 0.0 < dt_s <= _GAP_S:
-                    p_start_ned = p_start_ned + _turned(sample.v_level, attitude.R_ned_body.rpy_rad[2]) * dt_s
+                    north, east = p_start_ned.tolist()
+                    v_north, v_east = _turned_numbers(sample.v_level, attitude.R_ned_body.rpy_rad[2])
+                    p_start_ned = np.array([north + v_north * dt_s, east + v_east * dt_s])
             velocity = sample
         elif type(sample) is Baro:
             baro_m = sample.height_m
@@ -195,6 +197,10 @@ def _vertical(
 
 def _turned(v: F64, angle_rad: float) -> F64:
     """Return a vector of a body's axes in axes against which the body has this heading."""
+    return np.array(_turned_numbers(v, angle_rad))
+
+
+def _turned_numbers(v: F64, angle_rad: float) -> tuple[float, float]:
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     x, y = v.tolist()[:2]
-    return np.array([c * x - s * y, s * x + c * y])
+    return c * x - s * y, s * x + c * y

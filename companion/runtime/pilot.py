@@ -321,7 +321,11 @@ class Pilot:
         self.operator.on_samples(samples)
         fused: list[Sample] = []
         for sample in samples:
-            self._now = max(self._now, sample.stamp.received_at)
+            received_at = sample.stamp.received_at
+            if received_at > self._now:
+                self._now = received_at
+            if type(sample) not in _NOT_FUSED:
+                fused.append(sample)
             # By the type itself: hundreds of samples a second, and a match asks one class after the other.
             if type(sample) is Imu:
                 if self._mission.state not in GROUND:
@@ -336,10 +340,9 @@ class Pilot:
                 self._on_status(sample)
             elif type(sample) is GeoFix or type(sample) is VesselReport:
                 self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
-            if not of_ship(sample):
-                self._heard = sample.stamp.received_at
-            if type(sample) not in _NOT_FUSED:
-                fused.append(sample)
+                if of_ship(sample):
+                    continue
+            self._heard = received_at
         self._keep(fused)
         return len(self._waiting) + len(self._fused)
 

@@ -103,7 +103,7 @@ class Rotation:
         Source: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., eq. 2.31.
         """
         m = rpy_matrix(roll_rad, pitch_rad, yaw_rad)
-        return _unchecked(m) if math.isfinite(roll_rad + pitch_rad + yaw_rad) else Rotation(m)
+        return known_rotation(m) if math.isfinite(roll_rad + pitch_rad + yaw_rad) else Rotation(m)
 
     @staticmethod
     def from_rotvec(rotvec_rad: ArrayLike) -> Rotation:
@@ -139,7 +139,7 @@ class Rotation:
 
     @property
     def inv(self) -> Rotation:
-        return _unchecked(self.matrix.T)
+        return known_rotation(self.matrix.T)
 
     @property
     def rpy_rad(self) -> tuple[float, float, float]:
@@ -192,7 +192,7 @@ class Rotation:
     def __matmul__(self, other: F64) -> F64: ...
     def __matmul__(self, other: Rotation | F64) -> Rotation | F64:
         if isinstance(other, Rotation):
-            return _unchecked(orthonormalised(self.matrix.dot(other.matrix)))
+            return known_rotation(orthonormalised(self.matrix.dot(other.matrix)))
         return np.asarray(other @ self.matrix.T)
 
     def rotate_cov(self, cov_b: F64) -> F64:
@@ -204,8 +204,8 @@ class Rotation:
         return float(np.linalg.norm((self.inv @ other).rotvec_rad))
 
 
-def _unchecked(matrix: F64) -> Rotation:
-    """Return the rotation of a matrix that is one because it was made of checked ones."""
+def known_rotation(matrix: F64) -> Rotation:
+    """Return the rotation of a matrix that is one because it was made of checked ones. Nobody writes to the array any more."""
     made = object.__new__(Rotation)
     matrix.setflags(write=False)
     object.__setattr__(made, "matrix", matrix)
