@@ -59,6 +59,7 @@ PARAMETERS: dict[str, float] = {
     "PLND_OPTIONS": 1,
     "PLND_STRICT": 1,
     "PLND_LAG": 0.05,
+    "GUID_TIMEOUT": 1,
     "LOG_DISARMED": 0,
 }
 """The parameters that differ from ArduCopter's defaults."""

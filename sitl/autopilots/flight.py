@@ -57,8 +57,11 @@ from sitl.truth import RenderedFrame
 
 Name = Literal["arducopter", "px4"]
 HOST = "127.0.0.1"
-COM_WATCHDOG_S: dict[Name, float] = {"arducopter": 3.0, "px4": px4.PARAMETERS["COM_OF_LOSS_T"]}
-"""Time for which each program flies on with the last setpoint; ArduCopter's is the default of GUID_TIMEOUT."""
+COM_WATCHDOG_S: dict[Name, float] = {
+    "arducopter": arducopter.PARAMETERS["GUID_TIMEOUT"],
+    "px4": px4.PARAMETERS["COM_OF_LOSS_T"],
+}
+"""Time for which each program flies on with the last setpoint."""
 _STATION_S = 0.05
 _AFTER_S = 1.5
 """Time that the flight continues after its end, so that a later contact is recorded."""

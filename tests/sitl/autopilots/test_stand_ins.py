@@ -196,7 +196,7 @@ def test_motors_stop_in_the_air_only_by_force(stack: Stack) -> None:
 
 
 def test_arducopter_leaves_the_ground_by_its_take_off_only_and_brakes_when_setpoints_end() -> None:
-    deck = Deck("calm", Stack.ARDUPILOT)
+    deck = Deck("calm", Stack.ARDUPILOT, {"GUID_TIMEOUT": 3.0})
     deck.armed("guided")
     deck.fly(2.0, -1.0)
     assert deck.height_m < 0.1, "no velocity lifts it off"
@@ -206,6 +206,19 @@ def test_arducopter_leaves_the_ground_by_its_take_off_only_and_brakes_when_setpo
     assert deck.body.state().v_ned[0] > 0.7
     deck.fly(2.0)
     assert deck.body.state().v_ned[0] < 0.3
+
+
+@pytest.mark.parametrize(("timeout", "least_m", "most_m"), [({}, 0.9, 1.6), ({"GUID_TIMEOUT": 3.0}, 2.5, 3.5)])
+def test_a_service_that_dies_in_a_descent_costs_the_height_of_guid_timeout(
+    timeout: dict[str, float], least_m: float, most_m: float
+) -> None:
+    deck = Deck("calm", Stack.ARDUPILOT, timeout)
+    deck.up(6.0)
+    deck.fly(1.2, 0.9)
+    from_m = deck.height_m
+    deck.fly(5.0)
+    assert least_m < from_m - deck.height_m < most_m
+    assert abs(float(deck.body.state().v_ned[2])) < 0.1, "it holds"
 
 
 @pytest.mark.parametrize(("stack", "response", "link_s"), [(Stack.ARDUPILOT, "autopilot", 0.04), (Stack.PX4, "px4", 0.04)])
