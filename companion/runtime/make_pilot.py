@@ -21,6 +21,7 @@ from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import PathName
 from estimator.options import EstimatorOptions
 from estimator.vision.camera import Camera
+from estimator.vision.detect.acquire import FRAME_WORK
 from estimator.vision.tracker import TrackerConfig
 
 
@@ -103,7 +104,7 @@ def tracker(settings: Settings) -> TrackerConfig:
     Raises:
         BadInput: the camera or pad file is missing or has a fault.
     """
-    return TrackerConfig(camera_model(settings), pad_model(settings), settings.vision)
+    return TrackerConfig(camera_model(settings), pad_model(settings), settings.vision, FRAME_WORK)
 
 
 def estimator_options(settings: Settings) -> EstimatorOptions:

@@ -101,6 +101,12 @@
 #define FEATURE_SIZE 28
 #define FEATURE_IN_VIEW 29
 #define FEATURE_TILT 30
+#define SEARCH_BLOCK 16
+#define SEARCH_CELL 2
+#define SEARCH_RADII 12
+#define SEARCH_SECTORS 36
+#define POLAR_RADII 18
+#define POLAR_ANGLES 48
 #define GAIN_ONE 16384
 #define SCENE_ONE 32768
 #define CELL_PX 8
@@ -568,6 +574,47 @@ typedef struct {
 } aligned_pad;
 
 typedef struct {
+    int64_t width;
+    int64_t height;
+    int64_t stride;
+    int64_t room;
+    int64_t margin;
+    double R_cam_plane[9];
+} search_image;
+
+typedef struct {
+    int64_t radii;
+    int64_t most;
+    double least;
+    double ratio;
+} search_radii;
+
+typedef struct {
+    int64_t bright_inside;
+    int64_t points;
+    double centre[2];
+    double radius;
+    double support;
+    double outline_px[72];
+} search_circle;
+
+typedef struct {
+    double xy_m[1728];
+    double area_inside[18];
+    double ring[18];
+    double h_marking[864];
+    double arrow[864];
+    double polarity;
+} polar_pad;
+
+typedef struct {
+    double turn_rad;
+    double score;
+    double arrow;
+    double in_view;
+} polar_fit;
+
+typedef struct {
     double p[3];
     double v[3];
     double R[9];
@@ -857,6 +904,13 @@ void render_average(int32_t h, int32_t w, const uint16_t *scene, const int32_t *
 /* render_swell.c */
 void render_swell(int32_t rows, int32_t columns, const float *rays, const double *R_ned_cam, const double *plane_from_ray, const double *to_sun, double t_s, int32_t harmonics, const wave *waves, float *light);
 
+/* search_circles.c */
+int64_t search_room(const search_image *image);
+int32_t search_circles(const search_image *image, const uint8_t *grey, const float *rays, const search_radii *radii, float *scratch, search_circle *out);
+
+/* search_heading.c */
+int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int32_t width, int32_t height, const uint8_t *px, int32_t stride, const double *side, polar_fit *out);
+
 /* sighting.c */
 int32_t sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, double *innov, double *H, double *R, double *by_rate);
 
@@ -871,7 +925,7 @@ void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea
 void vehicle_carry(vehicle *v, const deck *g);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 4016957680u
+#define INTERFACE_DIGEST 3240863432u
 #endif
 
 #endif

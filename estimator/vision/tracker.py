@@ -21,7 +21,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
 from estimator.vision.detect import verification
-from estimator.vision.detect.acquire import PadCandidate, acquire, align_at
+from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
@@ -65,6 +65,10 @@ class TrackerConfig:
     camera: Camera
     pad: Pad
     options: TrackerOptions = field(default_factory=TrackerOptions)
+    search_work: float = math.inf
+    """Work of a search in one frame; what is left goes on with the next frame (`acquire.FRAME_WORK`). By default each frame is
+    searched to the end.
+    """
 
     @property
     def colours(self) -> ColourSet:
@@ -77,12 +81,13 @@ class TrackerMemory:
     """The state that vision keeps from frame to frame."""
 
     paint: PaintMemory = FRESH
+    search: SearchMemory = FRESH_SEARCH
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Registered:
     sighting: Sighting
-    memory: PaintMemory
+    paint: PaintMemory
 
 
 def track(
@@ -102,7 +107,7 @@ def track(
             frame, attitude, tracker.camera, tracker.pad, tracker.colours, sigma_deck_rad=tracker.options.deck_tilt_sigma_rad
         ), memory
     pyramid = Pyramid(frame.px)
-    best = _registered(tracker, memory.paint, frame, pyramid, attitude, belief)
+    best, left = _registered(tracker, memory, frame, pyramid, attitude, belief)
     if tracker.options.method == "registration":
         found = None if best is None else best.sighting
         methods: dict[Method, Sighting | None] = {"registration": found}
@@ -113,7 +118,7 @@ def track(
         )
         thesis, best = _verify_cues(tracker, memory.paint, frame, pyramid, attitude, thesis, best)
         seen = together(thesis, None if best is None else best.sighting)
-    return seen, TrackerMemory(missed(memory.paint) if best is None else best.memory)
+    return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left)
 
 
 def together(thesis: Detection, registered: Sighting | None) -> Detection:
@@ -140,12 +145,14 @@ def _in_camera(d_body_pad_level: F64, yaw_rad: float, R_level_body: Rotation, ca
 
 def _registered(
     tracker: TrackerConfig,
-    paint: PaintMemory,
+    memory: TrackerMemory,
     frame: Frame,
     pyramid: Pyramid,
     attitude: Attitude | None,
     belief: RelativeState | None,
-) -> _Registered | None:
+) -> tuple[_Registered | None, SearchMemory]:
+    """Register where the belief expects the pad, else where a search finds it; return the best, and what the search leaves."""
+    paint, left = memory.paint, FRESH_SEARCH
     orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
     best: _Registered | None = None
     start: PadPose | None = None
@@ -157,7 +164,9 @@ def _registered(
             best = _register_from(tracker, paint, frame, pyramid, start, orientation, options, verification.TRACKED_LOG_ODDS)
     if best is None or best.sighting.confidence < _FITS:
         R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
-        for candidate in acquire(frame.px, tracker.camera, tracker.pad, R_level_body, paint)[:_CANDIDATES]:
+        found = search(frame.px, tracker.camera, tracker.pad, R_level_body, paint, memory.search, budget=tracker.search_work)
+        left = found.memory
+        for candidate in found.candidates[:_CANDIDATES]:
             if candidate.score < _WORTH_A_TRY:
                 break
             off_m = math.inf if start is None else float(np.linalg.norm(candidate.pose.t_cam_pad - start.t_cam_pad))
@@ -165,7 +174,7 @@ def _registered(
             best = _better(best, _register_from(tracker, paint, frame, pyramid, candidate.pose, orientation, _CLOSE, prior))
             if best is not None and best.sighting.confidence >= _FITS:
                 break
-    return best
+    return best, left
 
 
 def _verify_cues(

@@ -1,25 +1,25 @@
-"""Find the pad in a whole frame without a prior: hypotheses from coarse to fine, each verified with the whole drawing."""
+"""Find the pad in a whole frame without a prior: hypotheses, best first, each verified with the whole drawing.
+
+Hypotheses come from circles of edges in luminance, at several sizes of the frame, from the strokes of the H, and from circles in
+the measure of the disc's colour where there is colour. A search may be given a budget of work; what is left goes on with the next
+frame. The budget counts work and not time, so that the same frames give the same results.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, AlignedTemplate, align
-from estimator.vision.detect.circles import Circle, Plane, circles, tolerance_of
-from estimator.vision.detect.heading import heading
+from estimator.vision.detect.hypotheses import WORK_GUESS, Kind, kinds
 from estimator.vision.detect.paint import FRESH, PaintMemory
+from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.detect.scan import Blob, Coarse, blobs, coarse, disc_regions, limits
-from estimator.vision.detect.strokes import h_markings
-from estimator.vision.detect.template import disc_edge_m
 from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, arrow_support, confidence
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
@@ -28,36 +28,30 @@ U8 = NDArray[np.uint8]
 
 SURE, ENOUGH = 0.9, 0.5
 """Confidence at which no further hypotheses are tried, and confidence at which no further kinds of hypotheses are tried."""
+FRAME_WORK = 14.0
+"""Work that a search may do in one frame of a flight, in the time of one BGR to HSV conversion and one inRange of a frame of
+640x360."""
 _MOST_ALIGNED = 16
 """Largest number of hypotheses of one frame that the drawing is aligned at before the search is given up."""
-_ALIGNED, _ALIGNED_FREE, _ALIGNED_FAR = 2, 3, 6
-"""Numbers of the best hypotheses of one kind that the drawing is aligned at: usually, with the tilt unknown, and from afar. From
-afar a hypothesis by itself is weak evidence and an alignment is cheap.
-"""
-_LEAST_GUESS = 0.04
+_ALIGNED = 3
+"""Number of the best hypotheses of one kind that the drawing is aligned at."""
+_LEAST_DRAWING = 0.04
 """Smallest fraction of the variance that a guess must explain. No guess with less was the pad in 900 frames."""
 _TRIES = 2
 """Guesses tried for each candidate that may be kept. Most false candidates are refused at the first step and cost little."""
-_SMALL_PX = 28.0
-"""Radius of a disc, in pixels of the coarse frame, below which the full-size frame is sampled instead."""
 _STEPS, _STEPS_FREE = 4, 8
 """Gauss-Newton steps of alignment, with the tilt known and unknown."""
 _ARROW_SEEN = 0.3
 """Support of the arrowhead at which the heading is unambiguous."""
-COARSE_WIDTH_PX = 160
-"""Approximate width of the frame in the first pass. At this width the pad has a radius of 5 px from 7 m with the sim camera."""
-_PLAIN = 0.5
-"""Fraction of the variance explained by a guess at which no further regions are searched."""
-_LEAST_FACING = math.cos(math.radians(38.0))
-"""Smallest cosine between the pad's normal and the camera's axis when the tilt is unknown: 25 degrees of tilt plus an error."""
-_BLOB_RADII = (0.95, 1.5)
-"""Factors from a blob's radius to the disc's: the blob is the disc, or the part of it inside the ring."""
-_COVERED_ARC_RAD = 4.6
-"""Arc of a disc's outline below which the disc is taken to be half covered."""
-_HALVES = 6
-"""Number of the most prominent blobs that are also tried as half a disc."""
-_NEAR_FRACTION = 0.10
-"""Fraction of the frame in the disc's colour above which the H is searched before blobs are."""
+_WORK_ALIGN = 1.0
+_SAME_PX, _SAME_RADII, _SAME_FAR = 4.0, 0.5, 0.15
+"""What a place of one frame may be off from that of the next to be the same: px, radii of the disc, and by the logarithm of the
+distance.
+"""
+_REMEMBERED = 24
+"""Most places of refused hypotheses that are remembered."""
+Place = tuple[float, float, float]
+"""The pad's centre, px from the lens' axis, and the logarithm of its distance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,17 +70,28 @@ class PadCandidate:
     aligned: AlignedTemplate
 
 
+@dataclass(frozen=True, slots=True)
+class SearchMemory:
+    """What a search leaves for the next frame."""
+
+    first: int = 0
+    """The kind of hypotheses to begin with."""
+    refused: tuple[Place, ...] = ()
+    """Places whose hypotheses were refused since all kinds were tried last. Hypotheses there come last."""
+
+
+FRESH_SEARCH = SearchMemory()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class _Guess:
-    flat: PadPose
-    turn_rad: float
-    """Angle by which the pad is to be turned about its own z axis relative to `flat`."""
-    score: float
-    tilt_known: bool
-    side: F64 | None = None
-    """Unit direction, (2,), in x and y of the turned pad: only the half of the disc on this side is used, as the other is
-    covered.
-    """
+class Found:
+    """The result of a search in one frame."""
+
+    candidates: list[PadCandidate]
+    """Best first; empty if nothing resembles the pad."""
+    memory: SearchMemory
+    work: float
+    """Work done."""
 
 
 def acquire(
@@ -94,75 +99,99 @@ def acquire(
     camera: Camera,
     pad: Pad,
     R_level_body: Rotation | None = None,
-    memory: PaintMemory = FRESH,
+    paint: PaintMemory = FRESH,
     *,
     sure: float = SURE,
 ) -> list[PadCandidate]:
-    """Search a frame for the pad and return the candidates, best first; the list is empty if nothing resembles the pad.
+    """Search a whole frame for the pad, however long it takes, and return the candidates, best first.
+
+    Args and errors: as `search`.
+    """
+    return search(px, camera, pad, R_level_body, paint, sure=sure).candidates
+
+
+def search(
+    px: U8,
+    camera: Camera,
+    pad: Pad,
+    R_level_body: Rotation | None = None,
+    paint: PaintMemory = FRESH,
+    memory: SearchMemory = FRESH_SEARCH,
+    *,
+    sure: float = SURE,
+    budget: float = math.inf,
+) -> Found:
+    """Search a frame for the pad.
 
     Args:
-        px: (H, W, 3) BGR of the camera's size.
+        px: (H, W, 3) BGR of the camera's size; three equal channels from a grey camera.
         R_level_body: roll and pitch of the body at the exposure. None if the vehicle does not report them, which costs time
             and some range.
-        memory: learned paints. They only order the search, so that the likeliest colours come first; no result depends on them.
+        paint: learned paints. They only order the search: where the disc stood out by its colour, colour comes first.
+        memory: what the search left in the frame before.
         sure: confidence at which no further hypotheses are tried; a value over 1 gives all candidates.
+        budget: work at which the search goes on with the next frame, as `FRAME_WORK`.
 
     Raises:
         ValueError: the frame is not of the camera's size.
     """
     if px.shape[:2] != (camera.height, camera.width):
         raise ValueError(f"the frame is {px.shape[1]}x{px.shape[0]} px, the camera's are {camera.width}x{camera.height}")
-    pyramid = Pyramid(px)
-    plane = Plane.of(camera, R_level_body)
-    found: list[PadCandidate] = []
-    for stage in _stages(pyramid, camera, pad, plane, memory):
-        for guesses, most in stage:
-            found += _align(guesses, found, most, pyramid, camera, pad, sure)
-            if len(found) >= _MOST_ALIGNED or any(c.score >= sure for c in found):
-                break
-        if len(found) >= _MOST_ALIGNED or any(c.score >= min(sure, ENOUGH) for c in found if sure <= 1.0):
+    task = _Task(Pyramid(px), camera, pad, sure, budget, memory.refused)
+    of_all = kinds(task.pyramid, camera, pad, Plane.of(camera, R_level_body), paint)
+    for k in ((memory.first + i) % len(of_all) for i in range(len(of_all))):
+        enough = _try_kind(of_all[k], task)
+        if enough is None:
+            return Found(_distinct(task.found), SearchMemory(k, tuple(task.refused[-_REMEMBERED:])), task.work)
+        if enough:
             break
-    return _distinct(sorted(found, key=lambda c: -c.score))
+    return Found(_distinct(task.found), FRESH_SEARCH, task.work)
 
 
-def _stages(
-    pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, memory: PaintMemory
-) -> Iterator[Iterator[tuple[list[_Guess], int]]]:
-    """Yield guesses of one kind after the other, quick and likely kinds first, with the number of them to align."""
-    level = max(1, round(math.log2(camera.width / COARSE_WIDTH_PX)))
-    most = _ALIGNED if plane.known else _ALIGNED_FREE
-    image = coarse(pyramid[level], 1 << level, pad)
-    yield ((guesses, most) for guesses in _from_discs(image, memory, pyramid, camera, pad, plane))
-    near = image.fraction() > _NEAR_FRACTION
-    if near:
-        yield iter([(_from_strokes(pyramid, level, camera, pad, plane), most)])
-    yield iter([(_from_blobs(pyramid, camera, pad, plane), _ALIGNED_FAR)])
-    finer = coarse(pyramid[level - 1], 1 << (level - 1), pad)
-    yield ((guesses, most) for guesses in _from_discs(finer, memory, pyramid, camera, pad, plane))
-    if not near:
-        yield iter([(_from_strokes(pyramid, level, camera, pad, plane), most)])
+@dataclass(slots=True, eq=False)
+class _Task:
+    """A search in one frame: what it is given, and what it has done so far."""
+
+    pyramid: Pyramid
+    camera: Camera
+    pad: Pad
+    sure: float
+    budget: float
+    refused_before: tuple[Place, ...]
+    found: list[PadCandidate] = field(default_factory=list)
+    refused: list[Place] = field(init=False)
+    work: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.refused = list(self.refused_before)
 
 
-def _align(
-    guesses: list[_Guess], tried: list[PadCandidate], most: int, pyramid: Pyramid, camera: Camera, pad: Pad, sure: float
-) -> list[PadCandidate]:
-    """Align the drawing at the best guesses of a stage, except where it was aligned before."""
-    out: list[PadCandidate] = []
-    aligned = 0
-    for guess in sorted(guesses, key=lambda g: -g.score):
-        if guess.score < _LEAST_GUESS or aligned == _TRIES * most:
-            break
-        if any(_near(guess.flat, c.pose) for c in (*tried, *out)):
+def _try_kind(kind: Kind, task: _Task) -> bool | None:
+    """Align the drawing at the best guesses of a kind. Return whether that is enough, or None if the budget ends before."""
+    if task.work > 0.0 and task.work + kind.work > task.budget:
+        return None
+    guesses = kind.guesses()
+    task.work += kind.work + WORK_GUESS * len(guesses)
+    aligned = kept = 0
+    for guess in sorted(guesses, key=lambda g: (_is_refused(g.flat, task), -g.score)):
+        if guess.drawing < _LEAST_DRAWING or any(_near(guess.flat, c.pose) for c in task.found):
             continue
-        aligned += 1
-        candidate = align_at(guess.flat.turned(guess.turn_rad), guess.tilt_known, pyramid, camera, pad, guess.side)
-        if candidate is not None:
-            out.append(candidate)
-            if candidate.score >= sure:
-                break
-        if len(out) >= most:
+        if aligned == _TRIES * _ALIGNED or kept == _ALIGNED:
             break
-    return out
+        if task.work + _WORK_ALIGN > task.budget and aligned > 0:
+            return None
+        candidate = align_at(guess.pose, guess.tilt_known, task.pyramid, task.camera, task.pad, guess.side)
+        aligned += 1
+        task.work += _WORK_ALIGN
+        if candidate is not None:
+            kept += 1
+            task.found.append(candidate)
+            if candidate.score >= task.sure:
+                return True
+        if candidate is None or candidate.score < ENOUGH:
+            task.refused.append(_place(guess.flat, task.camera))
+    enough = task.sure <= 1.0 and any(c.score >= min(task.sure, ENOUGH) for c in task.found)
+    return enough or len(task.found) >= _MOST_ALIGNED
 
 
 def align_at(
@@ -190,154 +219,16 @@ def align_at(
     )
 
 
-def _from_discs(
-    image: Coarse, memory: PaintMemory, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane
-) -> Iterator[list[_Guess]]:
-    """Yield guesses from circles in the outlines of regions in the disc's colour; one list for each colour limit.
-
-    A circle may be the disc's own edge, or the ring's inner or outer edge.
-    """
-    least = 1.2 * image.step / camera.fx
-    edges = [radius_m for radius_m in (disc_edge_m(pad), pad.markings.ring_inner_m, pad.markings.ring_outer_m) if radius_m]
-    for limit in limits(image, memory.dominance(pad)):
-        out: list[_Guess] = []
-        for disc_region in disc_regions(image, limit):
-            places = plane.places(camera, disc_region.outline_px)
-            for circle in circles(places, least, tolerance_of(plane)):
-                planes = [(plane, circle)]
-                if not plane.known:
-                    planes += _tilted(disc_region.outline_px, places, circle, camera, least)
-                whole = circle.arc_rad > 5.5 and circle.fraction > 0.75 and not disc_region.cut
-                for stand, seen in planes:
-                    for radius_m in edges[:1] if whole else edges:
-                        guess = _guess(stand.pose(seen.centre, seen.radius, radius_m), stand.known, image, pyramid, camera, pad)
-                        if guess is not None:
-                            out.append(guess)
-            if any(g.score > _PLAIN for g in out):
-                break
-        yield out
+def _place(pose: PadPose, camera: Camera) -> Place:
+    x, y, z = pose.t_cam_pad
+    return float(camera.fx * x / z), float(camera.fy * y / z), math.log(z)
 
 
-def _guess(
-    pose: PadPose,
-    tilt_known: bool,
-    image: Coarse,
-    pyramid: Pyramid,
-    camera: Camera,
-    pad: Pad,
-    side: F64 | None = None,
-) -> _Guess | None:
-    radius_px = camera.fx * pad.disc_radius_m / float(pose.t_cam_pad[2])
-    small, step = (image.px, image.step) if radius_px > _SMALL_PX * image.step else (pyramid[0], 1)
-    best = heading(small, step, camera, pad, pose, side)
-    if best is None:
-        return None
-    if side is not None:
-        c, s = math.cos(best.turn_rad), math.sin(best.turn_rad)
-        side = np.array([c * side[0] + s * side[1], c * side[1] - s * side[0]])
-    return _Guess(pose, best.turn_rad, best.score, tilt_known, side)
-
-
-def _tilted(outline_px: F64, places: F64, circle: Circle, camera: Camera, least: float) -> list[tuple[Plane, Circle]]:
-    """Return the two planes in which the outline, an ellipse, is the projection of a circle; with the circles."""
-    ok = np.isfinite(places).all(axis=1)
-    xy = places[ok]
-    d = np.hypot(xy[:, 0] - circle.centre[0], xy[:, 1] - circle.centre[1])
-    on = np.abs(d - circle.radius) < 0.14 * circle.radius
-    if circle.arc_rad < 3.0 or on.sum() < 12:
-        return []
-    (cx, cy), (d1, d2), angle = cv2.fitEllipseDirect((xy[on] * 1e3).astype(np.float32))
-    if not (math.isfinite(d1 + d2 + cx + cy) and 0 < min(d1, d2) <= max(d1, d2) < 3.0 * min(d1, d2)):
-        return []
-    out = []
-    for normal in circle_normals(np.array([cx, cy]) * 1e-3, np.array([d1, d2]) * 0.5e-3, math.radians(angle)):
-        if normal[2] < _LEAST_FACING:
-            continue
-        plane = Plane.facing(normal)
-        at = plane.places(camera, outline_px[ok][on])
-        for fitted in circles(at, least, 0.03, 1):
-            out.append((plane, fitted))
-    return out
-
-
-def circle_normals(centre: F64, half_axes: F64, angle_rad: float) -> list[F64]:
-    """Return the (3,) normals in `cam`, away from the lens, of the planes in which a circle projects to this ellipse.
-
-    Args:
-        centre: (2,) centre of the ellipse at unit depth.
-        half_axes: (2,) half axes there; the first lies at `angle_rad` from the x axis.
-
-    Source: Kanatani and Liu, 3D interpretation of conics and orthogonality, CVGIP 58 (1993), eq. 19.
-    """
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    rot = np.array([[c, -s], [s, c]])
-    A = rot @ np.diag(half_axes**-2.0) @ rot.T
-    b = -A @ centre
-    Q = np.block([[A, b[:, None]], [b[None, :], np.array([[centre @ A @ centre - 1.0]])]])
-    values, vectors = np.linalg.eigh(Q)
-    l3, l2, l1 = values
-    if not l3 < 0.0 < l2 <= l1:
-        return []
-    out = []
-    for sign in (1.0, -1.0) if l1 - l2 > 1e-9 * l1 else (1.0,):
-        n = math.sqrt((l1 - l2) / (l1 - l3)) * sign * vectors[:, 2] + math.sqrt((l2 - l3) / (l1 - l3)) * vectors[:, 0]
-        out.append(np.asarray(n if n[2] > 0 else -n))
-    return out
-
-
-def _from_strokes(pyramid: Pyramid, level: int, camera: Camera, pad: Pad, plane: Plane) -> list[_Guess]:
-    """Return guesses from the H's strokes.
-
-    The camera must be near enough for a stroke to be a few pixels wide in the coarse frame.
-    """
-    found = h_markings(pyramid[level], 1 << level, camera, pad, plane) if pad.markings.is_h else []
-    return [_Guess(f.pose, 0.0, f.score, plane.known) for f in found]
-
-
-def _from_blobs(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> list[_Guess]:
-    """Return guesses from blobs of the disc's colour in the frame at full size: the pad from afar."""
-    image = coarse(pyramid[0], 1, pad)
-    out: list[_Guess] = []
-    for rank, blob in enumerate(blobs(image)):
-        places = plane.places(camera, blob.centre_px + np.array([[0.0, 0.0], [1.0, 0.0]]))
-        if not np.isfinite(places).all():
-            continue
-        radius = blob.radius_px * float(np.hypot(*(places[1] - places[0])))
-        poses = [plane.pose(places[0], radius * factor, disc_edge_m(pad)) for factor in _BLOB_RADII]
-        guesses = [_guess(pose, plane.known, image, pyramid, camera, pad) for pose in poses]
-        best = max((g for g in guesses if g is not None), key=lambda g: g.score, default=None)
-        if best is not None:
-            out.append(best)
-        half = _half(blob, image, pyramid, camera, pad, plane) if rank < _HALVES else None
-        if half is not None:
-            out.append(half)
-    # A few pixels of drawing are weak evidence, and so is prominence alone. The best guesses by either criterion come first.
-    by_drawing = {id(g): k for k, g in enumerate(sorted(out, key=lambda g: -g.score))}
-    return [replace(g, score=1.0 / (1 + min(k, by_drawing[id(g)]))) for k, g in enumerate(out)]
-
-
-def _half(blob: Blob, image: Coarse, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> _Guess | None:
-    """Return a guess from the arc in a blob's outline, if the visible part of a partly covered disc is half a circle."""
-    places = plane.places(camera, blob.outline_px)
-    found = circles(places, 1.2 / camera.fx, tolerance_of(plane), 1)
-    side = _side(found[0], places) if found else None
-    if side is None:
-        return None
-    pose = plane.pose(found[0].centre, found[0].radius, disc_edge_m(pad))
-    return _guess(pose, plane.known, image, pyramid, camera, pad, side)
-
-
-def _side(circle: Circle, places: F64) -> F64 | None:
-    """Return the (2,) unit direction from the circle's centre to its visible outline if half of the outline is missing."""
-    if circle.arc_rad > _COVERED_ARC_RAD:
-        return None
-    from_centre = places[np.isfinite(places).all(axis=1)] - circle.centre
-    on = np.abs(np.hypot(from_centre[:, 0], from_centre[:, 1]) - circle.radius) < 0.15 * circle.radius
-    if not on.any():
-        return None
-    toward = from_centre[on].mean(axis=0)
-    length = float(np.hypot(toward[0], toward[1]))
-    return toward / length if length > 0.1 * circle.radius else None
+def _is_refused(pose: PadPose, task: _Task) -> bool:
+    """Return whether a hypothesis near this one was refused in a frame before."""
+    u, v, far = _place(pose, task.camera)
+    reach = _SAME_PX + _SAME_RADII * task.camera.fx * task.pad.disc_radius_m * math.exp(-far)
+    return any(math.hypot(u - a, v - b) < reach and abs(far - c) < _SAME_FAR for a, b, c in task.refused_before)
 
 
 def _near(a: PadPose, b: PadPose) -> bool:
@@ -349,7 +240,7 @@ def _near(a: PadPose, b: PadPose) -> bool:
 
 def _distinct(candidates: list[PadCandidate]) -> list[PadCandidate]:
     out: list[PadCandidate] = []
-    for c in candidates:
+    for c in sorted(candidates, key=lambda c: -c.score):
         if not any(_near(c.pose, k.pose) for k in out):
             out.append(c)
     return out

@@ -1,28 +1,32 @@
 """Correlate the drawing at all headings at once: how much of a candidate's image the positions of the paints explain.
 
 The frame is sampled in polar cells around the candidate's centre. For a given heading every cell belongs to one paint. The score
-is the fraction of the variance between the paints (one-way analysis of variance). Sums over rotated shapes are correlations along
-the angle, and an FFT computes them for all headings.
+is the fraction of the variance between the paints (one-way analysis of variance). The native core computes it
+(`estimator/core/search_heading.c`).
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from estimator.core.interface import size_of
+from estimator.core.library import CORE, start_of
+from estimator.core.records import record
 from estimator.vision.camera import Camera
-from estimator.vision.detect.template import ANGLES, polar_drawing, sampled
+from estimator.vision.detect.template import polar_drawing
+from estimator.vision.native import address, packed_camera, pixels
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 
 U8 = NDArray[np.uint8]
 
-_LEAST = 1e-3
-"""Area of a paint in view, as a fraction of the whole, below which the paint is ignored."""
+_HEADING = CORE.function("search_heading")
+_WORDS = size_of("polar_fit")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,55 +50,26 @@ def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F6
         px: the frame, `step` times smaller than the camera's.
         side: (2,) unit direction in x and y of `pose`: only this half of the disc is used, because the other is covered.
     """
+    out, words = np.empty(_WORDS), np.concatenate([pose.R_cam_pad.matrix.ravel(), pose.t_cam_pad])
+    half = None if side is None else np.array(side, float)
+    found = _HEADING(
+        address(packed_camera(camera)), address(_packed(pad)), start_of(words), step, px.shape[1], px.shape[0], *pixels(px),
+        None if half is None else start_of(half), start_of(out),
+    )  # fmt: skip
+    return Heading(*out.tolist()) if found else None
+
+
+def marks_are_bright(pad: Pad) -> bool:
+    """Return whether the H is brighter than the disc."""
+    return sum(pad.markings.colours.h) > sum(pad.markings.colours.disc)
+
+
+@lru_cache(maxsize=8)
+def _packed(pad: Pad) -> F64:
     drawing = polar_drawing(pad)
-    uv = ((camera.project(drawing.xy_m @ pose.R_cam_pad.matrix[:, :2].T + pose.t_cam_pad) + 0.5) / step - 0.5).astype(np.float32)
-    h, w = px.shape[:2]
-    shape = (len(drawing.area), ANGLES)
-    u, v = uv[:, 0], uv[:, 1]
-    seen = ((u > -0.5) & (u < w - 0.5) & (v > -0.5) & (v < h - 0.5)).reshape(shape)
-    weight = seen * drawing.area_inside
-    if side is not None:
-        weight = weight * (drawing.xy_m @ side > 0.0).reshape(shape)
-    total = float(drawing.area_inside.sum()) * ANGLES
-    in_view = float(weight.sum()) / total
-    if in_view < 0.02:
-        return None
-    # Points behind the lens are nan, which remap would turn into arbitrary pixels. Their weight is zero.
-    at = np.fmax(uv, np.float32(-1e4)).reshape(*shape, 2)
-    seen_px = sampled(px, np.asarray(at, np.float32)).transpose(2, 0, 1)
-    values = np.empty((4, *shape), np.float32)
-    values[0] = weight
-    np.multiply(seen_px, weight * np.float32(1 / 255.0), out=values[1:])
-    spectra = np.fft.rfft(values, axis=2)
-    # These are sums of the weight and of the weighted blue, green, red under H and arrowhead at every heading.
-    products = np.stack([(spectra * turning).sum(axis=1) for turning in drawing.turning])
-    sums = np.fft.irfft(products, n=ANGLES, axis=2)
-    whole = values.sum(axis=(1, 2))
-    ring = (values * drawing.ring).sum(axis=(1, 2))
-    h_marking, arrow = sums[0], sums[1]
-    orange = ring[:, None] + arrow
-    disc = whole[:, None] - h_marking - orange
-    squares = float(np.einsum("crf,crf->", values[1:], seen_px)) / 255.0
-    spread = squares - float((whole[1:] ** 2).sum()) / float(whole[0])
-    if spread <= 1e-6 * total:
-        return None
-    between = np.full(ANGLES, -float((whole[1:] ** 2).sum()) / float(whole[0]))
-    least = _LEAST * total
-    means = []
-    for part in (h_marking, orange, disc):
-        n = np.maximum(part[0], least)
-        m = part[1:] / n
-        between += np.where(part[0] > least, (part[1:] * m).sum(axis=0), 0.0)
-        means.append(np.where(part[0] > least, m, np.nan))
-    mean_h, mean_orange, mean_disc = means
-    with np.errstate(invalid="ignore"):
-        dark = np.minimum(
-            np.nanmin(np.nan_to_num(mean_h - mean_disc, nan=1.0), axis=0), np.nan_to_num(mean_orange[2] - mean_disc[2], nan=1.0)
-        )
-    score = np.where(dark > 0.0, between / spread, 0.25 * between / spread)
-    k = int(np.argmax(score))
-    opposite = float(score[(k + ANGLES // 2) % ANGLES])
-    left, right = float(score[k - 1]), float(score[(k + 1) % ANGLES])
-    bend = left - 2 * float(score[k]) + right
-    fine = 0.5 * (left - right) / bend if bend < -1e-9 else 0.0
-    return Heading((k + fine) * math.tau / ANGLES, float(score[k]), float(score[k]) - opposite, in_view)
+    words = record("polar_pad", {
+        "xy_m": drawing.xy_m, "area_inside": drawing.area_inside, "ring": drawing.ring, "h_marking": drawing.h_marking,
+        "arrow": drawing.arrow, "polarity": 1.0 if marks_are_bright(pad) else -1.0,
+    })  # fmt: skip
+    words.setflags(write=False)
+    return words

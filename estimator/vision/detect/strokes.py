@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import Rotation
 from estimator.vision.camera import Camera
-from estimator.vision.detect.circles import Plane
+from estimator.vision.detect.heading import marks_are_bright
+from estimator.vision.detect.plane import Plane
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 
@@ -49,7 +50,8 @@ def h_markings(px: U8, step: int, camera: Camera, pad: Pad, plane: Plane, most: 
     Args:
         px: the frame, `step` times smaller than the camera's.
     """
-    least = np.asarray(cv2.min(cv2.min(px[:, :, 0], px[:, :, 1]), px[:, :, 2]), np.uint8)
+    of = px if marks_are_bright(pad) else cv2.bitwise_not(px)
+    least = np.asarray(cv2.min(cv2.min(of[:, :, 0], of[:, :, 1]), of[:, :, 2]), np.uint8)
     out: list[HMarking] = []
     limit, _ = cv2.threshold(least, 0, 255, cv2.THRESH_OTSU)
     above = least[least > limit]

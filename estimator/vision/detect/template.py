@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.core.interface.eyes import TEMPLATE_ONE
+from estimator.core.interface.search import POLAR_ANGLES, POLAR_RADII
 from estimator.core.records import record
 from estimator.vision.pad import Pad
 from estimator.vision.regions import rectangles_of
@@ -21,10 +21,7 @@ from estimator.vision.srgb import linear_light
 F32 = NDArray[np.float32]
 I16 = NDArray[np.int16]
 
-_NO_SECOND_MAP = np.empty(0, np.float32)
-
-ANGLES = 48
-_RADII = 18
+ANGLES, _RADII = POLAR_ANGLES, POLAR_RADII
 _FINE = 4
 """Sub-samples per polar cell and axis: coverage to about 2 %."""
 STEP_M = 0.004
@@ -73,14 +70,14 @@ class PolarDrawing:
 
     xy_m: F64
     """Positions of the cells' centres, (radii * angles, 2) m."""
-    area: F32
-    """Relative area of a cell, (radii, 1)."""
     area_inside: F32
-    """The same within the disc's paint, (radii, 1); 0 around it."""
+    """Relative area of a cell within the disc's paint, (radii, 1); 0 around it."""
     ring: F32
     """Coverage by the ring, (radii, 1)."""
-    turning: NDArray[np.complex64]
-    """Conjugate spectra of the coverage by H and arrowhead, (2, radii, angles // 2 + 1)."""
+    h_marking: F32
+    """Coverage by the H, (radii, angles)."""
+    arrow: F32
+    """Coverage by the arrowhead, (radii, angles)."""
 
 
 @lru_cache(maxsize=8)
@@ -98,15 +95,14 @@ def polar_drawing(pad: Pad) -> PolarDrawing:
     fine_a = (np.arange(ANGLES * _FINE) - (_FINE - 1) / 2) * math.tau / (ANGLES * _FINE)
     masks = paints_at(places(fine_r, fine_a), pad)
     h_marking, ring, arrow, disc = (m.reshape(_RADII, _FINE, ANGLES, _FINE).mean(axis=(1, 3)) for m in masks)
-    spectra = np.conj(np.fft.rfft(np.stack([h_marking, arrow]), axis=2)).astype(np.complex64)
     inside = (h_marking + ring + arrow + disc).mean(axis=1, keepdims=True) > 0.5
     area = (r / r.mean()).astype(np.float32)[:, None]
     return PolarDrawing(
         places(r, a),
-        area,
         area * inside,
         ring.mean(axis=1, keepdims=True).astype(np.float32),
-        spectra,
+        h_marking.astype(np.float32),
+        arrow.astype(np.float32),
     )
 
 
@@ -176,14 +172,6 @@ def _orange_place(pad: Pad) -> F64:
         np.sqrt(linear_light(rgb[::-1])) for rgb in (pad.markings.colours.h, pad.markings.colours.ring, pad.markings.colours.disc)
     )
     return np.asarray((orange - green) / (white - green))
-
-
-def sampled(image: NDArray[Any], at: F32) -> NDArray[Any]:
-    """Sample an image (h, w, c) at fractional positions (n, m, 2), column first, bilinear.
-
-    Outside the image the edge is repeated. A single row of positions takes half the time of a single column.
-    """
-    return cv2.remap(image, at, _NO_SECOND_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _blurred(coverage: F32, sigma_m: float) -> F32:

@@ -263,11 +263,12 @@ static void gate(int m, double poison)
 #include "exercise_render.h"
 #include "exercise_sim.h"
 #include "exercise_align.h"
+#include "exercise_search.h"
 
 static void fuzz_one(const uint8_t *bytes, size_t size)
 {
     begin(bytes, size);
-    const int what = fuzzed_byte() % 7;
+    const int what = fuzzed_byte() % 8;
     if (what == 0) {
         const int n = 1 + draw() % ORDER_MAX, m = 1 + draw() % ROWS_MAX;
         algebra(n, m, 1.0);
@@ -282,6 +283,8 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
         registrations(1);
     } else if (what == 6) {
         alignments(1);
+    } else if (what == 7) {
+        searches(1);
     } else {
         sail(draw() % 7, 1 + draw() % 200, 1.0);
     }
@@ -348,6 +351,8 @@ int main(int count, char **files)
     report("register_pad");
     alignments(40);
     report("align_view align_move align_fit");
+    searches(40);
+    report("search_room search_circles search_heading");
     simulator();
     report("vehicle_step vehicle_carry sim_run sensors_read");
     return 0;

@@ -1,30 +1,36 @@
-"""What acquisition is made of: specks and patches, circles, headings, strokes, and laying the drawing on the frame."""
+"""What acquisition is made of: circles of edges, headings, strokes, and laying the drawing on the frame."""
 
 from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import Rotation
 from estimator.core.interface.eyes import TEMPLATE_ONE
 from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import circle_normals
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
-from estimator.vision.detect.circles import Plane, circles
+from estimator.vision.detect.colour import disc_colour, is_coloured
+from estimator.vision.detect.edge_circles import Radii, edge_circles
 from estimator.vision.detect.heading import heading
+from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.detect.scan import blobs, coarse, disc_regions, limits
 from estimator.vision.detect.strokes import h_markings
 from estimator.vision.detect.template import DISC, ORANGE, STEP_M, H, paints_at, polar_drawing, template
+from estimator.vision.detect.tilted import circle_normals, tilted_circles
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from sitl.light import Light
+from tests.estimator.vision.oracle.heading import searched_heading
 from tests.support.deck_images import shown
 from tests.support.pad_images import sim_camera
+
+U8 = NDArray[np.uint8]
 
 
 def test_a_part_of_a_small_image_is_that_part_of_the_small_image() -> None:
@@ -68,31 +74,52 @@ def test_the_normals_of_an_ellipse_contain_that_of_its_circle(
     assert all(g[2] > 0 for g in got)
 
 
+def disc_on(shape: tuple[int, int], at: tuple[float, float], radius: float, inside: int, outside: int) -> U8:
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    share = np.clip(radius - np.hypot(u - at[0], v - at[1]) + 0.5, 0.0, 1.0)
+    return np.asarray(np.rint(outside + share * (inside - outside)), np.uint8)
+
+
 @given(
-    cx=st.floats(-0.3, 0.3), cy=st.floats(-0.3, 0.3), radius=st.floats(0.02, 0.6), start=st.floats(0.0, 6.28),
-    arc=st.floats(3.2, 6.28), seed=st.integers(0, 99),
+    u=st.floats(40.0, 120.0), v=st.floats(35.0, 55.0), radius=st.floats(9.0, 22.0), shades=st.sampled_from([(90, 60), (60, 90)]),
+    seed=st.integers(0, 99),
 )  # fmt: skip
-@settings(max_examples=60)
-def test_a_circle_is_found_in_an_outline_with_a_chord_across_it(
-    cx: float, cy: float, radius: float, start: float, arc: float, seed: int
+@settings(max_examples=40)
+def test_a_disc_of_little_contrast_is_the_most_prominent_circle(
+    u: float, v: float, radius: float, shades: tuple[int, int], seed: int
 ) -> None:
-    rng = np.random.default_rng(seed)
-    a = start + np.linspace(0.0, arc, 120)
-    on = np.stack([cx + radius * np.cos(a), cy + radius * np.sin(a)], axis=1)
-    chord = on[-1] + np.linspace(0.0, 1.0, 40)[:, None] * (on[0] - on[-1])
-    outline = np.concatenate([on, chord]) + rng.normal(0, 0.003 * radius, (160, 2))
-    found = circles(outline, 0.004, 0.025)
-    assert found
-    assert np.hypot(*(found[0].centre - (cx, cy))) < 0.06 * radius
-    assert found[0].radius == pytest.approx(radius, rel=0.06)
-    assert found[0].arc_rad > 0.6 * arc
+    camera = sim_camera((0.0, 0.0, 0.0))
+    grey = disc_on((90, 160), (u, v), radius, *shades) + np.random.default_rng(seed).normal(0.0, 2.0, (90, 160))
+    best = edge_circles(np.asarray(np.rint(grey), np.uint8), 4, camera, Plane.of(camera, None), Radii(8.5, 1.2, 7), 3)[0]
+    middle = camera.rays((np.array([[u, v]]) + 0.5) * 4 - 0.5)[0]
+    assert np.hypot(*(best.centre - middle)) < 0.05 * radius * 4 / camera.fx
+    assert best.radius == pytest.approx(radius * 4 / camera.fx, rel=0.05)
+    assert best.bright_inside == (shades[0] > shades[1])
+    assert best.support > 0.8
 
 
-def test_points_on_a_line_or_none_at_all_make_no_circle() -> None:
-    line = np.stack([np.linspace(0, 1, 50), np.linspace(0, 2, 50)], axis=1)
-    nowhere: list[F64] = [line, np.empty((0, 2)), np.full((30, 2), np.nan), np.zeros((30, 2))]
-    for points in nowhere:
-        assert circles(points, 0.01, 0.03) == []
+def test_a_plain_frame_has_no_circles_and_stripes_and_noise_none_with_much_of_an_outline() -> None:
+    camera = sim_camera((0.0, 0.0, 0.0))
+    plane, radii = Plane.of(camera, None), Radii(6.0, 1.2, 6)
+    stripes = np.asarray(60 + 120 * (np.arange(160) % 40 < 20), np.uint8)[None].repeat(90, axis=0)
+    assert edge_circles(np.full((90, 160), 77, np.uint8), 4, camera, plane, radii, 6) == []
+    noise = np.random.default_rng(1).integers(0, 256, (90, 160), np.uint8)
+    for px, most in ((np.ascontiguousarray(stripes), 0.4), (noise, 0.8)):
+        assert all(c.support < most for c in edge_circles(px, 4, camera, plane, radii, 6))
+
+
+@given(roll=st.floats(-0.4, 0.4), pitch=st.floats(-0.4, 0.4))
+@settings(max_examples=30)
+def test_a_tilted_circle_has_its_radius_in_one_of_two_planes(roll: float, pitch: float) -> None:
+    camera = sim_camera((0.0, 0.0, 0.0))
+    pose = PadPose(Rotation.from_rpy(roll, pitch, 0.0), np.array([0.1, -0.2, 2.0]))
+    a = np.linspace(0.0, math.tau, 30, endpoint=False)
+    outline = camera.project(pose.points(np.stack([0.39 * np.cos(a), 0.39 * np.sin(a), 0 * a], axis=1)))
+    found = [plane.pose(centre, radius, 0.39) for plane, centre, radius in tilted_circles(outline, camera)]
+    if not found:
+        assert math.cos(roll) * math.cos(pitch) > 0.93, "nearly facing the camera"
+        return
+    assert min(float(np.linalg.norm(p.t_cam_pad - pose.t_cam_pad)) for p in found) < 1e-3
 
 
 def test_shares_of_the_drawing_add_up_and_match_its_areas(pad: Pad) -> None:
@@ -162,19 +189,37 @@ def test_the_drawing_is_not_laid_where_there_is_none_of_it(camera: Camera, pad: 
     assert align(Pyramid(seen.px), camera, pad, away, SIGMA_TILT_RAD) is None
 
 
-def test_patches_and_specks_lie_on_the_pad_whatever_the_cast(camera: Camera, pad: Pad) -> None:
-    for light in (Light(), Light(3000.0), Light(9000.0, white_balance=(1.2, 0.8, 1.2))):
-        seen = shown(camera, pad, 2.0, aside=(0.2, 0.1), light=light)
-        uv = camera.project(seen.truth.t_cam_pad[None])[0]
-        image = coarse(Pyramid(seen.px)[1], 2, pad)
-        first = disc_regions(image, limits(image)[0])[0]
-        low, high = first.outline_px.min(axis=0), first.outline_px.max(axis=0)
-        radius = camera.fx * pad.disc_radius_m / 2.0
-        assert np.abs((low + high) / 2 - uv).max() < 0.05 * radius
-        assert (high - low).max() / 2 == pytest.approx(radius, rel=0.08)
-        far = shown(camera, pad, 25.0, light=light)
-        uv = camera.project(far.truth.t_cam_pad[None])[0]
-        assert min(np.hypot(*(s.centre_px - uv)) for s in blobs(coarse(far.px, 1, pad))) < 1.5
+@pytest.mark.parametrize("light", [Light(), Light(3000.0), Light(9000.0, white_balance=(1.2, 0.8, 1.2))])
+def test_the_disc_is_the_first_circle_in_luminance_and_in_colour(camera: Camera, pad: Pad, light: Light) -> None:
+    seen = shown(camera, pad, 2.0, aside=(0.2, 0.1), light=light, tilt_rad=(0.2, -0.1))
+    plane, px = Plane.of(camera, seen.R_level_body), Pyramid(seen.px)[2]
+    colour = disc_colour(px, pad)
+    assert is_coloured(colour)
+    for image in (np.asarray(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), np.uint8), colour):
+        circle = edge_circles(image, 4, camera, plane, Radii(8.5, 1.2, 7), 1)[0]
+        poses = [
+            plane.pose(circle.centre, circle.radius, r)
+            for r in (pad.disc_radius_m, pad.markings.ring_outer_m, pad.markings.ring_inner_m)
+        ]
+        assert min(float(np.linalg.norm(p.t_cam_pad - seen.truth.t_cam_pad)) for p in poses) < 0.1
+    grey = np.asarray(cv2.cvtColor(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR), np.uint8)
+    assert not is_coloured(disc_colour(grey, pad))
+
+
+@pytest.mark.parametrize("height_m", [0.6, 2.0, 9.0])
+def test_the_core_scores_headings_as_numpy_does(camera: Camera, pad: Pad, height_m: float) -> None:
+    rng = np.random.default_rng(round(height_m))
+    seen = shown(camera, pad, height_m, yaw_rad=2.0)
+    for k in range(8):
+        off = PadPose(seen.truth.R_cam_pad, seen.truth.t_cam_pad + rng.normal(0.0, 0.05 * k * height_m, 3) * [1.0, 1.0, 0.3])
+        side = None if k % 2 else np.array([0.6, -0.8])
+        ours, oracle = (of(seen.px, 1, camera, pad, off, side) for of in (heading, searched_heading))
+        assert (ours is None) == (oracle is None)
+        if ours is not None and oracle is not None:
+            assert ours.score == pytest.approx(oracle.score, abs=2e-3)
+            assert ours.in_view == pytest.approx(oracle.in_view, abs=1e-6)
+            assert ours.arrow == pytest.approx(oracle.arrow, abs=4e-3)
+            assert abs(math.remainder(ours.turn_rad - oracle.turn_rad, math.tau)) < 0.03 or oracle.score < 0.1
 
 
 def test_a_lens_with_distortion_changes_nothing_for_the_plane() -> None:

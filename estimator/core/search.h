@@ -1,0 +1,68 @@
+/* The parts of a search for circles in a grey image. */
+#ifndef DECKLANDER_SEARCH_H
+#define DECKLANDER_SEARCH_H
+
+#include "interface.h"
+
+/* Edges of an image: place, px, and the way from the edge to the centre of a circle of unit radius that is bright inside, px. */
+typedef struct {
+    int n;
+    float *x, *y, *to_x, *to_y;
+    /* The first edge of each row, and their number at the end. */
+    int32_t *first;
+} edge_list;
+
+/* The image in blocks: corners on the plane at unit distance, and the pixels per unit of the plane, (2, 2). */
+typedef struct {
+    int columns, rows;
+    float *corners, *scale, *least;
+} block_grid;
+
+/* The most prominent circle of each tile of votes. */
+typedef struct {
+    int columns, rows;
+    float *score;
+    int32_t *plane;
+} vote_tiles;
+
+/* What the scratch is divided into. */
+typedef struct {
+    int16_t *slope_x, *slope_y;
+    uint16_t *strength;
+    block_grid blocks;
+    edge_list edges;
+    uint8_t *votes;
+    uint16_t *row;
+    vote_tiles tiles;
+} search_rows;
+
+/* A place of many votes. */
+typedef struct {
+    float x, y;
+    int radius, bright_inside;
+} vote_peak;
+
+/* Cells along a side of a tile, and floats of the scratch for an image; with a scratch, also the parts. */
+enum { TILE_CELLS = 8 };
+int64_t search_divide(const search_image *image, float *scratch, search_rows *out);
+
+/* Find the edges: ridges of the gradient that stand out from their neighbourhood. */
+void search_edges(const search_image *image, const uint8_t *grey, const float *rays, search_rows *rows);
+
+/* Where a pixel's ray meets the plane; returns whether it does. Beyond the image the outermost blocks go on. */
+int search_place(const block_grid *blocks, float x, float y, double out[2]);
+
+/* Pixels per unit of the plane at a pixel: the root of the scale of areas. */
+float search_scale(const block_grid *blocks, float x, float y);
+
+/* Let every edge vote for the centres of the circles that it may belong to, and rate the tiles. */
+void search_votes(const search_image *image, const search_radii *radii, search_rows *rows);
+
+/* Take the most prominent peak that is left, with its tile; returns whether there is one. */
+int search_peak(const search_image *image, search_rows *rows, vote_peak *out);
+
+/* Fit a circle to the edges about a peak; returns whether there is one. */
+int search_fit(const search_image *image, const search_radii *radii, const search_rows *rows, const vote_peak *peak,
+               search_circle *out);
+
+#endif

@@ -1,0 +1,168 @@
+#include <math.h>
+#include <string.h>
+
+#include "camera.h"
+#include "search.h"
+#include "vectors.h"
+#include "wide.h"
+
+enum { CELLS = POLAR_RADII * POLAR_ANGLES, VALUES = 4, LANES = 8 };
+/* Area of a paint in view, as a fraction of the whole, below which the paint is ignored. */
+static const double LEAST_PAINT = 1e-3;
+/* Fraction of the disc in view below which nothing is told, and the factor on a score whose paints are on the wrong sides. */
+static const double LEAST_IN_VIEW = 0.02, WRONG_SIDE = 0.25;
+
+/* The weight of each cell, and with it its blue, green and red, 0..1. */
+typedef struct {
+    float of[VALUES][CELLS];
+    double squares, weight, whole;
+} polar_view;
+
+/* Between the four pixels about a place at most half a pixel outside of the image, where the edge is repeated. */
+static void pixel_at(const uint8_t *px, int32_t stride, int w, int h, double u, double v, float out[3])
+{
+    const double x = u > 0.0 ? u < w - 1.0 ? u : w - 1.0 : 0.0, y = v > 0.0 ? v < h - 1.0 ? v : h - 1.0 : 0.0;
+    const int i = (int)x, j = (int)y, right = i + 1 < w ? 3 : 0;
+    const float across = (float)(x - i), along = (float)(y - j);
+    const uint8_t *top = px + (size_t)j * (size_t)stride + 3 * (size_t)i, *low = j + 1 < h ? top + stride : top;
+    for (int c = 0; c < 3; c++) {
+        const float upper = (float)top[c] + across * (float)(top[right + c] - top[c]);
+        const float lower = (float)low[c] + across * (float)(low[right + c] - low[c]);
+        out[c] = upper + along * (lower - upper);
+    }
+}
+
+static void look(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int w, int h, const uint8_t *px,
+                 int32_t stride, const double *side, polar_view *out)
+{
+    memset(out, 0, sizeof *out);
+    for (int k = 0; k < CELLS; k++) {
+        const double x = pad->xy_m[2 * k], y = pad->xy_m[2 * k + 1], area = pad->area_inside[k / POLAR_ANGLES];
+        double at[3], uv[2];
+        out->whole += area;
+        for (int i = 0; i < 3; i++) {
+            at[i] = pose->R[3 * i] * x + pose->R[3 * i + 1] * y + pose->t[i];
+        }
+        if (!(at[2] > 1e-3) || (side != NULL && x * side[0] + y * side[1] <= 0.0)) {
+            continue;
+        }
+        camera_project(c, at, uv);
+        const double u = (uv[0] + 0.5) / step - 0.5, v = (uv[1] + 0.5) / step - 0.5;
+        if (u > -0.5 && u < w - 0.5 && v > -0.5 && v < h - 0.5) {
+            float seen[3];
+            const float weight = (float)area;
+            pixel_at(px, stride, w, h, u, v, seen);
+            out->of[0][k] = weight;
+            out->weight += area;
+            for (int i = 0; i < 3; i++) {
+                const float light = seen[i] * (1.0f / 255.0f);
+                out->of[1 + i][k] = weight * light;
+                out->squares += area * (double)light * (double)light;
+            }
+        }
+    }
+}
+
+/* Weighted light under a shape that is turned by every whole number of cells: correlation along the angle. */
+WIDE
+static void turned_sums(const polar_view *seen, const double *shape, float out[POLAR_ANGLES][VALUES])
+{
+    memset(out, 0, sizeof(float) * POLAR_ANGLES * VALUES);
+    for (int r = 0; r < POLAR_RADII; r++) {
+        float twice[2 * POLAR_ANGLES], any = 0.0f;
+        for (int a = 0; a < POLAR_ANGLES; a++) {
+            twice[a] = twice[a + POLAR_ANGLES] = (float)shape[POLAR_ANGLES * r + a];
+            any += twice[a];
+        }
+        for (int k = 0; k < POLAR_ANGLES && any > 0.0f; k++) {
+            float *under = twice + POLAR_ANGLES - k;
+            for (int value = 0; value < VALUES; value++) {
+                float8 sum = {0.0f};
+                const float *row = seen->of[value] + POLAR_ANGLES * r;
+                for (int a = 0; a < POLAR_ANGLES; a += LANES) {
+                    float8 light;
+                    memcpy(&light, row + a, sizeof light);
+                    sum += *eight(under + a) * light;
+                }
+                out[k][value] += ((sum[0] + sum[4]) + (sum[1] + sum[5])) + ((sum[2] + sum[6]) + (sum[3] + sum[7]));
+            }
+        }
+    }
+}
+
+/* Sums of weight and light of the whole disc and of its ring. */
+static void fixed_sums(const polar_view *seen, const polar_pad *pad, double whole[VALUES], double ring[VALUES])
+{
+    for (int value = 0; value < VALUES; value++) {
+        whole[value] = ring[value] = 0.0;
+        for (int r = 0; r < POLAR_RADII; r++) {
+            double sum = 0.0;
+            for (int a = 0; a < POLAR_ANGLES; a++) {
+                sum += (double)seen->of[value][POLAR_ANGLES * r + a];
+            }
+            whole[value] += sum;
+            ring[value] += sum * pad->ring[r];
+        }
+    }
+}
+
+/* The variance between the paints at one heading, as a fraction of all; less if a paint lies on the wrong side of another. */
+static double score_at(const float h[VALUES], const float arrow[VALUES], const double whole[VALUES], const double ring[VALUES],
+                       double least, double spread, double polarity)
+{
+    double paint[3][VALUES], mean[3][3], between = 0.0, right = 1.0;
+    for (int value = 0; value < VALUES; value++) {
+        paint[0][value] = (double)h[value];
+        paint[1][value] = ring[value] + (double)arrow[value];
+        paint[2][value] = whole[value] - paint[0][value] - paint[1][value];
+    }
+    for (int c = 0; c < 3; c++) {
+        between -= whole[1 + c] * whole[1 + c] / whole[0];
+        for (int k = 0; k < 3; k++) {
+            mean[k][c] = paint[k][1 + c] / fmax(paint[k][0], least);
+            between += paint[k][0] > least ? paint[k][1 + c] * mean[k][c] : 0.0;
+        }
+    }
+    if (paint[2][0] > least) {
+        for (int c = 0; c < 3 && paint[0][0] > least; c++) {
+            right = fmin(right, polarity * (mean[0][c] - mean[2][c]));
+        }
+        right = paint[1][0] > least ? fmin(right, polarity * (mean[1][2] - mean[2][2])) : right;
+    }
+    return (right > 0.0 ? 1.0 : WRONG_SIDE) * between / spread;
+}
+
+int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int32_t width,
+                       int32_t height, const uint8_t *px, int32_t stride, const double *side, polar_fit *out)
+{
+    polar_view seen;
+    float h[POLAR_ANGLES][VALUES], arrow[POLAR_ANGLES][VALUES];
+    double whole[VALUES], ring[VALUES], score[POLAR_ANGLES];
+    look(c, pad, pose, step, width, height, px, stride, side, &seen);
+    if (!(seen.weight >= LEAST_IN_VIEW * seen.whole)) {
+        return 0;
+    }
+    fixed_sums(&seen, pad, whole, ring);
+    double spread = seen.squares;
+    for (int k = 0; k < 3; k++) {
+        spread -= whole[1 + k] * whole[1 + k] / whole[0];
+    }
+    if (!(spread > 1e-6 * seen.whole)) {
+        return 0;
+    }
+    turned_sums(&seen, pad->h_marking, h);
+    turned_sums(&seen, pad->arrow, arrow);
+    int best = 0;
+    for (int k = 0; k < POLAR_ANGLES; k++) {
+        score[k] = score_at(h[k], arrow[k], whole, ring, LEAST_PAINT * seen.whole, spread, pad->polarity);
+        best = score[k] > score[best] ? k : best;
+    }
+    const double before = score[(best + POLAR_ANGLES - 1) % POLAR_ANGLES], after = score[(best + 1) % POLAR_ANGLES];
+    const double bend = before - 2.0 * score[best] + after;
+    const double fine = bend < -1e-9 ? 0.5 * (before - after) / bend : 0.0;
+    out->turn_rad = (best + fine) * 2.0 * acos(-1.0) / POLAR_ANGLES;
+    out->score = score[best];
+    out->arrow = score[best] - score[(best + POLAR_ANGLES / 2) % POLAR_ANGLES];
+    out->in_view = seen.weight / seen.whole;
+    return 1;
+}

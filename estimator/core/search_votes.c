@@ -1,0 +1,148 @@
+#include <math.h>
+#include <string.h>
+
+#include "search.h"
+#include "wide.h"
+
+enum { CELLS_ACROSS = 2, MOST_VOTES = 255 };
+/* Votes of the neighbourhood that count against a peak, in means, and the least score of a peak: the fraction of a circle. */
+static const float AGAINST = 2.0f, LEAST_SCORE = 0.12f;
+static const float TURN = 6.2831853f;
+
+static int cells(const search_image *image, int64_t px)
+{
+    return (int)((px + 2 * image->margin) / SEARCH_CELL);
+}
+
+static float radius_of(const search_radii *radii, int k)
+{
+    return (float)(radii->least * pow(radii->ratio, k));
+}
+
+/* One vote of each edge for the centre of a circle of this radius.
+ *
+ * Source: Loy and Zelinsky, Fast radial symmetry for detecting points of interest, PAMI 25(8), 2003, section 3. */
+static void vote(const edge_list *edges, float radius, float margin, int columns, int rows, uint8_t *out)
+{
+    const float by = 1.0f / SEARCH_CELL;
+    for (int i = 0; i < edges->n; i++) {
+        const float x = (edges->x[i] + radius * edges->to_x[i] + margin) * by;
+        const float y = (edges->y[i] + radius * edges->to_y[i] + margin) * by;
+        if (x >= 0.0f && y >= 0.0f && x < (float)columns && y < (float)rows) {
+            uint8_t *cell = out + (size_t)(int)y * (size_t)columns + (size_t)(int)x;
+            *cell = (uint8_t)(*cell + (*cell < MOST_VOTES));
+        }
+    }
+}
+
+/* The votes in two by two cells, and the larger of them and what was in `most`. */
+WIDE
+static void windows(int columns, const uint8_t *here, const uint8_t *below, uint16_t *most)
+{
+    for (int i = 0; i < columns - 1; i++) {
+        const uint16_t sum = (uint16_t)(here[i] + here[i + 1] + below[i] + below[i + 1]);
+        most[i] = most[i] > sum ? most[i] : sum;
+    }
+}
+
+/* The largest window and the mean of the votes of each tile. */
+static void rate_tiles(int columns, int rows, const uint8_t *votes, uint16_t *row, const vote_tiles *tiles, float *most, float *mean)
+{
+    for (int i = 0; i < tiles->rows; i++) {
+        const int top = i * TILE_CELLS, low = top + TILE_CELLS < rows ? top + TILE_CELLS : rows;
+        memset(row, 0, (size_t)columns * sizeof *row);
+        for (int k = top; k < low && k < rows - 1; k++) {
+            windows(columns, votes + (size_t)k * (size_t)columns, votes + (size_t)(k + 1) * (size_t)columns, row);
+        }
+        for (int j = 0; j < tiles->columns; j++) {
+            const int left = j * TILE_CELLS, right = left + TILE_CELLS < columns ? left + TILE_CELLS : columns;
+            uint32_t sum = 0, best = 0;
+            for (int k = left; k < right; k++) {
+                best = row[k] > best ? row[k] : best;
+            }
+            for (int k = top; k < low; k++) {
+                for (int l = left; l < right; l++) {
+                    sum += votes[(size_t)k * (size_t)columns + (size_t)l];
+                }
+            }
+            most[i * tiles->columns + j] = (float)best;
+            mean[i * tiles->columns + j] = (float)sum / (float)((right - left) * (low - top));
+        }
+    }
+}
+
+/* The mean over a tile and those around it. */
+static float mean_around(const vote_tiles *t, const float *mean, int i, int j)
+{
+    float sum = 0.0f;
+    int n = 0;
+    for (int y = i > 0 ? i - 1 : 0; y <= i + 1 && y < t->rows; y++) {
+        for (int x = j > 0 ? j - 1 : 0; x <= j + 1 && x < t->columns; x++) {
+            sum += mean[y * t->columns + x];
+            n++;
+        }
+    }
+    return sum / (float)n;
+}
+
+
+void search_votes(const search_image *image, const search_radii *radii, search_rows *rows)
+{
+    const int columns = cells(image, image->width), high = cells(image, image->height), planes = 2 * (int)radii->radii;
+    const size_t plane_cells = (size_t)columns * (size_t)high;
+    vote_tiles *t = &rows->tiles;
+    const int tiles = t->rows * t->columns;
+    float *most = t->score + tiles, *mean = most + tiles;
+    for (int k = 0; k < tiles; k++) {
+        t->score[k] = 0.0f;
+        t->plane[k] = -1;
+    }
+    memset(rows->votes, 0, plane_cells * (size_t)planes);
+    for (int plane = 0; plane < planes; plane++) {
+        uint8_t *votes = rows->votes + plane_cells * (size_t)plane;
+        const float radius = radius_of(radii, plane / 2);
+        vote(&rows->edges, plane % 2 ? radius : -radius, (float)image->margin, columns, high, votes);
+        rate_tiles(columns, high, votes, rows->row, t, most, mean);
+        for (int k = 0; k < tiles; k++) {
+            const int i = k / t->columns, j = k % t->columns;
+            const float x = (float)(j * TILE_CELLS * SEARCH_CELL - (int)image->margin);
+            const float y = (float)(i * TILE_CELLS * SEARCH_CELL - (int)image->margin);
+            const float around = TURN * radius * search_scale(&rows->blocks, x, y);
+            const float left = most[k] - AGAINST * CELLS_ACROSS * CELLS_ACROSS * mean_around(t, mean, i, j);
+            if (left > t->score[k] * around) {
+                t->score[k] = left / around;
+                t->plane[k] = plane;
+            }
+        }
+    }
+}
+
+int search_peak(const search_image *image, search_rows *rows, vote_peak *out)
+{
+    const int columns = cells(image, image->width), high = cells(image, image->height);
+    vote_tiles *t = &rows->tiles;
+    int best = 0, most = -1;
+    for (int k = 1; k < t->rows * t->columns; k++) {
+        best = t->score[k] > t->score[best] ? k : best;
+    }
+    if (t->score[best] < LEAST_SCORE || t->plane[best] < 0) {
+        return 0;
+    }
+    const uint8_t *votes = rows->votes + (size_t)columns * (size_t)high * (size_t)t->plane[best];
+    const int top = best / t->columns * TILE_CELLS, left = best % t->columns * TILE_CELLS;
+    for (int i = top; i < top + TILE_CELLS && i < high - 1; i++) {
+        for (int j = left; j < left + TILE_CELLS && j < columns - 1; j++) {
+            const uint8_t *cell = votes + (size_t)i * (size_t)columns + (size_t)j;
+            const int sum = cell[0] + cell[1] + cell[columns] + cell[columns + 1];
+            if (sum > most) {
+                most = sum;
+                out->x = (float)((j + 1) * SEARCH_CELL - (int)image->margin);
+                out->y = (float)((i + 1) * SEARCH_CELL - (int)image->margin);
+            }
+        }
+    }
+    out->radius = t->plane[best] / 2;
+    out->bright_inside = t->plane[best] % 2;
+    t->score[best] = 0.0f;
+    return most > 0;
+}

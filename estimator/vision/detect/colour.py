@@ -1,0 +1,50 @@
+"""How much more of the disc's own colour a place has than others: one more image to search, where there is colour.
+
+The measure is the logarithm of the disc's dominant channel minus that of the stronger of the other two. A change of brightness,
+colour temperature or white balance shifts it by the same amount all over the frame.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.vision.pad import Pad
+from estimator.vision.srgb import LINEAR_LIGHT
+
+U8 = NDArray[np.uint8]
+
+_FLOOR = 0.01
+"""Light, as a fraction of full scale, below which there is only noise (12 of 8000 electrons read noise, twice averaged, is a
+sixth of it).
+"""
+_MIDDLE = 80
+"""Value where the channels are equal."""
+_NAT = 255.0 / float(np.log1p(1.0 / _FLOOR))
+"""Steps for a factor e."""
+_COLOURED = 0.25 * _NAT
+"""Range of the measure in a frame below which the frame has no colour: 99 of 100 discs stand out by 0.56 in any light."""
+_LOG = np.rint(np.log1p(LINEAR_LIGHT / _FLOOR) * _NAT).astype(np.uint8)
+
+
+def disc_colour(px: U8, pad: Pad) -> U8:
+    """Return the measure, (h, w), of a BGR frame."""
+    main = 2 - int(np.argmax(pad.markings.colours.disc))
+    channels = cv2.split(cv2.LUT(px, _LOG))
+    others = cv2.max(channels[(main + 1) % 3], channels[(main + 2) % 3])
+    return np.asarray(cv2.addWeighted(channels[main], 1.0, others, -1.0, float(_MIDDLE)), np.uint8)
+
+
+def is_coloured(measure: U8) -> bool:
+    """Return whether the measure of a frame, at reduced size, varies more than a frame's without colour."""
+    low, high, _, _ = cv2.minMaxLoc(measure)
+    return high - low > _COLOURED
+
+
+def disc_has_colour(pad: Pad) -> bool:
+    """Return whether there is a disc whose paint is no shade of grey."""
+    if not pad.markings.field_radius_m:
+        return False
+    nominal = np.array([[pad.markings.colours.disc[::-1]]], np.uint8)
+    return int(disc_colour(nominal, pad)[0, 0]) - _MIDDLE > _COLOURED

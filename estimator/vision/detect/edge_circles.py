@@ -1,0 +1,100 @@
+"""Find circles by the votes of edges for their centres: the pad's disc and ring in any light, without colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from estimator.core.interface import places_of, size_of
+from estimator.core.interface.search import SEARCH_BLOCK
+from estimator.core.library import CORE, start_of
+from estimator.core.records import record
+from estimator.vision.camera import Camera
+from estimator.vision.detect.plane import Plane
+from estimator.vision.native import address
+
+U8 = NDArray[np.uint8]
+F32 = NDArray[np.float32]
+
+_ROOM, _CIRCLES = CORE.function("search_room"), CORE.function("search_circles")
+_WORDS, _AT = size_of("search_circle"), places_of("search_circle")
+_EDGES = 0.4
+"""Most edges of an image, per pixel. Two neighbours are seldom both a ridge of the gradient."""
+
+
+@dataclass(frozen=True, slots=True)
+class Radii:
+    """Radii that are searched for at one size of the frame, px of that size for a pad that faces the camera."""
+
+    least_px: float
+    ratio: float
+    count: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeCircle:
+    """A circle of edges in a plane at unit distance."""
+
+    centre: F64
+    radius: float
+    support: float
+    """Fraction of the outline with an edge."""
+    bright_inside: bool
+    outline_px: F64
+    """Edges on it, (N, 2) px of the full frame."""
+
+
+def edge_circles(
+    grey: U8, step: int, camera: Camera, plane: Plane, radii: Radii, most: int, margin_px: int = 0
+) -> list[EdgeCircle]:
+    """Return the circles with the most edges, most prominent first.
+
+    Args:
+        grey: the frame, `step` times smaller than the camera's, (h, w).
+        most: the largest number of circles.
+        margin_px: how far beyond the frame's edge centres may lie, px of `grey`.
+    """
+    h, w = grey.shape
+    image = record("search_image", {
+        "width": w, "height": h, "stride": grey.strides[0], "room": round(_EDGES * w * h), "margin": margin_px,
+        "R_cam_plane": plane.R_cam_plane
+    })  # fmt: skip
+    how = record("search_radii", {
+        "radii": radii.count, "most": most, "least": radii.least_px * step / camera.fx, "ratio": radii.ratio
+    })  # fmt: skip
+    scratch = np.empty(_ROOM(start_of(image)), np.float32)
+    out = np.empty((most, _WORDS))
+    rays = _corner_rays(camera, step, w, h)
+    found = _CIRCLES(
+        start_of(image),
+        address(grey, np.uint8),
+        address(rays, np.float32),
+        start_of(how),
+        address(scratch, np.float32),
+        start_of(out),
+    )
+    return [_circle(words, step) for words in out[:found]]
+
+
+def _circle(words: F64, step: int) -> EdgeCircle:
+    whole = words.view(np.int64)
+    points = int(whole[_AT["points"].start])
+    outline = words[_AT["outline_px"]].reshape(-1, 2)[:points]
+    return EdgeCircle(
+        words[_AT["centre"]], float(words[_AT["radius"].start]), float(words[_AT["support"].start]),
+        bool(whole[_AT["bright_inside"].start]), (outline + 0.5) * step - 0.5,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=16)
+def _corner_rays(camera: Camera, step: int, width: int, height: int) -> F32:
+    """Return the rays of the corners of the blocks, (rows + 1, columns + 1, 2)."""
+    u, v = (np.arange(-(-side // SEARCH_BLOCK) + 1) * SEARCH_BLOCK for side in (width, height))
+    uv: F64 = np.stack(np.meshgrid(u, v), axis=2).reshape(-1, 2).astype(float)
+    rays = camera.rays(np.asarray((uv + 0.5) * step - 0.5)).reshape(len(v), len(u), 2).astype(np.float32)
+    rays.setflags(write=False)
+    return rays
