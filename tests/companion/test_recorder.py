@@ -72,14 +72,14 @@ def test_everything_told_reads_back_the_same_to_the_bit(flown: tuple[Path, Obser
 
 
 def same(a: object, b: object) -> bool:
-    """Equal to the bit, arrays and nested values included; features in pixels are for viewers and left out."""
+    """Equal to the bit, arrays and nested values included; features in pixels are for viewers, and what is kept is left out."""
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return np.array_equal(a, b)
     if isinstance(a, Sequence) and isinstance(b, Sequence) and not isinstance(a, str):
         return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
     if type(a) is not type(b):
         return False
-    names = [n for n in getattr(type(a), "__slots__", ()) if n != "features"]
+    names = [n for n in getattr(type(a), "__slots__", ()) if n != "features" and not n.startswith("_")]
     return all(same(getattr(a, n), getattr(b, n)) for n in names) if names else a == b
 
 
