@@ -48,6 +48,8 @@ class PageService:
         self.orders: list[HandledOrder] = []
         self.pilot.operator.on_order = self._on_order
         self.command: object = None
+        self.commanded: set[type] = set()
+        """The kinds of all commands so far: some are repeated for half a second only."""
         self.flying = True
         self.cycles = 0
         self._frames = 0
@@ -65,6 +67,7 @@ class PageService:
             decision = self.pilot.decide(now)
             self.page.on_decision(decision)
             self.command = decision.command
+            self.commanded.add(type(decision.command))
             self.cycles += 1
             if self.cycles % 3 == 0:
                 self.page.on_frame(self.frame(now))

@@ -36,7 +36,7 @@ async def test_a_browser_watches_and_gives_orders_through_the_arbiter(tmp_path: 
         refused = await browser.order("takeoff")
         assert (refused["accepted"], refused["text"]) == (False, "refused: the vehicle flies already")
         assert (await browser.order("land"))["accepted"]
-        await until(lambda: isinstance(service.command, Land))
+        await until(lambda: Land in service.commanded)
         assert [str(o.sender) for o in service.orders] == [welcome["you"]] * 3
         await browser.read("state")
         assert any("hold: accepted" in message.get("text", "") for message in browser.messages if message["kind"] == "event")
