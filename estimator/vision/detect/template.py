@@ -38,6 +38,9 @@ REACH = 1.22
 _ARROW_PITCH_M, _ARROW_MARGIN_M = 0.008, 0.02
 """Distance between samples about the arrowhead, and the width of the border around it."""
 
+_LEAST_SPAN = 0.04
+"""Least difference of two paints in a channel, in square roots of light, that a third is placed between; as in the core."""
+
 H, ORANGE, DISC, AROUND = 0, 1, 2, 3
 """Order of the paints in maps and tables: the H, ring and arrowhead, the disc, the surroundings."""
 
@@ -171,7 +174,8 @@ def _orange_place(pad: Pad) -> F64:
     white, orange, green = (
         np.sqrt(linear_light(rgb[::-1])) for rgb in (pad.markings.colours.h, pad.markings.colours.ring, pad.markings.colours.disc)
     )
-    return np.asarray((orange - green) / (white - green))
+    span = white - green
+    return np.asarray((orange - green) / np.where(np.abs(span) < _LEAST_SPAN, _LEAST_SPAN, span))
 
 
 def _blurred(coverage: F32, sigma_m: float) -> F32:

@@ -1,10 +1,13 @@
 """The drawn frame is one in which the pad is found where it was drawn, so what a real look needs has been made."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from companion.config.settings import camera_model, load, pad_model
 from estimator.vision.options import TrackerOptions
+from estimator.vision.pad import Pad
 from estimator.vision.rehearsal import drawn, rehearse
 from estimator.vision.tracker import TrackerConfig
 
@@ -19,6 +22,22 @@ def test_the_pad_is_found_where_it_was_drawn(method: str) -> None:
     d = camera.T_body_cam.R.inv @ (found.d_body_pad_level - camera.T_body_cam.t)
     assert np.linalg.norm(found.d_body_pad_level) == pytest.approx(5.0 * pad.disc_radius_m, rel=0.1)
     assert np.isfinite(d).all()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "region",
+    [
+        {"shape": "disc", "radius_m": 0.3},
+        {"shape": "ring", "inner_m": 0.2, "outer_m": 0.3},
+        {"shape": "letter", "letter": "T", "length_m": 0.4, "width_m": 0.3, "stroke_m": 0.06},
+    ],
+    ids=lambda region: region["shape"],
+)
+def test_a_pad_of_one_region_is_looked_for(region: dict[str, Any]) -> None:
+    pad = Pad.from_mapping({"name": "one", "paints": {"blue": [20, 40, 255]}, "regions": [{**region, "paint": "blue"}]})
+    seen = rehearse(TrackerConfig(camera_model(SIM), pad, TrackerOptions(method="fused", colours="simulator")))
+    assert seen.selected is None or np.isfinite(seen.selected.cov).all()
 
 
 def test_every_paint_is_drawn_around_the_centre() -> None:
