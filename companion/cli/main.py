@@ -38,7 +38,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "calibrate": ("companion.cli.calibrate", "calibrate a camera"),
     "pad": ("companion.cli.pad", "list, check or print pads"),
     "doctor": ("companion.cli.doctor", "diagnose the setup: autopilot, links, camera, broker"),
-    "keys": ("companion.cli.keys", "make, show, install and remove MAVLink signing keys"),
+    "keys": ("companion.cli.keys", "make, show, install and remove MAVLink signing keys; make the operator page's token"),
     "config": ("companion.cli.config", "check, show or explain settings"),
 }
 """Module and one line of help for each command."""

@@ -75,7 +75,7 @@ class ValueRule:
 
 _A, _P = "ArduPilot", "PX4"
 _ARDUPILOT = (
-    ValueRule("guided-timeout", _A, "GUID_TIMEOUT", 3,
+    ValueRule("guided-timeout", _A, "GUID_TIMEOUT", 1,
               "a gap in the link stops it over the ground, or a dead service flies on", 1, 5),
     ValueRule("land-speed", _A, "LAND_SPEED", 40,
               "it strikes the deck, or never gets down on one that heaves", 20, 70, on_ship=False),
