@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from companion.page.messages import PictureHeader, PictureLine, picture_message
+from companion.report.expected_place import expected_in_body
 from companion.report.overlay import pad_lines
 from companion.runtime.observer import ProcessedFrame
 from estimator.contracts.estimates import RelativeState
@@ -62,15 +63,10 @@ def camera_lean(processed: ProcessedFrame, belief: RelativeState | None) -> Rota
     The filter knows errors of the attitude and of the camera's mount, degrees in all, that neither the reported attitude nor the
     camera's file has. It is None for a frame that was not compared with the steering estimate.
     """
-    seen = None if processed.detection is None else processed.detection.selected
-    if belief is None or seen is None or processed.attitude is None:
+    expected = None if belief is None else expected_in_body(processed, belief.path)
+    if belief is None or expected is None or processed.attitude is None:
         return None
-    compared = next((one for one in processed.results if one.path == belief.path and one.innovation is not None), None)
-    if compared is None or compared.innovation is None:
-        return None
-    R_body_level = processed.attitude.R_ned_body.without_heading().inv
-    believed: F64 = R_body_level @ belief.d_body_pad_level
-    expected: F64 = R_body_level @ seen.d_body_pad_level - compared.innovation[:3]
+    believed: F64 = processed.attitude.R_ned_body.without_heading().inv @ belief.d_body_pad_level
     axis = np.cross(believed, expected)
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:

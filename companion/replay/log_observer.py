@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from companion.operator.orders import HandledOrder
 from companion.recorder.reading import Recording
 from companion.recorder.records import TruthRecord
+from companion.report.expected_place import expected_in_body
 from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, LoggedTouchdown, PhaseChange, TruthSample
 from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.estimates import PathName, RelativeState
@@ -38,7 +39,10 @@ class BeliefLogObserver:
     def on_frame(self, processed: ProcessedFrame) -> None:
         log = self.log
         R_level_body = None if processed.attitude is None else processed.attitude.R_ned_body.without_heading()
-        log.frames.append(FrameRecord(processed.frame.stamp.measured_at, processed.frame.seq, processed.verdict, R_level_body))
+        expected = expected_in_body(processed, log.steering)
+        place = None if R_level_body is None or expected is None else R_level_body @ expected
+        exposed_at = processed.frame.stamp.measured_at
+        log.frames.append(FrameRecord(exposed_at, processed.frame.seq, processed.verdict, R_level_body, place))
         log.verdicts[processed.verdict] += 1
         if processed.detection is not None:
             log.sightings.extend(
@@ -75,8 +79,7 @@ class BeliefLogObserver:
     def attach_image(self, image: bytes | None) -> None:
         """Attach the recorded image to the newest frame."""
         if image is not None and self.log.frames:
-            last = self.log.frames[-1]
-            self.log.frames[-1] = FrameRecord(last.exposed_at, last.seq, last.verdict, last.R_level_body, image)
+            self.log.frames[-1] = replace(self.log.frames[-1], image=image)
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,6 +63,8 @@ class FrameRecord:
     verdict: Verdict
     R_level_body: Rotation | None = None
     """The roll and pitch at the exposure, which place the drawn outline; None if not known."""
+    d_expected_level: F64 | None = None
+    """Where the steering path expected the pad's centre in this frame, (3,) m, levelled by `R_level_body`."""
     image: bytes | Path | None = None
     """The image as bytes or a file, in JPEG or any format that OpenCV reads; None if it was not kept."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 
+from companion.report.expected_place import expected_in_body
 from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from estimator.contracts.fusion import FusionResult
@@ -33,7 +34,10 @@ class LogObserver(NullObserver):
             ok, packed = cv2.imencode(".jpg", frame.px, [cv2.IMWRITE_JPEG_QUALITY, 88])
             image = packed.tobytes() if ok else None
         R_level_body = None if processed.attitude is None else processed.attitude.R_ned_body.without_heading()
-        log.frames.append(FrameRecord(frame.stamp.measured_at, frame.seq, processed.verdict, R_level_body, image))
+        expected = expected_in_body(processed, log.steering)
+        place = None if R_level_body is None or expected is None else R_level_body @ expected
+        exposed_at = processed.frame.stamp.measured_at
+        log.frames.append(FrameRecord(exposed_at, processed.frame.seq, processed.verdict, R_level_body, place, image))
         if processed.detection is not None:
             log.sightings.extend(
                 s for s in (*processed.detection.methods.values(), processed.detection.selected) if s is not None

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from companion.report.palette import OUTLINE, bgr, colour
@@ -38,6 +39,8 @@ class Overlay:
     """The belief nearest to the exposure."""
     R_level_body: Rotation | None = None
     """The roll and pitch at the exposure; the body is taken as level if they are not known."""
+    d_expected_level: F64 | None = None
+    """Where the estimate expected the pad's centre in this frame, (3,) m; None to draw it where the belief has it."""
 
 
 def annotated_size(width: int, height: int, scale: float = 1.0) -> tuple[int, int]:
@@ -62,7 +65,10 @@ def annotate(image: U8, overlay: Overlay, camera: Camera, pad: Pad, scale: float
     view[:] = cv2.resize(image, (out_w, h), interpolation=cv2.INTER_LINEAR if scale >= 1.0 else cv2.INTER_AREA)
     pen = _Pen(view, scale)
     if overlay.estimate is not None:
-        for line in pad_lines(overlay.estimate, overlay.R_level_body or Rotation.identity(), camera, pad):
+        drawn = overlay.estimate
+        if overlay.d_expected_level is not None:
+            drawn = structs.replace(drawn, d_body_pad_level=overlay.d_expected_level)
+        for line in pad_lines(drawn, overlay.R_level_body or Rotation.identity(), camera, pad):
             pen.polyline(line, bgr(OUTLINE), closed=True)
     for sighting in overlay.sightings:
         if sighting.method == "selected" and len(overlay.sightings) > 1:

@@ -140,6 +140,7 @@ def video_from_log(log: FlightLog, path: Path, fps: float = 30.0, scale: float =
                 sightings=tuple(by_seq.get(frame.seq, ())),
                 estimate=_nearest(states, instants, frame.exposed_at),
                 R_level_body=frame.R_level_body,
+                d_expected_level=frame.d_expected_level,
             )
             video.add(annotate(image, overlay, log.camera, log.pad, scale), frame.exposed_at)
         return video.frame_images

@@ -65,7 +65,7 @@ def flight(images=True) -> FlightLog:
         jpeg = None
         if images:
             jpeg = cv2.imencode(".jpg", np.full((180, 320, 3), (90, 60, 30), np.uint8))[1].tobytes()
-        log.frames.append(FrameRecord(at, i, Verdict.FUSED, Rotation.identity(), jpeg))
+        log.frames.append(FrameRecord(at, i, Verdict.FUSED, Rotation.identity(), image=jpeg))
     log.verdicts = Counter({Verdict.FUSED: 100, Verdict.NO_PAD: 20, Verdict.REPLACED: 5})
     log.phases = [PhaseChange(ns(100), "approach"), PhaseChange(ns(102), "descend"), PhaseChange(ns(103.8), "land")]
     log.stage_s = {"decode": [0.001] * 100, "detect": [0.004 + 0.00001 * i for i in range(100)]}
@@ -255,8 +255,8 @@ def test_sizes_and_rates_that_cannot_be(tmp_path, size, fps):
 def test_broken_images_are_passed_over(tmp_path):
     log = flight()
     log.frames = [
-        FrameRecord(ns(100), 0, Verdict.FAILED, None, b"no frame"),
-        FrameRecord(ns(100.1), 1, Verdict.FAILED, None, Path(tmp_path / "gone.jpg")),
+        FrameRecord(ns(100), 0, Verdict.FAILED, None, image=b"no frame"),
+        FrameRecord(ns(100.1), 1, Verdict.FAILED, None, image=Path(tmp_path / "gone.jpg")),
     ]
     assert video_from_log(log, tmp_path / "v.mp4") == 0
 
@@ -267,14 +267,17 @@ def near_ink(canvas, uv, ink, reach=2):
     return bool((np.abs(patch - np.array(ink)).max(axis=2) < 70).any())
 
 
+@pytest.mark.parametrize("expected", [False, True])
 @pytest.mark.parametrize("rpy", [(0.0, 0.0), (0.08, -0.12)])
-def test_the_pad_is_drawn_where_the_estimate_has_it(rpy):
-    """Against cv2.projectPoints with the same pose composed by hand."""
+def test_the_pad_is_drawn_where_the_estimate_has_it(rpy, expected):
+    """Against cv2.projectPoints with the same pose composed by hand; where the frame has its own expectation, by that."""
     yaw, d = 0.7, np.array([0.2, -0.1, 2.0])
     R_level_body = Rotation.from_rpy(rpy[0], rpy[1], 0.0)
-    estimate = RelativeState(ns(1), "ekf", d, np.zeros(3), yaw, np.eye(7), ns(1), True)
+    believed = d + np.array([0.15, 0.1, 0.0]) if expected else d
+    estimate = RelativeState(ns(1), "ekf", believed, np.zeros(3), yaw, np.eye(7), ns(1), True)
     image = np.full((180, 320, 3), 60, np.uint8)
-    canvas = annotate(image, Overlay(1.0, Verdict.FUSED, "descend", (), estimate, R_level_body), CAMERA, PAD)
+    shown = Overlay(1.0, Verdict.FUSED, "descend", (), estimate, R_level_body, d if expected else None)
+    canvas = annotate(image, shown, CAMERA, PAD)
     corners = np.array([[0.3, 0, 0], [0.14, 0.1, 0], [-0.14, -0.1, 0], [0.39, 0, 0], [0, -0.39, 0]])
     p_body = (Rotation.from_rpy(0, 0, -yaw) @ corners + d) @ R_level_body.matrix
     p_cam = (p_body - CAMERA.T_body_cam.t) @ CAMERA.T_body_cam.R.matrix
