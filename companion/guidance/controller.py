@@ -19,7 +19,7 @@ from estimator.contracts.commands import Command
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import BodyMotion, DeckMotion
-from estimator.contracts.samples import _vector
+from estimator.contracts.samples import checked_vector
 from estimator.contracts.time import MonoNs
 from estimator.ekf import Forecast
 
@@ -77,8 +77,8 @@ class Target(Struct, frozen=True, eq=False):
     """Largest tilt that may be asked for; None leaves it at the controller's own limit."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "d_body_pad_level", _vector("Target.d_body_pad_level", self.d_body_pad_level))
-        force_setattr(self, "v_body_level", _vector("Target.v_body_level", self.v_body_level))
+        force_setattr(self, "d_body_pad_level", checked_vector("Target.d_body_pad_level", self.d_body_pad_level))
+        force_setattr(self, "v_body_level", checked_vector("Target.v_body_level", self.v_body_level))
         numbers = (self.descent_rate_m_s, self.vertical_rate_max_m_s, self.speed_max_m_s, self.yaw_rad, self.lean_max_rad)
         if not all(x is None or math.isfinite(x) for x in numbers):
             raise ValueError(f"a target needs finite numbers, got {numbers}")

@@ -16,7 +16,7 @@ from companion.guidance.options import PidOptions
 from estimator.contracts.commands import Command, Hover, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, wrap_pi
-from estimator.contracts.samples import _vector
+from estimator.contracts.samples import checked_vector
 from estimator.contracts.time import MonoNs, seconds_between
 
 _DT_MAX_S = 0.2
@@ -35,8 +35,8 @@ class SetPoint:
     """(3,) m/s: the velocity of the set point itself relative to the pad."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "d_body_pad_level", _vector("SetPoint.d_body_pad_level", self.d_body_pad_level))
-        object.__setattr__(self, "v_body_level", _vector("SetPoint.v_body_level", self.v_body_level))
+        object.__setattr__(self, "d_body_pad_level", checked_vector("SetPoint.d_body_pad_level", self.d_body_pad_level))
+        object.__setattr__(self, "v_body_level", checked_vector("SetPoint.v_body_level", self.v_body_level))
         if self.yaw_rad is not None and not math.isfinite(self.yaw_rad):
             raise ValueError(f"SetPoint.yaw_rad must be finite or None, got {self.yaw_rad}")
 

@@ -13,7 +13,7 @@ from estimator.contracts.commands import Command
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import _vector
+from estimator.contracts.samples import checked_vector
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
@@ -32,8 +32,8 @@ class TruthSample:
     """The heading of the body relative to the arrow, positive clockwise from above, in (-pi, pi]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "d_body_pad_level", _vector("TruthSample.d_body_pad_level", self.d_body_pad_level))
-        object.__setattr__(self, "v_pad_level", _vector("TruthSample.v_pad_level", self.v_pad_level))
+        object.__setattr__(self, "d_body_pad_level", checked_vector("TruthSample.d_body_pad_level", self.d_body_pad_level))
+        object.__setattr__(self, "v_pad_level", checked_vector("TruthSample.v_pad_level", self.v_pad_level))
         if not -math.pi <= self.yaw_rad <= math.pi:
             raise ValueError(f"TruthSample.yaw_rad must lie in (-pi, pi], got {self.yaw_rad}")
 

@@ -13,7 +13,7 @@ from msgspec import Struct, field
 from msgspec.structs import force_setattr
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import _covariance, _vector
+from estimator.contracts.samples import checked_covariance, checked_vector
 from estimator.contracts.time import MonoNs, Stamp
 
 Method = Literal["ellipse", "arrow", "corners", "registration", "selected", "fused"]
@@ -86,8 +86,8 @@ class Pose6:
     """Covariance, (6, 6): [d_body_pad_level (m), small rotation of the pad written in `level` (rad)]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "d_body_pad_level", _vector("Pose6.d_body_pad_level", self.d_body_pad_level))
-        object.__setattr__(self, "cov", _covariance("Pose6.cov", self.cov, 6))
+        object.__setattr__(self, "d_body_pad_level", checked_vector("Pose6.d_body_pad_level", self.d_body_pad_level))
+        object.__setattr__(self, "cov", checked_covariance("Pose6.cov", self.cov, 6))
 
 
 class Sighting(Struct, frozen=True, eq=False):
@@ -110,8 +110,8 @@ class Sighting(Struct, frozen=True, eq=False):
     features: tuple[Feature, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        force_setattr(self, "d_body_pad_level", _vector("Sighting.d_body_pad_level", self.d_body_pad_level))
-        force_setattr(self, "cov", _covariance("Sighting.cov", self.cov, 4))
+        force_setattr(self, "d_body_pad_level", checked_vector("Sighting.d_body_pad_level", self.d_body_pad_level))
+        force_setattr(self, "cov", checked_covariance("Sighting.cov", self.cov, 4))
         if self.yaw_rad is not None and not -math.pi <= self.yaw_rad <= math.pi:
             raise ValueError(f"Sighting.yaw_rad must lie in (-pi, pi], got {self.yaw_rad}")
         if not 0.0 <= self.confidence <= 1.0:
@@ -182,9 +182,9 @@ class RelativeState(Struct, frozen=True, eq=False):
     """The reasons not to descend by this belief; `consistent` is False while there are any."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "d_body_pad_level", _vector("RelativeState.d_body_pad_level", self.d_body_pad_level))
-        force_setattr(self, "v_pad_level", _vector("RelativeState.v_pad_level", self.v_pad_level))
-        force_setattr(self, "cov", _covariance("RelativeState.cov", self.cov, 7))
+        force_setattr(self, "d_body_pad_level", checked_vector("RelativeState.d_body_pad_level", self.d_body_pad_level))
+        force_setattr(self, "v_pad_level", checked_vector("RelativeState.v_pad_level", self.v_pad_level))
+        force_setattr(self, "cov", checked_covariance("RelativeState.cov", self.cov, 7))
 
     @property
     def height_m(self) -> float:

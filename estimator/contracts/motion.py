@@ -8,7 +8,7 @@ from msgspec import Struct
 from msgspec.structs import force_setattr
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import _covariance, _vector
+from estimator.contracts.samples import checked_covariance, checked_vector
 from estimator.contracts.time import MonoNs
 
 G_M_S2 = 9.80665
@@ -32,10 +32,10 @@ class BodyMotion(Struct, frozen=True, eq=False):
     """Covariance of the reported attitude's error, (3, 3) rad^2 in `body`."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "a_level", _vector("BodyMotion.a_level", self.a_level))
-        force_setattr(self, "w_body", _vector("BodyMotion.w_body", self.w_body))
-        force_setattr(self, "cov_a_level", _covariance("BodyMotion.cov_a_level", self.cov_a_level, 3))
-        force_setattr(self, "cov_reported", _covariance("BodyMotion.cov_reported", self.cov_reported, 3))
+        force_setattr(self, "a_level", checked_vector("BodyMotion.a_level", self.a_level))
+        force_setattr(self, "w_body", checked_vector("BodyMotion.w_body", self.w_body))
+        force_setattr(self, "cov_a_level", checked_covariance("BodyMotion.cov_a_level", self.cov_a_level, 3))
+        force_setattr(self, "cov_reported", checked_covariance("BodyMotion.cov_reported", self.cov_reported, 3))
 
     @property
     def lean_m_s2(self) -> tuple[float, float]:
@@ -67,10 +67,10 @@ class DeckMotion(Struct, frozen=True, eq=False):
     """Covariance of roll, pitch and their rates, (4, 4)."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "v_level", _vector("DeckMotion.v_level", self.v_level))
-        force_setattr(self, "a_level", _vector("DeckMotion.a_level", self.a_level))
-        force_setattr(self, "cov_level", _covariance("DeckMotion.cov_level", self.cov_level, 6))
-        force_setattr(self, "cov_tilt", _covariance("DeckMotion.cov_tilt", self.cov_tilt, 4))
+        force_setattr(self, "v_level", checked_vector("DeckMotion.v_level", self.v_level))
+        force_setattr(self, "a_level", checked_vector("DeckMotion.a_level", self.a_level))
+        force_setattr(self, "cov_level", checked_covariance("DeckMotion.cov_level", self.cov_level, 6))
+        force_setattr(self, "cov_tilt", checked_covariance("DeckMotion.cov_tilt", self.cov_tilt, 4))
 
     @property
     def tilt_rad(self) -> float:

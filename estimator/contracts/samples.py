@@ -34,7 +34,12 @@ def _own(value: F64) -> F64:
     return a
 
 
-def _vector(name: str, value: F64) -> F64:
+def checked_vector(name: str, value: F64) -> F64:
+    """Return the value as an array (3,) that nobody can change.
+
+    Raises:
+        ValueError: it has another shape, or a number is not finite.
+    """
     a = _own(value)
     # In plain numbers: there are hundreds of samples a second, and numpy's calls on a few numbers take ten times as long.
     if a.shape == (3,):
@@ -45,7 +50,12 @@ def _vector(name: str, value: F64) -> F64:
     raise ValueError(f"{name} needs finite numbers of shape (3,), got {value!r}")
 
 
-def _covariance(name: str, value: F64, n: int) -> F64:
+def checked_covariance(name: str, value: F64, n: int) -> F64:
+    """Return the value as an array (n, n) that nobody can change.
+
+    Raises:
+        ValueError: it has another shape, a number is not finite, or it is no covariance.
+    """
     if value is _CHECKED.get(name):
         return value
     a = _own(value)
@@ -94,8 +104,8 @@ class Imu(Struct, frozen=True, eq=False):
     """Specific force, (3,) m/s^2: at rest and level it reads (0, 0, -9.81)."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "w_body", _vector("Imu.w_body", self.w_body))
-        force_setattr(self, "f_body", _vector("Imu.f_body", self.f_body))
+        force_setattr(self, "w_body", checked_vector("Imu.w_body", self.w_body))
+        force_setattr(self, "f_body", checked_vector("Imu.f_body", self.f_body))
 
 
 class Attitude(Struct, frozen=True, eq=False):
@@ -107,7 +117,7 @@ class Attitude(Struct, frozen=True, eq=False):
     """Covariance of the small rotation error written in `body`, (3, 3) rad^2."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "cov_body", _covariance("Attitude.cov_body", self.cov_body, 3))
+        force_setattr(self, "cov_body", checked_covariance("Attitude.cov_body", self.cov_body, 3))
 
 
 class BodyVelocity(Struct, frozen=True, eq=False):
@@ -120,8 +130,8 @@ class BodyVelocity(Struct, frozen=True, eq=False):
     """Covariance of the velocity, (3, 3) (m/s)^2."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "v_level", _vector("BodyVelocity.v_level", self.v_level))
-        force_setattr(self, "cov_level", _covariance("BodyVelocity.cov_level", self.cov_level, 3))
+        force_setattr(self, "v_level", checked_vector("BodyVelocity.v_level", self.v_level))
+        force_setattr(self, "cov_level", checked_covariance("BodyVelocity.cov_level", self.cov_level, 3))
 
 
 class Range(Struct, frozen=True):
@@ -166,8 +176,8 @@ class VesselReport(Struct, frozen=True, eq=False):
         if (self.heading_rad is None) != (self.sigma_heading_rad is None):
             raise ValueError("VesselReport: a heading needs its sigma and the other way round")
         if self.v_vessel_ned is not None and self.cov_v_ned is not None:
-            force_setattr(self, "v_vessel_ned", _vector("VesselReport.v_vessel_ned", self.v_vessel_ned))
-            force_setattr(self, "cov_v_ned", _covariance("VesselReport.cov_v_ned", self.cov_v_ned, 3))
+            force_setattr(self, "v_vessel_ned", checked_vector("VesselReport.v_vessel_ned", self.v_vessel_ned))
+            force_setattr(self, "cov_v_ned", checked_covariance("VesselReport.cov_v_ned", self.cov_v_ned, 3))
 
 
 class GeoFix(Struct, frozen=True, eq=False):
@@ -187,7 +197,7 @@ class GeoFix(Struct, frozen=True, eq=False):
         if not (math.isfinite(self.sigma_m) and self.sigma_m > 0):
             raise ValueError(f"GeoFix needs a sigma > 0, got {self.sigma_m}")
         if self.v_ned is not None:
-            force_setattr(self, "v_ned", _vector("GeoFix.v_ned", self.v_ned))
+            force_setattr(self, "v_ned", checked_vector("GeoFix.v_ned", self.v_ned))
 
 
 class VehicleStatus(Struct, frozen=True):
