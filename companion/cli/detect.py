@@ -33,6 +33,7 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
+from estimator.vision.pad_rules import check_for_detection
 from estimator.vision.thesis.detection import Detection, detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS, ColourSet
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, together, track
@@ -178,6 +179,7 @@ def _model(args: argparse.Namespace, file: Path) -> _Model:
     if pad is None:
         path = find_file(args.pad or "thesis", "pads", Path(), "--pad")
         pad = Pad.from_mapping(read_toml(path), str(path))
+        check_for_detection(pad.regions, str(path))
     return _Model(camera, camera_source, pad)
 
 

@@ -14,6 +14,7 @@ from companion.print_pad.sheets import PAPERS, sheets
 from companion.print_pad.svg import svg
 from estimator.contracts.errors import BadInput
 from estimator.vision.pad import Pad
+from estimator.vision.pad_rules import lacking_parts
 from estimator.vision.regions import part_of
 
 
@@ -61,7 +62,8 @@ def run(args: argparse.Namespace) -> int:
             for name in shipped("pads"):
                 pad = _pad(SHIPPED / "pads" / f"{name}.toml")
                 parts = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions))
-                sys.stdout.write(f"{name:10s} {2 * pad.disc_radius_m:5.2f} m across: {parts}\n")
+                only = " (not detected: print and paint only)" if lacking_parts(pad.regions) else ""
+                sys.stdout.write(f"{name:10s} {2 * pad.disc_radius_m:5.2f} m across: {parts}{only}\n")
             return 0
         case "check":
             return pad_check.run(args)

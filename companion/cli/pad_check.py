@@ -16,6 +16,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings
+from estimator.vision.pad_rules import lacking_parts
 from estimator.vision.srgb import LUMA, linear_light
 
 _HEIGHTS_M = (0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0)
@@ -58,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
     headings, contrasts, lowest = alike_headings(pad), _contrasts(pad), _lowest(pad)
     farthest_m = 0.5 * (camera.fx + camera.fy) * pad.disc_radius_m / _LEAST_RADIUS_PX
     warnings = [*_heading_warnings(headings), *_deck_warnings(lowest)]
+    if lacking := lacking_parts(pad.regions):
+        warnings.append(f"it has no {' and no '.join(lacking)}: seen where there is none, it is neither detected nor landed on")
     if args.json:
         found: dict[str, Any] = {
             "pad": pad.name, "radius_m": pad.disc_radius_m, "alike_headings": headings, "contrasts": contrasts,

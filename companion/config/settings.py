@@ -27,6 +27,7 @@ from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput, unusable
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+from estimator.vision.pad_rules import check_for_detection
 
 __all__ = [
     "Settings", "camera_model", "find_file", "from_mapping", "load", "pad_model", "read_toml", "response_model", "shipped",
@@ -124,10 +125,12 @@ def pad_model(settings: Settings) -> Pad:
     """Return the pad that `settings.pad.file` names.
 
     Raises:
-        BadInput: the file is missing or has a fault.
+        BadInput: the file is missing or has a fault, or vision cannot tell this pad from what else lies on decks.
     """
     path = find_file(settings.pad.file, "pads", Path(), "pad.file")
-    return Pad.from_mapping(read_toml(path), str(path))
+    pad = Pad.from_mapping(read_toml(path), str(path))
+    check_for_detection(pad.regions, str(path))
+    return pad
 
 
 def response_model(settings: Settings) -> Response:

@@ -58,6 +58,29 @@ def check_regions(regions: Sequence[Region], paints: Mapping[str, Rgb], where: s
             _check_contrast(region, regions[below], paints, f"{where}: regions[{i}]")
 
 
+def lacking_parts(regions: Sequence[Region]) -> list[str]:
+    """Return which of disc, ring and lettering a pad lacks.
+
+    Verification was fitted on pads that have all three. Without one of them a deck's plates and lines, or another pad, were taken
+    for the pad: on 40 of 40 empty decks 37 times for a bare H, 25 for an X, 3 for a ring with an H, 11 for a disc with an H.
+    """
+    parts = {part_of(region) for region in regions}
+    return [name for part, name in (("disc", "disc"), ("ring", "ring"), ("letter", "lettering")) if part not in parts]
+
+
+def check_for_detection(regions: Sequence[Region], where: str) -> None:
+    """Check that a pad can be told from what else lies on decks.
+
+    Raises:
+        BadInput: it lacks a part that verification needs.
+    """
+    if lacking := lacking_parts(regions):
+        raise BadInput(
+            f"{where}: regions has no {' and no '.join(lacking)}: such a pad is seen where there is none, and cannot be detected "
+            "or landed on, only printed, checked and painted; paint a disc, a ring on it and lettering in the ring"
+        )
+
+
 def _check_letters(letters: Sequence[Lettering], where: str) -> None:
     named = ", ".join(sorted({r.paint for r in letters}))
     if len({r.paint for r in letters}) > 1:

@@ -173,12 +173,26 @@ def test_shipped_pads_are_listed_and_checked(capsys: pytest.CaptureFixture[str])
     found = json.loads(capsys.readouterr().out)
     assert found["alike_headings"] == 4
     assert "quarter turn" in found["warnings"][0]
+    assert "no disc and no ring" in found["warnings"][-1]
     ranges = [bound["range_m"] for bound in found["bounds"]]
     assert ranges[2:] == sorted(ranges[2:]), "less is known from farther away"
     assert main(["pad", "check", "thesis"]) == 0
     said = capsys.readouterr().out
     assert "0.78 m across, 4 regions" in said
     assert "deck green" in said.splitlines()[-1]
+
+
+@pytest.mark.parametrize("command", ["simulate calm --pad x", "detect frame.png --camera sim --pad h"])
+def test_a_pad_that_nothing_tells_apart_is_not_detected(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Why: on empty decks an X or a bare H was seen with confidence 0.9 and more."""
+    monkeypatch.chdir(tmp_path)
+    cv2.imwrite("frame.png", np.zeros((36, 64, 3), np.uint8))
+    assert main(command.split()) == 2
+    said = capsys.readouterr().err
+    assert "regions has no disc and no ring: such a pad is seen where there is none" in said
+    assert said.count("\n") == 1
 
 
 def test_a_pad_in_millimetres_is_refused_with_its_cure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
