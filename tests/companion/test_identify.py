@@ -220,7 +220,7 @@ def test_what_cannot_be_identified_is_said_in_one_line(
         (
             [rough, "--response", "nonesuch"],
             2,
-            "no shipped one of that name (shipped ones are ardrone2, autopilot, hexa_7kg, quad_1_5kg)",
+            "no shipped one of that name (shipped ones are ardrone2, autopilot, hexa_7kg, px4, quad_1_5kg)",
         ),
         ([str(tmp_path / "none.mcap")], 2, "No such file"),
         ([rough, "--out", str(tmp_path)], 2, "--out"),
