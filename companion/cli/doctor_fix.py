@@ -8,6 +8,7 @@ import shlex
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from msgspec.structs import replace
@@ -18,7 +19,7 @@ from companion.doctor.finding import Finding, Severity
 from companion.doctor.gather import wait_until
 from companion.doctor.snapshot import AutopilotSnapshot, Snapshot
 from companion.doctor.undo import PlannedWrite, UndoFile, decode_undo, encode_undo, same
-from companion.doctor.write_parameters import Told, WriteResult, why_not_written, write_parameters
+from companion.doctor.write_parameters import OnResult, WriteResult, why_not_written, write_parameters
 from companion.runtime import event_loop
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import open_autopilot
@@ -151,10 +152,7 @@ def _written(
     if links is None:
         raise BadInput(f"--config {args.config}: its vehicle is no autopilot: no parameter can be written")
 
-    def told(result: WriteResult) -> None:
-        _tell(args, result)
-
-    return event_loop.run(_write(links, system, args.seconds, planned, kept, told))
+    return event_loop.run(_write(links, system, args.seconds, planned, kept, partial(_report, args)))
 
 
 async def _write(
@@ -163,7 +161,7 @@ async def _write(
     seconds: float,
     planned: Sequence[PlannedWrite],
     kept: UndoFile | None,
-    told: Told,
+    on_result: OnResult,
 ) -> tuple[WriteResult, ...]:
     options, opened = links
     clock = SystemClock()
@@ -177,10 +175,10 @@ async def _write(
             raise BadInput(f"--undo: {foreign}")
         if (why_not := why_not_written(autopilot)) is not None:
             raise BadInput(f"{why_not}: no parameter was written")
-        return await write_parameters(autopilot, clock, planned, told)
+        return await write_parameters(autopilot, clock, planned, on_result)
 
 
-def _tell(args: argparse.Namespace, result: WriteResult) -> None:
+def _report(args: argparse.Namespace, result: WriteResult) -> None:
     one, refused = result.planned, result.refused
     if args.json:
         line = {"parameter": one.parameter, "was": one.was, "to": one.to, "value": result.value, "refused": refused}

@@ -41,7 +41,7 @@ class _Notes:
     def on_message(self, received: ReceivedMessage) -> None:
         m, name = received.message, received.message.get_type()
         if name == "HEARTBEAT" and len(self.heard) < _HEARD_MAX:
-            self.heard[received.system, received.component] = _heard(received)
+            self.heard[received.system, received.component] = _sender_of(received)
         elif name == "AUTOPILOT_VERSION" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
             v = m.flight_sw_version
             self.firmware = (v >> 24 & 0xFF, v >> 16 & 0xFF, v >> 8 & 0xFF)
@@ -50,7 +50,7 @@ class _Notes:
             self.healthy = bool(m.onboard_control_sensors_health & _PRECLAND_BIT)
 
 
-def _heard(received: ReceivedMessage) -> HeardSystem:
+def _sender_of(received: ReceivedMessage) -> HeardSystem:
     m = received.message
     stack = "" if m.autopilot == mav.MAV_AUTOPILOT_INVALID else stack_of(m).value
     named = mav.enums["MAV_TYPE"].get(m.type)

@@ -16,7 +16,7 @@ _READ_S = 5.0
 """Longest time for reading one parameter, its repetitions among it, seconds."""
 _TRIES = 3
 
-Told = Callable[["WriteResult"], None]
+OnResult = Callable[["WriteResult"], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ async def read_parameters(autopilot: Autopilot, clock: Clock, names: Iterable[st
 
 
 async def write_parameters(
-    autopilot: Autopilot, clock: Clock, planned: Sequence[PlannedWrite], told: Told
+    autopilot: Autopilot, clock: Clock, planned: Sequence[PlannedWrite], on_result: OnResult
 ) -> tuple[WriteResult, ...]:
     """Write one parameter after the other, and return what became of each.
 
@@ -48,12 +48,12 @@ async def write_parameters(
     that it is disarmed; this is looked at again before each message.
 
     Args:
-        told: called with each result as soon as it is known.
+        on_result: called with each result as soon as it is known.
     """
     results = []
     for one in planned:
         result = await _write(autopilot, clock, one)
-        told(result)
+        on_result(result)
         results.append(result)
     return tuple(results)
 
