@@ -13,10 +13,9 @@ from aiohttp import web
 from companion.config import secret_files
 from companion.metrics.exposition import CONTENT_TYPE, text
 from companion.metrics.settings import MetricsSettings
-from companion.runtime.connection_limits import ConnectionLimits, bounded
+from companion.runtime.connection_limits import ConnectionLimits, listen
 from companion.runtime.health import Health
 from companion.runtime.liveness import stuck
-from estimator.contracts.errors import Recoverable
 
 log = logging.getLogger(__name__)
 
@@ -51,12 +50,7 @@ class MetricsEndpoint:
 
     def counts(self) -> dict[str, float]:
         """Return the counters for health."""
-        return {
-            "refused": self.refused,
-            "connections_evicted": self._limits.evicted,
-            "connections_overdue": self._limits.overdue,
-            "connections_oversized": self._limits.oversized,
-        }
+        return {"refused": self.refused, **self._limits.counts()}
 
     async def run(self) -> None:
         """Serve until cancelled.
@@ -70,7 +64,7 @@ class MetricsEndpoint:
         runner = web.AppRunner(app, access_log=None, shutdown_timeout=0.5)
         await runner.setup()
         try:
-            server = await self._listen(runner)
+            server = await listen(runner, self._limits, self._settings.host, self._settings.port, "metrics")
             try:
                 self.port = server.sockets[0].getsockname()[1]
                 log.info("metrics on http://%s:%d/metrics", self._settings.host, self.port)
@@ -80,15 +74,6 @@ class MetricsEndpoint:
         finally:
             self.port = None
             await runner.cleanup()
-
-    async def _listen(self, runner: web.AppRunner) -> asyncio.Server:
-        assert runner.server is not None
-        host, port = self._settings.host, self._settings.port
-        make = bounded(runner.server, self._limits)
-        try:
-            return await asyncio.get_running_loop().create_server(make, host, port, backlog=self._limits.connections)
-        except OSError as why:
-            raise Recoverable(f"metrics cannot be served on {host}:{port}: {why.strerror or why}") from why
 
     async def _metrics(self, request: web.Request) -> web.Response:
         if not self._allows(request):

@@ -37,13 +37,12 @@ from companion.page.recordings import Recordings
 from companion.page.settings import PageSettings
 from companion.page.state import HORIZONS_S, page_health, place
 from companion.page.viewer import ORDERS, PageViewer
-from companion.runtime.connection_limits import ConnectionLimits, bounded
+from companion.runtime.connection_limits import ConnectionLimits, listen
 from companion.runtime.health import Health
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.pilot import Pilot
 from companion.runtime.worker import Worker
 from drivers.mailbox import Latest, Line
-from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Sample
@@ -113,14 +112,7 @@ class PageEndpoint(NullObserver):
 
     def counted(self) -> Mapping[str, float]:
         """Return the counters for health."""
-        limits = self._limits
-        return {
-            **self._counts,
-            "viewers": len(self._viewers),
-            "connections_evicted": limits.evicted,
-            "connections_overdue": limits.overdue,
-            "connections_oversized": limits.oversized,
-        }
+        return {**self._counts, "viewers": len(self._viewers), **self._limits.counts()}
 
     def on_sample(self, sample: Sample) -> None:
         if type(sample) is Attitude:
@@ -158,7 +150,8 @@ class PageEndpoint(NullObserver):
         await runner.setup()
         worker = Worker("page")
         try:
-            server = await self._listen(runner)
+            host, port = self._settings.host, self._settings.port
+            server = await listen(runner, self._limits, host, port, "the page", self._tls)
             try:
                 self.port = server.sockets[0].getsockname()[1]
                 log.info("operator page on %s://%s:%d/", self._settings.endpoint, self._settings.host, self.port)
@@ -174,17 +167,6 @@ class PageEndpoint(NullObserver):
             for viewer in list(self._viewers):
                 await viewer.close(GOING_CODE, "the service ends")
             await runner.cleanup()
-
-    async def _listen(self, runner: web.AppRunner) -> asyncio.Server:
-        assert runner.server is not None
-        host, port = self._settings.host, self._settings.port
-        make = bounded(runner.server, self._limits)
-        try:
-            return await asyncio.get_running_loop().create_server(
-                make, host, port, backlog=self._limits.connections, ssl=self._tls
-            )
-        except OSError as why:
-            raise Recoverable(f"the page cannot be served on {host}:{port}: {why.strerror or why}") from why
 
     async def _file(self, request: web.Request) -> web.Response:
         asset = self._assets.get(request.path)

@@ -7,10 +7,12 @@ end, whatever it does meanwhile, and the newest connection is served: when there
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+import ssl
 from dataclasses import dataclass, field
 
 from aiohttp import web
+
+from estimator.contracts.errors import Recoverable
 
 
 @dataclass(slots=True)
@@ -34,10 +36,34 @@ class ConnectionLimits:
         for protocol in [protocol for protocol, open_one in self.open.items() if open_one is transport]:
             protocol.lift()
 
+    def counts(self) -> dict[str, float]:
+        """Return the counters for health."""
+        return {
+            "connections_evicted": self.evicted,
+            "connections_overdue": self.overdue,
+            "connections_oversized": self.oversized,
+        }
 
-def bounded(server: web.Server, limits: ConnectionLimits) -> Callable[[], asyncio.Protocol]:
-    """Return a factory of protocols that serve one bounded connection each."""
-    return lambda: _Bounded(server(), limits)
+
+async def listen(
+    runner: web.AppRunner, limits: ConnectionLimits, host: str, port: int, what: str, tls: ssl.SSLContext | None = None
+) -> asyncio.Server:
+    """Serve an application on a port by bounded connections.
+
+    Args:
+        what: is named where the port cannot be used.
+
+    Raises:
+        Recoverable: the port is taken, or the address is none of this machine's.
+    """
+    server = runner.server
+    assert server is not None, "the runner is set up"
+    try:
+        return await asyncio.get_running_loop().create_server(
+            lambda: _Bounded(server(), limits), host, port, backlog=limits.connections, ssl=tls
+        )
+    except OSError as why:
+        raise Recoverable(f"{what} cannot be served on {host}:{port}: {why.strerror or why}") from why
 
 
 class _Bounded(asyncio.Protocol):
