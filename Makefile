@@ -10,7 +10,7 @@ BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
 CORE := estimator/core/libdecklander.so.1
 
-.PHONY: core demo check test test-aarch64 test-image test-v4l2 wheels lint bench docs fuzz mutants sbom licences audit pins
+.PHONY: core demo check test test-aarch64 test-image test-v4l2 test-install wheels deb lint bench docs fuzz mutants sbom licences audit pins
 
 demo: $(VENV)/.report $(CORE)
 	$(BIN)/decklander demo
@@ -33,9 +33,18 @@ $(CORE): $(wildcard estimator/core/*.[ch]) supply/core.py | $(VENV)/.runtime
 test-aarch64: $(VENV)/.dev $(VENV)/.compiler $(CORE)
 	$(BIN)/pytest tests/estimator/core/test_aarch64.py
 
-# Wheels for x86-64 and aarch64 in dist/, which need no compiler where they are installed.
+# Wheels for x86-64 and aarch64 in dist/, which need no compiler where they are installed, and the source archive; ready for PyPI.
 wheels: $(VENV)/.dev $(VENV)/.compiler
 	$(BIN)/python -m supply.wheels
+
+# The package on a booted Debian 12: install, update, return, remove. As root, with debootstrap and a Debian mirror in reach.
+test-install: deb
+	$(BIN)/python -m tests.packaging.boot --deb dist/decklander_*_$$(dpkg --print-architecture).deb $(if $(WORK),--work $(WORK))
+
+# A Debian package that carries every wheel, in dist/: make deb, or make deb ARCHITECTURE=aarch64. WHEELS=DIR fetches nothing.
+deb: $(VENV)/.dev $(VENV)/.compiler
+	SOURCE_DATE_EPOCH=$${SOURCE_DATE_EPOCH:-$$(git log -1 --format=%ct)} \
+	  $(BIN)/python -m supply.deb $(if $(ARCHITECTURE),--architecture $(ARCHITECTURE)) $(if $(WHEELS),--wheels $(WHEELS))
 
 # The V4L2 driver on the kernel's own test camera, in a virtual machine by software emulation.
 test-v4l2: $(VENV)/.dev $(CORE)

@@ -33,12 +33,12 @@ from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.detect.acquire import PadCandidate, acquire  # noqa: E402
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align  # noqa: E402
 from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
-from estimator.vision.detect.verification import keeps_claim  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
 from estimator.vision.register.fit_verification import confidence, features  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
+from tests.support.pad_claims import keeps_claim  # noqa: E402
 from tests.support.pad_scenes import (  # noqa: E402
     CONDITIONS,
     DATA,

@@ -31,10 +31,11 @@ from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.register.pixels import light_table  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
 from sitl.camera import Exposure  # noqa: E402
-from sitl.light import FLAT, Light, Sensor  # noqa: E402
+from sitl.light import Light, Sensor  # noqa: E402
 from sitl.surroundings import Surroundings  # noqa: E402
 from tests.support.bound import information, sigmas  # noqa: E402
 from tests.support.pad_views import PLAIN, Stage, error, pad_error  # noqa: E402
+from tests.support.plain_light import FLAT  # noqa: E402
 from tests.support.shipped import shipped_camera, shipped_pad  # noqa: E402
 
 HEIGHTS_M = (0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)

@@ -21,7 +21,8 @@ from estimator.contracts.geometry import F64
 from sitl.response_table import MODES
 from sitl.sea import SEA_STATES, SeaState, Waves
 from sitl.seakeeping import Hull, encounter_rad_s, responses
-from sitl.vessel_file import Mode, Table, as_toml, load
+from sitl.vessel_file import Mode, Table, load
+from tests.support.vessel_table_text import as_toml
 
 SEEDS = range(20)
 HEADINGS = {"head": 180.0, "bow": 135.0, "beam": 90.0, "following": 0.0}

@@ -29,11 +29,12 @@ from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.detect.acquire import acquire  # noqa: E402
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align  # noqa: E402
 from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
-from estimator.vision.detect.verification import FEATURES, keeps_claim  # noqa: E402
+from estimator.vision.detect.verification import FEATURES  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
 from estimator.vision.register.fit_verification import FITTED_FEATURES, features  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
+from tests.support.pad_claims import keeps_claim  # noqa: E402
 from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
 
 F64 = NDArray[np.float64]

@@ -33,17 +33,18 @@ class AttitudeHistory(Struct, frozen=True):
                 return (earlier.R_ned_body.inv @ later.R_ned_body).rotvec_rad / dt
         return np.zeros(3)
 
-    def add(self, sample: Attitude) -> AttitudeHistory:
-        """Return the history with `sample` added; a sample that is not newer than the newest is ignored."""
-        kept = self.samples
-        if kept:
-            if sample.stamp.measured_at <= kept[-1].stamp.measured_at:
-                return self
-            first = 0
-            while first < len(kept) and seconds_between(kept[first].stamp.measured_at, sample.stamp.measured_at) > self.span_s:
-                first += 1
-            kept = kept[first:]
-        return AttitudeHistory(self.span_s, (*kept, sample))
+    def add(self, *samples: Attitude) -> AttitudeHistory:
+        """Return the history with `samples` added in turn; one that is not newer than the newest is ignored."""
+        kept = list(self.samples)
+        for sample in samples:
+            if not kept or sample.stamp.measured_at > kept[-1].stamp.measured_at:
+                kept.append(sample)
+        if len(kept) == len(self.samples):
+            return self
+        newest, first = kept[-1].stamp.measured_at, 0
+        while seconds_between(kept[first].stamp.measured_at, newest) > self.span_s:
+            first += 1
+        return AttitudeHistory(self.span_s, tuple(kept[first:]))
 
     def at(self, instant: MonoNs, stamp: Stamp, reach_s: float = 0.05, gap_s: float = 0.2) -> Attitude | None:
         """Return the attitude at `instant`, stamped `stamp`: interpolated on the great arc, or extrapolated from the newest.

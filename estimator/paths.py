@@ -19,7 +19,7 @@ from estimator.ekf import Forecast
 Event = Sample | Sighting
 
 
-_UNUSED_BY_EKF = (VehicleStatus, GeoFix)
+_UNUSED_BY_EKF = frozenset({VehicleStatus, GeoFix})
 
 
 class Path(Protocol):
@@ -154,12 +154,14 @@ class EkfPath:
         return "ekf"
 
     def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, list[FusionResult | None]]:
-        used: list[ekf.Event] = [s for s in samples if not isinstance(s, VehicleStatus) and not isinstance(s, GeoFix)]
+        used: list[ekf.Event] = [s for s in samples if type(s) not in _UNUSED_BY_EKF]  # type: ignore[misc]
         if not used:
             return self, [None] * len(samples)
         memory, made = ekf.step_all(self.filter, used)
         results = iter(made)
-        return type(self)(memory), [None if isinstance(s, _UNUSED_BY_EKF) else next(results) for s in samples]
+        if len(used) == len(samples):
+            return type(self)(memory), list(results)
+        return type(self)(memory), [None if type(s) in _UNUSED_BY_EKF else next(results) for s in samples]
 
     def step(self, sighting: Sighting) -> tuple[Self, FusionResult]:
         memory, results = ekf.step(self.filter, sighting)

@@ -69,10 +69,7 @@ def step_samples(memory: Memory, samples: Sequence[Sample]) -> tuple[Memory, lis
     """
     guard, admitted = integrity.admit(memory.guard, samples)
     passed = [sample for sample in admitted if not isinstance(sample, Verdict)]
-    attitudes, paths, by_path = memory.attitudes, [], []
-    for sample in passed:
-        if isinstance(sample, Attitude):
-            attitudes = attitudes.add(sample)
+    attitudes, paths, by_path = memory.attitudes.add(*[s for s in passed if type(s) is Attitude]), [], []
     for path in memory.paths:
         stepped, of_path = path.step_samples(passed)
         paths.append(stepped)

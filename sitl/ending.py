@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from companion.report.flight_log import FlightLog, LoggedTouchdown
+from companion.report.flight_log import FlightLog, LoggedContact
 from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
@@ -163,12 +163,23 @@ class Ending:
         return out
 
     def write_into(self, log: FlightLog) -> None:
-        """Write outcome, touchdown and verdicts into the log of the report."""
+        """Write outcome, contacts and verdicts into the log of the report."""
         log.outcome = self.word
         log.verdicts = Counter(self.frames)
-        if self.contact is not None:
-            c = self.contact
-            log.touchdown = LoggedTouchdown(c.at, c.lateral_m, c.vertical_speed_m_s, c.lateral_speed_m_s, c.on_pad)
+        log.contacts = [
+            LoggedContact(
+                c.at,
+                c.lateral_m,
+                c.vertical_speed_m_s,
+                c.lateral_speed_m_s,
+                c.on_pad,
+                c.surface,
+                (math.nan, math.nan) if c.p_pad_m is None else c.p_pad_m,
+                c.yaw_rad,
+                c.phase,
+            )
+            for c in self.contacts
+        ]
 
     def _whole(self, contact: Contact) -> dict[str, Any]:
         return {

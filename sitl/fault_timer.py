@@ -29,7 +29,8 @@ class FaultTimer:
         self._due_s = [self._rest_s(i, fault) for i, fault in enumerate(faults)]
         """Time at which each recurring fault begins next, s."""
         self._on: list[tuple[Fault, float]] = []
-        self._kinds: frozenset[str] = frozenset()
+        self.active_kinds: frozenset[str] = frozenset()
+        """The kinds of all that is active now."""
         self._begun: list[tuple[Fault, float]] = []
 
     def __bool__(self) -> bool:
@@ -58,7 +59,7 @@ class FaultTimer:
             for fault, began in zip(self._faults, self._began, strict=True)
             if began is not None and _lasts(fault, t_s - began)
         ]
-        self._kinds = frozenset(fault.kind for fault, _ in self._on)
+        self.active_kinds = frozenset(fault.kind for fault, _ in self._on)
         return begun
 
     @property
@@ -68,16 +69,13 @@ class FaultTimer:
 
     def active(self, kind: str) -> bool:
         """Whether a fault of this kind is active now."""
-        return kind in self._kinds
+        return kind in self.active_kinds
 
     def on(self, kind: type[_F]) -> list[tuple[_F, float]]:
         """The faults of one kind that are active now, each with the seconds since it began."""
+        if not self._on:
+            return []
         return [(fault, since_s) for fault, since_s in self._on if isinstance(fault, kind)]
-
-    @property
-    def active_kinds(self) -> frozenset[str]:
-        """The kinds of all that is active now."""
-        return self._kinds
 
     @property
     def begun(self) -> tuple[tuple[Fault, float], ...]:

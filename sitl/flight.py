@@ -34,7 +34,7 @@ from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Sample
-from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.state import refusal
@@ -53,6 +53,7 @@ from sitl.world import World
 
 NAVDATA_DELAY_S = 0.004
 STAMP_SIGMA_S = 0.002
+_TICK_NS, _NAVDATA_DELAY_NS = round(TICK_S * NS_PER_S), round(NAVDATA_DELAY_S * NS_PER_S)
 _NO_PIXELS = np.empty((0, 0, 3), np.uint8)
 _WATCH_EACH = 10
 """Number of ticks between two checks of the truth for the grade: 50 ms."""
@@ -157,7 +158,7 @@ class Flight:
 
     def step(self) -> bool:
         """Run one tick of 5 ms; return False when the flight is over."""
-        now = after(self._clock.t, TICK_S)
+        now = MonoNs(self._clock.t + _TICK_NS)
         self._clock.t = now
         self._deliver_commands(now)
         self._drone.tick(now)
@@ -276,7 +277,7 @@ class Flight:
         while (packet := self._navdata_under_way.arrived(now)) is not None:
             navdata, measured_at = packet[1]
             if self._navdata_order.place(navdata.sequence)[0] is not SequencePlace.OLD:
-                return navdata, measured_at, after(now, NAVDATA_DELAY_S)
+                return navdata, measured_at, MonoNs(now + _NAVDATA_DELAY_NS)
         return None
 
     def _deliver_samples(self, navdata: Navdata, measured_at: MonoNs, received_at: MonoNs) -> None:
@@ -297,7 +298,8 @@ class Flight:
     def _report_fused(self) -> None:
         """Tell health and observers of the samples that the estimator has processed."""
         for sample, results in self._pilot.fused():
-            self.health.fused(sample, results)
+            if results:
+                self.health.fused(sample, results)
             for observer in self._observers:
                 for result in results:
                     observer.on_fusion(sample.stamp.received_at, result)

@@ -109,10 +109,6 @@ class Light:
         return np.asarray(rgb[::-1], dtype=np.float32)
 
 
-FLAT = Light(vignetting=0.0, drone_shadow=0.0, wear=0.0)
-"""Even light on perfect paint, to measure geometry."""
-
-
 @dataclass(frozen=True, slots=True)
 class Sensor:
     """The imager behind the lens."""
@@ -132,10 +128,6 @@ class Sensor:
             raise BadInput("sensor: exposure_s and readout_s must lie in 0..0.5 and psf_sigma_px in 0..10")
         if not (self.full_well_e > 0 and self.read_noise_e >= 0):
             raise BadInput("sensor: full_well_e must be positive and read_noise_e 0 or more")
-
-
-IDEAL = Sensor(exposure_s=0.0, psf_sigma_px=0.0, full_well_e=math.inf, read_noise_e=0.0)
-"""A sensor without blur and noise."""
 
 
 def planck_rgb(kelvin: float) -> NDArray[np.float64]:

@@ -133,6 +133,8 @@ class Vehicle:
         """The core's `vehicle`."""
         self.phase_word = self.state.buffer.cast("B").cast("q")[_STATE["phase"]]
         """The phase in that memory, for those who ask hundreds of times a second."""
+        self.touched_word = self.state.buffer.cast("B").cast("q")[_STATE["touched_what"]]
+        """`touched_what`, for the same."""
         self._deck = Packed("deck")
         self.noise = NoiseRows.of(seed, FLIGHT_NOISE)
         """The numbers of its own errors and of the gusts."""

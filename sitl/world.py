@@ -107,6 +107,8 @@ class World:
         self._faulty = FaultySensors(self.faults, seed)
         self._manoeuvre = Manoeuvre(self.vessel, scenario.vessel.speed_m_s, 0.0)
         self._contacts: list[Touchdown] = []
+        self._touched_s = math.nan
+        """When the newest of them began, by the vehicle's own clock."""
         self._truth: tuple[tuple[int, float, int], Truth] | None = None
         """The newest truth that was asked for, and of what it was made: step, phase, contacts."""
         self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
@@ -227,24 +229,27 @@ class World:
         shot = self._scene(aside)
         if camera is not None:
             seen = camera(shot, self._tick)
-            return lambda: seen, not aside.any()
+            return lambda: seen, aside is None
         rng = np.random.default_rng([self._camera_seed, self._tick])
         made = worker.order(shot, rng) if worker is not None else self.renderer.order(shot, rng)
         wrong = [fault for fault, _ in self.faults.on(PictureFault)]
         if not wrong:
-            return cache(made), not aside.any()
+            return cache(made), aside is None
         own, effects = np.random.default_rng([self._camera_seed, self._tick, 3]), self._effects
         hidden = any(isinstance(fault, OtherPad) and fault.instead for fault in wrong)
-        return cache(lambda: effects.drawn(made(), wrong, shot, own)), not aside.any() and not hidden
+        return cache(lambda: effects.drawn(made(), wrong, shot, own)), aside is None and not hidden
 
-    def _scene(self, aside: F64) -> Exposure:
+    def _scene(self, aside: F64 | None) -> Exposure:
         """Return the scene of the camera, `aside` (3,) m in the pad frame beside its true place."""
         v, pad = self._vehicle, self.pad_motion()
+        p_body_ned = v.p_ned
+        if aside is not None:
+            # The scene stays where it is and the camera looks from beside its true place: every part is seen shifted alike.
+            p_body_ned = p_body_ned - pad.R_ned @ aside
         return Exposure(
             t_s=self._seconds,
             R_ned_body=known_rotation(v.R_ned_body),
-            # The scene stays where it is and the camera looks from beside its true place: every part is seen shifted alike.
-            p_body_ned=v.p_ned - pad.R_ned @ aside,
+            p_body_ned=p_body_ned,
             R_ned_pad=known_rotation(pad.R_ned),
             p_pad_ned=pad.p_ned,
             v_body_ned=v.v_ned,
@@ -253,14 +258,15 @@ class World:
             w_pad=pad.w,
         )
 
-    def _aside(self) -> F64:
-        """Return the offset (3,) m in the pad frame by which a frame exposed now shows everything beside its true place."""
+    def _aside(self) -> F64 | None:
+        """Return the offset (3,) m in the pad frame by which a frame exposed now is shifted; None if it is not."""
         shifting = self.faults.on(FramesShifted)
         if not shifting:
-            return np.zeros(3)
+            return None
         chance = np.random.default_rng([self._camera_seed, self._tick, 2])
         shifts = [f for f, _ in shifting if f.fraction >= 1.0 or chance.random() < f.fraction]
-        return np.array([sum(f.forward_m for f in shifts), sum(f.right_m for f in shifts), 0.0])
+        aside = np.array([sum(f.forward_m for f in shifts), sum(f.right_m for f in shifts), 0.0])
+        return aside if aside.any() else None
 
     def truth(self) -> Truth:
         """Return the true state at the newest step."""
@@ -306,10 +312,11 @@ class World:
 
     def _run(self, at_most: int) -> int:
         """Take so many steps of the physics, or fewer: up to a contact, which is noted; return how many."""
-        v, touched_s = self._vehicle, self._vehicle.touched_s
+        v = self._vehicle
         done = self._physics.run(self._decks, self._deck_next, min(at_most, self._deck_end - self._deck_next))
         self._deck_next += done
-        if v.touched_what and v.touched_s != touched_s:
+        if v.touched_word[0] and v.touched_s != self._touched_s:
+            self._touched_s = v.touched_s
             self._contacts.append(self._contact())
         return done
 

@@ -21,8 +21,9 @@ libraries are those that their projects state.
 _COPYLEFT = """
 ## Under the GPL or LGPL
 
-Whoever passes on an image passes these on under their own terms, source included. linuxpy is loaded for V4L2 cameras
-alone; PyAV decodes the AR.Drone's video and network cameras.
+Whoever passes on an image or a Debian package passes these on under their own terms, source included. Our own wheel
+carries none of them, and no distribution that it needs is under the GPL itself. PyAV decodes the AR.Drone's video and
+network cameras: its wheel carries FFmpeg with x264 and x265. pymavlink's dialects are loaded as modules.
 
 | what | licence | where |
 |---|---|---|

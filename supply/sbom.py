@@ -9,10 +9,12 @@ those, and scanners read it.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import tomllib
 import uuid
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 from cyclonedx.contrib.license.factories import LicenseFactory
@@ -36,6 +38,8 @@ def bill(shipped: Sequence[Package], version: str) -> str:
     serial = uuid.uuid5(uuid.NAMESPACE_URL, " ".join(f"{p.pin.name}=={p.pin.version}" for p in shipped) + version)
     bom = Bom(components=components.values(), serial_number=serial)
     bom.metadata.component = root
+    if epoch := os.environ.get("SOURCE_DATE_EPOCH"):
+        bom.metadata.timestamp = datetime.fromtimestamp(int(epoch), UTC)
     for package in shipped:
         bom.register_dependency(components[package.pin.name], [components[name] for name in package.requires])
     bom.register_dependency(root, components.values())

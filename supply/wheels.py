@@ -1,6 +1,7 @@
 """Make the wheels that need no compiler where they are installed: `python -m supply.wheels`, or `make wheels`.
 
-One for each architecture that flies, for every glibc from 2.17 on (manylinux_2_17), cross-built by zig's compiler.
+The source archive is made beside them, and the metadata of all are held to what PyPI takes. One wheel for each
+architecture that flies, for every glibc from 2.17 on (manylinux_2_17), cross-built by zig's compiler.
 Source: PEP 600, Future manylinux platform tags.
 """
 
@@ -12,9 +13,13 @@ import re
 import struct
 import subprocess
 import sys
+import tarfile
 import tempfile
+import tomllib
 import zipfile
 from pathlib import Path
+
+from packaging.metadata import Metadata
 
 from supply import core
 
@@ -66,6 +71,42 @@ def check(library: bytes, architecture: str) -> None:
         raise WheelError(f"the library for {architecture} needs glibc {newest[0]}.{newest[1]}, its tag says 2.17")
 
 
+def make_archive(out: Path) -> Path:
+    """Make the source archive, and return its file.
+
+    Raises:
+        WheelError: it cannot be made.
+    """
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(out.resolve())]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise WheelError(f"no source archive: {done.stderr.strip()[-2000:]}")
+    return out / f"decklander-{tomllib.loads((ROOT / 'pyproject.toml').read_text())['project']['version']}.tar.gz"
+
+
+def check_metadata(made: Path) -> None:
+    """Hold the metadata of a wheel or a source archive to their specification, as an index does before it takes a file.
+
+    Raises:
+        WheelError: a field is missing or wrong, or there is no text that an index can show.
+    """
+    if made.suffix == ".whl":
+        with zipfile.ZipFile(made) as wheel:
+            text = wheel.read(next(name for name in wheel.namelist() if name.endswith(".dist-info/METADATA")))
+    else:
+        with tarfile.open(made) as archive:
+            file = archive.extractfile(f"{made.name.removesuffix('.tar.gz')}/PKG-INFO")
+            text = b"" if file is None else file.read()
+    try:
+        found = Metadata.from_email(text, validate=True)
+    except ExceptionGroup as why:
+        raise WheelError(f"{made.name}: {'; '.join(map(str, why.exceptions))}") from why
+    if not (found.description or "").strip() or found.description_content_type != "text/markdown":
+        raise WheelError(f"{made.name}: no description in Markdown")
+    if not found.summary or not found.license_expression or found.requires_python is None:
+        raise WheelError(f"{made.name}: summary, licence or Python's version is missing")
+
+
 def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m supply.wheels", description="Make a wheel for each architecture.")
@@ -73,12 +114,17 @@ def main() -> int:
     args = parser.parse_args()
     try:
         for architecture in ARCHITECTURES:
-            made = make(architecture, args.out)
-            print(f"{made} ({made.stat().st_size / 1e3:.0f} kB)", flush=True)
+            _tell(make(architecture, args.out))
+        _tell(make_archive(args.out))
     except WheelError as why:
         print(why, file=sys.stderr)
         return 1
     return 0
+
+
+def _tell(made: Path) -> None:
+    check_metadata(made)
+    print(f"{made} ({made.stat().st_size / 1e3:.0f} kB)", flush=True)
 
 
 if __name__ == "__main__":

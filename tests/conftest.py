@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -24,13 +26,18 @@ for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 os.environ["XDG_RUNTIME_DIR"] = f"{tempfile.gettempdir()}/decklander-tests-{os.getpid()}"
 os.environ.pop("RUNTIME_DIRECTORY", None)
 
+# Where bytecode is not to lie beside its source it lies in the environment: else each of some hundred processes compiles us anew.
+if sys.dont_write_bytecode and not sys.pycache_prefix:
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix = f"{sys.prefix}/bytecode"
+    sys.dont_write_bytecode = False
+
 ROOT = Path(__file__).parents[1]
 SLOW = (
     "tests/v4l2_vm/",
     "tests/sitl/test_flight.py",
     "tests/packaging/",
     "tests/sitl/autopilots/test_flight.py",
-    "tests/companion/test_settings.py",
     "tests/companion/test_replay.py",
     "tests/estimator/ekf/test_rough.py",
     "tests/sitl/autopilots/test_flight_px4.py",
@@ -45,6 +52,7 @@ SLOW = (
     "tests/fuzz/test_corpus.py",
     "tests/companion/test_soak.py",
     "tests/companion/test_pilot.py",
+    "tests/companion/test_settings.py",
     "tests/estimator/ekf/test_gate.py",
     "tests/interop/test_npm_ardrone.py",
     "tests/sitl/test_faults.py",
@@ -121,6 +129,14 @@ def pytest_configure() -> None:
     """Heed SIGINT again where a shell's background job ignores it, which everything that a test starts would inherit."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def out_of_the_collectors_sight() -> None:
+    """Freeze the thousands of collected tests, which stay: a full collection looks through what the running one made alone."""
+    if gc.get_freeze_count() == 0:  # a daemon's end thaws
+        gc.collect()
+        gc.freeze()
 
 
 def share(nodeid: str) -> str:

@@ -34,7 +34,6 @@ DISTRIBUTION_NAMES = {
 
 DRAWINGS = {
     "sitl/experiments/figures.py",
-    "companion/report/plots.py",
     "companion/report/svg.py",
     "sitl/campaign/plots.py",
     "companion/calibrate/figures.py",

@@ -21,9 +21,9 @@ import numpy as np
 from companion.cli import page_option, record_option, report_option
 from companion.cli.progress import ProgressObserver
 from companion.cli.version import version
+from companion.config import reference
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load, shipped
-from companion.report.drawing import require_drawing
 from companion.report.flight_log import FlightLog, TruthSample
 from companion.report.log_observer import LogObserver
 from companion.report.page import PAGE, write_report
@@ -34,9 +34,11 @@ from companion.runtime.observer import Observer
 from companion.runtime.pilot import FlightOutcome
 from companion.runtime.service import live, make_daemon
 from companion.runtime.signals import check, ending_signal
+from companion.video.options import VideoStreamOptions
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
+from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.truth_log import read as read_truth
 from sitl.ending import Contact, Ending
@@ -73,6 +75,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--no-report", action="store_true", help="write no report")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of progress")
     page_option.add_argument(parser)
+    parser.add_argument(
+        "--video",
+        metavar="ADDRESS:PORT",
+        help="send the picture with the estimate drawn over it there, H.264 by RTP, as to a ground station",
+    )
     record_option.add_arguments(parser)
 
 
@@ -80,11 +87,16 @@ def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     if args.seed < 0:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
-    if not args.no_report:
-        require_drawing("the report", "; or fly without it: --no-report")
     scenario = load_scenario(args.scenario)
     report_option.prepare_folder(None if args.no_report else args.report)
     return event_loop.run(_demo(args, scenario))
+
+
+def _video(to: str) -> VideoStreamOptions:
+    try:
+        return VideoStreamOptions(to=to)
+    except ValueError as why:
+        raise BadInput(f"--video: {why}") from why
 
 
 async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
@@ -96,8 +108,11 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
             settings = _profile(scenario, child.ports)
             if args.page is not None:
                 settings = page_option.with_page(settings, args.page, Path(folder))
+            if args.video is not None:
+                settings = msgspec.structs.replace(settings, video_stream=_video(args.video))
             pilot = make_pilot(settings, shadows=SHADOWS)
             log = FlightLog(scenario.title, clock.now(), pilot.pad, pilot.camera, steering=settings.estimator.path)
+            log.settings = reference.toml(settings)
             progress = None if args.json else ProgressObserver()
             observers: list[Observer] = [LogObserver(log)] if progress is None else [LogObserver(log), progress]
             facts = {"kind": "demo", "scenario": args.scenario, "seed": str(args.seed)}
@@ -131,7 +146,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
     else:
         sys.stdout.write(ending.in_words() + "\n")
         if not args.no_report:
-            sys.stdout.write(f"report: {args.report / PAGE} (open it in a browser)\n")
+            sys.stdout.write(report_option.written(args.report / PAGE))
     return 0 if ending.on_pad else 1
 
 
@@ -212,6 +227,8 @@ def _ending(
             touched["lateral_speed_m_s"],
             touched["phase"],
             touched["motors"],
+            touched["guidance_phase"],
+            (touched["p_body_pad"][0], touched["p_body_pad"][1]),
         )
         for touched in (truth[-1]["contacts"] if truth else [])
     )
@@ -224,9 +241,9 @@ def _ending(
 
 def _write_report(args: argparse.Namespace, log: FlightLog, ending: Ending, truth: list[dict[str, Any]]) -> None:
     for record in truth[::_KEEP_EACH]:
-        yaw = math.remainder(record["yaw_rad"], math.tau)
+        yaw, R = math.remainder(record["yaw_rad"], math.tau), Rotation.from_quat(record["quat_ned_pad_wxyz"])
         d, v = np.array(record["d_body_pad_level_m"]), np.array(record["v_pad_level_m_s"])
-        log.truth.append(TruthSample(MonoNs(record["at_ns"]), d, v, yaw))
+        log.truth.append(TruthSample(MonoNs(record["at_ns"]), d, v, yaw, np.array(record["p_pad_ned_m"]), R))
     ending.write_into(log)
     log.facts += [("scenario", args.scenario), ("seed", str(args.seed)), ("decklander", version())]
     if not args.json:

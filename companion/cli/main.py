@@ -31,15 +31,20 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "campaign": ("companion.cli.campaign", "fly many simulated landings and summarize them"),
     "experiments": ("companion.cli.experiments", "fly the thesis' experiments again"),
     "soak": ("companion.cli.soak", "fly repeated landings and watch for leaks"),
+    "report": ("companion.cli.report", "write the report of a recorded flight, or compare two"),
     "replay": ("companion.cli.replay", "replay a recording through vision and estimator"),
     "identify": ("companion.cli.identify", "identify a vehicle's response from a recorded flight"),
-    "record": ("companion.cli.record", "inspect, cut, repair and import recordings"),
+    "record": ("companion.cli.record", "inspect, cut, repair, export and import recordings"),
     "watch": ("companion.cli.watch", "watch drones live in the terminal, over MQTT"),
     "calibrate": ("companion.cli.calibrate", "calibrate a camera"),
     "pad": ("companion.cli.pad", "list, check or print pads"),
     "doctor": ("companion.cli.doctor", "diagnose the setup: autopilot, links, camera, broker"),
     "keys": ("companion.cli.keys", "make, show, install and remove MAVLink signing keys; make the operator page's token"),
     "config": ("companion.cli.config", "check, show or explain settings"),
+    "install": ("companion.cli.install", "install the service on this computer"),
+    "update": ("companion.cli.update", "update the installed service"),
+    "rollback": ("companion.cli.rollback", "return to the version before the last update"),
+    "uninstall": ("companion.cli.uninstall", "remove the installed service"),
 }
 """Module and one line of help for each command."""
 

@@ -1,4 +1,4 @@
-"""`decklander record`: inspect, cut, repair and import recordings."""
+"""`decklander record`: inspect, cut, repair, export and import recordings."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from typing import Any
 from msgspec import structs
 
 from companion.config.settings import Settings, camera_model, load, shipped
+from companion.recorder.csv_export import export
 from companion.recorder.reading import RecordedFrame, Recording, instant, open_recording
 from companion.recorder.rewriting import Cut, rewrite
 from companion.recorder.setup import about, recorder_to_file
@@ -30,9 +31,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add `decklander record` to the parser."""
     parser = subparsers.add_parser(
         "record",
-        help="inspect, cut, repair and import recordings",
-        description="Inspect, cut, repair and import recordings. The service makes recordings if [recorder] is enabled; simulate "
-        "and demo make them with --record.",
+        help="inspect, cut, repair, export and import recordings",
+        description="Inspect, cut, repair, export and import recordings. The service makes recordings if [recorder] is enabled; "
+        "simulate and demo make them with --record.",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     info = actions.add_parser("info", help="show the contents of a recording", description="Show the contents of a recording.")
@@ -53,6 +54,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     mend.add_argument("--samples-each", type=int, default=1, metavar="N", help="keep every n-th sample of each kind")
     mend.add_argument("--frames-each", type=int, default=1, metavar="N", help="keep every n-th frame")
     mend.add_argument("--no-frames", action="store_true", help="drop the images, keep the detections")
+    tables = actions.add_parser(
+        "export",
+        help="write a recording as CSV tables",
+        description="Write a recording as CSV tables, one for each topic, with time stamps in microseconds.",
+    )
+    tables.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recording, or the files of one in order")
+    tables.add_argument("--output", required=True, type=Path, metavar="DIR", help="folder to write the tables into")
     foreign = actions.add_parser(
         "import",
         help="import videos, tables and logs of other tools",
@@ -74,6 +82,8 @@ def run(args: argparse.Namespace) -> int:
         return _info(args)
     if args.action == "cut":
         return _cut(args)
+    if args.action == "export":
+        return _export(args)
     return _import(args)
 
 
@@ -107,6 +117,12 @@ def _described(recording: Recording, seconds: float, images: int, verdicts: Coun
     out += [f"{n:8d}  {topic}" for topic, n in sorted(recording.counts.items())]
     out += [f"{n:8d}  {topic} that this version cannot read" for topic, n in sorted(recording.skipped.items())]
     return out
+
+
+def _export(args: argparse.Namespace) -> int:
+    written = export(open_recording(args.files), args.output)
+    sys.stdout.writelines(f"{args.output / name}: {n} rows\n" for name, n in sorted(written.items()))
+    return 0
 
 
 def _cut(args: argparse.Namespace) -> int:

@@ -8,14 +8,16 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from companion.config.settings import Settings, camera_model
+from companion.recorder.options import FrameForm
 from companion.recorder.recorder import Recorder
 from companion.recorder.records import ContactRecord, TruthRecord
 from companion.recorder.setup import about, recorder_to_file, wall_offset_ns
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import Rotation
 from sitl.truth import Touchdown, Truth
 
 
@@ -26,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--record-frames",
-        choices=("jpeg", "png", "none"),
+        choices=get_args(FrameForm),
         default="jpeg",
         help="encode recorded frames like this (default: jpeg)",
     )
@@ -61,7 +63,9 @@ def truth_record(truth: Truth) -> TruthRecord:
     touchdown = None if truth.touchdown is None else _contact(truth.touchdown)
     d, v = truth.d_body_pad_level.tolist(), truth.v_pad_level.tolist()
     body, pad = (R.matrix.ravel().tolist() for R in (truth.R_ned_body, truth.R_ned_pad))
-    return TruthRecord(int(truth.at), d, v, truth.yaw_rad, truth.phase.name.lower(), touchdown, body, pad)
+    return TruthRecord(
+        int(truth.at), d, v, truth.yaw_rad, truth.phase.name.lower(), touchdown, body, pad, truth.p_pad_ned.tolist()
+    )
 
 
 def truth_from_log(record: Mapping[str, Any]) -> TruthRecord:
@@ -70,7 +74,8 @@ def truth_from_log(record: Mapping[str, Any]) -> TruthRecord:
     touchdown = None if touched is None else ContactRecord(touched["at"], *(touched[n] for n in _CONTACT))
     yaw = math.remainder(record["yaw_rad"], math.tau)
     d, v = ([float(x) for x in record[name]] for name in ("d_body_pad_level_m", "v_pad_level_m_s"))
-    return TruthRecord(record["at_ns"], d, v, yaw, record["phase"], touchdown)
+    body, pad = (Rotation.from_quat(record[f"quat_ned_{name}_wxyz"]).matrix.ravel().tolist() for name in ("body", "pad"))
+    return TruthRecord(record["at_ns"], d, v, yaw, record["phase"], touchdown, body, pad, record["p_pad_ned_m"])
 
 
 _CONTACT = ("surface", "on_pad", "lateral_m", "yaw_rad", "vertical_speed_m_s", "lateral_speed_m_s")

@@ -14,13 +14,13 @@ from typing import Any
 
 from companion.cli import report_option
 from companion.config.settings import Settings
+from companion.recorder.frame_video import VideoImage
 from companion.recorder.reading import RecordedFrame, Recording, open_recording
 from companion.recorder.records import TruthRecord
 from companion.recorder.setup import about, recorder_to_file
 from companion.replay.engine import Replay
 from companion.replay.log_observer import BeliefLogObserver, Difference, differences, recorded_beliefs
 from companion.replay.pilots import available_paths, pilot_of, settings_of
-from companion.report.drawing import require_drawing
 from companion.report.figures import ErrorRow, all_series, error_rows
 from companion.report.flight_log import FlightLog
 from companion.report.page import PAGE, write_report
@@ -76,8 +76,6 @@ class Pass:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    if args.report is not None:
-        require_drawing("--report")
     recording = open_recording(args.recording)
     if args.mavlink and not args.realtime:
         raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")
@@ -106,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         sys.stdout.write("\n".join(_in_words(recording, passes, compared)) + "\n")
         if args.report is not None:
-            sys.stdout.write(f"report: {args.report / PAGE}\n")
+            sys.stdout.write(report_option.written(args.report / PAGE))
     return 0
 
 
@@ -136,7 +134,7 @@ def _feed(
 ) -> float:
     """Run the replay to its end; return the length of the recording, seconds."""
     first = last = MonoNs(0)
-    image: bytes | None = None
+    image: bytes | VideoImage | None = None
     for at, event in replay.steps():
         if not first:
             log_observer.log.started = first = at

@@ -8,6 +8,11 @@ from pathlib import Path
 from estimator.contracts.errors import BadInput
 
 
+def written(page: Path) -> str:
+    """Return the line that says where the report is and how large."""
+    return f"report: {page} ({page.stat().st_size / 1e6:.1f} MB, one file; open it in a browser)\n"
+
+
 def prepare_folder(folder: Path | None) -> None:
     """Create the report's folder and check that files can be written into it; do nothing without a folder.
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from companion.cli import perception_option, record_option, report_option
 from companion.cli.progress import ProgressObserver
+from companion.config import reference
 from companion.config.settings import camera_model, find_file, pad_model, shipped
-from companion.report.drawing import require_drawing
 from companion.report.flight_log import FlightLog, TruthSample
 from companion.report.log_observer import LogObserver
 from companion.report.page import PAGE, write_report
@@ -102,8 +102,6 @@ def run(args: argparse.Namespace) -> int:
         return simulate_autopilot.run(args, perception)
     if args.binary is not None or args.keep is not None or args.param:
         raise BadInput("--binary, --param and --keep go with --autopilot")
-    if args.report is not None:
-        require_drawing("--report")
     report_option.prepare_folder(args.report)
     if perception != "pixels":
         args.record_frames = "none"
@@ -120,6 +118,7 @@ def run(args: argparse.Namespace) -> int:
         pad=pad_model(settings),
         camera=camera_model(settings),
         steering=settings.estimator.path,
+        settings=reference.toml(settings),
     )
     if args.report is not None:
         observers.append(LogObserver(log, keep_images=perception == "pixels"))
@@ -133,7 +132,11 @@ def run(args: argparse.Namespace) -> int:
             if recorder is not None:
                 recorder.on_truth(record_option.truth_record(truth))
             if args.report is not None:
-                log.truth.append(TruthSample(truth.at, truth.d_body_pad_level, truth.v_pad_level, truth.yaw_rad))
+                log.truth.append(
+                    TruthSample(
+                        truth.at, truth.d_body_pad_level, truth.v_pad_level, truth.yaw_rad, truth.p_pad_ned, truth.R_ned_pad
+                    )
+                )
 
         ending = fly(
             args.scenario,
@@ -162,5 +165,5 @@ def run(args: argparse.Namespace) -> int:
         pace = ending.duration_s / max(1e-9, wall_s)
         sys.stdout.write(f"{ending.in_words()}\n{ending.duration_s:.1f} s flown in {wall_s:.1f} s ({pace:.1f} x real time)\n")
         if args.report is not None:
-            sys.stdout.write(f"report: {args.report / PAGE}\n")
+            sys.stdout.write(report_option.written(args.report / PAGE))
     return 0 if ending.good else 1

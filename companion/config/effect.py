@@ -48,6 +48,7 @@ _RULES = (
     _Rule("mqtt.commands_max_hz", lambda s: s.mqtt.transport != "off" and s.mqtt.commands == "off", 'mqtt.commands is "off"'),
     _Rule("metrics.", lambda s: s.metrics.endpoint == "off", 'metrics.endpoint is "off"', "metrics.endpoint"),
     _Rule("page.", lambda s: s.page.endpoint == "off", 'page.endpoint is "off"', "page.endpoint"),
+    _Rule("video_stream.", lambda s: not s.video_stream.to, "video_stream.to is empty", "video_stream.to"),
     _Rule("page.certificate_file,page.key_file", lambda s: s.page.endpoint == "http", 'page.endpoint is "http"'),
     _Rule(
         "limits.fence_radius_m,limits.fence_polygon,limits.fence_brake_s,limits.fence_ends_s",

@@ -21,6 +21,7 @@ from companion.operator.options import OperatorOptions
 from companion.page.settings import PageSettings
 from companion.recorder.options import RecorderOptions
 from companion.runtime.restart_options import RestartOptions
+from companion.video.options import VideoStreamOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.options import CameraOptions
 from drivers.mavlink.options import AutopilotOptions
@@ -87,6 +88,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     mqtt: MqttSettings = MqttSettings()
     metrics: MetricsSettings = MetricsSettings()
     page: PageSettings = PageSettings()
+    video_stream: VideoStreamOptions = VideoStreamOptions()
     landing_target: OutputOptions = OutputOptions()
     bridge: BridgeOptions = BridgeOptions()
     operator: OperatorOptions = OperatorOptions()

@@ -10,7 +10,7 @@ import msgspec
 from msgspec import inspect
 
 from companion.config.model import Settings
-from companion.config.refusal import fields, unit_of, variants
+from companion.config.refusal import described, fields, unit_of, variants
 
 
 def toml(settings: Settings) -> str:
@@ -34,7 +34,7 @@ def reference() -> str:
         "A key that is unknown, of the wrong type or out of range is refused, never guessed. Whole numbers are welcome where a",
         "number is asked for; text and truth values are not. Where a default is missing the key must be given.",
     ]
-    for path, struct in _structs(inspect.type_info(Settings), ()):
+    for path, struct in _structs(described(Settings), ()):
         here = [f for f in fields(struct) if not variants(f.type)]
         kind = f" with {struct.tag_field} = {_value(struct.tag)}" if struct.tag_field else ""
         lines += ["", f"## [{'.'.join(path)}]{kind}", "", _meaning(struct), ""]

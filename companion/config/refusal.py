@@ -9,6 +9,7 @@ import difflib
 import json
 import re
 from collections.abc import Iterator, Mapping
+from functools import cache
 from typing import Any
 
 from msgspec import Struct, inspect
@@ -18,7 +19,7 @@ def explain(model: type[Struct], data: Mapping[str, Any], message: str) -> str:
     """Return one line about the fault that msgspec reports as `message` for `data` against `model`."""
     reason, _, place = message.rpartition(" - at `")
     path = re.findall(r"\w+", place) if reason else []
-    node: inspect.Type = inspect.type_info(model)
+    node = described(model)
     found: Any = data
     for name in path:
         field = next((f for f in _fields(node) if f.encode_name == name), None)
@@ -74,7 +75,13 @@ def walk(model: type[Struct], kind: str | None = None) -> Iterator[tuple[str, in
         model: the struct to describe.
         kind: for tables whose keys depend on their `kind`, yield the keys of this one; None yields those of each.
     """
-    yield from _walk(inspect.type_info(model), "", kind)
+    yield from _walk(described(model), "", kind)
+
+
+@cache
+def described(model: type[Struct]) -> inspect.Type:
+    """Return the model as msgspec describes it, once for each: it evaluates every annotation again each time."""
+    return inspect.type_info(model)
 
 
 def variants(node: inspect.Type) -> tuple[inspect.StructType, ...]:

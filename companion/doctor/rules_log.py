@@ -103,7 +103,7 @@ def landing_detector(p: Snapshot) -> Finding | None:
     doubted = [one for one in log.landings if one.lost > 0]
     if not doubted:
         return None
-    px4 = "set LNDMC_Z_VEL_MAX 1 and LNDMC_ROT_MAX 20; "
+    px4 = "set LNDMC_ROT_MAX 20; "
     return warning(
         "log-land-detector",
         f"the landing at {doubted[0].at_s:.1f} s was detected and taken back {_times(doubted[0].lost)}: a moving deck hides it",

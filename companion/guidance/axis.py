@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+
+from msgspec import Struct
 
 from companion.guidance import disturbance
 from companion.guidance.disturbance import Observed, ObserverGains
@@ -15,7 +16,7 @@ _GYRO_SHARE = 0.25
 """Weight of the gyro against the model in the rate of the tilt."""
 
 
-class TiltAxis(NamedTuple):
+class TiltAxis(Struct, frozen=True):
     """The memory of one axis."""
 
     seen: Observed
@@ -29,7 +30,7 @@ class TiltAxis(NamedTuple):
     """Commanded tilt, newest first, m/s^2."""
 
 
-class AxisMeasured(NamedTuple):
+class AxisMeasured(Struct, frozen=True):
     """What is measured on one axis in one cycle."""
 
     p: float
@@ -69,12 +70,12 @@ def observed(axis: TiltAxis, z: AxisMeasured, dt: float, gains: ObserverGains, t
     w = tilt.frequency_rad_s
     rate = axis.rate + dt * (w * w * (axis.lag - axis.lean) - 2.0 * tilt.damping * w * axis.rate)
     rate += _GYRO_SHARE * (z.rate - rate)
-    return TiltAxis(seen._replace(d=d), z.lean, rate, lag, axis.under_way)
+    return TiltAxis(Observed(seen.p, seen.w, d, seen.b), z.lean, rate, lag, axis.under_way)
 
 
 def commanded(axis: TiltAxis, u: float) -> TiltAxis:
     """Return the memory with another command under way."""
-    return axis._replace(under_way=(u, *axis.under_way[:-1]))
+    return TiltAxis(axis.seen, axis.lean, axis.rate, axis.lag, (u, *axis.under_way[:-1]))
 
 
 def reference(axis: TiltAxis, a_deck: float) -> float:

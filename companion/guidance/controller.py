@@ -32,9 +32,12 @@ class Impact(Struct, frozen=True):
 
     at: MonoNs
     by: str
-    """What said so: `accelerometer` (a step that no flight makes) or `vehicle` (it reports that it is on the ground)."""
+    """What said so: `accelerometer` (a step that no flight makes), `velocity` (held up against all commands) or `vehicle` (it
+    reports that it is on the ground)."""
     size_m_s2: float = math.nan
-    """The step of the acceleration; nan if the vehicle said so."""
+    """The step of the acceleration; nan if something else said so."""
+    held_m_s: float = math.nan
+    """How much faster upward than commanded it goes; nan if something else said so."""
 
 
 class Knowledge(Struct, frozen=True):

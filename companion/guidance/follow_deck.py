@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
@@ -66,7 +65,7 @@ class FollowDeckMemory(Struct, frozen=True):
     """The deck's turn; None while no heading against the arrow is known."""
 
 
-class _Frame(NamedTuple):
+class _Frame(Struct, frozen=True):
     """The heading of `level`: between it and the axes of the memory."""
 
     c: float
@@ -176,7 +175,7 @@ class FollowDeck:
         memory = self._retuned(memory, now, chosen_tuning(knowledge.response))
         here = self._deck_ahead(deck, knowledge, 0.0)
         axes = self._axes(memory, now, relative, body, here, frame)
-        v_down = (0.0 if deck is None else float(deck.v_level[2])) - float(relative.v_pad_level[2])
+        v_down = (0.0 if deck is None else deck.v_level.item(2)) - relative.v_pad_level.item(2)
         arrived = self._blended(memory, lambda choice: self._climbs(memory, choice)[-1])
         pushed = climb_law.pushed(
             memory.pushed_down_m_s2, float(body.a_level[2]), v_down, arrived, self.period_s, self.response.climb
@@ -225,7 +224,8 @@ class FollowDeck:
         d, v, a = relative.d_body_pad_level.tolist(), relative.v_pad_level.tolist(), body.a_level.tolist()
         roll_rate, pitch_rate, _ = body.w_body.tolist()
         measured = (d, v, body.lean_m_s2, (-G_M_S2 * pitch_rate, G_M_S2 * roll_rate), a, here.a_m_s2)
-        north, east = (AxisMeasured(*of) for of in zip(*(frame.ned(m[0], m[1]) for m in measured), strict=True))
+        of_north, of_east = zip(*[frame.ned(m[0], m[1]) for m in measured], strict=True)
+        north, east = AxisMeasured(*of_north), AxisMeasured(*of_east)
         dt = 0.0 if memory.at is None else seconds_between(memory.at, now)
         if memory.axes is None or not 0.0 < dt <= _GAP_MAX_S:
             x, y = (None, None) if memory.axes is None else memory.axes
@@ -318,7 +318,7 @@ def _regulated(
 
 
 def _sigma_m(relative: RelativeState) -> float:
-    return math.sqrt(max(*relative.cov.diagonal()[:2].tolist(), 0.0))
+    return math.sqrt(max(relative.cov.item(0, 0), relative.cov.item(1, 1), 0.0))
 
 
 def _deck_turn(memory: FollowDeckMemory, now: MonoNs, relative: RelativeState, body: BodyMotion) -> DeckTurn | None:

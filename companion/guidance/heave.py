@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from functools import lru_cache
-from typing import NamedTuple
+
+from msgspec import Struct
 
 from estimator.contracts.motion import DeckMotion
 from estimator.contracts.time import MonoNs, seconds_between
@@ -17,7 +18,7 @@ _OLD_S = 0.5
 """A forecast older than this is not used, s."""
 
 
-class DeckAhead(NamedTuple):
+class DeckAhead(Struct, frozen=True):
     """The deck some time ahead, axis by axis in `level`."""
 
     v_m_s: tuple[float, float, float]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 from collections.abc import Iterator
 from enum import Enum
 from itertools import pairwise
 
 from companion.guidance import mission
+from companion.guidance.advice import advised_alerts, advised_causes
 from companion.guidance.mission import DESCENDS, ENDED, FAULTS, TABLES, Event, State
 
 _HEAD = """# The mission
@@ -28,7 +30,7 @@ was asked for in this flight, nothing but its own hover is asked of it.
 
 def page() -> str:
     """Return docs/mission.md."""
-    return "\n".join((_HEAD, *_graph(), *_states(), *_events(), *_table("cone"), *_thesis()))
+    return "\n".join((_HEAD, *_graph(), *_states(), *_events(), *_causes(), *_table("cone"), *_thesis()))
 
 
 def _graph() -> Iterator[str]:
@@ -50,6 +52,7 @@ def _graph() -> Iterator[str]:
     )
 
 
+_PLACES = re.compile(r"\{[^}]*\}")
 _ALWAYS = (Event.PAUSE, Event.ABORT, Event.GROUNDED, Event.GROUNDED_BY_OTHERS)
 
 
@@ -64,6 +67,15 @@ def _events() -> Iterator[str]:
     yield from ("## Events", "", "| event | told as a warning |", "|---|---|")
     for event in Event:
         yield f"| {event.value} | {'yes' if event in FAULTS else 'no'} |"
+    yield ""
+
+
+def _causes() -> Iterator[str]:
+    yield from ("## What to do", "", "The operator page says it beside the event.", "", "| cause | what to do |", "|---|---|")
+    for cause, words in advised_causes().items():
+        yield f"| {_PLACES.sub('...', cause.value)} | {words} |"
+    for alert, words in advised_alerts().items():
+        yield f"| {alert.value} | {words} |"
     yield ""
 
 

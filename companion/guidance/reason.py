@@ -24,6 +24,7 @@ class ReasonCause(Enum):
     LOW_ENOUGH = "{measured:.2f} m over the deck"
     ALL_LIMITS_HOLD = "all limits hold"
     FELT = "contact felt, a step of {measured:.1f} m/s^2"
+    HELD_UP = "contact: held up by {measured:.1f} m/s against the commands"
     REPORTED = "the vehicle reports contact"
     PRESSED = "pressed on for {measured:.1f} s"
     HIGH_ENOUGH = "{measured:.1f} m over the deck"
@@ -98,6 +99,7 @@ _FRAME_WORDS = {
     Verdict.TOO_NEW: "have stamps ahead of time",
     Verdict.SINGULAR: "gave no measurement",
     Verdict.REPLACED: "were replaced by newer ones: this machine is too slow",
+    Verdict.SKIPPED: "were left out: this machine is too slow",
     Verdict.NO_ATTITUDE: "without attitude: this machine is too slow",
     Verdict.FAILED: "could not be processed",
     Verdict.REPEATED: "repeat the one before",

@@ -9,6 +9,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.guidance import cone, heading, limits, rendezvous
+from companion.guidance.controller import Impact
+from companion.guidance.held_up import HELD_S
 from companion.guidance.mission import FLOWN, Event, State
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
@@ -30,6 +32,8 @@ _OVER_GATE_M = 0.3
 _RISEN_M = 0.4
 _ASIDE_M = 0.3
 _BELOW_DECK_M = 0.6
+_HELD_UP_BELOW = 0.75
+"""Share of the gate's height below which being held up is a contact."""
 """A drone on deck without sight may be estimated some decimetres away from it."""
 _BLIND_MARGIN_M = 0.1
 _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
@@ -143,11 +147,24 @@ def _climbed_blind_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float
 
 def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: float) -> Iterator[EventWithReason]:
     felt = s.knowledge.impact
-    if p.state is State.COMMIT and felt is not None and p.since is not None and felt.at >= p.since:
-        by_vehicle = math.isnan(felt.size_m_s2)
-        yield Event.CONTACT, Reason(ReasonCause.REPORTED) if by_vehicle else Reason(ReasonCause.FELT, felt.size_m_s2)
+    if p.state is State.COMMIT and felt is not None and p.since is not None and felt.at >= p.since and _at_the_deck(felt, s, o):
+        yield Event.CONTACT, _of_contact(felt)
     if p.state is State.PRESS and in_state_s >= o.cone.press_s:
         yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, o.cone.press_s)
+
+
+def _at_the_deck(felt: Impact, s: GuidanceCycle, o: GuidanceOptions) -> bool:
+    """Return whether it is a contact: an updraft holds up too, which counts near the deck alone and while it lasts."""
+    if felt.by != "velocity":
+        return True
+    low = s.estimate is None or s.estimate.height_m < _HELD_UP_BELOW * o.cone.gate_height_m
+    return low and seconds_between(felt.at, s.at) <= HELD_S
+
+
+def _of_contact(felt: Impact) -> Reason:
+    if felt.by == "accelerometer":
+        return Reason(ReasonCause.FELT, felt.size_m_s2)
+    return Reason(ReasonCause.HELD_UP, felt.held_m_s) if felt.by == "velocity" else Reason(ReasonCause.REPORTED)
 
 
 def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from companion.mavlink.bridge import VehicleBridge
+from companion.mavlink.camera_component import CameraComponent, ShowCamera
 from companion.mavlink.options import BridgeOptions
 from companion.mavlink.refusals import link_counters
 from companion.operator.orders import OperatorOrder
@@ -28,6 +29,7 @@ class BridgePart(NullObserver):
         links: the links to ground stations.
         order: gives a station's order; returns why it is refused, or None.
         tap: receives every message; None if no one listens.
+        show: makes the camera's component; None if no picture is streamed.
     """
 
     def __init__(
@@ -38,6 +40,7 @@ class BridgePart(NullObserver):
         *,
         order: Callable[[OperatorOrder], str | None],
         tap: Tap | None = None,
+        show: ShowCamera | None = None,
     ) -> None:
         self._endpoints = tuple(links)
         self._system = options.system_id
@@ -45,6 +48,7 @@ class BridgePart(NullObserver):
         self._clock = clock
         self._order = order
         self._tap = tap
+        self._show = show
         self._bridge: VehicleBridge | None = None
         self._links: Links | None = None
 
@@ -64,15 +68,20 @@ class BridgePart(NullObserver):
         async with open_links(self._endpoints, self._clock, identity, access=self._access) as links, asyncio.TaskGroup() as group:
             self._links, links.tap = links, self._tap
             self._bridge = bridge = VehicleBridge(links.send, self._order)
+            camera = None if self._show is None else self._show(links.send)
             try:
-                listening = group.create_task(self._listen(bridge, links))
+                listening = group.create_task(self._listen(bridge, camera, links))
                 while not listening.done():
                     links.contained.run("the bridge's tick", "us", lambda: bridge.tick(self._clock.now()))
+                    if camera is not None:
+                        links.contained.run("the camera's tick", "us", partial(camera.tick, self._clock.now()))
                     await self._clock.sleep(_TICK_S)
             finally:
                 self._bridge = None
 
-    async def _listen(self, bridge: VehicleBridge, links: Links) -> None:
+    async def _listen(self, bridge: VehicleBridge, camera: CameraComponent | None, links: Links) -> None:
         async for received in links.received:
-            on_message = partial(bridge.on_message, received, self._system, self._clock.now())
-            links.contained.run(received.place, received.source_text, on_message)
+            for part in (bridge, camera):
+                if part is not None:
+                    on_message = partial(part.on_message, received, self._system, self._clock.now())
+                    links.contained.run(received.place, received.source_text, on_message)

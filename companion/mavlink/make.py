@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 
 from companion.config.model import Settings
+from companion.mavlink.camera_component import ShowCamera, showing
 from companion.mavlink.component import Component, ComponentOptions, speaking
 from companion.mavlink.deck_velocity import DeckVelocity
 from companion.mavlink.pilot_operator import PilotTower
@@ -27,6 +28,7 @@ class AutopilotPart:
     Args:
         recording: switches the recorder; None if there is no recorder.
         tap: receives every MAVLink message; None if no one listens.
+        show: makes the camera's component; None if no picture is streamed.
 
     Raises:
         BadInput: a signing key that cannot be read.
@@ -41,10 +43,12 @@ class AutopilotPart:
         clock: Clock,
         recording: Callable[[bool], str | None] | None = None,
         tap: Tap | None = None,
+        show: ShowCamera | None = None,
     ) -> None:
         self._pilot = pilot
         self._clock = clock
         self._tap = tap
+        self._show = show
         self._open: Autopilot | None = None
         self._links: Links | None = None
         self._options = vehicle
@@ -75,7 +79,7 @@ class AutopilotPart:
         async with opening as autopilot:
             self._links, autopilot.links.tap = autopilot.links, self._tap
             autopilot.deck_velocity = DeckVelocity(self._pilot.belief, autopilot, self._pilot.vessel_velocity)
-            async with speaking(self.component, autopilot, self._clock):
+            async with speaking(self.component, autopilot, self._clock), showing(self._show, autopilot, self._clock):
                 self._open = autopilot
                 try:
                     yield autopilot

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from msgspec import Struct, field
+from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.operator.fence import Corners, within
@@ -40,8 +40,8 @@ class Limit(Enum):
 class PlaceMemory(Struct, frozen=True, eq=False):
     """Where the vehicle is from its start, by its own velocity, and how high."""
 
-    p_start_ned: F64 = field(default_factory=lambda: np.zeros(2))
-    """(2,) m north and east of the place where it was first seen to fly."""
+    p_start_ned: tuple[float, float] = (0.0, 0.0)
+    """m north and east of the place where it was first seen to fly."""
     velocity: BodyVelocity | None = None
     attitude: Attitude | None = None
     flying: bool = False
@@ -65,9 +65,8 @@ def place_step(memory: PlaceMemory, samples: Sequence[Sample]) -> PlaceMemory:
             if velocity is not None and attitude is not None and flying:
                 dt_s = seconds_between(velocity.stamp.measured_at, sample.stamp.measured_at)
                 if 0.0 < dt_s <= _GAP_S:
-                    north, east = p_start_ned.tolist()
                     v_north, v_east = _turned_numbers(sample.v_level, attitude.R_ned_body.rpy_rad[2])
-                    p_start_ned = np.array([north + v_north * dt_s, east + v_east * dt_s])
+                    p_start_ned = p_start_ned[0] + v_north * dt_s, p_start_ned[1] + v_east * dt_s
             velocity = sample
         elif type(sample) is Baro:
             baro_m = sample.height_m
@@ -77,7 +76,7 @@ def place_step(memory: PlaceMemory, samples: Sequence[Sample]) -> PlaceMemory:
         elif type(sample) is VehicleStatus:
             flying, charge = sample.flying is True, sample.battery_fraction
             if not flying:
-                p_start_ned, ground_baro_m = np.zeros(2), baro_m
+                p_start_ned, ground_baro_m = (0.0, 0.0), baro_m
     return PlaceMemory(p_start_ned, velocity, attitude, flying, baro_m, ground_baro_m, newest_range, charge)
 
 
@@ -159,7 +158,7 @@ def _fences(
 def _start(place: PlaceMemory) -> _Frame | None:
     if place.attitude is None or place.velocity is None:
         return None
-    return _Frame(place.p_start_ned, place.attitude.R_ned_body.rpy_rad[2], np.zeros(2))
+    return _Frame(np.array(place.p_start_ned), place.attitude.R_ned_body.rpy_rad[2], np.zeros(2))
 
 
 def _pad(place: PlaceMemory, belief: RelativeState | None, *, axes: bool) -> _Frame | None:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from aiohttp import WSMsgType, web
 
+from companion.guidance.advice import advice
 from companion.guidance.mission import FAULTS
 from companion.operator.flight_state import FlightWatch
 from companion.operator.orders import HandledOrder, OrderSender, OrderSource
@@ -32,11 +33,12 @@ from companion.page.messages import (
     request_in,
     text_of,
 )
-from companion.page.picture import AHEAD_S, camera_lean, picture
+from companion.page.picture import AHEAD_S, picture
 from companion.page.recordings import Recordings
 from companion.page.settings import PageSettings
 from companion.page.state import HORIZONS_S, page_health, place
 from companion.page.viewer import ORDERS, PageViewer
+from companion.report.expected_place import camera_lean
 from companion.runtime.connection_limits import ConnectionLimits, listen
 from companion.runtime.health import Health
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
@@ -123,7 +125,8 @@ class PageEndpoint(NullObserver):
         self._flight.on_decision(decision)
         for change in decision.transitions:
             level: Level = "warning" if change.event in FAULTS else "info"
-            self._tell(decision.at, level, f"{change.target.value}: {change.reason.text}")
+            todo = advice(change.target, change.reason) if change.event in FAULTS else ""
+            self._tell(decision.at, level, f"{change.target.value}: {change.reason.text}", todo)
 
     def on_order(self, handled: HandledOrder) -> None:
         self._tell(handled.at, "info" if handled.accepted else "warning", str(handled))
@@ -320,8 +323,8 @@ class PageEndpoint(NullObserver):
             for viewer in self._viewers:
                 viewer.show(number, exposed, message)
 
-    def _tell(self, at: MonoNs, level: Level, text: str) -> None:
-        event = PageEvent(at_s=seconds_between(self._began, at), level=level, text=text)
+    def _tell(self, at: MonoNs, level: Level, text: str, todo: str = "") -> None:
+        event = PageEvent(at_s=seconds_between(self._began, at), level=level, text=text, advice=todo)
         self._events.append(event)
         for viewer in self._viewers:
             viewer.tell(event)

@@ -113,6 +113,8 @@ class PageEvent(Struct, frozen=True, kw_only=True, tag_field="kind", tag="event"
     at_s: float
     level: Level
     text: str
+    advice: str = ""
+    """What a person can do about it; empty if there is nothing to do."""
 
 
 class RecordingFile(Struct, frozen=True, kw_only=True):

@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 
 from companion.page.messages import PictureHeader, PictureLine, picture_message
-from companion.report.expected_place import expected_in_body
 from companion.report.overlay import pad_lines
 from companion.runtime.observer import ProcessedFrame
 from estimator.contracts.estimates import RelativeState
@@ -55,23 +54,6 @@ def picture(
         raise ValueError(f"a frame of {processed.frame.px.shape} cannot be encoded as JPEG")
     lines = tuple(_lines(processed, belief, ahead, lean, camera, pad))
     return picture_message(PictureHeader(number=number, verdict=processed.verdict.value, lines=lines), jpeg.tobytes())
-
-
-def camera_lean(processed: ProcessedFrame, belief: RelativeState | None) -> Rotation | None:
-    """Return the rotation in `body` from the pad by the reported attitude to the pad where the filter expects it in the frame.
-
-    The filter knows errors of the attitude and of the camera's mount, degrees in all, that neither the reported attitude nor the
-    camera's file has. It is None for a frame that was not compared with the steering estimate.
-    """
-    expected = None if belief is None else expected_in_body(processed, belief.path)
-    if belief is None or expected is None or processed.attitude is None:
-        return None
-    believed: F64 = processed.attitude.R_ned_body.without_heading().inv @ belief.d_body_pad_level
-    axis = np.cross(believed, expected)
-    sine = float(np.linalg.norm(axis))
-    if sine < 1e-12:
-        return Rotation.identity()
-    return Rotation.from_rotvec(axis * (math.atan2(sine, float(believed @ expected)) / sine))
 
 
 def _lines(

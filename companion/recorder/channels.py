@@ -8,15 +8,19 @@ import msgspec
 
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
+from companion.recorder.scene import SceneUpdate
 from estimator.contracts.fusion import Source
 
-IMAGE, ANNOTATIONS, CALIBRATION = "/camera/image", "/camera/annotations", "/camera/calibration"
+IMAGE, VIDEO = "/camera/image", "/camera/video"
+ANNOTATIONS, CALIBRATION = "/camera/annotations", "/camera/calibration"
 DETECTION, DECISION, TRUTH, LINK, HEALTH, LOG, TRANSFORMS = "/detection", "/decision", "/truth", "/link", "/health", "/log", "/tf"
 ORDER = "/order"
 """The topic of people's orders and their answers."""
 FIXED_TRANSFORMS = "/tf_static"
-"""The topic of the transforms that are written once per file. A viewer that seeks takes a topic's newest message, so nothing
-else may be written to this one."""
+"""The topic of the transforms that do not change. A viewer that seeks takes a topic's newest message, so nothing else may be
+written to this one; it is repeated each second for viewers that do not look further back."""
+SCENE, ELLIPSOID = "/scene", "/scene/error"
+"""The pad, the deck and the drone, repeated each second; and the error ellipsoid of the steering path."""
 TRUE_POSE = "/pose/truth"
 PATHS = ("median_mean", "dead_reckoning", "ekf")
 
@@ -58,17 +62,20 @@ TOPICS: dict[str, type[msgspec.Struct]] = {
     LINK: rec.LinkRecord,
     HEALTH: rec.HealthRecord,
     IMAGE: fox.CompressedImage,
+    VIDEO: fox.CompressedVideo,
     ANNOTATIONS: fox.ImageAnnotations,
     CALIBRATION: fox.CameraCalibration,
     TRANSFORMS: fox.FrameTransforms,
     FIXED_TRANSFORMS: fox.FrameTransforms,
     **{pose(path): fox.PoseInFrame for path in (*PATHS, "truth")},
     LOG: fox.Log,
+    SCENE: SceneUpdate,
+    ELLIPSOID: SceneUpdate,
 }
 
 
 def schema_name(kind: type[msgspec.Struct]) -> str:
     """Return the name of a record's schema, such as `foxglove.PoseInFrame` or `decklander.Detection`."""
-    if kind.__module__ == fox.__name__:
+    if kind.__module__ in (fox.__name__, SceneUpdate.__module__):
         return f"foxglove.{kind.__name__}"
     return f"decklander.{kind.__name__.removesuffix('Record')}"

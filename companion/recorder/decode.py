@@ -13,7 +13,7 @@ from companion.guidance.reason import Reason, ReasonCause
 from companion.guidance.response_watch import ResponseInUse, ResponseState
 from companion.recorder import records as rec
 from companion.recorder.encode import COMMANDS
-from companion.runtime.observer import FrameTimes
+from companion.runtime.observer import DeckOutlook, FrameTimes
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import IntegrityAlert, Method, PathName, Pose6, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, Source
@@ -182,6 +182,18 @@ def response(of: rec.ResponseRecord | None) -> ResponseInUse | None:
     return ResponseInUse(ResponseState(of.state), of.delay_s, of.sigma_s, of.longer_s)
 
 
+def deck(of: rec.DeckRecord | None, at: MonoNs) -> DeckOutlook | None:
+    """Return a recorded forecast of the deck, made at an instant. Raises ValueError if its columns differ in length."""
+    if of is None:
+        return None
+    columns = (
+        of.horizons_s, of.height_m, of.sigma_height_m, of.roll_rad, of.sigma_roll_rad, of.pitch_rad, of.sigma_pitch_rad,
+    )  # fmt: skip
+    if len({len(column) for column in columns}) != 1:
+        raise ValueError("a forecast of the deck has columns of different lengths")
+    return DeckOutlook(at, *map(tuple, columns))
+
+
 def transition(of: rec.TransitionRecord) -> StateChange:
     """Return a recorded change of the mission's state. Raises ValueError if a name is not known."""
     try:
@@ -198,6 +210,8 @@ def truth(of: rec.TruthRecord) -> None:
     """Check a record of truth. Raises ValueError if its numbers are not valid."""
     _vector(of.d_body_pad_level)
     _vector(of.v_pad_level)
+    if of.p_pad_ned is not None:
+        _vector(of.p_pad_ned)
     for rows in (of.R_ned_body, of.R_ned_pad):
         if rows is not None:
             Rotation(_matrix(rows, 3))

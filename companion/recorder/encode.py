@@ -12,7 +12,7 @@ from companion.guidance.response_watch import ResponseInUse
 from companion.operator.orders import HandledOrder
 from companion.recorder import records as rec
 from companion.runtime.health import HealthSnapshot
-from companion.runtime.observer import Decision, ProcessedFrame
+from companion.runtime.observer import Decision, DeckOutlook, ProcessedFrame
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.fusion import FusionResult
@@ -149,18 +149,32 @@ def fusion(at: MonoNs, of: FusionResult) -> rec.FusionRecord:
 def decision(of: Decision) -> rec.DecisionRecord:
     """Return the record of a decision."""
     steering = None if of.belief is None else of.belief.path
-    changes, found = [transition(change) for change in of.transitions], response(of.response)
+    changes, found, ahead = [transition(change) for change in of.transitions], response(of.response), deck(of.ahead)
     if isinstance(of.command, Velocity):
         v, turn = of.command.v_level.tolist(), of.command.yaw_rate_rad_s
-        return rec.DecisionRecord(int(of.at), of.phase, steering, "velocity", v, turn, of.reason, None, None, changes, found)
+        return rec.DecisionRecord(
+            int(of.at), of.phase, steering, "velocity", v, turn, of.reason, None, None, changes, found, ahead
+        )
     if isinstance(of.command, Lean):
         lean = of.command
         v, a, trim = lean.v_level.tolist(), lean.a_level.tolist(), lean.trim_level.tolist()
         return rec.DecisionRecord(
-            int(of.at), of.phase, steering, "lean", v, lean.yaw_rate_rad_s, of.reason, a, trim, changes, found
+            int(of.at), of.phase, steering, "lean", v, lean.yaw_rate_rad_s, of.reason, a, trim, changes, found, ahead
         )
     simple = None if of.command is None else COMMANDS[type(of.command)]
-    return rec.DecisionRecord(int(of.at), of.phase, steering, simple, reason=of.reason, transitions=changes, response=found)
+    return rec.DecisionRecord(
+        int(of.at), of.phase, steering, simple, reason=of.reason, transitions=changes, response=found, deck=ahead
+    )
+
+
+def deck(of: DeckOutlook | None) -> rec.DeckRecord | None:
+    """Return the record of a forecast of the deck."""
+    if of is None:
+        return None
+    columns = (
+        of.horizons_s, of.height_m, of.sigma_height_m, of.roll_rad, of.sigma_roll_rad, of.pitch_rad, of.sigma_pitch_rad,
+    )  # fmt: skip
+    return rec.DeckRecord(*map(list, columns))
 
 
 def response(of: ResponseInUse | None) -> rec.ResponseRecord | None:

@@ -89,6 +89,15 @@ class CompressedImage(Struct, frozen=True):
     format: str
 
 
+class CompressedVideo(Struct, frozen=True):
+    """The schema `foxglove.CompressedVideo`."""
+
+    timestamp: Time
+    frame_id: str
+    data: bytes
+    format: str
+
+
 class CameraCalibration(Struct, frozen=True):
     """The schema `foxglove.CameraCalibration`."""
 
@@ -206,6 +215,11 @@ def compressed_image(at_ns: int, data: bytes, form: str) -> CompressedImage:
     return CompressedImage(time_of(at_ns), "cam", data, form)
 
 
+def compressed_video(at_ns: int, data: bytes) -> CompressedVideo:
+    """Return the message of one H.264 access unit."""
+    return CompressedVideo(time_of(at_ns), "cam", data, "h264")
+
+
 def calibration(at_ns: int, camera: Camera) -> CameraCalibration:
     """Return the camera's calibration; viewers call Brown-Conrady distortion "plumb_bob"."""
     K = camera.K
@@ -262,7 +276,9 @@ def image_annotations(at_ns: int, features: Iterable[tuple[str, Feature]], capti
     points = []
     for method, feature in features:
         ink = _color(method)
-        uv = [Point2(float(u) + 0.5, float(v) + 0.5) for u, v in feature.uv_px if math.isfinite(u) and math.isfinite(v)]
+        # Tenths of a pixel are what an eye sees; every further digit is stored and cannot be packed.
+        known = ((float(u), float(v)) for u, v in feature.uv_px if math.isfinite(u) and math.isfinite(v))
+        uv = [Point2(round(u + 0.5, 1), round(v + 0.5, 1)) for u, v in known]
         notes = [KeyValuePair("method", method), KeyValuePair("kind", feature.kind), KeyValuePair("label", feature.label)]
         points.append(PointsAnnotation(t, _POINT_TYPES[feature.kind], uv, ink, [], _CLEAR, 2.0, notes))
     text = TextAnnotation(t, Point2(8.0, 20.0), caption, 14.0, Color(1.0, 1.0, 1.0, 1.0), Color(0.0, 0.0, 0.0, 0.5))

@@ -15,6 +15,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from companion.recorder.channels import TOPICS, schema_name
 from companion.recorder.schema import json_schema
+from estimator.vision.pad import Pad
 
 CHUNK_BYTES = 4 << 20
 
@@ -38,6 +39,8 @@ class About:
     """The settings, camera and pad files."""
     offset_ns: int = 0
     """The offset from the monotonic clock to the viewer's time axis, ns; it is 0 in virtual time."""
+    pad: Pad | None = None
+    """The pad of the viewer's scene."""
 
 
 class McapFile:

@@ -13,17 +13,20 @@ from companion.operator.orders import HandledOrder
 from companion.recorder import channels, encode
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
+from companion.recorder.frame_video import FrameEncoder
 from companion.recorder.options import FrameForm
+from companion.recorder.scene import error_ellipsoid, fixed_scene
 from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
 from estimator.vision.thesis.detection import Detection
 
 Message = tuple[str, int, Struct]
-_TF_PERIOD_S = 0.02
+_TF_PERIOD_S, _REPEAT_S, _ELLIPSOID_S = 0.02, 1.0, 0.1
 _SAMPLES = (Imu, Attitude, BodyVelocity, Range, Baro, VesselReport, GeoFix, VehicleStatus)
 
 
@@ -32,9 +35,11 @@ class MessageEncoder:
 
     Args:
         offset_ns: the offset from the monotonic clock to the viewer's time axis, ns.
+        pad: the pad of the viewer's scene; None to leave it out.
     """
 
-    def __init__(self, camera: Camera, offset_ns: int, frames: FrameForm, jpeg_quality: int) -> None:
+    def __init__(self, camera: Camera, offset_ns: int, frames: FrameForm, jpeg_quality: int, pad: Pad | None = None) -> None:
+        self._pad = pad
         self._camera = camera
         self._offset_ns = offset_ns
         self._frames = frames
@@ -45,12 +50,17 @@ class MessageEncoder:
         """Reset the state for a new file."""
         self._phase: str | None = None
         self._turned: MonoNs | None = None
+        self._repeated: MonoNs | None = None
+        self._video = FrameEncoder()
+        self._drawn: MonoNs | None = None
 
     def preamble(self, at: MonoNs) -> Iterator[Message]:
-        """Yield the constant messages at the head of a file."""
+        """Yield the constant messages, which stand at the head of a file and again in each second of it."""
+        self._repeated = at
         t = self._time(at)
         yield channels.CALIBRATION, t, fox.calibration(t, self._camera)
         yield channels.FIXED_TRANSFORMS, t, fox.fixed_transforms(t, self._camera)
+        yield channels.SCENE, t, fixed_scene(t, self._pad)
 
     def messages(self, at: MonoNs, what: object) -> Iterator[Message]:
         """Yield the messages of a sample, a decision, a record, or a frame.
@@ -102,7 +112,9 @@ class MessageEncoder:
         self, t: int, record: rec.DetectionRecord, processed: ProcessedFrame | None, detection: Detection | None
     ) -> Iterator[Message]:
         exposed_at = self._time(MonoNs(record.stamp.measured_at_ns))
-        if processed is not None and self._frames != "none":
+        if processed is not None and self._frames == "h264":
+            yield channels.VIDEO, t, fox.compressed_video(exposed_at, self._video.encoded(processed.frame.px))
+        elif processed is not None and self._frames != "none":
             data = packed(processed.frame.px, self._frames, self._quality)
             yield channels.IMAGE, t, fox.compressed_image(exposed_at, data, self._frames)
         yield channels.DETECTION, t, record
@@ -115,6 +127,8 @@ class MessageEncoder:
             yield channels.ANNOTATIONS, t, fox.image_annotations(exposed_at, features, f"{record.verdict}  {where}")
 
     def _decision(self, t: int, decision: Decision) -> Iterator[Message]:
+        if self._repeated is None or seconds_between(self._repeated, decision.at) >= _REPEAT_S:
+            yield from self.preamble(decision.at)
         beliefs = [b for b in (decision.belief, *decision.shadows) if b is not None]
         for belief in beliefs:
             yield channels.belief(belief.path), t, encode.belief(belief)
@@ -125,6 +139,9 @@ class MessageEncoder:
                 yield channels.pose(belief.path), t, pose
         if decision.belief is not None:
             yield from self._transform(t, decision.belief)
+            if self._drawn is None or seconds_between(self._drawn, decision.at) >= _ELLIPSOID_S:
+                self._drawn = decision.at
+                yield channels.ELLIPSOID, t, error_ellipsoid(t, decision.belief)
         for change in decision.transitions:
             line = f"{change.source.value}: {change.event.value}, {change.reason.text}: {change.target.value}"
             yield channels.LOG, t, fox.log_line(t, fox.INFO, "guidance", line)

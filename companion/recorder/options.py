@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from estimator.contracts.keys import check_ranges, choice, number, text
 
-FrameForm = Literal["jpeg", "png", "none"]
+FrameForm = Literal["jpeg", "h264", "png", "none"]
 
 
 class RecorderOptions(Struct, frozen=True, forbid_unknown_fields=True):
@@ -22,7 +22,11 @@ class RecorderOptions(Struct, frozen=True, forbid_unknown_fields=True):
     folder: Annotated[str, text("where recordings go, from the working directory; made when it is missing", 4096)] = "recordings"
     frames: Annotated[
         FrameForm,
-        choice("how frames are kept: small, exact (ten times as large), or not at all; what was seen in them is kept always"),
+        choice(
+            "how frames are kept: as images; as a video, which takes about a quarter of that; exactly, which takes ten times as "
+            "much; or "
+            "not at all. What was seen in them is kept always"
+        ),
     ] = "jpeg"
     frames_each: Annotated[int, number("keep the frame of each n-th frame only", "frames", 1, 1000)] = 1
     jpeg_quality: Annotated[int, number("quality of JPEG frames, at full resolution of colour", "1", 50, 100)] = 90

@@ -17,6 +17,7 @@ from companion.recorder import channels, decode
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
 from companion.recorder.container import records
+from companion.recorder.frame_video import FrameSequence, VideoImage
 from companion.runtime.observer import Decision, FrameTimes
 from drivers.camera import images
 from estimator.contracts.errors import BadInput
@@ -38,8 +39,8 @@ class RecordedFrame:
     """One frame as it was recorded."""
 
     record: rec.DetectionRecord
-    image: bytes | None
-    """The bytes of the image file (JPEG, PNG); None if it was not kept."""
+    image: bytes | VideoImage | None
+    """The bytes of the image file (JPEG, PNG), or the frame of a video; None if it was not kept."""
 
     @property
     def stamp(self) -> Stamp:
@@ -80,6 +81,11 @@ class RecordedFrame:
         """
         if self.image is None:
             return None
+        if isinstance(self.image, VideoImage):
+            px = self.image.px()
+            if px is None or px.shape[:2] != (size[1], size[0]):
+                return None
+            return Frame(self.stamp, self.record.seq, px, self.record.exposure_s)
         try:
             px = images.decode(self.image, size)
         except images.ImageRefused:
@@ -236,7 +242,8 @@ class _Assembly:
 
     def __init__(self) -> None:
         self._decoders = {topic: msgspec.json.Decoder(kind) for topic, kind in channels.TOPICS.items()}
-        self._image: fox.CompressedImage | None = None
+        self._image: bytes | VideoImage | None = None
+        self._video = FrameSequence()
         self._beliefs: list[RelativeState] = []
 
     def event(self, topic: str, data: bytes) -> Event | None:
@@ -246,11 +253,14 @@ class _Assembly:
         message = self._decoders[topic].decode(data)
         match message:
             case fox.CompressedImage():
-                self._image = message
+                self._image = message.data
+                return None
+            case fox.CompressedVideo():
+                self._image = self._video.add(message.data)
                 return None
             case rec.DetectionRecord():
                 image, self._image = self._image, None
-                frame = RecordedFrame(message, None if image is None else image.data)
+                frame = RecordedFrame(message, image)
                 frame.check()
                 return frame
             case rec.BeliefRecord():
@@ -282,6 +292,7 @@ class _Assembly:
             message.reason,
             transitions=tuple(decode.transition(change) for change in message.transitions),
             response=decode.response(message.response),
+            ahead=decode.deck(message.deck, MonoNs(message.at_ns)),
         )
 
 
@@ -293,6 +304,8 @@ _FOR_VIEWERS = {
     channels.LOG,
     channels.ORDER,
     channels.TRUE_POSE,
+    channels.SCENE,
+    channels.ELLIPSOID,
     *(channels.pose(path) for path in channels.PATHS),
 }
 _OLD_TOPIC, _OLD_KEYS = "/look", ('"taken_ns"', '"doubts"')

@@ -84,7 +84,7 @@ class Recorder:
         self._options = options
         self._lossless = lossless
         self._close_s = close_s
-        self._message_encoder = MessageEncoder(camera, about.offset_ns, options.frames, options.jpeg_quality)
+        self._message_encoder = MessageEncoder(camera, about.offset_ns, options.frames, options.jpeg_quality, about.pad)
         self._about = about
         self._health: Health | None = None
         if health is not None:

@@ -230,6 +230,18 @@ class ResponseRecord(Struct, frozen=True, omit_defaults=True):
     """By how much the delay is longer than the response file says."""
 
 
+class DeckRecord(Struct, frozen=True):
+    """The deck's height and tilt some seconds ahead, each with its standard deviation; one number for each horizon."""
+
+    horizons_s: list[float]
+    height_m: list[float]
+    sigma_height_m: list[float]
+    roll_rad: list[float]
+    sigma_roll_rad: list[float]
+    pitch_rad: list[float]
+    sigma_pitch_rad: list[float]
+
+
 class DecisionRecord(Struct, frozen=True, omit_defaults=True):
     """One guidance cycle; the estimates that it used are the messages of the same instant that precede it."""
 
@@ -251,6 +263,8 @@ class DecisionRecord(Struct, frozen=True, omit_defaults=True):
     """What changed since the previous decision, in order."""
     response: ResponseRecord | None = None
     """The vehicle's response, where this cycle has come to know it otherwise than before."""
+    deck: DeckRecord | None = None
+    """The deck's forecast, where this cycle made one."""
 
 
 class OrderRecord(Struct, frozen=True, omit_defaults=True):
@@ -292,6 +306,8 @@ class TruthRecord(Struct, frozen=True, omit_defaults=True):
     """True attitude of the vehicle, (3, 3) row by row."""
     R_ned_pad: list[float] | None = None
     """True attitude of the pad, (3, 3) row by row."""
+    p_pad_ned: list[float] | None = None
+    """True place of the pad's centre, (3,) m from the simulator's origin."""
 
 
 class LinkRecord(Struct, frozen=True, omit_defaults=True):

@@ -12,6 +12,7 @@ import msgspec
 
 from companion.recorder import channels, encode
 from companion.recorder import foxglove as fox
+from companion.recorder.frame_video import FrameEncoder, VideoImage
 from companion.recorder.mcap_file import About, Attachment, McapFile
 from companion.recorder.message_encoder import MessageEncoder
 from companion.recorder.reading import Event, RecordedFrame, Recording, instant
@@ -51,7 +52,7 @@ def rewrite(recording: Recording, output: Path, cut: Cut) -> int:
     metadata = {name: data for name, data in recording.metadata.items() if name != "clock"}
     offset_ns = _offset_ns(recording)
     attachments = [Attachment(name, "application/toml", data) for name, data in recording.attachments.items()]
-    message_encoder = MessageEncoder(camera, offset_ns, "none", 90)
+    message_encoder = MessageEncoder(camera, offset_ns, "none", 90, recording.pad())
     output.unlink(missing_ok=True)
     file = McapFile(output, About(metadata, attachments, offset_ns))
     try:
@@ -74,6 +75,7 @@ def _copy(recording: Recording, file: McapFile, message_encoder: MessageEncoder,
     first: MonoNs | None = None
     met: Counter[str] = Counter()
     n = 0
+    video = FrameEncoder()
     for event in recording.events():
         at = instant(event)
         if first is None:
@@ -88,10 +90,16 @@ def _copy(recording: Recording, file: McapFile, message_encoder: MessageEncoder,
         n += 1
         t = max(0, at + offset_ns)
         if isinstance(event, RecordedFrame):
-            if cut.images and event.image is not None:
-                exposed_at = event.record.stamp.measured_at_ns + offset_ns
-                form = "png" if event.image.startswith(b"\x89PNG") else "jpeg"
-                file.add(channels.IMAGE, t, fox.compressed_image(exposed_at, event.image, form))
+            exposed_at = event.record.stamp.measured_at_ns + offset_ns
+            image = event.image if cut.images else None
+            if isinstance(image, VideoImage):
+                # A part of a video may not begin where a key frame stands, so that it is encoded again.
+                px = image.px()
+                if px is not None:
+                    file.add(channels.VIDEO, t, fox.compressed_video(exposed_at, video.encoded(px)))
+            elif image is not None:
+                form = "png" if image.startswith(b"\x89PNG") else "jpeg"
+                file.add(channels.IMAGE, t, fox.compressed_image(exposed_at, image, form))
             file.add(channels.DETECTION, t, _without_methods(event.record) if cut.inputs else event.record)
         elif cut.inputs and not isinstance(event, TruthRecord | FusionRecord | LinkRecord | HealthRecord | Decision):
             record = encode.sample(event)

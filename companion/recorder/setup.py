@@ -10,7 +10,7 @@ from pathlib import Path
 
 from companion.config import reference
 from companion.config.model import Settings
-from companion.config.settings import camera_model, find_file
+from companion.config.settings import camera_model, find_file, pad_model
 from companion.recorder.mcap_file import About, Attachment
 from companion.recorder.options import FrameForm, RecorderOptions
 from companion.recorder.reading import CAMERA, PAD, SETTINGS
@@ -33,7 +33,7 @@ def about(settings: Settings, flight: Mapping[str, str], offset_ns: int = 0) -> 
     for name, text, folder in ((CAMERA, settings.camera.file, "cameras"), (PAD, settings.pad.file, "pads")):
         path = find_file(text, folder, Path(), name)
         files.append(Attachment(name, "application/toml", path.read_bytes()))
-    return About({"versions": versions(), "flight": dict(flight)}, files, offset_ns)
+    return About({"versions": versions(), "flight": dict(flight)}, files, offset_ns, pad_model(settings))
 
 
 def versions() -> dict[str, str]:

@@ -9,10 +9,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from companion.operator.orders import HandledOrder
+from companion.recorder.frame_video import VideoImage
 from companion.recorder.reading import Recording
 from companion.recorder.records import TruthRecord
+from companion.replay.truth_log import add_truth
 from companion.report.expected_place import expected_in_body
-from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, LoggedTouchdown, PhaseChange, TruthSample
+from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange
 from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.fusion import FusionResult
@@ -45,9 +47,7 @@ class BeliefLogObserver:
         log.frames.append(FrameRecord(exposed_at, processed.frame.seq, processed.verdict, R_level_body, place))
         log.verdicts[processed.verdict] += 1
         if processed.detection is not None:
-            log.sightings.extend(
-                s for s in (*processed.detection.methods.values(), processed.detection.selected) if s is not None
-            )
+            log.add_detection(processed.detection)
         log.add_times(processed)
 
     def on_decision(self, decision: Decision) -> None:
@@ -55,6 +55,8 @@ class BeliefLogObserver:
         if not log.phases or log.phases[-1].phase != decision.phase:
             log.phases.append(PhaseChange(decision.at, decision.phase))
         log.transitions += decision.transitions
+        if decision.ahead is not None:
+            log.add_forecast(decision.ahead)
         for belief in (decision.belief, *decision.shadows):
             if belief is not None:
                 log.estimates.append(belief)
@@ -63,20 +65,13 @@ class BeliefLogObserver:
             log.commands.append(CommandRecord(decision.at, decision.command))
 
     def on_order(self, handled: HandledOrder) -> None:
-        return None
+        self.log.orders.append(handled)
 
     def on_truth(self, truth: TruthRecord) -> None:
         """Keep the truth from a simulator or motion capture."""
-        d, v = np.array(truth.d_body_pad_level), np.array(truth.v_pad_level)
-        self.log.truth.append(TruthSample(MonoNs(truth.at_ns), d, v, truth.yaw_rad))
-        t = truth.touchdown
-        if t is not None and self.log.touchdown is None:
-            lateral_m, vertical_m_s, lateral_m_s = (
-                math.nan if x is None else x for x in (t.lateral_m, t.vertical_speed_m_s, t.lateral_speed_m_s)
-            )
-            self.log.touchdown = LoggedTouchdown(MonoNs(t.at_ns), lateral_m, vertical_m_s, lateral_m_s, t.on_pad)
+        add_truth(self.log, truth)
 
-    def attach_image(self, image: bytes | None) -> None:
+    def attach_image(self, image: bytes | VideoImage | None) -> None:
         """Attach the recorded image to the newest frame."""
         if image is not None and self.log.frames:
             self.log.frames[-1] = replace(self.log.frames[-1], image=image)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.report.flight_log import FlightLog, TruthSample
+from companion.report.flight_log import FlightLog, StageTime, TruthSample
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between
@@ -152,8 +152,13 @@ def error_rows(log: FlightLog, series: Sequence[Series]) -> list[ErrorRow]:
 
 def timing_rows(log: FlightLog) -> list[TimingRow]:
     """Return a row for each stage in the log's order, then one for the delay from the exposure to the estimate."""
-    named = [*log.stage_s.items(), ("exposure to belief", log.delay_s)]
-    return [TimingRow(name, len(v), *(_quantile(np.array(v), q) for q in (0.5, 0.95, 0.99, 1.0))) for name, v in named if len(v)]
+    named = {name: np.array([one.seconds for one in times]) for name, times in stage_times(log).items() if times}
+    return [TimingRow(name, len(v), *(_quantile(v, q) for q in (0.5, 0.95, 0.99, 1.0))) for name, v in named.items()]
+
+
+def stage_times(log: FlightLog) -> dict[str, list[StageTime]]:
+    """Return the durations of every stage, then the delay from the exposure to the estimate."""
+    return {**log.stages, "exposure to belief": log.delays}
 
 
 def _quantile(x: F64, q: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 
+from companion.operator.orders import HandledOrder
 from companion.report.expected_place import expected_in_body
 from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
@@ -39,16 +40,19 @@ class LogObserver(NullObserver):
         exposed_at = processed.frame.stamp.measured_at
         log.frames.append(FrameRecord(exposed_at, processed.frame.seq, processed.verdict, R_level_body, place, image))
         if processed.detection is not None:
-            log.sightings.extend(
-                s for s in (*processed.detection.methods.values(), processed.detection.selected) if s is not None
-            )
+            log.add_detection(processed.detection)
         log.add_times(processed)
+
+    def on_order(self, handled: HandledOrder) -> None:
+        self.log.orders.append(handled)
 
     def on_decision(self, decision: Decision) -> None:
         log = self.log
         if not log.phases or log.phases[-1].phase != decision.phase:
             log.phases.append(PhaseChange(decision.at, decision.phase))
         log.transitions += decision.transitions
+        if decision.ahead is not None:
+            log.add_forecast(decision.ahead)
         self._rounds += 1
         if self._rounds % self._decisions_each:
             return

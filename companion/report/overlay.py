@@ -1,8 +1,7 @@
-"""Draw over a frame: features, the estimated pad, and a line of figures below."""
+"""Draw over a frame: features and the estimated pad."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import cv2
@@ -11,28 +10,21 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from companion.report.palette import OUTLINE, bgr, colour
-from estimator.contracts.estimates import Feature, RelativeState, Sighting, Verdict
+from estimator.contracts.estimates import Feature, RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 
 U8 = NDArray[np.uint8]
 
-PANEL_SHARE = 0.16
-"""The height of the figures' panel below the frame, as a fraction of the frame's height."""
 _SHIFT = 4
 _FAR_PX = 20_000.0
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlay:
     """The items to draw over one frame."""
 
-    t_s: float
-    """The time since the flight's start, s."""
-    verdict: Verdict | None
-    phase: str
     sightings: tuple[Sighting, ...] = ()
     """The sightings of this frame."""
     estimate: RelativeState | None = None
@@ -46,11 +38,11 @@ class Overlay:
 def annotated_size(width: int, height: int, scale: float = 1.0) -> tuple[int, int]:
     """Return the (width, height) of the image that `annotate` returns: even numbers, as H.264 requires."""
     w, h = round(width * scale), round(height * scale)
-    return w + w % 2, (panel := h + round(h * PANEL_SHARE)) + panel % 2
+    return w + w % 2, h + h % 2
 
 
 def annotate(image: U8, overlay: Overlay, camera: Camera, pad: Pad, scale: float = 1.0) -> U8:
-    """Return a scaled copy of the frame with everything drawn over it and the panel of figures below.
+    """Return a scaled copy of the frame with everything drawn over it.
 
     Args:
         frame: (H, W, 3) BGR of any size; drawings follow `camera`'s pixels.
@@ -59,11 +51,9 @@ def annotate(image: U8, overlay: Overlay, camera: Camera, pad: Pad, scale: float
         BGR of `annotated_size(camera.width, camera.height, scale)`.
     """
     out_w, out_h = annotated_size(camera.width, camera.height, scale)
-    h = round(camera.height * scale)
-    canvas = np.full((out_h, out_w, 3), 24, np.uint8)
-    view = canvas[:h]
-    view[:] = cv2.resize(image, (out_w, h), interpolation=cv2.INTER_LINEAR if scale >= 1.0 else cv2.INTER_AREA)
-    pen = _Pen(view, scale)
+    how = cv2.INTER_LINEAR if scale >= 1.0 else cv2.INTER_AREA
+    canvas = np.asarray(cv2.resize(image, (out_w, out_h), interpolation=how), np.uint8)
+    pen = _Pen(canvas, scale)
     if overlay.estimate is not None:
         drawn = overlay.estimate
         if overlay.d_expected_level is not None:
@@ -75,7 +65,6 @@ def annotate(image: U8, overlay: Overlay, camera: Camera, pad: Pad, scale: float
             continue
         for feature in sighting.features:
             pen.feature(feature, bgr(colour(sighting.method)))
-    _panel(canvas[h:], overlay)
     return canvas
 
 
@@ -130,33 +119,3 @@ def pad_lines(estimate: RelativeState, R_level_body: Rotation, camera: Camera, p
     R_level_pad = Rotation.from_rpy(0.0, 0.0, -(estimate.yaw_rad or 0.0))
     R_body_level, T_cam_body = R_level_body.inv, camera.T_body_cam.inv
     return [camera.project(T_cam_body @ (R_body_level @ (R_level_pad @ p + estimate.d_body_pad_level))) for p in shapes]
-
-
-def _panel(panel: U8, overlay: Overlay) -> None:
-    rows, cols = panel.shape[:2]
-    size = rows / 58.0 * 0.5
-    white, grey = (240, 240, 240), (165, 165, 165)
-    e = overlay.estimate
-    selected = next((s for s in overlay.sightings if s.method == "selected"), None)
-    found: list[str] = [s.method for s in overlay.sightings if s.method != "selected"]
-    verdict = "-" if overlay.verdict is None else overlay.verdict.value.replace("_", " ")
-    cells = [
-        ("height", "-" if e is None else f"{e.height_m:.2f} m"),
-        ("lateral", "-" if e is None else f"{e.lateral_m:.2f} m"),
-        ("heading", "-" if e is None or e.yaw_rad is None else f"{math.degrees(e.yaw_rad):+.0f} deg"),
-        ("state", overlay.phase or "-"),
-        ("frame", verdict),
-        ("time", f"{overlay.t_s:.1f} s"),
-    ]
-    for i, (name, value) in enumerate(cells):
-        x = round(cols * (0.015 + i / len(cells)))
-        cv2.putText(panel, name, (x, round(rows * 0.28)), _FONT, size * 0.75, grey, 1, cv2.LINE_AA)
-        cv2.putText(panel, value, (x, round(rows * 0.62)), _FONT, size, white, 1, cv2.LINE_AA)
-    x, y = round(cols * 0.015), round(rows * 0.92)
-    for name in found or ["no method found the pad"]:
-        cv2.putText(panel, name, (x, y), _FONT, size * 0.75, bgr(colour(name)), 1, cv2.LINE_AA)
-        x += round(cv2.getTextSize(name, _FONT, size * 0.75, 1)[0][0] + cols * 0.02)
-    if selected is not None:
-        note = f"confidence {selected.confidence:.2f}"
-        wide = cv2.getTextSize(note, _FONT, size * 0.75, 1)[0][0]
-        cv2.putText(panel, note, (round(cols * 0.985) - wide, y), _FONT, size * 0.75, grey, 1, cv2.LINE_AA)

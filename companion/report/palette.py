@@ -22,6 +22,14 @@ OTHER = "#888888"
 OUTLINE = "#f0e442"
 """The colour of the estimated pad in the video."""
 
+FUSED, REFUSED = "#1f86c9", "#d55e00"
+THREE = ("#1f86c9", "#e69f00", "#cc79a7")
+"""Three quantities in one plot."""
+STAGES = ("#888888", "#1f86c9", "#56b4e9", "#e69f00", "#cc79a7", "#0a9d76", "#8a63d2")
+"""The stages of a frame."""
+FLIGHTS = ("#1f86c9", "#d55e00")
+"""Two flights that are compared."""
+
 
 def colour(series: str) -> str:
     """Return the hex colour of a method or path."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tempfile
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -11,16 +13,28 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.recorder.frame_video import VideoImage
 from companion.report.flight_log import FlightLog, FrameRecord
 from companion.report.overlay import Overlay, annotate, annotated_size
+from companion.video.timed_frames import CLOCK_HZ, TimedFrames, prepare
 from drivers.camera import images
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.time import MonoNs, seconds_between
 
-_CLOCK_HZ = 90_000
-_BT709 = 1
-_LIMITED_RANGE = 1
+FILM_BYTES = 6_000_000
+"""About the most that a film takes: base64 makes it a third longer, and many mailboxes take 10 MB."""
+_LEAST_BIT_S = 150_000
+
+
+@dataclass(frozen=True, slots=True)
+class FilmFile:
+    """A whole video file."""
+
+    data: bytes
+    began: MonoNs
+    """The instant of its first frame."""
+    frames: int
 
 
 class FlightVideo:
@@ -32,12 +46,13 @@ class FlightVideo:
         path: the file to write; what is there is replaced.
         size: (width, height) px, even numbers.
         fps: the usual rate; only the encoder's rate control goes by it.
+        most_bit_s: the most bits of a second, so that a long flight can be mailed; None for as many as the quality takes.
 
     Raises:
         BadInput: an odd size, a rate that is not positive, or a file that cannot be written.
     """
 
-    def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
+    def __init__(self, path: Path, size: tuple[int, int], fps: float, most_bit_s: int | None = None) -> None:
         width, height = size
         if width <= 0 or height <= 0 or width % 2 or height % 2:
             raise BadInput(f"{path}: a video needs an even width and height, got {width}x{height} px")
@@ -45,19 +60,17 @@ class FlightVideo:
             raise BadInput(f"{path}: fps must be positive, got {fps}")
         self.path = path
         self.frame_images = 0
-        self._size = size
-        self._first: MonoNs | None = None
-        self._pts = -1
+        self._frames = TimedFrames(size)
         self._closed = False
         container = av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"})
         stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
-        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-        stream.codec_context.time_base = Fraction(1, _CLOCK_HZ)
-        stream.codec_context.options = {"preset": "veryfast", "crf": "27"}
-        stream.codec_context.colorspace = _BT709
-        stream.codec_context.color_primaries = _BT709
-        stream.codec_context.color_trc = _BT709
-        stream.codec_context.color_range = _LIMITED_RANGE
+        prepare(stream.codec_context, size)
+        stream.codec_context.time_base = Fraction(1, CLOCK_HZ)
+        # A key frame each second: a cursor that moves seeks often.
+        options = {"preset": "veryfast", "crf": "27", "g": str(max(1, round(fps)))}
+        if most_bit_s is not None:
+            options |= {"maxrate": str(most_bit_s), "bufsize": str(2 * most_bit_s)}
+        stream.codec_context.options = options
         try:
             container.start_encoding()
         except (OSError, av.FFmpegError) as why:
@@ -71,17 +84,9 @@ class FlightVideo:
             ValueError: a frame of another size.
             Recoverable: the disk refuses it.
         """
-        if image.shape != (self._size[1], self._size[0], 3) or image.dtype != np.uint8:
-            raise ValueError(f"want {self._size[1], self._size[0], 3} uint8 BGR, got {image.shape} {image.dtype}")
-        if self._first is None:
-            self._first = at
-        pts = round(seconds_between(self._first, at) * _CLOCK_HZ)
-        if pts <= self._pts:
+        frame = self._frames.frame(image, at)
+        if frame is None:
             return False
-        self._pts = pts
-        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
-        frame = frame.reformat(format="yuv420p", dst_colorspace=_BT709, dst_color_range=_LIMITED_RANGE)
-        frame.pts, frame.time_base = pts, Fraction(1, _CLOCK_HZ)
         self._write(frame)
         self.frame_images += 1
         return True
@@ -112,38 +117,36 @@ class FlightVideo:
         self.close()
 
 
-def video_from_log(log: FlightLog, path: Path, fps: float = 30.0, scale: float = 1.0) -> int:
-    """Draw every kept frame of the log into a video; returns how many there were (none, no file).
-
-    Raises:
-        BadInput: the file cannot be written.
-    """
+def film_of(log: FlightLog, fps: float = 30.0, scale: float = 1.0) -> FilmFile | None:
+    """Draw every kept frame of the log into a film; None if no frame was kept or none can be decoded."""
     kept = [f for f in sorted(log.frames, key=lambda f: f.exposed_at) if f.image is not None]
     if not kept:
-        return 0
+        return None
     by_seq: dict[int, list[Sighting]] = {}
     for sighting in log.sightings:
         by_seq.setdefault(sighting.seq, []).append(sighting)
     steered = log.steering or (log.estimates[0].path if log.estimates else None)
     states = sorted((e for e in log.estimates if e.path == steered), key=lambda e: e.at)
     instants = np.array([e.at for e in states], dtype=np.int64)
-    changes = sorted(log.phases, key=lambda p: p.at)
-    with FlightVideo(path, annotated_size(log.camera.width, log.camera.height, scale), fps) as video:
-        for frame in kept:
-            image = _decode(frame)
-            if image is None:
-                continue
-            overlay = Overlay(
-                t_s=seconds_between(log.started, frame.exposed_at),
-                verdict=frame.verdict,
-                phase=next((p.phase for p in reversed(changes) if p.at <= frame.exposed_at), ""),
-                sightings=tuple(by_seq.get(frame.seq, ())),
-                estimate=_nearest(states, instants, frame.exposed_at),
-                R_level_body=frame.R_level_body,
-                d_expected_level=frame.d_expected_level,
-            )
-            video.add(annotate(image, overlay, log.camera, log.pad, scale), frame.exposed_at)
-        return video.frame_images
+    duration_s = max(1.0, seconds_between(kept[0].exposed_at, kept[-1].exposed_at))
+    most_bit_s = max(_LEAST_BIT_S, round(8 * FILM_BYTES / duration_s))
+    began: MonoNs | None = None
+    with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
+        path = Path(folder) / "flight.mp4"
+        with FlightVideo(path, annotated_size(log.camera.width, log.camera.height, scale), fps, most_bit_s) as video:
+            for frame in kept:
+                image = _decode(frame)
+                if image is None:
+                    continue
+                overlay = Overlay(
+                    sightings=tuple(by_seq.get(frame.seq, ())),
+                    estimate=_nearest(states, instants, frame.exposed_at),
+                    R_level_body=frame.R_level_body,
+                    d_expected_level=frame.d_expected_level,
+                )
+                if video.add(annotate(image, overlay, log.camera, log.pad, scale), frame.exposed_at) and began is None:
+                    began = frame.exposed_at
+        return None if began is None else FilmFile(path.read_bytes(), began, video.frame_images)
 
 
 def _nearest(states: list[RelativeState], instants: NDArray[np.int64], at: MonoNs) -> RelativeState | None:
@@ -160,6 +163,8 @@ def _decode(frame: FrameRecord) -> NDArray[np.uint8] | None:
         if not frame.image.is_file():
             return None
         return np.asarray(p, np.uint8) if (p := cv2.imread(str(frame.image), cv2.IMREAD_COLOR)) is not None else None
+    if isinstance(frame.image, VideoImage):
+        return frame.image.px()
     if not frame.image:
         return None
     try:

@@ -72,11 +72,13 @@ class FusionTally:
     _normalized: deque[float] = field(default_factory=lambda: deque(maxlen=NIS_WINDOW))
 
     def add(self, result: FusionResult) -> None:
-        self.verdicts[result.verdict] += 1
+        verdict, ratio = result.verdict, result.test_ratio
+        self.verdicts[verdict] = self.verdicts.get(verdict, 0) + 1
         self.newest = result
-        if math.isfinite(result.test_ratio):
-            self.test_ratio = result.test_ratio
-            self._normalized.append(min(result.normalized_nis, NORMALIZED_NIS_MAX))
+        if math.isfinite(ratio):
+            self.test_ratio = ratio
+            normalized = result.normalized_nis
+            self._normalized.append(NORMALIZED_NIS_MAX if normalized > NORMALIZED_NIS_MAX else normalized)
 
     @property
     def nis_mean(self) -> float | None:
@@ -242,7 +244,7 @@ class Health:
         tally = self.inputs.get(kind)
         if tally is None:
             tally = self.inputs[kind] = Counter()
-        tally[verdict] += 1
+        tally[verdict] = tally.get(verdict, 0) + 1
 
     def fusion(self, result: FusionResult) -> None:
         """Count the result of one measurement on one path of the estimator."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Protocol
 
 from msgspec import Struct
@@ -14,6 +15,7 @@ from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import MonoNs
+from estimator.ekf import Forecast
 from estimator.vision.thesis.detection import Detection
 
 
@@ -51,6 +53,38 @@ class ProcessedFrame(Struct, frozen=True, eq=False):
     """None if vision did not search the frame, or in virtual time."""
 
 
+class DeckOutlook(Struct, frozen=True):
+    """The deck at instants ahead of `at`, with standard deviations, as guidance used it."""
+
+    at: MonoNs
+    horizons_s: tuple[float, ...]
+    height_m: tuple[float, ...]
+    """Of the pad's centre above its mean level, positive up."""
+    sigma_height_m: tuple[float, ...]
+    roll_rad: tuple[float, ...]
+    """Of the deck about the arrow, starboard down positive."""
+    sigma_roll_rad: tuple[float, ...]
+    pitch_rad: tuple[float, ...]
+    """Of the deck, arrow up positive."""
+    sigma_pitch_rad: tuple[float, ...]
+
+    @staticmethod
+    def of(ahead: Forecast) -> DeckOutlook:
+        """Return the deck's part of a forecast."""
+        columns = (
+            ahead.horizons_s, ahead.deck_height_m, ahead.sigma_deck_height_m, ahead.roll_rad, ahead.sigma_roll_rad,
+            ahead.pitch_rad, ahead.sigma_pitch_rad,
+        )  # fmt: skip
+        return DeckOutlook(ahead.at, *(tuple(column.tolist()) for column in columns))
+
+    def rows(self) -> Iterator[tuple[float, float, float, float, float, float, float]]:
+        """Yield horizon, height, roll and pitch, each of the last three with its sigma."""
+        return zip(
+            self.horizons_s, self.height_m, self.sigma_height_m, self.roll_rad, self.sigma_roll_rad, self.pitch_rad,
+            self.sigma_pitch_rad, strict=True,
+        )  # fmt: skip
+
+
 class Decision(Struct, frozen=True, eq=False):
     """The result of one guidance cycle."""
 
@@ -69,6 +103,8 @@ class Decision(Struct, frozen=True, eq=False):
     """What changed since the previous decision, in order."""
     response: ResponseInUse | None = None
     """The vehicle's response, where this cycle has come to know it otherwise than before."""
+    ahead: DeckOutlook | None = None
+    """The deck's forecast, where this cycle made one."""
 
 
 class Observer(Protocol):

@@ -14,10 +14,11 @@ from typing import Any
 from msgspec import structs
 
 from companion.config.settings import shipped_response
-from companion.guidance import blind_hold, vessel_track
+from companion.guidance import blind_hold, held_up, vessel_track
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, Controller, Impact, Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
+from companion.guidance.held_up import HeldUp
 from companion.guidance.limits import InputQuality
 from companion.guidance.mission import FLOWN, GROUND, Event, State, StateChange
 from companion.guidance.mission_step import mission_step, ordered, reported
@@ -33,15 +34,15 @@ from companion.guidance.vessel_track import VesselTrack
 from companion.operator.arbiter import OperatorArbiter
 from companion.operator.limit_options import LimitOptions
 from companion.operator.options import ManualOptions
-from companion.runtime.observer import Decision
+from companion.runtime.observer import Decision, DeckOutlook
 from companion.runtime.response_identifier import ResponseIdentifier
 from estimator import pipeline
-from estimator.contracts.commands import Command
+from estimator.contracts.commands import Command, Lean
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
-from estimator.contracts.samples import Attitude, Frame, GeoFix, Imu, Sample, VehicleStatus, VesselReport
+from estimator.contracts.samples import Attitude, BodyVelocity, Frame, GeoFix, Imu, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
 from estimator.options import EstimatorOptions
@@ -95,7 +96,7 @@ WAITING_MOST = 256
 """Number of samples, a third of a second of an AR.Drone's, from which on whoever gives them calls `Pilot.fused`, were nobody else
 to ask the estimator."""
 _NOT_FUSED = frozenset({VehicleStatus, GeoFix})
-_OUTCOMES = {outcome.value: outcome for outcome in FlightOutcome}
+_OUTCOMES = {State(outcome.value): outcome for outcome in FlightOutcome}
 REFUSALS = (FlightOutcome.GAVE_UP, FlightOutcome.REFUSED)
 """Outcomes in which it did not land by its own decision; the operator may begin again in the air."""
 
@@ -156,6 +157,7 @@ class Pilot:
         self.engage: Callable[[], None] = lambda: None
         """Called when the operator begins, so that the driver may take back a vehicle that a person had taken over."""
         self._contact = ContactWatch()
+        self._held = HeldUp()
         self._impact: Impact | None = None
         self._forecast: Forecast | None = None
         self._lean: tuple[MonoNs, float, float] | None = None
@@ -203,7 +205,7 @@ class Pilot:
     @property
     def outcome(self) -> FlightOutcome | None:
         """The outcome of the flight; None while it goes on."""
-        return _OUTCOMES.get(self._mission.state.value)
+        return _OUTCOMES.get(self._mission.state)
 
     @property
     def paused(self) -> bool:
@@ -329,8 +331,9 @@ class Pilot:
             # By the type itself: hundreds of samples a second, and a match asks one class after the other.
             if type(sample) is Imu:
                 if self._mission.state not in GROUND:
-                    self._contact = watched(self._contact, sample)
-                    self._impact = self._contact.newest or self._impact
+                    before, self._contact = self._contact.newest, watched(self._contact, sample)
+                    if self._contact.newest is not before:
+                        self._impact = self._contact.newest
             elif type(sample) is Attitude:
                 lean = reported_lean(sample.R_ned_body)
                 self._lean = _leant(self._lean, sample.stamp.measured_at, lean)
@@ -338,6 +341,11 @@ class Pilot:
                 self._attitude = sample
             elif type(sample) is VehicleStatus:
                 self._on_status(sample)
+            elif type(sample) is BodyVelocity and self._over_ground and self.state not in GROUND:
+                before = self._held.newest
+                self._held = held_up.measured(self._held, sample.stamp.measured_at, float(sample.v_level[2]))
+                if self._held.newest is not before:
+                    self._impact = self._held.newest
             elif type(sample) is GeoFix or type(sample) is VesselReport:
                 self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
                 if of_ship(sample):
@@ -356,7 +364,7 @@ class Pilot:
             self._impact = Impact(status.stamp.measured_at, "vehicle")
         self._mission, changes = reported(self._mission, status, self._guidance)
         if any(change.event is Event.TAKEN_OFF for change in changes):
-            self._contact, self._impact, self._forecast = ContactWatch(), None, None
+            self._contact, self._held, self._impact, self._forecast = ContactWatch(), HeldUp(), None, None
             self._law_memory = self._law.start()
             self._response.on_take_off()
         self._changes += changes
@@ -437,10 +445,15 @@ class Pilot:
         belief = next((b for b in believed if b.path == steering), None)
         chosen = self.operator.choose(now, self._command(now, belief), belief)
         response = self._response.on_command(now, chosen.command, self.state)
+        if self._over_ground:
+            down_m_s = float(chosen.command.v_level[2]) if isinstance(chosen.command, Lean) else None
+            self._held = held_up.commanded(self._held, now, down_m_s)
         shadows = tuple(b for b in believed if b.path != steering)
         changes, self._changes = tuple(self._changes), []
         phase, why = chosen.phase or self.phase, chosen.limit or chosen.reason or self._why(belief)
-        return Decision(now, phase, chosen.command, belief, shadows, why, chosen.limit, changes, response)
+        made = self._forecast
+        ahead = None if made is None or made.at != now else DeckOutlook.of(made)
+        return Decision(now, phase, chosen.command, belief, shadows, why, chosen.limit, changes, response, ahead)
 
     def _why(self, belief: RelativeState | None) -> str:
         """Return the machine's reason and the estimate's alerts as text."""

@@ -40,6 +40,8 @@ _REPORTS_MAX = 64
 """Reports of the ship that may wait; the oldest is dropped."""
 
 if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does not need it
+    from companion.mavlink.bridge import Send
+    from companion.mavlink.camera_component import ShowCamera
     from drivers.mavlink.links import Tap
 
 
@@ -64,7 +66,20 @@ def make_daemon(
         watching.append(recorder)
         extras["recorder"] = recorder.run
         recording, tap = recorder.switch, recorder.on_link
-    vehicle = vehicle_parts(settings, pilot, health, ticking, recording, tap)
+    show: ShowCamera | None = None
+    if settings.video_stream.to:
+        from companion.mavlink.camera_component import CameraComponent
+        from companion.video.part import VideoStreamPart
+
+        video = VideoStreamPart(settings.video_stream, pilot, ticking)
+        watching.append(video)
+        extras["video_stream"] = video.run
+        health.counters("video_stream", video.counted)
+
+        def show(send: Send) -> CameraComponent:
+            return CameraComponent(send, pilot.camera, settings.video_stream, video.size, lambda: video.flows)
+
+    vehicle = vehicle_parts(settings, pilot, health, ticking, recording, tap, show)
     watching += vehicle.observers
     extras |= vehicle.extras
     reports: Line[Sample] | None = None

@@ -23,6 +23,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
 
 if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does not need it
+    from companion.mavlink.camera_component import ShowCamera
     from drivers.mavlink.links import Tap
 
 
@@ -43,12 +44,14 @@ def vehicle_parts(
     clock: Clock,
     recording: Callable[[bool], str | None] | None = None,
     tap: Tap | None = None,
+    show: ShowCamera | None = None,
 ) -> VehicleParts:
     """Return the vehicle of the settings, with its separate camera if there is one.
 
     Args:
         recording: switches the recorder; None if there is none.
         tap: called with every MAVLink message, or None.
+        show: makes the camera's MAVLink component; None if no picture is streamed.
 
     Raises:
         BadInput: a signing key or the camera file cannot be read.
@@ -57,10 +60,10 @@ def vehicle_parts(
     if isinstance(vehicle, AutopilotOptions):
         from companion.mavlink.make import AutopilotPart
 
-        autopilot = AutopilotPart(settings, vehicle, pilot, health, clock, recording, tap)
+        autopilot = AutopilotPart(settings, vehicle, pilot, health, clock, recording, tap, show)
         parts = VehicleParts(autopilot.open, (autopilot.component,))
     else:
-        parts = _ardrone(settings, pilot, health, clock, tap)
+        parts = _ardrone(settings, pilot, health, clock, tap, show)
     if settings.camera.source == "vehicle":
         return parts
     camera = camera_model(settings)
@@ -72,7 +75,9 @@ def vehicle_parts(
     return VehicleParts(open_link, parts.observers, parts.extras)
 
 
-def _ardrone(settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap: Tap | None) -> VehicleParts:
+def _ardrone(
+    settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap: Tap | None, show: ShowCamera | None
+) -> VehicleParts:
     options = ardrone_options(settings)
     if not settings.bridge.links:
         return VehicleParts(lambda: open_ardrone(options, clock, settings.service.sample_queue_items))
@@ -85,6 +90,7 @@ def _ardrone(settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap
         clock,
         order=PilotOperator(pilot, OrderSender(OrderSource.MAVLINK), clock).order,
         tap=tap,
+        show=show,
     )
     health.counters("bridge", bridge.counted)
 

@@ -27,7 +27,7 @@ from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vector
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
-from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
 G_M_S2 = 9.80665
 _M_S2_PER_MG = 1e-3 * G_M_S2
@@ -110,7 +110,7 @@ class NavdataSampler:
         measured_at = stamp.measured_at
         for kind, (make, source) in _REPEATED.items():
             key, given = source(navdata), self._given.get(kind)
-            if given is not None and given[0] == key and 0.0 <= seconds_between(given[1], measured_at) < self._repeat_s:
+            if given is not None and given[0] == key and 0.0 <= (measured_at - given[1]) / NS_PER_S < self._repeat_s:
                 continue
             made = make(navdata, stamp, self._options)
             if made is not None:
@@ -177,10 +177,11 @@ def _range_m(navdata: Navdata) -> float | None:
 
 
 def _range_key(navdata: Navdata) -> tuple[Any, ...]:
-    altitude, raw = navdata.get(Altitude), navdata.get(RawMeasures)
+    altitude = navdata.get(Altitude)
     if altitude is None:
         return (_range_m(navdata),)
-    return altitude.altitude_raw_mm, raw and raw.nb_echo, raw and raw.sum_echo
+    raw = navdata.get(RawMeasures)
+    return (altitude.altitude_raw_mm, None, None) if raw is None else (altitude.altitude_raw_mm, raw.nb_echo, raw.sum_echo)
 
 
 def _status(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> VehicleStatus:

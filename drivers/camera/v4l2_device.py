@@ -1,4 +1,4 @@
-"""Open and read one V4L2 capture device through linuxpy; no other module knows the kernel's calls.
+"""Open and read one V4L2 capture device.
 
 A failing device raises `OSError`, a request that it cannot fulfil `BadInput`, and a file that is no camera `SetupImpossible`.
 """
@@ -9,25 +9,22 @@ import contextlib
 import difflib
 import errno
 import mmap
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
-from linuxpy.video import device as kernel
-from linuxpy.video import raw
-
+from drivers.camera import v4l2_kernel as kernel
 from drivers.camera.options import FORMATS, CameraOptions, Size
 from drivers.camera.v4l2_formats import FrameLayout
 from estimator.contracts.errors import BadInput, SetupImpossible
 
-_CAPTURE = kernel.BufferType.VIDEO_CAPTURE
-_MMAP = kernel.Memory.MMAP
 _EXPOSURE_ABSOLUTE = 0x009A0902
 _EXPOSURE_AUTO = 0x009A0901
 _MANUAL = (1, 2)
 """The values of V4L2_CID_EXPOSURE_AUTO for manual, and for shutter priority, which fixes the time too."""
-_NUMBERS = {kernel.ControlType.INTEGER, kernel.ControlType.INTEGER64}
-_CHOICES = {kernel.ControlType.BOOLEAN, kernel.ControlType.MENU, kernel.ControlType.INTEGER_MENU}
+_NUMBERS = {kernel.INTEGER, kernel.INTEGER64}
+_CHOICES = {kernel.BOOLEAN, kernel.MENU, kernel.INTEGER_MENU}
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +75,8 @@ class KernelDevice:
     def __init__(self, path: str, options: CameraOptions, size: Size) -> None:
         self._path = path
         self._maps: list[mmap.mmap] = []
-        self._device = kernel.Device(path)
         try:
-            self._device.open()
+            self._fd: int | None = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
         except PermissionError as why:
             raise SetupImpossible(f"camera {path}: no permission; the user must be in the group that owns it (video)") from why
         try:
@@ -94,50 +90,53 @@ class KernelDevice:
             raise
 
     def fileno(self) -> int:
-        return int(self._device.fileno())
+        if self._fd is None:
+            raise OSError(errno.EBADF, "the camera is closed")
+        return self._fd
 
     def dequeue(self) -> Buffer | None:
         try:
-            buff = kernel.dequeue_buffer(self._device, _CAPTURE, _MMAP)
+            buff = kernel.dequeue(self.fileno())
         except BlockingIOError:
             return None
         try:
             data = self._maps[buff.index][: buff.bytesused]
         finally:
-            kernel.enqueue_buffer(self._device, _CAPTURE, _MMAP, 0, buff.index)
-        flags, stamp, at = int(buff.flags), buff.timestamp, raw.BufferFlag
+            kernel.enqueue(self.fileno(), buff.index)
+        flags, stamp = int(buff.flags), buff.timestamp
         return Buffer(
             data,
             int(buff.sequence),
             stamp.secs * 1_000_000_000 + stamp.usecs * 1_000,
-            flags & at.TIMESTAMP_MASK == at.TIMESTAMP_MONOTONIC,
-            flags & at.TSTAMP_SRC_MASK == at.TSTAMP_SRC_SOE,
-            bool(flags & at.ERROR),
+            flags & kernel.STAMP_MASK == kernel.STAMP_MONOTONIC,
+            flags & kernel.SOURCE_MASK == kernel.SOURCE_START,
+            bool(flags & kernel.FLAG_ERROR),
         )
 
     def close(self) -> None:
-        if self._device.closed:
+        if self._fd is None:
             return
         with contextlib.suppress(OSError):  # unplugged, or never begun
-            kernel.stream_off(self._device, _CAPTURE)
+            kernel.stream(self._fd, on=False)
         for m in self._maps:
             m.close()
         self._maps = []
-        self._device.close()
+        fd, self._fd = self._fd, None
+        os.close(fd)
 
     def _check(self) -> None:
         try:
-            caps = kernel.Capability(kernel.read_capabilities(self._device).device_caps)
+            caps = kernel.capabilities(self.fileno())
         except OSError as why:
             if why.errno in (errno.ENOTTY, errno.EINVAL):
                 raise SetupImpossible(f"camera {self._path}: not a video device") from why
             raise
-        if kernel.Capability.VIDEO_CAPTURE not in caps or kernel.Capability.STREAMING not in caps:
-            what = "only multi-planar" if kernel.Capability.VIDEO_CAPTURE_MPLANE in caps else "no"
+        if not caps & kernel.CAP_CAPTURE or not caps & kernel.CAP_STREAMING:
+            what = "only multi-planar" if caps & kernel.CAP_CAPTURE_MPLANE else "no"
             raise SetupImpossible(f"camera {self._path}: it offers {what} video capture (another node of it may)")
 
     def _set_format(self, o: CameraOptions, width: int, height: int) -> tuple[FrameLayout, float]:
-        offered = {f.pixel_format.human_str(): None for f in kernel.iter_read_formats(self._device, _CAPTURE)}
+        offered = dict.fromkeys(kernel.formats(self.fileno()))
         wanted = [f for f in FORMATS if f in offered] if o.format == "auto" else [o.format] if o.format in offered else []
         if not wanted:
             asked = f"none of {', '.join(FORMATS)}" if o.format == "auto" else f"no {o.format}"
@@ -158,23 +157,18 @@ class KernelDevice:
         return self._try(best[1], width, height, o.rate_hz)
 
     def _try(self, name: str, width: int, height: int, asked_hz: float) -> tuple[FrameLayout, float]:
-        kernel.set_format(self._device, _CAPTURE, width, height, name)
-        rate_hz = 0.0
+        got = kernel.set_format(self.fileno(), name, width, height)
         try:
-            kernel.set_fps(self._device, _CAPTURE, asked_hz)
-            rate_hz = float(kernel.get_fps(self._device, _CAPTURE))
+            rate_hz = kernel.set_rate(self.fileno(), asked_hz)
         except OSError as why:
             if why.errno not in (errno.ENOTTY, errno.EINVAL):
                 raise
-            rate_hz = asked_hz  # it does not let its rate be set
-        except ZeroDivisionError:
-            rate_hz = asked_hz
-        got = kernel.get_raw_format(self._device, _CAPTURE).fmt.pix
-        fourcc = kernel.human_pixel_format(int(got.pixelformat))
-        return FrameLayout(fourcc, int(got.width), int(got.height), int(got.bytesperline)), rate_hz
+            rate_hz = None
+        layout = FrameLayout(kernel.fourcc(got.pixelformat), int(got.width), int(got.height), int(got.bytesperline))
+        return layout, asked_hz if rate_hz is None else rate_hz
 
-    def _controls(self) -> dict[str, Any]:
-        return {_control_name(c.name.decode()): c for c in kernel.iter_read_controls(self._device)}
+    def _controls(self) -> dict[str, kernel.VideoControl]:
+        return {_control_name(c.name.decode(errors="replace")): c for c in kernel.controls(self.fileno())}
 
     def _set_controls(self, wanted: Mapping[str, int | bool | str]) -> None:
         there = self._controls() if wanted else {}
@@ -186,8 +180,8 @@ class KernelDevice:
         for name in sorted(wanted, key=lambda n: there[n].type not in _CHOICES):
             self._set_control(name, there[name], wanted[name])
 
-    def _set_control(self, name: str, control: Any, value: int | bool | str) -> None:
-        if control.type == kernel.ControlType.BUTTON:
+    def _set_control(self, name: str, control: kernel.VideoControl, value: int | bool | str) -> None:
+        if control.type == kernel.BUTTON:
             raise BadInput(f"camera {self._path}: control {name!r} is a button and holds no value")
         if control.type not in _NUMBERS | _CHOICES:
             raise BadInput(f"camera {self._path}: control {name!r} is of a kind that cannot be set here")
@@ -196,8 +190,8 @@ class KernelDevice:
         if not low <= number <= high:
             raise BadInput(f"camera {self._path}: control {name!r} must lie in {low}..{high}, got {value!r}")
         try:
-            kernel.set_control(self._device, control.id, number)
-            held = int(kernel.get_control(self._device, control.id))
+            kernel.set_control(self.fileno(), control.id, number, control.type)
+            held = kernel.control_value(self.fileno(), control.id, control.type)
         except OSError as why:
             if why.errno == errno.ENODEV:
                 raise
@@ -205,15 +199,8 @@ class KernelDevice:
         if abs(held - number) >= max(1, int(control.step)):
             raise BadInput(f"camera {self._path}: control {name!r} was set to {number} but holds {held}")
 
-    def _menu(self, name: str, control: Any, label: str) -> int:
-        entries: dict[str, int] = {}
-        if control.type == kernel.ControlType.MENU:
-            query = raw.v4l2_querymenu()
-            query.id = control.id
-            span = kernel.iter_read(
-                self._device, kernel.IOC.QUERYMENU, query, int(control.minimum), int(control.maximum) + 1, 1, ignore_einval=True
-            )
-            entries = {item.name.decode(): int(item.index) for item in span}
+    def _menu(self, name: str, control: kernel.VideoControl, label: str) -> int:
+        entries = kernel.menu(self.fileno(), control) if control.type == kernel.MENU else {}
         for entry, number in entries.items():
             if entry.lower() == label.lower():
                 return number
@@ -223,18 +210,19 @@ class KernelDevice:
     def _exposure(self) -> float | None:
         """Return the exposure in seconds; None unless the camera holds it fixed and reports it."""
         try:
-            if kernel.get_control(self._device, _EXPOSURE_AUTO) not in _MANUAL:
+            if kernel.control_value(self.fileno(), _EXPOSURE_AUTO) not in _MANUAL:
                 return None
-            return int(kernel.get_control(self._device, _EXPOSURE_ABSOLUTE)) * 100e-6
+            return kernel.control_value(self.fileno(), _EXPOSURE_ABSOLUTE) * 100e-6
         except OSError:
             return None
 
     def _stream(self, count: int) -> None:
-        granted = kernel.request_buffers(self._device, _CAPTURE, _MMAP, count).count
+        granted = kernel.request_buffers(self.fileno(), count)
         for index in range(granted):
-            self._maps.append(kernel.mmap_from_buffer(self._device, kernel.query_buffer(self._device, _CAPTURE, _MMAP, index)))
-        kernel.enqueue_buffers(self._device, _CAPTURE, _MMAP, granted)
-        kernel.stream_on(self._device, _CAPTURE)
+            length, offset = kernel.query_buffer(self.fileno(), index)
+            self._maps.append(mmap.mmap(self.fileno(), length, mmap.MAP_SHARED, mmap.PROT_READ | mmap.PROT_WRITE, offset=offset))
+            kernel.enqueue(self.fileno(), index)
+        kernel.stream(self.fileno(), on=True)
 
 
 def _control_name(text: str) -> str:

@@ -35,7 +35,7 @@ async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -
         SetupImpossible: permission is missing, or the device is not a camera.
     """
     camera = VideoSource()
-    # Each kind loads its own library (linuxpy, PyAV) only when it is used.
+    # Each kind loads what it reads by only when it is used.
     if options.source == "vehicle":
         raise ValueError("the frames of this camera come with the vehicle")
     if options.source == "v4l2":

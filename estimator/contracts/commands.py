@@ -50,7 +50,7 @@ class Lean(Struct, frozen=True, eq=False):
     def __post_init__(self) -> None:
         a, trim, v = (np.array(x, dtype=float) for x in (self.a_level, self.trim_level, self.v_level))
         whole = a.shape == trim.shape == (2,) and v.shape == (3,)
-        if not whole or not all(map(math.isfinite, (*a.tolist(), *trim.tolist(), *v.tolist(), self.yaw_rate_rad_s))):
+        if not whole or not all(map(math.isfinite, [*a.tolist(), *trim.tolist(), *v.tolist(), self.yaw_rate_rad_s])):
             raise ValueError(
                 "a lean command needs finite numbers of shapes (2,), (2,), (3,), (), "
                 f"got {self.a_level!r}, {self.trim_level!r}, {self.v_level!r}, {self.yaw_rate_rad_s!r}"

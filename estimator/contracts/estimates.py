@@ -26,6 +26,9 @@ UNKNOWN_YAW_VAR = math.pi**2 / 3.0
 class Verdict(Enum):
     """The verdict on one input. Every frame and every measurement gets exactly one."""
 
+    # By identity: an enumeration's own hash is that of its name, and verdicts are counted thousands of times a second.
+    __hash__ = object.__hash__
+
     FUSED = "fused"
     GATED = "gated"
     """The input is implausible against the belief."""
@@ -189,7 +192,7 @@ class RelativeState(Struct, frozen=True, eq=False):
     @property
     def height_m(self) -> float:
         """Height of the body's origin above the pad's centre, metres."""
-        return float(self.d_body_pad_level[2])
+        return self.d_body_pad_level.item(2)
 
     @property
     def lateral_m(self) -> float:

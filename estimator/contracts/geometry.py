@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 F64 = NDArray[np.float64]
 _THRICE = 3.0 * np.eye(3)
 _THREE, _NINE = struct.Struct("3d"), struct.Struct("9d")
+_new, _set = object.__new__, object.__setattr__
 
 
 def wrap_pi(angle_rad: float) -> float:
@@ -103,7 +104,7 @@ class Rotation:
         Source: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., eq. 2.31.
         """
         m = rpy_matrix(roll_rad, pitch_rad, yaw_rad)
-        return known_rotation(m) if math.isfinite(roll_rad + pitch_rad + yaw_rad) else Rotation(m)
+        return _rotation_by(m) if math.isfinite(roll_rad + pitch_rad + yaw_rad) else Rotation(m)
 
     @staticmethod
     def from_rotvec(rotvec_rad: ArrayLike) -> Rotation:
@@ -148,7 +149,7 @@ class Rotation:
         if found is None:
             # Kept, because everybody who takes an attitude asks for it.
             (a, b, _), (d, e, _), (g, h, i) = self.matrix.tolist()
-            pitch = math.asin(min(1.0, max(-1.0, -g)))
+            pitch = math.asin(-g if -1.0 <= g <= 1.0 else math.copysign(1.0, -g))
             locked = abs(g) > 1.0 - 1e-12
             found = (0.0, pitch, math.atan2(-b, e)) if locked else (math.atan2(h, i), pitch, math.atan2(d, a))
             object.__setattr__(self, "_rpy_rad", found)
@@ -206,10 +207,15 @@ class Rotation:
 
 def known_rotation(matrix: F64) -> Rotation:
     """Return the rotation of a matrix that is one because it was made of checked ones. Nobody writes to the array any more."""
-    made = object.__new__(Rotation)
     matrix.setflags(write=False)
-    object.__setattr__(made, "matrix", matrix)
-    object.__setattr__(made, "_rpy_rad", None)
+    return _rotation_by(matrix)
+
+
+def _rotation_by(matrix: F64) -> Rotation:
+    """Return the rotation of a read-only matrix of which it is known that it is one."""
+    made = _new(Rotation)
+    _set(made, "matrix", matrix)
+    _set(made, "_rpy_rad", None)
     return made
 
 

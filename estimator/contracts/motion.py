@@ -40,11 +40,10 @@ class BodyMotion(Struct, frozen=True, eq=False):
     @property
     def lean_m_s2(self) -> tuple[float, float]:
         """The reported tilt as the acceleration that hovering thrust gives with it, m/s^2 forward and right."""
-        m = self.reported.matrix
+        x, y, z = self.reported.matrix[2].tolist()
         # Of R = Rz(yaw) Ry(pitch) Rx(roll) the last row is (-sin pitch, cos pitch sin roll, cos pitch cos roll).
-        cos_pitch = math.sqrt(max(1e-9, 1.0 - float(m[2, 0]) ** 2))
-        upright = max(1e-3, float(m[2, 2]))
-        return G_M_S2 * float(m[2, 0]) / cos_pitch, G_M_S2 * float(m[2, 1]) / (upright * cos_pitch)
+        cos_pitch = math.sqrt(max(1e-9, 1.0 - x**2))
+        return G_M_S2 * x / cos_pitch, G_M_S2 * y / (max(1e-3, z) * cos_pitch)
 
 
 class DeckMotion(Struct, frozen=True, eq=False):

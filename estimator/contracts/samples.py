@@ -25,10 +25,15 @@ _CHECKED: dict[str, F64] = {}
 
 def _own(value: F64) -> F64:
     """Return the numbers as a read-only array that nobody else can write to: the value itself if it is one, else a copy."""
-    if type(value) is np.ndarray and value.dtype is _DOUBLE and not value.flags.writeable:
+    if type(value) is np.ndarray and value.dtype is _DOUBLE:
         base: object = value.base
-        if base is None or type(base) is bytes:
+        if type(base) is bytes:  # nobody can write to these
             return value
+        if not value.flags.writeable:
+            while type(base) is np.ndarray and not base.flags.writeable:
+                base = base.base
+            if base is None or type(base) is bytes:
+                return value
     a = np.array(value, dtype=float)
     a.setflags(write=False)
     return a
@@ -104,8 +109,11 @@ class Imu(Struct, frozen=True, eq=False):
     """Specific force, (3,) m/s^2: at rest and level it reads (0, 0, -9.81)."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "w_body", checked_vector("Imu.w_body", self.w_body))
-        force_setattr(self, "f_body", checked_vector("Imu.f_body", self.f_body))
+        w_body, f_body = self.w_body, self.f_body
+        if (own := checked_vector("Imu.w_body", w_body)) is not w_body:
+            force_setattr(self, "w_body", own)
+        if (own := checked_vector("Imu.f_body", f_body)) is not f_body:
+            force_setattr(self, "f_body", own)
 
 
 class Attitude(Struct, frozen=True, eq=False):
@@ -117,7 +125,9 @@ class Attitude(Struct, frozen=True, eq=False):
     """Covariance of the small rotation error written in `body`, (3, 3) rad^2."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "cov_body", checked_covariance("Attitude.cov_body", self.cov_body, 3))
+        cov_body = self.cov_body
+        if (own := checked_covariance("Attitude.cov_body", cov_body, 3)) is not cov_body:
+            force_setattr(self, "cov_body", own)
 
 
 class BodyVelocity(Struct, frozen=True, eq=False):
@@ -130,8 +140,11 @@ class BodyVelocity(Struct, frozen=True, eq=False):
     """Covariance of the velocity, (3, 3) (m/s)^2."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "v_level", checked_vector("BodyVelocity.v_level", self.v_level))
-        force_setattr(self, "cov_level", checked_covariance("BodyVelocity.cov_level", self.cov_level, 3))
+        v_level, cov_level = self.v_level, self.cov_level
+        if (own := checked_vector("BodyVelocity.v_level", v_level)) is not v_level:
+            force_setattr(self, "v_level", own)
+        if (own := checked_covariance("BodyVelocity.cov_level", cov_level, 3)) is not cov_level:
+            force_setattr(self, "cov_level", own)
 
 
 class Range(Struct, frozen=True):

@@ -43,7 +43,8 @@ class Stamp(Struct, frozen=True):
     def __post_init__(self) -> None:
         if not 0.0 <= self.sigma_s < 1.0:
             raise ValueError(f"a stamp's sigma must lie in [0, 1) s, got {self.sigma_s}")
-        if self.measured_at > self.received_at + round(5 * NS_PER_S * self.sigma_s):
+        ahead_ns = self.measured_at - self.received_at
+        if ahead_ns > 0 and ahead_ns > round(5 * NS_PER_S * self.sigma_s):
             raise ValueError(f"a sample cannot be heard before it is taken: {self}")
 
     @staticmethod

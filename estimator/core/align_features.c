@@ -166,14 +166,15 @@ static double flanks(const pad_template *p, const samples *s, const painted *loc
     return clipped(fmax(much[0], much[1]) + fmin(0.0, fmin(much[0], much[1])), 0.0, 1.0);
 }
 
-/* The distance of the orange from its nominal place between disc and white, mean over the channels; 0 is nominal. */
+/* The distance of the orange from its nominal place between disc and H, mean over the channels; 0 is nominal. */
 static double orange_off(const pad_template *p, const painted *local)
 {
     double off = 0.0;
     for (int c = 0; c < 3; c++) {
         const double green = (double)local->paints[PAINT_DISC][c];
-        const double span = fmax((double)local->paints[PAINT_H][c] - green, 0.04);
-        off += fabs(clipped(((double)local->paints[PAINT_ORANGE][c] - green) / span, -0.5, 1.5) - p->orange_place[c]) / 3.0;
+        const double span = fmax(p->h_side[c] * ((double)local->paints[PAINT_H][c] - green), 0.04);
+        const double place = p->h_side[c] * ((double)local->paints[PAINT_ORANGE][c] - green) / span;
+        off += fabs(clipped(place, -0.5, 1.5) - p->orange_place[c]) / 3.0;
     }
     return off;
 }

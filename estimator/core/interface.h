@@ -105,6 +105,7 @@
 #define SEARCH_CELL 2
 #define SEARCH_RADII 12
 #define SEARCH_SECTORS 36
+#define SEARCH_LEVELS 5
 #define POLAR_RADII 18
 #define POLAR_ANGLES 48
 #define GAIN_ONE 16384
@@ -550,6 +551,7 @@ typedef struct {
     double arrow_margin_m;
     double arrow_pitch_m;
     double orange_place[3];
+    double h_side[3];
 } pad_template;
 
 typedef struct {
@@ -579,6 +581,7 @@ typedef struct {
     int64_t stride;
     int64_t room;
     int64_t margin;
+    int64_t step;
     double R_cam_plane[9];
 } search_image;
 
@@ -605,6 +608,7 @@ typedef struct {
     double h_marking[864];
     double arrow[864];
     double polarity;
+    double radius_m;
 } polar_pad;
 
 typedef struct {
@@ -613,6 +617,47 @@ typedef struct {
     double arrow;
     double in_view;
 } polar_fit;
+
+typedef struct {
+    int64_t levels;
+    int64_t plane_known;
+    int64_t radii;
+    int64_t width[5];
+    int64_t height[5];
+    int64_t stride[5];
+    double R_cam_plane[9];
+    double radius_m[3];
+    double sign[3];
+} search_frame;
+
+typedef struct {
+    double length_m;
+    double width_m;
+    double leg_m;
+    double bar_m;
+    double margin_m;
+} pad_strokes;
+
+typedef struct {
+    int64_t width;
+    int64_t height;
+    int64_t stride;
+    int64_t step;
+    int64_t bright;
+    int64_t plane_known;
+    double R_cam_plane[9];
+} strokes_image;
+
+typedef struct {
+    int64_t known;
+    int64_t one_sided;
+    double R[9];
+    double t[3];
+    double turn_rad;
+    double drawing;
+    double support;
+    double side[2];
+} search_guess;
 
 typedef struct {
     double p[3];
@@ -908,8 +953,15 @@ void render_swell(int32_t rows, int32_t columns, const float *rays, const double
 int64_t search_room(const search_image *image);
 int32_t search_circles(const search_image *image, const uint8_t *grey, const float *rays, const search_radii *radii, float *scratch, search_circle *out);
 
+/* search_guesses.c */
+int32_t search_guesses(const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels, int32_t circles, const search_circle *circle, int32_t most, search_guess *out);
+
 /* search_heading.c */
 int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int32_t width, int32_t height, const uint8_t *px, int32_t stride, const double *side, polar_fit *out);
+
+/* search_strokes.c */
+int64_t search_strokes_room(const strokes_image *image);
+int32_t search_strokes(const camera_lens *c, const strokes_image *image, const pad_strokes *h, const uint8_t *px, float *scratch, int32_t most, search_guess *out);
 
 /* sighting.c */
 int32_t sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, double *innov, double *H, double *R, double *by_rate);
@@ -925,7 +977,7 @@ void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea
 void vehicle_carry(vehicle *v, const deck *g);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 3240863432u
+#define INTERFACE_DIGEST 30377364u
 #endif
 
 #endif

@@ -42,6 +42,12 @@ typedef struct {
     int radius, bright_inside;
 } vote_peak;
 
+/* A circle in a plane at unit distance, and whether the plane's tilt is known. */
+typedef struct {
+    double R[9], centre[2], radius;
+    int known;
+} circle_stand;
+
 /* Cells along a side of a tile, and floats of the scratch for an image; with a scratch, also the parts. */
 enum { TILE_CELLS = 8 };
 int64_t search_divide(const search_image *image, float *scratch, search_rows *out);
@@ -64,5 +70,11 @@ int search_peak(const search_image *image, search_rows *rows, vote_peak *out);
 /* Fit a circle to the edges about a peak; returns whether there is one. */
 int search_fit(const search_image *image, const search_radii *radii, const search_rows *rows, const vote_peak *peak,
                search_circle *out);
+
+/* Where rays, (n, 2), meet a plane at unit distance, (n, 2); returns whether all do. */
+int search_on_plane(int n, const double *rays, const double R_cam_plane[9], double *out);
+
+/* The planes in which an outline of at most SEARCH_SECTORS rays, (n, 2), is a circle; returns how many there are. */
+int search_tilts(int n, const double *rays, circle_stand out[2]);
 
 #endif

@@ -31,8 +31,8 @@ int64_t search_divide(const search_image *image, float *scratch, search_rows *r)
     const int64_t blocks = (int64_t)b->columns * b->rows, tiles = (int64_t)t->columns * t->rows;
     const int64_t sizes[] = {
         (n + 1) / 2, (n + 1) / 2, (n + 1) / 2, 2 * (b->columns + 1) * (int64_t)(b->rows + 1), 4 * blocks, blocks,
-        room, room, room, room, h + 1, (2 * SEARCH_RADII * columns * high + 3) / 4, (columns + 1) / 2,
-        3 * (tiles > blocks ? tiles : blocks), tiles,
+        room, room, room, room, h + 1, (2 * SEARCH_RADII * columns * high + 3) / 4, columns,
+        4 * (tiles > blocks ? tiles : blocks), tiles,
     };
     enum { COUNT = sizeof sizes / sizeof *sizes };
     float *at = scratch, *parts[COUNT];

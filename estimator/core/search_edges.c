@@ -22,7 +22,9 @@ static void gradient_row(int w, const uint8_t *above, const uint8_t *here, const
         const int y = (below[i - 1] - above[i - 1]) + 2 * (below[i] - above[i]) + (below[i + 1] - above[i + 1]);
         gx[i] = (int16_t)x;
         gy[i] = (int16_t)y;
-        strength[i] = (uint16_t)sqrtf((float)(x * x + y * y));
+    }
+    for (int i = 1; i < w - 1; i++) {
+        strength[i] = (uint16_t)sqrtf((float)(gx[i] * gx[i] + gy[i] * gy[i]));
     }
     gx[0] = gy[0] = gx[w - 1] = gy[w - 1] = 0;
     strength[0] = strength[w - 1] = 0;
@@ -48,6 +50,7 @@ static void gradients(const search_image *image, const uint8_t *grey, search_row
 }
 
 /* The mean strength of each block. */
+WIDE
 static void block_means(const search_image *image, const search_rows *rows, float *out)
 {
     const block_grid *b = &rows->blocks;
@@ -149,6 +152,16 @@ static void add_edge(int w, int row, int column, const search_rows *rows, const 
     edges->to_y[n] = (scale[2] * u + scale[3] * v) * by;
 }
 
+/* Whether one of a block's pixels in a row is as strong as an edge. */
+static int any_strong(const uint16_t *strength, uint16_t least)
+{
+    uint16_t any = 0;
+    for (int i = 0; i < SEARCH_BLOCK; i++) {
+        any = (uint16_t)(any | (strength[i] >= least));
+    }
+    return any;
+}
+
 void search_edges(const search_image *image, const uint8_t *grey, const float *rays, search_rows *rows)
 {
     const int w = (int)image->width, h = (int)image->height;
@@ -166,8 +179,12 @@ void search_edges(const search_image *image, const uint8_t *grey, const float *r
         for (int block = 0; block < b->columns && row > 0 && row < h - 1; block++) {
             const int at = row / SEARCH_BLOCK * b->columns + block, left = block * SEARCH_BLOCK;
             const int right = left + SEARCH_BLOCK < w - 1 ? left + SEARCH_BLOCK : w - 1;
+            const uint16_t least = (uint16_t)fminf(65535.0f, ceilf(b->least[at]));
+            if (left + SEARCH_BLOCK <= w && !any_strong(strength + left, least)) {
+                continue;
+            }
             for (int i = left > 1 ? left : 1; i < right; i++) {
-                if ((float)strength[i] >= b->least[at] && edges->n < image->room) {
+                if (strength[i] >= least && edges->n < image->room) {
                     add_edge(w, row, i, rows, b->scale + (size_t)4 * (size_t)at, edges);
                 }
             }

@@ -32,7 +32,7 @@ static int belongs(const search_rows *rows, int i, const trial *t, double tolera
     }
     at[0] -= t->centre[0];
     at[1] -= t->centre[1];
-    const double d = hypot(at[0], at[1]), tx = (double)e->to_x[i], ty = (double)e->to_y[i];
+    const double d = sqrt(at[0] * at[0] + at[1] * at[1]), tx = (double)e->to_x[i], ty = (double)e->to_y[i];
     const double along = t->sign * (tx * dx + ty * dy), length = (tx * tx + ty * ty) * (dx * dx + dy * dy);
     return fabs(d - t->radius) < tolerance * t->radius && along > 0.0 && along * along > LEAST_ALONG * LEAST_ALONG * length;
 }
@@ -86,7 +86,7 @@ static int fit_once(const search_image *image, const search_rows *rows, double t
 /* The edge nearest to the circle in each sector. */
 static int outline(const search_image *image, const search_rows *rows, const trial *t, search_circle *out)
 {
-    const double by = SEARCH_SECTORS / (2.0 * acos(-1.0));
+    const double by = SEARCH_SECTORS / (2.0 * acos(-1.0)), step = (double)image->step;
     double nearest[SEARCH_SECTORS];
     int found[SEARCH_SECTORS], of[2], n = 0;
     for (int k = 0; k < SEARCH_SECTORS; k++) {
@@ -98,7 +98,7 @@ static int outline(const search_image *image, const search_rows *rows, const tri
         double at[2];
         if (belongs(rows, i, t, TOLERANCE[FITS - 1], at)) {
             const int k = ((int)floor((atan2(at[1], at[0]) + acos(-1.0)) * by)) % SEARCH_SECTORS;
-            const double off = fabs(hypot(at[0], at[1]) - t->radius);
+            const double off = fabs(sqrt(at[0] * at[0] + at[1] * at[1]) - t->radius);
             if (off < nearest[k]) {
                 nearest[k] = off;
                 found[k] = i;
@@ -107,8 +107,8 @@ static int outline(const search_image *image, const search_rows *rows, const tri
     }
     for (int k = 0; k < SEARCH_SECTORS; k++) {
         if (found[k] >= 0) {
-            out->outline_px[2 * n] = (double)rows->edges.x[found[k]];
-            out->outline_px[2 * n + 1] = (double)rows->edges.y[found[k]];
+            out->outline_px[2 * n] = ((double)rows->edges.x[found[k]] + 0.5) * step - 0.5;
+            out->outline_px[2 * n + 1] = ((double)rows->edges.y[found[k]] + 0.5) * step - 0.5;
             n++;
         }
     }

@@ -24,46 +24,48 @@ static float radius_of(const search_radii *radii, int k)
  * Source: Loy and Zelinsky, Fast radial symmetry for detecting points of interest, PAMI 25(8), 2003, section 3. */
 static void vote(const edge_list *edges, float radius, float margin, int columns, int rows, uint8_t *out)
 {
-    const float by = 1.0f / SEARCH_CELL;
-    for (int i = 0; i < edges->n; i++) {
-        const float x = (edges->x[i] + radius * edges->to_x[i] + margin) * by;
-        const float y = (edges->y[i] + radius * edges->to_y[i] + margin) * by;
-        if (x >= 0.0f && y >= 0.0f && x < (float)columns && y < (float)rows) {
+    const float by = 1.0f / SEARCH_CELL, right = (float)columns, low = (float)rows;
+    const float *at_x = edges->x, *at_y = edges->y, *to_x = edges->to_x, *to_y = edges->to_y;
+    for (int i = 0, n = edges->n; i < n; i++) {
+        const float x = (at_x[i] + radius * to_x[i] + margin) * by, y = (at_y[i] + radius * to_y[i] + margin) * by;
+        if (x >= 0.0f && y >= 0.0f && x < right && y < low) {
             uint8_t *cell = out + (size_t)(int)y * (size_t)columns + (size_t)(int)x;
             *cell = (uint8_t)(*cell + (*cell < MOST_VOTES));
         }
     }
 }
 
-/* The votes in two by two cells, and the larger of them and what was in `most`. */
+/* The votes in two by two cells, and the larger of them and what was in `most`; `sum` has the votes of each column. The `last` row
+ * has no window. */
 WIDE
-static void windows(int columns, const uint8_t *here, const uint8_t *below, uint16_t *most)
+static void windows(int columns, const uint8_t *here, const uint8_t *below, int last, uint16_t *most, uint16_t *sum)
 {
-    for (int i = 0; i < columns - 1; i++) {
-        const uint16_t sum = (uint16_t)(here[i] + here[i + 1] + below[i] + below[i + 1]);
-        most[i] = most[i] > sum ? most[i] : sum;
+    for (int i = 0; i < columns; i++) {
+        sum[i] = (uint16_t)(sum[i] + here[i]);
+    }
+    for (int i = 0; i < columns - 1 && !last; i++) {
+        const uint16_t four = (uint16_t)(here[i] + here[i + 1] + below[i] + below[i + 1]);
+        most[i] = most[i] > four ? most[i] : four;
     }
 }
 
 /* The largest window and the mean of the votes of each tile. */
-static void rate_tiles(int columns, int rows, const uint8_t *votes, uint16_t *row, const vote_tiles *tiles, float *most, float *mean)
+static void rate_tiles(int columns, int rows, const uint8_t *votes, uint16_t *row, const vote_tiles *tiles, float *most,
+                       float *mean)
 {
     for (int i = 0; i < tiles->rows; i++) {
         const int top = i * TILE_CELLS, low = top + TILE_CELLS < rows ? top + TILE_CELLS : rows;
-        memset(row, 0, (size_t)columns * sizeof *row);
-        for (int k = top; k < low && k < rows - 1; k++) {
-            windows(columns, votes + (size_t)k * (size_t)columns, votes + (size_t)(k + 1) * (size_t)columns, row);
+        memset(row, 0, 2 * (size_t)columns * sizeof *row);
+        for (int k = top; k < low; k++) {
+            const uint8_t *here = votes + (size_t)k * (size_t)columns;
+            windows(columns, here, here + columns, k == rows - 1, row, row + columns);
         }
         for (int j = 0; j < tiles->columns; j++) {
             const int left = j * TILE_CELLS, right = left + TILE_CELLS < columns ? left + TILE_CELLS : columns;
             uint32_t sum = 0, best = 0;
             for (int k = left; k < right; k++) {
                 best = row[k] > best ? row[k] : best;
-            }
-            for (int k = top; k < low; k++) {
-                for (int l = left; l < right; l++) {
-                    sum += votes[(size_t)k * (size_t)columns + (size_t)l];
-                }
+                sum += row[columns + k];
             }
             most[i * tiles->columns + j] = (float)best;
             mean[i * tiles->columns + j] = (float)sum / (float)((right - left) * (low - top));
@@ -85,6 +87,16 @@ static float mean_around(const vote_tiles *t, const float *mean, int i, int j)
     return sum / (float)n;
 }
 
+/* The outline of a circle of unit radius in the plane about each tile, px. */
+static void outlines(const search_image *image, const block_grid *blocks, const vote_tiles *t, float *out)
+{
+    for (int k = 0; k < t->rows * t->columns; k++) {
+        const int i = k / t->columns, j = k % t->columns;
+        const float x = (float)(j * TILE_CELLS * SEARCH_CELL - (int)image->margin);
+        const float y = (float)(i * TILE_CELLS * SEARCH_CELL - (int)image->margin);
+        out[k] = TURN * search_scale(blocks, x, y);
+    }
+}
 
 void search_votes(const search_image *image, const search_radii *radii, search_rows *rows)
 {
@@ -92,11 +104,12 @@ void search_votes(const search_image *image, const search_radii *radii, search_r
     const size_t plane_cells = (size_t)columns * (size_t)high;
     vote_tiles *t = &rows->tiles;
     const int tiles = t->rows * t->columns;
-    float *most = t->score + tiles, *mean = most + tiles;
+    float *most = t->score + tiles, *mean = most + tiles, *unit = mean + tiles;
     for (int k = 0; k < tiles; k++) {
         t->score[k] = 0.0f;
         t->plane[k] = -1;
     }
+    outlines(image, &rows->blocks, t, unit);
     memset(rows->votes, 0, plane_cells * (size_t)planes);
     for (int plane = 0; plane < planes; plane++) {
         uint8_t *votes = rows->votes + plane_cells * (size_t)plane;
@@ -104,12 +117,13 @@ void search_votes(const search_image *image, const search_radii *radii, search_r
         vote(&rows->edges, plane % 2 ? radius : -radius, (float)image->margin, columns, high, votes);
         rate_tiles(columns, high, votes, rows->row, t, most, mean);
         for (int k = 0; k < tiles; k++) {
-            const int i = k / t->columns, j = k % t->columns;
-            const float x = (float)(j * TILE_CELLS * SEARCH_CELL - (int)image->margin);
-            const float y = (float)(i * TILE_CELLS * SEARCH_CELL - (int)image->margin);
-            const float around = TURN * radius * search_scale(&rows->blocks, x, y);
-            const float left = most[k] - AGAINST * CELLS_ACROSS * CELLS_ACROSS * mean_around(t, mean, i, j);
-            if (left > t->score[k] * around) {
+            const float around = radius * unit[k], least = t->score[k] * around;
+            if (!(most[k] > least)) {
+                continue;
+            }
+            const float around_it = mean_around(t, mean, k / t->columns, k % t->columns);
+            const float left = most[k] - AGAINST * CELLS_ACROSS * CELLS_ACROSS * around_it;
+            if (left > least) {
                 t->score[k] = left / around;
                 t->plane[k] = plane;
             }

@@ -43,6 +43,7 @@ class FilterAnswer:
         self._now, self._options, self._evidence_of_rest = now, noise.options, before.sea.log_evidence_of_rest
         self._words = np.empty(_SIZE)
         _ANSWER(noise.packed_address, now, before.numbers.address, before.P.address, start_of(self._words))
+        self._words.setflags(write=False)
         integers = self._words[_INTEGERS].view(np.int64).tolist()
         self._has_pad, self._has_body, self._sighted, self._agreed, self._velocity_fused, self._heading_known = integers
 

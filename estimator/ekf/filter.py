@@ -81,10 +81,13 @@ def step_all(ekf: Ekf, events: Sequence[Event]) -> tuple[Ekf, list[FusionResult]
     Raises:
         TypeError: an event is not a measurement (a frame, for example).
     """
+    if ekf.limits is None:
+        history, results = put_all(ekf.history, events, ekf.params)
+        return Ekf(ekf.params, history, None, ekf.imu), results
     imu, refused, admitted = ekf.imu, dict[int, FusionResult](), list[Event]()
     for n, event in enumerate(events):
         refusal = None
-        if ekf.limits is not None and isinstance(event, Imu):
+        if isinstance(event, Imu):
             imu, refusal = sensors.watch(imu, event, ekf.limits, flying=True)
         if refusal is None:
             admitted.append(event)

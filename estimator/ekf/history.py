@@ -193,7 +193,7 @@ def _in_order(history: History, events: Sequence[Event], params: FilterParams) -
 
 def _key(event: Event, rank: int) -> Key:
     t = event.stamp.measured_at
-    return (t, rank, event.seq, event.method) if isinstance(event, Sighting) else (t, rank, 0, "")
+    return (t, rank, event.seq, event.method) if type(event) is Sighting else (t, rank, 0, "")
 
 
 def _extended(

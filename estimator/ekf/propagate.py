@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from estimator.contracts.fusion import COMPONENTS, FusionResult, components_of, source_of
+from estimator.contracts.fusion import COMPONENTS, FusionResult, Source, components_of, source_of
 from estimator.ekf import motion
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
@@ -25,18 +26,23 @@ def parameters(options: EkfOptions) -> FilterParams:
     return FilterParams(options, motion.ProcessNoise(options))
 
 
+@cache
+def _named(source: Source, axes: tuple[int, ...]) -> tuple[str, ...]:
+    return tuple([COMPONENTS[source][i] for i in axes])
+
+
 def result(event: Event, outcome: Outcome) -> FusionResult:
     """Return the outcome of an event with the event's source, instants and names of components."""
     verdict, compared, S, nis, nis_max, axes = outcome
-    innov = None if compared is None else np.asarray(compared)
-    source = source_of(event)
-    components: tuple[str, ...] = ()
+    source, stamp = source_of(event), event.stamp
+    if compared is None:
+        return FusionResult("ekf", source, verdict, stamp.measured_at, stamp.received_at)
+    innov = np.asarray(compared)
     if axes:
-        components = tuple([COMPONENTS[source][i] for i in axes])
-    elif innov is not None:
+        components = _named(source, axes)
+    else:
         components = components_of(source, innov.size)
     for array in (innov, S):
         if array is not None and array.flags.writeable:
             array.setflags(write=False)
-    stamp = event.stamp
     return FusionResult("ekf", source, verdict, stamp.measured_at, stamp.received_at, innov, S, components, nis, nis / nis_max)

@@ -14,7 +14,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.time import Stamp
+from estimator.contracts.time import NS_PER_S, Stamp
 
 _CONFIRMED_BY = 5
 _CONFIRMED_IN_NS = 200_000_000
@@ -84,7 +84,7 @@ def watch_delay(
 
 def delay_after(delay: Delay | None, stamp: Stamp, step_max_s: float, settle_s: float) -> tuple[Delay, Verdict | None]:
     """Process a delay of one stream, as `watch_delay` does; `delay` is None before the stream's first sample."""
-    d = stamp.delay_s
+    d = (stamp.received_at - stamp.measured_at) / NS_PER_S
     if delay is None:
         return Delay(d), None
     median_s, n, off_since = delay.median_s, delay.n, delay.off_since
@@ -92,7 +92,7 @@ def delay_after(delay: Delay | None, stamp: Stamp, step_max_s: float, settle_s: 
     if abs(off_s) <= step_max_s:
         # The median moves in small steps, so that an outlier has no more effect than any other sample.
         step = max(_MEDIAN_STEP_S, abs(off_s) / (n + 1)) if n < _FIRST_FEW else _MEDIAN_STEP_S
-        return Delay(median_s + max(-step, min(step, off_s)), n + 1), None
+        return Delay(median_s + (-step if off_s < -step else step if off_s > step else off_s), n + 1), None
     if n < _FIRST_FEW:
         return Delay(d), None
     since = stamp.received_at if off_since is None else off_since

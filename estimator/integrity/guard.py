@@ -43,39 +43,41 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
         sample itself, except for an attitude whose heading the gyro contradicts: it has the heading that the gyro holds.
     """
     # There are hundreds of samples a second, so what changes is kept in the open until the last of them.
-    o, watch, delays, seen = guard.options, guard.clock, dict(guard.clock.delays), dict(guard.sensors)
+    o, delays, seen = guard.options, dict(guard.clock.delays), dict(guard.sensors)
+    watch = clock.ClockWatch(guard.clock.now, guard.clock.rival, delays)
+    step_s, settle_s = o.sample_delay_step_max_s, o.sample_delay_settle_s
     turn, against, flying = guard.heading, guard.heights, guard.flying
     admitted: list[Sample | Verdict] = []
     for sample in samples:
         kind, stamp = type(sample), sample.stamp
         verdict = None
         # One more arrival at the known time changes nothing: the samples of one datagram share theirs.
+        name = kind.__name__
         if stamp.received_at != watch.now or watch.rival is not None:
-            known = replace(watch, delays=delays)
-            watch, verdict = clock.watch_arrival(known, kind.__name__, stamp, o.clock_step_max_s)
-            delays = dict(watch.delays)
+            watch, verdict = clock.watch_arrival(watch, name, stamp, o.clock_step_max_s)
+            if watch.delays is not delays:  # the time has leapt, and all delays begin again
+                delays = dict(watch.delays)
+                watch = clock.ClockWatch(watch.now, watch.rival, delays)
         if verdict is None:
-            before, settle_s = delays.get(kind.__name__), o.sample_delay_settle_s
-            delays[kind.__name__], verdict = clock.delay_after(before, stamp, o.sample_delay_step_max_s, settle_s)
+            delays[name], verdict = clock.delay_after(delays.get(name), stamp, step_s, settle_s)
         if verdict is not None:
             admitted.append(verdict)
             continue
+        # By the type itself: a match asks one class after the other.
         if isinstance(sample, VehicleStatus):
             flying = sample.flying is not False
         elif not isinstance(sample, GeoFix):
             seen[kind], verdict = sensors.watch(seen.get(kind, _UNSEEN), sample, o, flying)
             if verdict is None:
-                match sample:
-                    case Imu():
-                        turn = heading.turned(turn, sample)
-                    case Attitude():
-                        turn, sample = heading.steadied(turn, sample, o)
-                    case Range():
-                        against = heights.ranged(against, sample, o)
-                    case Baro():
-                        against = heights.weighed(against, sample, o)
+                if type(sample) is Imu:
+                    turn = heading.turned(turn, sample)
+                elif type(sample) is Attitude:
+                    turn, sample = heading.steadied(turn, sample, o)
+                elif type(sample) is Range:
+                    against = heights.ranged(against, sample, o)
+                elif type(sample) is Baro:
+                    against = heights.weighed(against, sample, o)
         admitted.append(sample if verdict is None else verdict)
-    watch = clock.ClockWatch(watch.now, watch.rival, delays)
     return IntegrityGuard(o, watch, seen, guard.frames, guard.view, guard.tracks, against, turn, flying), admitted
 
 

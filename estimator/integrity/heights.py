@@ -98,7 +98,13 @@ def weighed(state: HeightWatch, event: Baro, o: IntegrityOptions) -> HeightWatch
     if not rise or t - rise[-1][0] >= 1e9:
         rise = (*(r for r in rise if t - r[0] <= _SPAN_S * 1e9), (t, now))
         seen = (*(s for s in seen if t - s[0] <= _SPAN_S * 1e9), (t, height))
-    drift = max((abs(now - r) for _, r in rise), default=0.0)
-    change = max((abs(height - h) for _, h in seen), default=0.0)
-    against = drift > o.height_tolerance_m + change / 3.0
+    against = _farthest(now, rise) > o.height_tolerance_m + _farthest(height, seen) / 3.0
     return replace(state, rise=rise, rise_now=now, seen_height=seen, baro_contradicted=against)
+
+
+def _farthest(value: float, course: tuple[tuple[int, float], ...]) -> float:
+    """Return the largest difference of a value from those of a course; 0 from an empty one."""
+    if not course:
+        return 0.0
+    values = [each for _, each in course]
+    return max(abs(value - min(values)), abs(value - max(values)))

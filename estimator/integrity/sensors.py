@@ -57,8 +57,9 @@ def watch(state: SensorWatch, event: Reading, o: IntegrityOptions, flying: bool)
     t = event.stamp.measured_at
     value, numbers, beyond, frozen_s = _READ[type(event)](event, o)
     repeat, before, refused_since = state.repeat, state.plausible, state.refused_since
-    since = t if repeat is None or repeat.value != value else min(repeat.since, t)
-    repeat = Repeat(value, since)
+    if repeat is None or repeat.value != value or t < repeat.since:
+        repeat = Repeat(value, t)
+    since = repeat.since
     if beyond:
         return SensorWatch(repeat, False, before, refused_since), Verdict.IMPOSSIBLE
     if flying and (t - since) * 1e-9 > frozen_s:
@@ -87,8 +88,9 @@ def _attitude(event: Attitude, o: IntegrityOptions) -> _Read:
 
 
 def _velocity(event: BodyVelocity, o: IntegrityOptions) -> _Read:
-    v, var = event.v_level, event.cov_level.diagonal().tolist()
-    numbers = tuple([x if of < _UNMEASURED_VAR else 0.0 for x, of in zip(v.tolist(), var, strict=True)])
+    v = event.v_level
+    (x, y, z), ((xx, _, _), (_, yy, _), (_, _, zz)) = v.tolist(), event.cov_level.tolist()
+    numbers = x if xx < _UNMEASURED_VAR else 0.0, y if yy < _UNMEASURED_VAR else 0.0, z if zz < _UNMEASURED_VAR else 0.0
     return (v.tobytes(), numbers, math.hypot(*numbers) > o.speed_max_m_s, o.velocity_frozen_s)
 
 

@@ -21,11 +21,14 @@ _LEAST = 8
 _LEAST_SPAN_S = 0.3
 
 
+Bearing = tuple[int, F64, F64, F64]
+"""Instant, ns; unit vector to the pad in `body` and in `level`, (3,); the level frame's axes in `body`, (3, 3)."""
+
+
 class ViewWatch(NamedTuple):
     """Bearings of the last half second."""
 
-    bearings: tuple[tuple[int, F64, F64], ...] = ()
-    """Instants (ns); bearing of the pad in `body`, (3,), unit; the level frame's axes in `body`, (3, 3)."""
+    bearings: tuple[Bearing, ...] = ()
     frozen: bool = False
 
 
@@ -36,24 +39,23 @@ def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: Integrity
     if distance_m < 1e-6:
         return state
     R_body_level = attitude.R_ned_body.without_heading().inv.matrix
-    bearing = R_body_level @ (sighting.d_body_pad_level / distance_m)
-    bearings = tuple(k for k in state.bearings if 0 <= t - k[0] <= _SPAN_S * 1e9)
-    bearings = (*bearings, (t, bearing, R_body_level))
+    level = sighting.d_body_pad_level / distance_m
+    span_ns = _SPAN_S * 1e9
+    kept = [k for k in state.bearings if 0 <= t - k[0] <= span_ns]
+    bearings = (*kept, (t, R_body_level.dot(level), level, R_body_level))
     return ViewWatch(bearings, _is_still(bearings, o))
 
 
-def _is_still(bearings: tuple[tuple[int, F64, F64], ...], o: IntegrityOptions) -> bool:
+def _is_still(bearings: tuple[Bearing, ...], o: IntegrityOptions) -> bool:
     if len(bearings) < _LEAST or bearings[-1][0] - bearings[0][0] < _LEAST_SPAN_S * 1e9:
         return False
-    seen = np.array([bearing for _, bearing, _ in bearings])
-    axes = np.array([R for _, _, R in bearings])
-    mean_level = np.add.reduce(np.einsum("nij,ni->nj", axes, seen), axis=0) / len(seen)
-    turned = _spread(axes @ mean_level)
-    return turned > o.view_turned_min_rad and _spread(seen) < o.view_still_ratio * turned
+    _, seen, levels, axes = zip(*bearings, strict=True)
+    turned = _spread(np.array(axes).dot(np.add.reduce(levels) / len(levels)))
+    return turned > o.view_turned_min_rad and _spread(np.array(seen)) < o.view_still_ratio * turned
 
 
 def _spread(directions: F64) -> float:
     """Return the root of the mean squared distance from the mean, rad."""
     n = len(directions)
-    apart = directions - np.add.reduce(directions, axis=0) / n
-    return math.sqrt(float(np.add.reduce(np.add.reduce(apart * apart, axis=1))) / n)
+    apart = (directions - np.add.reduce(directions, axis=0) / n).ravel()
+    return math.sqrt(float(apart.dot(apart)) / n)

@@ -85,11 +85,10 @@ class Options(Mapping[int, Any]):
     def get(self, tag: int, default: Any = None) -> Any:
         """Return the option of this tag, or `default` if the datagram does not hold it."""
         made = self._made.get(tag)
-        if made is not None:
-            return made
-        if not self._mask >> tag & 1:
-            return default
-        made = self._made[tag] = _OPTIONS[tag](self._situation)
+        if made is None:
+            if not self._mask >> tag & 1:
+                return default
+            made = self._made[tag] = _OPTIONS[tag](self._situation)
         return made
 
     def __iter__(self) -> Iterator[int]:
@@ -126,14 +125,14 @@ def _demo(s: Situation) -> navdata.Demo:
 
 
 def _raw_measures(s: Situation) -> navdata.RawMeasures:
-    fx, fy, fz = s.readings.f_body.tolist()
-    p, q, r = s.readings.w_body.tolist()
+    readings, echo = s.readings, s.readings.ultrasound_m
+    fx, fy, fz = readings.f_body.tolist()
+    p, q, r = readings.w_body.tolist()
     x, y, z = 1e3 * fx / STANDARD_GRAVITY, 1e3 * fy / STANDARD_GRAVITY, 1e3 * fz / STANDARD_GRAVITY
-    echo = s.readings.ultrasound_m
     return navdata.RawMeasures(
         raw_accs=(_raw_acc(x), _raw_acc(-y), _raw_acc(-z)),
         raw_gyros=(_raw_gyro(p), _raw_gyro(q), _raw_gyro(r)),
-        vbat_raw_mv=round(10_772 + 1_828 * s.readings.battery_fraction),
+        vbat_raw_mv=round(10_772 + 1_828 * readings.battery_fraction),
         flag_echo_ini=1,
         nb_echo=0 if echo is None else 1,
         sum_echo=s.echoes % 2**32,

@@ -27,11 +27,9 @@ from estimator.contracts.estimates import Method, PathName, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
-from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.registration import Registration
-from estimator.vision.register.sighting import registered_sighting
+from estimator.vision.register.sighting import sighting_of
 from estimator.vision.thesis.detection import Detection
 from sitl.camera import Exposure
 from sitl.fault import Fault
@@ -51,7 +49,6 @@ MODELLED = (PadCovered, LightFalls, FocalLength)
 """Faults of the picture that act without a rendered one: on what is shown of the pad, on its light, on its distance."""
 _EYE = np.eye(3)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0])
-_NOTHING = np.zeros((0, 2))
 _TOKEN = 4
 """Number of pixels that hold the number of an exposure's step: seven months of flight."""
 
@@ -80,6 +77,7 @@ class Scenes:
     def __init__(self, camera: Camera, world: PerceivedWorld) -> None:
         self._viewer, self._world = Viewer(camera, world.pad), world
         self._shape = (camera.height, camera.width, 3)
+        self._rest_of_row = bytes(camera.width - _TOKEN)
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(world.seed, spawn_key=(_SPAWN_KEY,))))
         self._scenes: OrderedDict[bytes, Scene] = OrderedDict()
 
@@ -91,8 +89,6 @@ class Scenes:
             R = shot.R_ned_body.matrix
             view = self._viewer.view(R, shot.p_pad_ned - shot.p_body_ned, shot.R_ned_pad.matrix)
         token = tick.to_bytes(_TOKEN, "little")
-        row = np.zeros((1, self._shape[1], 1), np.uint8)
-        row[0, :_TOKEN, 0] = np.frombuffer(token, np.uint8)
         faults, focal, stops = self._world.faults, 1.0, self._world.scenario.light.exposure_ev
         if faults.active_kinds:
             if view is not None:
@@ -103,7 +99,7 @@ class Scenes:
         self._scenes[token] = Scene(view, chance, R, stops, focal)
         if len(self._scenes) > KEPT_SCENES:
             self._scenes.popitem(last=False)
-        return np.broadcast_to(row, self._shape)
+        return np.ndarray(self._shape, np.uint8, token + self._rest_of_row, strides=(0, 1, 0))
 
     def of(self, frame: Frame) -> Scene:
         """Return the scene of a frame."""
@@ -226,8 +222,7 @@ class _Detector:
         t = view.t_cam_pad / np.array([1.0, 1.0, scene.focal])
         pose = PadPose(Rotation(R), t + drawn.error[:3])
         orientation = Orientation.of(attitude, self._sigma_deck_rad)
-        seen = registered_sighting(frame, _registration(pose, drawn.cov, drawn.ambiguous), self._camera, orientation)
-        seen = replace(seen, confidence=drawn.confidence, features=())
+        seen = sighting_of(frame, pose, drawn.cov, self._camera, orientation, drawn.ambiguous, drawn.confidence)
         methods: dict[Method, Sighting | None] = {"registration": seen}
         if self._fused:
             return Detection(replace(seen, method="fused"), "fused", MappingProxyType(methods))
@@ -251,23 +246,3 @@ def _turned(rotation: F64) -> F64:
     if angle < 1e-9:
         return np.asarray(_EYE + K)
     return np.asarray(_EYE + (math.sin(angle) / angle) * K + ((1.0 - math.cos(angle)) / (angle * angle)) * K.dot(K))
-
-
-def _registration(pose: PadPose, cov: F64, ambiguous: bool) -> Registration:
-    """Return what registration would return; the parts that no sighting is made of are empty."""
-    return Registration(
-        pose=pose,
-        cov=cov,
-        information=np.zeros((6, 6)),
-        prior=None,
-        edges=MappingProxyType({}),
-        yaw_ambiguous=ambiguous,
-        blur_px2=np.zeros(3),
-        noise_light=0.0,
-        edge_rms_px=0.0,
-        visible=1.0,
-        inliers=1.0,
-        last_step_px=0.0,
-        dense=False,
-        outline_px=(_NOTHING,) * len(EdgeKind),
-    )

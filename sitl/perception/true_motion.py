@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimator.contracts.geometry import F64, Rotation, rpy_matrix
+from estimator.contracts.geometry import F64, known_rotation, rpy_matrix
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import NS_PER_S, MonoNs
@@ -26,6 +26,7 @@ AHEAD_S = (0.0, 0.3, 1.0, 2.0, 3.0)
 AHEAD_FRACTION = (0.0, 0.06, 0.2, 0.4, 0.6)
 """Error of the forecast change of velocity, as a fraction of the deck's own rms velocity on waves."""
 _CHANNELS = 3 + 3 + 3 + 4 + 3
+_EYE = np.eye(3)
 _SIGMA_DECK = np.array([*SIGMA_DECK_M_S, *SIGMA_DECK_M_S2])
 _SIGMA_TILT = np.array([SIGMA_TILT_RAD, SIGMA_TILT_RAD, SIGMA_TILT_RATE_RAD_S, SIGMA_TILT_RATE_RAD_S])
 _COV_ACCEL, _COV_DECK, _COV_TILT = (
@@ -62,9 +63,12 @@ class TrueMotion:
             body = BodyMotion(now, heading, a, _COV_ACCEL, truth.w_body, reported.R_ned_body, reported.cov_body)
         v = Z.dot(pad.v_ned + _SIGMA_DECK[:3] * standard[3:6])
         a = Z.dot(pad.a_ned + _SIGMA_DECK[3:] * standard[6:9])
-        tilt = np.array([*pad.rotation().rpy_rad[:2], *pad.w[:2].tolist()]) + _SIGMA_TILT * standard[9:13]
-        roll, pitch, roll_rate, pitch_rate = tilt.tolist()
-        return body, DeckMotion(now, v, a, _COV_DECK, roll, pitch, roll_rate, pitch_rate, _COV_TILT)
+        roll, pitch, _ = truth.R_ned_pad.rpy_rad
+        off = (_SIGMA_TILT * standard[9:13]).tolist()
+        roll_rate, pitch_rate, _ = pad.w.tolist()
+        return body, DeckMotion(
+            now, v, a, _COV_DECK, roll + off[0], pitch + off[1], roll_rate + off[2], pitch_rate + off[3], _COV_TILT
+        )
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float], d_body_pad_level: F64) -> Forecast:
         """Return the deck ahead of an instant.
@@ -75,22 +79,21 @@ class TrueMotion:
         standard = self._wander(now)
         h = np.asarray(horizons_s, dtype=float)
         truth, pad, here = self._world.truth(), self._world.pad_ahead(h), self._world.pad_motion()
-        Z = Rotation.from_rpy(0.0, 0.0, -truth.R_ned_body.rpy_rad[2]).matrix
+        Z = rpy_matrix(0.0, 0.0, -truth.R_ned_body.rpy_rad[2])
         fraction = np.interp(h, AHEAD_S, AHEAD_FRACTION)[:, None]
         spread = fraction * self._rms_m_s
         off = spread * standard[13:16]
-        deck_sigma = np.array(SIGMA_DECK_M_S)
-        v = pad.v_ned[0] + off + deck_sigma * standard[3:6]
+        v = pad.v_ned[0] + off + _SIGMA_DECK[:3] * standard[3:6]
         moved = pad.p_ned[0] - here.p_ned + off * (h[:, None] / 3.0)
         d = d_body_pad_level + (moved - h[:, None] * truth.v_body_ned) @ Z.T
         sigma_d = 0.02 + spread * h[:, None] / 2.0
-        tilts = np.array([Rotation(R).rpy_rad[:2] for R in pad.R_ned[0]])
+        tilts = np.array([known_rotation(R).rpy_rad[:2] for R in pad.R_ned[0]])
         tilt_off = np.radians(1.0) * fraction * standard[9:11]
         tilt_sigma = SIGMA_TILT_RAD + np.radians(1.0) * fraction[:, 0]
         return Forecast(
-            now, h, d, np.array([np.diag(row**2) for row in sigma_d]), v @ Z.T,
+            now, h, d, _EYE * (sigma_d * sigma_d)[:, None, :], v @ Z.T,
             self._level_m - pad.p_ned[0, :, 2], sigma_d[:, 2],
-            -v[:, 2], np.hypot(spread[:, 2], deck_sigma[2]),
+            -v[:, 2], np.hypot(spread[:, 2], _SIGMA_DECK[2]),
             tilts[:, 0] + tilt_off[:, 0], tilt_sigma, tilts[:, 1] + tilt_off[:, 1], tilt_sigma,
         )  # fmt: skip
 

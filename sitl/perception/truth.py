@@ -22,7 +22,7 @@ from companion.runtime.pilot import Pilot
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.geometry import F64, known_rotation, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
@@ -37,7 +37,7 @@ from sitl.perception.true_motion import TrueMotion
 from sitl.render_worker import RenderWorker
 from sitl.report_faults import VesselReports
 from sitl.stream_faults import FrameStream
-from sitl.truth import RenderedFrame, Truth
+from sitl.truth import RenderedFrame
 
 REPRESENTED = frozenset(
     {
@@ -65,7 +65,7 @@ class EstimateTable:
         self.model = model
         cells = {(c.height, c.age): root_of(symmetric(c.error, _N)) for c in model.cell}
         self._heights, self._ages = list(model.heights_m), list(model.ages_s)
-        squares = {cell: (root, root.dot(root.T)) for cell, root in cells.items()}
+        squares = {cell: (root, _symmetrical(root.dot(root.T))) for cell, root in cells.items()}
         self._roots = [
             [squares[min(cells, key=lambda c: (abs(c[1] - j) + 2 * abs(c[0] - i), c))] for j in range(len(self._ages) + 1)]
             for i in range(len(self._heights) + 1)
@@ -83,6 +83,10 @@ class EstimateTable:
     def root(self, height_m: float, age_s: float) -> tuple[F64, F64]:
         """Return the root of the covariance and the covariance, both (7, 7), positions over the height."""
         return self._roots[bisect_right(self._heights, height_m)][bisect_right(self._ages, age_s)]
+
+
+def _symmetrical(square: F64) -> F64:
+    return 0.5 * (square + square.T)
 
 
 @lru_cache(maxsize=8)
@@ -225,7 +229,7 @@ class TruthPilot(Pilot):
             return Detection(None, None, MappingProxyType({"registration": None}))
         camera = self.camera
         R_ned_cam = scene.R_ned_body @ camera.T_body_cam.R.matrix
-        body = Rotation(scene.R_ned_body)
+        body = known_rotation(scene.R_ned_body)
         d_ned = R_ned_cam @ view.t_cam_pad + scene.R_ned_body @ camera.T_body_cam.t
         heading = body.rpy_rad[2]
         c, s = math.cos(heading), math.sin(heading)
@@ -264,13 +268,21 @@ class TruthPilot(Pilot):
             self._sighted = None
             return None
         truth = self._level.world.truth()
-        height_m = max(0.05, float(truth.d_body_pad_level[2]))
+        d = truth.d_body_pad_level
+        height_m = max(0.05, d.item(2))
         root, square = self._estimates.root(height_m, seconds_between(self._sighted, now))
         scale = np.array([height_m, height_m, height_m, 1.0, 1.0, 1.0, 1.0])
         error = scale * root.dot(self._wander(now))
         cov = square * (scale[:, None] * scale)
-        sigma_m = math.sqrt(float(cov.diagonal()[:3].max()))
-        return _state(truth, now, self._path, self._sighted, error, cov, self._agreed >= _AGREED and sigma_m <= self._sigma_max_m)
+        consistent = self._agreed >= _AGREED and math.sqrt(max(cov.diagonal()[:3].tolist())) <= self._sigma_max_m
+        d += error[:3]
+        v = truth.v_pad_level
+        v += error[3:6]
+        cov += _LEAST_COV
+        for array in (d, v, cov):
+            array.setflags(write=False)
+        yaw = wrap_pi(truth.yaw_rad + error.item(6))
+        return RelativeState(now, self._path, d, v, yaw, cov, self._sighted, consistent)
 
     def _wander(self, now: MonoNs) -> F64:
         """Carry the standard normal numbers of the error on to another instant."""
@@ -282,16 +294,3 @@ class TruthPilot(Pilot):
             self._standard = keep * self._standard + new * fresh
         self._at = now
         return self._standard
-
-
-def _state(truth: Truth, now: MonoNs, path: PathName, sighted: MonoNs, error: F64, cov: F64, consistent: bool) -> RelativeState:
-    return RelativeState(
-        at=now,
-        path=path,
-        d_body_pad_level=truth.d_body_pad_level + error[:3],
-        v_pad_level=truth.v_pad_level + error[3:6],
-        yaw_rad=wrap_pi(truth.yaw_rad + float(error[6])),
-        cov=0.5 * (cov + cov.T) + _LEAST_COV,
-        sighted=sighted,
-        consistent=consistent,
-    )

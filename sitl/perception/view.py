@@ -42,7 +42,7 @@ class Viewer:
         self._disc = np.stack([radius * np.cos(angle), radius * np.sin(angle)])
         self._radius_m = pad.disc_radius_m
         self._R_cam_body = np.ascontiguousarray(camera.T_body_cam.R.matrix.T)
-        self._p_body_cam = camera.T_body_cam.t
+        self._p_cam_body = self._R_cam_body.dot(camera.T_body_cam.t)
         self._size = np.array([[camera.width - 0.5], [camera.height - 0.5]])
 
     def view(self, R_ned_body: F64, d_body_pad_ned: F64, R_ned_pad: F64) -> View:
@@ -55,7 +55,7 @@ class Viewer:
         """
         R_cam_ned = self._R_cam_body.dot(R_ned_body.T)
         R = R_cam_ned.dot(R_ned_pad)
-        t = R_cam_ned.dot(d_body_pad_ned) - self._R_cam_body.dot(self._p_body_cam)
+        t = R_cam_ned.dot(d_body_pad_ned) - self._p_cam_body
         normal = R[:, 2]
         return View(R, t, float(normal.dot(t)), self._shown(R, t), math.acos(max(-1.0, min(1.0, float(normal[2])))))
 

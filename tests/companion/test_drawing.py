@@ -23,9 +23,6 @@ def test_a_missing_matplotlib_is_named_with_its_cure(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     "words",
     [
-        ["demo"],
-        ["simulate", "demo", "--report", "{}/r"],
-        ["replay", "{}/none.mcap", "--report", "{}/r"],
         ["calibrate", "camera", "{}", "--out", "{}/camera.toml", "--figures", "{}"],
         ["soak", "--plot", "{}/soak.svg", "--hours", "1"],
     ],

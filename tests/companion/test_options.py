@@ -23,6 +23,7 @@ from companion.guidance.options import GuidanceOptions, PidOptions
 from companion.mavlink.options import BridgeOptions, OutputOptions
 from companion.recorder.options import RecorderOptions
 from companion.runtime.restart_options import RestartOptions
+from companion.video.options import VideoStreamOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.options import CameraOptions
 from drivers.mavlink.options import AutopilotOptions, SampleOptions, TimeSyncOptions
@@ -52,6 +53,7 @@ IN_THE_FILE = {
     "recorder": RecorderOptions,
     "vision": TrackerOptions,
     "service": RestartOptions,
+    "video_stream": VideoStreamOptions,
 }
 
 
@@ -62,6 +64,7 @@ TABLES = {
     "companion.mqtt": ("mqtt",),
     "companion.recorder": ("recorder",),
     "companion.runtime": ("service",),
+    "companion.video": ("video_stream",),
     "drivers.ardrone": ("vehicle",),
     "drivers.camera": ("camera",),
     "drivers.mavlink": ("vehicle", "vehicle.samples", "vehicle.timesync", "bridge"),

@@ -28,12 +28,13 @@ needs_poppler = pytest.mark.skipif(shutil.which("pdftoppm") is None, reason="pdf
 
 def rendered(pdf: Path) -> list[NDArray[np.uint8]]:
     """Pages as (H, W, 3) BGR at `DPI`."""
-    subprocess.run(["pdftoppm", "-r", str(DPI), "-png", str(pdf), str(pdf.with_suffix(""))], check=True)
-    return [cv2.imread(str(p)) for p in sorted(pdf.parent.glob(f"{pdf.stem}-*.png"))]
+    subprocess.run(["pdftoppm", "-r", str(DPI), str(pdf), str(pdf.with_suffix(""))], check=True)
+    return [cv2.imread(str(p)) for p in sorted(pdf.parent.glob(f"{pdf.stem}-*.ppm"))]
 
 
 def near(px: NDArray[np.uint8], rgb: tuple[int, int, int]) -> NDArray[np.bool_]:
-    return np.abs(px.astype(int) - rgb[::-1]).max(axis=2) < 60
+    low, high = ([side * 59 + c for c in rgb[::-1]] for side in (-1, 1))
+    return cv2.inRange(px, np.array(low), np.array(high)) > 0
 
 
 @needs_poppler

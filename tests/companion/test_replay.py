@@ -97,7 +97,7 @@ def test_images_seen_again_agree_with_what_was_seen_then_and_with_truth(
     assert 0 < difference["d_max_m"] < 0.3, "JPEG costs a little, and only a little"
     page = (tmp_path / "report" / "index.html").read_text()
     assert "Replay of flight.mcap" in page
-    assert (tmp_path / "report" / "flight.mp4").stat().st_size > 10_000
+    assert len(re.findall(r'id="film-0">([^<]*)<', page)[0]) > 10_000
 
 
 def test_a_replay_can_be_recorded_and_compared_with(

@@ -29,8 +29,8 @@ READ_BY_THE_SERVICE_ITSELF = {
     "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz",
 }  # fmt: skip
 TAKEN_WHOLE = (
-    "mqtt.", "metrics.", "page.", "recorder.", "service.", "camera.", "vehicle.", "landing_target.", "bridge.", "operator.",
-    "limits.", "vessel.",
+    "mqtt.", "metrics.", "page.", "video_stream.", "recorder.", "service.", "camera.", "vehicle.", "landing_target.",
+    "bridge.", "operator.", "limits.", "vessel.",
 )  # fmt: skip
 """Sections that a part takes as they are."""
 MINIMAL = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}

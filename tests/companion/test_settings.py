@@ -89,7 +89,7 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
         (
             {"a b": 1},
             '"a b" is not a known key; known here are vehicle, camera, pad, vision, estimator, guidance, service, recorder, '
-            "mqtt, metrics, page, landing_target, bridge, operator, limits, vessel",
+            "mqtt, metrics, page, video_stream, landing_target, bridge, operator, limits, vessel",
         ),
         ({"line\nbreak ` - at `$.vehicle.host`": 1}, None),
         ({"vision": 3}, "vision must be a table of keys, found 3"),
@@ -130,7 +130,7 @@ UNITS = {
     "1/s": "_1_s", "1/s^2": "_1_s2", "threads": "threads", "samples": ("_items", "_samples"),
     "rad": "_rad", "rad/s": "_rad_s", "rad/s/sqrt(Hz)": "_rad_s", "rad/s^2/sqrt(Hz)": "_rad_s2", "m/s^2/sqrt(Hz)": "_m_s2",
     "m/s^3/sqrt(Hz)": "_m_s3", "m/sqrt(s)": "_m", "s/sqrt(s)": "_s_sqrt_s", "rad/sqrt(s)": "_rad_sqrt_s", "1/sqrt(s)": "",
-    "id": "_id", "ppm": "_ppm", "MB": "_mb", "KiB": "_kib", "records": "_records", "frames": "_frames",
+    "id": "_id", "ppm": "_ppm", "MB": "_mb", "KiB": "_kib", "records": "_records", "frames": "_frames", "kbit/s": "_kbit_s",
 }  # fmt: skip
 GAINS_AND_RATIOS = {
     "core_fraction",
@@ -218,6 +218,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
     data["mqtt"].update(commands="off", command_key_file="")
     data.setdefault("metrics", {}).update(endpoint="off")
     data.setdefault("page", {}).update(endpoint="off")
+    data.setdefault("video_stream", {}).update(to="")
     data["vehicle"].pop("vessel_id", None)
     for table in (data["vehicle"], data.setdefault("bridge", {})):
         if table is not data["vehicle"] or kind == "mavlink":

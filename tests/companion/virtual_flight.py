@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import heapq
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, nullcontext
 from types import MappingProxyType
+from unittest.mock import patch
 
 import numpy as np
 
@@ -119,6 +120,7 @@ class FakeFlight:
             self.frames.offer(Frame(Stamp(MonoNs(now - 10_000_000), now, 0.001, "sim"), n, np.roll(NOISE, n, axis=0)))
 
 
+@patch("companion.runtime.daemon.no_full_collections", nullcontext)  # in virtual time a collection takes none
 async def fly(daemon: Daemon, vehicle: FakeFlight, clock: VirtualClock, seconds: float) -> list[tuple[int, str]]:
     """The commands of that much flight. The daemon must still be alive at the end, and end well."""
     task = asyncio.create_task(daemon.run())

@@ -46,6 +46,17 @@ def test_it_says_none_rather_than_guess() -> None:
     assert holed.at(MonoNs(round(1.2e9)), stamp(1.2)) is None
 
 
+@settings(max_examples=50)
+@given(st.lists(st.integers(0, 40), max_size=12), st.integers(0, 12))
+def test_several_attitudes_together_leave_what_one_by_one_does(at_50_ms: list[int], together_from: int) -> None:
+    given_in_turn = [turning(0.05 * i) for i in at_50_ms]
+    one_by_one = AttitudeHistory(span_s=0.5)
+    for sample in given_in_turn:
+        one_by_one = one_by_one.add(sample)
+    together = AttitudeHistory(span_s=0.5).add(*given_in_turn[:together_from]).add(*given_in_turn[together_from:])
+    assert together.samples == one_by_one.samples
+
+
 def test_it_is_bounded_and_ignores_what_is_not_newer() -> None:
     history = filled()
     assert len(history.samples) == pytest.approx(101, abs=1)

@@ -1,4 +1,4 @@
-"""The installation page makes a small service that runs; the wheel and the source archive hold what they should."""
+"""An installation makes a small service that runs; the wheel and the source archive hold what they should."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ import subprocess
 import sys
 import tarfile
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
+from companion.install import versions
+from companion.install.layout import CURRENT, PREFIX
+from companion.install.machine import Machine
+from companion.install.release import release
+from estimator.contracts.errors import Recoverable
+from supply import wheels
+
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs/installation.md"
 MOST_MB = 450
-
-
-def commands() -> list[str]:
-    """Return the lines of the page's block that make the environment."""
-    blocks = re.findall(r"^```sh\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL)
-    return next(block for block in blocks if "-m venv" in block).splitlines()
 
 
 def checkout(target: Path) -> None:
@@ -44,21 +45,41 @@ def megabytes(folder: Path) -> float:
     return sum(path.lstat().st_blocks * 512 for path in folder.rglob("*")) / 2**20
 
 
+class Below(Machine):
+    """This computer, with the installation's own folder below another root; nothing but that folder is touched."""
+
+    def run(self, command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+        return super().run([word.replace(PREFIX, str(self.path(PREFIX))) for word in command])
+
+    @property
+    def is_this(self) -> bool:
+        return True
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_the_page_installs_a_small_service_that_runs(tmp_path: Path) -> None:
-    source, target = tmp_path / "source", tmp_path / "installed"
+def test_a_checkout_installs_a_small_service_that_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PIP_COMPILE", "0")  # most of what pip compiles is taken out again; what stays is compiled below
+    source = tmp_path / "source"
     checkout(source)
-    for command in commands():
-        words = command.replace("sudo ", "").replace("/opt/decklander", str(target)).replace("python3 -m", f"{sys.executable} -m")
-        done = run(words, source)
-        if "No matching distribution" in done.stderr or "Failed to establish a new connection" in done.stderr:
+    machine = Below(tmp_path / "root", sys.stdout)
+    machine.path(PREFIX).mkdir(parents=True)
+    try:
+        with release(str(source), None) as found:
+            assert versions.make(machine, found, sys.executable)
+    except Recoverable as why:
+        if re.search("No matching distribution|Failed to establish a new connection", str(why)):
             pytest.skip("pip reaches no packages here")
-        assert done.returncode == 0, f"{command}\n{done.stderr}"
-    assert megabytes(target) < MOST_MB
+        raise
+    versions.check(machine, found.name)
+    versions.turn(machine, found.name, None)
+    assert versions.current(machine) == found.name
+    target = machine.path(CURRENT)
+    assert run(f"{target}/bin/python -m compileall -q {target}/lib", tmp_path).returncode == 0
+    assert megabytes(target.resolve()) < MOST_MB
     decklander = target / "bin/decklander"
     assert run(f"{decklander} config check sim", tmp_path).returncode == 0
-    refused = run(f"{decklander} demo", tmp_path)
+    refused = run(f"{decklander} soak --plot soak.svg --hours 1", tmp_path)
     assert (refused.returncode, "matplotlib" in refused.stderr) == (2, True)
     flown = run(f"{decklander} simulate demo --seed 1 --json", tmp_path)
     assert '"landed_on_pad": true' in flown.stdout, flown.stderr
@@ -98,4 +119,12 @@ def test_wheel_and_source_archive_hold_what_they_should(tmp_path: Path) -> None:
         "supply/wheel.py",
     } <= inside
     assert [name for name in inside if ".so" in name] == []
+    for made in (wheel, archive):
+        wheels.check_metadata(made)
+    elsewhere = tmp_path / "elsewhere/by another name"
+    checkout(elsewhere)
+    done = run(f"{sys.executable} -m hatchling build -d {tmp_path}/again", elsewhere)
+    assert done.returncode == 0, done.stderr
+    for made in (wheel, archive):
+        assert (tmp_path / "again" / made.name).read_bytes() == made.read_bytes(), "two builds differ"
     assert [name for name in inside if name.startswith((".venv", ".git/", "dist/", "report/"))] == []

@@ -37,7 +37,7 @@ def test_it_is_exposed_little() -> None:
 @needs_analyze
 def test_systemd_finds_nothing_wrong_and_would_find_something(tmp_path: Path) -> None:
     """The command is looked for on this machine, where it need not be installed: one that is here stands in for it."""
-    text = UNIT.read_text().replace("/opt/decklander/bin/decklander", sys.executable)
+    text = UNIT.read_text().replace("/opt/decklander/current/bin/decklander", sys.executable)
     good, bad = tmp_path / "decklander.service", tmp_path / "wrong.service"
     good.write_text(text)
     bad.write_text(text.replace("WatchdogSec=5", "WatchdogSec=soon").replace("UMask", "UMaks"))

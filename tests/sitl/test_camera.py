@@ -16,9 +16,10 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.camera import Exposure, Renderer
-from sitl.light import FLAT, IDEAL, linear_from_srgb
+from sitl.light import linear_from_srgb
 from sitl.surroundings import Surroundings
 from tests.sitl.images import BENT, BLACK, PLAIN, WHITE, pad, project, shot
+from tests.support.plain_light import FLAT, IDEAL
 
 FULL = replace(FLAT, exposure_ev=math.log2(1.25))
 """White paint just reaches full scale."""

@@ -16,13 +16,14 @@ from estimator.contracts.errors import BadInput
 from sitl.automatic import Adjusted, Automatics, adjust
 from sitl.camera import Renderer
 from sitl.film import Film
-from sitl.light import FLAT, Light, Sensor
+from sitl.light import Light, Sensor
 from sitl.render_worker import render_worker
 from sitl.scenario import from_mapping, load
 from sitl.surroundings import Surroundings
 from sitl.video_link import VideoLink, VideoLinkOptions
 from sitl.world import World
 from tests.sitl.images import PLAIN, pad, shot
+from tests.support.plain_light import FLAT
 
 U8 = NDArray[np.uint8]
 LAG = Automatics(exposure_lag_s=0.5, balance_lag_s=1.0)

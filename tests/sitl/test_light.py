@@ -11,8 +11,9 @@ import pytest
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from sitl.camera import Renderer
-from sitl.light import FLAT, FULL_SCALE, IDEAL, Development, Light, Sensor, counts, linear_from_srgb, planck_rgb
+from sitl.light import FULL_SCALE, Development, Light, Sensor, counts, linear_from_srgb, planck_rgb
 from tests.sitl.images import PLAIN, WHITE, pad, project, shot
+from tests.support.plain_light import FLAT, IDEAL
 
 OVER = shot(1.0)
 STEP = 1.0 / FULL_SCALE

@@ -76,7 +76,7 @@ def smeared(library: Core, rng: np.random.Generator) -> NDArray[Any]:
 @pytest.fixture(scope="module")
 def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Core:
     out: Path = tmp_path_factory.mktemp("core") / "one_by_one.so"
-    return load(str(core.build(out, ("-DLANES_ONE_BY_ONE",))))
+    return load(str(core.build(out, ("-DLANES_ONE_BY_ONE", "-O0"))))
 
 
 @pytest.mark.parametrize("step", [deck, exposed, imaged, smeared])

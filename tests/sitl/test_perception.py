@@ -21,7 +21,7 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.sighting import registered_sighting
+from estimator.vision.register.sighting import sighting_of
 from sitl.faults import KINDS
 from sitl.flight import Flight
 from sitl.flight_grader import FlightResult
@@ -31,7 +31,7 @@ from sitl.perception.draw import Chance, DetectionTable, root_of, symmetric
 from sitl.perception.estimates import Errors, fit_estimates
 from sitl.perception.fit import Source, fit_detections
 from sitl.perception.levels import perceive
-from sitl.perception.model import KEPT_SCENES, Scenes, _registration, _turned
+from sitl.perception.model import KEPT_SCENES, Scenes, _turned
 from sitl.perception.port import Level
 from sitl.perception.truth import REPRESENTED
 from sitl.perception.view import View, Viewer
@@ -147,7 +147,7 @@ def test_the_true_pose_comes_through_vision_and_back() -> None:
     error = np.array([2e-4, -1e-4, 5e-4, 1e-3, -2e-3, 5e-4])
     pose = PadPose(Rotation(_turned(error[3:]) @ view.R_cam_pad), view.t_cam_pad + error[:3])
     frame = Frame(stamp, 1, np.zeros((360, 640, 3), np.uint8))
-    seen = registered_sighting(frame, _registration(pose, root @ root.T, False), pilot.camera, Orientation.of(reported))
+    seen = sighting_of(frame, pose, root @ root.T, pilot.camera, Orientation.of(reported), False, 1.0)
     back = samples_module._in_camera(seen, reported, pilot.camera, math.radians(2.0), view)
     scale = np.array([view.height_m] * 3 + [1.0] * 3)
     np.testing.assert_allclose(back.error * scale, error, atol=1e-9)

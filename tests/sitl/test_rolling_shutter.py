@@ -10,9 +10,9 @@ import pytest
 from estimator.contracts.geometry import Rotation
 from estimator.vision.camera import Camera
 from sitl.camera import Renderer
-from sitl.light import FLAT, IDEAL
 from sitl.surroundings import Surroundings
 from tests.sitl.images import BENT, PLAIN, pad, shot
+from tests.support.plain_light import FLAT, IDEAL
 
 READOUT_S = 0.03
 

@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from sitl.camera import Exposure, Renderer
-from sitl.light import FLAT, IDEAL, Light, Sensor
+from sitl.light import Light, Sensor
 from sitl.sea import SEA_STATES, SHELTERED_SLIGHT, Waves
 from sitl.seakeeping import FERRY, SUPPLY_SHIP
 from sitl.surroundings import Decal, DecalKind, Deck, Surroundings
 from sitl.vessel import Mooring, Vessel
 from tests.sitl.images import BENT, PLAIN, pad, project, shot
+from tests.support.plain_light import FLAT, IDEAL
 
 AFLOAT = tuple(Decal(kind, (2.0 * i, -3.0 * i), 1.5, 0.4 * i) for i, kind in enumerate(get_args(DecalKind)))
 FULL_SCENE = Surroundings(Deck.of(FERRY, 0.3), Waves.draw(SEA_STATES[4], 2), AFLOAT, wake_speed_m_s=3.0)

@@ -20,7 +20,8 @@ from sitl.special_vessels import RecordedVessel, TurningVessel
 from sitl.stage import sea_and_vessel
 from sitl.turn import Turn, TurningCourse, speed_in_turn_m_s
 from sitl.vessel import Mooring, Vessel
-from sitl.vessel_file import Mode, Table, as_toml, load
+from sitl.vessel_file import Mode, Table, load
+from tests.support.vessel_table_text import as_toml
 
 HEADER = "time_s,surge_m,sway_m,heave_down_m,roll_deg,pitch_deg,yaw_deg\n"
 TURNING = Hull("s", 82.8, 19.2, 6.0, 0.65, 10.0, 0.33, 3.0, 14.0, (-22.0, 0.0), gm_m=2.14, kg_m=7.0)

@@ -12,10 +12,11 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from sitl.camera import Renderer
 from sitl.drops import Drop, Drops, wet_lens
-from sitl.light import FLAT, FULL_SCALE, IDEAL, Light, Mast
+from sitl.light import FULL_SCALE, Light, Mast
 from sitl.render_light import Lamps
 from sitl.surroundings import Deck, Surroundings
 from tests.sitl.images import PLAIN, WHITE, pad, project, shot
+from tests.support.plain_light import FLAT, IDEAL
 
 OVER = shot(2.0)
 CENTRE = tuple(np.round(project(PLAIN, OVER, np.zeros((1, 3)))[0]).astype(int))

@@ -15,9 +15,10 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from sitl.camera import Exposure, Renderer
-from sitl.light import FLAT, Light, Sensor
+from sitl.light import Light, Sensor
 from sitl.surroundings import Decal, Deck, Surroundings
 from tests.support.pad_images import STAMP
+from tests.support.plain_light import FLAT
 
 PLAIN = Surroundings(
     Deck(length_m=12.0, width_m=12.0), decals=(Decal("green_disc", (0.0, 0.0), 10.0, 0.0, "deck", (110, 112, 115)),)

@@ -8,8 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from linuxpy.video import device as kernel
-
+from drivers.camera import v4l2_kernel as kernel
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.v4l2_device import KernelDevice
 from drivers.camera.v4l2_names import cameras
@@ -43,19 +42,19 @@ def unlink() -> None:
     BY_ID.unlink()
 
 
+def numbers(fd: int) -> dict[str, int]:
+    return {control.name.decode(): control.id for control in kernel.controls(fd)}
+
+
 def press(name: str) -> None:
     """A button of the test camera, from outside the driver."""
-    with kernel.Device(str(BY_ID.resolve())) as device:
-        for control in kernel.iter_read_controls(device):
-            if control.name.decode() == name:
-                kernel.set_control(device, control.id, 1)
-                return
-    raise LookupError(name)
+    with BY_ID.open("rb") as device:
+        kernel.set_control(device.fileno(), numbers(device.fileno())[name], 1)
 
 
 def held(name: str) -> int:
-    with kernel.Device(str(BY_ID.resolve())) as device:
-        return next(int(kernel.get_control(device, c.id)) for c in kernel.iter_read_controls(device) if c.name.decode() == name)
+    with BY_ID.open("rb") as device:
+        return kernel.control_value(device.fileno(), numbers(device.fileno())[name])
 
 
 async def formats() -> Seen:

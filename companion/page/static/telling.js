@@ -92,6 +92,7 @@ export function event(message) {
   const line = item("li", "", message.level);
   const minutes = Math.floor(message.at_s / 60);
   line.append(item("time", `${minutes}:${(message.at_s % 60).toFixed(1).padStart(4, "0")}`), item("span", message.text, message.level));
+  if (message.advice) line.append(item("small", message.advice));
   $("events").prepend(line);
   while ($("events").children.length > EVENTS) $("events").lastChild.remove();
 }

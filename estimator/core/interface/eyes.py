@@ -39,7 +39,7 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
         *doubles(
             per_m=1, log_blur=TEMPLATE_BLURS, local_m=1, reach_m=1, disc_radius_m=1, disc_edge_m=1,
             h_half_length_m=1, h_half_width_m=1, ring_inner_m=1, ring_outer_m=1,
-            arrow_tip_m=1, arrow_depth_m=1, arrow_half_base_m=1, arrow_margin_m=1, arrow_pitch_m=1, orange_place=3,
+            arrow_tip_m=1, arrow_depth_m=1, arrow_half_base_m=1, arrow_margin_m=1, arrow_pitch_m=1, orange_place=3, h_side=3,
         ),
     ),
     "alignment": (*integers("steps", "local", "one_side"), *doubles(sigma_tilt_rad=1, side=2)),
@@ -48,10 +48,11 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
         light_n=4, light_mean=12, light_var=12,
     ),
 }  # fmt: skip
-"""The structures. A `frame_part` is a part of one level of a pyramid, px of that level. A `pad_pose` takes the pad's axes to the
-camera's. In `pad_template`, a map has n rows along x and n columns along y, and the centre in its middle; `log_blur` are the
-logarithms of the maps' standard deviations, m. In `aligned_pad`, paints are (4, 3); `arrow` has found, seen and clear at its
-place and at the opposite one; `light_*` are number, mean and variance of the light's logarithm where one paint shows alone."""
+"""The structures. A `frame_part` is a part of one level of a pyramid, px of that level. A `pad_pose` takes the pad's axes to
+the camera's. In `pad_template`, a map has n rows along x and n columns along y, and the centre in its middle; `log_blur` are
+the logarithms of the maps' standard deviations, m; `h_side` is -1 in a channel in which the H is darker than the disc, else 1.
+In `aligned_pad`, paints are (4, 3); `arrow` has found, seen and clear at its place and at the opposite one; `light_*` are
+number, mean and variance of the light's logarithm where one paint shows alone."""
 
 _FROM = "const float *light, const frame_part *part, const uint8_t *px, int32_t stride, "
 FUNCTIONS = (

@@ -28,7 +28,7 @@ U8 = NDArray[np.uint8]
 
 SURE, ENOUGH = 0.9, 0.5
 """Confidence at which no further hypotheses are tried, and confidence at which no further kinds of hypotheses are tried."""
-FRAME_WORK = 14.0
+FRAME_WORK = 12.0
 """Work that a search may do in one frame of a flight, in the time of one BGR to HSV conversion and one inRange of a frame of
 640x360."""
 _MOST_ALIGNED = 16
@@ -43,7 +43,8 @@ _STEPS, _STEPS_FREE = 4, 8
 """Gauss-Newton steps of alignment, with the tilt known and unknown."""
 _ARROW_SEEN = 0.3
 """Support of the arrowhead at which the heading is unambiguous."""
-_WORK_ALIGN = 1.0
+_WORK_ALIGN, _WORK_ALIGN_FREE = 1.6, 2.2
+"""Work of an alignment with the tilt known and unknown."""
 _SAME_PX, _SAME_RADII, _SAME_FAR = 4.0, 0.5, 0.15
 """What a place of one frame may be off from that of the next to be the same: px, radii of the disc, and by the logarithm of the
 distance.
@@ -178,11 +179,12 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
             continue
         if aligned == _TRIES * _ALIGNED or kept == _ALIGNED:
             break
-        if task.work + _WORK_ALIGN > task.budget and aligned > 0:
+        work = _WORK_ALIGN if guess.tilt_known else _WORK_ALIGN_FREE
+        if task.work + work > task.budget and aligned > 0:
             return None
         candidate = align_at(guess.pose, guess.tilt_known, task.pyramid, task.camera, task.pad, guess.side)
         aligned += 1
-        task.work += _WORK_ALIGN
+        task.work += work
         if candidate is not None:
             kept += 1
             task.found.append(candidate)

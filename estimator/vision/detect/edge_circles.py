@@ -44,8 +44,8 @@ class EdgeCircle:
     support: float
     """Fraction of the outline with an edge."""
     bright_inside: bool
-    outline_px: F64
-    """Edges on it, (N, 2) px of the full frame."""
+    words: F64
+    """The core's structure `search_circle`, with the edges on its outline."""
 
 
 def edge_circles(
@@ -61,7 +61,7 @@ def edge_circles(
     h, w = grey.shape
     image = record("search_image", {
         "width": w, "height": h, "stride": grey.strides[0], "room": round(_EDGES * w * h), "margin": margin_px,
-        "R_cam_plane": plane.R_cam_plane
+        "step": step, "R_cam_plane": plane.R_cam_plane,
     })  # fmt: skip
     how = record("search_radii", {
         "radii": radii.count, "most": most, "least": radii.least_px * step / camera.fx, "ratio": radii.ratio
@@ -77,17 +77,14 @@ def edge_circles(
         address(scratch, np.float32),
         start_of(out),
     )
-    return [_circle(words, step) for words in out[:found]]
+    return [_circle(words) for words in out[:found]]
 
 
-def _circle(words: F64, step: int) -> EdgeCircle:
-    whole = words.view(np.int64)
-    points = int(whole[_AT["points"].start])
-    outline = words[_AT["outline_px"]].reshape(-1, 2)[:points]
+def _circle(words: F64) -> EdgeCircle:
+    bright_inside = bool(words.view(np.int64)[_AT["bright_inside"].start])
     return EdgeCircle(
-        words[_AT["centre"]], float(words[_AT["radius"].start]), float(words[_AT["support"].start]),
-        bool(whole[_AT["bright_inside"].start]), (outline + 0.5) * step - 0.5,
-    )  # fmt: skip
+        words[_AT["centre"]], float(words[_AT["radius"].start]), float(words[_AT["support"].start]), bright_inside, words
+    )
 
 
 @lru_cache(maxsize=16)

@@ -1,33 +1,40 @@
-"""Guess poses of the pad from circles of edges: which of its circles one may be, at which heading, and how well it fits."""
+"""Guess poses of the pad from circles of edges: which of its circles one may be, at which heading, and how well it fits.
+
+The native core computes them (`estimator/core/search_guesses.c`, `search_tilt.c`).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
 
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, Rotation
+from estimator.core.interface import places_of, size_of
+from estimator.core.interface.search import SEARCH_LEVELS
+from estimator.core.library import CORE, start_of
+from estimator.core.records import record
 from estimator.vision.camera import Camera
 from estimator.vision.detect.edge_circles import EdgeCircle
-from estimator.vision.detect.heading import heading
+from estimator.vision.detect.heading import packed_drawing
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.template import disc_edge_m
-from estimator.vision.detect.tilted import tilted_circles
+from estimator.vision.native import address, packed_camera, pixels
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 
-_SHARP_PX = 20.0
-"""Least radius of a disc at the size of the frame that its drawing is compared at."""
+_GUESSES = CORE.function("search_guesses")
+_WORDS, _AT = size_of("search_guess"), places_of("search_guess")
+
+_MOST = 20
+"""Largest number of guesses from the circles of one kind."""
 _SAME_SHADE = 12.0
 """Difference in luminance between two paints below which either may be the brighter."""
-_COVERED = 0.8
-"""Support of a circle below which half of the disc is taken to be covered."""
-_ONE_SIDED = 0.2
-"""Least distance from a circle's centre to the mean of its edges, in radii, if they lie on one side."""
 _BY_SUPPORT = 0.3
 """Weight of a circle's support beside the drawing's score: from afar the drawing alone is weak evidence."""
 
@@ -55,58 +62,54 @@ class Guess:
 
 
 def guesses_from(
-    circle: EdgeCircle, by_colour: bool, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane
-) -> Iterator[Guess]:
-    """Yield guesses from a circle: one for each circle of the drawing that it may be, in each plane that it may lie in.
+    circles: Sequence[EdgeCircle], by_colour: bool, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane
+) -> list[Guess]:
+    """Return guesses from circles: one for each circle of the drawing that one may be, in each plane that it may lie in.
+
+    Circles behind one that fits well are left out.
 
     Args:
-        by_colour: the circle was found in the measure of the disc's colour, not in luminance.
+        circles: likeliest first.
+        by_colour: the circles were found in the measure of the disc's colour, not in luminance.
     """
-    seen = [(plane, circle.centre, circle.radius)]
-    if not plane.known:
-        seen += tilted_circles(circle.outline_px, camera)
-    for stand, centre, radius in seen:
-        side = _side(circle, stand, centre, radius, camera)
-        for radius_m, sign in _circles(pad, by_colour):
-            if sign != (-1 if circle.bright_inside else 1):
-                pose = stand.pose(centre, radius, radius_m)
-                guess = _guess(pose, stand.known, circle.support, pyramid, camera, pad, side)
-                if guess is not None:
-                    yield guess
+    if not circles:
+        return []
+    levels = [pyramid[level] for level in range(SEARCH_LEVELS)]
+    at = [pixels(px) for px in levels]
+    radius_m, sign = _circles(pad, by_colour)
+    frame = record("search_frame", {
+        "levels": SEARCH_LEVELS, "plane_known": plane.known, "radii": len(radius_m), "width": [px.shape[1] for px in levels],
+        "height": [px.shape[0] for px in levels], "stride": [stride for _, stride in at], "R_cam_plane": plane.R_cam_plane,
+        "radius_m": radius_m, "sign": sign,
+    })  # fmt: skip
+    found = np.stack([circle.words for circle in circles])
+    starts, out = np.array([start for start, _ in at], np.int64), np.empty((_MOST, _WORDS))
+    n = _GUESSES(
+        address(packed_camera(camera)), address(packed_drawing(pad)), start_of(frame), address(starts, np.int64), len(found),
+        start_of(found), _MOST, start_of(out),
+    )  # fmt: skip
+    return [guess_of(words) for words in out[:n]]
 
 
-def _circles(pad: Pad, by_colour: bool) -> list[tuple[float, int]]:
-    """Return the circles of the drawing: radius, and 1 if it is brighter inside, -1 if darker, 0 if that depends on the deck."""
+def guess_of(words: F64) -> Guess:
+    """Return the guess in a structure `search_guess` of the core."""
+    known, one_sided = words[:2].view(np.int64).tolist()
+    turn, drawing, support = (float(words[_AT[name].start]) for name in ("turn_rad", "drawing", "support"))
+    pose = PadPose(Rotation(words[_AT["R"]].reshape(3, 3)), words[_AT["t"]])
+    return Guess(pose, turn, drawing, drawing + _BY_SUPPORT * support, bool(known), words[_AT["side"]] if one_sided else None)
+
+
+@lru_cache(maxsize=16)
+def _circles(pad: Pad, by_colour: bool) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the drawing's circles: radii, and 1 if brighter inside, -1 if darker, 0 if that depends on the deck."""
     marks = pad.markings
     if by_colour:
-        return [(disc_edge_m(pad), 1)]
+        return (disc_edge_m(pad),), (1.0,)
     paints = np.array([[marks.colours.ring[::-1], marks.colours.disc[::-1]]], np.uint8)
     ring, disc = cv2.cvtColor(paints, cv2.COLOR_BGR2GRAY)[0].tolist()
     over = ring - disc
-    sign = 0 if abs(over) < _SAME_SHADE else int(math.copysign(1, over))
+    sign = 0.0 if abs(over) < _SAME_SHADE else math.copysign(1.0, over)
+    edge = [(disc_edge_m(pad), 0.0)] if marks.field_radius_m or not marks.ring_outer_m else []
     rings = [(marks.ring_outer_m, sign), (marks.ring_inner_m, -sign)] if marks.ring_outer_m else []
-    return [(disc_edge_m(pad), 0), *rings] if marks.field_radius_m or not rings else rings
-
-
-def _side(circle: EdgeCircle, plane: Plane, centre: F64, radius: float, camera: Camera) -> F64 | None:
-    """Return the unit direction, (2,), from a circle's centre to its edges if these lie on one side only."""
-    if circle.support > _COVERED:
-        return None
-    places = plane.places(camera, circle.outline_px) - centre
-    toward = places[np.isfinite(places).all(axis=1)].mean(axis=0)
-    length = float(np.hypot(*toward))
-    return toward / length if length > _ONE_SIDED * radius else None
-
-
-def _guess(
-    pose: PadPose, tilt_known: bool, support: float, pyramid: Pyramid, camera: Camera, pad: Pad, side: F64 | None
-) -> Guess | None:
-    radius_px = camera.fx * pad.disc_radius_m / float(pose.t_cam_pad[2])
-    level = max(0, math.floor(math.log2(radius_px / _SHARP_PX))) if math.isfinite(radius_px) and radius_px > 1.0 else 0
-    best = heading(pyramid[level], 1 << level, camera, pad, pose, side)
-    if best is None:
-        return None
-    if side is not None:
-        c, s = math.cos(best.turn_rad), math.sin(best.turn_rad)
-        side = np.array([c * side[0] + s * side[1], c * side[1] - s * side[0]])
-    return Guess(pose, best.turn_rad, best.score, best.score + _BY_SUPPORT * support, tilt_known, side)
+    radii, signs = zip(*edge, *rings, strict=True)
+    return radii, signs

@@ -53,8 +53,8 @@ def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F6
     out, words = np.empty(_WORDS), np.concatenate([pose.R_cam_pad.matrix.ravel(), pose.t_cam_pad])
     half = None if side is None else np.array(side, float)
     found = _HEADING(
-        address(packed_camera(camera)), address(_packed(pad)), start_of(words), step, px.shape[1], px.shape[0], *pixels(px),
-        None if half is None else start_of(half), start_of(out),
+        address(packed_camera(camera)), address(packed_drawing(pad)), start_of(words), step, px.shape[1], px.shape[0],
+        *pixels(px), None if half is None else start_of(half), start_of(out),
     )  # fmt: skip
     return Heading(*out.tolist()) if found else None
 
@@ -65,11 +65,13 @@ def marks_are_bright(pad: Pad) -> bool:
 
 
 @lru_cache(maxsize=8)
-def _packed(pad: Pad) -> F64:
+def packed_drawing(pad: Pad) -> F64:
+    """Return the structure `polar_pad` of the core."""
     drawing = polar_drawing(pad)
     words = record("polar_pad", {
         "xy_m": drawing.xy_m, "area_inside": drawing.area_inside, "ring": drawing.ring, "h_marking": drawing.h_marking,
         "arrow": drawing.arrow, "polarity": 1.0 if marks_are_bright(pad) else -1.0,
+        "radius_m": pad.disc_radius_m,
     })  # fmt: skip
     words.setflags(write=False)
     return words

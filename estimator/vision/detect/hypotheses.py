@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -24,19 +24,15 @@ U8 = NDArray[np.uint8]
 
 STROKES_WIDTH_PX = 160
 """Approximate width of the frame in which the H's strokes are searched."""
-WORK_GUESS = 0.25
+WORK_GUESS = 0.1
 """Work of a guess; see `Kind`."""
-_MOST_GUESSES = 20
-"""Largest number of guesses of one kind whose headings are searched."""
-_PLAIN = 0.5
-"""Fraction of the variance explained by a guess at which no further circles are looked at."""
 _CIRCLES = 12
 """Number of circles of one image."""
 _FULL_SIZE, _REDUCED, _LEAST_SIZE = Radii(4.5, 1.22, 5), Radii(5.0, 1.2, 7), Radii(8.5, 1.2, 10)
 """Radii searched at full size, at half and a quarter of it, and at an eighth."""
 _BEYOND = 0.4
 """How far beyond the edge of the smallest image centres are looked for, in its widths."""
-_WORK_FULL_SIZE, _WORK_STROKES = 4.5, 4.0
+_WORK_REDUCED, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_COLOUR = 4.0, 4.0, 3.0, 1.0
 _FULL_PIXELS = 640 * 360
 
 
@@ -53,28 +49,26 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
     """Return the kinds of hypotheses, quick and likely kinds first."""
     luminance, colour = _Images(_luminance, pyramid), _Images(lambda px: disc_colour(px, pad), pyramid)
     size = camera.width * camera.height / _FULL_PIXELS
-    reduced = sum(0.25**k for k in (1, 2, 3)) * _WORK_FULL_SIZE * size
 
     def circles(images: _Images, levels: tuple[int, ...]) -> list[Guess]:
         by_colour = images is colour
         if by_colour and not is_coloured(colour[2]):
             return []
-        return _from_circles(images, levels, by_colour, pyramid, camera, pad, plane)
+        return guesses_from(_by_rank(images, levels, camera, plane), by_colour, pyramid, camera, pad, plane)
 
     def strokes() -> list[Guess]:
         level = max(1, round(math.log2(camera.width / STROKES_WIDTH_PX)))
-        places = h_markings(pyramid[level], 1 << level, camera, pad, plane) if pad.markings.is_h else []
-        return [Guess(f.pose, 0.0, f.score, f.score, plane.known) for f in places]
+        return h_markings(pyramid[level], 1 << level, camera, pad, plane) if pad.markings.is_h else []
 
     out = [
-        Kind(reduced, lambda: circles(luminance, (3, 2, 1))),
+        Kind(_WORK_REDUCED * size, lambda: circles(luminance, (3, 2, 1))),
         Kind(_WORK_STROKES, strokes),
         Kind(_WORK_FULL_SIZE * size, lambda: circles(luminance, (0,))),
     ]
     if disc_has_colour(pad):
-        by_colour = Kind(reduced, lambda: circles(colour, (3, 2, 1)))
+        by_colour = Kind((_WORK_REDUCED + _WORK_COLOUR) * size, lambda: circles(colour, (3, 2, 1)))
         out.insert(0 if paint.dominance(pad) is not None else 2, by_colour)
-        out.append(Kind(_WORK_FULL_SIZE * size, lambda: circles(colour, (0,))))
+        out.append(Kind((_WORK_FULL_SIZE + _WORK_COLOUR) * size, lambda: circles(colour, (0,))))
     return out
 
 
@@ -96,23 +90,8 @@ def _luminance(px: U8) -> U8:
     return np.asarray(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-def _from_circles(
-    images: _Images, levels: tuple[int, ...], by_colour: bool, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane
-) -> list[Guess]:
-    """Return guesses from the circles in an image at several sizes."""
-    out: list[Guess] = []
-    for circle in _by_rank(images, levels, camera, plane):
-        for guess in guesses_from(circle, by_colour, pyramid, camera, pad, plane):
-            out.append(guess)
-            if len(out) >= _MOST_GUESSES:
-                return out
-        if any(guess.drawing > _PLAIN for guess in out):
-            break
-    return out
-
-
-def _by_rank(images: _Images, levels: tuple[int, ...], camera: Camera, plane: Plane) -> Iterator[EdgeCircle]:
-    """Yield the circles at several sizes of an image: the most prominent at each size first."""
+def _by_rank(images: _Images, levels: tuple[int, ...], camera: Camera, plane: Plane) -> list[EdgeCircle]:
+    """Return the circles at several sizes of an image: the most prominent at each size first."""
     found = []
     for level in levels:
         image, least = images[level], level == max(levels) > 0
@@ -120,4 +99,4 @@ def _by_rank(images: _Images, levels: tuple[int, ...], camera: Camera, plane: Pl
         beyond_px = round(_BEYOND * image.shape[1]) if least else 0
         of_level = edge_circles(image, 1 << level, camera, plane, radii, _CIRCLES, beyond_px)
         found += [(rank - circle.support, circle) for rank, circle in enumerate(of_level)]
-    yield from (circle for _, circle in sorted(found, key=lambda of: of[0]))
+    return [circle for _, circle in sorted(found, key=lambda of: of[0])]

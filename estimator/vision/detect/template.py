@@ -164,6 +164,7 @@ def _packed(pad: Pad, n: int) -> F64:
         "ring_inner_m": marks.ring_inner_m, "ring_outer_m": marks.ring_outer_m,
         "arrow_tip_m": marks.arrow_tip_m, "arrow_depth_m": marks.arrow_depth_m, "arrow_half_base_m": marks.arrow_half_base_m,
         "arrow_margin_m": _ARROW_MARGIN_M, "arrow_pitch_m": _ARROW_PITCH_M, "orange_place": _orange_place(pad),
+        "h_side": np.where(_h_over_disc(pad) <= -_LEAST_SPAN, -1.0, 1.0),
     })  # fmt: skip
     words.setflags(write=False)
     return words
@@ -171,11 +172,15 @@ def _packed(pad: Pad, n: int) -> F64:
 
 def _orange_place(pad: Pad) -> F64:
     """Return the (3,) nominal place of the orange between disc (0) and H (1), by square roots of light in blue, green, red."""
-    white, orange, green = (
-        np.sqrt(linear_light(rgb[::-1])) for rgb in (pad.markings.colours.h, pad.markings.colours.ring, pad.markings.colours.disc)
-    )
-    span = white - green
+    orange, green = (np.sqrt(linear_light(rgb[::-1])) for rgb in (pad.markings.colours.ring, pad.markings.colours.disc))
+    span = _h_over_disc(pad)
     return np.asarray((orange - green) / np.where(np.abs(span) < _LEAST_SPAN, _LEAST_SPAN, span))
+
+
+def _h_over_disc(pad: Pad) -> F64:
+    """Return the (3,) nominal difference of the H from the disc, by square roots of light in blue, green, red."""
+    h_marking, disc = (np.sqrt(linear_light(rgb[::-1])) for rgb in (pad.markings.colours.h, pad.markings.colours.disc))
+    return np.asarray(h_marking - disc)
 
 
 def _blurred(coverage: F32, sigma_m: float) -> F32:

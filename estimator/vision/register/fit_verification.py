@@ -101,18 +101,21 @@ def _orange_off(found: Registration, pad: Pad) -> float:
     """
     ring, h_marking = (found.edges[kind].contrast_bgr.tolist() for kind in (EdgeKind.RING, EdgeKind.H))
     least = 0.1 * max(*map(abs, h_marking), 1e-3)
-    off = (abs(r / max(h, least) - place) for r, h, place in zip(ring, h_marking, _orange_places(pad), strict=True))
+    channels = zip(ring, h_marking, *_orange_places(pad), strict=True)
+    off = (abs(side * r / max(side * h, least) - place) for r, h, side, place in channels)
     return float(sum(min(1.0, one) for one in off)) / 3.0
 
 
 @lru_cache(maxsize=8)
-def _orange_places(pad: Pad) -> tuple[float, ...]:
-    """Return the ring's nominal place between disc (0) and H (1), in blue, green, red."""
+def _orange_places(pad: Pad) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return by channel the H's nominal side of the disc, -1 if darker, and the ring's place between disc (0) and H (1)."""
     table = light_table(True)
     of_ring, of_h, of_disc = (
         table[list(rgb[::-1])] for rgb in (pad.markings.colours.ring, pad.markings.colours.h, pad.markings.colours.disc)
     )
-    return tuple(((of_ring - of_disc) / np.maximum(of_h - of_disc, 0.05)).tolist())
+    side = np.where(of_h - of_disc <= -0.05, -1.0, 1.0)
+    place = side * (of_ring - of_disc) / np.maximum(side * (of_h - of_disc), 0.05)
+    return tuple(side.tolist()), tuple(place.tolist())
 
 
 def _no_ring(values: F64, found: Registration) -> float:

@@ -12,6 +12,7 @@ from estimator.contracts.geometry import F64, Rotation, skew, wrap_pi
 from estimator.contracts.samples import Frame
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind
+from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.registration import Registration
 from estimator.vision.register.tilt import roll_pitch, tilt_axes
@@ -26,15 +27,41 @@ _QUARTER_TURN = -np.array([[0.0, 1.0], [-1.0, 0.0]])
 def registered_sighting(frame: Frame, found: Registration, camera: Camera, orientation: Orientation) -> Sighting:
     """Return the sighting of method "registration".
 
+    Args:
+        orientation: attitude at the exposure and the deck's expected tilt; the same that `register` had as prior.
+    """
+    features = tuple(
+        Feature("outline" if kind is not EdgeKind.H else "point", kind.name.lower(), _finite(uv))
+        for kind, uv in zip(EdgeKind, found.outline_px, strict=True)
+    )
+    return sighting_of(
+        frame, found.pose, found.cov, camera, orientation, found.yaw_ambiguous, confidence(found), features=features
+    )
+
+
+def sighting_of(
+    frame: Frame,
+    pose: PadPose,
+    cov_pose: F64,
+    camera: Camera,
+    orientation: Orientation,
+    ambiguous: bool,
+    sure: float,
+    features: tuple[Feature, ...] = (),
+) -> Sighting:
+    """Return the sighting of a pose in the camera's axes.
+
     The difference between the deck's tilt in the frame and the attitude's prediction is split between the errors of both, by
     their variances. The covariance holds the attitude's remaining error in position, heading and tilt, correlations included.
 
     Args:
-        orientation: attitude at the exposure and the deck's expected tilt; the same that `register` had as prior.
+        cov_pose: (6, 6) covariance of the pad's centre and of a small rotation of the pad, both in `cam`.
+        ambiguous: whether the heading may be half a turn off.
+        sure: the sighting's confidence, 0..1.
     """
     R_level_body = roll_pitch(orientation)
     R_level_cam = R_level_body @ camera.T_body_cam.R.matrix
-    R_cam_pad, t = found.pose.R_cam_pad.matrix, found.pose.t_cam_pad
+    R_cam_pad, t = pose.R_cam_pad.matrix, pose.t_cam_pad
     axes, C = tilt_axes(orientation), orientation.cov_tilt
 
     normal = R_level_cam @ R_cam_pad[:, 2]
@@ -50,8 +77,8 @@ def registered_sighting(frame: Frame, found: Registration, camera: Camera, orien
     back = np.zeros((2, 6))
     back[:, 3:] = gain @ (-skew(normal) @ R_level_cam)[:2]
     joint = np.zeros((8, 8))
-    joint[:6, :6] = found.cov
-    joint[6:, :6] = crossed = back @ found.cov
+    joint[:6, :6] = cov_pose
+    joint[6:, :6] = crossed = back @ cov_pose
     joint[:6, 6:] = crossed.T
     joint[6:, 6:] = crossed @ back.T + C - gain @ A @ C
     J = np.zeros((6, 8))
@@ -68,19 +95,12 @@ def registered_sighting(frame: Frame, found: Registration, camera: Camera, orien
     to4[3, 3:] = x * z / flat2, y * z / flat2, -(x * x + y * y) / flat2
     cov = _symmetric(to4 @ cov6 @ to4.T)
     yaw: float | None = wrap_pi(-math.atan2(y, x))
-    ambiguous = found.yaw_ambiguous
     if cov[3, 3] > 0.5:
         yaw, ambiguous = None, False
         cov[3, :] = cov[:, 3] = 0.0
         cov[3, 3] = UNKNOWN_YAW_VAR
-    features = tuple(
-        Feature("outline" if kind is not EdgeKind.H else "point", kind.name.lower(), _finite(uv))
-        for kind, uv in zip(EdgeKind, found.outline_px, strict=True)
-    )
-    return Sighting(
-        frame.stamp, frame.seq, "registration", d, yaw, ambiguous, cov, confidence(found),
-        Pose6(d, R_level_pad, cov6), features,
-    )  # fmt: skip
+    pose6 = Pose6(d, R_level_pad, cov6)
+    return Sighting(frame.stamp, frame.seq, "registration", pose6.d_body_pad_level, yaw, ambiguous, cov, sure, pose6, features)
 
 
 def confidence(found: Registration) -> float:

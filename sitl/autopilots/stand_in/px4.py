@@ -15,6 +15,7 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import F64
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.ports import Clock
 from sitl.airframe import Airframe
 from sitl.autopilots import px4
@@ -28,8 +29,9 @@ DEFAULTS: dict[str, float] = {
     "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_DISARM_LAND": 2.0, "COM_DISARM_PRFLT": 10.0, "COM_SPOOLUP_TIME": 1.0,
     "MPC_TKO_RAMP_T": 3.0, "MPC_XY_P": 0.95, "MPC_Z_P": 1.0, "MPC_XY_CRUISE": 5.0, "MPC_XY_VEL_MAX": 12.0,
     "MPC_Z_VEL_MAX_DN": 1.5, "MPC_Z_VEL_MAX_UP": 3.0, "MPC_THR_MIN": 0.12, "MPC_THR_HOVER": 0.48, "MPC_TILTMAX_LND": 12.0,
-    "MIS_TAKEOFF_ALT": 2.5, "EKF2_GPS_CHECK": 245, "EKF2_REQ_GPS_H": 10.0, "EKF2_REQ_HDRIFT": 0.1, "EKF2_REQ_VDRIFT": 0.2,
-    "LNDMC_Z_VEL_MAX": 0.25, "LNDMC_XY_VEL_MAX": 1.5, "LNDMC_TRIG_TIME": 1.0, "EKF2_HGT_REF": 1, "EKF2_EV_CTRL": 0,
+    "MIS_TAKEOFF_ALT": 2.5, "EKF2_GPS_CHECK": 1023, "EKF2_REQ_GPS_H": 10.0, "EKF2_REQ_HDRIFT": 0.1, "EKF2_REQ_VDRIFT": 0.2,
+    "LNDMC_Z_VEL_MAX": 0.25, "LNDMC_XY_VEL_MAX": 1.5, "LNDMC_TRIG_TIME": 1.0, "MPC_LAND_CRWL": 0.3, "MPC_LAND_SPEED": 0.7,
+    "EKF2_HGT_REF": 1, "EKF2_EV_CTRL": 0,
     "PLD_HACC_RAD": 0.2, "PLD_BTOUT": 5.0, "LTEST_MODE": 0, "RTL_PLD_MD": 0, "NAV_RCL_ACT": 2, "COM_RC_IN_MODE": 3,
 }  # fmt: skip
 """PX4's defaults of the parameters that the stand-in reads or that are asked for."""
@@ -40,8 +42,9 @@ _SPEED_S = 10.0
 _NO_POSITION = "Arming denied: Resolve system health failures first"
 """The words that came in two chunks; the second held one letter."""
 _LOST = "Failsafe activated: Offboard signal lost, entering Hold"
-_LOW_THRUST = 0.3
-"""How far above the least thrust, on the way to that of hovering, the land detector counts a vehicle as on the ground."""
+_LOW_THRUST, _NO_THRUST = 0.6, 0.1
+"""How far above the least thrust, on the way to that of hovering, the land detector takes contact with the ground for possible,
+and the thrust for none."""
 _WANTS_UP_M_S = 0.3
 
 
@@ -56,7 +59,7 @@ class Px4StandIn(StandIn):
         self._v_wanted, self._a_wanted, self._yaw_rate = np.zeros(3), np.zeros(3), 0.0
         self._v_rest = np.zeros(3)
         self._checked_s = self._armed_s = self._climb_s = -math.inf
-        self._touching_s = self._landed_s = 0.0
+        self._contact_s = self._still_s = self._landed_s = 0.0
         self._lifted = False
 
     # What is asked of it
@@ -115,6 +118,11 @@ class Px4StandIn(StandIn):
         self.landed_state = landed  # a mode lifts nothing off the ground
         return result
 
+    @property
+    def ground_contact(self) -> bool:
+        """Whether its land detector takes it to touch the ground."""
+        return self._contact_s >= self.parameter("LNDMC_TRIG_TIME") / 3.0
+
     # What it does
 
     def imu(self, s: BodyState) -> Message:
@@ -137,6 +145,9 @@ class Px4StandIn(StandIn):
         if not self._lifted:
             self._cascade.wind_ned = np.zeros(3)
         wanted = self._cascade.accelerations(s, v, a)
+        if self._lifted and self.ground_contact:
+            self._cascade.reset()
+            wanted = np.array([0.0, 0.0, G_M_S2])
         return self._cascade.motors(
             s, wanted, self._yaw_rate if self.mode == "offboard" else 0.0,
             thrust_max=thrust_max, thrust_min=min(self.parameter("MPC_THR_MIN"), thrust_max), lean_max_rad=lean_max,
@@ -196,18 +207,30 @@ class Px4StandIn(StandIn):
             self.set_mode("auto.loiter")
 
     def _detect_landing(self, s: BodyState) -> None:
-        """Detect the ground by low thrust and a low vertical speed over the ground, which a heaving deck's is not."""
+        """Detect the ground in three steps: low thrust in a descent without speed, then no thrust at all, then for a while.
+
+        Speeds are over the ground, which those of a heaving deck or of a ship under way are not. With ground contact it takes the
+        thrust away, and what follows is quick. Source: PX4 user guide 1.16, land detector configuration.
+        """
+        most_m_s = min(self.parameter("MPC_LAND_CRWL"), self.parameter("MPC_LAND_SPEED")) / 1.2
+        self.parameters["LNDMC_Z_VEL_MAX"] = min(self.parameter("LNDMC_Z_VEL_MAX"), most_m_s)  # as the program does by itself
         if self.armed and not self._lifted:
             self.landed_state = ON_GROUND
             return
+        each_s = self.parameter("LNDMC_TRIG_TIME") / 3.0
         least, hover = self.parameter("MPC_THR_MIN"), self.parameter("MPC_THR_HOVER")
-        falls = self._cascade.thrust_fraction < least + _LOW_THRUST * (hover - least)
-        slow = abs(s.v_ned[2]) < self.parameter("LNDMC_Z_VEL_MAX")
-        slow = slow and math.hypot(s.v_ned[0], s.v_ned[1]) < self.parameter("LNDMC_XY_VEL_MAX") + 10.0 * falls
-        down = float(self._v_wanted[2]) > 0.0 if self.mode == "offboard" else self.mode == "auto.land"
-        on_ground = not self.armed or (falls and slow and down)
-        self._touching_s = self._touching_s + px4.STEP_S if on_ground else 0.0
-        landed = not self.armed or self._touching_s >= self.parameter("LNDMC_TRIG_TIME")
+        above = (self._cascade.thrust_fraction - least) / max(hover - least, 1e-6)
+        was_landed = self.landed_state == ON_GROUND
+        slow = abs(s.v_ned[2]) < self.parameter("LNDMC_Z_VEL_MAX") * (2.5 if was_landed else 1.0)
+        slow = slow and math.hypot(s.v_ned[0], s.v_ned[1]) <= self.parameter("LNDMC_XY_VEL_MAX")
+        down_m_s = float(self._v_wanted[2]) if self.mode == "offboard" else 0.7 if self.mode == "auto.land" else 0.0
+        descends = down_m_s >= 1.1 * self.parameter("LNDMC_Z_VEL_MAX") or self._still_s >= each_s
+        contact = not self.armed or (above <= _LOW_THRUST and slow and descends)
+        self._contact_s = self._contact_s + px4.STEP_S if contact else 0.0
+        turning = math.hypot(s.w_body[0], s.w_body[1]) > math.radians(20.0) * (2.5 if was_landed else 1.0)
+        still = not self.armed or (self.ground_contact and above <= _NO_THRUST and not turning)
+        self._still_s = self._still_s + px4.STEP_S if still else 0.0
+        landed = not self.armed or self._still_s >= 2.0 * each_s
         self.landed_state = ON_GROUND if landed else IN_AIR
         self._landed_s = self._landed_s + px4.STEP_S if landed and self.armed else 0.0
         if self._landed_s >= self.parameter("COM_DISARM_LAND") > 0.0:

@@ -33,7 +33,7 @@ GOOD = {stack: {r.parameter: r.good for r in rules_values.RULES if r.stack == st
 
 def quiet(stack: str, **wrong: float) -> MiniatureAutopilot:
     """An autopilot that stands disarmed on deck, with the parameters of its stand-in and those that are wrong."""
-    stand_in = (CopterStandIn if stack == "ArduPilot" else Px4StandIn)(SystemClock(), {"LNDMC_Z_VEL_MAX": 1.0})
+    stand_in = (CopterStandIn if stack == "ArduPilot" else Px4StandIn)(SystemClock())
     own = {n: stand_in.parameters.get(n, GOOD[stack].get(n, 0)) for n in PARAMETERS[stack]} | wrong
     kind = Stack.ARDUPILOT if stack == "ArduPilot" else Stack.PX4
     mode = "loiter" if stack == "ArduPilot" else "auto.loiter"

@@ -16,14 +16,11 @@ from sitl.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.autopilots.stand_in.px4 import Px4StandIn
 from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, PX4
 
-ADVISED = {"LNDMC_Z_VEL_MAX": 1.0}
-"""What docs/px4.md and the doctor advise besides PX4's defaults."""
-
 
 def stand_in(stack: str, **changes: float) -> Snapshot:
     """A set-up with the parameters of a stand-in: the program's defaults, and those with which `simulate` starts it."""
     clock: Clock = LockStepClock()
-    flown = CopterStandIn(clock, changes) if stack == "ArduPilot" else Px4StandIn(clock, ADVISED | changes)
+    flown = CopterStandIn(clock, changes) if stack == "ArduPilot" else Px4StandIn(clock, changes)
     of = ARDUPILOT if stack == "ArduPilot" else PX4
     asked = {name: value for name, value in flown.parameters.items() if name in PARAMETERS[stack]}
     return replace(GOOD, autopilot=replace(of, parameters=asked))

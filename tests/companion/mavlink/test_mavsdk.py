@@ -11,8 +11,13 @@ from typing import Any
 
 import pytest
 
+from companion.config.settings import camera_model, load
+from companion.mavlink.bridge import Send
+from companion.mavlink.camera_component import CameraComponent, showing
 from companion.mavlink.operator import LandingProgress
 from companion.mavlink.tunables import NAMES
+from companion.video.options import VideoStreamOptions
+from drivers.clock import SystemClock
 from sitl.autopilots.miniature import MiniatureAutopilot
 from tests.companion.mavlink.stage import HOST, PAD_NED, Stage, staged
 
@@ -113,3 +118,22 @@ async def test_mavsdk_reads_and_sets_our_parameters() -> None:
         assert stage.applied[-1].guidance.pid.horizontal.kp == pytest.approx(before + 0.25)
         everything = await param.get_all_params()
         assert {p.name for p in everything.float_params} == set(NAMES)
+
+
+async def test_mavsdk_finds_the_camera_and_where_its_stream_goes() -> None:
+    from mavsdk.asyncio.plugins.camera import CameraAsync
+
+    options = VideoStreamOptions(to=f"{HOST}:5600", rate_hz=15.0)
+
+    def show(send: Send) -> CameraComponent:
+        return CameraComponent(send, camera_model(load("sim")), options, (640, 418), lambda: True)
+
+    async with met() as (stage, system), showing(show, stage.autopilot, SystemClock()):
+        camera = CameraAsync(system)
+        async with asyncio.timeout(60):
+            while not (found := (await camera.camera_list()).cameras):  # noqa: ASYNC110
+                await asyncio.sleep(0.05)
+            while not (stream := (await camera.get_video_stream_info(100)).settings).uri:  # noqa: ASYNC110
+                await asyncio.sleep(0.05)
+        assert [(c.component_id, c.vendor_name, c.horizontal_resolution_px) for c in found] == [(100, "Decklander", 640)]
+        assert (stream.uri, stream.frame_rate_hz, stream.vertical_resolution_pix) == ("5600", 15.0, 418)

@@ -13,10 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.guidance.mission import Event, State, StateChange
+from companion.guidance.reason import Reason, ReasonCause
 from companion.page import viewer
 from companion.page.messages import request_in
 from companion.page.settings import PageSettings
 from companion.runtime.connection_limits import ConnectionLimits
+from companion.runtime.observer import Decision
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput
 from tests.support.fake_ardrone import until
@@ -93,6 +96,23 @@ async def test_two_operators_see_each_other_s_orders_and_one_has_the_hand(tmp_pa
         assert (await two.order("emergency"))["accepted"]
         while "emergency: accepted" not in (await one.read("event"))["text"]:
             pass
+
+
+async def test_an_event_says_what_a_person_can_do_about_it(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service, browsing(service) as browser:
+        await browser.read("welcome")
+        now = service.clock.now()
+        wind = Reason(ReasonCause.WIND, 12.0, 10.0)
+        changes = (
+            StateChange(now, State.GATE, Event.NO_CONDITIONS, State.GO_AROUND, wind),
+            StateChange(now, State.STANDBY, Event.TAKEN_OFF, State.READY, Reason(ReasonCause.VEHICLE_FLIES)),
+        )
+        service.page.on_decision(Decision(now, "go around", None, None, transitions=changes))
+        around = await browser.read("event")
+        while not around["text"].startswith("go around"):
+            around = await browser.read("event")
+        assert (around["level"], around["advice"]) == ("warning", "Wait for less wind, or let the ship run with it.")
+        assert (await browser.read("event"))["advice"] == ""
 
 
 async def refused_with(service: PageService, token: str) -> None:

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.config.settings import camera_model, load, pad_model
-from companion.page.picture import camera_lean, picture
+from companion.page.picture import picture
 from companion.page.state import place
+from companion.report.expected_place import camera_lean
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import Rotation

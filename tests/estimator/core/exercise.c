@@ -352,7 +352,7 @@ int main(int count, char **files)
     alignments(40);
     report("align_view align_move align_fit");
     searches(40);
-    report("search_room search_circles search_heading");
+    report("search_room search_circles search_heading search_guesses search_strokes_room search_strokes");
     simulator();
     report("vehicle_step vehicle_carry sim_run sensors_read");
     return 0;

@@ -16,6 +16,7 @@ static pad_template random_template(int half, double radius_m)
     }
     for (int k = 0; k < 3; k++) {
         p.orange_place[k] = uniform();
+        p.h_side[k] = k % 2 ? -1.0 : 1.0;
     }
     return p;
 }

@@ -166,7 +166,7 @@ def test_a_view_that_stands_still_while_the_body_turns_is_refused_in_flight(
 
 def test_each_alert_is_raised_for_its_own_reason() -> None:
     frozen = SensorWatch(frozen=True)
-    view = ViewWatch(((T, np.zeros(3), np.eye(3)),), True)
+    view = ViewWatch(((T, np.zeros(3), np.zeros(3), np.eye(3)),), True)
     other = TrackCandidate(T, 3, Place(T, (9.0, 0.0, 2.0), 0.0, 0.0))
     for guard, alert in (
         (IntegrityGuard(frames=FrameWatch((), 3)), IntegrityAlert.CAMERA_FROZEN),

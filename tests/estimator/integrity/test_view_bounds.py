@@ -69,7 +69,7 @@ def test_looks_are_kept_for_half_a_second_and_none_from_the_future() -> None:
 def test_a_bearing_is_a_direction_whatever_the_distance() -> None:
     for height_m in (0.1, 1.0, 30.0):
         state = looked(EIGHT, height_m=height_m, own=0.05)
-        assert all(np.linalg.norm(bearing) == pytest.approx(1.0) for _, bearing, _ in state.bearings)
+        assert all(np.linalg.norm(bearing) == pytest.approx(1.0) for _, bearing, *_ in state.bearings)
         assert state.frozen
 
 

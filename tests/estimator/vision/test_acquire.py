@@ -14,12 +14,12 @@ import pytest
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import PadCandidate, acquire
-from estimator.vision.detect.verification import keeps_claim
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from sitl.light import Light
 from sitl.surroundings import Decal
 from tests.support.deck_images import covered, disc_of, shown
+from tests.support.pad_claims import keeps_claim
 from tests.support.shipped import shipped_camera, shipped_pad
 
 DATA = Path(__file__).parents[3] / "../shared/data"

@@ -12,21 +12,23 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import Rotation
+from estimator.core.interface import places_of
 from estimator.core.interface.eyes import TEMPLATE_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.colour import disc_colour, is_coloured
-from estimator.vision.detect.edge_circles import Radii, edge_circles
+from estimator.vision.detect.edge_circles import EdgeCircle, Radii, edge_circles
+from estimator.vision.detect.guesses import guesses_from
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.strokes import h_markings
 from estimator.vision.detect.template import DISC, ORANGE, STEP_M, H, paints_at, polar_drawing, template
-from estimator.vision.detect.tilted import circle_normals, tilted_circles
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from sitl.light import Light
 from tests.estimator.vision.oracle.heading import searched_heading
+from tests.estimator.vision.oracle.tilted import circle_normals, tilted_circles
 from tests.support.deck_images import shown
 from tests.support.pad_images import sim_camera
 
@@ -121,6 +123,30 @@ def test_a_tilted_circle_has_its_radius_in_one_of_two_planes(roll: float, pitch:
         assert facing > 0.93, "seen nearly from above"
         return
     assert min(float(np.linalg.norm(p.t_cam_pad - pose.t_cam_pad)) for p in found) < 1e-3
+
+
+@pytest.mark.parametrize("tilt", [(0.35, 0.1), (-0.2, 0.3), (0.0, -0.4), (-0.3, -0.25)])
+def test_the_core_guesses_the_tilt_of_a_disc_as_numpy_does(camera: Camera, pad: Pad, tilt: tuple[float, float]) -> None:
+    seen = shown(camera, pad, 2.0, tilt_rad=tilt)
+    frame, plane = Pyramid(seen.px), Plane.of(camera, None)
+    at = places_of("search_circle")
+    circles: list[EdgeCircle] = []
+    for level in (1, 2):
+        grey = np.asarray(cv2.cvtColor(frame[level], cv2.COLOR_BGR2GRAY), np.uint8)
+        circles += edge_circles(grey, 1 << level, camera, plane, Radii(5.0 * level, 1.2, 12 // level), 4)
+    near = 0
+    for circle in circles:
+        points = int(circle.words.view(np.int64)[at["points"].start])
+        oracle = tilted_circles(circle.words[at["outline_px"]].reshape(-1, 2)[:points], camera)
+        tilted = [g for g in guesses_from([circle], False, frame, camera, pad, plane) if g.tilt_known]
+        for stand, centre, radius in oracle if tilted else []:
+            pose = stand.pose(centre, radius, pad.disc_radius_m)
+            off = [float(np.linalg.norm(g.flat.t_cam_pad - pose.t_cam_pad)) for g in tilted]
+            k = int(np.argmin(off))
+            assert off[k] < 0.02 * pose.range_m
+            assert tilted[k].flat.R_cam_pad.angle_to(pose.R_cam_pad) < 0.12
+            near += float(np.linalg.norm(tilted[k].flat.t_cam_pad - seen.truth.t_cam_pad)) < 0.1
+    assert near, "one of them is the disc"
 
 
 def test_shares_of_the_drawing_add_up_and_match_its_areas(pad: Pad) -> None:

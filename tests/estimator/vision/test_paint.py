@@ -13,10 +13,10 @@ from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, a
 from estimator.vision.detect.paint import FRESH, LEARNED_AT, PaintMemory, learn, missed
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.template import AROUND, DISC
-from estimator.vision.detect.verification import keeps_claim
 from estimator.vision.pad import Pad
 from sitl.light import Light
 from tests.support.deck_images import shown
+from tests.support.pad_claims import keeps_claim
 
 
 def aligned(camera: Camera, pad: Pad, light: Light, seed: int = 0) -> AlignedTemplate:

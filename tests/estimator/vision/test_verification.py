@@ -10,11 +10,12 @@ import pytest
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, align
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.detect.verification import FEATURES, arrow_support, confidence, keeps_claim
+from estimator.vision.detect.verification import FEATURES, arrow_support, confidence
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from sitl.light import Light
 from tests.support.deck_images import covered, disc_of, shown
+from tests.support.pad_claims import keeps_claim
 
 
 def at(px: np.ndarray, camera: Camera, pad: Pad, pose: PadPose) -> AlignedTemplate:

@@ -19,6 +19,7 @@ from estimator.vision.register.fit_verification import FITTED_FEATURES, HAND_SET
 from estimator.vision.register.registration import RegistrationOptions, register
 from sitl.surroundings import Decal
 from tests.support.deck_images import covered, disc_of, shown
+from tests.support.hard_light import HARD
 from tests.support.pad_images import STAMP
 
 
@@ -38,6 +39,13 @@ def sure(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_leve
 
 @pytest.mark.parametrize("height_m", [0.4, 1.2, 4.0, 12.0])
 def test_sure_of_the_pad(camera: Camera, pad: Pad, height_m: float) -> None:
+    seen = shown(camera, pad, height_m)
+    assert sure(seen.px, camera, pad, seen.truth, seen.R_level_body) > 0.9
+
+
+@pytest.mark.parametrize("height_m", [0.4, 1.2, 4.0, 12.0])
+def test_sure_of_a_pad_with_dark_marks(camera: Camera, height_m: float) -> None:
+    pad = HARD["black on white"].pad
     seen = shown(camera, pad, height_m)
     assert sure(seen.px, camera, pad, seen.truth, seen.R_level_body) > 0.9
 

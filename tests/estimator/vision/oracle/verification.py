@@ -167,9 +167,15 @@ def _gain(squared: F32, nothing: F32, weight: F32) -> float:
 
 def _orange_place(white: F64, orange: F64, green: F64, pad: Pad) -> float:
     """Return the distance of the orange from its nominal place between disc and white, mean over the channels; 0 is nominal."""
-    span = np.maximum(white - green, 0.04)
-    place = np.clip((orange - green) / span, -0.5, 1.5)
+    side = np.where(_nominal_span(pad) < 0.0, -1.0, 1.0)
+    span = np.maximum(side * (white - green), 0.04)
+    place = np.clip(side * (orange - green) / span, -0.5, 1.5)
     return float(np.abs(place - _nominal_place(pad)).mean())
+
+
+def _nominal_span(pad: Pad) -> F64:
+    white, green = (np.sqrt(linear_light(rgb[::-1])) for rgb in (pad.markings.colours.h, pad.markings.colours.disc))
+    return np.asarray(white - green)
 
 
 @lru_cache(maxsize=8)

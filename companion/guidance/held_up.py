@@ -1,0 +1,59 @@
+"""Contact with a deck that is met softly: something holds the vehicle up against every velocity that was commanded lately.
+
+A vehicle that leans against the wind meets the deck with one foot. It turns about that foot, its middle is slowed down over some
+tenths of a second, and no step of the accelerometer tells of it. A real PX4 stood on a deck like this for two seconds, with its
+thrust falling and its lean growing. What it does then no flight does: it goes up faster than any of the newest commands asks for,
+and goes on doing so. Commands are remembered for longer than a vehicle takes to answer them, and the least of them counts, so
+that neither a delay nor a step of the commands is a contact. It is for velocities over the ground, an autopilot's.
+"""
+
+from __future__ import annotations
+
+import math
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from companion.guidance.controller import Impact
+from estimator.contracts.time import MonoNs, seconds_between
+
+ANSWERED_S = 0.7
+"""Time within which the slowest vehicle has answered a command, delay and twice the lag, s (configs/responses)."""
+LEAST_M_S = 0.3
+"""How much faster upward than commanded, m/s. Ground effect close to a deck makes 0.15."""
+HELD_S = 0.25
+"""For how long, s."""
+
+
+class HeldUp(Struct, frozen=True):
+    """The detector's memory."""
+
+    commands: tuple[tuple[MonoNs, float], ...] = ()
+    """When each vertical speed was commanded, m/s down, oldest first."""
+    since: MonoNs | None = None
+    """Since when it is held up."""
+    newest: Impact | None = None
+
+
+def commanded(held: HeldUp, at: MonoNs, down_m_s: float | None) -> HeldUp:
+    """Return the memory after a command; None for one that is no vertical speed over the ground, which forgets those before."""
+    if down_m_s is None:
+        return HeldUp(newest=held.newest)
+    kept = held.commands
+    # One that is older than the window stays: it was flown when the window began.
+    while len(kept) > 1 and seconds_between(kept[1][0], at) > ANSWERED_S:
+        kept = kept[1:]
+    return replace(held, commands=(*kept, (at, down_m_s)))
+
+
+def measured(held: HeldUp, at: MonoNs, down_m_s: float) -> HeldUp:
+    """Return the memory after the vehicle's vertical speed, m/s down; `newest` is the newest contact."""
+    least = min((v for _, v in held.commands), default=-math.inf)
+    answered = bool(held.commands) and seconds_between(held.commands[0][0], at) >= ANSWERED_S
+    short_m_s = least - down_m_s
+    if not answered or short_m_s < LEAST_M_S:
+        return replace(held, since=None)
+    since = at if held.since is None else held.since
+    if seconds_between(since, at) < HELD_S:
+        return replace(held, since=since)
+    return replace(held, since=since, newest=Impact(at, "velocity", held_m_s=short_m_s))

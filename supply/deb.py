@@ -1,0 +1,272 @@
+"""Make a Debian package that carries every wheel the service needs: `python -m supply.deb`, or `make deb`.
+
+The package holds the wheels, not an environment: its scripts make one with `--no-index`, by the code of `decklander install`, so
+that packaged and other installations update and roll back alike (docs/decisions/042). Two builds of one commit give the same
+bytes where SOURCE_DATE_EPOCH is the same; `make deb` takes the commit's.
+
+Sources: Debian Policy 4.6, chapters 3, 5, 6 and 9; the specification of reproducible builds, SOURCE_DATE_EPOCH.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import textwrap
+import tomllib
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from email.utils import format_datetime
+from pathlib import Path
+
+from companion.cli.main import COMMANDS
+from companion.install.layout import CREDENTIAL_PREFIX, CREDENTIALS, DATA, DROP_IN, SETTINGS_FOLDER
+from supply import licences, wheels
+from supply.packages import PINS, ROOT, Package, packages, pins
+from supply.sbom import bill
+
+ARCHITECTURES = {"x86_64": "amd64", "aarch64": "arm64"}
+"""Debian's names of the architectures. There is no 32-bit one: dpkg refuses the package there."""
+PYTHON = (3, 11)
+"""The Python of the Debian release that the package is for, bookworm."""
+_GLIBC = 36
+"""The minor version of its glibc 2."""
+CARRIED = "usr/share/decklander/wheels"
+SYSTEM_FILES = {
+    "decklander.service": "lib/systemd/system/decklander.service",
+    "70-decklander.rules": "lib/udev/rules.d/70-decklander.rules",
+    "decklander.sysusers.conf": "usr/lib/sysusers.d/decklander.conf",
+}
+DESCRIPTION = "land a quadcopter on a small helipad on a moving ship"
+_DOC = "usr/share/doc/decklander"
+
+MAINTAINER = "Decklander developers <decklander@users.noreply.github.com>"
+CHANGELOG = """decklander ({version}) bookworm; urgency=medium
+
+  * What changed for the person who operates the drone: CHANGELOG.md.gz.
+
+ -- {maintainer}  {date}
+"""
+CONTROL = """Package: decklander
+Version: {version}
+Section: science
+Priority: optional
+Architecture: {architecture}
+Maintainer: {maintainer}
+Installed-Size: {size_kb}
+Depends: python3 (>= {python}~), python3 (<< {next_python}~), python3-venv, systemd
+Recommends: udev
+Suggests: mosquitto
+Description: landing service for a drone on a moving ship
+ Lands a quadcopter on a small helipad on a moving ship with one downward
+ camera, beside ArduPilot or PX4, or with a Parrot AR.Drone.
+ .
+ The package carries the wheels that the service needs and makes an
+ environment of them in /opt/decklander; nothing is fetched. The settings
+ are in /etc/decklander/rig.toml. An update is checked with them, and taken
+ back if the service does not come up; nothing is touched in flight.
+"""
+_RUN = 'PYTHONDONTWRITEBYTECODE=1 PYTHONPATH="/{carried}/{wheel}" python3 -m companion.cli.main'
+POSTINST = """#!/bin/sh
+# The code of `decklander install`, out of the wheel in this package. Where it refuses because the drone flies, the version that
+# runs stays; dpkg --configure decklander goes on.
+set -e
+if [ "$1" = configure ]; then
+    {run} install --packaged /{carried}
+fi
+"""
+PRERM = """#!/bin/sh
+# Settings, keys and recordings stay. Refuses while the drone flies.
+set -e
+if [ "$1" = remove ]; then
+    {run} uninstall --packaged
+fi
+"""
+POSTRM = """#!/bin/sh
+set -e
+if [ "$1" = purge ]; then
+    rm -rf {purged}
+fi
+if [ -d /run/systemd/system ]; then
+    systemctl daemon-reload || true
+fi
+"""
+
+
+class PackageError(Exception):
+    """The package could not be made; the text says why."""
+
+
+def fetch(architecture: str, into: Path) -> None:
+    """Fetch the pinned wheels for Debian's Python on an architecture.
+
+    Raises:
+        PackageError: one cannot be had.
+    """
+    abi = "cp{}{}".format(*PYTHON)
+    platforms = [f"manylinux_2_{minor}_{architecture}" for minor in range(_GLIBC, 4, -1)] + [f"manylinux2014_{architecture}"]
+    command = [
+        sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "download", "--dest", str(into), "--no-deps",
+        "--only-binary", ":all:", "--require-hashes", "--requirement", str(PINS), "--implementation", "cp",
+        "--python-version", ".".join(map(str, PYTHON)), *(word for name in (abi, "abi3", "none") for word in ("--abi", name)),
+        *(word for name in platforms for word in ("--platform", name)),
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise PackageError(f"the wheels for {architecture} cannot be had: {done.stderr.strip().splitlines()[-1:]}")
+
+
+def stage(folder: Path, architecture: str, carried: Path) -> None:
+    """Lay out the package's files.
+
+    Args:
+        folder: an empty folder.
+        carried: the folder of the wheels, ours among them.
+
+    Raises:
+        PackageError: there is not one wheel of ours.
+    """
+    own = sorted(carried.glob("decklander-*.whl"))
+    if len(own) != 1:
+        raise PackageError(f"{carried}: {len(own)} wheels of decklander, want one")
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    for file in sorted(carried.glob("*.whl")):
+        _put(folder / CARRIED / file.name, file.read_bytes())
+    for name, target in SYSTEM_FILES.items():
+        _put(folder / target, (ROOT / "configs/systemd" / name).read_bytes())
+    (folder / "usr/bin").mkdir(parents=True)
+    (folder / "usr/bin/decklander").symlink_to("/opt/decklander/current/bin/decklander")
+    shipped = packages(pins())
+    _put(folder / _DOC / "copyright", copyright_file(licences.copyleft(shipped), shipped).encode())
+    _put(folder / _DOC / "CHANGELOG.md.gz", _gzipped((ROOT / "CHANGELOG.md").read_bytes()))
+    _put(
+        folder / _DOC / "changelog.gz", _gzipped(CHANGELOG.format(version=version, maintainer=MAINTAINER, date=_date()).encode())
+    )
+    _put(folder / "usr/share/man/man1/decklander.1.gz", _gzipped(manual(version).encode()))
+    _put(folder / _DOC / "sbom.cdx.json.gz", _gzipped(bill(shipped, version).encode() + b"\n"))
+    run = _RUN.format(carried=CARRIED, wheel=own[0].name)
+    purged = " ".join([SETTINGS_FOLDER, DROP_IN, f"{CREDENTIALS}/{CREDENTIAL_PREFIX}*", "/opt/decklander", *DATA])
+    for name, text in (("postinst", POSTINST), ("prerm", PRERM), ("postrm", POSTRM)):
+        _put(folder / "DEBIAN" / name, text.format(run=run, carried=CARRIED, purged=purged).encode(), 0o755)
+    size_kb = sum(-(-path.stat().st_size // 1024) for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
+    control = CONTROL.format(
+        version=version, maintainer=MAINTAINER, architecture=ARCHITECTURES[architecture], size_kb=size_kb,
+        python=f"{PYTHON[0]}.{PYTHON[1]}", next_python=f"{PYTHON[0]}.{PYTHON[1] + 1}",
+    )  # fmt: skip
+    _put(folder / "DEBIAN/control", control.encode())
+    sums = subprocess.run(
+        ["sh", "-c", "find * -path DEBIAN -prune -o -type f -print0 | LC_ALL=C sort -z | xargs -0 md5sum"],
+        cwd=folder, capture_output=True, check=True,
+    ).stdout  # fmt: skip
+    _put(folder / "DEBIAN/md5sums", sums)
+
+
+def copyright_file(copyleft: Sequence[str], shipped: Sequence[Package]) -> str:
+    """Return the package's copyright file in Debian's machine-readable form 1.0: ours, then each wheel that it carries."""
+    blocks = [
+        "Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/\nUpstream-Name: decklander",
+        "Files: *\nCopyright: 2026 the Decklander developers\nLicense: Apache-2.0\n On Debian systems the full text is in"
+        " /usr/share/common-licenses/Apache-2.0.",
+    ]
+    for package in shipped:
+        stem = package.pin.name.replace("-", "_")
+        licence = (package.licence or "unknown").replace(" AND ", " and ").replace(" OR ", " or ")
+        rows = [row.split("|")[1:3] for row in copyleft if row.rstrip(" |").endswith(f"wheel of {package.pin.name}")]
+        told = "".join(
+            "\n" + textwrap.indent(_filled(f"The wheel also holds {what.strip()}, under {terms.strip()}."), " ")
+            for what, terms in rows
+        )
+        blocks.append(
+            f"Files: {CARRIED}/{stem}-*\nCopyright: 2026 and before, the authors of {package.pin.name}\nLicense: {licence}\n"
+            f" The text is in the wheel itself, below {stem}-{package.pin.version}.dist-info.{told}"
+        )
+    return "\n\n".join(blocks) + "\n"
+
+
+def _filled(text: str) -> str:
+    return textwrap.fill(text, 76, break_on_hyphens=False)
+
+
+def manual(version: str) -> str:
+    """Return the manual page of the command: the commands with one line each, and where the rest is."""
+    commands = "\n".join(f".TP\n.B {name}\n{summary[0].upper()}{summary[1:]}." for name, (_, summary) in COMMANDS.items())
+    return (
+        f'.TH DECKLANDER 1 "" "decklander {version}"\n.SH NAME\ndecklander \\- {DESCRIPTION}\n'
+        ".SH SYNOPSIS\n.B decklander\n.I COMMAND\n[\\fIOPTIONS\\fR]\n.SH DESCRIPTION\n"
+        "Each command explains its options with\n.BR \\-\\-help .\n"
+        f".SH COMMANDS\n{commands}\n.SH EXIT STATUS\n"
+        "0: done; 1: it did not reach its goal; 2: wrong use or bad input, with one line that says what.\n"
+        ".SH FILES\n.TP\n.I /etc/decklander/rig.toml\nThe settings of the service.\n"
+        ".TP\n.I /etc/credstore/decklander.*\nIts secrets.\n.TP\n.I /var/lib/decklander\nRecordings and waiting events.\n"
+    )
+
+
+def _date() -> str:
+    return format_datetime(datetime.fromtimestamp(int(os.environ.get("SOURCE_DATE_EPOCH", "0")), UTC))
+
+
+def _put(path: Path, content: bytes, mode: int = 0o644) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    path.chmod(mode)
+
+
+def _gzipped(content: bytes) -> bytes:
+    return gzip.compress(content, 9, mtime=0)
+
+
+def build(folder: Path, out: Path, architecture: str) -> Path:
+    """Pack laid-out files, and return the package.
+
+    Raises:
+        PackageError: dpkg-deb refuses them, or is not there.
+    """
+    version = next(line.split()[1] for line in (folder / "DEBIAN/control").read_text().splitlines() if line.startswith("Version"))
+    made = out / f"decklander_{version}_{ARCHITECTURES[architecture]}.deb"
+    out.mkdir(parents=True, exist_ok=True)
+    for path in [folder, *folder.rglob("*")]:
+        if path.is_dir():
+            path.chmod(0o755)
+    # Wheels are compressed already: a better compression takes minutes and saves nothing.
+    command = ["dpkg-deb", "--root-owner-group", "-Zgzip", "-z1", "--build", str(folder), str(made)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except FileNotFoundError as why:
+        raise PackageError("a Debian package needs dpkg-deb (Debian: apt install dpkg)") from why
+    if done.returncode != 0:
+        raise PackageError(f"dpkg-deb: {done.stderr.strip()}")
+    return made
+
+
+def main() -> int:
+    """Run the command."""
+    parser = argparse.ArgumentParser(prog="python -m supply.deb", description="Make a Debian package.")
+    parser.add_argument("--out", type=Path, default=Path("dist"))
+    parser.add_argument("--architecture", choices=ARCHITECTURES, default=os.uname().machine)
+    parser.add_argument("--wheels", type=Path, help="folder with the pinned wheels, in place of fetching them")
+    args = parser.parse_args()
+    try:
+        with tempfile.TemporaryDirectory() as work:
+            carried, folder = Path(work, "wheels"), Path(work, "package")
+            folder.mkdir()
+            if args.wheels is None:
+                fetch(args.architecture, carried)
+            else:
+                ours = shutil.ignore_patterns("decklander-*")
+                shutil.copytree(args.wheels, carried, ignore=ours)
+            wheels.make(args.architecture, carried)
+            stage(folder, args.architecture, carried)
+            made = build(folder, args.out, args.architecture)
+    except (PackageError, wheels.WheelError, LookupError) as why:
+        print(why, file=sys.stderr)
+        return 1
+    print(f"{made} ({made.stat().st_size / 1e6:.0f} MB)")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

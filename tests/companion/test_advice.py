@@ -1,0 +1,38 @@
+"""What a person is told to do: something for every cause that interrupts a landing, nothing for what is as it should be."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.guidance.advice import advice
+from companion.guidance.mission import State
+from companion.guidance.reason import Reason, ReasonCause
+from estimator.contracts.estimates import IntegrityAlert, Verdict
+
+NO_FAULT = {
+    ReasonCause.VEHICLE_FLIES, ReasonCause.OPERATOR, ReasonCause.AUTOMATIC, ReasonCause.PAD_SEEN, ReasonCause.ARRIVED,
+    ReasonCause.OUT_OF_CONE, ReasonCause.LOW_ENOUGH, ReasonCause.ALL_LIMITS_HOLD, ReasonCause.FELT, ReasonCause.REPORTED,
+    ReasonCause.HELD_UP, ReasonCause.PRESSED, ReasonCause.HIGH_ENOUGH, ReasonCause.VESSEL_FAR, ReasonCause.VESSEL_NEAR,
+}  # fmt: skip
+BY_DETAIL = {ReasonCause.ALERT, ReasonCause.FRAMES}
+
+
+@pytest.mark.parametrize("cause", [cause for cause in ReasonCause if cause not in BY_DETAIL])
+def test_a_cause_has_an_advice_unless_it_is_no_fault(cause: ReasonCause) -> None:
+    said = advice(State.GO_AROUND, Reason(cause))
+    assert (said == "") == (cause in NO_FAULT)
+    assert said == "" or said.endswith((".", "?"))
+
+
+def test_details_have_an_advice_of_their_own() -> None:
+    alerts = [advice(State.HOLD_BLIND, Reason(ReasonCause.ALERT, detail=alert)) for alert in IntegrityAlert]
+    assert all(alerts)
+    frames = {verdict: Reason(ReasonCause.FRAMES, 60.0, detail=verdict) for verdict in Verdict}
+    assert all(reason.text.startswith("60 % of frames ") for reason in frames.values())
+    assert [verdict for verdict, reason in frames.items() if not advice(State.HOLD_BLIND, reason)] == [Verdict.FUSED]
+
+
+@pytest.mark.parametrize("state", [State.REFUSED, State.GAVE_UP, State.ABORTED])
+def test_where_the_drone_waits_for_a_person_that_is_said(state: State) -> None:
+    assert advice(state, Reason(ReasonCause.WIND)).endswith("It hovers until you begin again or land it.")
+    assert "hovers" not in advice(State.GO_AROUND, Reason(ReasonCause.WIND))

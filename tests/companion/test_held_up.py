@@ -1,0 +1,104 @@
+"""A deck that is met softly: going up faster than any command of late is a contact; a flight that answers late is none."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from companion.guidance.controller import Impact, Knowledge
+from companion.guidance.held_up import HELD_S, HeldUp, commanded, measured
+from companion.guidance.mission import State
+from companion.guidance.mission_step import mission_step
+from companion.guidance.situation import GuidanceCycle
+from estimator.contracts.geometry import F64
+from estimator.contracts.time import MonoNs
+from tests.companion.mission_flights import PointFlight, estimate, guided, ns
+
+STEP_S = 0.02
+
+
+def contacts(command: F64, speed: F64) -> list[float]:
+    """When a contact is found, s, for vertical speeds commanded and flown, m/s down."""
+    held, found = HeldUp(), []
+    for k, (u, v) in enumerate(zip(command.tolist(), speed.tolist(), strict=True)):
+        at, before = MonoNs(round(k * STEP_S * 1e9)), held.newest
+        held = measured(commanded(held, at, u), at, v)
+        if held.newest is not before and held.newest is not None:
+            assert held.newest.by == "velocity"
+            assert held.newest.held_m_s >= 0.3
+            found.append(k * STEP_S)
+    return found
+
+
+def flown(command: F64, delay_s: float, lag_s: float, push_m_s: float = 0.0) -> F64:
+    """What a vehicle makes of commands by its delay and lag, with a push besides."""
+    v, out = float(command[0]), []
+    for k in range(command.size):
+        u = float(command[max(k - round(delay_s / STEP_S), 0)])
+        v += (1.0 - math.exp(-STEP_S / lag_s)) * (u - v)
+        out.append(v + push_m_s)
+    return np.array(out)
+
+
+def heave(seed: int, seconds: float = 60.0) -> F64:
+    """Commands that follow a heaving deck down, with steps as at the begin of a commit."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, seconds, STEP_S)
+    waves = np.zeros_like(t)
+    for _ in range(3):
+        waves += rng.uniform(0.1, 0.4) * np.sin(2.0 * math.pi * t / rng.uniform(4.0, 9.0) + rng.uniform(0.0, 6.3))
+    steps = 0.45 * (np.floor(t / 3.0) % 2.0)
+    return np.asarray(waves + steps)
+
+
+@pytest.mark.parametrize(("delay_s", "lag_s"), [(0.14, 0.12), (0.28, 0.2), (0.12, 0.4)])
+@pytest.mark.parametrize("seed", range(4))
+def test_no_flight_over_a_heaving_deck_is_a_contact(seed: int, delay_s: float, lag_s: float) -> None:
+    command = heave(seed)
+    assert contacts(command, flown(command, delay_s, lag_s, push_m_s=-0.1)) == []
+
+
+@pytest.mark.parametrize("deck_m_s", [-0.6, -0.3, 0.0])
+def test_a_vehicle_that_goes_with_the_deck_against_its_commands_stands_on_it(deck_m_s: float) -> None:
+    """As a PX4 1.16.2 did: slowed down over 0.3 s, then carried, while 0.4 m/s more were asked for."""
+    t = np.arange(0.0, 5.0, STEP_S)
+    command = np.full(t.size, deck_m_s + 0.4)
+    speed = flown(command, 0.14, 0.12)
+    stood = np.clip((t - 3.0) / 0.3, 0.0, 1.0)
+    found = contacts(command, (1.0 - stood) * speed + stood * deck_m_s)
+    assert found
+    assert 3.0 + HELD_S < found[0] < 3.7
+
+
+def test_nothing_is_found_before_a_command_had_its_time_to_be_flown() -> None:
+    command = np.full(30, 0.5)
+    assert contacts(command, np.zeros(30)) == []
+    held = HeldUp()
+    for k in range(100):
+        at = MonoNs(round(k * STEP_S * 1e9))
+        held = measured(commanded(held, at, None if k == 80 else 0.5), at, 0.5 if k < 81 else 0.0)
+    assert held.newest is None, "a person's order in between begins anew"
+
+
+@pytest.mark.parametrize(
+    ("height_m", "age_s", "by", "state"),
+    [
+        (0.05, 0.0, "velocity", State.PRESS),
+        (0.28, 0.0, "velocity", State.COMMIT),
+        (0.05, 0.6, "velocity", State.COMMIT),
+        (0.28, 0.0, "accelerometer", State.PRESS),
+    ],
+)
+def test_being_held_up_is_a_contact_near_the_deck_alone_and_while_it_lasts(
+    height_m: float, age_s: float, by: str, state: State
+) -> None:
+    """An updraft holds a vehicle up as well, and the motors stop by force after a contact."""
+    o = guided("cone")
+    began, t = 1.0, 2.0
+    progress = structs.replace(PointFlight([0.0, 0.0, height_m], o).progress, state=State.COMMIT, since=ns(began))
+    seen = estimate(t, [0.0, 0.0, height_m])
+    s = GuidanceCycle(ns(t), Knowledge(ns(t), seen, impact=Impact(ns(t - age_s), by, 9.0)))
+    after, _, _ = mission_step(progress, s, o, over_ground=True)
+    assert after.state is state

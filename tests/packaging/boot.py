@@ -1,0 +1,215 @@
+"""The Debian package and the commands of installation on a booted Debian 12: systemd as the first process of a container.
+
+    python -m tests.packaging.boot --deb FILE [--work DIR] [--keep]
+
+Needs root, debootstrap and a Debian mirror. systemd starts in namespaces of its own, in a bare root; there dpkg installs the
+package, the service comes up under its unit, updates to a good and to a bad version, returns, refuses to be touched while a
+simulated drone flies, and is removed. Each step prints what it took.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+from companion.install.layout import CURRENT, PREFIX
+
+ROOT = Path(__file__).parents[2]
+MIRROR = "http://deb.debian.org/debian"
+PACKAGES = "systemd,systemd-sysv,udev,dbus,python3,python3-venv,iproute2"
+_SPACES = ("--mount", "--pid", "--net", "--cgroup", "--uts", "--ipc")
+BOOT_S, LONG_S = 120.0, 900.0
+# Devices are made, not lent, and the kernel's settings are read only: what boots in there must not change this machine.
+_BOOT = """set -e
+r={root}
+mount --make-rprivate / && mount --bind $r $r && mount -t proc proc $r/proc && mount -t sysfs -o ro sysfs $r/sys
+mount --bind $r/proc/sys $r/proc/sys && mount -o remount,ro,bind $r/proc/sys
+for f in dev run; do mount -t tmpfs -o mode=755 tmpfs $r/$f; done
+while read n major minor; do mknod -m 666 $r/dev/$n c $major $minor; done << END
+null 1 3
+zero 1 5
+full 1 7
+random 1 8
+urandom 1 9
+tty 5 0
+END
+mkdir $r/dev/pts $r/dev/shm && mount -t devpts -o newinstance,ptmxmode=666 devpts $r/dev/pts && ln -s pts/ptmx $r/dev/ptmx
+ln -s /proc/self/fd $r/dev/fd
+mount -t cgroup2 cgroup2 $r/sys/fs/cgroup
+ip link set lo up
+cd $r && exec env -i container=decklander PATH=/usr/sbin:/usr/bin:/sbin:/bin chroot $r /sbin/init
+"""
+
+
+class Failed(Exception):
+    """Something was not as it must be."""
+
+
+class Guest:
+    """A booted root."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._unshare = subprocess.Popen(
+            ["unshare", *_SPACES, "--fork", "--kill-child", "sh", "-c",
+             _BOOT.format(root=root)],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+        )  # fmt: skip
+        children = Path(f"/proc/{self._unshare.pid}/task/{self._unshare.pid}/children")
+        until("the first process is there", lambda: children.read_text().strip(), BOOT_S)
+        self._init = children.read_text().split()[0]
+        until(
+            "systemd has booted",
+            lambda: self.run("systemctl is-system-running").stdout.strip() in ("running", "degraded"),
+            BOOT_S,
+        )
+
+    def run(self, command: str) -> subprocess.CompletedProcess[str]:
+        inside = [
+            "chroot",
+            str(self.root),
+            "env",
+            "-i",
+            "PATH=/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
+            "HOME=/tmp",
+            "sh",
+            "-c",
+        ]
+        return subprocess.run(
+            ["nsenter", "--target", self._init, *_SPACES, "--", *inside, command],
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=LONG_S,
+        )  # fmt: skip
+
+    def expect(self, command: str, code: int, *told: str) -> str:
+        """Run a command, hold it to its exit code and to what it must say, and print both."""
+        began = time.monotonic()
+        done = self.run(command)
+        said = done.stdout + done.stderr
+        missing = [text for text in told if not re.search(text, said)]
+        print(f"{time.monotonic() - began:7.1f} s  {command} -> {done.returncode}", flush=True)
+        for line in said.strip().splitlines()[-3:]:
+            print(f"           {line[:180]}", flush=True)
+        if done.returncode != code or missing:
+            raise Failed(f"{command}: ended with {done.returncode}, not {code}; not told: {missing}\n{said}")
+        return said
+
+    def stop(self) -> None:
+        self._unshare.kill()
+        self._unshare.wait()
+
+
+def until(what: str, condition: Callable[[], object], seconds: float) -> None:
+    began = time.monotonic()
+    while not condition():
+        if time.monotonic() - began > seconds:
+            raise Failed(f"not within {seconds:.0f} s: {what}")
+        time.sleep(0.5)
+    print(f"{time.monotonic() - began:7.1f} s  until {what}", flush=True)
+
+
+def another(wheel: Path, version: str, folder: Path, broken: str = "") -> Path:
+    """The wheel under another version; `broken` goes in front of the code of `decklander run`."""
+    old = wheel.name.split("-")[1]
+    made = folder / wheel.name.replace(f"-{old}-", f"-{version}-")
+    with zipfile.ZipFile(wheel) as source, zipfile.ZipFile(made, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if ".dist-info/" in name:
+                content = content.replace(f"\nVersion: {old}\n".encode(), f"\nVersion: {version}\n".encode())
+                content = content.replace(f"decklander-{old}.dist-info".encode(), f"decklander-{version}.dist-info".encode())
+            if name == "companion/cli/run.py" and broken:
+                content = content.replace(
+                    b"    proven = Proven(settings)\n", broken.encode() + b"    proven = Proven(settings)\n"
+                )
+            target.writestr(name.replace(f"-{old}.dist-info", f"-{version}.dist-info"), content)
+    return made
+
+
+def fly(guest: Guest, wheels: Path) -> None:
+    """All that a person does with an installation, from nothing to nothing."""
+    carried = "/usr/share/decklander/wheels"
+    guest.expect("dpkg -i /decklander.deb", 0, "next: write /etc/decklander/rig.toml")
+    guest.expect("decklander --version", 0, "decklander 0")
+    shutil.copyfile(ROOT / "configs/sim.toml", guest.root / "etc/decklander/rig.toml")
+    # A busy machine is no failure.
+    patient = guest.root / "etc/systemd/system/decklander.service.d/patient.conf"
+    patient.parent.mkdir(parents=True)
+    patient.write_text("[Service]\nTimeoutStartSec=300\nWatchdogSec=120\n")
+    guest.expect("systemctl daemon-reload && systemctl start decklander", 0)
+    until("the unit is active", lambda: guest.run("systemctl is-active decklander").stdout == "active\n", 60)
+    first = os.readlink(guest.root / CURRENT.lstrip("/"))
+    guest.expect("stat -c '%U %a' /var/lib/private/decklander && systemctl is-enabled decklander", 0, "decklander 700", "enabled")
+    (wheel,) = (guest.root / carried.lstrip("/")).glob("decklander-*.whl")
+    good = another(wheel, "9.1", wheels)
+    update = f"decklander update /new/{{}} --wheels {carried}"
+    guest.expect(update.format(good.name), 1, "whether the drone flies is not known")
+    guest.expect(update.format(good.name) + " --on-ground", 0, "version 9.1-[0-9a-f]{8} is current; the service runs with it")
+    bad = another(wheel, "9.2", wheels, "    raise SystemExit(1)\n")
+    guest.expect(update.format(bad.name) + " --on-ground", 1, "going back to 9.1", "version 9.1-.* is current again and runs")
+    wrong = another(wheel, "9.3", wheels)
+    guest.expect("echo '[vision]\ncolors = 1' >> /etc/decklander/rig.toml", 0)
+    guest.expect(update.format(wrong.name) + " --on-ground", 2, "refuses the present settings")
+    guest.expect(
+        "systemctl is-active decklander && sed -i '$d' /etc/decklander/rig.toml && sed -i '$d' /etc/decklander/rig.toml", 0
+    )
+    guest.expect("decklander rollback --on-ground", 0, f"version {first} is current; the service runs with it")
+    guest.expect(
+        f"systemd-run --quiet --unit sim {CURRENT}/bin/python -m sitl.ardrone.serve demo --host 127.0.0.1 --seed 1 --repeat", 0
+    )
+    until("the drone flies", lambda: '"flying":true' in guest.run("decklander fly status --json").stdout, 120)
+    for command in (update.format(good.name), "decklander rollback --on-ground"):
+        guest.expect(command, 1, "the drone is flying .* land it first")
+    guest.expect("dpkg -r decklander", 1, "the drone is flying")
+    guest.expect("systemctl is-active decklander", 0)
+    guest.expect("systemctl stop sim decklander; dpkg -r decklander", 0, "left, since they are yours: /etc/decklander")
+    guest.expect(f"test ! -e {PREFIX} && test -e /etc/decklander/rig.toml && test -d /var/lib/private/decklander", 0)
+    guest.expect("dpkg -P decklander", 0)
+    guest.expect("ls -d /opt/decklander /etc/decklander /var/lib/decklander /var/lib/private/decklander 2>/dev/null", 2)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Installation on a booted Debian 12.")
+    parser.add_argument("--deb", type=Path, required=True)
+    parser.add_argument("--work", type=Path, help="working folder; a base made there before is used again")
+    parser.add_argument("--keep", action="store_true", help="leave it")
+    asked = parser.parse_args()
+    if os.geteuid() != 0 or shutil.which("debootstrap") is None:
+        print("this needs root and debootstrap (apt install debootstrap)", file=sys.stderr)
+        return 2
+    work = asked.work or Path(tempfile.mkdtemp(prefix="decklander-boot-"))
+    base, root = work / "base", work / "root"
+    if not (base / "usr/bin/systemctl").exists():
+        subprocess.run(
+            ["debootstrap", "--variant=minbase", f"--include={PACKAGES}", "bookworm", str(base), MIRROR],
+            check=True, stdout=subprocess.DEVNULL,
+        )  # fmt: skip
+    shutil.rmtree(root, ignore_errors=True)
+    subprocess.run(["cp", "--archive", "--reflink=auto", str(base), str(root)], check=True)
+    shutil.copyfile(asked.deb, root / "decklander.deb")
+    (root / "new").mkdir()
+    guest = Guest(root)
+    try:
+        fly(guest, root / "new")
+    except Failed as why:
+        print(f"FAILED: {why}\n{guest.run('journalctl --unit decklander --no-pager --lines 30').stdout}", file=sys.stderr)
+        return 1
+    finally:
+        guest.stop()
+        if not asked.keep:
+            shutil.rmtree(root, ignore_errors=True)
+            if asked.work is None:
+                shutil.rmtree(work, ignore_errors=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
