@@ -119,6 +119,7 @@ def ulog_seeds() -> Iterator[bytes]:
     around = (
         _ulog("I", b"\x0dchar[3] ver_abc")
         + _ulog("P", b"\x0bint32_t SYS" + struct.pack("<i", 1))
+        + _ulog("P", b"\x0cchar[4] TEXTword")
         + _ulog("L", b"6" + bytes(8) + b"hello")
     )
     yield head + formats + adds + rows

@@ -58,22 +58,29 @@ def read_history(path: Path) -> AutopilotLog:
         BadInput: the file cannot be read, is no ULog, or holds no parameters.
     """
     log = open_ulog(path, _TOPICS)
-    parameters = {str(name): float(value) for name, value in log.initial_parameters.items()}
-    parameters |= {str(name): float(value) for _, name, value in log.changed_parameters}
-    parameters = {name: value for name, value in sorted(parameters.items()) if math.isfinite(value)}
+    try:
+        return _autopilot_log(path, log)
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as why:
+        raise BadInput(f"{path}: not the topics of a PX4 log: {type(why).__name__}: {why}") from why
+
+
+def _autopilot_log(path: Path, log: Any) -> AutopilotLog:
+    changed = {name: value for _, name, value in log.changed_parameters}
+    parameters = {
+        str(name): float(value)
+        for name, value in sorted((log.initial_parameters | changed).items())
+        if isinstance(value, int | float) and math.isfinite(value)
+    }
     if not parameters:
         raise BadInput(f"{path}: holds no parameters")
     topics: dict[str, Topic] = {}
     for data in log.data_list:
         if len(data.data["timestamp"]) and data.multi_id == 0:
             topics.setdefault(data.name, data.data)
-    try:
-        history = _history(log, topics)
-        states = topics.get("vehicle_status", {}).get("nav_state", ())
-        precision = any(int(state) == _PRECLAND for state in states)
-        events = tuple(int(n) for n in topics.get("event", {}).get("id", ()))
-    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as why:
-        raise BadInput(f"{path}: not the topics of a PX4 log: {type(why).__name__}: {why}") from why
+    history = _history(log, topics)
+    states = topics.get("vehicle_status", {}).get("nav_state", ())
+    precision = any(int(state) == _PRECLAND for state in states)
+    events = tuple(int(n) for n in topics.get("event", {}).get("id", ()))
     texts = tuple(str(m.message) for m in log.logged_messages)
     return AutopilotLog("PX4", None, _firmware(log), parameters, texts, events, history, precision)
 

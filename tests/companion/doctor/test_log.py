@@ -15,6 +15,7 @@ from companion.doctor.finding import Finding, Severity
 from companion.doctor.gather_log import examine_log
 from companion.doctor.snapshot import decode, encode
 from drivers.imports.log_history import LandingMeter
+from drivers.imports.ulog_history import read_history
 from estimator.contracts.errors import BadInput
 from tests.companion.doctor.test_rules import ARDUPILOT, PX4
 from tests.support.flight_logs import dataflash, ulog
@@ -222,6 +223,14 @@ def test_a_log_of_another_kind_of_vehicle_or_of_nothing_is_refused(tmp_path: Pat
         examine_log(dataflash(tmp_path / "y.bin", {}))
     with pytest.raises(BadInput, match="no parameters"):
         examine_log(ulog(tmp_path / "y.ulg", {}, TOPICS))
+
+
+def test_a_parameter_that_is_no_number_is_left_out(tmp_path: Path) -> None:
+    path = ulog(tmp_path / "x.ulg", PX4.parameters, TOPICS)
+    expected = read_history(path).parameters
+    key = b"char[4] MPC_TEXT"
+    path.write_bytes(path.read_bytes() + struct.pack("<HB", 1 + len(key) + 4, ord("P")) + bytes([len(key)]) + key + b"1e3x")
+    assert read_history(path).parameters == expected
 
 
 @needs_data
