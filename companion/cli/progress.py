@@ -11,7 +11,8 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 
 class ProgressObserver(NullObserver):
-    """An observer that shows the service's estimate of height and lateral distance, its phase, frame rate and delay.
+    """An observer that shows the service's estimate of height and lateral distance, its phase, frame rate and delay,
+    or in their place the reason why the vehicle is not on its way down.
 
     Args:
         period_s: between two lines where the output is no terminal.
@@ -61,9 +62,11 @@ class ProgressObserver(NullObserver):
         if belief is not None:
             seen_s = belief.age_s(decision.at)
             where = f"height {belief.height_m:5.2f} m   beside {belief.lateral_m:5.2f} m   seen {seen_s:4.1f} s ago"
+        time_s = seconds_between(self._began, decision.at)
+        if decision.reason:
+            return f"{time_s:5.1f} s  {decision.phase:<22}  {where}   {decision.reason}"
         rate = "--"
         if len(self._frames) > 1:
             rate = f"{(len(self._frames) - 1) / max(1e-9, seconds_between(self._frames[0], self._frames[-1])):.0f}"
         delay = "--" if self._delay_s is None else f"{1e3 * self._delay_s:.0f}"
-        time_s = seconds_between(self._began, decision.at)
         return f"{time_s:5.1f} s  {decision.phase:<22}  {where}   {rate:>2} frames/s  {delay:>3} ms  {self._verdict}"

@@ -83,7 +83,6 @@ _PLAIN = (
     State.SEARCH,
     State.INTERCEPT,
     State.DESCEND,
-    State.GATE,
     State.COMMIT,
     State.PRESS,
     State.DOWN,
@@ -195,6 +194,8 @@ class Pilot:
     @property
     def reason(self) -> str:
         """Why the vehicle is not simply on its way down, as text for the operator; empty while it is."""
+        if self._mission.state is State.GATE:
+            return "" if self._mission.waits_for is None else self._mission.waits_for.text
         if self._no_place is not None and self._mission.state in _BY_REPORTS:
             return self._no_place.text
         if self._mission.state in _PLAIN:
