@@ -10,7 +10,7 @@ import secrets
 import sys
 from pathlib import Path
 
-from companion.mavlink.key_setup import Met, meet, observe, send_key
+from companion.mavlink.key_setup import VERSION_2_CURE, Met, meet, observe, send_key
 from companion.page.access import make_token
 from drivers.clock import SystemClock
 from drivers.mavlink.endpoint import Endpoint, parse_endpoint
@@ -111,6 +111,11 @@ async def _set_up(args: argparse.Namespace, endpoint: Endpoint, current: Signing
     sys.stdout.write(_meaning(endpoint, met, current, key))
     if met.armed:
         raise BadInput("the autopilot is armed: it takes no key then; disarm it first")
+    if key is not None and met.old_version:
+        raise BadInput(
+            f"{endpoint}: the autopilot answers in MAVLink 1, which carries no signature: with a key it would obey nobody here; "
+            f"{VERSION_2_CURE} first"
+        )
     if not args.yes and not _confirmed():
         sys.stdout.write("nothing was changed\n")
         return 1

@@ -24,10 +24,14 @@ from drivers.mavlink.signing_times import SigningTimes
 from drivers.mavlink.vehicle import ARMED, is_autopilot, stack_of
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs, seconds_between
 
+VERSION_2_CURE = "set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4) for this link"
 _STATION = (255, 190)
 _KNOCK_S = 0.3
 _REPEATS = 3
+_CHANGES_OVER_S = 3.0
+"""Time for which a heartbeat in MAVLink 1 may be followed by one in 2: an autopilot may change over when it hears us speak 2."""
 _NO_KEY = [0] * 32
 
 
@@ -41,6 +45,8 @@ class Met:
     armed: bool
     signs: bool
     """Whether the autopilot's messages are signed, by whatever key."""
+    old_version: bool
+    """Whether it speaks MAVLink 1 even to one who speaks 2: such messages carry no signature."""
 
 
 async def meet(endpoint: Endpoint, current: SigningKey | None, system: int | None, clock: Clock, seconds: float) -> Met:
@@ -54,7 +60,9 @@ async def meet(endpoint: Endpoint, current: SigningKey | None, system: int | Non
     Raises:
         Recoverable: no heartbeat was received.
     """
+    met: Met | None = None
     async with _opened(endpoint, current, clock) as links:
+        first: MonoNs | None = None
         try:
             async with asyncio.timeout(seconds):
                 async for received in links.received:
@@ -63,11 +71,18 @@ async def meet(endpoint: Endpoint, current: SigningKey | None, system: int | Non
                         continue
                     if is_autopilot(message, received.component):
                         armed = bool(message.base_mode & ARMED)
-                        return Met(received.system, received.component, stack_of(message).value, armed, _is_signed(received))
+                        met = Met(
+                            received.system, received.component, stack_of(message).value, armed, _is_signed(received),
+                            _is_old_version(received),
+                        )  # fmt: skip
+                        first = clock.now() if first is None else first
+                        if not met.old_version or seconds_between(first, clock.now()) > _CHANGES_OVER_S:
+                            return met
         except TimeoutError:
             pass
-        raise Recoverable(_silence(links, endpoint, current))
-    raise AssertionError("not reached")
+        if met is None:
+            raise Recoverable(_silence(links, endpoint, current))
+    return met
 
 
 async def send_key(endpoint: Endpoint, current: SigningKey | None, to: Met, key: SigningKey | None, clock: Clock) -> None:
@@ -122,10 +137,16 @@ def _is_signed(received: ReceivedMessage) -> bool:
     return frame[0] == mav.PROTOCOL_MARKER_V2 and bool(frame[2] & mav.MAVLINK_IFLAG_SIGNED)
 
 
+def _is_old_version(received: ReceivedMessage) -> bool:
+    return bool(received.message.get_msgbuf()[0] == mav.PROTOCOL_MARKER_V1)
+
+
 def _silence(links: Links, endpoint: Endpoint, current: SigningKey | None) -> str:
     link = links.all[0]
     if link.down is not None:
         return f"{endpoint} is not open: {link.down}"
+    if link.counters.total("old_version"):
+        return f"{endpoint}: what comes is MAVLink 1, which carries no signature; {VERSION_2_CURE}"
     if link.counters.total("refused_signature"):
         return f"{endpoint}: what comes is not signed with the key in --current"
     if link.counters.total("messages"):

@@ -157,6 +157,7 @@ class Codec:
                     signing.stream_timestamps[stream] = newest
             if signing.badsig_count + signing.reject_count > refused_before or "signature" in str(why).lower():
                 self.counters.refused_signature += 1
+                self.counters.old_version += frame[0] == _V1
                 return True, None
             self.counters.damaged += 1
             return False, None

@@ -23,10 +23,10 @@ URL = f"udpin://{HOST}:0"
 
 
 class Lockable(asyncio.DatagramProtocol):
-    """An autopilot on UDP that can be given a key; with one it hears signed messages only, and signs its own."""
+    """An autopilot on UDP that can be given a key; with one it hears signed messages only, and signs its own in MAVLink 2."""
 
-    def __init__(self, *, armed: bool = False, deaf: bool = False, key: bytes | None = None) -> None:
-        self.armed, self.deaf = armed, deaf
+    def __init__(self, *, armed: bool = False, deaf: bool = False, key: bytes | None = None, old_version: bool = False) -> None:
+        self.armed, self.deaf, self.old_version = armed, deaf, old_version
         self.peer: Any = None
         self.measured_at: list[bytes] = []
         self._transport: Any = None
@@ -50,7 +50,9 @@ class Lockable(asyncio.DatagramProtocol):
         while True:
             if self.peer is not None:
                 beat = mav.MAVLink_heartbeat_message(2, 3, 128 if self.armed else 0, 0, 4, 3)
-                self._transport.sendto(self.codec.pack(beat), self.peer)
+                plain = mav.MAVLink(None, srcSystem=1, srcComponent=1)
+                data = beat.pack(plain, force_mavlink1=True) if self.old_version else self.codec.pack(beat)
+                self._transport.sendto(data, self.peer)
             await asyncio.sleep(0.02)
 
 
@@ -142,6 +144,16 @@ async def test_what_did_not_come_about_is_not_called_done(tmp_path: Path, capsys
         assert autopilot.measured_at == []
     assert await keys("install", "--link", f"udpin://{HOST}:0", "--seconds", "0.5", "--yes", str(path)) == 1
     assert "no autopilot is heard" in capsys.readouterr().err
+
+
+async def test_a_link_of_mavlink_1_gets_no_key_and_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = made(tmp_path)
+    async with lockable(old_version=True) as (autopilot, url):
+        assert await keys("install", "--link", url, "--seconds", "1", "--yes", str(path)) == 2
+        assert "SERIALn_PROTOCOL 2" in capsys.readouterr().err
+        assert await keys("install", "--link", url, "--seconds", "0.5", "--current", str(path), "--yes", str(path)) == 1
+        assert "what comes is MAVLink 1, which carries no signature" in capsys.readouterr().err
+        assert autopilot.measured_at == []
 
 
 @pytest.mark.parametrize(
