@@ -21,6 +21,7 @@ from companion.operator.wire import OrderRequest, SticksRequest, WatchRequest, l
 from companion.page.endpoint import PageEndpoint
 from companion.page.messages import DownloadRequest, DrawnNotice, LoginRequest, PageRequest, RecordingsRequest
 from companion.page.recordings import Recordings
+from companion.page.report_maker import ReportMaker
 from companion.page.settings import PageSettings
 from companion.page.viewer import PageViewer
 from companion.runtime.health import Health
@@ -94,6 +95,7 @@ class _Page:
         self.pilot = pilot
         self.clock: Clock = SystemClock()
         self._recordings = Recordings(folder, self.clock)
+        self._reports = ReportMaker(folder, lambda: False)
 
     def count(self, what: str) -> None:
         assert what
@@ -105,6 +107,9 @@ class _Page:
         answer = self._recordings.ticket(name, flying=False)
         assert answer.address is None or (name.endswith(".mcap") and not set(name) & set("/\\\0")), f"an address for {name!r}"
         viewer.tell(answer)
+
+    def make_report(self, viewer: PageViewer, name: str) -> None:
+        self._reports.ask(viewer, name)
 
 
 class _Socket:

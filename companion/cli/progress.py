@@ -11,8 +11,9 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 
 class ProgressObserver(NullObserver):
-    """An observer that shows the service's estimate of height and lateral distance, its phase, frame rate and delay,
-    or in their place the reason why the vehicle is not on its way down.
+    """An observer that shows the service's estimate of height and lateral distance, its phase, frame rate and delay.
+
+    Where the vehicle is not on its way down, the reason stands in place of rate and delay.
 
     Args:
         period_s: between two lines where the output is no terminal.

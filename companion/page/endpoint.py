@@ -20,8 +20,10 @@ from companion.guidance.mission import FAULTS
 from companion.operator.flight_state import FlightWatch
 from companion.operator.orders import HandledOrder, OrderSender, OrderSource
 from companion.operator.wire import RequestRefused
+from companion.page import report_maker
 from companion.page.access import HEADERS, is_token, same_origin, server_context, token_of
 from companion.page.assets import assets
+from companion.page.file_answer import send_file
 from companion.page.messages import (
     TEXT_MAX,
     Level,
@@ -35,6 +37,7 @@ from companion.page.messages import (
 )
 from companion.page.picture import AHEAD_S, picture
 from companion.page.recordings import Recordings
+from companion.page.report_maker import ReportMaker
 from companion.page.settings import PageSettings
 from companion.page.state import HORIZONS_S, page_health, place
 from companion.page.viewer import ORDERS, PageViewer
@@ -96,6 +99,7 @@ class PageEndpoint(NullObserver):
         self._limits = limits or ConnectionLimits()
         self._assets = assets()
         self._recordings = Recordings(recordings, clock)
+        self._reports = ReportMaker(recordings, lambda: self._flying)
         self._asking: Line[PageViewer] = Line(settings.viewers_max)
         self._flight = FlightWatch(pilot, clock)
         self._attitude: Attitude | None = None
@@ -147,6 +151,7 @@ class PageEndpoint(NullObserver):
         app = web.Application(client_max_size=1024)
         app.router.add_get("/live", self._live)
         app.router.add_get("/recordings/{ticket}", self._recording)
+        app.router.add_get("/reports/{ticket}", self._report)
         app.router.add_get("/{name:.*}", self._file)
         app.on_response_prepare.append(_secured)
         runner = web.AppRunner(app, access_log=None, shutdown_timeout=0.5)
@@ -162,6 +167,7 @@ class PageEndpoint(NullObserver):
                     group.create_task(self._send_states())
                     group.create_task(self._send_pictures(worker))
                     group.create_task(self._send_lists())
+                    group.create_task(self._reports.run())
             finally:
                 server.close()
         finally:
@@ -174,9 +180,8 @@ class PageEndpoint(NullObserver):
     async def _file(self, request: web.Request) -> web.Response:
         asset = self._assets.get(request.path)
         if asset is None:
-            answer = web.Response(status=404, text="there is no such file\n")
-        else:
-            answer = web.Response(body=asset.body, headers={"Content-Type": asset.content_type})
+            return _missing("there is no such file")
+        answer = web.Response(body=asset.body, headers={"Content-Type": asset.content_type})
         answer.force_close()  # a connection's time is bounded, and an idle one holds no descriptor
         return answer
 
@@ -187,6 +192,10 @@ class PageEndpoint(NullObserver):
     def offer_recording(self, viewer: PageViewer, name: str) -> None:
         """Send this viewer an address for a recording, or why there is none."""
         viewer.tell(self._recordings.ticket(name, flying=self._flying))
+
+    def make_report(self, viewer: PageViewer, name: str) -> None:
+        """Make the report of a recording for this viewer, or tell why not."""
+        self._reports.ask(viewer, name)
 
     @property
     def _flying(self) -> bool:
@@ -204,12 +213,18 @@ class PageEndpoint(NullObserver):
     async def _recording(self, request: web.Request) -> web.StreamResponse:
         name = self._recordings.redeem(request.match_info["ticket"])
         if name is None:
-            answer = web.Response(status=404, text="this address holds once, and only for a short time\n")
-            answer.force_close()
-            return answer
+            return _missing("this address holds once, and only for a short time")
         self.count("downloads")
         self._limits.lift(request.transport)
         return await self._recordings.send(request, name)
+
+    async def _report(self, request: web.Request) -> web.StreamResponse:
+        path = self._reports.path(request.match_info["ticket"])
+        if path is None:
+            return _missing("this report is no longer kept; ask for it again on the page")
+        self.count("reports")
+        self._limits.lift(request.transport)
+        return await send_file(request, path, report_maker.HEADERS)
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if not same_origin(request.headers.get("Origin"), request.headers.get("Host")):
@@ -331,8 +346,17 @@ class PageEndpoint(NullObserver):
 
 
 async def _secured(request: web.Request, answer: web.StreamResponse) -> None:
-    """Set the headers of every answer."""
+    """Set the headers of every answer; one that has its own policy keeps it."""
+    own = answer.headers.get("Content-Security-Policy")
     answer.headers.update(HEADERS)
+    if own is not None:
+        answer.headers["Content-Security-Policy"] = own
+
+
+def _missing(why: str) -> web.Response:
+    answer = web.Response(status=404, text=f"{why}\n")
+    answer.force_close()
+    return answer
 
 
 async def _refuse(socket: web.WebSocketResponse, code: int, why: str) -> None:

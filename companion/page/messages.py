@@ -39,7 +39,13 @@ class DownloadRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="
     name: Annotated[str, Meta(max_length=205)]
 
 
-PageRequest = LoginRequest | OrderRequest | SticksRequest | DrawnNotice | RecordingsRequest | DownloadRequest
+class ReportRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="report", forbid_unknown_fields=True):
+    """Make the report of a recording. It is answered by a `ReportAnswer` at once, and by another one with the address."""
+
+    name: Annotated[str, Meta(max_length=205)]
+
+
+PageRequest = LoginRequest | OrderRequest | SticksRequest | DrawnNotice | RecordingsRequest | DownloadRequest | ReportRequest
 
 
 class PageWelcome(Struct, frozen=True, kw_only=True, tag_field="kind", tag="welcome"):
@@ -142,6 +148,14 @@ class DownloadAnswer(Struct, frozen=True, kw_only=True, tag_field="kind", tag="d
     text: str
 
 
+class ReportAnswer(Struct, frozen=True, kw_only=True, tag_field="kind", tag="report"):
+    """Where a report may be read, as long as it is kept; or what becomes of it, or why there is none."""
+
+    name: str
+    address: str | None
+    text: str
+
+
 class PictureLine(Struct, frozen=True):
     """A line to draw over the picture."""
 
@@ -157,7 +171,8 @@ class PictureHeader(Struct, frozen=True, kw_only=True):
     lines: tuple[PictureLine, ...]
 
 
-ToPage = PageWelcome | PageState | PageHealth | PageEvent | OrderAnswer | RequestRefused | RecordingList | DownloadAnswer
+FileAnswer = RecordingList | DownloadAnswer | ReportAnswer
+ToPage = PageWelcome | PageState | PageHealth | PageEvent | OrderAnswer | RequestRefused | FileAnswer
 
 _requests = msgspec.json.Decoder(PageRequest)
 _encode = msgspec.json.Encoder().encode

@@ -1,23 +1,19 @@
 """The recordings that the page offers: which there are, and one-time addresses from which a browser may load one.
 
-A browser's download carries no token, so the page asks for an address over its own connection first. The disk is read on a thread
-of its own, piece by piece: a slow one never holds up guidance.
+A browser's download carries no token, so the page asks for an address over its own connection first.
 """
 
 from __future__ import annotations
 
-import asyncio
 import re
 import secrets
 import stat
-from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO
 
 from aiohttp import web
 
+from companion.page.file_answer import send_file
 from companion.page.messages import DownloadAnswer, RecordingFile, RecordingList
-from companion.runtime.worker import Worker
 from estimator.contracts.errors import unusable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
@@ -27,10 +23,13 @@ _LISTED = 50
 _TICKETS = 16
 _TICKET_S = 30.0
 _DOWNLOADS = 2
-_PIECE_BYTES = 64 * 1024
-_PIECE_S = 10.0
-"""A browser that takes no piece for so long is hung up on."""
 IN_FLIGHT = "the vehicle flies, and its link is not to be shared with a download; ask again on the ground"
+NO_NAME = "that is no recording's name"
+
+
+def is_recording_name(name: str) -> bool:
+    """Return whether a file of the recorder's folder may have this name: one without a path."""
+    return _NAME.fullmatch(name) is not None
 
 
 class Recordings:
@@ -49,7 +48,7 @@ class Recordings:
     def listed(self) -> RecordingList:
         """Return the newest recordings. It reads the disk, so it belongs on a thread."""
         try:
-            found = [(path, path.lstat()) for path in self._folder.iterdir() if _NAME.fullmatch(path.name)]
+            found = [(path, path.lstat()) for path in self._folder.iterdir() if is_recording_name(path.name)]
         except FileNotFoundError:
             return RecordingList(files=(), fault="")
         except OSError as why:
@@ -65,8 +64,8 @@ class Recordings:
         """Return an address that holds once and for a short time, or why there is none."""
         if flying:
             return DownloadAnswer(name=name, address=None, text=IN_FLIGHT)
-        if not _NAME.fullmatch(name):
-            return DownloadAnswer(name=name, address=None, text="that is no recording's name")
+        if not is_recording_name(name):
+            return DownloadAnswer(name=name, address=None, text=NO_NAME)
         if self._under_way >= _DOWNLOADS:
             return DownloadAnswer(name=name, address=None, text=f"{_DOWNLOADS} downloads are under way already")
         while len(self._tickets) >= _TICKETS:
@@ -83,38 +82,9 @@ class Recordings:
 
     async def send(self, request: web.Request, name: str) -> web.StreamResponse:
         """Send a recording as far as it is written at this moment."""
-        worker = Worker("page recordings")
+        headers = {"Content-Disposition": f'attachment; filename="{name}"', "Content-Type": "application/octet-stream"}
         self._under_way += 1
-        file: BinaryIO | None = None
         try:
-            file, size = opened = await worker.run(self._opened, name)
-            headers = {"Content-Disposition": f'attachment; filename="{name}"', "Content-Type": "application/octet-stream"}
-            answer = web.StreamResponse(headers=headers)
-            answer.content_length = size
-            answer.force_close()
-            await answer.prepare(request)
-            while size > 0:
-                piece = await worker.run(opened[0].read, min(size, _PIECE_BYTES))
-                if not piece:
-                    break
-                size -= len(piece)
-                async with asyncio.timeout(_PIECE_S):
-                    await answer.write(piece)
-            return answer
-        except OSError as why:  # a hung-up browser, a slow one (TimeoutError), or the disk
-            if file is None:
-                return web.Response(status=404, text=f"{unusable(name, why)}\n")
-            raise ConnectionResetError(f"{name} was not sent to its end") from why
+            return await send_file(request, self._folder / name, headers)
         finally:
             self._under_way -= 1
-            if file is not None:
-                with suppress(Exception):
-                    await worker.run(file.close)
-            worker.close()
-
-    def _opened(self, name: str) -> tuple[BinaryIO, int]:
-        path = self._folder / name
-        status = path.lstat()
-        if not stat.S_ISREG(status.st_mode):
-            raise FileNotFoundError(2, "not a file", str(path))
-        return path.open("rb"), status.st_size

@@ -21,6 +21,7 @@ from companion.page.messages import (
     LoginRequest,
     PageState,
     RecordingsRequest,
+    ReportRequest,
     ToPage,
     request_in,
     text_of,
@@ -53,6 +54,8 @@ class Served(Protocol):
     def list_recordings(self, viewer: PageViewer) -> None: ...
 
     def offer_recording(self, viewer: PageViewer, name: str) -> None: ...
+
+    def make_report(self, viewer: PageViewer, name: str) -> None: ...
 
 
 class PageViewer:
@@ -152,6 +155,8 @@ class PageViewer:
                 self._served.list_recordings(self)
             case DownloadRequest():
                 self._served.offer_recording(self, request.name)
+            case ReportRequest():
+                self._served.make_report(self, request.name)
             case LoginRequest():
                 return "this page is logged in already"
             case str():

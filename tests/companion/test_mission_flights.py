@@ -183,7 +183,8 @@ def test_a_gate_that_does_not_open_ends_in_a_refusal_that_says_what_kept_it_shut
 
 def test_what_a_shut_gate_waits_for_is_said_and_stands_long_enough_to_be_read() -> None:
     options = guided(limits={"relative_speed_m_s": 0.02}, tries={"go_arounds_max": 0}, cone={"gate_s": 7.0})
-    flight, said = PointFlight([0.0, 0.0, 1.2], options), []
+    flight = PointFlight([0.0, 0.0, 1.2], options)
+    said: list[tuple[float, Reason]] = []
     while flight.progress.state is not State.REFUSED and flight.t < 40.0:
         flight.v[0] += 0.08 * math.sin(4.0 * flight.t)
         flight.cycle()

@@ -122,7 +122,7 @@ class Browser:
 
     async def read(self, kind: str) -> dict[str, Any]:
         """Read until a message of this kind, and return it."""
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             while True:
                 message = await self.socket.receive()
                 if message.type is aiohttp.WSMsgType.BINARY:

@@ -15,6 +15,7 @@ import pytest
 from estimator.contracts.commands import CutMotors, Hover, Land, Velocity
 from tests.support.fake_ardrone import until
 from tests.support.page_service import TOKEN, PageService, serving
+from tests.support.recorded_flight import record_to
 
 CHROMIUM = shutil.which("chromium")
 playwright = pytest.importorskip("playwright.async_api", reason="playwright is not installed (requirements/dev.txt)")
@@ -169,6 +170,27 @@ async def test_a_phone_shows_every_order_without_scrolling_sideways(tmp_path: Pa
             ".map((e) => e.getAttribute('aria-label') || e.textContent.trim() || e.labels?.[0]?.textContent.trim() || '')"
         )
         assert all(names), "everything that can be pressed has a name for a screen reader"
+
+
+@pytest.mark.timeout(500)
+async def test_a_flight_s_report_opens_from_the_page_and_reaches_nothing_of_it(tmp_path: Path) -> None:
+    (tmp_path / "recordings").mkdir()
+    record_to(tmp_path / "recordings/decklander-1.mcap")
+    async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service) as one:
+        service.flying = False
+        await one.shows("link", "live")
+        await one.page.click("#list-recordings")
+        await one.page.click('[aria-label="Report decklander-1.mcap"]')
+        await one.shows("recordings-note", "the report is ready")
+        async with one.page.expect_popup() as opened:
+            await one.page.click('[aria-label="Open the report of decklander-1.mcap"]')
+        report = await opened.value
+        faults: list[str] = []
+        report.on("pageerror", lambda error: faults.append(str(error)))
+        await report.reload()
+        await report.wait_for_function("document.querySelector('video').readyState >= 2")
+        assert await report.evaluate("origin") == "null"
+        assert faults == one.faults == []
 
 
 @pytest.mark.timeout(500)

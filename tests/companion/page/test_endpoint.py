@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+import tempfile
 from pathlib import Path
 
 import aiohttp
@@ -24,6 +25,7 @@ from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput
 from tests.support.fake_ardrone import until
 from tests.support.page_service import TOKEN, PageService, browsing, serving
+from tests.support.recorded_flight import record_to
 
 
 async def test_a_browser_watches_and_gives_orders_through_the_arbiter(tmp_path: Path) -> None:
@@ -286,3 +288,41 @@ async def test_a_recording_is_loaded_once_from_an_address_that_only_the_page_get
                 assert answer.status == 404, "no link is followed, and nothing made up"
         async with client.get("/recordings/AAAAAAAAAAAAAAAA") as answer:
             assert answer.status == 404
+
+
+def reports_in(folder: Path) -> list[Path]:
+    return list(folder.glob("decklander-reports-*/*.html"))
+
+
+async def test_a_report_is_made_on_the_ground_and_opened_in_a_sandbox(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    (tmp_path / "recordings").mkdir()
+    record_to(tmp_path / "recordings/decklander-1.mcap", 0.5)
+    (tmp_path / "recordings/torn.mcap").write_bytes(b"no recording")
+    async with serving(tmp_path) as service, browsing(service) as browser, aiohttp.ClientSession(service.address) as client:
+        await browser.send(kind="report", name="decklander-1.mcap")
+        assert "the vehicle flies" in (await browser.read("report"))["text"]
+        service.flying = False
+        await until(lambda: service.pilot.vehicle is not None and service.pilot.vehicle.flying is False)
+        await browser.send(kind="report", name="decklander-1.mcap")
+        assert (await browser.read("report"))["text"] == "is being made"
+        made = await browser.read("report")
+        assert made["text"] == ""
+        async with client.get(made["address"]) as answer:
+            assert "sandbox allow-scripts" in answer.headers["Content-Security-Policy"]
+            assert answer.headers["Referrer-Policy"] == "no-referrer"
+            assert "decklander-1" in await answer.text()
+        for name, why in (("torn.mcap", "torn.mcap"), ("none.mcap", "No such file")):
+            await browser.send(kind="report", name=name)
+            await browser.read("report")
+            refused = await browser.read("report")
+            assert refused["address"] is None
+            assert why in refused["text"]
+        await browser.send(kind="report", name="../token")
+        assert "no recording's name" in (await browser.read("report"))["text"]
+        await browser.send(kind="report", name="decklander-1.mcap")
+        await browser.read("report")
+        service.flying = True
+        assert "the vehicle flies" in (await browser.read("report"))["text"], "a take-off ends the work"
+        assert len(reports_in(tmp_path)) == 1
+    assert reports_in(tmp_path) == []
