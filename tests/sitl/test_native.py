@@ -14,6 +14,7 @@ from estimator.core.interface.render import PAD_EDGE
 from estimator.core.library import CORE, Core, load
 from sitl.native import address
 from supply import core
+from tests.support.part_of_core import WITH_HEADERS, part
 
 H, W, TAPS = 10, 24, np.array([40000, 12000, 768], np.uint16)
 
@@ -75,8 +76,9 @@ def smeared(library: Core, rng: np.random.Generator) -> NDArray[Any]:
 
 @pytest.fixture(scope="module")
 def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Core:
-    out: Path = tmp_path_factory.mktemp("core") / "one_by_one.so"
-    return load(str(core.build(out, ("-DLANES_ONE_BY_ONE", "-O0"))))
+    folder: Path = tmp_path_factory.mktemp("core")
+    renderer = part(folder / "part", "render_*.c")
+    return load(str(core.build(folder / "one_by_one.so", ("-DLANES_ONE_BY_ONE", "-O0", WITH_HEADERS), renderer)))
 
 
 @pytest.mark.parametrize("step", [deck, exposed, imaged, smeared])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,6 +19,8 @@ from estimator.vision.pad import Pad
 
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
 DECK_RGB = (110, 105, 112)
+_FINE_PX = 150
+"""Below so many pixels of the pad, lines are hardly wider than one: every pixel is sampled in full."""
 
 
 def sim_camera(p_body_cam_m: tuple[float, float, float] = (0.15, 0.0, 0.0), distortion: tuple[float, ...] = (0.0,) * 5) -> Camera:
@@ -100,14 +103,27 @@ def _trace(
     samples: int,
     deck: tuple[int, int, int],
 ) -> NDArray[np.float32]:
-    w, h = int(high[0] - low[0]), int(high[1] - low[1])
+    """Return the light of the pixels from `low` to before `high`. Where all around is of one paint, one sample says it."""
+    colours = pad.markings.colours
+    palette = _light(np.array([deck, colours.rim or colours.disc, colours.disc, colours.ring, colours.h], np.float32)[:, ::-1])
+    rows, columns = np.mgrid[low[1] - 2 : high[1] + 2, low[0] - 2 : high[0] + 2]
+    paint, around = _seen(columns, rows, T, camera, pad), np.ones((5, 5), np.uint8)
+    inside = np.s_[2:-2, 2:-2]
+    mixed = (cv2.dilate(paint, around) != cv2.erode(paint, around))[inside] | (max(high - low) < _FINE_PX)
+    rows, columns, light = rows[inside], columns[inside], np.asarray(palette[paint[inside]], np.float32)
     # Rows of sub-samples are shifted against one another, and columns too, so that an upright edge meets samples squared places.
     step = (np.arange(samples) + 0.5) / samples - 0.5
-    u = (low[0] + np.arange(w)[:, None] + step).ravel()[None, :] + np.tile(step / samples, h)[:, None]
-    v = (low[1] + np.arange(h)[:, None] + step).ravel()[:, None] + np.tile(step / samples, w)[None, :]
+    u = columns[mixed][:, None, None] + step[None, None, :] + step[None, :, None] / samples
+    v = rows[mixed][:, None, None] + step[None, :, None] + step[None, None, :] / samples
+    light[mixed] = palette[_seen(u, v, T, camera, pad)].mean(axis=(1, 2))
+    return light
+
+
+def _seen(u: NDArray[Any], v: NDArray[Any], T: Transform, camera: Camera, pad: Pad) -> NDArray[np.uint8]:
+    """Return the paint that points of the image (px) show."""
     if camera.distorted:
         rays = camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(*u.shape, 2)
-        x, y = rays[:, :, 0], rays[:, :, 1]
+        x, y = rays[..., 0], rays[..., 1]
     else:
         x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     # The point of the ray (x, y, 1) s on the pad's plane, in pad coordinates.
@@ -118,18 +134,7 @@ def _trace(
     b = (M[0, 1] * x + M[1, 1] * y + M[2, 1]) * s - t[1]
     paint = _paint(a, b, pad)
     paint[s <= 0] = 0
-    palette = np.array(
-        [
-            deck,
-            pad.markings.colours.rim or pad.markings.colours.disc,
-            pad.markings.colours.disc,
-            pad.markings.colours.ring,
-            pad.markings.colours.h,
-        ],
-        np.float32,
-    )[:, ::-1]
-    colour = _light(palette)[paint]
-    return np.asarray(colour.reshape(h, samples, w, samples, 3).mean(axis=(1, 3)), np.float32)
+    return paint
 
 
 def _paint(x: F64, y: F64, pad: Pad) -> NDArray[np.uint8]:

@@ -15,6 +15,7 @@ from estimator.contracts.errors import SetupImpossible
 from estimator.core import interface
 from estimator.core.library import CORE, address, load
 from supply import core
+from tests.support.part_of_core import WITH_HEADERS, part
 
 ROOT = Path(__file__).parents[3]
 
@@ -38,7 +39,8 @@ def test_a_missing_library_or_one_of_another_interface_is_refused_with_the_cure(
     (tmp_path / "torn.so").write_bytes(core.LIBRARY.read_bytes()[:100])
     with pytest.raises(SetupImpossible, match=r"torn\.so cannot be loaded .*make core"):
         load(str(tmp_path / "torn.so"))
-    other = core.build(tmp_path / "other.so", ("-O0", f"-DINTERFACE_DIGEST={interface.digest() ^ 1}u"))
+    flags = (WITH_HEADERS, f"-DINTERFACE_DIGEST={interface.digest() ^ 1}u")
+    other = core.build(tmp_path / "other.so", flags, part(tmp_path / "part"))
     with pytest.raises(SetupImpossible, match=rf"built for interface {interface.digest() ^ 1:08x}, this code needs .*make core"):
         load(str(other))
 
@@ -71,10 +73,11 @@ def test_without_a_compiler_the_build_names_both(monkeypatch: pytest.MonkeyPatch
 def test_a_source_that_the_compiler_refuses_leaves_the_library_as_it_was(tmp_path: Path) -> None:
     out = tmp_path / "libdecklander.so.1"
     out.write_bytes(b"before")
+    sources = part(tmp_path / "part")
     with pytest.raises(core.BuildError, match="INTERFACE_DIGEST"):
-        core.build(out, ("-O0", "-DINTERFACE_DIGEST=("))
+        core.build(out, (WITH_HEADERS, "-DINTERFACE_DIGEST=("), sources)
     assert out.read_bytes() == b"before"
-    assert [path.name for path in tmp_path.iterdir()] == [out.name]
+    assert sorted(tmp_path.iterdir()) == sorted([out, sources])
 
 
 def test_an_array_that_c_would_misread_is_refused() -> None:
