@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
-# A worker for each core; tests/conftest.py says what stays together.
+# tests/conftest.py says how many workers a machine's cores get, and which tests stay together.
 WORKERS := -n logical --maxprocesses 8
 BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 

@@ -18,7 +18,7 @@ hypothesis.settings.register_profile("drawn", deadline=None)
 hypothesis.settings.register_profile("same", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("same")
 
-# One test, one core: `make test` starts a worker for each core. Set before numpy is imported; what tests start inherits it.
+# One test, one core: `make test` runs several at once. Set before numpy is imported; what tests start inherits it.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
@@ -165,6 +165,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if place(item.nodeid) < len(SLOW):
             item.add_marker("slow")
     items.sort(key=lambda item: place(item.nodeid))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Start two workers more than there are cores: what a test waits for, be it a process, a link or a second, takes no core."""
+    return len(os.sched_getaffinity(0)) + 2
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import re
 import shutil
@@ -19,7 +20,7 @@ from companion.install.layout import CURRENT, PREFIX
 from companion.install.machine import Machine
 from companion.install.release import release
 from estimator.contracts.errors import Recoverable
-from supply import wheels
+from supply import core, wheels
 
 ROOT = Path(__file__).parents[2]
 MOST_MB = 450
@@ -45,6 +46,14 @@ def megabytes(folder: Path) -> float:
     return sum(path.lstat().st_blocks * 512 for path in folder.rglob("*")) / 2**20
 
 
+def instead_of_cc(folder: Path, body: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put a shell script before the compiler, which the flags of its command are given."""
+    (folder / "bin").mkdir()
+    (folder / "bin/cc").write_text(f"#!/bin/sh\n{body}\n")
+    (folder / "bin/cc").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{folder}/bin", prepend=os.pathsep)
+
+
 class Below(Machine):
     """This computer, with the installation's own folder below another root; nothing but that folder is touched."""
 
@@ -60,6 +69,8 @@ class Below(Machine):
 @pytest.mark.timeout(900)
 def test_a_checkout_installs_a_small_service_that_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PIP_COMPILE", "0")  # most of what pip compiles is taken out again; what stays is compiled below
+    # The core that this checkout has built serves again; that a wheel's build compiles it, the next test shows.
+    instead_of_cc(tmp_path, f'while [ "$1" != -o ]; do shift; done; exec cp "{core.LIBRARY}" "$2"', monkeypatch)
     source = tmp_path / "source"
     checkout(source)
     machine = Below(tmp_path / "root", sys.stdout)
@@ -90,7 +101,10 @@ def test_a_checkout_installs_a_small_service_that_runs(tmp_path: Path, monkeypat
 
 
 @pytest.mark.slow
-def test_wheel_and_source_archive_hold_what_they_should(tmp_path: Path) -> None:
+def test_wheel_and_source_archive_hold_what_they_should(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiler = shutil.which("cc")
+    if compiler is not None:
+        instead_of_cc(tmp_path, f'exec "{compiler}" "$@" -O0', monkeypatch)  # twice compiled, never run
     source = tmp_path / "source"
     checkout(source)
     done = run(f"{sys.executable} -m hatchling build -d {tmp_path}/dist", source)

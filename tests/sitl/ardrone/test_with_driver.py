@@ -68,7 +68,9 @@ async def test_it_configures_flies_and_lands_the_drone() -> None:
             assert kinds >= {Imu, Attitude, BodyVelocity, Range, VehicleStatus}
             drone.command(Land())
             await reach(world, VehiclePhase.LANDED)
-        refused = {k: n for k, n in server.drone.state.counters.items() if k.startswith("config_") and k != "config_set"}
+        # A key that a busy machine acknowledges too late is sent again, and meets its own acknowledgement.
+        late = {"config_during_ack"} if drone.counters.restarts["setup"] else set()
+        refused = {k: n for k, n in server.drone.state.counters.items() if k.startswith("config_") and k not in {"config_set"} | late}
         assert refused == {}
         assert server.drone.state.counters["com_watchdog"] <= 3, "50 ms without a command, as a busy machine may have it"
 

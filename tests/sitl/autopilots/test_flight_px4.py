@@ -25,6 +25,7 @@ from estimator.contracts.errors import BadInput
 from sitl.autopilots import px4
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram
 from sitl.autopilots.stand_in.px4 import Px4StandIn
+from sitl.perception.levels import perceive
 from sitl.scenario import load
 
 HOST = "127.0.0.1"
@@ -98,7 +99,7 @@ async def test_armed_taken_off_and_landed_on_the_pad_by_offboard_velocities(tmp_
     folder = tmp_path / "flight"
     folder.mkdir()
     autopilot = AutopilotProgram("px4", build(tmp_path), parameters=(("MPC_XY_VEL_MAX", 3.0),))
-    flight = AutopilotFlight(scenario, 1, load_settings("sim"), autopilot, folder)
+    flight = AutopilotFlight(scenario, 1, load_settings("sim"), autopilot, folder, perception=perceive("model"))
     async with asyncio.timeout(380), asyncio.TaskGroup() as group:
         standin = group.create_task(pretend(flight))
         end = await flight.fly()
