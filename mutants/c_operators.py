@@ -20,6 +20,8 @@ _OPERATORS = {
 _NAMES = {"fmin": "fmax", "fmax": "fmin", "sin": "cos", "cos": "sin"}
 _DECLARED = re.compile(r"\s*(static )?(const )?(double|int|int32_t|int64_t)\b[^=;]*\[")
 """What stands before the size of a declared array: one more element changes nothing."""
+_FILLED = re.compile(r"\](\[\w+\])* = \{")
+"""What stands behind the size of a declared array that is filled at once."""
 _PLACES = re.compile(
     r"(?<= )(?P<operator>[<>=!]=|[-+*/]=|&&|\|\||[-+*/<>])(?= )"
     r"|(?<![\w.])(?P<real>\d+\.\d*(?:e[-+]?\d+)?|\d+e[-+]?\d+)"
@@ -34,7 +36,7 @@ def c_mutants(source: str) -> Iterator[Mutant]:
     for place in _PLACES.finditer(bare):
         line = source.count("\n", 0, place.start()) + 1
         start, end = source.rfind("\n", 0, place.start()) + 1, source.find("\n", place.end())
-        if place["whole"] and _DECLARED.fullmatch(bare, start, place.start()):
+        if place["whole"] and (_DECLARED.fullmatch(bare, start, place.start()) or _FILLED.match(bare, place.end())):
             continue
         for changed in _changes(place):
             text = source[: place.start()] + changed + source[place.end() :]

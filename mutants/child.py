@@ -1,4 +1,4 @@
-"""Run tests in a forked process: on the original module, recording which test runs which line, or on a mutant of it.
+"""Run tests in a forked process, quietly, or on a module with another source.
 
 The parent has imported pytest and the libraries but nothing of ours, so a child starts in a tenth of a second and finds the
 module changed without a file being written. Nobody reads what a failing test says, so nothing is spent on it: asserts are not
@@ -9,22 +9,21 @@ from __future__ import annotations
 
 import importlib.abc
 import importlib.util
-import json
 import os
+import signal
 import sys
 import time
-from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import CodeType, FrameType, ModuleType
-from typing import Any
+from types import CodeType, ModuleType
+from typing import TextIO
 
 import pytest
 from hypothesis import Phase, settings
 
-IMPORTING = ""
-"""Stands for a test's name where a line runs when the module is imported."""
+OURS = ("companion", "drivers", "estimator", "sitl", "tests")
+"""The packages under test."""
 
 
 class _Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -42,65 +41,59 @@ class _Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         exec(code, module.__dict__)
 
 
-class _Lines:
-    """A plugin that records the lines of one file that each test runs, and the test's duration."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = str(path)
-        self.test = IMPORTING
-        self.met: dict[str, set[int]] = defaultdict(set)
-        self.seconds: dict[str, float] = {}
-
-    def trace(self, frame: FrameType, event: str, argument: object) -> Any:
-        if frame.f_code.co_filename != self._path:
-            return None
-        self.met[self.test].add(frame.f_lineno)
-        return self.trace
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> Any:
-        self.test = item.nodeid
-        began = time.perf_counter()
-        sys.settrace(self.trace)
+def in_child(work: Callable[[], int], timeout_s: float) -> int | None:
+    """Return the exit code of `work` in a fork; None if it does not end in time."""
+    sys.stdout.flush()
+    pid = os.fork()
+    if pid == 0:
         try:
-            return (yield)
-        finally:
-            sys.settrace(None)
-            self.seconds[item.nodeid] = time.perf_counter() - began
-            self.test = IMPORTING
-
-
-def baseline(path: Path, tests: Sequence[str], report: Path) -> int:
-    """Run the tests on the original module and write the lines that each runs; return the exit code of pytest."""
-    _no_shrinking()
-    lines = _Lines(path)
-    sys.settrace(lines.trace)
-    code = int(pytest.main([*_QUIET, *tests], plugins=[lines]))
-    sys.settrace(None)
-    report.write_text(json.dumps({"met": {test: sorted(met) for test, met in lines.met.items()}, "seconds": lines.seconds}))
-    return code
+            os.setpgid(0, 0)
+            silence()
+            os._exit(work() & 0xFF)
+        except BaseException:
+            os._exit(1)
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        done, status = os.waitpid(pid, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.01)
+    os.killpg(pid, signal.SIGKILL)
+    os.waitpid(pid, 0)
+    return None
 
 
 def on_mutant(name: str, path: Path, source: str, tests: Sequence[str]) -> int:
     """Run tests on the changed module up to the first failure; return 0 if none fails."""
     try:
-        _no_shrinking()
         sys.meta_path.insert(0, _Changed(name, path, source))
-        return int(pytest.main([*_QUIET, "-x", *tests]))
+        return int(pytest.main([*QUIET, "-x", *tests], plugins=[Profile()]))
     except BaseException:
         return 1
 
 
-def _no_shrinking() -> None:
-    settings.register_profile("mutants", derandomize=True, database=None, phases=(Phase.explicit, Phase.generate))
-    settings.load_profile("mutants")
+class Profile:
+    """A plugin that sets Hypothesis's profile after the project's own `conftest.py` has set its."""
+
+    def pytest_sessionstart(self) -> None:
+        """Draw the same examples each time, and do not shrink."""
+        phases = (Phase.explicit, Phase.generate)
+        settings.register_profile("mutants", derandomize=True, database=None, deadline=None, phases=phases)
+        settings.load_profile("mutants")
 
 
-_QUIET = (
+QUIET = (
     "-q", "--no-header", "--no-summary", "--tb=no", "--assert=plain", "-W", "ignore",
     "-p", "no:randomly", "-p", "no:unraisableexception", "-p", "no:threadexception",
 )  # fmt: skip
 """The two plugins collect garbage for a warning that is ignored here."""
+
+
+def quiet() -> TextIO:
+    """Discard what is printed from now on, except to the stream that is returned."""
+    out = os.fdopen(os.dup(1), "w", buffering=1)
+    silence()
+    return out
 
 
 def silence() -> None:

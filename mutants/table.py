@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
-_GATE = ("tests/estimator/ekf/test_gate_bounds.py", "tests/estimator/ekf/test_gate.py")
-_CORE = ("tests/estimator/ekf/test_core.py", "tests/estimator/ekf/test_algebra.py")
-_SIGHTINGS = ("tests/estimator/ekf/test_core_sightings.py", "tests/estimator/ekf/test_vision_update_bounds.py")
+_GATE = ("tests/estimator/ekf/test_gate_bounds.py",)
+_CORE = (
+    "tests/estimator/ekf/test_core.py",
+    "tests/estimator/ekf/test_process_event_bounds.py",
+    "tests/estimator/ekf/test_noise_and_inflation.py",
+)
+_BESIDE_THE_ORACLE = "tests/estimator/ekf/test_core_sightings.py"
+_SIGHTINGS = (
+    "tests/estimator/ekf/test_core_edges.py",
+    "tests/estimator/ekf/test_vision_update_bounds.py",
+    "tests/estimator/ekf/test_noise_and_inflation.py",
+    f"{_BESIDE_THE_ORACLE}::test_each_sighting_has_the_oracle_s_outcome_and_belief",
+    f"{_BESIDE_THE_ORACLE}::test_the_model_of_a_sighting_is_the_oracle_s",
+)
+_BANK = (
+    "tests/estimator/ekf/test_core_edges.py",
+    f"{_BESIDE_THE_ORACLE}::test_the_bank_learns_what_the_oracle_s_does",
+    f"{_BESIDE_THE_ORACLE}::test_each_sighting_has_the_oracle_s_outcome_and_belief",
+)
 _ANSWERS = ("tests/estimator/ekf/test_answer.py", "tests/estimator/ekf/test_filter_bounds.py")
 _FORECASTS = ("tests/estimator/ekf/test_forecast.py", "tests/estimator/ekf/test_filter_bounds.py")
 _INTEGRITY = ("tests/estimator/integrity",)
@@ -14,22 +30,26 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/jacobian.c": _ANSWERS,
     "estimator/core/forecast.c": _FORECASTS,
     "estimator/core/bank_ahead.c": _FORECASTS,
-    "estimator/core/filter.c": _CORE,
+    "estimator/core/filter.c": (
+        *_CORE,
+        "tests/estimator/ekf/test_vision_update_bounds.py",
+        f"{_BESIDE_THE_ORACLE}::test_a_row_of_all_kinds_in_one_call_is_one_call_for_each",
+    ),
     "estimator/core/aiding.c": _CORE,
     "estimator/core/aiding_velocity.c": _CORE,
     "estimator/core/gathering.c": _CORE,
     "estimator/core/propagate.c": _CORE,
-    "estimator/core/kalman.c": _CORE,
+    "estimator/core/kalman.c": (*_CORE, "tests/estimator/ekf/test_algebra.py"),
     "estimator/core/oscillator.c": _CORE,
-    "estimator/core/bank.c": _SIGHTINGS,
-    "estimator/core/bank_weights.c": _SIGHTINGS,
-    "estimator/core/skill.c": _SIGHTINGS,
+    "estimator/core/bank.c": _BANK,
+    "estimator/core/bank_weights.c": _BANK,
+    "estimator/core/skill.c": _BANK,
     "estimator/core/sighting.c": _SIGHTINGS,
     "estimator/core/symmetric.c": _SIGHTINGS,
     "estimator/core/vision.c": _SIGHTINGS,
-    "estimator/core/gate.c": _SIGHTINGS,
+    "estimator/core/gate.c": (*_GATE, *_SIGHTINGS[:3]),
     "estimator/core/deck_jolt.c": _SIGHTINGS,
-    "estimator/core/vessel.c": _SIGHTINGS,
+    "estimator/core/vessel.c": (f"{_BESIDE_THE_ORACLE}::test_each_report_of_a_vessel_has_the_oracle_s_outcome_and_belief",),
     "estimator/core/correction.c": _CORE,
     "estimator/ekf/gate.py": _GATE,
     "estimator/ekf/process_event.py": (
@@ -50,6 +70,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/watch.py": ("tests/companion/test_mission_flights.py",),
     "companion/guidance/limits.py": ("tests/companion/test_mission_flights.py",),
     "companion/guidance/attempt.py": ("tests/companion/test_mission_flights.py",),
+    "companion/guidance/held_up.py": ("tests/companion/test_held_up.py",),
+    "companion/guidance/contact.py": ("tests/companion/test_contact.py",),
     "companion/guidance/clearance.py": ("tests/companion/test_clearance.py",),
     "companion/guidance/pid.py": ("tests/companion/test_pid_bounds.py", "tests/companion/test_pid.py"),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter_bounds.py", "tests/drivers/test_arbiter.py"),
@@ -69,4 +91,4 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/drivers/mavlink/test_setpoint_streamer.py",
     ),
 }
-"""Module to tests; only those whose lines meet the mutant's run, the quickest first."""
+"""Module to tests, whole files or single ones; only those whose lines meet the mutant's run, the quickest first."""

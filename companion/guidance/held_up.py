@@ -9,8 +9,6 @@ that neither a delay nor a step of the commands is a contact. It is for velociti
 
 from __future__ import annotations
 
-import math
-
 from msgspec import Struct
 from msgspec.structs import replace
 
@@ -48,10 +46,10 @@ def commanded(held: HeldUp, at: MonoNs, down_m_s: float | None) -> HeldUp:
 
 def measured(held: HeldUp, at: MonoNs, down_m_s: float) -> HeldUp:
     """Return the memory after the vehicle's vertical speed, m/s down; `newest` is the newest contact."""
-    least = min((v for _, v in held.commands), default=-math.inf)
-    answered = bool(held.commands) and seconds_between(held.commands[0][0], at) >= ANSWERED_S
-    short_m_s = least - down_m_s
-    if not answered or short_m_s < LEAST_M_S:
+    if not held.commands or seconds_between(held.commands[0][0], at) < ANSWERED_S:
+        return replace(held, since=None)
+    short_m_s = min(v for _, v in held.commands) - down_m_s
+    if short_m_s < LEAST_M_S:
         return replace(held, since=None)
     since = at if held.since is None else held.since
     if seconds_between(since, at) < HELD_S:

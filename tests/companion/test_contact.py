@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.guidance.contact import ContactWatch, watched
+from companion.guidance.controller import Impact
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
 
@@ -68,3 +69,62 @@ def test_samples_after_a_gap_begin_again() -> None:
         now = MonoNs(at * 1_000_000)
         watch = watched(watch, Imu(Stamp(now, now, 0.001, "sim"), np.zeros(3), np.array([0.0, 0.0, -force])))
     assert watch.newest is None
+
+
+def felt(watch: ContactWatch, ms: float, up: float) -> ContactWatch:
+    """The memory after an upward specific force, m/s^2, at an instant in ms."""
+    at = MonoNs(round(ms * 1e6))
+    return watched(watch, Imu(Stamp(at, at, 0.001, "sim"), np.zeros(3), np.array([0.0, 0.0, -up])))
+
+
+def test_a_memory_begins_with_nothing_and_the_mean_with_the_first_sample() -> None:
+    nothing = ContactWatch()
+    assert nothing == ContactWatch(None, 0.0, None, 0.0, 0.0, None)
+    assert felt(nothing, 7.0, 9.0) == ContactWatch(MonoNs(7_000_000), 9.0)
+
+
+@pytest.mark.parametrize(("gap_ms", "begins"), [(-1, True), (0, True), (1, False), (150, False), (150.1, True)])
+def test_the_mean_begins_again_after_a_gap_and_where_the_clock_does_not_go_on(gap_ms: float, begins: bool) -> None:
+    after = felt(felt(ContactWatch(), 100.0, 9.0), 100.0 + gap_ms, 11.0)
+    expected = 11.0 if begins else 9.0 + 2.0 * (1.0 - math.exp(-gap_ms / 150.0))
+    assert after.mean_m_s2 == pytest.approx(expected)
+
+
+def test_a_push_is_what_exceeds_the_mean_by_three() -> None:
+    first = felt(ContactWatch(), 0.0, 9.0)
+    calm = felt(first, 10.0, 12.0)
+    assert calm.since is None
+    assert calm.mean_m_s2 == pytest.approx(9.0 + 3.0 * (1.0 - math.exp(-1.0 / 15.0)))
+    pushed = felt(first, 10.0, 12.1)
+    assert (pushed.since, pushed.mean_m_s2) == (MonoNs(10_000_000), 9.0), "the mean waits"
+    assert pushed.taken_m_s == pytest.approx(0.031)
+    assert pushed.peak_m_s2 == pytest.approx(3.1)
+    more = felt(felt(pushed, 15.0, 16.0), 20.0, 13.0)
+    assert more.taken_m_s == pytest.approx(0.031 + 0.035 + 0.02)
+    assert more.peak_m_s2 == 7.0
+    assert more.newest is None
+
+
+def test_a_push_is_a_contact_once_it_has_taken_a_tenth_of_a_metre_a_second() -> None:
+    first = felt(ContactWatch(), 0.0, 9.0)
+    assert felt(first, 10.0, 18.9).newest is None
+    assert felt(first, 10.0, 19.0).newest == Impact(MonoNs(10_000_000), "accelerometer", 10.0)
+
+
+@pytest.mark.parametrize(("lasts_ms", "ends"), [(80, False), (80.1, True)])
+def test_a_push_of_more_than_eight_hundredths_is_another_weight(lasts_ms: float, ends: bool) -> None:
+    pushed = felt(felt(ContactWatch(), 0.0, 9.0), 1.0, 12.5)
+    after = felt(pushed, 1.0 + lasts_ms, 12.5)
+    assert after.mean_m_s2 == (12.5 if ends else 9.0)
+    assert (after.since is None) is (after.newest is None) is ends
+
+
+@pytest.mark.parametrize(("after_ms", "told"), [(300, False), (300.1, True)])
+def test_a_contact_s_rebounds_are_none_for_three_tenths(after_ms: float, told: bool) -> None:
+    watch = felt(felt(ContactWatch(), 0.0, 9.0), 10.0, 30.0)
+    first = watch.newest
+    assert first is not None
+    for ms in (50.0, 150.0, 250.0, 10.0 + after_ms - 10.0):
+        watch = felt(watch, ms, 9.0)
+    watch = felt(watch, 10.0 + after_ms, 30.0)
+    assert (watch.newest is not first) is told

@@ -82,6 +82,50 @@ def test_nothing_is_found_before_a_command_had_its_time_to_be_flown() -> None:
     assert held.newest is None, "a person's order in between begins anew"
 
 
+def at_ms(ms: float) -> MonoNs:
+    return MonoNs(round(ms * 1e6))
+
+
+def remembered(*commands: tuple[float, float]) -> HeldUp:
+    """The memory after commands, each at an instant in ms, of m/s down."""
+    held = HeldUp()
+    for ms, down_m_s in commands:
+        held = commanded(held, at_ms(ms), down_m_s)
+    return held
+
+
+def test_commands_are_remembered_for_seven_tenths_of_a_second_and_the_one_that_was_flown_then() -> None:
+    held = remembered((0, 0.1), (100, 0.2), (200, 0.3), (300, 0.4), (900, 0.5))
+    assert held.commands == tuple((at_ms(ms), v) for ms, v in ((100, 0.2), (200, 0.3), (300, 0.4), (900, 0.5)))
+    assert remembered((0, 0.1), (100, 0.2), (800, 0.3)).commands[0] == (0, 0.1)
+    assert remembered((0, 0.1), (100, 0.2), (800.001, 0.3)).commands[0] == (at_ms(100), 0.2)
+    assert remembered((0, 0.1), (100, 0.2), (200, 0.3), (5000, 0.4)).commands == ((at_ms(200), 0.3), (at_ms(5000), 0.4))
+    assert remembered((0, 0.1), (5000, 0.2)).commands == ((0, 0.1), (at_ms(5000), 0.2)), "it was flown when the window began"
+
+
+@pytest.mark.parametrize(
+    ("ms", "faster_m_s", "holds"), [(699.9, 0.4, False), (700, 0.4, True), (800, 0.3, True), (800, 0.29, False)]
+)
+def test_a_vehicle_is_held_up_by_three_tenths_against_the_least_of_commands_that_had_their_time(
+    ms: float, faster_m_s: float, holds: bool
+) -> None:
+    held = remembered((0, 0.5), (100, 0.3), (200, 0.7))
+    after = measured(held, at_ms(ms), 0.3 - faster_m_s)
+    assert after.since == (at_ms(ms) if holds else None)
+    assert after.newest is None
+    assert measured(after, at_ms(ms + 1), 0.3).since is None, "it ends when the vehicle follows again"
+
+
+@pytest.mark.parametrize(("held_ms", "found"), [(249.9, False), (250, True)])
+def test_it_is_a_contact_after_a_quarter_of_a_second(held_ms: float, found: bool) -> None:
+    first = measured(remembered((0, 0.5)), at_ms(1000), -0.5)
+    last = measured(first, at_ms(1000 + held_ms), 0.1)
+    assert last.since == at_ms(1000), "it began with the first"
+    assert last.newest == (Impact(at_ms(1250), "velocity", held_m_s=0.4) if found else None)
+    assert commanded(last, at_ms(1300), 0.5).newest is last.newest
+    assert commanded(last, at_ms(1300), None) == HeldUp(newest=last.newest)
+
+
 @pytest.mark.parametrize(
     ("height_m", "age_s", "by", "state"),
     [

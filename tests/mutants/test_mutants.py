@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes
 import subprocess
 import sys
 from pathlib import Path
 
-from mutants.__main__ import chosen
+import pytest
+
 from mutants.c_operators import c_mutants
+from mutants.native import Workshop
 from mutants.operators import Mutant, mutants
+from mutants.page import HEAD, write_table
 from mutants.table import TARGETS
+from mutants.tally import Tally, chosen
+from supply import core
 
 ROOT = Path(__file__).parents[2]
 
@@ -42,7 +48,7 @@ static const double LIMIT = 2.0;
 
 int good(const double *x, int n)
 {
-    double w[3] = {0.0};
+    double half = 0.5 * n, w[3] = {0.0};
     w[0] = x[1] * -1.0;
     return w[0] < LIMIT && n > 0;
 }
@@ -59,6 +65,7 @@ def test_each_change_of_a_c_source_is_one_and_leaves_comments_and_sizes_alone() 
     assert all(m.source.startswith("/* 1.0 + 2.0 */\n#define SIZE 3\n") for m in found)
     assert not any("w[4]" in change or "double /x" in change for change in changes)
     assert len({m.source for m in found}) == len(found)
+    assert "double half = 0.5 * n, w[3] = {0.0};  ->  double half = 0.5 / n, w[3] = {0.0};" in changes
     assert {m.line for m in found} == {3, 7, 8, 9}
 
 
@@ -74,7 +81,7 @@ def test_a_sample_is_the_same_for_the_same_seed_and_of_the_share_asked_for() -> 
 def test_what_is_mutated_and_its_tests_are_there() -> None:
     for path, tests in TARGETS.items():
         assert (ROOT / path).is_file()
-        assert all((ROOT / test).exists() for test in tests)
+        assert all((ROOT / test.partition("::")[0]).exists() for test in tests)
 
 
 def test_a_test_that_notices_kills_and_one_that_does_not_lets_live(tmp_path: Path) -> None:
@@ -93,3 +100,29 @@ def test_a_test_that_notices_kills_and_one_that_does_not_lets_live(tmp_path: Pat
         check=True, timeout=100,
     ).stdout  # fmt: skip
     assert said.splitlines()[-1] == "3 ['1  ->  2', 'x + 1  ->  x - 1']"
+
+
+def test_a_change_of_c_is_compiled_alone_and_one_that_the_compiler_sees_through_is_no_change(tmp_path: Path) -> None:
+    sources, made = tmp_path / "core", tmp_path / "made"
+    sources.mkdir()
+    made.mkdir()
+    original = "int half(int x);\nint half(int x)\n{\n    return x > 0 ? x / 2 : 0 * 2;\n}\n"
+    (sources / "a.c").write_text(original)
+    (sources / "b.c").write_text("int half(int x);\nint used(int x);\nint used(int x)\n{\n    return half(x) + 1;\n}\n")
+    shop = Workshop(made, sources, "a.c")
+    assert ctypes.CDLL(str(shop.linked("original.so"))).used(8) == 5
+    assert shop.alike(original.replace("0 * 2", "0 / 2"), ["-O2"])
+    quarter = original.replace("x / 2", "x / 4")
+    assert not shop.alike(quarter, ["-O2"])
+    assert ctypes.CDLL(str(shop.linked("mutant.so", shop.compiled(quarter, "mutant.c")))).used(8) == 3
+    with pytest.raises(core.BuildError):
+        shop.compiled(original.replace("x > 0", "y > 0"), "mutant.c")
+
+
+def test_the_page_keeps_the_rows_of_files_that_were_not_tried(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    first, second = list(TARGETS)[:2]
+    page.write_text(f"Killed:\n\n{HEAD[0]}\n{HEAD[1]}\n| `{first}` | 1 |\n\nEnd.\n")
+    write_table(page, [Tally(second, killed=19, survivors=[Mutant(1, "a", "b")], compiled_alike=2, named=1)], 0.5)
+    lines = page.read_text().splitlines()
+    assert lines[4:] == [f"| `{first}` | 1 |", f"| `{second}` | 20 | 19 | 1 | 3 | 95.0 % | 50 % |", "", "End."]

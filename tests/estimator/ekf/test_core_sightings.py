@@ -122,7 +122,7 @@ def agrees(b: Belief, event: Event, chosen: FilterParams) -> tuple[Belief, Verdi
 
 
 @given(st.integers(0, 2**31), st.sampled_from(ALL))
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_each_sighting_has_the_oracle_s_outcome_and_belief(seed: int, chosen: FilterParams) -> None:
     rng = np.random.default_rng(seed)
     b, t = sighted_belief(seed), T

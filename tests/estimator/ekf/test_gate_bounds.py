@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from msgspec import structs
 from scipy.stats import chi2
 
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.geometry import F64
 from estimator.ekf import EkfOptions, gate
-from estimator.ekf.state import RejectionStreak
+from estimator.ekf.propagate import parameters
+from estimator.ekf.state import POS_REL, RejectionStreak
+from tests.estimator.ekf import flown
+from tests.estimator.ekf.hand import belief, diagonal, params, sighting, under
 from tests.estimator.ekf.oracle import gate as oracle
 
 S = 1_000_000_000
@@ -46,56 +52,85 @@ def test_the_sigma_of_a_covariance_is_the_root_of_its_mean_variance_and_never_im
     assert oracle.sigma_of(np.diag([-1.0, 0.0, 0.0])) == 0.0
 
 
-def refused(doubt: RejectionStreak, t: int, x: float = 0.0, sigma_m: float = 0.01, z: float = 0.0) -> RejectionStreak:
-    return oracle.extended(doubt, t, np.array([x, 0.0, z]), sigma_m**2)
+def flown_streak(streak: RejectionStreak, t: int, offset_ned: F64, var_m2: float) -> RejectionStreak:
+    """Return the core's streak after one more sighting that its gate rejects."""
+    b = belief(t=t, x=under(), P=diagonal(), rejections=streak)
+    seen = sighting(b.x[POS_REL] + offset_ned, t=t, var=var_m2)
+    after, outcome = flown.fuse_sighting(b, seen, params(reopen_count=1000))
+    assert outcome.verdict is Verdict.GATED
+    return after.rejections
 
 
-def test_a_row_begins_goes_on_and_keeps_its_beginning() -> None:
-    first = refused(RejectionStreak(), 5 * S, 0.5, z=0.25)
-    assert first == RejectionStreak(1, 5 * S, 5 * S, (0.5, 0.0, 0.25), 1e-4)
-    second = refused(first, 6 * S, 0.5, sigma_m=0.02, z=0.25)
-    assert second == RejectionStreak(2, 5 * S, 6 * S, (0.5, 0.0, 0.25), pytest.approx(4e-4))
-    assert refused(second, 6 * S, 0.5, z=0.25).n == 3, "two of one instant"
-    assert refused(second, 6 * S - 1, 0.5, z=0.25).n == 1, "an older one begins anew"
+def flown_reset(streak: RejectionStreak, agreed: int, options: EkfOptions) -> bool:
+    """Return whether the core's belief is reset by a sighting that makes the streak this one."""
+    n, since, last, *_ = streak
+    before = RejectionStreak(n - 1, since, last, (3.0, 0.0, 0.0), 1e-4) if n > 1 else RejectionStreak()
+    b = belief(t=streak.last, x=under(), P=diagonal(), agreed=agreed, rejections=before)
+    after, outcome = flown.fuse_sighting(b, sighting((3.0, 0.0, 2.0), t=streak.last), parameters(options))
+    assert (outcome.verdict is Verdict.FUSED) is (after.agreed == 1 and after.rejections.n == 0)
+    return outcome.verdict is Verdict.FUSED
 
 
-def test_a_row_is_broken_by_more_than_two_seconds() -> None:
-    first = refused(RejectionStreak(), 0)
-    assert refused(first, 2 * S).n == 2
-    assert refused(first, 2 * S + 1_000_000).n == 1
+Streak = Callable[[RejectionStreak, int, F64, float], RejectionStreak]
+Reset = Callable[[RejectionStreak, int, EkfOptions], bool]
+either_streak = pytest.mark.parametrize("extended", [oracle.extended, flown_streak], ids=["oracle", "core"])
+either_reset = pytest.mark.parametrize("should_reset", [oracle.should_reset, flown_reset], ids=["oracle", "core"])
 
 
+def offset(x: float, z: float) -> F64:
+    return np.array([x, 0.0, z])
+
+
+@either_streak
+def test_a_row_begins_goes_on_and_keeps_its_beginning(extended: Streak) -> None:
+    first = extended(RejectionStreak(), 5 * S, offset(0.5, 0.25), 1e-4)
+    assert first == RejectionStreak(1, 5 * S, 5 * S, pytest.approx((0.5, 0.0, 0.25)), pytest.approx(1e-4))
+    second = extended(first, 6 * S, offset(0.5, 0.25), 4e-4)
+    assert second == RejectionStreak(2, 5 * S, 6 * S, pytest.approx((0.5, 0.0, 0.25)), pytest.approx(4e-4))
+    assert extended(second, 6 * S, offset(0.5, 0.25), 1e-4).n == 3, "two of one instant"
+    assert extended(second, 6 * S - 1, offset(0.5, 0.25), 1e-4).n == 1, "an older one begins anew"
+
+
+@either_streak
+def test_a_row_is_broken_by_more_than_two_seconds(extended: Streak) -> None:
+    first = extended(RejectionStreak(), 0, offset(0.5, 0.0), 1e-4)
+    assert extended(first, 2 * S, offset(0.5, 0.0), 1e-4).n == 2
+    assert extended(first, 2 * S + 1_000_000, offset(0.5, 0.0), 1e-4).n == 1
+
+
+@either_streak
 @pytest.mark.parametrize(
     ("dt_s", "growth_m"),
     [(0.0, 0.0), (0.1, 0.2), (0.25, 0.5), (0.3, 0.6), (1.0, 0.6)],
 )
 @pytest.mark.parametrize("sigmas_m", [(0.01, 0.01), (0.3, 0.4)])
-def test_how_far_two_refusals_may_differ(dt_s: float, growth_m: float, sigmas_m: tuple[float, float]) -> None:
+def test_how_far_two_refusals_may_differ(dt_s: float, growth_m: float, sigmas_m: tuple[float, float], extended: Streak) -> None:
     """Four sigmas of their difference, what the belief may have drifted between them, and a fiftieth of the offset."""
-    first = refused(RejectionStreak(), 0, 0.0, sigma_m=sigmas_m[0], z=1.0)
+    first = extended(RejectionStreak(), 0, offset(0.0, 10.0), sigmas_m[0] ** 2)
     for factor, n in ((0.999, 2), (1.001, 1)):
-        # The limit holds at the offset of the second look: step = base + 0.02 |offset|, offset = (step, 0, 1).
+        # The limit holds at the offset of the second look: step = base + 0.02 |offset|, offset = (step, 0, 10).
         base = 4.0 * math.hypot(*sigmas_m) + growth_m
         step = base
         for _ in range(30):
-            step = base + 0.02 * math.hypot(step, 1.0)
-        found = refused(first, round(dt_s * S), factor * step, sigma_m=sigmas_m[1], z=1.0)
+            step = base + 0.02 * math.hypot(step, 10.0)
+        found = extended(first, round(dt_s * S), offset(factor * step, 10.0), sigmas_m[1] ** 2)
         assert found.n == n, (factor, step)
 
 
-def test_a_belief_of_few_sightings_is_overthrown_by_one_more_than_they_were() -> None:
+@either_reset
+def test_a_belief_of_few_sightings_is_overthrown_by_one_more_than_they_were(should_reset: Reset) -> None:
+    for agreed in range(1, 3):
+        assert not should_reset(RejectionStreak(n=agreed), agreed, OPTIONS)
     for agreed in range(3):
-        assert not oracle.should_reset(RejectionStreak(n=agreed), agreed, OPTIONS)
-        assert oracle.should_reset(RejectionStreak(n=agreed + 1), agreed, OPTIONS)
+        assert should_reset(RejectionStreak(n=agreed + 1), agreed, OPTIONS)
 
 
-def test_a_belief_of_three_or_more_is_overthrown_by_count_and_time_alone() -> None:
+@either_reset
+def test_a_belief_of_three_or_more_is_overthrown_by_count_and_time_alone(should_reset: Reset) -> None:
     options = structs.replace(OPTIONS, reopen_count=5, reopen_s=0.6)
     row = RejectionStreak(n=5, since=0, last=600_000_000)
-    assert oracle.should_reset(row, 3, options)
-    assert oracle.should_reset(row, 1000, options)
-    assert not oracle.should_reset(row._replace(n=4), 3, options)
-    assert not oracle.should_reset(row._replace(last=590_000_000), 3, options)
-    assert not oracle.should_reset(RejectionStreak(n=4, since=0, last=0), 3, options), (
-        "four refusals do for three sightings no longer"
-    )
+    assert should_reset(row, 3, options)
+    assert should_reset(row, 1000, options)
+    assert not should_reset(row._replace(n=4), 3, options)
+    assert not should_reset(row._replace(last=590_000_000), 3, options)
+    assert not should_reset(RejectionStreak(n=4, since=0, last=0), 3, options), "four refusals do for three sightings no longer"

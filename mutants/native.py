@@ -1,0 +1,151 @@
+"""Mutants of the native core's C files.
+
+Only the changed file is compiled; it is linked with the objects of the others. The tests meet a door to the core whose
+library can be replaced.
+"""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from mutants import child
+from mutants.c_operators import c_mutants
+from mutants.forks import Forks, in_server
+from mutants.operators import Mutant
+from mutants.tally import Tally, chosen
+from supply import core
+
+_QUICK = ("-O1",)
+"""How the tests' library is compiled."""
+_TRAPPED = (*_QUICK, "-fsanitize=bounds-strict,object-size", "-fsanitize-undefined-trap-on-error")
+"""How the changed file is compiled: an index beyond the end of an array ends the test, whatever lies there."""
+_THOROUGH = ("-O2",)
+"""How a survivor is compiled once more and compared with the original."""
+
+
+class Replaceable:
+    """Stands for the loaded core while the modules under test are imported: its library is chosen later, and again."""
+
+    def __init__(self, load: Callable[[str], Any], library: Path) -> None:
+        self._load = load
+        self._core = load(str(library))
+        self._calls: dict[str, Any] = {}
+
+    def replace(self, library: Path) -> None:
+        """Call another library from now on."""
+        self._core, self._calls = self._load(str(library)), {}
+
+    def function(self, name: str) -> Callable[..., Any]:
+        """Return what calls a function of the library that is loaded at the time of the call."""
+        self._core.function(name)
+
+        def call(*arguments: Any) -> Any:
+            known = self._calls.get(name)
+            if known is None:
+                known = self._calls[name] = self._core.function(name)
+            return known(*arguments)
+
+        return call
+
+
+class Workshop:
+    """The core's objects, and libraries in which one of them is another.
+
+    Raises:
+        BuildError: the compiler refuses a source.
+    """
+
+    def __init__(self, folder: Path, sources: Path, changed: str) -> None:
+        self._folder, self._sources, self._changed = folder, sources, changed
+        self._objects = [self.compiled(path.read_text(), path.name, _QUICK) for path in sorted(sources.glob("*.c"))]
+        self._originals: dict[tuple[str, ...], bytes] = {}
+
+    def compiled(self, source: str, name: str, flags: Sequence[str] = _QUICK) -> Path:
+        """Compile one file with another text.
+
+        Raises:
+            BuildError: the compiler refuses it.
+        """
+        made = self._folder / f"{name}.o"
+        command = [*core.compiler(), *core.FLAGS, *flags, f"-I{self._sources}", "-xc", "-c", "-", "-o", str(made)]
+        done = subprocess.run(command, input=source, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise core.BuildError(done.stderr.strip())
+        return made
+
+    def alike(self, source: str, flags: Sequence[str]) -> bool:
+        """Return whether a text of the changed file is compiled to the instructions of the original."""
+        key = tuple(flags)
+        if key not in self._originals:
+            original = (self._sources / self._changed).read_text()
+            self._originals[key] = self.compiled(original, "original.c", flags).read_bytes()
+        return self.compiled(source, "mutant.c", flags).read_bytes() == self._originals[key]
+
+    def original(self, flags: Sequence[str]) -> Path:
+        """Link a library whose file that is to be changed is compiled in another way."""
+        source = (self._sources / self._changed).read_text()
+        return self.linked("original.so", self.compiled(source, "original.c", flags))
+
+    def linked(self, name: str, changed: Path | None = None) -> Path:
+        """Link a library; `changed` is the object in place of the changed file's own."""
+        made = self._folder / name
+        made.unlink(missing_ok=True)  # a process may have it open
+        objects = [changed if changed and path.name == f"{self._changed}.o" else path for path in self._objects]
+        command = [*core.compiler(), "-shared", *map(str, objects), "-o", str(made), "-lm"]
+        subprocess.run(command, check=True, capture_output=True)
+        return made
+
+
+class _Native(Forks):
+    def __init__(self, shop: Workshop, door: Replaceable, tally: Tally, mutants: Sequence[Mutant]) -> None:
+        super().__init__(tally)
+        self._shop, self._door, self._mutants = shop, door, mutants
+        self._original = shop.original(_TRAPPED)
+
+    def on_original(self, k: int) -> Callable[[], None]:
+        return lambda: self._door.replace(self._original)
+
+    def judge(self) -> None:
+        for mutant in self._mutants:
+            try:
+                if self._shop.alike(mutant.source, _QUICK):
+                    self.tally.compiled_alike += 1
+                    continue
+            except core.BuildError:
+                continue
+            library = self._shop.linked("mutant.so", self._shop.compiled(mutant.source, "mutant.c", _TRAPPED))
+            killed = self.is_killed(lambda made=library: self._door.replace(made))  # type: ignore[misc]
+            if not killed and self._shop.alike(mutant.source, _THOROUGH):
+                self.tally.compiled_alike += 1
+            else:
+                self.tally.count(mutant, killed=killed)
+
+
+def judge_native(path: str, tests: Sequence[str], share: float, seed: int, *, root: Path) -> Tally:
+    """Test every mutant of one C file of the core, or a sample.
+
+    Raises:
+        SystemExit: the tests fail on the original file, or it cannot be compiled.
+    """
+    drawn = [m for m in c_mutants((root / path).read_text()) if chosen(path, m, share, seed)]
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder, "tally.json")
+
+        def serve() -> str:
+            tally = Tally(path, out=child.quiet())
+            shop = Workshop(Path(folder), root / "estimator/core", Path(path).name)
+            sys.path.insert(0, str(root))
+            library = importlib.import_module("estimator.core.library")
+            door = vars(library)["CORE"] = Replaceable(library.load, shop.linked("first.so"))
+            wrong = _Native(shop, door, tally, drawn).run([str(root / test) for test in tests])
+            report.write_text(tally.dumped())
+            return wrong
+
+        in_server(path, tests, report, serve)
+        return Tally.loaded(report.read_text())

@@ -1,0 +1,184 @@
+"""The native core against the numpy oracle where it decides: with values just inside and just outside each of its bounds."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimator.contracts.estimates import Sighting
+from estimator.contracts.geometry import rpy_matrix
+from estimator.core.interface.filter import RATIOS_MAX
+from estimator.ekf.so3 import about_down, wrap
+from estimator.ekf.state import (
+    CAMERA_DELAY,
+    CAMERA_MOUNT,
+    PAD_YAW,
+    POS_REL,
+    SWAY_PER_HEAVE,
+    VEL,
+    VESSEL_VEL,
+    WAVES,
+    Belief,
+    InnovationRatios,
+)  # fmt: skip
+from tests.estimator.ekf.flown import fuse_sighting
+from tests.estimator.ekf.hand import (
+    LEVEL,
+    MS,
+    TILTED,
+    TOOLS,
+    T,
+    belief,
+    correlated,
+    diagonal,
+    learned,
+    sighting,
+    state,
+    under,
+    whole,
+)  # fmt: skip
+from tests.estimator.ekf.oracle import so3
+from tests.estimator.ekf.oracle.sighting import levelling
+from tests.estimator.ekf.test_core_sightings import agrees
+
+# Sightings that keep missing the deck
+
+
+def missed(ages_ns: tuple[int, ...], ratios: tuple[float, ...], off_sigmas: float = 0.0) -> Belief:
+    """Return the belief after a sighting that followed others of these ages and ratios, off down by so many sigmas."""
+    P = diagonal(d=0.01)
+    P[WAVES[2, 0], WAVES[2, 0]] = 0.003
+    values = tuple((0.1 * ratio, 0.3, ratio) for ratio in ratios)
+    x = under()
+    x[SWAY_PER_HEAVE] = 0.3, -0.2
+    b = belief(x=x, P=P, ratios=InnovationRatios(tuple(T - age for age in ages_ns), values))
+    after, _ = agrees(b, sighting((0.0, 0.0, 2.0 + off_sigmas * math.sqrt(0.0101))), TOOLS)
+    return after
+
+
+@pytest.mark.parametrize(("age_ns", "kept"), [(350_000_000, 2), (350_000_001, 1)])
+def test_a_sighting_counts_for_a_third_of_a_second_to_the_nanosecond(age_ns: int, kept: int) -> None:
+    assert len(missed((age_ns,), (1.0,)).ratios.t) == kept
+
+
+@pytest.mark.parametrize(
+    ("ages_ns", "widens"),
+    [
+        ((120_000_000, 60_000_000), True),
+        ((119_999_999, 60_000_000), False),
+        ((120_000_000,), False),
+        ((200_000_000, 150_000_000, 100_000_000, 50_000_000), True),
+    ],
+)
+def test_three_sightings_over_a_span_widen_the_deck(ages_ns: tuple[int, ...], widens: bool) -> None:
+    after = missed(ages_ns, (9.0,) * len(ages_ns), 3.0)
+    assert (not after.ratios.t) is widens
+
+
+@pytest.mark.parametrize(("ratio", "widens"), [(2.49, False), (2.5, False), (2.51, True), (4.9, True)])
+def test_the_median_ratio_that_widens_the_deck(ratio: float, widens: bool) -> None:
+    after = missed((200 * MS, 100 * MS), (ratio, ratio), 0.0)
+    assert (not after.ratios.t) is widens
+
+
+@pytest.mark.parametrize(("sigmas", "counted"), [(6.9, True), (7.1, False), (9.5, False)])
+def test_a_sighting_seven_sigmas_off_is_of_something_else(sigmas: float, counted: bool) -> None:
+    assert len(missed((60 * MS,), (1.0,), sigmas).ratios.t) == 1 + counted
+
+
+def test_as_many_sightings_are_kept_as_there_is_room_for() -> None:
+    for used in (RATIOS_MAX - 1, RATIOS_MAX):
+        after = missed(tuple((used - k) * 5 * MS for k in range(used)), tuple(0.01 * k for k in range(used)))
+        assert len(after.ratios.t) == RATIOS_MAX, "the oldest makes room"
+
+
+# When the camera's delay is corrected, and the sea looked at
+
+
+def test_the_delay_is_corrected_while_the_rate_of_the_place_is_known_along_all_axes_together() -> None:
+    for var, learns in (
+        ((0.10, 0.005, 0.012), True), ((0.10, 0.012, 0.012), False), ((0.005, 0.10, 0.012), True), ((0.012, 0.012, 0.10), False),
+        ((0.06, 0.06, 0.001), True), ((0.13, 0.05, 0.03), False),
+    ):  # fmt: skip
+        x, P = under(), diagonal(d=0.01, delay=1e-3)
+        x[VEL] = 1.0, -0.5, 0.3
+        P[VEL, VEL] = np.diag(var)
+        after, _ = agrees(belief(x=x, P=P), sighting((0.05, 0.02, 2.03)), TOOLS)
+        assert bool(abs(after.x[CAMERA_DELAY]) > 1e-4) is learns, var
+
+
+def test_the_vessel_s_velocity_is_part_of_the_rate_of_the_place() -> None:
+    """Over level axes and a camera that looks straight down the derivative by it is one."""
+    x, P = under(), diagonal(d=0.01, delay=1e-3)
+    x[VEL] = 1.0, -0.5, 0.3
+    P[VESSEL_VEL, VESSEL_VEL] = np.eye(2) * 0.1
+    after, _ = agrees(belief(x=x, P=P), sighting((0.05, 0.02, 2.03)), TOOLS)
+    assert abs(after.x[CAMERA_DELAY]) < 1e-4
+
+
+@pytest.mark.parametrize(("ago_ms", "looks"), [(170, False), (190, True), (400, True)])
+def test_the_sea_is_looked_at_five_times_a_second(ago_ms: int, looks: bool) -> None:
+    b = belief(TILTED, x=state(), P=correlated(), sea=learned(t=T - ago_ms * MS))
+    after, _ = agrees(b, shown(b), TOOLS)
+    assert (after.sea.t == T) is looks
+
+
+@pytest.mark.parametrize("t", [0, 100 * MS])
+def test_a_sea_looked_at_in_the_first_instant_was_looked_at(t: int) -> None:
+    b = belief(t=t, x=under(), P=diagonal(d=0.01), sea=learned(t=0), heading_seen=0)
+    after, _ = agrees(b, sighting((0.0, 0.0, 2.0), t=t), TOOLS)
+    assert after.sea.t == 0
+
+
+def shown(b: Belief, **fields: Any) -> Sighting:
+    """A sighting a little beside where the belief has the pad; all of its orientation where `pose6` is given."""
+    d = levelling(b.R, b.levelled_by) @ so3.exp(-b.x[CAMERA_MOUNT]) @ b.R.T @ b.x[POS_REL]
+    return sighting(d + np.array([0.01, -0.02, 0.015]), **fields)
+
+
+@pytest.mark.parametrize("up", [1.0, -1.0])
+def test_a_pad_on_its_edge_has_a_pitch_however_its_rotation_was_rounded(up: float) -> None:
+    d = (0.0, 0.0, 2.0)
+    b = belief((1.0 + 1e-9) * LEVEL, x=under(), P=diagonal(d=0.01), sea=learned(t=T - 1000 * MS))
+    after, _ = agrees(b, sighting(d, 0.0, pose6=whole(d, rpy_matrix(0.0, up * math.pi / 2, 0.0))), TOOLS)
+    assert after.sea.t == T
+    assert np.all(np.isfinite(after.sea.x))
+
+
+# What a sighting says of the heading
+
+
+@pytest.mark.parametrize(("var", "counts"), [(1.99, True), (2.0, False), (3.9, False)])
+def test_a_heading_is_none_beyond_a_variance(var: float, counts: bool) -> None:
+    b = belief(TILTED, x=state(), P=correlated())
+    _, outcome = flown_outcome(b, shown(b, yaw=-0.7, yaw_var=var))
+    assert len(outcome.innovation) == (4 if counts else 3)
+
+
+@pytest.mark.parametrize(("sigma", "used"), [(0.49, True), (0.5, True), (0.51, False), (0.99, False)])
+def test_one_of_two_headings_is_chosen_by_a_heading_that_is_known(sigma: float, used: bool) -> None:
+    b = belief(x=under(), P=diagonal(d=0.01, head=sigma**2))
+    _, outcome = flown_outcome(b, sighting((0.0, 0.0, 2.0), 0.1, ambiguous=True))
+    assert len(outcome.innovation) == (4 if used else 3)
+
+
+@pytest.mark.parametrize("turned", [0.0, 1.5, 1.6, 3.1, -1.5, -1.6])
+@pytest.mark.parametrize("pose6", [False, True])
+def test_of_two_opposite_headings_the_nearer_one_is_meant(turned: float, pose6: bool) -> None:
+    x = under()
+    x[PAD_YAW] = 0.3
+    b = belief(x=x, P=diagonal(d=0.01, head=0.2))
+    d, R = (0.01, 0.02, 2.0), rpy_matrix(0.02, -0.01, 0.0) @ about_down(0.3 + turned)
+    seen = sighting(d, wrap(-0.3 - turned), ambiguous=True, pose6=whole(d, R) if pose6 else None)
+    _, outcome = flown_outcome(b, seen)
+    wrong = math.remainder(turned, math.pi)
+    assert abs(outcome.innovation[-1]) == pytest.approx(abs(wrong), abs=0.05)
+
+
+def flown_outcome(b: Belief, seen: Sighting) -> tuple[Belief, Any]:
+    """Hold the core to the oracle; return the core's outcome."""
+    agrees(b, seen, TOOLS)
+    return fuse_sighting(b, seen, TOOLS)
