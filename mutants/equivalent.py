@@ -5,4 +5,21 @@ A change is written as `python -m mutants` prints it. A run counts these apart, 
 
 from __future__ import annotations
 
-EQUIVALENT: dict[str, dict[str, str]] = {}
+_ROUNDED = "two rounded real numbers, which no input makes equal"
+
+EQUIVALENT: dict[str, dict[str, str]] = {
+    "estimator/core/gate.c": {
+        "if (b->rejected_n == 0 || t < b->rejected_last || length(step) > limit || dt > PAUSE_S) {"
+        "  ->  if (b->rejected_n == 0 || t < b->rejected_last || length(step) >= limit || dt > PAUSE_S) {": _ROUNDED,
+    },
+    "estimator/core/deck_jolt.c": {
+        "if (fmax(ratio[0], fmax(ratio[1], ratio[2])) > RATIO_COUNTED) {"
+        "  ->  if (fmax(ratio[0], fmax(ratio[1], ratio[2])) >= RATIO_COUNTED) {": _ROUNDED,
+        "while (at > 0 && ordered[at - 1] > value) {  ->  while (at > 0 && ordered[at - 1] < value) {": (
+            "the values sorted the other way have the same median"
+        ),
+        "while (at > 0 && ordered[at - 1] > value) {  ->  while (at > 0 && ordered[at - 1] >= value) {": (
+            "equal values may change places"
+        ),
+    },
+}

@@ -9,6 +9,7 @@ import os
 import resource
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,12 +25,14 @@ _PATIENCE, _PATIENCE_S = 3.0, 5.0
 """CPU time after which a mutant counts as hanging: so many times the time of the tests on the original, and some seconds."""
 
 
-class Forks:
+class Forks(ABC):
     """A plugin: when the tests are collected, `judge` is called, which runs them in forks."""
 
     def __init__(self, tally: Tally) -> None:
         self.tally = tally
         self.failed_on_original: list[str] = []
+        self.after_tests: Callable[[], object] = lambda: None
+        """What a fork does when no test failed."""
         self._ran = False
 
     @pytest.hookimpl(tryfirst=True)
@@ -55,9 +58,9 @@ class Forks:
         """Return what a fork does before it runs the k-th test on the original."""
         return lambda: None
 
+    @abstractmethod
     def judge(self) -> None:
         """Judge every mutant."""
-        raise NotImplementedError
 
     def is_killed(self, prepare: Callable[[], None], tests: Sequence[int] | None = None) -> bool:
         """Return whether a test fails in a fork after `prepare`, of all or of those with these numbers."""
@@ -100,9 +103,6 @@ class Forks:
             time.sleep(0.002)
         code = os.waitstatus_to_exitcode(status)
         return None if code == 0 else code - 1 if 0 < code < _ELSEWHERE else _ELSEWHERE
-
-    def after_tests(self) -> None:
-        """What a fork does when no test failed."""
 
     def run(self, tests: Sequence[str]) -> str:
         """Run in this process; return what failed on the original, or nothing."""

@@ -31,7 +31,6 @@ class _Interpreted(Forks):
         self._file, self._drawn, self._folder = file, drawn, folder
         self._plain = ast.unparse(ast.parse(file.read_text()))
         self._lines: set[int] = set()
-        self._report: Path | None = None
         self.outside: list[int] = []
         """Places among the drawn of those that are to be imported anew."""
 
@@ -43,14 +42,11 @@ class _Interpreted(Forks):
             return trace
 
         def prepare() -> None:
-            self._report = self._folder / f"{k}.json"
+            report = self._folder / f"{k}.json"
+            self.after_tests = lambda: report.write_text(json.dumps(sorted(self._lines)))
             sys.settrace(trace)
 
         return prepare
-
-    def after_tests(self) -> None:
-        if self._report is not None:
-            self._report.write_text(json.dumps(sorted(self._lines)))
 
     def judge(self) -> None:
         met = [set(json.loads((self._folder / f"{k}.json").read_text())) for k in range(len(self.items))]

@@ -78,15 +78,16 @@ either_reset = pytest.mark.parametrize("should_reset", [oracle.should_reset, flo
 
 
 def offset(x: float, z: float) -> F64:
-    return np.array([x, 0.0, z])
+    """Return an offset with so many metres sideways, most of them to the east."""
+    return np.array([0.6 * x, 0.8 * x, z])
 
 
 @either_streak
 def test_a_row_begins_goes_on_and_keeps_its_beginning(extended: Streak) -> None:
     first = extended(RejectionStreak(), 5 * S, offset(0.5, 0.25), 1e-4)
-    assert first == RejectionStreak(1, 5 * S, 5 * S, pytest.approx((0.5, 0.0, 0.25)), pytest.approx(1e-4))
+    assert first == RejectionStreak(1, 5 * S, 5 * S, pytest.approx((0.3, 0.4, 0.25)), pytest.approx(1e-4))
     second = extended(first, 6 * S, offset(0.5, 0.25), 4e-4)
-    assert second == RejectionStreak(2, 5 * S, 6 * S, pytest.approx((0.5, 0.0, 0.25)), pytest.approx(4e-4))
+    assert second == RejectionStreak(2, 5 * S, 6 * S, pytest.approx((0.3, 0.4, 0.25)), pytest.approx(4e-4))
     assert extended(second, 6 * S, offset(0.5, 0.25), 1e-4).n == 3, "two of one instant"
     assert extended(second, 6 * S - 1, offset(0.5, 0.25), 1e-4).n == 1, "an older one begins anew"
 
@@ -108,7 +109,7 @@ def test_how_far_two_refusals_may_differ(dt_s: float, growth_m: float, sigmas_m:
     """Four sigmas of their difference, what the belief may have drifted between them, and a fiftieth of the offset."""
     first = extended(RejectionStreak(), 0, offset(0.0, 10.0), sigmas_m[0] ** 2)
     for factor, n in ((0.999, 2), (1.001, 1)):
-        # The limit holds at the offset of the second look: step = base + 0.02 |offset|, offset = (step, 0, 10).
+        # The limit holds at the offset of the second look: step = base + 0.02 |offset|, offset = (0.6 step, 0.8 step, 10).
         base = 4.0 * math.hypot(*sigmas_m) + growth_m
         step = base
         for _ in range(30):
@@ -133,4 +134,6 @@ def test_a_belief_of_three_or_more_is_overthrown_by_count_and_time_alone(should_
     assert should_reset(row, 1000, options)
     assert not should_reset(row._replace(n=4), 3, options)
     assert not should_reset(row._replace(last=590_000_000), 3, options)
+    half = structs.replace(options, reopen_s=0.5)
+    assert should_reset(row._replace(last=500_000_000), 3, half)
     assert not should_reset(RejectionStreak(n=4, since=0, last=0), 3, options), "four refusals do for three sightings no longer"
