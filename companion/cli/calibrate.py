@@ -1,4 +1,7 @@
-"""`decklander calibrate camera`: write a camera file from images of a printed board, grade it, and list what the images lack."""
+"""`decklander calibrate`: `camera` writes a camera file from images of a board, grades it, and lists what the images lack.
+
+`mount` and `delay` are in `companion.cli.calibrate_flight`, `vehicle` is `decklander identify`.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from companion.calibrate.camera_file import text
 from companion.calibrate.gather import PICTURES, add_file, image_files, watch
 from companion.calibrate.solve import LEAST_VIEWS, Solution, solve
 from companion.calibrate.views import Collection
-from companion.cli import board_option
+from companion.cli import board_option, calibrate_flight, identify
 from companion.report.drawing import require_drawing
 from companion.runtime import event_loop
 from drivers.camera.options import FORMATS, CameraOptions, Size, check_size
@@ -27,8 +30,18 @@ from estimator.contracts.geometry import Rotation, Transform
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `decklander calibrate` to the parser."""
-    outer = subparsers.add_parser("calibrate", help="calibrate a camera", description="Calibrate a camera.")
-    p = outer.add_subparsers(dest="action", metavar="WHAT", required=True).add_parser(
+    outer = subparsers.add_parser(
+        "calibrate", help="calibrate camera and vehicle", description="Calibrate a camera, its mount and delay, and a vehicle."
+    )
+    actions = outer.add_subparsers(dest="action", metavar="WHAT", required=True)
+    _add_camera(actions)
+    calibrate_flight.add_parsers(actions)
+    vehicle = actions.add_parser("vehicle", help=identify.HELP, description=identify.DESCRIPTION)
+    identify.add_arguments(vehicle)
+
+
+def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    p = actions.add_parser(
         "camera",
         help="measure intrinsics and distortion with a printed board",
         description="Measure intrinsics and distortion with images of a printed board (decklander pad print --board charuco). "
@@ -79,6 +92,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the command and return its exit code."""
+    if args.action == "camera":
+        return _run_camera(args)
+    return identify.run(args) if args.action == "vehicle" else calibrate_flight.run(args)
+
+
+def _run_camera(args: argparse.Namespace) -> int:
     """Calibrate; return 0 if a camera file was written, 1 if the grade is worse than accepted.
 
     Raises:

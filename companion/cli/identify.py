@@ -1,4 +1,4 @@
-"""`decklander identify`: how a vehicle answered its commands, from a recorded flight."""
+"""`decklander identify` and `decklander calibrate vehicle`: how a vehicle answered its commands, from a recorded flight."""
 
 from __future__ import annotations
 
@@ -19,6 +19,12 @@ from companion.replay.pilots import settings_of
 from companion.report.drawing import require_drawing
 from estimator.contracts.errors import BadInput, unusable
 
+HELP = "identify a vehicle's response from a recorded flight"
+DESCRIPTION = (
+    "Identify how a vehicle answers commands from a recorded flight: delay, frequency and damping of its tilt, "
+    "delay and lag of its climb, each with its standard deviation. The flight must have been flown with the controller "
+    "follow_deck, which commands tilt. Exit code 1 if the flight moved too little to tell."
+)
 NOTHING_TOLD_S = 0.1
 """A delay that is known worse than this is not known at all."""
 DELAY_MARGIN_S = 0.06
@@ -27,13 +33,11 @@ DELAY_MARGIN_S = 0.06
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `decklander identify` to the parser."""
-    parser = subparsers.add_parser(
-        "identify",
-        help="identify a vehicle's response from a recorded flight",
-        description="Identify how a vehicle answers commands from a recorded flight: delay, frequency and damping of its tilt, "
-        "delay and lag of its climb, each with its standard deviation. The flight must have been flown with the controller "
-        "follow_deck, which commands tilt. Exit code 1 if the flight moved too little to tell.",
-    )
+    add_arguments(subparsers.add_parser("identify", help=HELP, description=DESCRIPTION))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command, which is `decklander calibrate vehicle` too."""
     parser.add_argument(
         "recording", nargs="+", type=Path, metavar="RECORDING", help="MCAP file, or the files of one recording in order"
     )

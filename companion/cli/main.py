@@ -36,7 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "identify": ("companion.cli.identify", "identify a vehicle's response from a recorded flight"),
     "record": ("companion.cli.record", "inspect, cut, repair, export and import recordings"),
     "watch": ("companion.cli.watch", "watch drones live in the terminal, over MQTT"),
-    "calibrate": ("companion.cli.calibrate", "calibrate a camera"),
+    "calibrate": ("companion.cli.calibrate", "calibrate camera and vehicle"),
     "pad": ("companion.cli.pad", "list, check or print pads"),
     "doctor": ("companion.cli.doctor", "diagnose the setup: autopilot, links, camera, broker"),
     "keys": ("companion.cli.keys", "make, show, install and remove MAVLink signing keys; make the operator page's token"),

@@ -24,6 +24,9 @@ from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import FRAME_WORK
 from estimator.vision.tracker import TrackerConfig
 
+_MOUNT_LEAST_RAD = math.radians(0.1)
+"""The least standard deviation of a calibrated mount: it bends by as much from flight to flight."""
+
 
 def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Callable[..., Pilot] = Pilot) -> Pilot:
     """Return the pilot that the settings describe.
@@ -35,9 +38,10 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
     Raises:
         BadInput: the camera or pad file is missing or has a fault.
     """
+    detector = tracker(settings)
     return kind(
-        tracker(settings),
-        estimator_options(settings),
+        detector,
+        with_mount(estimator_options(settings), detector.camera),
         settings.guidance,
         automatic=settings.guidance.start == "automatic",
         shadows=shadows,
@@ -117,3 +121,11 @@ def estimator_options(settings: Settings) -> EstimatorOptions:
         return options
     over: Literal["ground", "either"] = "ground" if isinstance(settings.vehicle, AutopilotOptions) else "either"
     return structs.replace(options, ekf=structs.replace(options.ekf, velocity_is_over=over))
+
+
+def with_mount(options: EstimatorOptions, camera: Camera) -> EstimatorOptions:
+    """Return the options with the mount as well known as the camera's file says, where that is better than the settings'."""
+    if camera.cov_mount is None:
+        return options
+    sigma_rad = max(_MOUNT_LEAST_RAD, math.sqrt(float(camera.cov_mount.trace()) / 3.0))
+    return structs.replace(options, ekf=structs.replace(options.ekf, sigma_mount_rad=min(sigma_rad, options.ekf.sigma_mount_rad)))

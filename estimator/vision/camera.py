@@ -12,12 +12,13 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.file_numbers import finite, shown
 
-_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion", "p_body_cam_m", "rpy_body_cam_deg"}
+_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion", "p_body_cam_m", "rpy_body_cam_deg", "mount_cov_deg2"}
 _LARGEST_PX = 16_384
 """Largest width and height of an image; a square image of that size is the largest that fits in memory."""
 _FOCAL_PX = 1.0, 1e6
 _DISTORTION_MAX = 1e3
 _MOUNT_MAX_M = 100.0
+_MOUNT_VAR_MAX_DEG2 = 30.0**2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +45,8 @@ class Camera:
     distortion: F64
     """The (5,) distortion coefficients k1, k2, p1, p2, k3."""
     T_body_cam: Transform
+    cov_mount: F64 | None = None
+    """Covariance of a small rotation of the camera on the body, (3, 3) rad^2 in `body`; None if the mount was not calibrated."""
     distorted: bool = field(init=False)
     _focal: F64 = field(init=False, repr=False)
     """The (2,) arrays (fx, fy) and (cx, cy). They are made once because pixels come in small batches."""
@@ -73,7 +76,12 @@ class Camera:
         object.__setattr__(self, "distorted", bool(np.any(d != 0.0)))
         object.__setattr__(self, "_focal", np.array([self.fx, self.fy], float))
         object.__setattr__(self, "_centre", np.array([self.cx, self.cy], float))
-        arrays = (d.tobytes(), self.T_body_cam.R.matrix.tobytes(), self.T_body_cam.t.tobytes())
+        if self.cov_mount is not None:
+            cov = np.array(self.cov_mount, dtype=float)
+            cov.setflags(write=False)
+            object.__setattr__(self, "cov_mount", cov)
+        known = b"" if self.cov_mount is None else self.cov_mount.tobytes()
+        arrays = (d.tobytes(), self.T_body_cam.R.matrix.tobytes(), self.T_body_cam.t.tobytes(), known)
         numbers = (self.width, self.height, self.fx, self.fy, self.cx, self.cy, *arrays)
         object.__setattr__(self, "_numbers", numbers)
         object.__setattr__(self, "_hash", hash(numbers))
@@ -93,7 +101,7 @@ class Camera:
         """
         if unknown := sorted(set(data) - _KEYS):
             raise BadInput(f"{where}: unknown key {unknown[0]!r}; known are {', '.join(sorted(_KEYS))}")
-        if missing := sorted(_KEYS - {"distortion", "p_body_cam_m", "rpy_body_cam_deg"} - set(data)):
+        if missing := sorted(_KEYS - {"distortion", "p_body_cam_m", "rpy_body_cam_deg", "mount_cov_deg2"} - set(data)):
             raise BadInput(f"{where}: key {missing[0]!r} is missing")
 
         def number(key: str) -> float:
@@ -117,6 +125,7 @@ class Camera:
             return Camera(
                 data["width"], data["height"], number("fx"), number("fy"), number("cx"), number("cy"),
                 vector("distortion", 5), Transform(Rotation.from_rpy(roll, pitch, yaw), vector("p_body_cam_m", 3)),
+                _mount_cov(data["mount_cov_deg2"], where) if "mount_cov_deg2" in data else None,
             )  # fmt: skip
         except ValueError as why:
             raise BadInput(f"{where}: {why}") from why
@@ -170,3 +179,22 @@ class Camera:
             dy = (f[:, 1] * jx[:, 0] - f[:, 0] * jx[:, 1]) / det
             xy = xy - np.stack([dx, dy], axis=1)
         return xy
+
+
+def _mount_cov(value: object, where: str) -> F64:
+    """Return the covariance of the mount, (3, 3) rad^2.
+
+    Raises:
+        BadInput: it is none; the text names `where` and the key.
+    """
+    rows = value if isinstance(value, list) and len(value) == 3 else []
+    numbers = [finite(x) for row in rows for x in (row if isinstance(row, list) and len(row) == 3 else [None])]
+    if len(numbers) == 9 and None not in numbers:
+        cov = np.array(numbers, dtype=float).reshape(3, 3)
+        sizes = np.linalg.eigvalsh(0.5 * (cov + cov.T)) if np.abs(cov).max() <= _MOUNT_VAR_MAX_DEG2 else np.full(3, -1.0)
+        if np.allclose(cov, cov.T, rtol=1e-6, atol=1e-9) and float(sizes.min()) >= -1e-9:
+            return np.asarray(np.radians(1.0) ** 2 * 0.5 * (cov + cov.T))
+    raise BadInput(
+        f"{where}: mount_cov_deg2 must be three rows of three numbers, a covariance of at most {_MOUNT_VAR_MAX_DEG2:g} deg^2, "
+        f"got {shown(value)}"
+    )

@@ -1,0 +1,131 @@
+"""Mount and delay from a flight: found within their own sigmas, written beside the old files, refused where a flight is dull."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.calibrate.flight_result import flight_result
+from companion.calibrate.mount_fit import DELAY, MOUNT, fit_mount
+from companion.calibrate.rotations import exp
+from companion.cli.main import main
+from companion.config.model import CameraSettings, Settings
+from companion.config.settings import SHIPPED, load
+from companion.config.toml_edit import with_values
+from companion.runtime.make_pilot import estimator_options, with_mount
+from estimator.contracts.errors import BadInput
+from estimator.vision.camera import Camera
+from tests.companion import calibration_flights as flights
+
+TURNED = np.radians([2.1, -1.4, 0.9])
+
+
+@pytest.mark.parametrize(("seed", "later_s"), [(0, 0.035), (1, -0.025)])
+def test_a_wrong_mount_and_delay_are_found_within_their_sigmas(seed: int, later_s: float) -> None:
+    turned = np.random.default_rng(seed).permutation(TURNED)
+    found = fit_mount(flights.flight(seed, turned, later_s, seconds=40.0))
+    off = np.r_[found.values[MOUNT] - turned, found.values[DELAY] - later_s]
+    assert np.all(np.abs(off) < 3.5 * found.sigma[: DELAY + 1])
+    assert np.degrees(found.sigma[MOUNT]).max() < 0.2
+    assert found.sigma[DELAY] < 0.0015
+
+
+def test_a_hover_without_leans_and_turns_is_refused_with_what_it_lacks() -> None:
+    result = flight_result(flights.flight(3, TURNED, 0.02, lean_deg=0.2, turn_deg=0.0, seconds=30.0))
+    assert "degrees only" in (result.mount_refusal() or "")
+    assert "ms only" in (result.delay_refusal() or "")
+    assert np.all(np.abs(result.fit.values[MOUNT] - TURNED) < 3.5 * result.fit.sigma[MOUNT])
+    lacks = " ".join(result.advice())
+    for lack in ("40 s", "lean left", "lean right", "lean forward", "lean back", "counter-clockwise by 90"):
+        assert lack in lacks
+
+
+def test_a_deck_that_rolls_is_said_and_widens_the_sigmas() -> None:
+    ashore = flight_result(flights.flight(4, TURNED, 0.02, seconds=30.0))
+    on_deck = flight_result(flights.flight(4, TURNED, 0.02, seconds=30.0, deck_deg=2.0))
+    assert np.all(on_deck.mount_sigma_deg > 1.5 * ashore.mount_sigma_deg)
+    assert any("fly ashore" in lack for lack in on_deck.advice())
+    assert not any("fly ashore" in lack for lack in ashore.advice())
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Settings]:
+    """A recording with a camera file of the user's own, and the folder of both."""
+    folder = tmp_path_factory.mktemp("flown")
+    camera, rig = folder / "mine.toml", folder / "rig.toml"
+    text = (SHIPPED / "cameras" / "sim.toml").read_text(encoding="utf-8")
+    camera.write_text(text.replace("[0.0, 0.0, 90.0]", "[0.0, 0.0, 90.0]  # by eye"), encoding="utf-8")
+    rig.write_text((SHIPPED / "sim.toml").read_text(encoding="utf-8").replace('"sim"', f'"{camera}"'), encoding="utf-8")
+    settings = msgspec.structs.replace(load(str(rig)), camera=CameraSettings(str(camera)))
+    flights.record(folder / "flight.mcap", flights.flight(5, TURNED, 0.03, seconds=40.0), settings)
+    return folder, rig, settings
+
+
+def test_the_mount_is_written_into_a_copy_of_the_camera_file(
+    flown: tuple[Path, Path, Settings], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, _, settings = flown
+    out = tmp_path / "new.toml"
+    assert main(["calibrate", "mount", str(folder / "flight.mcap"), "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "cm at touchdown" in said
+    assert "was [0.00, 0.00, 90.00]" in said
+    text = out.read_text(encoding="utf-8")
+    assert "# by eye" in text
+    assert "# The bottom camera of the thesis' simulator" in text
+    new = Camera.from_mapping(tomllib.loads(text))
+    right = exp(TURNED) @ flights.camera().T_body_cam.R.matrix
+    off_deg = math.degrees(math.acos(min(1.0, 0.5 * (np.trace(right.T @ new.T_body_cam.R.matrix) - 1.0))))
+    assert off_deg < 0.4
+    assert new.cov_mount is not None
+    given = estimator_options(settings)
+    assert with_mount(given, new).ekf.sigma_mount_rad < 0.5 * given.ekf.sigma_mount_rad
+    assert main(["calibrate", "mount", str(folder / "flight.mcap"), "--out", str(out)]) == 2
+    assert "name a new one" in capsys.readouterr().err
+
+
+def test_the_delay_is_written_into_a_copy_of_the_settings(
+    flown: tuple[Path, Path, Settings], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, rig, settings = flown
+    out = tmp_path / "rig.toml"
+    words = ["calibrate", "delay", str(folder / "flight.mcap"), "--config", str(rig), "--out", str(out), "--json"]
+    assert main(words) == 0
+    told = json.loads(capsys.readouterr().out)
+    was = settings.vehicle.video_delay_s  # type: ignore[union-attr]
+    assert told["delay_s"] == pytest.approx(was - 0.03, abs=0.004)
+    assert told["sigma_s"] < 0.002
+    new = load(str(out))
+    assert new.vehicle.video_delay_s == pytest.approx(told["delay_s"], abs=1e-4)  # type: ignore[union-attr]
+    assert new.estimator.ekf.sigma_delay_s < 0.005
+    assert "# The simulated AR.Drone on this machine" in out.read_text(encoding="utf-8")
+
+
+def test_a_recording_with_hardly_a_pad_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short = tmp_path / "short.mcap"
+    flights.record(short, flights.flight(6, TURNED, 0.0, seconds=6.0), load("sim"))
+    assert main(["calibrate", "mount", str(short)]) == 2
+    assert "100 are needed" in capsys.readouterr().err
+
+
+def test_values_change_in_place_and_comments_stay() -> None:
+    text = '# mine\na = [1.0,  # one\n  2.0]\n\n[camera]\nfile = "x"  # a file\n\n[pad]\nfile = "y"\n'
+    out = with_values(text, "camera", {"file": "z", "latency_s": 0.01}, "t")
+    assert out == '# mine\na = [1.0,  # one\n  2.0]\n\n[camera]\nfile = "z"  # a file\nlatency_s = 0.01\n\n[pad]\nfile = "y"\n'
+    assert tomllib.loads(with_values(text, "", {"a": [3.0]}, "t"))["a"] == [3.0]
+    assert tomllib.loads(with_values(text, "estimator.ekf", {"s": 1.0}, "t"))["estimator"] == {"ekf": {"s": 1.0}}
+    with pytest.raises(BadInput, match="by hand"):
+        with_values('camera = {file = "x"}\n', "camera", {"file": "z"}, "t")
+
+
+@pytest.mark.parametrize("value", [3, [[1.0, 0.0], [0.0, 1.0]], [[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]]])
+def test_a_mount_covariance_that_is_none_is_refused(value: object) -> None:
+    data = tomllib.loads((SHIPPED / "cameras" / "sim.toml").read_text(encoding="utf-8"))
+    with pytest.raises(BadInput, match="mount_cov_deg2"):
+        Camera.from_mapping(data | {"mount_cov_deg2": value})
