@@ -22,6 +22,8 @@ _HOW = (
     "Fly by hand for a minute at 2 to 4 m over a pad ashore, the pad in view: lean left, right, forward and back, turn by 90 "
     "degrees or more both ways, and record it. Exit code 1, and no file, if the flight does not tell."
 )
+_GYRO_TRAILS_S = 0.005
+"""A gyro may trail its stamps by as much, so that a delay seems to be less than none."""
 FILTER_DELAY_LEAST_S = 0.002
 """The filter is not told to know the delay better than this: it drifts by as much."""
 
@@ -96,6 +98,8 @@ def _delay(args: argparse.Namespace, recording: Recording) -> int:
     was = settings.vehicle.video_delay_s if isinstance(settings.vehicle, ArDroneOptions) else settings.camera.latency_s
     result = _result(args, recording)
     found, why = was - result.later_s, result.delay_refusal()
+    if -_GYRO_TRAILS_S < found < 0.0:
+        found = 0.0
     if why is None and found < 0.0:
         why = f"{table}.{key} would be {1e3 * found:.1f} ms: the frames' stamps lie before the exposure; check their source"
     if why is None and args.out is not None:
