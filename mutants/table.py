@@ -32,6 +32,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/bank_ahead.c": _FORECASTS,
     "estimator/core/filter.c": (
         *_CORE,
+        "tests/estimator/ekf/test_core_edges.py",
         "tests/estimator/ekf/test_vision_update_bounds.py",
         f"{_BESIDE_THE_ORACLE}::test_a_row_of_all_kinds_in_one_call_is_one_call_for_each",
     ),
@@ -43,7 +44,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/oscillator.c": _CORE,
     "estimator/core/bank.c": _BANK,
     "estimator/core/bank_weights.c": _BANK,
-    "estimator/core/skill.c": _BANK,
+    "estimator/core/skill.c": (*_BANK, "tests/estimator/ekf/test_forecast.py"),
     "estimator/core/sighting.c": _SIGHTINGS,
     "estimator/core/symmetric.c": _SIGHTINGS,
     "estimator/core/vision.c": _SIGHTINGS,

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
-from estimator.contracts.estimates import Sighting
+from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import rpy_matrix
 from estimator.core.interface.filter import RATIOS_MAX
 from estimator.ekf.so3 import about_down, wrap
@@ -34,7 +35,9 @@ from tests.estimator.ekf.hand import (
     belief,
     correlated,
     diagonal,
+    imu,
     learned,
+    params,
     sighting,
     state,
     under,
@@ -142,10 +145,41 @@ def shown(b: Belief, **fields: Any) -> Sighting:
 @pytest.mark.parametrize("up", [1.0, -1.0])
 def test_a_pad_on_its_edge_has_a_pitch_however_its_rotation_was_rounded(up: float) -> None:
     d = (0.0, 0.0, 2.0)
-    b = belief((1.0 + 1e-9) * LEVEL, x=under(), P=diagonal(d=0.01), sea=learned(t=T - 1000 * MS))
-    after, _ = agrees(b, sighting(d, 0.0, pose6=whole(d, rpy_matrix(0.0, up * math.pi / 2, 0.0))), TOOLS)
+    P = diagonal(d=0.01)
+    P[WAVES[4, 0], WAVES[4, 0]] = 9.0
+    b = belief((1.0 + 1e-9) * LEVEL, x=under(), P=P, sea=learned(t=T - 1000 * MS))
+    seen = sighting(d, 0.0, pose6=whole(d, rpy_matrix(0.0, up * math.pi / 2, 0.0)))
+    after, outcome = fuse_sighting(b, seen, TOOLS)
+    assert outcome.innovation is not None
+    assert len(outcome.innovation) == 6
     assert after.sea.t == T
     assert np.all(np.isfinite(after.sea.x))
+
+
+# Reset and forgotten
+
+
+@pytest.mark.parametrize("yaw", [None, 0.5])
+def test_a_reset_belief_keeps_nothing_of_the_other_pad_s_vessel(yaw: float | None) -> None:
+    b = belief(TILTED, x=state(), P=0.1 * correlated(), sea=learned(heave_m_s=0.4))
+    b = b._replace(sea=b.sea._replace(sigma=np.array([0.3, 0.4, 0.5, 0.02, 0.03]), zeta=np.linspace(0.05, 0.2, 5)))
+    seen = shown(b, yaw=yaw)
+    seen = replace(seen, d_body_pad_level=seen.d_body_pad_level + np.array([3.0, 1.0, 0.5]))
+    first, verdict = agrees(b, seen, TOOLS)
+    assert verdict is Verdict.GATED
+    streak = first.rejections._replace(n=6, since=T - 700 * MS)
+    for chosen in (TOOLS, params(sigma_sway_per_heave=0.2, sigma_turn_rate_rad_s=0.03)):
+        after, verdict = agrees(b._replace(rejections=streak), seen, chosen)
+        assert verdict is Verdict.FUSED
+        assert after.agreed == 1
+
+
+@pytest.mark.parametrize(("t_s", "forgotten"), [(29.9, False), (30.1, True)])
+def test_a_pad_seen_in_the_first_instant_is_forgotten_like_any_other(t_s: float, forgotten: bool) -> None:
+    t = round(t_s * 1e9)
+    b = belief(t=t, x=under(), P=diagonal(d=0.01), sighted=0, agreed=7, t_imu=t - 5 * MS, f=(0.0, 0.0, -9.8))
+    after, _ = agrees(b, imu(t, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8)), params(forget_s=30.0))
+    assert (after.sighted, after.agreed) == ((-1, 0) if forgotten else (0, 7))
 
 
 # What a sighting says of the heading
