@@ -121,8 +121,8 @@ SLOW = (
 """Files and folders that take more than 0.8 s of processor time, the longest first. They are marked `slow`, and start first."""
 TOGETHER = ("tests/v4l2_vm/",)
 """Folders whose files share what is dear to make: one virtual machine is started for all of them."""
-APART = ("tests/sitl/test_flight.py", "tests/packaging/test_installation.py")
-"""Files of long tests that share little, so that one worker need not run them all."""
+APART = ("tests/packaging/test_installation.py",)
+"""Files of long tests that share nothing, so that one worker need not run them all."""
 
 
 def pytest_configure() -> None:

@@ -217,12 +217,12 @@ def test_a_report_that_cannot_be_written_is_refused_before_the_flight(
     """A folder below a file cannot be made, not even by root."""
     (tmp_path / "file").write_text("")
     what = {"demo": [], "simulate": ["calm"], "replay": [str(ROOT / "tests/golden/approach.mcap")]}[command]
-    began = time.monotonic()
+    began_s = time.process_time()
     assert cli.main([command, *what, "--report", str(tmp_path / "file/report")]) == 2
     said = capsys.readouterr()
     assert said.err == f"decklander: --report {tmp_path / 'file/report'}: Not a directory\n"
     assert said.out == ""
-    assert time.monotonic() - began < 10.0
+    assert time.process_time() - began_s < 10.0, "less than a flight"
 
 
 def test_a_reader_that_went_away_is_no_traceback() -> None:

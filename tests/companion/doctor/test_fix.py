@@ -58,11 +58,11 @@ def on_link(fake: MiniatureAutopilot) -> Iterator[str]:
     thread = threading.Thread(target=lambda: asyncio.run(live()))
     thread.start()
     try:
-        assert ready.wait(5)
+        assert ready.wait(60)
         yield url[0]
     finally:
         loops[0].call_soon_threadsafe(stop.set)
-        thread.join(5)
+        thread.join(60)
 
 
 @pytest.fixture

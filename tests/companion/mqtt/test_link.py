@@ -142,7 +142,7 @@ async def test_the_shipped_broker_configuration_serves_a_drone_that_has_its_user
     broker.start()
     async with running(broker.settings(drone="drone"), tmp_path / "own") as rig, broker.ground() as ground:
         await until(lambda: rig.count("events_delivered") >= 1)
-        command = {"command": "pause", "id": "x", "run": RUN, "expires_ns": rig.clock.now() + 10**9}
+        command = {"command": "pause", "id": "x", "run": RUN, "expires_ns": rig.clock.now() + 30 * 10**9}
         await ground.publish_message("decklander/v1/drone/command", json.dumps(command).encode(), qos=1)
         await until(lambda: rig.operator.done == ["pause"])
     async with running(broker.settings(drone="other"), tmp_path / "others") as rig:
@@ -152,7 +152,7 @@ async def test_the_shipped_broker_configuration_serves_a_drone_that_has_its_user
 
 async def test_a_retained_command_never_reaches_us(broker: Broker, tmp_path: Path) -> None:
     async with broker.ground() as ground:
-        command = {"command": "abort", "id": "x", "run": RUN, "expires_ns": time.monotonic_ns() + 5 * 10**9}
+        command = {"command": "abort", "id": "x", "run": RUN, "expires_ns": time.monotonic_ns() + 30 * 10**9}
         await ground.publish_message(TREE + "command", json.dumps(command).encode(), qos=1, retain=True)
         async with running(broker.settings(), tmp_path / "spool") as rig:
             await until(lambda: rig.count("connections") == 1)

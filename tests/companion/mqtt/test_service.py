@@ -75,7 +75,7 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
 
         async def ask(**fields: object) -> CommandReply:
             health = await wait(HealthReport)
-            command = {"id": f"c{health.at_ns}", "run": runs[-1], "expires_ns": health.at_ns + 5 * 10**9, **fields}
+            command = {"id": f"c{health.at_ns}", "run": runs[-1], "expires_ns": health.at_ns + 30 * 10**9, **fields}
             await ground.publish_message(TREE + "command", signed(key, TREE + "command", json.dumps(command).encode()), qos=1)
             return await wait(CommandReply)
 

@@ -225,7 +225,7 @@ async def test_a_broker_of_the_older_version(broker: Broker, tmp_path: Path) -> 
     async with running(broker.settings(protocol="3.1.1"), tmp_path / "spool") as rig, broker.ground() as ground:
         await until(lambda: rig.count("connections") == 1)
         await ground.subscribe("decklander/v1/deck/reply", qos=1)
-        command = {"command": "start", "id": "a", "run": RUN, "expires_ns": rig.clock.now() + 10**9}
+        command = {"command": "start", "id": "a", "run": RUN, "expires_ns": rig.clock.now() + 30 * 10**9}
         await ground.publish_message("decklander/v1/deck/command", json.dumps(command).encode(), qos=1)
         async with asyncio.timeout(60):
             assert b'"accepted":true' in (await anext(ground.publications())).payload
