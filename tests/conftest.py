@@ -35,8 +35,8 @@ if sys.dont_write_bytecode and not sys.pycache_prefix:
 ROOT = Path(__file__).parents[1]
 SLOW = (
     "tests/v4l2_vm/",
-    "tests/sitl/test_flight.py",
     "tests/packaging/",
+    "tests/sitl/test_flight.py",
     "tests/sitl/autopilots/test_flight.py",
     "tests/companion/test_replay.py",
     "tests/estimator/ekf/test_rough.py",
@@ -46,7 +46,6 @@ SLOW = (
     "tests/companion/test_pad_print.py",
     "tests/companion/test_signals.py",
     "tests/companion/page/test_browser.py",
-    "tests/estimator/vision/test_corners.py",
     "tests/companion/mavlink/test_landing.py",
     "tests/companion/test_fault_domains.py",
     "tests/fuzz/test_corpus.py",
@@ -63,6 +62,7 @@ SLOW = (
     "tests/estimator/ekf/test_history.py",
     "tests/estimator/ekf/test_sea.py",
     "tests/estimator/vision/test_registration.py",
+    "tests/estimator/vision/test_corners.py",
     "tests/estimator/ekf/test_core.py",
     "tests/estimator/core/test_library.py",
     "tests/sitl/test_vehicle.py",
