@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import socket
 import threading
 from collections.abc import Iterator
@@ -103,18 +104,23 @@ async def test_without_a_watchdog_there_is_readiness_and_status_alone(systemd: S
 
 async def test_a_image_that_vision_never_gives_back_ends_the_pings(systemd: Systemd, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("companion.runtime.liveness.LivenessLimits", lambda: LivenessLimits(frame_s=0.2))
-    vehicle, pilot, held = FakeVehicle(), pilot_of(), threading.Event()
+    vehicle, pilot, begun, held = FakeVehicle(), pilot_of(), threading.Event(), threading.Event()
     look = pilot.detect
-    monkeypatch.setattr(pilot, "detect", lambda frame, attitude: (held.wait(100.0), look(frame, attitude))[1])
+    monkeypatch.setattr(pilot, "detect", lambda frame, attitude: (begun.set(), held.wait(100.0), look(frame, attitude))[2])
     daemon = watched(vehicle, pilot, systemd.socket.getsockname(), 0.1)
     try:
         async with asyncio.TaskGroup() as group:
             group.create_task(daemon.run())
             await until(lambda: vehicle.opened == 1 and systemd.pings() >= 3)
-            for _ in range(3):
-                vehicle.say(flying=True)
-                await asyncio.sleep(0.03)
-            vehicle.film(1)
+            for seq in itertools.count(1):  # a frame for which a busy machine has no attitude is done at once
+                for _ in range(3):
+                    vehicle.say(flying=True)
+                    await asyncio.sleep(0.03)
+                judged = daemon.health.frames.total()
+                vehicle.film(seq)
+                await until(lambda judged=judged: begun.is_set() or daemon.health.frames.total() > judged)
+                if begun.is_set():
+                    break
             await until(lambda: "vision has not been done" in systemd.read()[-1].get("STATUS", ""))
             stopped_at, rounds = systemd.pings(), daemon.health.flows["Decision"].count
             await until(lambda: daemon.health.flows["Decision"].count > rounds + 15)  # guidance itself goes on

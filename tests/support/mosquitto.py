@@ -178,7 +178,7 @@ class Broker:
     @asynccontextmanager
     async def ground(self) -> AsyncIterator[Connection]:
         """A ground station's connection."""
-        async with connect(BrokerEndpoint.of(self.settings("ground")), "ground", incoming=100_000) as connection:
+        async with connect(BrokerEndpoint.of(self.settings("ground", timeout_s=10.0)), "ground", incoming=100_000) as connection:
             yield connection
 
 

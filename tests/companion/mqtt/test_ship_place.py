@@ -38,8 +38,8 @@ async def test_the_script_of_the_page_leads_the_drone_to_the_ship_and_nobody_wit
     at = place_of(SHIP_NED)
     line = f"{math.degrees(at.latitude_rad):.7f} {math.degrees(at.longitude_rad):.7f} 2.0 90.0 90.0\n".encode()
     words = ["localhost", str(broker.port), str(broker.certificates / "ca.crt"), "ship", str(broker.folder / "ship.password")]
-    gateway = connect(BrokerEndpoint.of(broker.settings("ship")), "gateway")
-    async with flying(settings, port) as service, gateway as without_key, asyncio.timeout(90):
+    gateway = connect(BrokerEndpoint.of(broker.settings("ship", timeout_s=10.0)), "gateway")
+    async with flying(settings, port) as service, gateway as without_key, asyncio.timeout(300):
         assert "no place from the ship yet" in service.missing()
         await until(lambda: service.counted("mqtt").get("connections", 0) == 1)
         forged = {"run": "0" * 32, "at_ns": 1, "latitude_deg": 54.4, "longitude_deg": 10.2}
