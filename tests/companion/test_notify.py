@@ -106,7 +106,13 @@ async def test_a_image_that_vision_never_gives_back_ends_the_pings(systemd: Syst
     monkeypatch.setattr("companion.runtime.liveness.LivenessLimits", lambda: LivenessLimits(frame_s=0.2))
     vehicle, pilot, begun, held = FakeVehicle(), pilot_of(), threading.Event(), threading.Event()
     look = pilot.detect
-    monkeypatch.setattr(pilot, "detect", lambda frame, attitude: (begun.set(), held.wait(100.0), look(frame, attitude))[2])
+
+    def held_up(frame: object, attitude: object) -> object:
+        begun.set()
+        held.wait(100.0)
+        return look(frame, attitude)
+
+    monkeypatch.setattr(pilot, "detect", held_up)
     daemon = watched(vehicle, pilot, systemd.socket.getsockname(), 0.1)
     try:
         async with asyncio.TaskGroup() as group:
