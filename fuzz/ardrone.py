@@ -20,13 +20,16 @@ from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.pave import FrameType, PaveHeader, PaveParser
 from drivers.ardrone.refusal import Refusal
 from drivers.ardrone.video import VideoDecoder
+from estimator.contracts.pictures import PictureRefusal
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
+from estimator.uvlc import UvlcDecoder
 from fuzz.target import Choices, Target, block
 from sitl.ardrone.config import Configuration
 from sitl.ardrone.drone import Drone
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.state import DroneState
+from sitl.ardrone.uvlc_encoder import encode
 from sitl.ardrone.video import Encoder
 from sitl.autopilots.lock_step import LockStepClock
 from sitl.scenario import load as load_scenario
@@ -157,6 +160,25 @@ def video_seeds() -> Iterator[bytes]:
     yield b"".join(_unit(n, unit.data, kind, 68) for n, (unit, kind) in enumerate(zip(units, kinds, strict=True)))
 
 
+def run_uvlc(data: bytes) -> None:
+    """Decode a datagram of an AR.Drone 1.0: a refusal, or a whole picture of the size that its header says."""
+    decoder = UvlcDecoder()
+    picture = decoder.header(data)
+    if not isinstance(picture, PictureRefusal):
+        px = decoder.decode(data, picture)
+        assert isinstance(px, PictureRefusal) or px.shape == (picture.height, picture.width, 3)
+
+
+def uvlc_seeds() -> Iterator[bytes]:
+    """Yield pictures of 176 by 144 pixels: grey, of a few colours, and coarse."""
+    grey = np.full((144, 176, 3), 90, np.uint8)
+    colours = grey.copy()
+    colours[40:90, 30:120] = 20, 160, 240
+    yield encode(grey, 1)
+    yield encode(colours, 2)
+    yield encode(np.random.default_rng(1).integers(0, 60, (144, 176, 3), np.uint8), 3, 30)
+
+
 def run_control(data: bytes) -> None:
     """Parse the drone's configuration as text; the result must survive writing and reading."""
     pairs = control.parse(data)
@@ -242,6 +264,7 @@ TARGETS = {
     "navdata": Target(run_navdata, navdata_seeds, 8192),
     "pave": Target(run_pave, pave_seeds),
     "video": Target(run_video, video_seeds, 8192),
+    "uvlc": Target(run_uvlc, uvlc_seeds, 8192),
     "control": Target(run_control, control_seeds, 8192),
     "at": Target(run_at, at_seeds),
 }

@@ -17,6 +17,7 @@ MODULES = {
     "navdata": "fuzz.ardrone",
     "pave": "fuzz.ardrone",
     "video": "fuzz.ardrone",
+    "uvlc": "fuzz.ardrone",
     "control": "fuzz.ardrone",
     "at": "fuzz.ardrone",
     "mavlink_autopilot": "fuzz.mavlink",

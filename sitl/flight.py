@@ -34,17 +34,19 @@ from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Sample
-from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, after, seconds_between
+from estimator.contracts.time import NS_PER_S, MonoNs, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.generations import GENERATIONS
 from sitl.ardrone.state import refusal
+from sitl.arriving_frames import ArrivingFrames, synced
 from sitl.faults import ServiceKilled
 from sitl.faulty_streams import InTransit
 from sitl.flight_grader import FlightGrader, FlightResult
 from sitl.perception.pixels import Pixels
 from sitl.perception.port import Perception
 from sitl.render_worker import RenderWorker
-from sitl.scenario import Scenario
+from sitl.scenario import Scenario, camera_model
 from sitl.simulated_person import SimulatedPerson
 from sitl.truth import RenderedFrame
 from sitl.vehicle import VehiclePhase
@@ -52,7 +54,6 @@ from sitl.vessel_reports import VesselReporter
 from sitl.world import World
 
 NAVDATA_DELAY_S = 0.004
-STAMP_SIGMA_S = 0.002
 _TICK_NS, _NAVDATA_DELAY_NS = round(TICK_S * NS_PER_S), round(NAVDATA_DELAY_S * NS_PER_S)
 _NO_PIXELS = np.empty((0, 0, 3), np.uint8)
 _WATCH_EACH = 10
@@ -133,6 +134,9 @@ class Flight:
         self._limit_s, self._overtime_s = scenario.duration_limit_s, overtime_s
         self._options = ardrone_options(settings)
         self._arbiter = CommandArbiter(self._options.hold_s)
+        self._generation = GENERATIONS[scenario.vehicle.generation]
+        self._generation.check_camera(camera_model(scenario))
+        self._arriving = ArrivingFrames(self._generation, self._options)
         self._sequence = self._ticks = 0
         start = self.world.now
         self._clock = _VirtualClock(start)
@@ -145,7 +149,7 @@ class Flight:
         self._gone = False
         self._begin_service(pilot)
         self.health = Health(self._clock)
-        self._drone = Drone(self.world, DroneClock(start))
+        self._drone = Drone(self.world, DroneClock(start), generation=self._generation)
         for key, commands in configuration_commands(self._options):
             for command in [*commands, at.Ctrl(at.CTRL_ACK)]:
                 self._drone.take(self._encoded(command), start)
@@ -282,7 +286,7 @@ class Flight:
 
     def _deliver_samples(self, navdata: Navdata, measured_at: MonoNs, received_at: MonoNs) -> None:
         self._streamer.on_navdata(navdata, received_at)
-        samples = self._sampler.samples(navdata, _stamp(measured_at, received_at))
+        samples = self._sampler.samples(navdata, synced(measured_at, received_at))
         for sample in samples:
             self._streamer.on_sample(sample)
         self._take(samples)
@@ -308,7 +312,7 @@ class Flight:
         if now < self._due_frame:
             return
         own = self._timing.frame_period_s
-        self._due_frame = after(self._due_frame, own or 1.0 / self._drone.state.config.number("video:codec_fps"))
+        self._due_frame = after(self._due_frame, own or 1.0 / self._drone.state.config.number(self._generation.frame_rate))
         self._frames_under_way.send(self._expose, self.world.at, self._timing.frame_delay_s)
 
     def _expose(self) -> Callable[[], RenderedFrame]:
@@ -329,8 +333,7 @@ class Flight:
             image = exposed()
             self._frames += 1
             self._views[self._frames] = replace(image, px=_NO_PIXELS)
-            stamp = _stamp(after(image.exposed_at, image.stamp_error_s), received_at)
-            arrived = Frame(stamp, self._frames, image.px, image.exposure_s)
+            arrived = self._arriving.frame(self._frames, image, received_at)
         if arrived is None:
             return
         refused = self._pilot.admit(arrived)
@@ -380,8 +383,3 @@ class Flight:
         """Return the result of the flight: final if it has ended, else the result so far."""
         self._report_fused()
         return self._grader.result(self._pilot.outcome, self._pilot.operator.situation(self._clock.t), self.health)
-
-
-def _stamp(measured_at: MonoNs, received: MonoNs) -> Stamp:
-    """Return the stamp of a sample. A sample with a stamp in the future counts as received at that stamp."""
-    return Stamp(measured_at, max(measured_at, received), STAMP_SIGMA_S, "sim")

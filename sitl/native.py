@@ -29,6 +29,7 @@ render_swell = CORE.function("render_swell")
 render_water = CORE.function("render_water")
 sensors_read = CORE.function("sensors_read")
 sim_run = CORE.function("sim_run")
+uvlc_encode = CORE.function("uvlc_encode")
 vehicle_carry = CORE.function("vehicle_carry")
 vehicle_step = CORE.function("vehicle_step")
 

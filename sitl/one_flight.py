@@ -64,6 +64,7 @@ def settings_for(scenario: Scenario, config: str | None) -> Settings:
     follow = msgspec.structs.replace(settings.guidance.follow_deck, response=vehicle_model(scenario).response)
     return msgspec.structs.replace(
         settings,
+        vehicle=msgspec.structs.replace(settings.vehicle, model=scenario.vehicle.generation),
         camera=CameraSettings(scenario.camera.file),
         pad=PadSettings(scenario.pad.file),
         guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous, follow_deck=follow),

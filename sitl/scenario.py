@@ -249,6 +249,13 @@ def camera_model(scenario: Scenario) -> Camera:
     return Camera.from_mapping(read_toml(path), str(path))
 
 
+def with_ardrone1(scenario: Scenario) -> Scenario:
+    """Return the scenario flown by an AR.Drone 1.0, with its bottom camera."""
+    vehicle = msgspec.structs.replace(scenario.vehicle, generation="1.0")
+    camera = msgspec.structs.replace(scenario.camera, file="ardrone1_bottom")
+    return msgspec.structs.replace(scenario, vehicle=vehicle, camera=camera)
+
+
 def pad_model(scenario: Scenario) -> Pad:
     """Return the pad that `scenario.pad.file` names.
 

@@ -19,6 +19,10 @@ class VehicleSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """The vehicle, and what may be changed about it."""
 
     file: Annotated[str, text("a shipped vehicle (configs/vehicles), or a path relative to the scenario file", 200)] = "ardrone2"
+    generation: Annotated[
+        Literal["1.0", "2.0"],
+        choice("generation of the AR.Drone whose protocol it speaks; a 1.0 films 176x144 px, with the camera ardrone1_bottom"),
+    ] = "2.0"
     mass_kg: Annotated[float, number("mass; the inertia is in proportion" + _UNLESS, "kg", 0.2, 30.0)] | None = None
     command_delay_s: (
         Annotated[float, number("delay from the arrival of a stick command to its effect" + _UNLESS, "s", 0.0, 0.5)] | None

@@ -40,10 +40,11 @@ from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
+from sitl.ardrone.generations import GENERATIONS
 from sitl.ardrone.truth_log import read as read_truth
 from sitl.ending import Contact, Ending
 from sitl.machine_load import Load
-from sitl.scenario import Scenario
+from sitl.scenario import Scenario, camera_model, with_ardrone1
 from sitl.scenario import load as load_scenario
 
 SHADOWS: tuple[PathName, ...] = ("median_mean",)
@@ -68,6 +69,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--scenario", default="demo", metavar="FILE", help=f"scenario file, or the name of a shipped one ({names}; default: demo)"
     )
+    parser.add_argument(
+        "--ardrone1", action="store_true", help="fly an AR.Drone 1.0 with its camera of 176x144 px, whatever the scenario says"
+    )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="seed of all random numbers (default: 1)")
     parser.add_argument(
         "--report", type=Path, default=Path("report"), metavar="DIR", help="write the report into this folder (default: report)"
@@ -88,6 +92,9 @@ def run(args: argparse.Namespace) -> int:
     if args.seed < 0:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
     scenario = load_scenario(args.scenario)
+    if args.ardrone1:
+        scenario = with_ardrone1(scenario)
+    GENERATIONS[scenario.vehicle.generation].check_camera(camera_model(scenario))
     report_option.prepare_folder(None if args.no_report else args.report)
     return event_loop.run(_demo(args, scenario))
 
@@ -104,7 +111,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         truth_path = Path(folder) / "truth.jsonl"
         async with AsyncExitStack() as drone:
-            child = await drone.enter_async_context(_drone(args.scenario, args.seed, truth_path))
+            child = await drone.enter_async_context(_drone(args.scenario, args.seed, truth_path, args.ardrone1))
             settings = _profile(scenario, child.ports)
             if args.page is not None:
                 settings = page_option.with_page(settings, args.page, Path(folder))
@@ -169,11 +176,20 @@ class _Child:
 
 
 @asynccontextmanager
-async def _drone(scenario: str, seed: int, truth: Path) -> AsyncIterator[_Child]:
+async def _drone(scenario: str, seed: int, truth: Path, ardrone1: bool) -> AsyncIterator[_Child]:
     """Run the simulated drone as a child. It ends with this process, even if killed, since its standard input closes."""
     ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
     child = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "sitl.ardrone.serve", scenario, f"--seed={seed}", f"--truth={truth}", *ports),
+        *(
+            sys.executable,
+            "-m",
+            "sitl.ardrone.serve",
+            scenario,
+            f"--seed={seed}",
+            f"--truth={truth}",
+            *ports,
+            *(["--ardrone1"] if ardrone1 else []),
+        ),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
     )
@@ -198,7 +214,8 @@ async def _drone(scenario: str, seed: int, truth: Path) -> AsyncIterator[_Child]
 def _profile(scenario: Scenario, ports: dict[str, int]) -> Settings:
     """Return the shipped profile `sim` with these ports and the camera and pad of the scenario."""
     settings = load("sim")
-    vehicle = msgspec.structs.replace(settings.vehicle, **{f"{name}_port": port for name, port in ports.items()})
+    model = scenario.vehicle.generation
+    vehicle = msgspec.structs.replace(settings.vehicle, model=model, **{f"{name}_port": port for name, port in ports.items()})
     service = msgspec.structs.replace(settings.service, health_period_s=0.0)
     return msgspec.structs.replace(
         settings,

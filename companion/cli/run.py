@@ -90,7 +90,8 @@ def _vehicle(settings: Settings) -> str:
             f"we are component {v.component_id}; commands from the autopilot's own link{who}"
         )
     return (
-        f"vehicle: ardrone at {v.host}, navdata {v.navdata_port}/udp, video {v.video_port}/tcp, "
+        f"vehicle: ardrone {v.model} at {v.host}, navdata {v.navdata_port}/udp, "
+        f"video {v.video_port}/{'udp' if v.model == '1.0' else 'tcp'}, "
         f"commands {v.at_port}/udp, configuration {v.control_port}/tcp" + (_bridge(bridge) if bridge.links else "")
     )
 

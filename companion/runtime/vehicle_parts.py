@@ -21,6 +21,7 @@ from drivers.camera.options import check_size
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
+from estimator.uvlc import UvlcDecoder
 
 if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does not need it
     from companion.mavlink.camera_component import ShowCamera
@@ -78,9 +79,9 @@ def vehicle_parts(
 def _ardrone(
     settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap: Tap | None, show: ShowCamera | None
 ) -> VehicleParts:
-    options = ardrone_options(settings)
+    options, queue_items, decoder = ardrone_options(settings), settings.service.sample_queue_items, UvlcDecoder()
     if not settings.bridge.links:
-        return VehicleParts(lambda: open_ardrone(options, clock, settings.service.sample_queue_items))
+        return VehicleParts(lambda: open_ardrone(options, clock, queue_items, decoder))
     from companion.mavlink.bridge_part import BridgePart
     from companion.mavlink.signed_links import signed_links
 
@@ -94,6 +95,4 @@ def _ardrone(
     )
     health.counters("bridge", bridge.counted)
 
-    return VehicleParts(
-        lambda: open_ardrone(options, clock, settings.service.sample_queue_items), (bridge,), {"bridge": bridge.run}
-    )
+    return VehicleParts(lambda: open_ardrone(options, clock, queue_items, decoder), (bridge,), {"bridge": bridge.run})

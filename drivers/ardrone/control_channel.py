@@ -17,6 +17,7 @@ _log = logging.getLogger(__name__)
 _TEXT_MAX = 1 << 16
 _SILENCE_S = 0.5
 _LOOK_S = 0.1
+_FIRMWARE = "general:num_version_soft"
 _TRIES = 3
 """The number of times that the drone is configured again because a key reads back wrongly."""
 
@@ -85,6 +86,7 @@ class ControlChannel:
 
     def _compare(self, read_back: dict[str, str]) -> None:
         self.configuration = read_back
+        self._check_model(read_back.get(_FIRMWARE, ""))
         wrong = [key for key, asked in self._o.configuration().items() if key in read_back and not _same(asked, read_back[key])]
         if not wrong:
             self._tries = 0
@@ -97,6 +99,17 @@ class ControlChannel:
         if self._tries < _TRIES:
             self._tries += 1
             self._setup.restart()
+
+    def _check_model(self, firmware: str) -> None:
+        """Warn of a drone whose firmware is that of the other generation: its video is of another kind, on another protocol."""
+        generation = firmware.partition(".")[0]
+        if generation in ("1", "2") and generation != self._o.model[0]:
+            self._counters.model_mismatches += 1
+            _log.warning(
+                'the drone has firmware %s, that of an AR.Drone %s.0, and vehicle.model is "%s": set vehicle.model = "%s.0", '
+                "or no frame will arrive",
+                firmware, generation, self._o.model, generation,
+            )  # fmt: skip
 
 
 def _same(asked: str, read_back: str) -> bool:

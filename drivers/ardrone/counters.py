@@ -29,6 +29,8 @@ class Counters:
     video_units: int = 0
     video_skipped_bytes: int = 0
     video_torn: int = 0
+    video_refused: Counter[str] = field(default_factory=Counter)
+    """Pictures of an AR.Drone 1.0 that were refused, by their `Refusal`."""
     video_lost: int = 0
     """Frame numbers that never arrived."""
     frames: int = 0
@@ -70,6 +72,8 @@ class Counters:
     config_mismatches: int = 0
     """Keys that read back with another value than was set."""
     control_reads: int = 0
+    model_mismatches: int = 0
+    """Reads of the configuration that named the firmware of the other generation of the drone."""
 
     restarts: Counter[str] = field(default_factory=Counter)
     """Restarts by channel: navdata, video, at, control, setup."""

@@ -13,6 +13,7 @@ from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.setup import Setup
+from drivers.ardrone.uvlc_channel import UvlcChannel
 from drivers.ardrone.video_channel import VideoChannel
 from drivers.beside import running_beside
 from drivers.mailbox import Latest, Line
@@ -20,6 +21,7 @@ from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable, in_words
+from estimator.contracts.pictures import PictureDecoder
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs
@@ -28,7 +30,13 @@ from estimator.contracts.time import MonoNs
 class ArDrone:
     """An open link: it has `frames` and `samples` and takes a `command`. See `open_ardrone`."""
 
-    def __init__(self, options: ArDroneOptions, clock: Clock, sample_queue_items: int = SAMPLE_QUEUE_ITEMS) -> None:
+    def __init__(
+        self,
+        options: ArDroneOptions,
+        clock: Clock,
+        sample_queue_items: int = SAMPLE_QUEUE_ITEMS,
+        decoder: PictureDecoder | None = None,
+    ) -> None:
         self._clock = clock
         self._open = True
         self._released = False
@@ -43,7 +51,14 @@ class ArDrone:
         self._commands = CommandChannel(options, clock, self.counters, self._streamer, self._navdata)
         self._setup = Setup(options, clock, self.counters, self._commands, self._navdata)
         self._control = ControlChannel(options, self.counters, self._commands, self._setup)
-        self._video = VideoChannel(options, clock, self.counters, self._setup, self.frames)
+        self._video = self._video_channel(options, decoder)
+
+    def _video_channel(self, options: ArDroneOptions, decoder: PictureDecoder | None) -> VideoChannel | UvlcChannel:
+        if options.model == "2.0":
+            return VideoChannel(options, self._clock, self.counters, self._setup, self.frames)
+        if decoder is None:
+            raise ValueError("the video of an AR.Drone 1.0 needs a decoder")
+        return UvlcChannel(options, self._clock, self.counters, self._setup, self.frames, decoder)
 
     def command(self, command: Command) -> None:
         """Take the newest command; it is sent within one period and held as `CommandStreamer` says.
@@ -112,7 +127,10 @@ class ArDrone:
 
 @asynccontextmanager
 async def open_ardrone(
-    options: ArDroneOptions, clock: Clock, sample_queue_items: int = SAMPLE_QUEUE_ITEMS
+    options: ArDroneOptions,
+    clock: Clock,
+    sample_queue_items: int = SAMPLE_QUEUE_ITEMS,
+    decoder: PictureDecoder | None = None,
 ) -> AsyncIterator[ArDrone]:
     """Open the link and keep it open; it does not wait for the drone (see `ArDrone.ready`).
 
@@ -123,8 +141,12 @@ async def open_ardrone(
 
     Args:
         sample_queue_items: samples that may wait for a slow reader; the oldest are dropped.
+        decoder: of a 1.0's UVLC pictures (`estimator.uvlc.UvlcDecoder`); a 2.0 needs none.
+
+    Raises:
+        ValueError: a 1.0 without a decoder.
     """
-    drone = ArDrone(options, clock, sample_queue_items)
+    drone = ArDrone(options, clock, sample_queue_items, decoder)
     back_off = BackOff(options.restart_first_s, options.restart_most_s, healthy_after_s=options.restart_most_s)
     # Without commands a flying drone lands by itself, so that socket is never left closed for long.
     fast_most_s = min(options.restart_most_s, 8 * options.command_period_s)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Struct
 
 from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl
-from estimator.contracts.keys import check_ranges, number, text
+from estimator.contracts.keys import check_ranges, choice, number, text
+
+CODECS = {"1.0": "32", "2.0": "129"}
+"""The video codec that is asked for, by the drone's generation: UVLC, and H.264 of 640x360 px."""
 
 
 class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="ardrone"):
-    """The vehicle: a Parrot AR.Drone 2.0, or the simulated one, which speaks the same protocol.
+    """The vehicle: a Parrot AR.Drone, or the simulated one, which speaks the same protocol.
 
     Raises:
         ValueError: a number outside its range, or text that cannot be read.
@@ -20,9 +23,13 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
 
     host: Annotated[str, text("name or address of the drone", 253, "address of every AR.Drone")] = "192.168.1.1"
     navdata_port: Annotated[int, number("UDP port of navdata", "port", 1, 65535)] = 5554
-    video_port: Annotated[int, number("TCP port of the video", "port", 1, 65535)] = 5555
+    video_port: Annotated[int, number("port of the video: TCP of a 2.0, UDP of a 1.0", "port", 1, 65535)] = 5555
     at_port: Annotated[int, number("UDP port of AT commands", "port", 1, 65535)] = 5556
     control_port: Annotated[int, number("TCP port of the configuration", "port", 1, 65535)] = 5559
+    model: Annotated[
+        Literal["1.0", "2.0"],
+        choice("generation of the drone: a 1.0 sends UVLC pictures of 176x144 px over UDP, a 2.0 sends H.264 over TCP"),
+    ] = "2.0"
     command_period_s: Annotated[
         float,
         number("interval between commands; the drone counts 50 ms of silence as a miss", "s", 0.01, 0.05, "customary"),
@@ -218,7 +225,7 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
             wanted["custom:session_id"] = session
             wanted["custom:profile_id"] = user
             wanted["custom:application_id"] = application
-        wanted["video:video_codec"] = "129"
+        wanted["video:video_codec"] = CODECS[self.model]
         wanted["video:video_channel"] = "1"
         wanted["general:com_watchdog"] = str(self.com_watchdog_s)
         wanted["control:altitude_max"] = str(round(self.altitude_max_m * 1000))
@@ -229,6 +236,10 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
             name, equals, value = (piece.strip() for piece in part.partition("="))
             if not (name and equals and value):
                 raise ValueError(f"further_configuration: {part.strip()!r} is not section:name=value")
+            if self.model == "1.0" and name == "video:video_codec" and value != CODECS["1.0"]:
+                raise ValueError(
+                    f"further_configuration: {name}={value} is not decoded (64 is P264): leave it out, or use 32 (UVLC)"
+                )
             wanted[name] = value
         return wanted
 

@@ -171,6 +171,15 @@
 #define PHASE_EMERGENCY 5
 #define TOUCHED_DECK 1
 #define TOUCHED_SEA 2
+#define UVLC_DONE 0
+#define UVLC_SHORT 1
+#define UVLC_NO_PICTURE 2
+#define UVLC_SIZE 3
+#define UVLC_INTER 4
+#define UVLC_TORN 5
+#define UVLC_BAD_CODE 6
+#define UVLC_WIDTH_MAX 640
+#define UVLC_HEIGHT_MAX 480
 
 typedef struct {
     double w[136];
@@ -878,6 +887,14 @@ typedef struct {
     double phase_rad;
 } wave;
 
+typedef struct {
+    int64_t width;
+    int64_t height;
+    int64_t intra;
+    int64_t quantizer;
+    int64_t number;
+} uvlc_picture;
+
 /* align_fit.c */
 int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part, const uint8_t *arrow_px, int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, float *scratch, aligned_pad *out);
 
@@ -976,8 +993,15 @@ void sensors_read(const vehicle_params *o, const vehicle *v, const sensor_params
 void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea_z, double sea_vz, const double *noise, const double *air_noise);
 void vehicle_carry(vehicle *v, const deck *g);
 
+/* uvlc_decode.c */
+int32_t uvlc_header(const uint8_t *data, int32_t bytes, uvlc_picture *picture);
+int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *picture, uint8_t *bgr);
+
+/* uvlc_encode.c */
+int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
+
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 30377364u
+#define INTERFACE_DIGEST 1334048587u
 #endif
 
 #endif

@@ -1,4 +1,4 @@
-"""The configuration of an AR.Drone 2.0: its keys, who may write them, and the sets kept for each session, user and application.
+"""The configuration of an AR.Drone: the keys of a 2.0, who may write them, the sets kept for each session, user and application.
 
 Source: Parrot AR.Drone SDK 2.0 developer guide, chapter 8 (configuration, multi-configuration); key names and defaults as a
 drone answers on port 5559.
@@ -147,7 +147,7 @@ def _table() -> Iterator[Key]:
 
     yield _fixed("video:camif_fps", "30", "int")
     yield Key("video:video_codec", "129", scope=Scope.SESSION, choices=frozenset({"129"}))
-    yield Key("video:video_channel", "0", scope=Scope.SESSION, choices=frozenset("01"))
+    yield Key("video:video_channel", "0", scope=Scope.SESSION, choices=frozenset("0123"))
     yield Key("video:codec_fps", "30", scope=Scope.SESSION, low=15, high=30)
     yield Key("video:max_bitrate", "4000", scope=Scope.SESSION, low=250, high=20_000)
     yield Key("video:bitrate", "1000", scope=Scope.APPLICATION, low=0, high=20_000)
@@ -181,22 +181,24 @@ def _table() -> Iterator[Key]:
 
 
 KEYS: Mapping[str, Key] = {key.name: key for key in _table()}
+"""The keys of a 2.0 with firmware 2.4.8."""
 
 
 class Configuration:
     """All values, with one set for each known session, user and application."""
 
-    def __init__(self, ports: Mapping[str, int] | None = None) -> None:
+    def __init__(self, ports: Mapping[str, int] | None = None, keys: Mapping[str, Key] = KEYS) -> None:
         """`ports`: what network:navdata_port, video_port, at_port and cmd_port say, where they are not the usual ones."""
+        self._keys = keys
         self.writes = 0
         """Number of keys that clients have written or tried to write: what is known of the values holds until the next."""
         self._values: dict[str, str] = {}
         self._numbers: dict[str, float] = {}
-        self._common = {k.name: k.default for k in KEYS.values() if k.scope is Scope.COMMON}
+        self._common = {k.name: k.default for k in keys.values() if k.scope is Scope.COMMON}
         for name, port in (ports or {}).items():
             self._common[f"network:{name}"] = str(port)
         self._sets: dict[Scope, dict[str, dict[str, str]]] = {
-            scope: {DEFAULT_ID: {k.name: k.default for k in KEYS.values() if k.scope is scope}}
+            scope: {DEFAULT_ID: {k.name: k.default for k in keys.values() if k.scope is scope}}
             for scope in (Scope.APPLICATION, Scope.USER, Scope.SESSION)
         }
 
@@ -208,7 +210,7 @@ class Configuration:
         return Ids(session, chosen["custom:profile_id"], chosen["custom:application_id"])
 
     def __getitem__(self, name: str) -> str:
-        return self._home(KEYS[name])[name]
+        return self._home(self._keys[name])[name]
 
     def flag(self, name: str) -> bool:
         """Return the value of a key that is TRUE or FALSE."""
@@ -238,7 +240,7 @@ class Configuration:
         self._numbers.clear()
         self.writes += 1
         name, value = name.strip().lower(), value.strip()
-        key = KEYS.get(name)
+        key = self._keys.get(name)
         if key is None:
             return Answer.UNKNOWN_KEY
         if name in _ID_KEYS:
@@ -255,9 +257,13 @@ class Configuration:
         self._keep_twins(name)
         return Answer.SET
 
+    def fix(self, name: str, value: str) -> None:
+        """Give a common key that no client may write the value that this drone has."""
+        self._common[name] = value
+
     def dump(self) -> dict[str, str]:
         """Every key with the value in force, in the table's order."""
-        return {name: self[name] for name in KEYS}
+        return {name: self[name] for name in self._keys}
 
     def custom_ids(self) -> bytes:
         """The list of sets as CTRL 6 sends it: `[applis]`, `[profiles]`, `[sessions]`, each followed by `id,description`.
@@ -293,7 +299,7 @@ class Configuration:
 
     def _use(self, scope: Scope, id_: str) -> None:
         name = next(n for n, s in _ID_KEYS.items() if s is scope)
-        self._home(KEYS[name])[name] = id_
+        self._home(self._keys[name])[name] = id_
 
     def _forget(self, scope: Scope, doomed: list[str]) -> None:
         if scope is Scope.SESSION:
@@ -311,9 +317,9 @@ class Configuration:
         for limit in _LIMITS:
             ruling, twin = f"control:{limit}", f"control:{where}{limit}"
             if short == limit:
-                self._home(KEYS[twin])[twin] = self[ruling]
+                self._home(self._keys[twin])[twin] = self[ruling]
             elif short in ("outdoor", f"{where}{limit}"):
-                self._home(KEYS[ruling])[ruling] = self[twin]
+                self._home(self._keys[ruling])[ruling] = self[twin]
 
 
 def _normal(key: Key, value: str) -> str | None:

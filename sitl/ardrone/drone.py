@@ -14,7 +14,8 @@ from estimator.contracts.time import MonoNs
 from sitl.ardrone.config import Configuration
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.flight_recorder import FlightRecorder
-from sitl.ardrone.navdata_from_world import ALL_OPTIONS, SentFrame, Situation, datagram, upright_m
+from sitl.ardrone.generations import SECOND, Generation
+from sitl.ardrone.navdata_from_world import SentFrame, Situation, datagram, upright_m
 from sitl.ardrone.state import HOVER, DroneState, RefAction
 from sitl.vehicle import VehiclePhase
 from sitl.world import Stick, World
@@ -32,10 +33,14 @@ class Drone:
     Args:
         world: the world in which the drone flies.
         network: the ports that the drone reports in its configuration, by key.
+        generation: of the drone.
     """
 
-    def __init__(self, world: World, clock: DroneClock, network: dict[str, int] | None = None) -> None:
+    def __init__(
+        self, world: World, clock: DroneClock, network: dict[str, int] | None = None, generation: Generation = SECOND
+    ) -> None:
         self.world = world
+        self.generation = generation
         self.counters: Counter[str] = Counter()
         self.state = DroneState(self._configuration(network or {}))
         self.answers: dict[RefAction, Callable[[], bytes]] = {}
@@ -111,9 +116,9 @@ class Drone:
         if self.state.bootstrap:
             mask = 0
         elif config.flag("general:navdata_demo"):
-            mask = int(config.number("general:navdata_options"))
+            mask = int(config.number("general:navdata_options")) & self.generation.options
         else:
-            mask = ALL_OPTIONS
+            mask = self.generation.options
         phase, readings = self.world.phase, self._readings
         self._sequence += 1
         situation = Situation(
@@ -168,7 +173,7 @@ class Drone:
 
     def _configuration(self, network: dict[str, int]) -> Configuration:
         """Return the configuration that this drone has at its start: its own ports and the limits of its world."""
-        config = Configuration(network)
+        config = Configuration(network, self.generation.keys)
         limits = self.world.limits
         config.set("control:euler_angle_max", f"{limits.euler_angle_max_rad:.7g}")
         config.set("control:control_vz_max", f"{1e3 * limits.vz_max_m_s:.7g}")

@@ -22,8 +22,6 @@ STANDARD_GRAVITY = 9.80665
 TESLA_PER_MILLIGAUSS = 1e-7
 MILLIGAUSS_PER_COUNT = 3.4
 """Scale of the magnetometer, as a captured datagram relates its counts to its field."""
-ALL_OPTIONS = (1 << 28) - 1
-"""Mask of the 28 options of firmware 2.4.8."""
 
 
 class SentFrame(Struct, frozen=True):

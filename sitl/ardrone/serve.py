@@ -19,9 +19,10 @@ from typing import Any
 
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, DecklanderError
+from sitl.ardrone.generations import GENERATIONS
 from sitl.ardrone.repeated_flights import VIRTUAL_ONLY, fly_repeatedly, real_time
 from sitl.ardrone.server import ArDroneServer, Habits, Ports
-from sitl.scenario import Scenario, load
+from sitl.scenario import Scenario, camera_model, load, with_ardrone1
 from sitl.world import World
 
 _SWITCH_INTERVAL_S = 0.0005
@@ -88,13 +89,17 @@ async def serve(
 def main(argv: list[str] | None = None) -> int:
     """Run the command line and return the exit code."""
     usual = Ports()
-    parser = argparse.ArgumentParser(prog="python -m sitl.ardrone.serve", description="An AR.Drone 2.0 over a simulated ship")
+    parser = argparse.ArgumentParser(prog="python -m sitl.ardrone.serve", description="An AR.Drone over a simulated ship")
     parser.add_argument("scenario", help="a shipped scenario's name or a TOML file")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--host", default="127.0.0.1")
     for name in ("navdata", "video", "at", "control"):
         parser.add_argument(f"--{name}-port", type=int, default=getattr(usual, name), help="0 for any; %(default)s unless given")
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write what really happens, one JSON object a line")
+    parser.add_argument("--ardrone1", action="store_true", help="be an AR.Drone 1.0 with its camera, whatever the scenario says")
+    parser.add_argument(
+        "--frames-hz", type=float, default=30.0, metavar="HZ", help="rate of a 1.0's frames; %(default)s unless given"
+    )
     parser.add_argument("--pave-header", type=int, choices=(64, 68, 76), default=Habits().pave_header_size)
     parser.add_argument("--repeat", action="store_true", help="after each flight begin another, with the next seed")
     parser.add_argument("--faults", action="store_true", help="with --repeat: give each further flight a fault")
@@ -103,8 +108,12 @@ def main(argv: list[str] | None = None) -> int:
     try:
         if asked.seed < 0:
             raise BadInput(f"--seed must be 0 or more, got {asked.seed}")
-        habits = Habits(pave_header_size=asked.pave_header)
-        scenario = load(asked.scenario)
+        if not 1.0 <= asked.frames_hz <= 60.0:
+            raise BadInput(f"--frames-hz must be from 1 to 60, got {asked.frames_hz}")
+        scenario = with_ardrone1(load(asked.scenario)) if asked.ardrone1 else load(asked.scenario)
+        generation = GENERATIONS[scenario.vehicle.generation]
+        generation.check_camera(camera_model(scenario))
+        habits = Habits(generation, asked.pave_header, round(asked.frames_hz))
         if not real_time(scenario):
             kinds = ", ".join(sorted(str(kind.__struct_config__.tag) for kind in VIRTUAL_ONLY))
             raise BadInput(f"{asked.scenario}: {kinds} and in_phase are for flights in virtual time (decklander simulate)")

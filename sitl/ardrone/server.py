@@ -1,11 +1,11 @@
-"""A simulated AR.Drone 2.0 behind its four ports, in real time."""
+"""A simulated AR.Drone behind its four ports, in real time."""
 
 from __future__ import annotations
 
 import asyncio
 import os
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from types import TracebackType
 
-from drivers.ardrone import navdata, pave
+from drivers.ardrone import navdata
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import Rotation
@@ -21,11 +21,11 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
-from sitl.ardrone.front_view import front_view
+from sitl.ardrone.generations import FIRST, SECOND, Generation
 from sitl.ardrone.navdata_from_world import SentFrame
-from sitl.ardrone.sockets import Address, AtPort, ControlPort, NavdataPort, VideoPort
+from sitl.ardrone.sockets import Address, AtPort, ControlPort, NavdataPort, VideoDatagramPort, VideoPort
 from sitl.ardrone.truth_log import TruthLog
-from sitl.ardrone.video import AccessUnit, Encoder
+from sitl.ardrone.wire_pictures import PavePictures, Shot, UvlcPictures, WirePicture, WirePictures
 from sitl.faulty_streams import LAG_S, Fate, InTransit
 from sitl.truth import RenderedFrame
 from sitl.world import World
@@ -51,10 +51,14 @@ class Ports:
 class Habits:
     """The properties that differ from drone to drone."""
 
+    generation: Generation = SECOND
     pave_header_size: int = 68
     """64, 68 or 76 bytes, by firmware."""
-    uptime_s: float = 30.0
-    """Time for which the drone has been running when the server starts, s; its clock does not begin at zero."""
+    frames_hz: float = 30.0
+    """Rate of a 1.0's frames, Hz; clients choose that of a 2.0."""
+    uptime_s: float = 90.0
+    """Time for which the drone has been running when the server starts, s. Until 65.5 s the time stamps of its video contain
+    bytes that ffmpeg, which takes the stream for plain H.264, mistakes for start codes."""
     clock_drift_ppm: float = 15.0
     """A crystal of its own."""
     video_delay_s: float = 0.04
@@ -96,12 +100,12 @@ class ArDroneServer:
         self._stack = AsyncExitStack()
         self._truth: TruthLog | None = None
         self._navdata = NavdataPort(self._clock.now, self.counters)
-        self._video = VideoPort(self.counters)
+        first = self._habits.generation is FIRST
+        self._video = VideoDatagramPort(self._clock.now, self.counters) if first else VideoPort(self.counters)
+        self._pictures: WirePictures = UvlcPictures() if first else PavePictures(self._habits.pave_header_size, self._habits.crf)
         self._control = ControlPort(self.counters)
-        self._encoder: Encoder | None = None
-        self._stream_position = 0
         self._ticks = 0
-        self.drone = Drone(world, self._drone_clock)
+        self.drone = self._new_drone({})
         self._carry(world)
         self.stood_still_s = 0.0
         """Total time in which this host kept the drone from sending; up to `CATCH_UP_MAX_S` at a time is caught up."""
@@ -119,7 +123,7 @@ class ArDroneServer:
                 "at_port": self.ports.at,
                 "cmd_port": self.ports.control,
             }
-            self.drone = Drone(self.world, self._drone_clock, network)
+            self.drone = self._new_drone(network)
             # The first frame takes longest, as textures are made for it: before the drone has to keep time.
             self.world.render()
             pool = stack.enter_context(ThreadPoolExecutor(1, "render"))
@@ -147,6 +151,11 @@ class ArDroneServer:
         self._asked: InTransit[tuple[bytes, Address]] = InTransit(world.streams.commands)
         self._filmed: InTransit[bytes] = InTransit(world.streams.frames)
 
+    def _new_drone(self, network: dict[str, int]) -> Drone:
+        drone = Drone(self.world, self._drone_clock, network, self._habits.generation)
+        drone.state.config.fix("video:camif_fps", f"{self._habits.frames_hz:.0f}")
+        return drone
+
     async def _listen(self, stack: AsyncExitStack) -> None:
         loop = asyncio.get_running_loop()
         host, asked = self.host, self.ports
@@ -156,9 +165,7 @@ class ArDroneServer:
             stack.callback(udp_navdata.close)
             udp_at, _ = await loop.create_datagram_endpoint(lambda: at_port, local_addr=(host, asked.at))
             stack.callback(udp_at.close)
-            tcp_video = await loop.create_server(self._video.connection, host, asked.video)
-            stack.callback(self._video.close)
-            stack.callback(tcp_video.close)
+            video_port = await self._video.listen(host, asked.video, stack)
             tcp_control = await loop.create_server(self._control.connection, host, asked.control)
             stack.callback(self._control.close)
             stack.callback(tcp_control.close)
@@ -166,7 +173,7 @@ class ArDroneServer:
             raise Recoverable(f"the simulated drone cannot listen on {host}: {os.strerror(why.errno or 0)}") from why
         self.ports = Ports(
             navdata=udp_navdata.get_extra_info("sockname")[1],
-            video=tcp_video.sockets[0].getsockname()[1],
+            video=video_port,
             at=udp_at.get_extra_info("sockname")[1],
             control=tcp_control.sockets[0].getsockname()[1],
         )
@@ -220,6 +227,7 @@ class ArDroneServer:
             data, sender = packet[1]
             self.drone.take(data, now)
             self._navdata.received_from(sender[0])
+            self._video.received_from(sender[0])
 
     # Frames
 
@@ -229,7 +237,7 @@ class ArDroneServer:
         while True:
             await self._clock.sleep(max(0.0, seconds_between(self._clock.now(), due)))
             config = self.drone.state.config
-            period_s = 1.0 / config.number("video:codec_fps")
+            period_s = 1.0 / config.number(self._habits.generation.frame_rate)
             # A host too slow to render them all films fewer, evenly numbered: only what is lost on the way leaves a gap.
             due = max(after(due, period_s), after(self._clock.now(), -period_s))
             if not self._video.busy or not config.flag("general:video_enable"):
@@ -238,55 +246,34 @@ class ArDroneServer:
             if not fate.copies:
                 continue
             rpy, altitude_m = self.drone.rpy_rad, self.drone.altitude_m
-            front = None if config["video:video_channel"] == "1" else self.world.truth().R_ned_body
-            shoot = partial(self._shoot, self.world.expose(), front, 1.0 / period_s, config.number("video:max_bitrate"))
-            image, unit = await loop.run_in_executor(pool, shoot)
-            self._send_image(image, unit, rpy, altitude_m, fate)
+            keys = {name: config[name] for name in self._habits.generation.film_keys}
+            R_ned_body, number = self.world.truth().R_ned_body, self.drone.shot.number + 1
+            shoot = partial(self._shoot, self.world.expose(), R_ned_body, number, 1.0 / period_s, keys)
+            image, sent, picture = await loop.run_in_executor(pool, shoot)
+            self._send_image(image, sent, picture, rpy, altitude_m, fate)
 
     def _shoot(
-        self, expose: Callable[[], RenderedFrame], front: Rotation | None, fps: float, bitrate_kbps: float
-    ) -> tuple[RenderedFrame, AccessUnit]:
+        self, expose: Callable[[], RenderedFrame], R_ned_body: Rotation, number: int, fps: float, keys: Mapping[str, str]
+    ) -> tuple[RenderedFrame, Shot, WirePicture]:
         """Runs in the pool's thread, and touches nothing of the world's but what was fixed for it."""
         image = expose()
-        px = image.px
-        height, width = px.shape[:2]
-        if front is not None:
-            px = front_view(front, width, height)
-        encoder = self._encoder
-        wanted = (width, height, fps, bitrate_kbps)
-        if encoder is None or (encoder.width, encoder.height, encoder.fps, encoder.max_bitrate_kbps) != wanted:
-            encoder = self._encoder = Encoder(*wanted, crf=self._habits.crf)
-        return image, encoder.encode(px)
+        timestamp_ms = self._drone_clock.milliseconds(after(image.exposed_at, image.stamp_error_s))
+        shot = Shot(image.px, R_ned_body, number, timestamp_ms, fps, keys)
+        return image, shot, self._pictures.make(shot)
 
     def _send_image(
-        self, image: RenderedFrame, unit: AccessUnit, rpy: tuple[float, float, float], altitude_m: float, fate: Fate
+        self,
+        image: RenderedFrame,
+        shot: Shot,
+        picture: WirePicture,
+        rpy: tuple[float, float, float],
+        altitude_m: float,
+        fate: Fate,
     ) -> None:
-        encoder = self._encoder
-        assert encoder is not None
-        number = self.drone.shot.number + 1
-        timestamp_ms = self._drone_clock.milliseconds(after(image.exposed_at, image.stamp_error_s))
-        width, height = encoder.coded_size
-        header = pave.PaveHeader(
-            payload_size=len(unit.data),
-            frame_number=number % 2**32,
-            timestamp_ms=timestamp_ms,
-            frame_type=pave.FrameType.IDR if unit.idr else pave.FrameType.P,
-            version=3 if self._habits.pave_header_size > 68 else 2,
-            header_size=self._habits.pave_header_size,
-            encoded_width=width,
-            encoded_height=height,
-            display_width=encoder.width,
-            display_height=encoder.height,
-            stream_position=self._stream_position,
-            stream_id=1,
-            sps_size=unit.sps_size,
-            pps_size=unit.pps_size,
-        )
-        self._stream_position += len(unit.data) - unit.sps_size - unit.pps_size
-        self.drone.shot = SentFrame(number, timestamp_ms, rpy, altitude_m, len(unit.data), round(encoder.max_bitrate_kbps))
+        self.drone.shot = SentFrame(shot.number, shot.timestamp_ms, rpy, altitude_m, picture.payload_bytes, picture.bitrate_kbps)
         now = self._clock.now()
         wait_s = max(0.0, self._habits.video_delay_s - seconds_between(image.exposed_at, now))
-        due = self._filmed.put(header.pack() + unit.data, fate, now, wait_s)
+        due = self._filmed.put(picture.data, fate, now, wait_s)
         if due is not None:
             for at in (due, after(due, LAG_S)):
                 asyncio.get_running_loop().call_later(seconds_between(now, at), self._send_frames, at)

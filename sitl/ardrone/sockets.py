@@ -6,6 +6,7 @@ import asyncio
 import socket
 from collections import Counter
 from collections.abc import Callable
+from contextlib import AsyncExitStack
 from typing import Protocol, cast
 
 from estimator.contracts.time import MonoNs, seconds_between
@@ -98,7 +99,7 @@ class AtPort(asyncio.DatagramProtocol):
 
 
 class VideoPort:
-    """TCP 5555: one client; a new one takes the place of the old, so that nobody is locked out by its own dead connection."""
+    """TCP 5555 of a 2.0: one client; a new one takes the place of the old, lest its own dead connection lock somebody out."""
 
     def __init__(self, counters: Counter[str]) -> None:
         self._counters = counters
@@ -109,8 +110,19 @@ class VideoPort:
         """Whether somebody is watching."""
         return self._client is not None
 
-    def connection(self) -> asyncio.Protocol:
-        return _VideoClient(self)
+    async def listen(self, host: str, port: int, stack: AsyncExitStack) -> int:
+        """Listen until the stack closes and return the port in use.
+
+        Raises:
+            OSError: the port is taken.
+        """
+        server = await asyncio.get_running_loop().create_server(lambda: _VideoClient(self), host, port)
+        stack.callback(self.close)
+        stack.callback(server.close)
+        return int(server.sockets[0].getsockname()[1])
+
+    def received_from(self, host: str) -> None:
+        """Commands came from this host, which keeps no connection open."""
 
     def send(self, frame: bytes) -> bool:
         """Hand a whole frame over, or drop it because the one before has not left yet."""
@@ -138,6 +150,65 @@ class VideoPort:
     def _left(self, client: _VideoClient) -> None:
         if self._client is client:
             self._client = None
+
+
+class VideoDatagramPort(asyncio.DatagramProtocol):
+    """UDP 5555 of a 1.0: whoever asked last is sent every picture until nothing is heard of it any more."""
+
+    def __init__(self, now: Callable[[], MonoNs], counters: Counter[str]) -> None:
+        self._now = now
+        self._counters = counters
+        self._client: tuple[Address, MonoNs] | None = None
+        self._transport: _BufferedDatagrams | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether somebody is watching."""
+        if self._client is not None and seconds_between(self._client[1], self._now()) > NAVDATA_LEASE_S:
+            self._client = None
+            self._counters["video_client_expired"] += 1
+        return self._client is not None
+
+    async def listen(self, host: str, port: int, stack: AsyncExitStack) -> int:
+        """Listen until the stack closes and return the port in use.
+
+        Raises:
+            OSError: the port is taken.
+        """
+        transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(lambda: self, local_addr=(host, port))
+        stack.callback(transport.close)
+        return int(transport.get_extra_info("sockname")[1])
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(_BufferedDatagrams, transport)
+
+    def datagram_received(self, data: bytes, addr: Address) -> None:
+        if data not in _UNICAST:
+            self._counters["video_request_refused"] += 1
+            return
+        if self._client is None or self._client[0] != addr:
+            self._counters["video_client"] += 1
+        self._client = addr, self._now()
+
+    def error_received(self, exc: Exception) -> None:
+        self._counters["video_socket_error"] += 1
+
+    def received_from(self, host: str) -> None:
+        """Commands came from this host: its video client lives."""
+        if self._client is not None and self._client[0][0] == host:
+            self._client = self._client[0], self._now()
+
+    def send(self, picture: bytes) -> bool:
+        """Send a picture, or drop it because those before have not left yet."""
+        transport = self._transport
+        if self._client is None or transport is None or transport.is_closing():
+            return False
+        if transport.get_write_buffer_size() > 0:
+            self._counters["video_dropped"] += 1
+            return False
+        transport.sendto(picture, self._client[0])
+        self._counters["video_sent"] += 1
+        return True
 
 
 class _VideoClient(asyncio.Protocol):

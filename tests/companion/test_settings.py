@@ -65,7 +65,7 @@ def refusal(data: dict[str, Any]) -> str:
 @pytest.mark.parametrize("rig", shipped())
 def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
     settings = load(rig)
-    assert camera_model(settings).width == 640
+    assert camera_model(settings).width == (176 if rig == "ardrone1" else 640)
     assert pad_model(settings).disc_radius_m == pytest.approx(0.39, abs=0.02)
 
 

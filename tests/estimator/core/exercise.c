@@ -264,11 +264,12 @@ static void gate(int m, double poison)
 #include "exercise_sim.h"
 #include "exercise_align.h"
 #include "exercise_search.h"
+#include "exercise_video.h"
 
 static void fuzz_one(const uint8_t *bytes, size_t size)
 {
     begin(bytes, size);
-    const int what = fuzzed_byte() % 8;
+    const int what = fuzzed_byte() % 9;
     if (what == 0) {
         const int n = 1 + draw() % ORDER_MAX, m = 1 + draw() % ROWS_MAX;
         algebra(n, m, 1.0);
@@ -285,6 +286,8 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
         alignments(1);
     } else if (what == 7) {
         searches(1);
+    } else if (what == 8) {
+        video(1);
     } else {
         sail(draw() % 7, 1 + draw() % 200, 1.0);
     }
@@ -353,6 +356,8 @@ int main(int count, char **files)
     report("align_view align_move align_fit");
     searches(40);
     report("search_room search_circles search_heading search_guesses search_strokes_room search_strokes");
+    video(40);
+    report("uvlc_header uvlc_decode uvlc_encode");
     simulator();
     report("vehicle_step vehicle_carry sim_run sensors_read");
     return 0;

@@ -47,7 +47,7 @@ class Failing:
 class PointMass:
     """Acceleration follows the tilt at once, drag slows it, a hover brakes."""
 
-    def __init__(self, start: MonoNs, height_m: float = 0.0) -> None:
+    def __init__(self, start: MonoNs, height_m: float = 0.0, size: tuple[int, int] = (640, 360)) -> None:
         self.now = self.started = start
         self.scenario, self.seed = Scenario("a point mass"), 3
         self.phase = VehiclePhase.HOVERING if height_m else VehiclePhase.LANDED
@@ -60,7 +60,7 @@ class PointMass:
         self.rpy = [0.0, 0.0, 0.0]
         self._stick = Stick(0.0, 0.0, 0.0, 0.0, False)
         self._rng = np.random.default_rng(self.seed)
-        self._texture = (self._rng.random((360, 640, 3)) * 60 + 90).astype(np.uint8)
+        self._texture = (self._rng.random((size[1], size[0], 3)) * 60 + 90).astype(np.uint8)
         self._images = 0
 
     def stick(self, stick: Stick) -> None:

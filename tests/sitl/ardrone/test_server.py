@@ -128,7 +128,7 @@ async def test_full_navdata_holds_all_options_and_what_the_sensors_read(peer: Pe
     assert 101_305 <= pressure.pressure_pa <= 101_318
     assert raw.sum_echo > 10
     flown_us = (world.now - world.started) // 1000
-    assert 29_000_000 < time_.time_us - flown_us < 31_000_000, "the drone was switched on half a minute before"
+    assert 89_000_000 < time_.time_us - flown_us < 91_000_000, "the drone was switched on a minute and a half before"
 
 
 async def test_it_takes_off_flies_and_lands(peer: Peer, world: PointMass) -> None:

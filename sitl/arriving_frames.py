@@ -1,0 +1,48 @@
+"""Frames as they arrive in virtual time: those of an AR.Drone 1.0 are coded and decoded, and stamped by their arrival."""
+
+from __future__ import annotations
+
+import math
+
+from drivers.ardrone.options import ArDroneOptions
+from estimator.contracts.pictures import PictureRefusal
+from estimator.contracts.samples import Frame
+from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.uvlc import UvlcDecoder
+from sitl.ardrone import uvlc_encoder
+from sitl.ardrone.generations import FIRST, Generation
+from sitl.truth import RenderedFrame
+
+_STAMP_SIGMA_S = 0.002
+"""Standard deviation of the stamps of a drone that sends its clock's time."""
+
+
+def synced(measured_at: MonoNs, received: MonoNs) -> Stamp:
+    """Return the stamp of a sample. A sample with a stamp in the future counts as received at that stamp."""
+    return Stamp(measured_at, max(measured_at, received), _STAMP_SIGMA_S, "sim")
+
+
+class ArrivingFrames:
+    """Makes the service's frames of what the camera saw."""
+
+    def __init__(self, generation: Generation, options: ArDroneOptions) -> None:
+        self._first = generation is FIRST
+        self._decoder = UvlcDecoder()
+        self._delay_s = options.video_delay_s
+        self._sigma_s = min(0.999, math.hypot(options.video_delay_sigma_s, options.arrival_sigma_s))
+
+    def frame(self, number: int, image: RenderedFrame, received_at: MonoNs) -> Frame:
+        """Return the frame that an image has become on its way."""
+        if not self._first:
+            return Frame(synced(after(image.exposed_at, image.stamp_error_s), received_at), number, image.px, image.exposure_s)
+        px = image.px
+        if px.size:
+            datagram = uvlc_encoder.encode(px, number)
+            header = self._decoder.header(datagram)
+            assert not isinstance(header, PictureRefusal)
+            decoded = self._decoder.decode(datagram, header)
+            assert not isinstance(decoded, PictureRefusal)
+            px = decoded
+        return Frame(
+            Stamp(after(received_at, -self._delay_s), received_at, self._sigma_s, "arrival"), number, px, image.exposure_s
+        )

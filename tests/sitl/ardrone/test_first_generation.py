@@ -1,0 +1,180 @@
+"""The simulated AR.Drone 1.0 over real sockets: what our driver makes of it, and what it says of another codec or setting."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any, cast
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.config.model import ardrone_options
+from drivers.ardrone.link import ArDrone, open_ardrone
+from drivers.ardrone.options import ArDroneOptions
+from drivers.clock import SystemClock
+from estimator.contracts.errors import BadInput
+from estimator.contracts.pictures import CodedPicture
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, VehicleStatus
+from estimator.uvlc import UvlcDecoder
+from sitl.ardrone.generations import FIRST, SECOND
+from sitl.ardrone.server import ArDroneServer, Habits, Ports
+from sitl.one_flight import fly, settings_for
+from sitl.scenario import load as load_scenario
+from sitl.world import World
+from tests.sitl.ardrone.point_mass import PointMass
+
+HOST = "127.0.0.1"
+LIMIT_S = 60.0
+"""Time limit of each step: many times what it takes, for a busy machine."""
+
+
+@asynccontextmanager
+async def first_drone() -> AsyncIterator[ArDroneServer]:
+    clock = SystemClock()
+    world = PointMass(clock.now(), height_m=1.5, size=(176, 144))
+    async with ArDroneServer(cast(World, world), HOST, Ports(0, 0, 0, 0), clock, habits=Habits(FIRST)) as server:
+        yield server
+
+
+def options_for(server: ArDroneServer, **over: Any) -> ArDroneOptions:
+    p = server.ports
+    ports = {"navdata_port": p.navdata, "video_port": p.video, "at_port": p.at, "control_port": p.control}
+    return ArDroneOptions(host=HOST, **({"model": "1.0", **ports} | over))
+
+
+async def frames(drone: ArDrone, count: int) -> list[Frame]:
+    async with asyncio.timeout(LIMIT_S):
+        return [await drone.frames.get() for _ in range(count)]
+
+
+async def until(reached: Callable[[], bool]) -> None:
+    for _ in range(3000):
+        if reached():
+            return
+        await asyncio.sleep(0.02)
+    raise TimeoutError
+
+
+async def until_down(drone: ArDrone, channel: str) -> str:
+    await until(lambda: channel in drone.down)
+    return drone.down[channel]
+
+
+async def test_its_frames_and_samples_arrive() -> None:
+    async with first_drone() as server, open_ardrone(options_for(server), SystemClock(), decoder=UvlcDecoder()) as drone:
+        got = await frames(drone, 8)
+        config = server.drone.state.config
+        assert (config["video:video_codec"], config["video:video_channel"]) == ("32", "1")
+        assert all(frame.px.shape == (144, 176, 3) for frame in got)
+        numbers = [frame.seq for frame in got]
+        assert numbers == sorted(set(numbers))
+        assert {frame.stamp.source for frame in got} == {"arrival"}
+        assert np.abs(got[0].px.mean() - 120) < 10, "the grey texture, not the sea of the front camera"
+        assert drone.counters.frames_before_setup > 0, "until it is configured it sends P264"
+        assert drone.counters.video_refused.total() == 0
+        kinds = {type(await drone.samples.get()) for _ in range(len(drone.samples))}
+        assert kinds >= {Imu, Attitude, BodyVelocity, Range, VehicleStatus}
+        assert Baro not in kinds
+        assert drone.counters.model_mismatches == 0
+        assert drone.counters.config_mismatches == 0
+
+
+async def test_p264_is_refused_with_the_setting_that_helps() -> None:
+    async with first_drone() as server, open_ardrone(options_for(server), SystemClock(), decoder=UvlcDecoder()) as drone:
+        await frames(drone, 2)
+        ids = server.drone.state.config.ids
+        server.drone.state.config.set("video:video_codec", "64", ids)
+        said = await until_down(drone, "video")
+        assert "P264" in said
+        assert "video:video_codec to 32 (UVLC)" in said
+        assert drone.counters.video_refused["inter_picture"] >= 1
+        server.drone.state.config.set("video:video_codec", "32", ids)
+        assert (await frames(drone, 3))[-1].px.shape == (144, 176, 3), "it goes on by itself"
+
+
+def test_a_setting_that_asks_for_p264_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"video:video_codec=64 is not decoded \(64 is P264\): leave it out, or use 32"):
+        ArDroneOptions(model="1.0", further_configuration="video:video_codec=64")
+
+
+async def test_the_other_generation_is_named_with_the_setting_that_helps(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING)
+    async with first_drone() as server, open_ardrone(options_for(server, model="2.0"), SystemClock()) as drone:
+        await until(lambda: drone.counters.model_mismatches > 0)
+        await until_down(drone, "video")
+    said = [record.getMessage() for record in caplog.records if "firmware" in record.getMessage()]
+    assert said
+    assert 'firmware 1.7.4, that of an AR.Drone 1.0, and vehicle.model is "2.0": set vehicle.model = "1.0"' in said[0]
+
+
+class Viewer(asyncio.DatagramProtocol):
+    def __init__(self) -> None:
+        self.pictures: asyncio.Queue[bytes] = asyncio.Queue()
+
+    def datagram_received(self, data: bytes, addr: object) -> None:
+        self.pictures.put_nowait(data)
+
+    async def next(self) -> np.ndarray[Any, np.dtype[np.uint8]]:
+        async with asyncio.timeout(LIMIT_S):
+            while True:
+                datagram = await self.pictures.get()
+                header = UvlcDecoder().header(datagram)
+                if isinstance(header, CodedPicture):
+                    px = UvlcDecoder().decode(datagram, header)
+                    assert isinstance(px, np.ndarray)
+                    return px
+
+
+@pytest.mark.parametrize(
+    ("channel", "shape", "inset"),
+    [("0", (240, 320), None), ("1", (144, 176), None), ("2", (240, 320), (72, 88)), ("3", (144, 176), (42, 56))],
+)
+async def test_the_views_of_its_channels(channel: str, shape: tuple[int, int], inset: tuple[int, int] | None) -> None:
+    async with first_drone() as server:
+        config = server.drone.state.config
+        config.set("video:video_codec", "32")
+        config.set("video:video_channel", channel)
+        viewer = Viewer()
+        transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+            lambda: viewer, remote_addr=(HOST, server.ports.video)
+        )
+        try:
+            transport.sendto(b"what is this")
+            transport.sendto(b"\x01\x00\x00\x00")
+            px = await viewer.next()
+        finally:
+            transport.close()
+        assert server.counters["video_request_refused"] == 1
+        assert px.shape[:2] == shape
+        grey = np.ptp(px[-60:, -60:].reshape(-1, 3).mean(axis=0)) < 10
+        assert grey == (channel in "13"), "the texture is grey, sky and sea are not"
+        if inset is not None:
+            part = px[2 : inset[0] - 2, 2 : inset[1] - 2].reshape(-1, 3).mean(axis=0)
+            assert (np.ptp(part) < 10) == (channel == "2")
+
+
+def test_it_lands_in_virtual_time_by_decoded_pictures() -> None:
+    scenario = load_scenario("ardrone1")
+    settings = settings_for(scenario, None)
+    assert ardrone_options(settings).model == "1.0"
+    ending = fly("ardrone1", scenario, 1, settings).as_json()
+    assert ending["landed_on_pad"]
+    assert ending["touchdown"]["lateral_m"] < 0.2
+
+
+def test_another_camera_is_refused_with_the_one_that_fits() -> None:
+    scenario = load_scenario("ardrone1")
+    other = msgspec.structs.replace(scenario, camera=msgspec.structs.replace(scenario.camera, file="sim"))
+    with pytest.raises(BadInput, match=r'176x144 px.*found 640x360 px; "ardrone1_bottom" does'):
+        fly("ardrone1", other, 1, settings_for(other, None))
+
+
+def test_the_keys_of_each_generation_are_its_own() -> None:
+    assert "video:max_bitrate" not in FIRST.keys
+    assert FIRST.keys["general:num_version_soft"].default == "1.7.4"
+    assert SECOND.keys["video:video_channel"].choices == frozenset("0123")
+    assert FIRST.options == (1 << 21) - 1, "no pressure, magnetometer or wind"
