@@ -68,7 +68,7 @@ class Progress(Struct, frozen=True, eq=False):
     """What keeps the gate shut."""
     waits_for: Reason | None = None
     """What the operator is told of that: it stands for some time, where `blocked` may change with every cycle."""
-    told: MonoNs | None = None
+    waits_since: MonoNs | None = None
     """Time since which it stands."""
     no_return_until: MonoNs | None = None
     """Time until which the contact is awaited in the commit whatever becomes of the estimate; None while a climb can avoid it."""
@@ -91,7 +91,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
     """Return the memory after a transition."""
     p = replace(
         p, state=change.target, since=change.at, reason=change.reason, held=None, held_yaw_rad=None, good_since=None,
-        blocked=None, waits_for=None, told=None, no_return_until=None, unheard_s=0.0, entered_height_m=p.seen_height_m,
+        blocked=None, waits_for=None, waits_since=None, no_return_until=None, unheard_s=0.0, entered_height_m=p.seen_height_m,
         begun=change.target in FLOWN or (p.begun and change.event is not Event.TAKEN_OFF),
     )  # fmt: skip
     match change.event:

@@ -38,8 +38,8 @@ _HELD_UP_BELOW = 0.75
 _BLIND_MARGIN_M = 0.1
 _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
 """Causes of a hold without sight that say more than its length."""
-_TOLD_EVERY_S = 2.0
-"""Time for which the operator is told the same cause of a shut gate."""
+_REASON_STANDS_S = 2.0
+"""Time for which a cause of the shut gate stands before the operator, s."""
 _LEAN_SETTLES_S = 6.0
 """Time after the way to the ship in which the mean lean still holds that of the drone's own speed: twice the mean's time."""
 
@@ -319,8 +319,8 @@ def _judged(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
             else limits.gate(s.at, s.estimate, s.knowledge, s.quality, o.limits, o.cone, aligned=o.tries.heading == "align")
         )
     if blocked is not None:
-        if p.told is None or seconds_between(p.told, s.at) >= _TOLD_EVERY_S:
-            p = replace(p, waits_for=blocked, told=s.at)
+        if p.waits_since is None or seconds_between(p.waits_since, s.at) >= _REASON_STANDS_S:
+            p = replace(p, waits_for=blocked, waits_since=s.at)
         return replace(p, blocked=blocked, good_since=None)
     return replace(p, blocked=None, good_since=s.at if p.good_since is None else p.good_since)
 
