@@ -187,8 +187,7 @@ async def test_leaving_in_flight_leaves_the_drone_in_hover(how: str) -> None:
             task.cancel()
         (result,) = await asyncio.gather(task, return_exceptions=True)
         assert type(result) is {"leave": type(None), "error": LookupError, "cancel": asyncio.CancelledError}[how]
-        await asyncio.sleep(0.05)
-        assert fake.of(at.Pcmd)[-3:] == [at.Pcmd(0, 0.0, 0.0, 0.0, 0.0)] * 3
+        await until(lambda: fake.of(at.Pcmd)[-3:] == [at.Pcmd(0, 0.0, 0.0, 0.0, 0.0)] * 3)
         assert fake.of(at.Ref)[-3:] == [at.Ref(at.REF_BASE | at.REF_TAKE_OFF)] * 3
         assert fake.state & nd.NavdataState.FLYING
 
