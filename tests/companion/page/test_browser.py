@@ -175,7 +175,7 @@ async def test_a_phone_shows_every_order_without_scrolling_sideways(tmp_path: Pa
 @pytest.mark.timeout(500)
 async def test_a_flight_s_report_opens_from_the_page_and_reaches_nothing_of_it(tmp_path: Path) -> None:
     (tmp_path / "recordings").mkdir()
-    record_to(tmp_path / "recordings/decklander-1.mcap", 0.5)
+    record_to(tmp_path / "recordings/decklander-1.mcap")
     async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service) as one:
         service.flying = False
         await one.shows("link", "live")
@@ -188,7 +188,7 @@ async def test_a_flight_s_report_opens_from_the_page_and_reaches_nothing_of_it(t
         report = await opened.value
         faults: list[str] = []
         report.on("pageerror", lambda error: faults.append(str(error)))
-        await report.reload()
+        await report.wait_for_load_state()
         await report.wait_for_function("document.querySelector('video').readyState >= 2")
         assert await report.evaluate("origin") == "null"
         assert faults == one.faults == []
