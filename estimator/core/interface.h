@@ -526,6 +526,26 @@ typedef struct {
 } registration;
 
 typedef struct {
+    double roll_rad;
+    double pitch_rad;
+    double cov_tilt[4];
+    double sigma_deck_rad;
+    double R_body_cam[9];
+    double t_body_cam[3];
+    double R_cam_pad[9];
+    double t_cam_pad[3];
+    double cov_pose[36];
+} camera_sighting;
+
+typedef struct {
+    double d[3];
+    double R_level_pad[9];
+    double cov_pose[36];
+    double yaw_rad;
+    double cov[16];
+} level_sighting;
+
+typedef struct {
     int64_t level;
     int64_t left;
     int64_t top;
@@ -983,6 +1003,9 @@ int32_t search_strokes(const camera_lens *c, const strokes_image *image, const p
 /* sighting.c */
 int32_t sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, double *innov, double *H, double *R, double *by_rate);
 
+/* sighting_level.c */
+void sighting_in_level(const camera_sighting *in, level_sighting *out);
+
 /* sim_run.c */
 int32_t sim_run(const vehicle_params *o, vehicle *v, const sensor_params *e, sensors *s, water *sea, int32_t harmonics, const wave *waves, int32_t n, const deck *decks, const double *noise, const double *air_noise, const double *sensor_noise);
 
@@ -1001,7 +1024,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 1334048587u
+#define INTERFACE_DIGEST 3965531055u
 #endif
 
 #endif

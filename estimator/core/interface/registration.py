@@ -80,6 +80,10 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
         ),
         Field("edges", "edge_support", EDGE_KINDS),
     ),
+    "camera_sighting": doubles(
+        roll_rad=1, pitch_rad=1, cov_tilt=4, sigma_deck_rad=1, R_body_cam=9, t_body_cam=3, R_cam_pad=9, t_cam_pad=3, cov_pose=36,
+    ),
+    "level_sighting": doubles(d=3, R_level_pad=9, cov_pose=36, yaw_rad=1, cov=16),
 }  # fmt: skip
 """A `pad_region` is what its circles (sums with a sign), its figure's rectangles, and the wedge cover. A figure's rectangles lie
 between its limits along both axes, which ascend. A wedge is where all n p < offset, beyond a circle about the centre. A
@@ -87,7 +91,9 @@ between its limits along both axes, which ascend. A wedge is where all n p < off
 inside of each kind of edge (`kinds`); an `edge_zone` is where an edge of another kind is too near: within and outside of two
 radii, in a box, or anywhere if the blur is too wide for something thin. The `pointer` is the part of the drawing that tells its
 two headings apart. The other structures have what `Camera`, `Orientation`, `RegistrationOptions` and `Registration` have; the
-covariances of `fit_solved` are in `pad`."""
+covariances of `fit_solved` are in `pad`. A `camera_sighting` is a pose in `cam` with the attitude and the mount, a `level_sighting`
+the same pose in `level`: its place, rotation and their covariance, the body's heading against the arrow, and the covariance of
+place and heading."""
 
 FUNCTIONS = (
     Function(
@@ -98,8 +104,9 @@ FUNCTIONS = (
         "const double *start, int32_t room, float *scratch, registration *out, double *outline",
         "register.c",
     ),
+    Function("sighting_in_level", "void", "const camera_sighting *in, level_sighting *out", "sighting_level.c"),
 )
-"""The function of registration. `rays` are those of all pixels if the lens distorts, else null; `light` is the linear light of
+"""The functions of registration. `rays` are those of all pixels if the lens distorts, else null; `light` is the linear light of
 each pixel value; `edges` has place, normal and distance to the next of each point of an edge, `edge_of` its kind and piece;
 `start` is a rotation and a place; `scratch` has room for `FIT_ROWS` rows of `room` floats; `outline` takes the pixel of every
 fourth point."""

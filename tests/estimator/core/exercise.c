@@ -351,7 +351,7 @@ int main(int count, char **files)
            "render_water render_pad_kinds render_pad_shares render_expose "
            "render_mix render_image render_frame render_blur");
     registrations(60);
-    report("register_pad");
+    report("register_pad sighting_in_level");
     alignments(40);
     report("align_view align_move align_fit");
     searches(40);

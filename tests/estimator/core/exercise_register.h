@@ -148,6 +148,20 @@ static void some_edges(const pad_shape *pad, double *edges, int32_t *of)
     }
 }
 
+/* Bring what was found, or nothing, to level. */
+static void bring_to_level(const registration *found, const tilt_prior *prior, const camera_lens *camera)
+{
+    camera_sighting seen = {.roll_rad = prior->roll_rad, .pitch_rad = prior->pitch_rad, .sigma_deck_rad = prior->sigma_deck_rad};
+    level_sighting level;
+    memcpy(seen.cov_tilt, prior->cov_tilt, sizeof seen.cov_tilt);
+    memcpy(seen.R_body_cam, camera->R_body_cam, sizeof seen.R_body_cam);
+    memcpy(seen.R_cam_pad, found->R, sizeof seen.R_cam_pad);
+    memcpy(seen.t_cam_pad, found->t, sizeof seen.t_cam_pad);
+    memcpy(seen.cov_pose, found->cov, sizeof seen.cov_pose);
+    sighting_in_level(&seen, &level);
+    fold(level.d, 3), fold(level.R_level_pad, 9), fold(&level.yaw_rad, 1);
+}
+
 static void registrations(int count)
 {
     const double sizes[] = {0.4, 0.1, 3.0};
@@ -180,6 +194,7 @@ static void registrations(int count)
         if (register_pad(&camera, rays, frame, light, &pad, EDGE_POINTS, edges, edge_of, &prior, &o, start, room, scratch, found, outline)) {
             fold(found->t, 3), fold(found->R, 9), fold(&found->noise_light, 4), fold(found->edges[1].contrast_bgr, 7), fold(outline, 200);
         }
+        bring_to_level(found, &prior, &camera);
         void *all[] = {found, scratch, frame, rays, edges, edge_of, outline};
         for (size_t k = 0; k < sizeof all / sizeof *all; k++) {
             free(all[k]);
