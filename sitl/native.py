@@ -32,6 +32,8 @@ sim_run = CORE.function("sim_run")
 uvlc_encode = CORE.function("uvlc_encode")
 vehicle_carry = CORE.function("vehicle_carry")
 vehicle_step = CORE.function("vehicle_step")
+vessel_mounted = CORE.function("vessel_mounted")
+vessel_moved = CORE.function("vessel_moved")
 
 
 def address(array: NDArray[Any] | None, dtype: DTypeLike, shape: tuple[int, ...] | None = None) -> int:

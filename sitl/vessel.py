@@ -11,8 +11,15 @@ from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from estimator.contracts.geometry import F64, Rotation, known_rotation
+from estimator.core.interface import size_of
+from estimator.core.library import start_of
+from sitl.native import address, vessel_mounted, vessel_moved
 from sitl.sea import Waves
 from sitl.seakeeping import Hull, encounter_rad_s, responses
+
+_MODES = 6
+_MOTION, _ORIGIN, _MOUNTED = size_of("vessel_motion"), size_of("vessel_origin"), size_of("mounted")
+_EYE = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,10 +129,9 @@ class Vessel:
             periods = mooring.period_s * np.array([0.5, 1.0, 1.5])
             coefficient = np.concatenate([coefficient, slow], axis=-1)
             w = np.concatenate([w, np.broadcast_to(math.tau / periods, (batch, 3))], axis=-1)
-        c, rate = np.ascontiguousarray(coefficient.transpose(1, 2, 0)), (-1j * w)[..., None]
-        self._derivatives = [c * rate**n for n in range(3)]
-        """The harmonics' complex amplitudes of the motion and of its two derivatives, each (B, N, 6)."""
-        self._w = w
+        c = coefficient.transpose(1, 2, 0)
+        self._harmonics = np.ascontiguousarray(np.concatenate([w[..., None], c.real, c.imag], axis=-1))
+        """(B, N, 13) the core's `harmonic`s of the motion."""
 
     @property
     def batch(self) -> int:
@@ -134,11 +140,11 @@ class Vessel:
     def motion(self, t_s: ArrayLike) -> Motion:
         """Return the motion about the steady course at times (...): arrays (B, ..., 6) with exact derivatives."""
         t = np.asarray(t_s, dtype=float)
-        flat = t.reshape(-1)
-        turn = np.exp(-1j * self._w[:, None, :] * flat[:, None])
-        shape = (self.batch, *t.shape, 6)
-        eta, dot, ddot = ((turn @ c).real.reshape(shape) for c in self._derivatives)
-        return Motion(eta, dot, ddot)
+        flat = np.ascontiguousarray(t).reshape(-1)
+        out = np.empty((self.batch, flat.size, _MOTION))
+        for harmonics, moved in zip(self._harmonics, out, strict=True):
+            vessel_moved(len(harmonics), address(harmonics, float), flat.size, address(flat, float), start_of(moved))
+        return Motion(*(part.reshape(self.batch, *t.shape, _MODES) for part in np.split(out, 3, axis=-1)))
 
     def origin(self, t: F64) -> tuple[F64, F64, F64, F64, Motion]:
         """Return the origin's position, velocity and acceleration in ned, the heading of the course, and the motion, (B, ...)."""
@@ -166,18 +172,14 @@ class Vessel:
         t = np.asarray(t_s, dtype=float)
         d = np.asarray(d_vessel_m, dtype=float)
         p0, v0, a0, heading, m = self.origin(t)
-        R = _from_rpy(m.eta[..., 3], m.eta[..., 4], heading + m.eta[..., 5])
-        w, w_dot = body_rates(m)
-        arm_v = _cross(w, d)
-        arm_a = _cross(w_dot, d) + _cross(w, arm_v)
-        mount = np.eye(3) if R_vessel is None else R_vessel.matrix
-        return Mounted(
-            p0 + R @ d,
-            v0 + np.einsum("...ij,...j->...i", R, arm_v),
-            a0 + np.einsum("...ij,...j->...i", R, arm_a),
-            R @ mount,
-            w @ mount,
-        )
+        origin = np.empty((self.batch, *t.shape, _ORIGIN))
+        origin[..., 0:3], origin[..., 3:6], origin[..., 6:9], origin[..., 9] = p0, v0, a0, heading
+        motion = np.concatenate([m.eta, m.eta_dot, m.eta_ddot], axis=-1)
+        mount = np.concatenate([d, (_EYE if R_vessel is None else R_vessel.matrix).reshape(-1)])
+        out = np.empty((self.batch, *t.shape, _MOUNTED))
+        vessel_mounted(self.batch * t.size, start_of(origin), start_of(motion), start_of(mount), start_of(out))
+        R = out[..., 9:18].reshape(self.batch, *t.shape, 3, 3)
+        return Mounted(out[..., 0:3], out[..., 3:6], out[..., 6:9], R, out[..., 18:21])
 
     def pad(self, t_s: ArrayLike) -> Mounted:
         """Return the pad's centre and frame at times (...), with the leading shape (B, ...)."""
@@ -199,47 +201,3 @@ def horizontal(axes: F64, v: F64) -> F64:
     out: F64 = np.einsum("...ij,...j->...i", axes, v[..., :2])
     out[..., 2] += v[..., 2]
     return out
-
-
-def _from_rpy(roll: F64, pitch: F64, yaw: F64) -> F64:
-    """Return `Rotation.from_rpy` for arrays, (..., 3, 3)."""
-    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
-    rows = (
-        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-        (-sp, cp * sr, cp * cr),
-    )
-    out = np.empty((*roll.shape, 3, 3))
-    for i, row in enumerate(rows):
-        for j, value in enumerate(row):
-            out[..., i, j] = value
-    return out
-
-
-def _cross(a: F64, b: F64) -> F64:
-    """Return `np.cross(a, b)` of (..., 3) vectors. For few of them that takes most of its time to look at their shapes."""
-    (ax, ay, az), (bx, by, bz) = ((v[..., 0], v[..., 1], v[..., 2]) for v in (a, b))
-    out = np.empty(np.broadcast(a, b).shape)
-    out[..., 0], out[..., 1], out[..., 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    return out
-
-
-def body_rates(m: Motion) -> tuple[F64, F64]:
-    """Return the angular velocity and acceleration in the vessel's frame, (..., 3) rad/s and rad/s^2.
-
-    Source: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., eq. 2.41, and its time derivative.
-    """
-    roll, pitch = m.eta[..., 3], m.eta[..., 4]
-    r1, p1, y1 = (m.eta_dot[..., i] for i in (3, 4, 5))
-    r2, p2, y2 = (m.eta_ddot[..., i] for i in (3, 4, 5))
-    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
-    w = np.stack([r1 - sp * y1, cr * p1 + cp * sr * y1, -sr * p1 + cp * cr * y1], axis=-1)
-    w_dot = np.stack(
-        [
-            r2 - sp * y2 - cp * p1 * y1,
-            cr * p2 - sr * r1 * p1 + cp * sr * y2 + (cp * cr * r1 - sp * sr * p1) * y1,
-            -sr * p2 - cr * r1 * p1 + cp * cr * y2 - (cp * sr * r1 + sp * cr * p1) * y1,
-        ],
-        axis=-1,
-    )
-    return w, w_dot

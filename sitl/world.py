@@ -46,8 +46,8 @@ STEP_NS = 4_000_000
 """Step of the physics: 250 Hz, some fifteen steps to a radian of the stiffest spring."""
 
 _ORIGIN = MonoNs(0)
-_CHUNK = 100
-"""Steps of deck motion computed at once. They are few enough for the matrix product to stay in one thread; others would spin."""
+_CHUNK = 250
+"""Steps of deck motion computed at once: those of a second."""
 _PHASES = tuple(VehiclePhase)
 
 

@@ -908,6 +908,38 @@ typedef struct {
 } wave;
 
 typedef struct {
+    double w_rad_s;
+    double re[6];
+    double im[6];
+} harmonic;
+
+typedef struct {
+    double eta[6];
+    double eta_dot[6];
+    double eta_ddot[6];
+} vessel_motion;
+
+typedef struct {
+    double p[3];
+    double v[3];
+    double a[3];
+    double heading_rad;
+} vessel_origin;
+
+typedef struct {
+    double d[3];
+    double R[9];
+} mount;
+
+typedef struct {
+    double p[3];
+    double v[3];
+    double a[3];
+    double R[9];
+    double w[3];
+} mounted;
+
+typedef struct {
     int64_t width;
     int64_t height;
     int64_t intra;
@@ -1016,6 +1048,10 @@ void sensors_read(const vehicle_params *o, const vehicle *v, const sensor_params
 void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea_z, double sea_vz, const double *noise, const double *air_noise);
 void vehicle_carry(vehicle *v, const deck *g);
 
+/* sim_vessel.c */
+void vessel_moved(int32_t harmonics, const harmonic *h, int32_t n, const double *t_s, vessel_motion *out);
+void vessel_mounted(int32_t n, const vessel_origin *origin, const vessel_motion *m, const mount *at, mounted *out);
+
 /* uvlc_decode.c */
 int32_t uvlc_header(const uint8_t *data, int32_t bytes, uvlc_picture *picture);
 int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *picture, uint8_t *bgr);
@@ -1024,7 +1060,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 3965531055u
+#define INTERFACE_DIGEST 1881974392u
 #endif
 
 #endif

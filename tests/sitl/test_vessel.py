@@ -101,6 +101,15 @@ def test_velocity_and_acceleration_are_the_derivatives_of_place_and_attitude(
     np.testing.assert_allclose(now.w, turned.rotvec_rad / (2 * h), atol=3e-5)
 
 
+def test_times_in_equal_steps_and_any_others_give_the_same_motion() -> None:
+    vessel = Vessel(FERRY, Waves.draw(SEA_STATES[4], 5), mooring=Mooring())
+    equal = 4000.0 + 0.004 * np.arange(400)
+    alone = [vessel.motion(t) for t in equal]
+    for name in ("eta", "eta_dot", "eta_ddot"):
+        ours = getattr(vessel.motion(equal), name)[0]
+        np.testing.assert_allclose(ours, [getattr(m, name)[0] for m in alone], atol=1e-11)
+
+
 def test_the_pad_stands_at_its_lever_arm() -> None:
     vessel = Vessel(SUPPLY_SHIP, Waves.draw(SEA_STATES[5], 1), heading_rad=0.6, pad_yaw_rad=0.25)
     p, R = vessel.pose(17.0)

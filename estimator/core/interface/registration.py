@@ -91,9 +91,9 @@ between its limits along both axes, which ascend. A wedge is where all n p < off
 inside of each kind of edge (`kinds`); an `edge_zone` is where an edge of another kind is too near: within and outside of two
 radii, in a box, or anywhere if the blur is too wide for something thin. The `pointer` is the part of the drawing that tells its
 two headings apart. The other structures have what `Camera`, `Orientation`, `RegistrationOptions` and `Registration` have; the
-covariances of `fit_solved` are in `pad`. A `camera_sighting` is a pose in `cam` with the attitude and the mount, a `level_sighting`
-the same pose in `level`: its place, rotation and their covariance, the body's heading against the arrow, and the covariance of
-place and heading."""
+covariances of `fit_solved` are in `pad`. A `camera_sighting` is a pose in `cam` with the attitude and the mount; a
+`level_sighting` is the same pose in `level`: its place, rotation and their covariance, the body's heading against the arrow, and
+the covariance of place and heading."""
 
 FUNCTIONS = (
     Function(

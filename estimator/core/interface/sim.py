@@ -89,6 +89,11 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
     ),
     "water": (*integers("tick", "every"), *doubles(z=1, vz=1)),
     "wave": doubles(amplitude_m=1, k=2, w_rad_s=1, phase_rad=1),
+    "harmonic": doubles(w_rad_s=1, re=6, im=6),
+    "vessel_motion": doubles(eta=6, eta_dot=6, eta_ddot=6),
+    "vessel_origin": doubles(p=3, v=3, a=3, heading_rad=1),
+    "mount": doubles(d=3, R=9),
+    "mounted": doubles(p=3, v=3, a=3, R=9, w=3),
 }  # fmt: skip
 
 FUNCTIONS = (
@@ -114,5 +119,18 @@ FUNCTIONS = (
         "const vehicle_params *o, const vehicle *v, const sensor_params *e, const sensors *s, readings *out",
         "sim_sensors.c",
     ),
+    Function(
+        "vessel_moved",
+        "void",
+        "int32_t harmonics, const harmonic *h, int32_t n, const double *t_s, vessel_motion *out",
+        "sim_vessel.c",
+    ),
+    Function(
+        "vessel_mounted",
+        "void",
+        "int32_t n, const vessel_origin *origin, const vessel_motion *m, const mount *at, mounted *out",
+        "sim_vessel.c",
+    ),
 )
-"""Functions that step a simulated vehicle and its sensors."""
+"""Functions that step a simulated vehicle and its sensors, and tell a vessel's motion at some times: about her steady course, by
+harmonics with complex amplitudes of the six modes; and that of a point which is fixed to her, with axes fixed to it."""

@@ -359,7 +359,7 @@ int main(int count, char **files)
     video(40);
     report("uvlc_header uvlc_decode uvlc_encode");
     simulator();
-    report("vehicle_step vehicle_carry sim_run sensors_read");
+    report("vehicle_step vehicle_carry sim_run sensors_read vessel_moved vessel_mounted");
     return 0;
 }
 #endif

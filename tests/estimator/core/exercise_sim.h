@@ -75,11 +75,37 @@ static void sail(int kind, int steps, double poison)
     }
 }
 
+/* A vessel's motion at equal and at other steps of time, and that of a point on her. */
+static void ride(int harmonics, int n)
+{
+    harmonic *h = calloc((size_t)harmonics, sizeof *h);
+    double *t_s = numbers(n);
+    vessel_motion *moved = malloc((size_t)n * sizeof *moved);
+    vessel_origin *origin = calloc((size_t)n, sizeof *origin);
+    mounted *out = malloc((size_t)n * sizeof *out);
+    mount at = {{1.0, 0.5, -2.0}, {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}};
+    for (int i = 0; i < n / 2; i++) {
+        t_s[i] = 0.1 * i;
+    }
+    for (int i = 0; i < harmonics; i++) {
+        h[i].w_rad_s = 0.5 + 0.1 * i, h[i].re[i % 6] = 0.1, h[i].im[(i + 3) % 6] = uniform();
+    }
+    poisoned(t_s, n);
+    vessel_moved(harmonics, h, n, t_s, moved);
+    vessel_mounted(n, origin, moved, &at, out);
+    fold(moved->eta, 18), fold(out[n - 1].p, 21);
+    void *all[] = {h, t_s, moved, origin, out};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
+        free(all[i]);
+    }
+}
+
 static void simulator(void)
 {
     const double poisons[] = {1.0, NAN, INFINITY, -1e300};
     for (int kind = 0; kind <= 6; kind++) {
         sail(kind, 1500, 1.0);
         sail(kind, 20, poisons[kind % 4]);
+        ride(kind, 1 + 20 * kind);
     }
 }
