@@ -22,6 +22,7 @@ _DECLARED = re.compile(r"\s*(static )?(const )?(double|int|int32_t|int64_t)\b[^=
 """What stands before the size of a declared array: one more element changes nothing."""
 _FILLED = re.compile(r"\](\[\w+\])* = \{")
 """What stands behind the size of a declared array that is filled at once."""
+_FUNCTION = re.compile(r"^\w[\w *]*?(\w+)\(", re.MULTILINE)
 _PLACES = re.compile(
     r"(?<= )(?P<operator>[<>=!]=|[-+*/]=|&&|\|\||[-+*/<>])(?= )"
     r"|(?<![\w.])(?P<real>\d+\.\d*(?:e[-+]?\d+)?|\d+e[-+]?\d+)"
@@ -42,7 +43,12 @@ def c_mutants(source: str) -> Iterator[Mutant]:
             text = source[: place.start()] + changed + source[place.end() :]
             before = source[start:end].strip()
             after = (source[start : place.start()] + changed + source[place.end() : end]).strip()
-            yield Mutant(line, f"{before}  ->  {after}", text)
+            yield Mutant(line, f"{before}  ->  {after}", text, _function_at(bare, place.start()))
+
+
+def _function_at(bare: str, at: int) -> str:
+    heads = _FUNCTION.findall(bare, 0, at)
+    return str(heads[-1]) if heads else ""
 
 
 def _changes(place: re.Match[str]) -> Iterator[str]:

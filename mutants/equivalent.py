@@ -1,13 +1,83 @@
 """Mutants that no test can tell from the original, file by file, with the reason.
 
-A change is written as `python -m mutants` prints it. A run counts these apart, and says so when a test kills one of them.
+A change is written as `python -m mutants` prints it, with the C function before it where others have the same line. A run counts
+these apart, and says so when a test kills one of them.
 """
 
 from __future__ import annotations
 
 _ROUNDED = "computed real numbers: where they are equal to the last bit either decision is as good"
 
+_ASKED = "a flag that is asked for being zero"
+_ROOM = "room for more than is ever used"
+_TINY = "bytes of one are 1e-303"
+_NO_COLUMN = "the row has no column in the upper triangle"
+
 EQUIVALENT: dict[str, dict[str, str]] = {
+    "estimator/core/filter.c": {
+        "return !b->heading_is_given || var > DIVERGED_VAR;  ->  return !b->heading_is_given || var >= DIVERGED_VAR;": _ROUNDED,
+        "return 1;  ->  return 2;": _ASKED,
+        "covariance c = {P_before, {places[0], places[1]}};  ->  covariance c = {P_before, {places[1], places[1]}};": (
+            "one place would do: the correction after a propagation is never refused, and reads each row before it writes it"
+        ),
+    },
+    "estimator/core/bank.c": {
+        "return g > 0 && m->w[g] == m->w[g - 1] && m->zeta[g] == m->zeta[g - 1];"
+        "  ->  return g > 1 && m->w[g] == m->w[g - 1] && m->zeta[g] == m->zeta[g - 1];": "the first two oscillators differ",
+        "double A[4][4] = {{0.0}}, q[4][4] = {{0.0}};  ->  double A[4][4] = {{0.0}}, q[4][4] = {{1.0}};": (
+            "the first oscillator fills it"
+        ),
+        "carry_covariances: for (int i = 0; i < STATES; i++) {  ->  for (int i = 0; i <= STATES; i++) {": _NO_COLUMN,
+        "add_noises: for (int i = 0; i < 4; i++) {  ->  for (int i = 0; i <= 4; i++) {": _NO_COLUMN,
+        "bank_begin: for (int i = 0; i < 4; i++) {  ->  for (int i = 0; i <= 4; i++) {": _NO_COLUMN,
+    },
+    "estimator/core/correction.c": {
+        "for (int i = 0; i < N; i++) {  ->  for (int i = 1; i < N; i++) {": "the attitude's error is zero afterwards",
+    },
+    "estimator/core/gathering.c": {
+        "return seconds(a->since, t) > 2.0 * o->aiding_period_s;  ->  return seconds(a->since, t) >= 2.0 * o->aiding_period_s;": (
+            _ROUNDED
+        ),
+        "if (m > 0 && kalman_correct(N, m, c->P, innov, H, R, dx, place, S, &nis)) {"
+        "  ->  if (m >= 0 && kalman_correct(N, m, c->P, innov, H, R, dx, place, S, &nis)) {": "a correction by nothing is none",
+        "double *P = changeable(c), g[N] = {0.0};  ->  double *P = changeable(c), g[N] = {1.0};": "always written first",
+        "memset(a->innov, 0, sizeof a->innov);  ->  memset(a->innov, 1, sizeof a->innov);": _TINY,
+        "memset(a->R, 0, sizeof a->R);  ->  memset(a->R, 1, sizeof a->R);": _TINY,
+        "tell(out, nis > nis_max ? GATED : FUSED, m, (int)begun->axes, innov, S);"
+        "  ->  tell(out, nis >= nis_max ? GATED : FUSED, m, (int)begun->axes, innov, S);": _ROUNDED,
+        "if (nis > nis_max) {  ->  if (nis >= nis_max) {": _ROUNDED,
+    },
+    "estimator/core/aiding.c": {
+        "b->is_levelled = b->heading_is_given = 1;  ->  b->is_levelled = b->heading_is_given = 2;": _ASKED,
+    },
+    "estimator/core/propagate.c": {
+        "if (dt <= 0.0) {  ->  if (dt < 0.0) {": "nothing moves in no time",
+    },
+    "estimator/core/kalman.c": {
+        "if (!(pivot > 0.0) || !isfinite(pivot)) {  ->  if (!(pivot >= 0.0) || !isfinite(pivot)) {": (
+            "a pivot of zero makes a NIS that is not finite, which is refused as well"
+        ),
+        "solve_rows: for (int i = 0; i < m; i++) {  ->  for (int i = 1; i < m; i++) {": "the first pivot is one but for rounding",
+        "size += dx[k] * dx[k];  ->  size -= dx[k] * dx[k];": "asked for being finite alone",
+        "memset(FP[i], 0, sizeof FP[i]);  ->  memset(FP[i], 1, sizeof FP[i]);": _TINY,
+    },
+    "estimator/core/skill.c": {
+        "for (int i = 1; i < known->issued_n; i++) {  ->  for (int i = 1; i <= known->issued_n; i++) {": (
+            "what lies behind the newest forecast is older, so that no instant is between them"
+        ),
+        "while (after < SKILL_HORIZONS - 1 && SKILL_HORIZONS_S[after] <= horizon_s) {"
+        "  ->  while (after < SKILL_HORIZONS - 1 && SKILL_HORIZONS_S[after] < horizon_s) {": "the interpolation is continuous",
+    },
+    "estimator/core/vessel.c": {
+        "enum { ROWS = 4, V_COV = 3, HEADING = 12, HEADING_SIGMA = 13, HAS_VELOCITY = 14, HAS_HEADING = 15 };"
+        "  ->  enum { ROWS = 5, V_COV = 3, HEADING = 12, HEADING_SIGMA = 13, HAS_VELOCITY = 14, HAS_HEADING = 15 };": _ROOM,
+        "double innov[ROWS], H[ROWS * N] = {0.0}, R[ROWS * ROWS] = {0.0}, S[ROWS * ROWS], dx[N], nis;"
+        "  ->  double innov[ROWS], H[ROWS * N] = {0.0}, R[ROWS * ROWS] = {1.0}, S[ROWS * ROWS], dx[N], nis;": (
+            "the first of them is always written"
+        ),
+        "tell(out, nis > out->nis_max ? GATED : FUSED, m, axes, innov, S);"
+        "  ->  tell(out, nis >= out->nis_max ? GATED : FUSED, m, axes, innov, S);": _ROUNDED,
+    },
     "estimator/core/gate.c": {
         "if (b->rejected_n == 0 || t < b->rejected_last || length(step) > limit || dt > PAUSE_S) {"
         "  ->  if (b->rejected_n == 0 || t < b->rejected_last || length(step) >= limit || dt > PAUSE_S) {": _ROUNDED,
@@ -29,6 +99,6 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "if (row->ok && (turned_round || (row->m > 3 && row->nis <= o->nis_max[row->m - 1]))) {"
         "  ->  if (row->ok && (turned_round || (row->m > 3 && row->nis < o->nis_max[row->m - 1]))) {": _ROUNDED,
         "if (row->nis > o->nis_max[dof - 1]) {  ->  if (row->nis >= o->nis_max[dof - 1]) {": _ROUNDED,
-        "compare(o, b, c->P, s, 1, other);  ->  compare(o, b, c->P, s, 2, other);": "a flag that is asked for being zero",
+        "compare(o, b, c->P, s, 1, other);  ->  compare(o, b, c->P, s, 2, other);": _ASKED,
     },
 }

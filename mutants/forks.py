@@ -33,12 +33,12 @@ class Forks(ABC):
         self.failed_on_original: list[str] = []
         self.after_tests: Callable[[], object] = lambda: None
         """What a fork does when no test failed."""
-        self._ran = False
+        self._ended_by = "no tests"
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Run each test by itself on the original, then judge every mutant."""
-        self._ran, self.session, self.items = True, session, session.items
+        self.session, self.items = session, session.items
         self.seconds, self._kills = [0.0] * len(self.items), [1] * len(self.items)
         self._caches = caches()
         if session.testsfailed:
@@ -51,7 +51,9 @@ class Forks(ABC):
             self.seconds[k] = time.monotonic() - since
         if not self.failed_on_original:
             print(f"{self.tally.path}: {len(self.items)} tests took {sum(self.seconds):.0f} s", file=self.tally.out)
+            self._ended_by = "an error while judging"
             self.judge()
+            self._ended_by = ""
         return True
 
     def on_original(self, k: int) -> Callable[[], None]:
@@ -107,7 +109,7 @@ class Forks(ABC):
     def run(self, tests: Sequence[str]) -> str:
         """Run in this process; return what failed on the original, or nothing."""
         pytest.main([*child.QUIET, *tests], plugins=[self, child.Profile()])
-        return "" if self._ran and not self.failed_on_original else ", ".join(self.failed_on_original) or "no tests"
+        return ", ".join(self.failed_on_original) or self._ended_by
 
 
 def caches() -> list[Any]:

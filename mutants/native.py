@@ -23,10 +23,11 @@ from supply import core
 
 _QUICK = ("-O1",)
 """How the tests' library is compiled."""
-_TRAPPED = (*_QUICK, "-fsanitize=bounds-strict,object-size", "-fsanitize-undefined-trap-on-error")
-"""How the changed file is compiled: an index beyond the end of an array ends the test, whatever lies there."""
 _THOROUGH = ("-O2",)
 """How a survivor is compiled once more and compared with the original."""
+_TRAPPED = (*_THOROUGH, "-fsanitize=bounds-strict,object-size", "-fsanitize-undefined-trap-on-error", "-fstack-protector-all")
+"""How the changed file is compiled: an index beyond the end of an array ends the test, whatever lies there. Only the optimizer
+follows an array into a called function."""
 
 
 class Replaceable:
@@ -117,9 +118,9 @@ class _Native(Forks):
                 if self._shop.alike(mutant.source, _QUICK):
                     self.tally.compiled_alike += 1
                     continue
+                library = self._shop.linked("mutant.so", self._shop.compiled(mutant.source, "mutant.c", _TRAPPED))
             except core.BuildError:
                 continue
-            library = self._shop.linked("mutant.so", self._shop.compiled(mutant.source, "mutant.c", _TRAPPED))
             killed = self.is_killed(lambda made=library: self._door.replace(made))  # type: ignore[misc]
             if not killed and self._shop.alike(mutant.source, _THOROUGH):
                 self.tally.compiled_alike += 1

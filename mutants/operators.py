@@ -36,6 +36,8 @@ class Mutant:
     change: str
     """The source before and after the change."""
     source: str
+    within: str = ""
+    """The C function that was changed."""
 
 
 def mutants(source: str) -> Iterator[Mutant]:

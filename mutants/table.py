@@ -4,6 +4,7 @@ from __future__ import annotations
 
 _GATE = ("tests/estimator/ekf/test_gate_bounds.py",)
 _CORE = (
+    "tests/estimator/ekf/test_core_edges.py",
     "tests/estimator/ekf/test_core.py",
     "tests/estimator/ekf/test_process_event_bounds.py",
     "tests/estimator/ekf/test_noise_and_inflation.py",
@@ -17,6 +18,7 @@ _SIGHTINGS = (
     f"{_BESIDE_THE_ORACLE}::test_the_model_of_a_sighting_is_the_oracle_s",
 )
 _BANK = (
+    "tests/estimator/ekf/test_skill_edges.py",
     "tests/estimator/ekf/test_core_edges.py",
     f"{_BESIDE_THE_ORACLE}::test_the_bank_learns_what_the_oracle_s_does",
     f"{_BESIDE_THE_ORACLE}::test_each_sighting_has_the_oracle_s_outcome_and_belief",
@@ -24,6 +26,13 @@ _BANK = (
 _ANSWERS = ("tests/estimator/ekf/test_answer.py", "tests/estimator/ekf/test_filter_bounds.py")
 _FORECASTS = ("tests/estimator/ekf/test_forecast.py", "tests/estimator/ekf/test_filter_bounds.py")
 _INTEGRITY = ("tests/estimator/integrity",)
+_MISSION = ("tests/companion/test_mission_flights.py", "tests/companion/test_rendezvous.py")
+_LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py", "tests/companion/test_deck_turn.py")
+_RESPONSE = (
+    "tests/companion/test_response_watch.py",
+    "tests/companion/test_identify.py",
+    "tests/companion/test_response_told.py",
+)
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/answer.c": _ANSWERS,
@@ -32,7 +41,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/bank_ahead.c": _FORECASTS,
     "estimator/core/filter.c": (
         *_CORE,
-        "tests/estimator/ekf/test_core_edges.py",
         "tests/estimator/ekf/test_vision_update_bounds.py",
         f"{_BESIDE_THE_ORACLE}::test_a_row_of_all_kinds_in_one_call_is_one_call_for_each",
     ),
@@ -51,7 +59,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/gate.c": (*_GATE, *_SIGHTINGS[:3]),
     "estimator/core/deck_jolt.c": _SIGHTINGS,
     "estimator/core/vessel.c": (f"{_BESIDE_THE_ORACLE}::test_each_report_of_a_vessel_has_the_oracle_s_outcome_and_belief",),
-    "estimator/core/correction.c": _CORE,
+    "estimator/core/correction.c": (*_CORE, *_SIGHTINGS[1:]),
     "estimator/ekf/gate.py": _GATE,
     "estimator/ekf/process_event.py": (
         "tests/estimator/ekf/test_process_event_bounds.py",
@@ -68,12 +76,33 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/integrity/tracks.py": _INTEGRITY,
     "estimator/integrity/view.py": _INTEGRITY,
     "companion/guidance/mission.py": ("tests/companion/test_mission_table.py",),
-    "companion/guidance/watch.py": ("tests/companion/test_mission_flights.py",),
-    "companion/guidance/limits.py": ("tests/companion/test_mission_flights.py",),
-    "companion/guidance/attempt.py": ("tests/companion/test_mission_flights.py",),
+    "companion/guidance/mission_step.py": (*_MISSION, "tests/companion/test_held_up.py"),
+    "companion/guidance/progress.py": _MISSION,
+    "companion/guidance/watch.py": _MISSION,
+    "companion/guidance/steer.py": (*_MISSION, "tests/companion/test_clearance.py"),
+    "companion/guidance/cone.py": (*_MISSION, "tests/companion/test_clearance.py"),
+    "companion/guidance/blind_hold.py": _MISSION,
+    "companion/guidance/heading.py": _MISSION,
+    "companion/guidance/limits.py": (*_MISSION, "tests/companion/test_clearance.py"),
+    "companion/guidance/attempt.py": _MISSION,
     "companion/guidance/held_up.py": ("tests/companion/test_held_up.py",),
     "companion/guidance/contact.py": ("tests/companion/test_contact.py",),
     "companion/guidance/clearance.py": ("tests/companion/test_clearance.py",),
+    "companion/guidance/rendezvous.py": ("tests/companion/test_rendezvous.py",),
+    "companion/guidance/vessel_track.py": ("tests/companion/test_vessel_track.py", "tests/companion/test_rendezvous.py"),
+    "companion/guidance/follow_deck.py": _LAW,
+    "companion/guidance/heave.py": _LAW,
+    "companion/guidance/climb_law.py": _LAW,
+    "companion/guidance/tilt_law.py": _LAW,
+    "companion/guidance/axis.py": _LAW,
+    "companion/guidance/disturbance.py": _LAW,
+    "companion/guidance/own_part.py": _LAW,
+    "companion/guidance/margins.py": (*_LAW, "tests/companion/test_response_watch.py"),
+    "companion/guidance/deck_turn.py": ("tests/companion/test_deck_turn.py",),
+    "companion/guidance/response.py": (*_RESPONSE, "tests/companion/test_law.py"),
+    "companion/guidance/response_course.py": _RESPONSE,
+    "companion/guidance/response_fit.py": _RESPONSE,
+    "companion/guidance/response_watch.py": _RESPONSE,
     "companion/guidance/pid.py": ("tests/companion/test_pid_bounds.py", "tests/companion/test_pid.py"),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter_bounds.py", "tests/drivers/test_arbiter.py"),
     "drivers/ardrone/landing_watch.py": (

@@ -48,7 +48,8 @@ class Tally:
 
     def count(self, mutant: Mutant, killed: bool) -> None:
         """Count a mutant; print one that survives, and one that is killed though it is said to make no difference."""
-        named = mutant.change in EQUIVALENT.get(self.path, {})
+        alike = EQUIVALENT.get(self.path, {})
+        named = mutant.change in alike or f"{mutant.within}: {mutant.change}" in alike
         if killed:
             self.killed += 1
             if named:

@@ -17,7 +17,8 @@ static const int RANGE_BY[] = {ATT_ERR, ATT_ERR + 1, ATT_ERR + 2, POS_REL, POS_R
                                DECK_TRIM + 1, PAD_YAW, RANGE_OFFSET};
 static const int HEIGHT_BY[] = {POS_REL + 2, HEAVE, BARO_OFFSET};
 static const int *const BY[] = {ATTITUDE_BY, VELOCITY_BY, RANGE_BY, HEIGHT_BY};
-static const int BY_SIZE[] = {5, 14, 12, 3};
+#define SIZE_OF(list) ((int)(sizeof(list) / sizeof *(list)))
+static const int BY_SIZE[] = {SIZE_OF(ATTITUDE_BY), SIZE_OF(VELOCITY_BY), SIZE_OF(RANGE_BY), SIZE_OF(HEIGHT_BY)};
 
 void spread_of(int m, int kind, const double *H, const double *P, double *out)
 {
@@ -48,14 +49,10 @@ static int is_stale(const filter_params *o, const aid *a, int64_t t)
 void fuse_gathered(const filter_params *o, belief *b, covariance *c)
 {
     double innov[ROWS_MAX], H[ROWS_MAX * N], R[ROWS_MAX * ROWS_MAX], S[ROWS_MAX * ROWS_MAX], dx[N], nis;
-    int m = 0, waiting = 0;
+    int m = 0;
     for (int kind = 0; kind < KINDS; kind++) {
         const aid *a = &b->aids[kind];
-        waiting += a->n > 0;
         m += a->n > 0 && !is_stale(o, a, b->t) ? (int)a->m : 0;
-    }
-    if (waiting == 0) {
-        return;
     }
     propagate_covariance(o, b, c);
     memset(H, 0, sizeof H);

@@ -26,7 +26,7 @@ void take_vessel(const filter_params *o, belief *b, covariance *c, const double 
 {
     double innov[ROWS], H[ROWS * N] = {0.0}, R[ROWS * ROWS] = {0.0}, S[ROWS * ROWS], dx[N], nis;
     const int has_velocity = values[HAS_VELOCITY] != 0.0, has_heading = values[HAS_HEADING] != 0.0;
-    const int m = 3 * has_velocity + has_heading, axes = 7 * has_velocity + 8 * has_heading;
+    const int m = 3 * has_velocity + has_heading, axes = 7 * has_velocity | 8 * has_heading;
     out->verdict = GATED;
     if (m == 0) {
         return;

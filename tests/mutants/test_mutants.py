@@ -66,7 +66,7 @@ def test_each_change_of_a_c_source_is_one_and_leaves_comments_and_sizes_alone() 
     assert not any("w[4]" in change or "double /x" in change for change in changes)
     assert len({m.source for m in found}) == len(found)
     assert "double half = 0.5 * n, w[3] = {0.0};  ->  double half = 0.5 / n, w[3] = {0.0};" in changes
-    assert {m.line for m in found} == {3, 7, 8, 9}
+    assert {(m.line, m.within) for m in found} == {(3, ""), (7, "good"), (8, "good"), (9, "good")}
 
 
 def test_a_sample_is_the_same_for_the_same_seed_and_of_the_share_asked_for() -> None:
@@ -100,6 +100,12 @@ def test_a_test_that_notices_kills_and_one_that_does_not_lets_live(tmp_path: Pat
         check=True, timeout=100,
     ).stdout  # fmt: skip
     assert said.splitlines()[-1] == "3 ['1  ->  2', 'x + 1  ->  x - 1']"
+    broken = subprocess.run(
+        [sys.executable, "-c", f"import mutants.interpreted; del mutants.interpreted.changed_functions; {program}"],
+        cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False, timeout=100,
+    )  # fmt: skip
+    assert broken.returncode == 1
+    assert "an error while judging" in broken.stderr
 
 
 def test_a_change_of_c_is_compiled_alone_and_one_that_the_compiler_sees_through_is_no_change(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 
 from estimator.contracts.geometry import F64
+from estimator.core.interface.filter import ROWS_MAX
 from tests.estimator.ekf.oracle.algebra import Algebra, nis_of
 
 N = 22
@@ -29,7 +30,7 @@ def test_predict(seed: int) -> None:
     np.testing.assert_allclose(Algebra(N).predict(P, F, Q), oracle.P, rtol=1e-12, atol=1e-12 * np.abs(oracle.P).max())
 
 
-@pytest.mark.parametrize("m", [1, 2, 3, 4, 6])
+@pytest.mark.parametrize("m", [1, 2, 3, 4, 6, ROWS_MAX])
 @pytest.mark.parametrize("seed", range(8))
 def test_correct(seed: int, m: int) -> None:
     rng = np.random.default_rng([seed, m])
@@ -47,3 +48,13 @@ def test_correct(seed: int, m: int) -> None:
     np.testing.assert_array_equal(fix.P, fix.P.T)
     assert math.sqrt(fix.nis) == pytest.approx(oracle.mahalanobis, rel=1e-8)
     assert nis_of(innov, fix.S) == pytest.approx(fix.nis, rel=1e-8)
+
+
+@pytest.mark.parametrize(("var", "innov"), [(1e300, 1e10), (1e-300, 1e200)])
+def test_a_correction_beyond_all_numbers_is_refused(var: float, innov: float) -> None:
+    """The first moves the unseen state too far, the second has an innovation too large."""
+    P = np.diag([1.0, var])
+    P[0, 1] = P[1, 0] = 0.9 * math.sqrt(var)
+    if innov > 1e100:
+        P *= 1e-300
+    assert Algebra(2).correct(P, np.array([innov]), np.array([[1.0, 0.0]]), np.eye(1)) is None

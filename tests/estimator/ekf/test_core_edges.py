@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from typing import Any
 
 import numpy as np
@@ -10,16 +11,24 @@ import pytest
 from msgspec.structs import replace
 
 from estimator.contracts.estimates import Sighting, Verdict
-from estimator.contracts.geometry import rpy_matrix
+from estimator.contracts.geometry import Rotation, rpy_matrix
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
 from estimator.core.interface.filter import RATIOS_MAX
+from estimator.ekf.packed_belief import PackedBelief
+from estimator.ekf.packed_event import PackedEvent, packed_event
 from estimator.ekf.so3 import about_down, wrap
 from estimator.ekf.state import (
+    ATT_ERR,
+    ATTITUDE,
+    BARO_OFFSET,
     CAMERA_DELAY,
     CAMERA_MOUNT,
     PAD_YAW,
     POS_REL,
     SWAY_PER_HEAVE,
     VEL,
+    VEL_SCALE,
+    VELOCITY,
     VESSEL_VEL,
     WAVES,
     Belief,
@@ -39,12 +48,15 @@ from tests.estimator.ekf.hand import (
     learned,
     params,
     sighting,
+    stamp,
     state,
     under,
     whole,
 )  # fmt: skip
 from tests.estimator.ekf.oracle import so3
+from tests.estimator.ekf.oracle.samples import process_sample
 from tests.estimator.ekf.oracle.sighting import levelling
+from tests.estimator.ekf.test_core import same
 from tests.estimator.ekf.test_core_sightings import agrees
 
 # Sightings that keep missing the deck
@@ -174,12 +186,77 @@ def test_a_reset_belief_keeps_nothing_of_the_other_pad_s_vessel(yaw: float | Non
         assert after.agreed == 1
 
 
-@pytest.mark.parametrize(("t_s", "forgotten"), [(29.9, False), (30.1, True)])
+@pytest.mark.parametrize(("t_s", "forgotten"), [(0.4, False), (0.5, False), (0.6, True)])
 def test_a_pad_seen_in_the_first_instant_is_forgotten_like_any_other(t_s: float, forgotten: bool) -> None:
     t = round(t_s * 1e9)
     b = belief(t=t, x=under(), P=diagonal(d=0.01), sighted=0, agreed=7, t_imu=t - 5 * MS, f=(0.0, 0.0, -9.8))
-    after, _ = agrees(b, imu(t, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8)), params(forget_s=30.0))
+    after, _ = agrees(b, imu(t, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8)), params(forget_s=0.5))
     assert (after.sighted, after.agreed) == ((-1, 0) if forgotten else (0, 7))
+
+
+# The vehicle's own samples
+
+
+def in_the_first_second(ms: int, **fields: Any) -> Belief:
+    return belief(t=ms * MS, x=under(), P=diagonal(d=0.01), **fields)
+
+
+@pytest.mark.parametrize("event", [Baro(stamp(20 * MS), 2.0, 0.1), Range(stamp(20 * MS), 2.0, 0.05)])
+def test_a_height_over_a_pad_seen_in_the_first_instant_counts(event: Baro | Range) -> None:
+    _, verdict = agrees(in_the_first_second(20, sighted=0), event, params(deck_radius_m=3.0))
+    assert verdict is Verdict.FUSED
+
+
+@pytest.mark.parametrize(("ms", "widens"), [(1000, False), (1001, True)])
+def test_a_sensor_refused_since_the_first_instant_is_believed_after_a_second(ms: int, widens: bool) -> None:
+    b = in_the_first_second(ms)
+    aids = tuple([one._replace(refused=0) for one in b.aids])
+    after, verdict = agrees(b._replace(aids=aids), Baro(stamp(ms * MS), 40.0, 0.1), TOOLS)
+    assert verdict is Verdict.GATED
+    assert bool(after.P[BARO_OFFSET, BARO_OFFSET] > 1.0) is widens
+
+
+def test_a_kind_that_was_fused_is_not_fused_again_with_the_next_one() -> None:
+    """One row in one call: between calls a snapshot forgets what was gathered and fused."""
+    oracle, turn = belief(x=under(), P=correlated()), Rotation.from_rpy(0.01, -0.01, 0.0)
+    row = [BodyVelocity(stamp(T + MS), np.zeros(3), np.eye(3)), Attitude(stamp(T + 6 * MS), turn, 1e-4 * np.eye(3))]
+    together, _ = PackedBelief.of(oracle).follow(TOOLS.process_noise, [packed_event(event) for event in row])
+    for event, made in zip(row, together, strict=True):
+        oracle, _ = process_sample(oracle, event, TOOLS)
+        same(made.belief, oracle)
+    assert oracle.aids[VELOCITY].fused < oracle.aids[ATTITUDE].fused
+
+
+# What a correction leaves, and a refusal
+
+
+@pytest.mark.parametrize("later_ms", [0, 50])
+def test_a_refusal_leaves_the_covariance_as_it_was_propagated(later_ms: int) -> None:
+    b, t = belief(TILTED, x=state(), P=correlated()), T + later_ms * MS
+    for event in (
+        sighting((40.0, 0.0, 2.0), 0.5, t=t),
+        VesselReport(stamp(t), np.array([40.0, 0.0, 0.0]), 1e-4 * np.eye(3), 0.5, 0.01),
+    ):
+        _, verdict = agrees(b, event, TOOLS)
+        assert verdict is Verdict.GATED
+
+
+def test_a_row_ends_before_an_event_of_a_kind_that_is_none() -> None:
+    known = packed_event(imu(T + MS, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8)))
+    strange = PackedEvent(struct.pack("q", 99) + known.record[8:])
+    together, _ = PackedBelief.of(belief()).follow(TOOLS.process_noise, [known, strange, known])
+    assert len(together) == 1
+
+
+@pytest.mark.parametrize(("off_m", "scale"), [(0.2, 3.0), (-0.2, 0.2)])
+def test_a_velocity_sensor_s_scale_stays_within_what_one_can_be_wrong_by(off_m: float, scale: float) -> None:
+    P = diagonal(d=0.01)
+    P[VEL_SCALE, VEL_SCALE] = 100.0
+    P[VEL_SCALE, POS_REL.start + 2] = P[POS_REL.start + 2, VEL_SCALE] = 0.9
+    after, outcome = flown_outcome(belief(x=under(), P=P), sighting((0.0, 0.0, 2.0 + off_m)))
+    assert outcome.verdict is Verdict.FUSED
+    assert after.x[VEL_SCALE] == scale
+    assert not after.x[ATT_ERR].any(), "the attitude has taken its error up"
 
 
 # What a sighting says of the heading

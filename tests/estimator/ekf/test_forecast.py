@@ -87,6 +87,12 @@ def test_a_bank_that_is_sure_forecasts_by_its_members_at_rest_or_by_the_others_a
     same_forecast(b, T + 10 * MS, HORIZONS_S, TOOLS)
 
 
+def test_a_motion_of_a_micrometre_is_foretold_by_the_skill_in_foretelling_it() -> None:
+    sea, tiny = learned(4, 8, 1.0), np.full((3, 5, 2), 1.5e-12)
+    b = beginning(4)._replace(sighted=T, sea=sea._replace(skill=Skill(sea.skill.issued, np.full(3, 50.0), tiny, tiny)))
+    same_forecast(b, T + 10 * MS, HORIZONS_S, TOOLS)
+
+
 def test_a_bank_from_after_the_instant_is_taken_as_it_is() -> None:
     """A sighting may be newer than the instant asked for, by the camera's clock."""
     sea = learned(5, 6, 1.0)
