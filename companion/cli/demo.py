@@ -72,7 +72,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--ardrone1", action="store_true", help="fly an AR.Drone 1.0 with its camera of 176x144 px, whatever the scenario says"
     )
-    parser.add_argument("--seed", type=int, default=2, metavar="N", help="seed of all random numbers (default: 2)")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="seed of all random numbers (default: 1)")
     parser.add_argument(
         "--report", type=Path, default=Path("report"), metavar="DIR", help="write the report into this folder (default: report)"
     )

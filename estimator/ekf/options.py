@@ -47,8 +47,14 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 1e-4
     sigma_accel_bias_m_s2: Annotated[
         float,
-        number("standard deviation of the accelerometer's bias at the start, across the body's down axis", "m/s^2", 1e-4, 10.0),
-    ] = 0.15
+        number(
+            "standard deviation of the accelerometer's bias at the start, across the body's down axis",
+            "m/s^2",
+            1e-4,
+            10.0,
+            "two captures of AR.Drones: 0.03 to 0.8",
+        ),
+    ] = 0.4
     sigma_accel_bias_down_m_s2: Annotated[
         float,
         number(
@@ -83,8 +89,14 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
     sigma_attitude_bias_rad: Annotated[
         float,
-        number("standard deviation of the constant error of the vehicle's own roll and pitch at the start", "rad", 1e-5, 1.0),
-    ] = math.radians(2.0)
+        number(
+            "standard deviation of the constant error of the vehicle's own roll and pitch at the start",
+            "rad",
+            1e-5,
+            1.0,
+            _MOTION_CAPTURE + ": 0.5 degrees in the calm, 9 when pulled",
+        ),
+    ] = math.radians(1.5)
     asd_attitude_bias_rad_s: Annotated[
         float,
         number(

@@ -106,7 +106,13 @@ IDEAL: dict[str, Any] = {
 }
 """The fields of a scene without sensor errors but white noise."""
 
-OPTIONS = EkfOptions(velocity_scale=0.9, sigma_mount_rad=math.radians(1.5), sigma_gyro_bias_rad_s=0.01)
+OPTIONS = EkfOptions(
+    velocity_scale=0.9,
+    sigma_mount_rad=math.radians(1.5),
+    sigma_gyro_bias_rad_s=0.01,
+    sigma_accel_bias_m_s2=0.15,
+    sigma_attitude_bias_rad=math.radians(2.0),
+)
 """What a data sheet would tell the filter; nothing of the errors drawn."""
 
 
