@@ -14,7 +14,7 @@ from companion.config.settings import find_file, read_toml
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from estimator.vision.regions import outline_of
+from estimator.vision.regions import outlines_of
 from sitl.camera import Exposure
 from sitl.light import Light, linear_from_srgb
 from sitl.picture_faults import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
@@ -122,7 +122,7 @@ class PictureEffects:
 
 def pad_polygons(pad: Pad) -> list[tuple[F64, RGB]]:
     """Return the outlines of a pad's regions, (N, 2) m, in paint order."""
-    return [(outline_of(region), pad.rgb(region)) for region in pad.regions]
+    return [(line, pad.rgb(region)) for region in pad.regions for line in outlines_of(region)]
 
 
 def _thing(fault: ObjectOnPad) -> list[Polygon]:

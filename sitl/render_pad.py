@@ -14,7 +14,7 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from estimator.core.interface.render import PAINTS, REGION_NUMBERS, SHAPES, STROKE_NUMBERS
 from estimator.vision.pad import Pad
-from estimator.vision.regions import PaintedArrowhead, PaintedDisc, PaintedRing, Rectangle, part_of, rectangles_of
+from estimator.vision.regions import PaintedArrowhead, PaintedDisc, PaintedPanel, PaintedRing, Rectangle, part_of, rectangles_of
 from sitl.light import PadInImage
 from sitl.native import address, render_pad_kinds, render_pad_shares
 from sitl.projection import F32, Lens
@@ -23,7 +23,7 @@ _BUDGET = 16_000
 """Aim for the number of subsamples of a frame: 3 x 3 a pixel at 5 m, 5 x 5 at 20 m, 8 x 8 at 30 m, one from near by."""
 
 _ANNULUS, _RECTANGLE, _ARROW = (list(SHAPES).index(name) for name in ("PAD_ANNULUS", "PAD_RECTANGLE", "PAD_ARROW"))
-_PAINT_OF = {"rim": 1, "disc": 2, "ring": 3, "arrow": 3, "letter": 4}
+_PAINT_OF = {"rim": 1, "disc": 2, "panel": 2, "ring": 3, "arrow": 3, "letter": 4, "fiducial": 4}
 """Index in `PAINTS` of the paint of each part."""
 
 Pose = tuple[F64, F64]
@@ -104,13 +104,15 @@ class PadPainter:
 def regions_of(pad: Pad) -> F32:
     """Return the regions of a pad, the lowest first, (N, `REGION_NUMBERS`)."""
     rows: list[tuple[float, ...]] = []
-    ground = {part_of(region) for region in pad.regions} & {"disc"}
-    below = _PAINT_OF["disc"] if ground else 0
+    below = _PAINT_OF["disc"] if pad.markings.has_ground else 0
     for region in pad.regions:
         paint = _PAINT_OF[part_of(region)]
         match region:
             case PaintedDisc():
                 rows.append((_ANNULUS, paint, 0, 0.0, region.radius_m, -1.0, region.radius_m))
+            case PaintedPanel():
+                x, y = 0.5 * region.length_m, 0.5 * region.width_m
+                rows.append((_RECTANGLE, paint, 0, *_rectangle((-x, x, -y, y))))
             case PaintedRing():
                 around = 0 if region.part == "rim" else below
                 rows.append((_ANNULUS, paint, around, region.inner_m, region.outer_m, region.inner_m, region.outer_m))

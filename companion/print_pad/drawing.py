@@ -9,7 +9,7 @@ import numpy as np
 from companion.calibrate.board import Board
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
-from estimator.vision.regions import PaintedDisc, outline_of
+from estimator.vision.regions import PaintedDisc, outlines_of
 
 Rgb = tuple[int, int, int]
 BLACK: Rgb = (0, 0, 0)
@@ -50,19 +50,21 @@ class Drawing:
 
 def pad_drawing(pad: Pad) -> Drawing:
     """Return the pad with its arrow up, seen from above."""
-    r = 1000 * pad.disc_radius_m
+    panel = pad.markings.panel
+    high = 1000 * pad.disc_radius_m if panel is None else 500 * panel.length_m
+    wide = 1000 * pad.disc_radius_m if panel is None else 500 * panel.width_m
 
     def paper(p_pad: F64) -> F64:
         """Convert (N, 2) m in `pad` to (N, 2) mm: starboard is right, the arrow is up."""
-        return np.stack([r + 1000 * p_pad[:, 1], r - 1000 * p_pad[:, 0]], axis=1)
+        return np.stack([wide + 1000 * p_pad[:, 1], high - 1000 * p_pad[:, 0]], axis=1)
 
     shapes: list[Shape] = []
     for region in pad.regions:
         if isinstance(region, PaintedDisc):
-            shapes.append(Disc(r, r, 1000 * region.radius_m, pad.rgb(region)))
+            shapes.append(Disc(wide, high, 1000 * region.radius_m, pad.rgb(region)))
         else:
-            shapes.append(Polygon(paper(outline_of(region, _RING_POINTS)), pad.rgb(region)))
-    return Drawing(f"pad {pad.name}", 2 * r, 2 * r, tuple(shapes))
+            shapes += [Polygon(paper(line), pad.rgb(region)) for line in outlines_of(region, _RING_POINTS)]
+    return Drawing(f"pad {pad.name}", 2 * wide, 2 * high, tuple(shapes))
 
 
 def board_drawing(board: Board) -> Drawing:

@@ -15,7 +15,7 @@ from companion.recorder.foxglove import Color, KeyValuePair, Pose, Quaternion, T
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.pad import Pad
-from estimator.vision.regions import PaintedArrowhead, PaintedDisc, PaintedRing, Region, borders_of
+from estimator.vision.regions import PaintedArrowhead, PaintedDisc, PaintedRing, Region, borders_of, sides_of
 
 SIGMAS = 2.0
 """The half axes of the ellipsoid, in standard deviations."""
@@ -215,17 +215,16 @@ def filled(region: Region) -> tuple[F64, list[tuple[int, int, int]]]:
             faces = [face for k in range(n) for face in ((k, (k + 1) % n, n + k), (n + k, (k + 1) % n, n + (k + 1) % n))]
             return np.vstack([outer, inner]), faces
         case _:
-            boxes = _slabs(region.corners())
+            boxes = _slabs(*sides_of(region))
             return np.vstack(boxes), [
                 face for k in range(len(boxes)) for face in ((4 * k, 4 * k + 1, 4 * k + 2), (4 * k, 4 * k + 2, 4 * k + 3))
             ]
 
 
-def _slabs(corners: F64) -> list[F64]:
-    """Return the rectangles (4, 2) that make up a polygon whose sides lie along x or y."""
+def _slabs(corners: F64, ends: F64) -> list[F64]:
+    """Return the rectangles (4, 2) that make up what lies inside of sides (N, 2) along x or y."""
     out = []
     xs = np.unique(np.round(corners[:, 0], 9))
-    ends = np.roll(corners, -1, axis=0)
     for x0, x1 in pairwise(xs.tolist()):
         middle = 0.5 * (x0 + x1)
         crossed = (np.minimum(corners[:, 0], ends[:, 0]) < middle) & (np.maximum(corners[:, 0], ends[:, 0]) > middle)

@@ -18,7 +18,7 @@ from companion.report.palette import colour
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.pad import Pad
-from estimator.vision.regions import outline_of
+from estimator.vision.regions import outlines_of
 
 _NEAR = 1.35
 """The half width of the view of the pad, in radii of its disc."""
@@ -139,8 +139,9 @@ def _views(pad: Pad, ways: Sequence[PadTrack], marked: Sequence[Mark], columns: 
     """Return the views for the page: near the pad, from above, from starboard and from behind."""
     radius = pad.disc_radius_m
     drawn = [
-        {"fill": "rgb({},{},{})".format(*pad.rgb(region)), "points": np.round(outline_of(region, 64)[:, ::-1], 4).tolist()}
+        {"fill": "rgb({},{},{})".format(*pad.rgb(region)), "points": np.round(line[:, ::-1], 4).tolist()}
         for region in pad.regions
+        for line in outlines_of(region, 64)
     ]
     up, arrow, starboard = "height, m", "along the arrow, m", "to starboard, m"
     out = []

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from estimator.vision.pad import Pad
-from estimator.vision.regions import outline_of, part_of
+from estimator.vision.regions import outlines_of, part_of
 
 INK, FAINT = "#010203", "#040506"
 """Stand-ins for the page's own colours."""
@@ -44,9 +44,10 @@ def draw_pad(ax: Axes, pad: Pad) -> None:
     """Draw the pad from above, the arrow upward."""
     ax.add_patch(Circle((0, 0), pad.disc_radius_m, color="#0a9d76", alpha=0.28, linewidth=0, zorder=0.5))
     for region in pad.regions:
-        if (part := part_of(region)) in ("ring", "arrow", "letter"):
-            ink = INK if part == "letter" else "#e69f00"
-            ax.add_patch(Polygon(outline_of(region)[:, ::-1], color=ink, alpha=0.55, linewidth=0, zorder=0.6))
+        if (part := part_of(region)) in ("ring", "arrow", "letter", "fiducial"):
+            ink = INK if part in ("letter", "fiducial") else "#e69f00"
+            for line in outlines_of(region):
+                ax.add_patch(Polygon(line[:, ::-1], color=ink, alpha=0.55, linewidth=0, zorder=0.6))
 
 
 def svg(draw: Callable[[Figure], None], width_in: float, height_in: float, name: str) -> str:

@@ -57,9 +57,9 @@
 #define EDGE_KINDS 4
 #define PAD_CONTRASTS 4
 #define REGION_CIRCLES 2
-#define PAD_FIGURES 2
-#define FIGURE_CUTS 14
-#define FIGURE_RECTANGLES 8
+#define PAD_FIGURES 3
+#define FIGURE_CUTS 64
+#define FIGURE_RECTANGLES 320
 #define WEDGE_SIDES 4
 #define FIT_ROWS 136
 #define POINTER_MARKS 4
@@ -121,7 +121,7 @@
 #define PAD_EDGE 255
 #define STROKE_NUMBERS 36
 #define PAD_REGION 9
-#define PAD_REGIONS_MOST 16
+#define PAD_REGIONS_MOST 336
 #define PAD_NONE 0
 #define PAD_RIM 1
 #define PAD_DISC 2
@@ -404,12 +404,12 @@ typedef struct {
     int64_t rectangles;
     int64_t x_cuts;
     int64_t y_cuts;
-    int64_t x0[8];
-    int64_t x1[8];
-    int64_t y0[8];
-    int64_t y1[8];
-    double x_m[14];
-    double y_m[14];
+    int64_t x0[320];
+    int64_t x1[320];
+    int64_t y0[320];
+    int64_t y1[320];
+    double x_m[64];
+    double y_m[64];
 } pad_figure;
 
 typedef struct {
@@ -444,7 +444,7 @@ typedef struct {
     double nominal[12];
     pad_region contrasts[4];
     pad_region kinds[4];
-    pad_figure figures[2];
+    pad_figure figures[3];
     pad_wedge wedge;
     edge_zone zones[4];
 } pad_shape;
@@ -1060,7 +1060,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 1881974392u
+#define INTERFACE_DIGEST 792079267u
 #endif
 
 #endif

@@ -11,6 +11,8 @@
 static const float PHI_A = 0.7978845608f, PHI_B = 0.0356774081f;
 /* Standard deviations of the blur beyond which a figure covers nothing. */
 static const float REACH = 5.0f;
+/* Rectangles of a figure from which on those beyond the blur's reach are left out: a fiducial has a hundred, most of them far off. */
+enum { MANY = 9 };
 /* The logarithm of the largest odds of the normal integral that the exponential function takes; its slope is zero there. */
 static const float MOST = 80.0f;
 
@@ -88,6 +90,42 @@ static inline void cut_at(float at, const float *x, const float *per, cut *c)
     }
 }
 
+/* The limits of a few points along an axis, moved out by a reach. */
+typedef struct {
+    float low, high;
+} span;
+
+static inline span span_of(const float *x, float reach)
+{
+    span s = {x[0], x[0]};
+    for (int l = 1; l < LANES; l++) {
+        s.low = x[l] < s.low ? x[l] : s.low;
+        s.high = x[l] > s.high ? x[l] : s.high;
+    }
+    s.low -= reach, s.high += reach;
+    return s;
+}
+
+/* The cuts of a figure along one axis; if there are many rectangles, those beyond the reach are before all points or behind them. */
+static inline void cuts_at(const double *at, int64_t count, int many, span near, const float *x, const float *per, cut *out)
+{
+    for (int64_t k = 0; k < count; k++) {
+        const float here = (float)at[k];
+        if (!many || (here > near.low && here < near.high)) {
+            cut_at(here, x, per, &out[k]);
+            continue;
+        }
+        for (int l = 0; l < LANES; l++) {
+            out[k].value[l] = here > near.low ? 1.0f : 0.0f, out[k].slope[l] = 0.0f, out[k].by_var[l] = 0.0f;
+        }
+    }
+}
+
+static inline int apart(const double *at, int64_t from, int64_t to, span near)
+{
+    return (float)at[to] <= near.low || (float)at[from] >= near.high;
+}
+
 /* Whether one of a few points is within the blur's reach of the figure's bounding box. */
 static inline int is_near(const pad_figure *g, const float *x, const float *y, float reach)
 {
@@ -116,16 +154,17 @@ static inline float spread(const footprint *f, const float *m, float *per_x, flo
 
 /* Add the rectangles of a figure at `LANES` points. The blur's slant is neglected: it turns no edge. */
 static inline void add_rectangles(const pad_figure *g, const float *x, const float *y, const float *m, const float *per_x,
-                                  const float *per_y, float *value, float *const d[BY])
+                                  const float *per_y, float reach, float *value, float *const d[BY])
 {
     cut across[FIGURE_CUTS], along[FIGURE_CUTS];
-    for (int k = 0; k < g->x_cuts; k++) {
-        cut_at((float)g->x_m[k], x, per_x, &along[k]);
-    }
-    for (int k = 0; k < g->y_cuts; k++) {
-        cut_at((float)g->y_m[k], y, per_y, &across[k]);
-    }
+    const int many = g->rectangles >= MANY;
+    const span near_x = span_of(x, reach), near_y = span_of(y, reach);
+    cuts_at(g->x_m, g->x_cuts, many, near_x, x, per_x, along);
+    cuts_at(g->y_m, g->y_cuts, many, near_y, y, per_y, across);
     for (int r = 0; r < g->rectangles; r++) {
+        if (many && (apart(g->x_m, g->x0[r], g->x1[r], near_x) || apart(g->y_m, g->y0[r], g->y1[r], near_y))) {
+            continue;
+        }
         const cut *x0 = &along[g->x0[r]], *x1 = &along[g->x1[r]], *y0 = &across[g->y0[r]], *y1 = &across[g->y1[r]];
         for (int l = 0; l < LANES; l++) {
             const float a = x1->value[l] - x0->value[l], b = y1->value[l] - y0->value[l];
@@ -154,10 +193,11 @@ static void add_figure(const pad_figure *g, const footprint *f, int begin, int c
         float x[LANES], y[LANES], m[LANES], per_x[LANES], per_y[LANES], sum[1 + BY][LANES] = {{0.0f}};
         float *const by[BY] = {sum[1], sum[2], sum[3], sum[4], sum[5]};
         points_at(f, begin, count, i, x, y, m);
-        if (!is_near(g, x, y, spread(f, m, per_x, per_y))) {
+        const float reach = spread(f, m, per_x, per_y);
+        if (!is_near(g, x, y, reach)) {
             continue;
         }
-        add_rectangles(g, x, y, m, per_x, per_y, sum[0], by);
+        add_rectangles(g, x, y, m, per_x, per_y, reach, sum[0], by);
         for (int l = 0; l < LANES && i + l < count; l++) {
             value[i + l] += sum[0][l];
             for (int k = 0; k < BY; k++) {
@@ -243,8 +283,9 @@ void cover_figure(const pad_figure *g, const footprint *f, int begin, int count,
         for (int l = 0; l < LANES; l++) {
             x[l] *= sign, y[l] *= sign;
         }
-        if (is_near(g, x, y, spread(f, m, per_x, per_y))) {
-            add_rectangles(g, x, y, m, per_x, per_y, sum[0], by);
+        const float reach = spread(f, m, per_x, per_y);
+        if (is_near(g, x, y, reach)) {
+            add_rectangles(g, x, y, m, per_x, per_y, reach, sum[0], by);
         }
         for (int l = 0; l < LANES && i + l < count; l++) {
             value[i + l] = sum[0][l];

@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.markings import BARE, Markings, Rgb
 from estimator.vision.pad import Pad
 from estimator.vision.regions import depth_in
 from estimator.vision.srgb import LUMA, linear_light
 
 _SPACING_M = 0.004
+_FIDUCIAL_STEP = 1.0 / 6.0
+"""Distance between points on the edges of a fiducial, in its cells."""
 
 
 class EdgeKind(IntEnum):
@@ -43,8 +46,8 @@ class Edges:
     kind: NDArray[np.intp]
     """The `EdgeKind` of each point, (M,), ascending."""
     piece: NDArray[np.intp]
-    """Index of the piece of each point, (M,), ascending: disc, ring inside, ring outside, the arrow's two sides, the lettering's
-    sides. A piece is one circle or one straight side.
+    """Index of the piece of each point, (M,), ascending: disc, ring inside, ring outside, the panel's sides, the arrow's two
+    sides, the lettering's. A piece is one circle, one straight side, or a closed line around cells of a fiducial.
     """
     spacing_m: F64
     """Distance between neighbours, (M,)."""
@@ -66,7 +69,7 @@ def edges_of(pad: Pad) -> Edges:
     left out, as the deck may have its colour, and so is the ring beside the arrowhead, where another edge is too near.
     """
     marks = pad.markings
-    pieces = [*_circles(marks), *_arrow_sides(marks), *_letter_sides(marks)]
+    pieces = [*_circles(marks), *_panel_sides(marks), *_arrow_sides(marks), *_letter_sides(marks)]
     paints, count = _paints(marks), [len(at) for _, at, _ in pieces]
     spacing = [float(np.linalg.norm(at[1] - at[0])) if len(at) > 1 else _SPACING_M for _, at, _ in pieces]
     kind = np.repeat([int(kind) for kind, _, _ in pieces], count)
@@ -87,7 +90,7 @@ def edges_of(pad: Pad) -> Edges:
 def _paints(marks: Markings) -> dict[EdgeKind, tuple[Rgb, Rgb | None]]:
     """Return the paints inside and outside of each kind of edge; None for the surroundings."""
     c = marks.colours
-    below = c.disc if marks.field_radius_m else None
+    below = c.disc if marks.has_ground else None
     return {
         EdgeKind.DISC: (c.disc, c.rim),
         EdgeKind.RING: (c.ring, below),
@@ -132,12 +135,12 @@ def _letter_sides(marks: Markings) -> list[_Piece]:
     """Return the lettering's sides without what lies inside another letter or stroke."""
     pieces: list[_Piece] = []
     for letter in marks.letters:
+        if isinstance(letter, PaintedFiducial):
+            pieces += [(EdgeKind.H, *_around(line, _FIDUCIAL_STEP * letter.cell_m)) for line in letter.borders()]
+            continue
         corners = letter.corners()
         for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            along = (b - a) / np.linalg.norm(b - a)
-            # The corners run clockwise seen from above with z into the deck, from x to y, so outside is to the left of the
-            # direction of travel.
-            at, normal = _along(a, b, np.array([along[1], -along[0]]))
+            at, normal = _side(a, b)
             free = np.ones(len(at), bool)
             for other in marks.letters:
                 if other is not letter:
@@ -148,6 +151,29 @@ def _letter_sides(marks: Markings) -> list[_Piece]:
                 borders = np.flatnonzero(np.diff(np.r_[False, free, False]))
                 pieces += [(EdgeKind.H, at[i:j], normal[i:j]) for i, j in borders.reshape(-1, 2).tolist()]
     return pieces
+
+
+def _panel_sides(marks: Markings) -> list[_Piece]:
+    """Return the panel's four sides."""
+    if marks.panel is None:
+        return []
+    corners = marks.panel.corners()
+    return [(EdgeKind.DISC, *_side(a, b)) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+
+
+def _around(line: F64, spacing_m: float) -> tuple[F64, F64]:
+    """Return points and normals all around a closed line whose inside is to the right of its direction seen from above."""
+    sides = [_side(a, b, spacing_m) for a, b in zip(line, np.roll(line, -1, axis=0), strict=True)]
+    return np.concatenate([at for at, _ in sides]), np.concatenate([normal for _, normal in sides])
+
+
+def _side(a: F64, b: F64, spacing_m: float = _SPACING_M) -> tuple[F64, F64]:
+    """Return points and normals of a straight side.
+
+    Corners run clockwise seen from above with z into the deck, from x to y, so outside is to the left of the direction of travel.
+    """
+    along = (b - a) / np.linalg.norm(b - a)
+    return _along(a, b, np.array([along[1], -along[0]]), spacing_m)
 
 
 def _until_circle(start: F64, end: F64, radius: float) -> F64:
@@ -161,7 +187,7 @@ def _until_circle(start: F64, end: F64, radius: float) -> F64:
     return start + way * s if 0 < s < 1 else end
 
 
-def _along(a: F64, b: F64, normal: F64) -> tuple[F64, F64]:
-    n = max(2, round(float(np.linalg.norm(b - a)) / _SPACING_M))
+def _along(a: F64, b: F64, normal: F64, spacing_m: float = _SPACING_M) -> tuple[F64, F64]:
+    n = max(2, round(float(np.linalg.norm(b - a)) / spacing_m))
     at = a + (b - a) * ((np.arange(n) + 0.5) / n)[:, None]
     return at, np.broadcast_to(normal, at.shape)

@@ -1,4 +1,4 @@
-"""The sizes of the parts of a pad that detection knows by name: disc and rim, ring, arrowhead, lettering."""
+"""The sizes of the parts of a pad that detection knows by name: disc or panel, rim, ring, arrowhead, lettering."""
 
 from __future__ import annotations
 
@@ -8,15 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.contracts.geometry import F64
+from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.regions import (
     Lettering,
     PaintedArrowhead,
     PaintedDisc,
     PaintedLetter,
+    PaintedPanel,
     PaintedPolygon,
     PaintedRing,
     PaintedStroke,
     Region,
+    borders_of,
     reach_of,
 )
 
@@ -53,16 +56,33 @@ class Markings:
     arrow_depth_m: float
     arrow_half_base_m: float
     h_length_m: float
-    """Extent of the lettering along the arrow."""
+    """Extent of the lettering along the arrow: twice its farthest point."""
     h_width_m: float
-    """Extent of the lettering across the arrow."""
+    """The same across the arrow."""
     leg_width_m: float
     """Width of the strokes along the arrow."""
     bar_width_m: float
     """Width of the strokes across the arrow."""
     colours: Colours
     letters: tuple[Lettering, ...]
+    """The lettering, fiducials among it."""
     arrow: PaintedArrowhead | None
+    panel: PaintedPanel | None
+
+    @property
+    def has_ground(self) -> bool:
+        """Whether the markings lie on a disc or a panel and not on the bare deck."""
+        return bool(self.field_radius_m) or self.panel is not None
+
+    @property
+    def fiducials(self) -> tuple[PaintedFiducial, ...]:
+        """The fiducials among the lettering."""
+        return tuple(letter for letter in self.letters if isinstance(letter, PaintedFiducial))
+
+    @property
+    def is_searched_by_parts(self) -> bool:
+        """Whether there are a disc, a ring and lettering, which together tell a pad from what else lies on decks."""
+        return bool(self.field_radius_m and self.ring_outer_m and self.letters)
 
     @property
     def is_whole(self) -> bool:
@@ -97,10 +117,11 @@ class Markings:
 def markings_of(regions: Sequence[Region], paints: Mapping[str, Rgb]) -> Markings:
     """Return the sizes of the parts that these regions are."""
     disc = next((r for r in regions if isinstance(r, PaintedDisc)), None)
+    panel = next((r for r in regions if isinstance(r, PaintedPanel)), None)
     rings = {r.part: r for r in regions if isinstance(r, PaintedRing)}
     ring, rim = rings.get("ring"), rings.get("rim")
     arrow = next((r for r in regions if isinstance(r, PaintedArrowhead)), None)
-    letters = tuple(r for r in regions if isinstance(r, PaintedLetter | PaintedStroke | PaintedPolygon))
+    letters = tuple(r for r in regions if isinstance(r, PaintedLetter | PaintedStroke | PaintedPolygon | PaintedFiducial))
     outer = max(reach_of(r)[1] for r in regions)
     corners = np.concatenate([letter.corners() for letter in letters]) if letters else np.zeros((1, 2))
     leg, bar = _strokes(letters)
@@ -108,7 +129,7 @@ def markings_of(regions: Sequence[Region], paints: Mapping[str, Rgb]) -> Marking
     def rgb(region: Region | None) -> Rgb:
         return BARE if region is None else paints[region.paint]
 
-    length, width = np.ptp(corners, axis=0).tolist() if letters else (0.0, 0.0)
+    length, width = (2.0 * np.abs(corners).max(axis=0)).tolist()
     return Markings(
         outer_radius_m=outer,
         field_radius_m=disc.radius_m if disc is not None else 0.0,
@@ -122,9 +143,12 @@ def markings_of(regions: Sequence[Region], paints: Mapping[str, Rgb]) -> Marking
         h_width_m=width,
         leg_width_m=leg,
         bar_width_m=bar,
-        colours=Colours(rgb(disc), rgb(ring or arrow), rgb(letters[0] if letters else None), None if rim is None else rgb(rim)),
+        colours=Colours(
+            rgb(disc or panel), rgb(ring or arrow), rgb(letters[0] if letters else None), None if rim is None else rgb(rim)
+        ),
         letters=letters,
         arrow=arrow,
+        panel=panel,
     )
 
 
@@ -132,6 +156,6 @@ def _strokes(letters: Sequence[Lettering]) -> tuple[float, float]:
     """Return the least widths of strokes along and across the arrow; a polygon's are its sides'."""
     if len(letters) == 1 and isinstance(letters[0], PaintedLetter):
         return letters[0].stroke_m, letters[0].bar_m or letters[0].stroke_m
-    outlines = [letter.corners() for letter in letters]
+    outlines = [line for letter in letters for line in borders_of(letter)]
     least = min((float(np.abs(np.roll(line, -1, axis=0) - line).max(axis=1).min()) for line in outlines), default=0.0)
     return least, least

@@ -15,7 +15,9 @@ from msgspec.structs import asdict
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
+from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.file_numbers import shown
+from estimator.vision.pad_fiducials import check_marker
 from estimator.vision.pad_rules import check_regions
 from estimator.vision.regions import PaintedArrowhead, PaintedLetter, PaintedPolygon, PaintedRing, PaintedStroke, Region
 
@@ -32,7 +34,7 @@ class PadFile(Struct, frozen=True, forbid_unknown_fields=True):
     name: Annotated[str, Meta(min_length=1, max_length=60)]
     paints: dict[str, tuple[Channel, Channel, Channel]]
     """Red, green, blue of each paint by its name."""
-    regions: Annotated[tuple[Region, ...], Meta(min_length=1, max_length=24)]
+    regions: Annotated[tuple[Region, ...], Meta(min_length=1, max_length=40)]
 
 
 def pad_file(data: Mapping[str, Any], where: str) -> PadFile:
@@ -78,7 +80,7 @@ def _check_lengths(region: Region, where: str) -> None:
     for key, value in asdict(region).items():
         if not key.endswith("_m") or value is None:
             continue
-        if key in ("from_m", "to_m", "points_m"):
+        if key in ("from_m", "to_m", "points_m", "at_m"):
             if not all(math.isfinite(v) and abs(v) <= LARGEST_M for v in np.ravel(value)):
                 raise BadInput(f"{where}.{key} must be at most {LARGEST_M:g} m from the centre, got {shown(value)}{_cure(value)}")
         elif not (math.isfinite(value) and SMALLEST_M <= value <= LARGEST_M):
@@ -108,6 +110,8 @@ def _check_shape(region: Region, where: str) -> None:
                     f"{where}: stroke_m {region.stroke_m:g} or bar_m {bar:g} leaves no room in a letter of "
                     f"{region.length_m:g} x {region.width_m:g} m"
                 )
+        case PaintedFiducial():
+            check_marker(region, where)
         case PaintedStroke():
             if not _along_axes(np.array([region.from_m, region.to_m], dtype=float)):
                 raise BadInput(

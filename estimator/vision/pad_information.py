@@ -12,7 +12,7 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from estimator.vision.regions import depth_in, reach_of
+from estimator.vision.regions import covers, reach_of
 from estimator.vision.srgb import LUMA, linear_light
 
 NOISE, BLUR_PX = 0.01, 0.8
@@ -44,7 +44,7 @@ def paint_at(pad: Pad, xy_m: F64, deck: F64) -> F64:
     out = np.broadcast_to(deck, (len(xy_m), 3)).copy()
     for region in pad.regions:
         near = np.flatnonzero(np.hypot(*xy_m.T) < reach_of(region)[1])
-        out[near[depth_in(region, xy_m[near]) > 0.0]] = linear_light(pad.rgb(region))
+        out[near[covers(region, xy_m[near])]] = linear_light(pad.rgb(region))
     return out
 
 

@@ -8,13 +8,17 @@ import numpy as np
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
+from estimator.core.interface.registration import FIGURE_CUTS, FIGURE_RECTANGLES
+from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.file_numbers import shown
 from estimator.vision.markings import Rgb
+from estimator.vision.pad_fiducials import check_fiducials
 from estimator.vision.regions import (
     Lettering,
     PaintedArrowhead,
     PaintedDisc,
     PaintedLetter,
+    PaintedPanel,
     PaintedPolygon,
     PaintedRing,
     PaintedStroke,
@@ -28,7 +32,7 @@ from estimator.vision.regions import (
 )
 from estimator.vision.srgb import linear_light
 
-RECTANGLES_MOST, CUTS_MOST = 8, 14
+RECTANGLES_MOST, CUTS_MOST = FIGURE_RECTANGLES, FIGURE_CUTS
 """The largest numbers of rectangles that the lettering is made of, and of their limits along one axis."""
 _LEAST_CONTRAST = 0.03
 """Least distance of two paints in linear light, full scale 1 in each channel: less drowns in a worn deck's own variation."""
@@ -43,15 +47,16 @@ def check_regions(regions: Sequence[Region], paints: Mapping[str, Rgb], where: s
         BadInput: regions cross or hide one another, there is a second one of a part, or a paint does not stand out.
     """
     parts = [part_of(region) for region in regions]
-    for part in ("disc", "rim", "ring", "arrow"):
+    for part in ("disc", "panel", "rim", "ring", "arrow"):
         if parts.count(part) > 1:
             first, second = [i for i, p in enumerate(parts) if p == part][:2]
             raise BadInput(f"{where}: regions[{second}] is a second {part} beside regions[{first}]; a pad has one: take one out")
-    letters = [r for r in regions if isinstance(r, PaintedLetter | PaintedStroke | PaintedPolygon)]
+    letters = [r for r in regions if isinstance(r, PaintedLetter | PaintedStroke | PaintedPolygon | PaintedFiducial)]
     if not letters and "ring" not in parts and "disc" not in parts:
         raise BadInput(f"{where}: regions has neither disc, ring nor lettering; a pad needs one of them")
     _check_letters(letters, where)
     _check_parts(regions, letters, where)
+    check_fiducials(regions, paints, where)
     for i, region in enumerate(regions):
         below = _below(regions, i, where)
         if below >= 0:
@@ -59,12 +64,14 @@ def check_regions(regions: Sequence[Region], paints: Mapping[str, Rgb], where: s
 
 
 def lacking_parts(regions: Sequence[Region]) -> list[str]:
-    """Return which of disc, ring and lettering a pad lacks.
+    """Return which of disc, ring and lettering a pad lacks; nothing for a pad with a fiducial, which is told by its bits.
 
     Verification was fitted on pads that have all three. Without one of them a deck's plates and lines, or another pad, were taken
     for the pad: on 40 of 40 empty decks 37 times for a bare H, 25 for an X, 3 for a ring with an H, 11 for a disc with an H.
     """
     parts = {part_of(region) for region in regions}
+    if "fiducial" in parts:
+        return []
     return [name for part, name in (("disc", "disc"), ("ring", "ring"), ("letter", "lettering")) if part not in parts]
 
 
@@ -77,20 +84,24 @@ def check_for_detection(regions: Sequence[Region], where: str) -> None:
     if lacking := lacking_parts(regions):
         raise BadInput(
             f"{where}: regions has no {' and no '.join(lacking)}: such a pad is seen where there is none, and cannot be detected "
-            "or landed on, only printed, checked and painted; paint a disc, a ring on it and lettering in the ring"
+            "or landed on, only printed, checked and painted; paint a disc, a ring on it and lettering in the ring, or a fiducial"
         )
 
 
 def _check_letters(letters: Sequence[Lettering], where: str) -> None:
     named = ", ".join(sorted({r.paint for r in letters}))
     if len({r.paint for r in letters}) > 1:
-        raise BadInput(f"{where}: the letters, strokes and polygons have several paints ({shown(named)}); give them one")
+        raise BadInput(
+            f"{where}: the letters, strokes, polygons and fiducials have several paints ({shown(named)}); give them one"
+        )
+    if not letters:
+        return
     rectangles = rectangles_of(letters)
     cuts = max((len({v for r in rectangles for v in r[at : at + 2]}) for at in (0, 2)), default=0)
     if len(rectangles) > RECTANGLES_MOST or cuts > CUTS_MOST:
         raise BadInput(
-            f"{where}: the lettering is made of {len(rectangles)} rectangles, and at most {RECTANGLES_MOST} are measured: "
-            "paint fewer or simpler letters"
+            f"{where}: the lettering is made of {len(rectangles)} rectangles between {cuts} lines along an axis, and at most "
+            f"{RECTANGLES_MOST} between {CUTS_MOST} are measured: paint fewer or simpler letters or fiducials"
         )
 
 
@@ -99,6 +110,10 @@ def _check_parts(regions: Sequence[Region], letters: Sequence[Lettering], where:
     ring, arrow, disc, rim = by.get("ring"), by.get("arrow"), by.get("disc"), by.get("rim")
     if isinstance(rim, PaintedRing) and not (isinstance(disc, PaintedDisc) and abs(rim.inner_m - disc.radius_m) < _TOUCH_M):
         raise BadInput(f"{where}: the rim's inner_m {rim.inner_m:g} must be the disc's radius_m: a rim lies around a disc")
+    if "panel" in by and (other := next((part for part in ("disc", "ring", "arrow") if part in by), None)):
+        raise BadInput(
+            f"{where}: a panel and a {other} are in regions: a panel carries fiducials and lettering alone; take one out"
+        )
     if not isinstance(ring, PaintedRing):
         return
     if any(reach_of(letter)[1] >= ring.inner_m for letter in letters):
@@ -153,6 +168,8 @@ def _inner(region: Region) -> F64:
             return circle(0.5 * (region.inner_m + region.outer_m), 4)
         case PaintedArrowhead():
             return np.asarray(region.corners().mean(axis=0, keepdims=True))
+        case PaintedPanel():
+            return np.zeros((1, 2))
         case _:
             return np.array([(0.5 * (x0 + x1), 0.5 * (y0 + y1)) for x0, x1, y0, y1 in rectangles_of([region])])
 

@@ -1,23 +1,28 @@
 """The shapes that a pad is painted with, in metres from its centre: x along the arrow, y to starboard of it.
 
-Discs and rings lie about the centre, letters and polygons have sides along x or y, the arrowhead points along x. Registration
-blurs each of these exactly.
+Discs, rings and panels lie about the centre, letters, polygons and fiducials have sides along x or y, the arrowhead points along
+x. Registration blurs each of these exactly.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from estimator.vision.fiducial import PaintedFiducial
 
 Letter = Literal["H", "I", "L", "T", "X"]
-Part = Literal["disc", "rim", "ring", "arrow", "letter"]
-"""What detection takes a region for: the disc that the rest is painted on, its rim, a ring, the pointer, or lettering."""
+Part = Literal["disc", "panel", "rim", "ring", "arrow", "letter", "fiducial"]
+"""What a region is taken for: the disc or the panel that the rest is painted on, a disc's rim, a ring, the pointer, lettering, or
+a fiducial, which registration measures as lettering.
+"""
 Rectangle = tuple[float, float, float, float]
 """Limits x0, x1, y0, y1, m."""
 
@@ -27,6 +32,21 @@ class PaintedDisc(Struct, frozen=True, forbid_unknown_fields=True, tag_field="sh
 
     paint: str
     radius_m: float
+
+
+class PaintedPanel(Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="panel"):
+    """A rectangle about the centre that fiducials are painted on."""
+
+    paint: str
+    length_m: float
+    """Extent along x."""
+    width_m: float
+    """Extent along y."""
+
+    def corners(self) -> F64:
+        """Return the (4, 2) m outline, clockwise seen from above."""
+        x, y = 0.5 * self.length_m, 0.5 * self.width_m
+        return np.array([(-x, -y), (x, -y), (x, y), (-x, y)])
 
 
 class PaintedRing(Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="ring"):
@@ -115,8 +135,10 @@ class PaintedPolygon(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
         return points if _area(points) > 0.0 else points[::-1]
 
 
-Region = PaintedDisc | PaintedRing | PaintedArrowhead | PaintedLetter | PaintedStroke | PaintedPolygon
-Lettering = PaintedLetter | PaintedStroke | PaintedPolygon
+Region = (
+    PaintedDisc | PaintedPanel | PaintedRing | PaintedArrowhead | PaintedLetter | PaintedStroke | PaintedPolygon | PaintedFiducial
+)
+Lettering = PaintedLetter | PaintedStroke | PaintedPolygon | PaintedFiducial
 
 
 def part_of(region: Region) -> Part:
@@ -124,8 +146,12 @@ def part_of(region: Region) -> Part:
     match region:
         case PaintedDisc():
             return "disc"
+        case PaintedPanel():
+            return "panel"
         case PaintedRing():
             return region.part
+        case PaintedFiducial():
+            return "fiducial"
         case PaintedArrowhead():
             return "arrow"
         case _:
@@ -145,17 +171,25 @@ def borders_of(region: Region, n: int = 72) -> tuple[F64, ...]:
             return (circle(region.radius_m, n),)
         case PaintedRing():
             return circle(region.outer_m, n), circle(region.inner_m, n)
+        case PaintedFiducial():
+            return region.borders()
         case _:
             return (region.corners(),)
 
 
-def outline_of(region: Region, n: int = 72) -> F64:
-    """Return the corners (N, 2) m of one closed line whose inside is the region; a ring's goes once around and back within."""
-    borders = borders_of(region, n)
-    if len(borders) == 1:
-        return borders[0]
-    outer, inner = (np.vstack([line, line[:1]]) for line in borders)
-    return np.vstack([outer, inner[::-1]])
+def outlines_of(region: Region, n: int = 72) -> tuple[F64, ...]:
+    """Return closed lines, their corners (N, 2) m each, whose insides together are the region.
+
+    A ring's line goes once around and back within; so do those of a fiducial around its light cells.
+    """
+    match region:
+        case PaintedRing():
+            outer, inner = (np.vstack([line, line[:1]]) for line in borders_of(region, n))
+            return (np.vstack([outer, inner[::-1]]),)
+        case PaintedFiducial():
+            return region.outlines()
+        case _:
+            return borders_of(region, n)
 
 
 def depth_in(region: Region, xy_m: F64) -> F64:
@@ -167,7 +201,24 @@ def depth_in(region: Region, xy_m: F64) -> F64:
             r = np.hypot(*xy_m.T)
             return np.asarray(np.minimum(region.outer_m - r, r - region.inner_m))
         case _:
-            return _depth_in_polygon(region.corners(), xy_m)
+            return _depth_within(*sides_of(region), xy_m)
+
+
+def covers(region: Region, xy_m: F64) -> NDArray[np.bool_]:
+    """Return whether points (N, 2) m lie in a region."""
+    match region:
+        case PaintedFiducial():
+            return region.covers(xy_m)
+        case PaintedPanel():
+            return np.asarray((np.abs(xy_m[:, 0]) < 0.5 * region.length_m) & (np.abs(xy_m[:, 1]) < 0.5 * region.width_m))
+        case _:
+            return depth_in(region, xy_m) > 0.0
+
+
+def sides_of(region: Region) -> tuple[F64, F64]:
+    """Return the starts and the ends, (N, 2) m each, of the straight sides around a region."""
+    lines = borders_of(region)
+    return np.concatenate(lines), np.concatenate([np.roll(line, -1, axis=0) for line in lines])
 
 
 def reach_of(region: Region) -> tuple[float, float]:
@@ -178,35 +229,37 @@ def reach_of(region: Region) -> tuple[float, float]:
         case PaintedRing():
             return region.inner_m, region.outer_m
         case _:
-            corners = region.corners()
-            far = float(np.hypot(*corners.T).max())
-            return abs(float(_depth_in_polygon(corners, np.zeros((1, 2)))[0])), far
+            far = float(np.hypot(*region.corners().T).max())
+            return abs(float(depth_in(region, np.zeros((1, 2)))[0])), far
 
 
 def rectangles_of(letters: Sequence[Lettering]) -> list[Rectangle]:
     """Return rectangles that do not overlap and cover all of the letters, the largest first."""
-    outlines = [letter.corners() for letter in letters]
-    if not outlines:
+    sides = [sides_of(letter) for letter in letters]
+    if not sides:
         return []
-    cuts = np.unique(np.concatenate([corners[:, 1] for corners in outlines]))
+    cuts = np.unique(np.concatenate([start[:, 1] for start, _ in sides]))
     found: list[Rectangle] = []
-    for y0, y1 in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
-        spans = sorted(span for corners in outlines for span in _spans(corners, 0.5 * (y0 + y1)))
+    open_at: dict[tuple[float, float], Rectangle] = {}
+    for y0, y1 in pairwise(cuts.tolist()):
         merged: list[tuple[float, float]] = []
-        for x0, x1 in spans:
+        for x0, x1 in sorted(span for start, end in sides for span in _spans(start, end, 0.5 * (y0 + y1))):
             if merged and x0 <= merged[-1][1]:
                 merged[-1] = merged[-1][0], max(merged[-1][1], x1)
             else:
                 merged.append((x0, x1))
-        found += [(x0, x1, y0, y1) for x0, x1 in merged]
+        # A rectangle goes on where the next strip has one between the same limits.
+        reached = {span: open_at.pop(span, (*span, y0, y1)) for span in merged}
+        found += open_at.values()
+        open_at = {span: (*rectangle[:3], y1) for span, rectangle in reached.items()}
+    found += open_at.values()
     return sorted(found, key=lambda r: -round((r[1] - r[0]) * (r[3] - r[2]), 12))
 
 
-def _spans(corners: F64, y: float) -> list[tuple[float, float]]:
-    """Return where a line of constant y lies inside a polygon with sides along x or y."""
-    a, b = corners, np.roll(corners, -1, axis=0)
-    crossed = (np.minimum(a[:, 1], b[:, 1]) < y) & (np.maximum(a[:, 1], b[:, 1]) > y)
-    x = sorted(a[crossed, 0].tolist())
+def _spans(start: F64, end: F64, y: float) -> list[tuple[float, float]]:
+    """Return where a line of constant y lies inside of sides along x or y."""
+    crossed = (np.minimum(start[:, 1], end[:, 1]) < y) & (np.maximum(start[:, 1], end[:, 1]) > y)
+    x = sorted(start[crossed, 0].tolist())
     return list(zip(x[::2], x[1::2], strict=False))
 
 
@@ -216,8 +269,8 @@ def _area(points: F64) -> float:
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-def _depth_in_polygon(corners: F64, xy_m: F64) -> F64:
-    a, b = corners[None, :, :], np.roll(corners, -1, axis=0)[None, :, :]
+def _depth_within(start: F64, end: F64, xy_m: F64) -> F64:
+    a, b = start[None, :, :], end[None, :, :]
     p, way = xy_m[:, None, :], b - a
     s = np.clip(np.sum((p - a) * way, axis=2) / np.maximum(np.sum(way * way, axis=2), 1e-18), 0.0, 1.0)
     away = np.linalg.norm(p - a - s[..., None] * way, axis=2).min(axis=1)

@@ -21,8 +21,8 @@ from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 _RADII = 5.0
 """Height of the drawn view in radii of the pad's disc: all of the pad fits into any camera's frame."""
 _AT = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
-_DECK, _H, _ORANGE, _DISC = (110, 105, 100), (235, 235, 235), (30, 120, 230), (60, 130, 50)
-"""Colours of deck and paints, BGR."""
+_DECK, _H, _ORANGE, _DISC, _BLACK = (110, 105, 100), (235, 235, 235), (30, 120, 230), (60, 130, 50), (20, 20, 20)
+"""Colours of deck and paints, BGR; fiducials are dark on light."""
 
 
 def rehearse(tracker: TrackerConfig) -> Detection:
@@ -50,6 +50,7 @@ def drawn(camera: Camera, pad: Pad) -> NDArray[np.uint8]:
     xy_m = height_m * np.stack([(u.ravel() - camera.cx) / camera.fx, (v.ravel() - camera.cy) / camera.fy], axis=1)
     h_marking, ring, arrow, disc = paints_at(xy_m, pad)
     px = np.full((camera.width * camera.height, 3), _DECK, np.uint8)
-    for mask, colour in ((disc, _DISC), (ring | arrow, _ORANGE), (h_marking, _H)):
+    h_bgr, disc_bgr = (_BLACK, _H) if pad.markings.fiducials else (_H, _DISC)
+    for mask, colour in ((disc, disc_bgr), (ring | arrow, _ORANGE), (h_marking, h_bgr)):
         px[mask] = colour
     return np.asarray(cv2.GaussianBlur(px.reshape(camera.height, camera.width, 3), (0, 0), 0.8), np.uint8)

@@ -32,6 +32,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register import fit_verification
+from estimator.vision.register.fiducial_cells import cells_log_odds
 from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.register.sighting import registered_sighting
 from estimator.vision.thesis.detection import Detection, detect
@@ -243,7 +244,10 @@ def _register_from(
     aligned = align(pyramid, tracker.camera, tracker.pad, found.pose, SIGMA_TILT_RAD, 0)
     if aligned is None:
         return None
-    sure = fit_verification.confidence(fit_verification.features(aligned, found, tracker.pad), prior_log_odds)
+    cells = 0.0
+    if tracker.pad.markings.fiducials:
+        cells = cells_log_odds(frame.px, tracker.camera, tracker.pad, found)
+    sure = fit_verification.confidence(fit_verification.features(aligned, found, tracker.pad), prior_log_odds, cells)
     sighting = registered_sighting(frame, found, tracker.camera, orientation)
     sighting = replace(sighting, confidence=min(1.0, sure))
     return _Registered(sighting, learn(paint, aligned, sure) if sure >= _FITS else missed(paint))

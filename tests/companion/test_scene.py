@@ -14,7 +14,7 @@ from companion.recorder.scene import SIGMAS, error_ellipsoid, filled, fixed_scen
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
-from estimator.vision.regions import PaintedDisc, PaintedRing, borders_of
+from estimator.vision.regions import PaintedDisc, PaintedRing, outlines_of
 from tests.support.recorded_flight import record_to
 from tests.support.shipped import shipped_pad
 
@@ -36,7 +36,7 @@ def test_triangles_fill_each_region_once(name: str) -> None:
             case PaintedRing():
                 want = math.pi * (region.outer_m**2 - region.inner_m**2)
             case _:
-                want = polygon_area(borders_of(region)[0])
+                want = sum(polygon_area(line) for line in outlines_of(region))
         assert areas.sum() == pytest.approx(want, rel=0.01)
         assert areas.min() > 0.0
 

@@ -70,6 +70,18 @@ def test_a_flight_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
     assert set(told["frames"]) <= {"no_pad", "no_attitude"}
 
 
+def test_a_landing_on_fiducials(capsys: pytest.CaptureFixture[str]) -> None:
+    """By rendered frames, from where the large fiducial is read to where only the small one and single cells are in view."""
+    start = ["start.height_m=2.2", "start.pad_forward_m=0.3", "start.pad_right_m=0.2"]
+    assert (
+        cli.main(["simulate", "calm", "--pad", "apriltag_nest", "--seed", "1", "--json", *(f"--set={key}" for key in start)]) == 0
+    )
+    told = json.loads(capsys.readouterr().out)
+    assert told["touchdown"]["lateral_m"] < 0.06
+    assert abs(told["touchdown"]["yaw_deg"]) < 3.0
+    assert told["frames"]["fused"] > 5 * told["frames"].get("no_pad", 0)
+
+
 def test_faults_are_refused_where_nobody_would_fly_them(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["simulate", "faults/camera_freezes", "--follow", "udpin://127.0.0.1:14999"]) == 2
     said = capsys.readouterr().err

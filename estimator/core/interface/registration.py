@@ -10,11 +10,11 @@ PAD_CONTRASTS = 4
 """The largest number of regions whose paint differs from the one below."""
 REGION_CIRCLES = 2
 """The largest number of circles that bound a region."""
-PAD_FIGURES = 2
+PAD_FIGURES = 3
 """The largest number of figures made of rectangles."""
-FIGURE_CUTS = 14
+FIGURE_CUTS = 64
 """The largest number of limits of a figure's rectangles along one axis."""
-FIGURE_RECTANGLES = 8
+FIGURE_RECTANGLES = 320
 """The largest number of rectangles of a figure."""
 WEDGE_SIDES = 4
 """The largest number of sides of a wedge."""

@@ -37,7 +37,7 @@ SHAPES = {
 }
 """The shapes of regions, and their numbers: m from the centre, and the direction of the arrowhead's sides."""
 REGION_NUMBERS = len(REGION) + max(map(len, SHAPES.values()))
-REGIONS_MOST = 16
+REGIONS_MOST = 336
 """The largest number of regions: disc, rim, ring, arrowhead, and the rectangles of the lettering."""
 SEA_WEIGHTS = ("SEA_SMALL", "SEA_LARGE", "SEA_CALM", "SEA_CAP", "SEA_SHADE", "SEA_WHITE")
 """The strengths of what lies on the sea: small and large ripples, the height below which no crest breaks, the brightness of those

@@ -1,8 +1,11 @@
 """Find the pad in a whole frame without a prior: hypotheses, best first, each verified with the whole drawing.
 
-Hypotheses come from circles of edges in luminance, at several sizes of the frame, from the strokes of the H, and from circles in
-the measure of the disc's colour where there is colour. A search may be given a budget of work; what is left goes on with the next
-frame. The budget counts work and not time, so that the same frames give the same results.
+Hypotheses come from the fiducials of a pad that has some, from circles of edges in luminance, at several sizes of the frame, from
+the strokes of the H, and from circles in the measure of the disc's colour where there is colour. A pad that has fiducials and not
+disc, ring and lettering besides is searched by its fiducials alone, as nothing else tells it from other markings.
+
+A search may be given a budget of work; what is left goes on with the next frame. The budget counts work and not time, so that the
+same frames give the same results.
 """
 
 from __future__ import annotations
@@ -10,13 +13,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, AlignedTemplate, align
-from estimator.vision.detect.hypotheses import WORK_GUESS, Kind, kinds
+from estimator.vision.detect.fiducials import WINDOWS_PX, WORK_FIDUCIALS, FiducialPose, fiducial_poses
+from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_GUESS, Kind, kinds
 from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
@@ -31,6 +36,8 @@ SURE, ENOUGH = 0.9, 0.5
 FRAME_WORK = 12.0
 """Work that a search may do in one frame of a flight, in the time of one BGR to HSV conversion and one inRange of a frame of
 640x360."""
+_CLOSE_PX = 2.0
+"""Largest error of the farthest edge in view at which registration may start from fiducials directly."""
 _MOST_ALIGNED = 16
 """Largest number of hypotheses of one frame that the drawing is aligned at before the search is given up."""
 _ALIGNED = 3
@@ -43,8 +50,8 @@ _STEPS, _STEPS_FREE = 4, 8
 """Gauss-Newton steps of alignment, with the tilt known and unknown."""
 _ARROW_SEEN = 0.3
 """Support of the arrowhead at which the heading is unambiguous."""
-_WORK_ALIGN, _WORK_ALIGN_FREE = 1.6, 2.2
-"""Work of an alignment with the tilt known and unknown."""
+_WORK_ALIGN, _WORK_ALIGN_FREE, _WORK_VERIFY = 1.6, 2.2, 0.8
+"""Work of an alignment with the tilt known and unknown, and of one without a step."""
 _SAME_PX, _SAME_RADII, _SAME_FAR = 4.0, 0.5, 0.15
 """What a place of one frame may be off from that of the next to be the same: px, radii of the disc, and by the logarithm of the
 distance.
@@ -138,8 +145,10 @@ def search(
     """
     if px.shape[:2] != (camera.height, camera.width):
         raise ValueError(f"the frame is {px.shape[1]}x{px.shape[0]} px, the camera's are {camera.width}x{camera.height}")
-    task = _Task(Pyramid(px), camera, pad, sure, budget, memory.refused)
-    of_all = kinds(task.pyramid, camera, pad, Plane.of(camera, R_level_body), paint)
+    task, plane = _Task(Pyramid(px), camera, pad, sure, budget, memory.refused), Plane.of(camera, R_level_body)
+    if pad.markings.fiducials and (_search_fiducials(task, plane) or not pad.markings.is_searched_by_parts):
+        return Found(_distinct(task.found), FRESH_SEARCH, task.work)
+    of_all = kinds(task.pyramid, camera, pad, plane, paint)
     for k in ((memory.first + i) % len(of_all) for i in range(len(of_all))):
         enough = _try_kind(of_all[k], task)
         if enough is None:
@@ -165,6 +174,37 @@ class _Task:
 
     def __post_init__(self) -> None:
         self.refused = list(self.refused_before)
+
+
+def _search_fiducials(task: _Task, plane: Plane) -> bool:
+    """Read the pad's fiducials and verify the drawing there; return whether that is enough."""
+    dictionaries = len({fiducial.dictionary for fiducial in task.pad.markings.fiducials})
+    grey = np.asarray(cv2.cvtColor(task.pyramid[0], cv2.COLOR_BGR2GRAY), np.uint8)
+    for window_px in WINDOWS_PX:
+        task.work += WORK_FIDUCIALS * dictionaries * task.camera.width * task.camera.height / FULL_PIXELS
+        if _try_poses(fiducial_poses(grey, task.camera, task.pad, plane, window_px), task, plane.known):
+            return True
+    return False
+
+
+def _try_poses(poses: list[FiducialPose], task: _Task, tilt_known: bool) -> bool:
+    """Verify the drawing at poses of fiducials; return whether that is enough.
+
+    Where a small fiducial leaves the rest of the pad uncertain, or the drawing does not fit, it is aligned from there.
+    """
+    for pose, off_px in poses:
+        task.work += _WORK_VERIFY
+        candidate = _candidate(align(task.pyramid, task.camera, task.pad, pose, SIGMA_TILT_RAD, 0))
+        if candidate is None or candidate.score < task.sure or off_px > _CLOSE_PX:
+            task.work += _WORK_ALIGN if tilt_known else _WORK_ALIGN_FREE
+            moved = align_at(pose, tilt_known, task.pyramid, task.camera, task.pad)
+            if moved is not None and (candidate is None or moved.score > min(candidate.score, ENOUGH)):
+                candidate = moved
+        if candidate is not None:
+            task.found.append(candidate)
+            if candidate.score >= task.sure:
+                return True
+    return task.sure <= 1.0 and any(c.score >= ENOUGH for c in task.found)
 
 
 def _try_kind(kind: Kind, task: _Task) -> bool | None:
@@ -215,10 +255,16 @@ def align_at(
         )
         if turned is not None:
             aligned, arrow = turned, arrow_support(turned)
+    return _candidate(aligned, ambiguous=arrow < _ARROW_SEEN and not pad.markings.fiducials)
+
+
+def _candidate(aligned: AlignedTemplate | None, ambiguous: bool = False) -> PadCandidate | None:
+    """Return an aligned drawing as a candidate."""
+    if aligned is None:
+        return None
     values = aligned.features
-    return PadCandidate(
-        aligned.pose, confidence(values, ALONE_LOG_ODDS * alone(values)), arrow < _ARROW_SEEN, aligned.in_view, values, aligned
-    )
+    sure = confidence(values, ALONE_LOG_ODDS * alone(values))
+    return PadCandidate(aligned.pose, sure, ambiguous, aligned.in_view, values, aligned)
 
 
 def _place(pose: PadPose, camera: Camera) -> Place:

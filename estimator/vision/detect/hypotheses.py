@@ -33,7 +33,8 @@ _FULL_SIZE, _REDUCED, _LEAST_SIZE = Radii(4.5, 1.22, 5), Radii(5.0, 1.2, 7), Rad
 _BEYOND = 0.4
 """How far beyond the edge of the smallest image centres are looked for, in its widths."""
 _WORK_REDUCED, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_COLOUR = 4.0, 4.0, 3.0, 1.0
-_FULL_PIXELS = 640 * 360
+FULL_PIXELS = 640 * 360
+"""Pixels of the frame that work is counted for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +49,7 @@ class Kind:
 def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: PaintMemory) -> list[Kind]:
     """Return the kinds of hypotheses, quick and likely kinds first."""
     luminance, colour = _Images(_luminance, pyramid), _Images(lambda px: disc_colour(px, pad), pyramid)
-    size = camera.width * camera.height / _FULL_PIXELS
+    size = camera.width * camera.height / FULL_PIXELS
 
     def circles(images: _Images, levels: tuple[int, ...]) -> list[Guess]:
         by_colour = images is colour

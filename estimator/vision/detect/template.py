@@ -15,7 +15,7 @@ from estimator.core.interface.eyes import TEMPLATE_ONE
 from estimator.core.interface.search import POLAR_ANGLES, POLAR_RADII
 from estimator.core.records import record
 from estimator.vision.pad import Pad
-from estimator.vision.regions import rectangles_of
+from estimator.vision.regions import covers, rectangles_of
 from estimator.vision.srgb import linear_light
 
 F32 = NDArray[np.float32]
@@ -51,12 +51,14 @@ def disc_edge_m(pad: Pad) -> float:
 
 
 def paints_at(xy_m: F64, pad: Pad) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return disjoint masks of H, ring, arrowhead and disc at (N, 2) positions on the pad, m."""
+    """Return disjoint masks of lettering, ring, arrowhead and disc or panel at (N, 2) positions on the pad, m."""
     x, y = xy_m[:, 0], xy_m[:, 1]
     r = np.hypot(x, y)
     marks, nothing = pad.markings, np.zeros(len(r), bool)
     h_marking, ring, arrow = nothing, nothing, nothing
-    for x0, x1, y0, y1 in rectangles_of(marks.letters):
+    for fiducial in marks.fiducials:
+        h_marking = h_marking | fiducial.covers(xy_m)
+    for x0, x1, y0, y1 in rectangles_of([letter for letter in marks.letters if letter not in marks.fiducials]):
         h_marking = h_marking | ((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1))
     if marks.ring_outer_m:
         ring = (r >= marks.ring_inner_m) & (r <= marks.ring_outer_m)
@@ -64,7 +66,8 @@ def paints_at(xy_m: F64, pad: Pad) -> tuple[NDArray[np.bool_], NDArray[np.bool_]
         behind = marks.arrow_tip_m - x
         slanted = np.abs(y) * marks.arrow_depth_m <= behind * marks.arrow_half_base_m
         arrow = (behind >= 0) & (behind <= marks.arrow_depth_m) & slanted & ~ring
-    return h_marking, ring, arrow, (r <= disc_edge_m(pad)) & ~h_marking & ~ring & ~arrow
+    ground = r <= disc_edge_m(pad) if marks.panel is None else covers(marks.panel, xy_m)
+    return h_marking, ring, arrow, ground & ~h_marking & ~ring & ~arrow
 
 
 @dataclass(frozen=True, slots=True, eq=False)

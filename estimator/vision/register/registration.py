@@ -49,7 +49,7 @@ class Registration:
     prior: Orientation | None
     edges: Mapping[EdgeKind, EdgeSupport]
     yaw_ambiguous: bool
-    """True if no arrowhead resolved the two headings of the H."""
+    """True if neither an arrowhead nor a fiducial resolved the headings."""
     blur_px2: F64
     """Covariance of the point spread at the pad, (3,) uu, uv, vv, without the pixel's own square."""
     noise_light: float
@@ -109,16 +109,18 @@ def register(
         start_of(out), start_of(outline),
     ):  # fmt: skip
         return None
-    return _unpacked(out, prior, tuple(outline[part] for part in edges.shown))
+    return _unpacked(out, pad, prior, tuple(outline[part] for part in edges.shown))
 
 
-def _unpacked(out: F64, prior: Orientation | None, outline_px: tuple[F64, ...]) -> Registration:
+def _unpacked(out: F64, pad: Pad, prior: Orientation | None, outline_px: tuple[F64, ...]) -> Registration:
     dense, yaw_ambiguous = (bool(flag) for flag in out[:2].view(np.int64))
     noise_light, edge_rms_px, visible, inliers, last_step_px = out[_AT["noise_light"].start : _AT["edges"].start].tolist()
     edges = {
         kind: EdgeSupport(each[:3], *each[3:].tolist())
         for kind, each in zip(EdgeKind, out[_AT["edges"]].reshape(-1, _SUPPORT), strict=True)
     }  # fmt: skip
+    if pad.markings.fiducials:
+        yaw_ambiguous = not edges[EdgeKind.H].seen
     return Registration(
         PadPose(Rotation(out[_AT["R"]].reshape(3, 3)), out[_AT["t"]]), out[_AT["cov"]].reshape(6, 6),
         out[_AT["information"]].reshape(6, 6), prior, MappingProxyType(edges), yaw_ambiguous, out[_AT["blur_px2"]],

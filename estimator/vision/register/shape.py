@@ -19,13 +19,13 @@ from estimator.core.records import record
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.markings import Markings
 from estimator.vision.pad import Pad
-from estimator.vision.regions import rectangles_of
+from estimator.vision.regions import PaintedPanel, rectangles_of
 from estimator.vision.srgb import linear_light
 
 _STRIPS = 6
 _FAR_M = 1e6
 _SURROUNDINGS = _NONE = -1
-_H_FIGURE, _ARROW_FIGURE, _NO_FIGURE = 0, 1, -1
+_H_FIGURE, _ARROW_FIGURE, _PANEL_FIGURE, _NO_FIGURE = 0, 1, 2, -1
 
 
 @lru_cache(maxsize=8)
@@ -33,9 +33,10 @@ def pad_shape(pad: Pad) -> F64:
     """Return the words of the core's `pad_shape`; the result is cached. A kind of edge that the pad lacks has no contrast."""
     marks, arrow = pad.markings, pad.markings.arrowhead()[:, :2]
     field_m, ring = marks.field_radius_m, (marks.ring_outer_m, marks.ring_inner_m) if marks.ring_outer_m else ()
-    disc, h = _region((field_m,) if field_m else ()), _region((), _H_FIGURE if marks.letters else _NO_FIGURE)
+    disc = _region((field_m,) if field_m else (), _NO_FIGURE if marks.panel is None else _PANEL_FIGURE)
+    h = _region((), _H_FIGURE if marks.letters else _NO_FIGURE)
     painted: dict[str, dict[str, Any]] = {}
-    if field_m:
+    if marks.has_ground:
         painted["disc"] = disc
     if ring or marks.arrow is not None:
         painted["ring"] = _region(ring, _ARROW_FIGURE if marks.arrow is not None else _NO_FIGURE)
@@ -58,12 +59,14 @@ def pad_shape(pad: Pad) -> F64:
         "pointer_marks_m": [*arrow, arrow.mean(axis=0)] if len(arrow) else np.zeros((POINTER_MARKS, 2)),
         "nominal": _contrasts(marks), "zones": _zones(pad), "contrasts": list(painted.values()),
         "kinds": [disc, _region(ring), _region(ring, has_wedge=marks.arrow is not None), h],
-        "figures": [_figure(rectangles_of(marks.letters)), _arrow_figure(pad)], "wedge": _arrow_wedge(pad),
+        "figures": [_figure(rectangles_of(marks.letters)), _arrow_figure(pad), _panel_figure(marks)], "wedge": _arrow_wedge(pad),
     })  # fmt: skip
 
 
 def _gap(marks: Markings) -> float:
     """Return the least distance between edges of different kinds, m; of a pad with one kind the width of what is painted."""
+    if marks.panel is not None:
+        return _panel_margin(marks.panel, marks)
     around = [
         (0.0, math.hypot(marks.h_length_m, marks.h_width_m) / 2) if marks.letters else None,
         (marks.ring_inner_m or marks.arrow_tip_m - marks.arrow_depth_m, marks.arrow_tip_m or marks.ring_outer_m)
@@ -75,6 +78,19 @@ def _gap(marks: Markings) -> float:
     if len(parts) > 1:
         return min(outer[0] - inner[1] for inner, outer in pairwise(parts))
     return min(marks.leg_width_m, marks.bar_width_m) or marks.ring_outer_m - marks.ring_inner_m or marks.field_radius_m
+
+
+def _panel_margin(panel: PaintedPanel, marks: Markings) -> float:
+    """Return the least width of a panel's border around its lettering, m; of an empty panel half of its shorter side."""
+    return 0.5 * min(panel.length_m - marks.h_length_m, panel.width_m - marks.h_width_m)
+
+
+def _panel_figure(marks: Markings) -> dict[str, Any]:
+    """Return the panel as one rectangle."""
+    if marks.panel is None:
+        return _figure([])
+    x, y = 0.5 * marks.panel.length_m, 0.5 * marks.panel.width_m
+    return _figure([(-x, x, -y, y)])
 
 
 def _region(radii_m: Sequence[float], figure: int = _NO_FIGURE, has_wedge: bool = False) -> dict[str, Any]:
@@ -149,6 +165,8 @@ def _zones(pad: Pad) -> list[dict[str, Any]]:
         return {"inside_m": inside, "outside_m": outside, "thinnest_m": _FAR_M, "box_m": box, "box_radius_m": radius}
 
     disc = zone(marks.ring_outer_m or math.hypot(length, width), _FAR_M)
+    if marks.panel is not None:
+        disc = zone(-_FAR_M, _FAR_M, (-length, length, -width, width))
     if marks.arrow is not None:
         beside_arrow = (0.0, marks.arrow_tip_m, -marks.arrow_half_base_m, marks.arrow_half_base_m)
         disc = zone(marks.ring_outer_m, _FAR_M, beside_arrow, marks.arrow_tip_m)
@@ -156,7 +174,7 @@ def _zones(pad: Pad) -> list[dict[str, Any]]:
         # If no pixel sees the rim alone, its inner edge cannot be separated from its outer one.
         disc |= {"outside_m": pad.disc_radius_m, "thinnest_m": marks.rim_width_m}
     h = (-length, length, -width, width) if marks.letters else (_FAR_M,) * 4
-    beyond_h = marks.ring_inner_m or (marks.arrow_tip_m - marks.arrow_depth_m) or field_m
+    beyond_h = _FAR_M if marks.panel is not None else marks.ring_inner_m or (marks.arrow_tip_m - marks.arrow_depth_m) or field_m
     return [disc, zone(-_FAR_M, field_m, h), zone(-_FAR_M, field_m), zone(-_FAR_M, beyond_h)]
 
 
@@ -167,5 +185,5 @@ def _contrasts(marks: Markings) -> F64:
     """
     paints = marks.colours
     disc, ring, h = (linear_light(rgb[::-1]) for rgb in (paints.disc, paints.ring, paints.h))
-    ways = np.array([np.zeros(3), ring - disc, ring - disc, h - disc]) * bool(marks.field_radius_m)
+    ways = np.array([np.zeros(3), ring - disc, ring - disc, h - disc]) * marks.has_ground
     return np.asarray(ways / np.maximum(np.linalg.norm(ways, axis=1), 1e-6)[:, None])

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from estimator.contracts.errors import BadInput
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.pad import Pad
-from estimator.vision.regions import PaintedLetter, PaintedPolygon, PaintedStroke, depth_in, outline_of, part_of, rectangles_of
+from estimator.vision.regions import PaintedLetter, PaintedPolygon, PaintedStroke, depth_in, outlines_of, part_of, rectangles_of
 from tests.support.shipped import CONFIGS, shipped_pad
 
 THESIS = tomllib.loads((CONFIGS / "pads" / "thesis.toml").read_text())
@@ -102,7 +102,7 @@ def test_the_rectangles_of_a_letter_cover_its_outline(
     painted = PaintedLetter("white", letter, length, width, stroke, bar)  # type: ignore[arg-type]
     rng = np.random.default_rng(1)
     at = rng.uniform(-0.3, 0.3, (400, 2))
-    inside = depth_in(PaintedPolygon("white", tuple(map(tuple, outline_of(painted).tolist()))), at) > 0.0
+    inside = depth_in(PaintedPolygon("white", tuple(map(tuple, outlines_of(painted)[0].tolist()))), at) > 0.0
     covered = sum(
         ((at[:, 0] > x0) & (at[:, 0] < x1) & (at[:, 1] > y0) & (at[:, 1] < y1)).astype(int)
         for x0, x1, y0, y1 in rectangles_of([painted])
@@ -112,6 +112,6 @@ def test_the_rectangles_of_a_letter_cover_its_outline(
 
 def test_a_ring_is_not_filled() -> None:
     ring = next(region for region in shipped_pad("thesis").regions if part_of(region) == "ring")
-    x, y = outline_of(ring, 3600).T
+    x, y = outlines_of(ring, 3600)[0].T
     area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
     assert area == pytest.approx(np.pi * (0.261**2 - 0.243**2), rel=1e-4)

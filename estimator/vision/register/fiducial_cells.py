@@ -1,0 +1,120 @@
+"""Read the cells of a pad's fiducials at a registered pose: whether they are light and dark where this pad has them.
+
+Edges alone do not tell a fiducial from itself a quarter turn or a cell aside, where most of them lie on edges again. The cells
+do, as far as the frame resolves them. Where it does not, so many more of the edges have to agree.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from estimator.vision.camera import Camera
+from estimator.vision.fiducial import PaintedFiducial
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.register.registration import Registration
+
+_FINE = 8
+"""Samples along a cell's side of the drawing whose blur is looked up."""
+_BLUR_STEPS = 4.0
+"""Steps of the blur that drawings are kept for, by doubling."""
+_PIXEL_PX = 0.3
+"""Standard deviation of a pixel's own square, px."""
+_LEAST_SPAN = 12.0
+"""Least difference of light and dark cells in the frame, 8-bit, that is read."""
+_READ, _MISREAD = 0.65, 0.35
+"""Agreement from which on the cells do not count against the pose, and at which they refute it. It is 0.82 or more at right poses
+of uncovered pads, half of that if half of them is covered, at most 0.4 a quarter turn off, and about 0 at a random place.
+"""
+_ENOUGH, _ENOUGH_SHARE = 5.0, 0.25
+"""Number of clear cells, and their share of those in view, from which on they count in full."""
+_EDGES_AGREE, _EDGES_OFF = 0.8, 0.55
+"""Share of the edges that agree from which on they do not count against a pose whose cells are not resolved, and at which they
+refute it: 0.89 or more at right poses of whole pads, 0.5 or less at wrong ones.
+"""
+_REFUTED = -25.0
+"""Log-odds of a refuted pose: more than all other evidence together."""
+
+
+def cells_log_odds(px: NDArray[np.uint8], camera: Camera, pad: Pad, found: Registration) -> float:
+    """Return the log-odds, at most 0, that the cells of a pad's fiducials add to the confidence of a registration.
+
+    Args:
+        px: (H, W, 3) BGR, the registered frame.
+    """
+    read = read_cells(px, camera, pad, found.pose, found.blur_px)
+    resolved = min(1.0, read.clear / max(_ENOUGH, _ENOUGH_SHARE * read.in_view))
+    misread = min(1.0, max(0.0, (_READ - read.agreement) / (_READ - _MISREAD)))
+    off = min(1.0, max(0.0, (_EDGES_AGREE - found.inliers) / (_EDGES_AGREE - _EDGES_OFF)))
+    return _REFUTED * (resolved * misread + (1.0 - resolved) * off)
+
+
+class ReadCells(NamedTuple):
+    """The bits of a pad's fiducials as read in a frame."""
+
+    agreement: float
+    """1 if they are as drawn, 0 by chance; 1 if none is read."""
+    clear: float
+    """How many are resolved: each counts by the square of its contrast in the blurred drawing."""
+    in_view: int
+
+
+def read_cells(px: NDArray[np.uint8], camera: Camera, pad: Pad, pose: PadPose, blur_px: float) -> ReadCells:
+    """Read the bits of a pad's fiducials at a pose; arguments as for `cells_log_odds`.
+
+    Args:
+        blur_px: standard deviation of the point spread at the pad.
+    """
+    px_per_m = camera.fx / max(float(pose.t_cam_pad[2]), 1e-3)
+    blur_m = math.hypot(blur_px, _PIXEL_PX) / px_per_m
+    drawn = [_drawn(fiducial, _step_of(blur_m / fiducial.cell_m)) for fiducial in pad.markings.fiducials]
+    p_pad, light, own = (np.concatenate(part) for part in zip(*drawn, strict=True))
+    p_cam = pose.points(np.pad(p_pad, ((0, 0), (0, 1))))
+    uv = camera.project(p_cam)
+    seen = (p_cam[:, 2] > 0.01) & np.all((uv > 1.0) & (uv < (camera.width - 2.0, camera.height - 2.0)), axis=1)
+    bits = own[seen]
+    if not bits.any():
+        return ReadCells(1.0, 0.0, 0)
+    at = uv[seen].astype(np.float32)
+    shown = cv2.remap(px, at[:, :1], at[:, 1:], cv2.INTER_LINEAR).reshape(-1, 3).mean(axis=1)
+    dark, bright = np.percentile(shown, (10.0, 90.0)).tolist()
+    told = (2.0 * light[seen] - 1.0)[bits]
+    clear = max(float(told @ told), 1e-6)
+    if bright - dark < _LEAST_SPAN:
+        return ReadCells(0.0, clear, len(told))
+    read = np.clip(2.0 * (shown[bits] - dark) / (bright - dark) - 1.0, -1.0, 1.0)
+    return ReadCells(float(told @ read) / clear, clear, len(told))
+
+
+def _step_of(blur_cells: float) -> int:
+    return round(_BLUR_STEPS * math.log2(max(blur_cells, 0.02)))
+
+
+@lru_cache(maxsize=512)
+def _drawn(fiducial: PaintedFiducial, step: int) -> tuple[F64, F64, NDArray[np.bool_]]:
+    """Return the middles of a fiducial's cells and of those around it, (N, 2) m, how light they are seen, 0..1, and its bits.
+
+    Which are its bits is (N,): its border and what lies around are the same for all fiducials.
+
+    Args:
+        step: of the blur in cells, by `_step_of`.
+    """
+    cells = np.pad(fiducial.cells(), 1)
+    n, blur_cells = len(cells), 2.0 ** (step / _BLUR_STEPS)
+    around = np.pad(~cells, 2, constant_values=True).astype(np.float32)
+    fine = np.asarray(np.kron(around, np.ones((_FINE, _FINE), np.float32)), np.float32)
+    blurred = cv2.GaussianBlur(fine, (0, 0), _FINE * min(blur_cells, 2.0), borderType=cv2.BORDER_REPLICATE)
+    middle = slice(2 * _FINE + _FINE // 2, (2 + n) * _FINE, _FINE)
+    light = np.asarray(blurred[middle, middle], float)
+    index = np.arange(n) - 0.5 * (n - 1)
+    x, y = np.meshgrid(fiducial.at_m[0] - index * fiducial.cell_m, fiducial.at_m[1] + index * fiducial.cell_m, indexing="ij")
+    own = np.zeros((n, n), bool)
+    own[2:-2, 2:-2] = True
+    return np.stack([x.ravel(), y.ravel()], axis=1), light.ravel(), own.ravel()
