@@ -1,0 +1,129 @@
+"""The limits of gate and commit hold up to their number and not beyond."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from companion.guidance.controller import HORIZONS_S, Knowledge
+from companion.guidance.limits import InputQuality, commit, gate, no_return_m, sigma_m
+from companion.guidance.mission_options import ConeOptions, LandingLimits
+from companion.guidance.reason import Reason, ReasonCause
+from companion.guidance.response_watch import ResponseInUse, ResponseState
+from estimator.contracts.motion import DeckMotion
+from estimator.ekf import Forecast
+from tests.companion.mission_flights import estimate, ns
+from tests.companion.test_clearance import forecast, swell
+
+NOW = 50.0
+LIMITS, CONE = LandingLimits(), ConeOptions()
+TO_CONTACT_S = 0.3 / CONE.commit_rate_m_s
+
+
+def tilted(roll_deg: float = 0.0, pitch_deg: float = 0.0, down_m_s: float = 0.0) -> DeckMotion:
+    roll, pitch = math.radians(roll_deg), math.radians(pitch_deg)
+    v = np.array([0.0, 0.0, down_m_s])
+    return DeckMotion(ns(NOW), v, np.zeros(3), 0.01 * np.eye(6), roll, pitch, 0, 0, 1e-4 * np.eye(4))
+
+
+def tilting(roll_deg: float, pitch_deg: float) -> Forecast:
+    """A deck that is level now and has this tilt when the drone comes down."""
+    to_come = np.radians(np.array(HORIZONS_S)[:, None] / TO_CONTACT_S * [roll_deg, pitch_deg])
+    level = forecast(np.zeros(len(HORIZONS_S)), NOW)
+    fields = {name: getattr(level, name) for name in Forecast.__dataclass_fields__}
+    return Forecast(**fields | {"roll_rad": to_come[:, 0], "pitch_rad": to_come[:, 1]})
+
+
+def shut(
+    seen: dict[str, Any] | None = None,
+    deck: DeckMotion | None = None,
+    ahead: Forecast | None = None,
+    quality: InputQuality | None = None,
+    *,
+    aligned: bool = False,
+) -> Reason | None:
+    one = estimate(NOW, **{"d": (0.0, 0.0, 0.3)} | (seen or {}))
+    knowledge = Knowledge(ns(NOW), one, deck=deck, forecast=ahead, climb_max_m_s=1.0)
+    return gate(ns(NOW), one, knowledge, quality or InputQuality(), LIMITS, CONE, aligned=aligned)
+
+
+@pytest.mark.parametrize(
+    ("within", "beyond", "cause", "limit"),
+    [
+        ({"seen": {"age": 0.29}}, {"seen": {"age": 0.31}}, ReasonCause.SIGHTING_AGE, 0.3),
+        ({"seen": {"sigma": 0.149}}, {"seen": {"sigma": 0.151}}, ReasonCause.SIGMA, 0.15),
+        ({"quality": InputQuality(4.0)}, {"quality": InputQuality(4.01)}, ReasonCause.NIS, 4.0),
+        ({}, {"quality": InputQuality(math.nan)}, ReasonCause.NIS, 4.0),
+        ({"quality": InputQuality(None, 0.03)}, {"quality": InputQuality(None, 0.031)}, ReasonCause.TIME_LOCK, 0.03),
+        ({"seen": {"d": (0.05, -0.06, 0.3)}}, {"seen": {"d": (0.06, -0.06, 0.3)}}, ReasonCause.ERROR, 0.08),
+        ({"seen": {"v": (0.2, -0.22, 9.0)}}, {"seen": {"v": (0.22, -0.22, 0.0)}}, ReasonCause.RELATIVE_SPEED, 0.3),
+        ({"deck": tilted(1.7, -1.8)}, {"deck": tilted(1.8, -1.8)}, ReasonCause.DECK_TILT, 2.5),
+        ({"deck": tilted(down_m_s=1.19)}, {"deck": tilted(down_m_s=1.21)}, ReasonCause.DECK_RATE, 1.2),
+        ({"deck": tilted(down_m_s=-1.19)}, {"deck": tilted(down_m_s=-1.21)}, ReasonCause.DECK_RATE, 1.2),
+        ({"ahead": tilting(1.0, -1.1)}, {"ahead": tilting(1.1, -1.1)}, ReasonCause.DECK_TILT, 1.5),
+        ({"ahead": forecast(swell(1.0), NOW)}, {"ahead": forecast(swell(1.6), NOW)}, ReasonCause.DECK_RISE, 0.1),
+        ({"seen": {"yaw": -0.2}, "aligned": True}, {"seen": {"yaw": -0.22}, "aligned": True}, ReasonCause.HEADING, 12.0),
+        ({"seen": {"yaw": 3.0}}, {"seen": {"yaw": None}, "aligned": True}, ReasonCause.HEADING, 12.0),
+    ],
+)
+def test_the_gate_is_open_up_to_a_limit_and_shut_beyond_it(
+    within: dict[str, Any], beyond: dict[str, Any], cause: ReasonCause, limit: float
+) -> None:
+    assert shut(**within) is None
+    found = shut(**beyond)
+    assert found is not None
+    assert (found.cause, found.limit) == (cause, limit)
+    assert found.measured is not None
+    assert not found.measured <= limit
+    assert math.isnan(found.measured) or cause is ReasonCause.DECK_RISE or found.measured < 1.1 * limit or limit == 12.0
+
+
+def test_a_heading_that_is_not_known_is_as_far_off_as_one_can_be() -> None:
+    found = shut({"yaw": None}, aligned=True)
+    assert found is not None
+    assert found.measured == pytest.approx(180.0)
+
+
+def test_a_drone_below_the_deck_s_plane_comes_down_at_once() -> None:
+    assert shut({"d": (0.0, 0.0, -0.2)}, ahead=tilting(3.0, 0.0)) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sigma_is_that_of_the_worst_horizontal_direction(seed: int) -> None:
+    root = np.random.default_rng(seed).normal(size=(7, 7))
+    cov = root @ root.T
+    one = replace(estimate(NOW, (0.0, 0.0, 1.0)), cov=cov)
+    assert sigma_m(one) ** 2 == pytest.approx(np.linalg.eigvalsh(cov[:2, :2])[-1])
+
+
+def in_commit(seen: dict[str, Any], deck: DeckMotion | None = None, longer_s: float | None = None) -> Reason | None:
+    one = estimate(NOW, **{"d": (0.0, 0.0, 0.3)} | seen)
+    response = None if longer_s is None else ResponseInUse(ResponseState.IDENTIFIED, 0.1, 0.01, longer_s)
+    return commit(ns(NOW), one, Knowledge(ns(NOW), one, deck=deck, response=response), LIMITS, CONE)
+
+
+def test_the_commit_has_limits_of_its_own() -> None:
+    for within, beyond, cause in (
+        ({"age": 1.49}, {"age": 1.51}, ReasonCause.SIGHTING_AGE),
+        ({"d": (0.0, 0.24, 0.3)}, {"d": (0.0, 0.26, 0.3)}, ReasonCause.ERROR),
+    ):
+        assert in_commit(within) is None
+        found = in_commit(beyond)
+        assert found is not None
+        assert found.cause is cause
+    assert in_commit({}, tilted(2.4)) is None
+    assert in_commit({"d": (0.0, 0.0, 1.0)}) is None
+
+
+@pytest.mark.parametrize(("longer_s", "more_m"), [(None, 0.0), (-0.1, 0.0), (0.1, 0.1 * CONE.commit_rate_m_s)])
+def test_a_tilt_ends_the_commit_only_above_the_height_of_no_return(longer_s: float | None, more_m: float) -> None:
+    height_m = CONE.no_return_s * CONE.commit_rate_m_s + more_m
+    response = None if longer_s is None else ResponseInUse(ResponseState.IDENTIFIED, 0.1, 0.01, longer_s)
+    assert no_return_m(Knowledge(ns(NOW), None, response=response), CONE) == pytest.approx(height_m)
+    for off_m in (-0.01, 0.01):
+        found = in_commit({"d": (0.0, 0.0, height_m + off_m)}, tilted(2.6), longer_s)
+        assert (found is not None and found.cause is ReasonCause.DECK_TILT) is (off_m > 0.0)

@@ -1,0 +1,163 @@
+"""Where to be in each state, asked of one guidance cycle."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.guidance.controller import Knowledge, Target
+from companion.guidance.mission import GROUND, State
+from companion.guidance.options import GuidanceOptions
+from companion.guidance.progress import Progress
+from companion.guidance.situation import GuidanceCycle
+from companion.guidance.steer import Aim, aim, asks_to_descend
+from estimator.contracts.commands import Hover, Land, Velocity
+from estimator.contracts.geometry import F64, wrap_pi
+from tests.companion.mission_flights import estimate, guided, ns
+from tests.companion.test_clearance import forecast, swell
+from tests.companion.test_clearance import knowledge as rising
+
+NOW = 100.0
+ABOVE = (0.2, -0.1, 1.0)
+
+
+def known(d: tuple[float, float, float] = ABOVE, **fields: Any) -> Knowledge:
+    return Knowledge(ns(NOW), estimate(NOW, d, **fields))
+
+
+def asked(state: State, knowledge: Knowledge, o: GuidanceOptions | None = None, **memory: Any) -> tuple[Progress, Aim]:
+    p = Progress(state, automatic=True, begun=True, **memory)
+    return aim(p, GuidanceCycle(knowledge.at, knowledge), o or guided(), over_ground=False)
+
+
+def target(state: State, knowledge: Knowledge, o: GuidanceOptions | None = None, **memory: Any) -> Target:
+    _, found = asked(state, knowledge, o, **memory)
+    assert isinstance(found, Target)
+    return found
+
+
+def over_the_pad(d: F64, yaw_rad: float) -> tuple[float, float]:
+    """Where the body is over the pad, m along and beside its arrow."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return -(c * d[0] - s * d[1]), -(s * d[0] + c * d[1])
+
+
+@pytest.mark.parametrize("state", GROUND)
+def test_on_the_ground_the_vehicle_is_left_alone(state: State) -> None:
+    assert asked(state, known())[1] is None
+
+
+def test_before_a_landing_is_asked_for_nothing_but_a_hover_is() -> None:
+    p, found = aim(Progress(State.READY, automatic=False), GuidanceCycle(ns(NOW), known()), guided(), over_ground=True)
+    assert (p.state, found) == (State.READY, Hover())
+
+
+def test_what_may_descend_is_named_and_nothing_else_does_however_good_the_sight() -> None:
+    down = {State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS}
+    fit, old = (GuidanceCycle(ns(NOW), known(age=age)) for age in (0.0, 9.0))
+    for state in State:
+        p = Progress(state, automatic=True, begun=True)
+        assert asks_to_descend(p, fit, guided()) is (state in down)
+        assert asks_to_descend(p, old, guided()) is (state is State.PRESS), "the deck is touched"
+
+
+def test_a_commit_without_sight_waits_as_high_as_it_is() -> None:
+    found = target(State.COMMIT, known(age=9.0))
+    assert (found.descent_rate_m_s, found.d_body_pad_level.tolist()) == (None, list(ABOVE))
+    assert target(State.COMMIT, known()).descent_rate_m_s == guided().cone.commit_rate_m_s
+
+
+def test_pressing_leans_nowhere_and_stays_where_it_touched() -> None:
+    found = target(State.PRESS, known())
+    assert (found.lean_max_rad, found.descent_rate_m_s) == (0.0, guided().cone.commit_rate_m_s)
+    assert found.d_body_pad_level.tolist() == list(ABOVE)
+    for mission, on_deck in (("cone", True), ("thesis", False)):
+        assert asked(State.DOWN, known(), guided(mission))[1] == Land(on_deck=on_deck)
+
+
+@pytest.mark.parametrize(("heading", "sigma", "yaw_rad"), [("align", 0.01, 0.0), ("align", 0.5, None), ("keep", 0.01, None)])
+def test_the_nose_turns_to_the_arrow_where_set_so_and_the_arrow_is_known(
+    heading: str, sigma: float, yaw_rad: float | None
+) -> None:
+    for state in (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT):
+        found = asked(state, known(yaw=0.7, sigma=sigma), guided(tries={"heading": heading}))[1]
+        assert isinstance(found, Target)
+        assert found.yaw_rad == yaw_rad
+
+
+@pytest.mark.parametrize(
+    ("height_m", "entered_m", "error_m", "wanted_m"),
+    [(0.5, 0.5, 0.33, 1.5), (0.5, 0.5, 5.0, 2.0), (3.0, 2.5, 0.1, 2.5), (2.5, 3.0, 0.1, 2.5), (0.1, 0.1, 0.0, 0.3)],
+)
+def test_it_comes_over_the_pad_so_high_that_the_cone_is_as_wide_as_the_error(
+    height_m: float, entered_m: float, error_m: float, wanted_m: float
+) -> None:
+    found = target(State.INTERCEPT, known((0.0, error_m, height_m)), entered_height_m=entered_m)
+    np.testing.assert_allclose(found.d_body_pad_level, [0.0, 0.0, wanted_m])
+
+
+@pytest.mark.parametrize(
+    ("swell_m_s", "height_m", "rate_m_s"), [(0.5, 0.2, 0.5), (0.5, 0.5, 0.5), (1.6, 0.35, 5.0), (1.6, 5.0, 0.5)]
+)
+def test_at_the_gate_it_flees_a_deck_that_rises_faster_than_it_climbs(swell_m_s: float, height_m: float, rate_m_s: float) -> None:
+    found = target(State.GATE, rising(forecast(swell(swell_m_s)), height_m=height_m))
+    assert found.vertical_rate_max_m_s == rate_m_s
+    assert bool(found.d_body_pad_level[2] > 0.5) is (swell_m_s > 1.0)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4, -2.5])
+@pytest.mark.parametrize(("height_m", "aside_m"), [(4.0, 0.3), (0.5, 0.075), (-0.1, 0.0)])
+def test_a_go_around_climbs_on_the_clear_side_whatever_the_heading(yaw: float, height_m: float, aside_m: float) -> None:
+    found = target(State.GO_AROUND, known((0.1, 0.1, height_m), yaw=yaw), guided(tries={"clear_side_deg": 110.0}))
+    assert (found.descent_rate_m_s, found.d_body_pad_level[2]) == (-0.5, 2.0)
+    along, beside = over_the_pad(found.d_body_pad_level, yaw)
+    assert math.hypot(along, beside) == pytest.approx(aside_m)
+    if aside_m > 0.0:
+        assert math.degrees(math.atan2(beside, along)) == pytest.approx(110.0)
+
+
+def test_a_go_around_that_does_not_know_the_arrow_climbs_straight_up() -> None:
+    assert target(State.GO_AROUND, known(yaw=None)).d_body_pad_level.tolist() == [0.0, 0.0, 2.0]
+
+
+@pytest.mark.parametrize("state", [State.GO_AROUND, State.PAUSED])
+def test_a_pad_that_was_not_agreed_on_and_an_estimate_too_vague_are_not_flown_by(state: State) -> None:
+    for knowledge in (known(track=2), known(sigma=3.0), known(consistent=False)):
+        p, found = asked(state, knowledge, track=1, held=np.zeros(3))
+        if state is State.PAUSED:
+            assert (found, p.held) == (Hover(), None)
+        else:
+            assert isinstance(found, Velocity)
+            assert found.v_level.tolist() == [0.0, 0.0, -0.5]
+    assert isinstance(asked(state, known(track=1), track=1)[1], Target)
+
+
+def test_what_is_held_keeps_its_place_over_the_deck_while_the_body_turns() -> None:
+    p, _ = asked(State.PAUSED, known(yaw=0.3))
+    held = over_the_pad(np.array(ABOVE), 0.3)
+    for yaw in (1.1, 2.9, -2.8):
+        p, found = asked(State.PAUSED, known((0.5, 0.5, 0.9), yaw=yaw), held=p.held, held_yaw_rad=p.held_yaw_rad)
+        assert isinstance(found, Target)
+        assert over_the_pad(found.d_body_pad_level, yaw) == pytest.approx(held)
+        assert found.d_body_pad_level[2] == 1.0, "and never lower"
+        assert (found.descent_rate_m_s, found.speed_max_m_s) == (None, 0.5)
+        assert wrap_pi(yaw - 0.3) != 0.0
+    _, found = asked(State.PAUSED, known((0.5, 0.5, 1.4), yaw=None), held=np.array(ABOVE), held_yaw_rad=0.3)
+    assert isinstance(found, Target)
+    assert found.d_body_pad_level.tolist() == [*ABOVE[:2], 1.4]
+
+
+@pytest.mark.parametrize(("ago_s", "over"), [(9.9, True), (10.0, True), (10.1, False), (None, False)])
+def test_a_pad_lost_lately_is_flown_over_by_dead_reckoning(ago_s: float | None, over: bool) -> None:
+    found = target(State.HOLD_BLIND, known(), seen=None if ago_s is None else ns(NOW - ago_s))
+    assert found.d_body_pad_level.tolist() == ([0.0, 0.0, 1.0] if over else list(ABOVE))
+    assert found.speed_max_m_s == (1.5 if over else 0.5)
+
+
+@pytest.mark.parametrize(("entered_m", "rate_m_s"), [(1.0, -0.5), (9.0, None)])
+def test_a_question_about_another_pad_is_asked_from_higher_up(entered_m: float, rate_m_s: float | None) -> None:
+    found = target(State.ANOTHER_PAD, known(), since=ns(NOW), seen_height_m=entered_m, entered_height_m=entered_m)
+    assert found.descent_rate_m_s == rate_m_s
