@@ -14,6 +14,12 @@ _TINY = "bytes of one are 1e-303"
 _NO_COLUMN = "the row has no column in the upper triangle"
 
 EQUIVALENT: dict[str, dict[str, str]] = {
+    "companion/guidance/cone.py": {
+        "error_m < math.sqrt(INSIDE) * radius_m(height_m, options)"
+        "  ->  error_m <= math.sqrt(INSIDE) * radius_m(height_m, options)": _ROUNDED,
+        "error_m > math.sqrt(OUT) * radius_m(height_m, options)"
+        "  ->  error_m >= math.sqrt(OUT) * radius_m(height_m, options)": _ROUNDED,
+    },
     "estimator/core/filter.c": {
         "return !b->heading_is_given || var > DIVERGED_VAR;  ->  return !b->heading_is_given || var >= DIVERGED_VAR;": _ROUNDED,
         "return 1;  ->  return 2;": _ASKED,

@@ -34,7 +34,7 @@ def test_a_try_begins_with_its_first_sight_and_the_next_one_inherits_the_time_wi
     one = Attempt().seen(ns(3), 0.1).seen(ns(4), 0.1)
     assert one.began == ns(3)
     one = one.unseen(0.5).lost().descended(0.3).at_gate(1.0)
-    assert one.losses == 1
+    assert (one.losses, one.at_gate_s) == (1, 1.0)
     assert one.again() == Attempt(without_sight_s=0.5)
 
 

@@ -1,0 +1,66 @@
+"""What may be flown without sight of the pad: an estimate good enough, and nothing that goes lower than the deck does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.guidance.blind_hold import never_lower, usable
+from companion.guidance.controller import Knowledge
+from companion.guidance.mission_options import TryOptions
+from companion.guidance.situation import GuidanceCycle
+from estimator.contracts.commands import Hover, Land, Lean, Velocity
+from estimator.contracts.motion import DeckMotion
+from tests.companion.mission_flights import estimate, ns
+
+NOW = 20.0
+
+
+def falling(down_m_s: float | None) -> Knowledge:
+    deck = None
+    if down_m_s is not None:
+        v = np.array([3.0, 0.0, down_m_s])
+        deck = DeckMotion(ns(NOW), v, np.zeros(3), 0.01 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+    return Knowledge(ns(NOW), None, deck=deck)
+
+
+@pytest.mark.parametrize(
+    ("deck_m_s", "fit", "over_ground", "velocity_m_s", "lean_m_s"),
+    [
+        (0.2, True, False, 0.2, 0.2),
+        (0.2, True, True, 0.0, 0.2),
+        (0.2, False, False, 0.0, 0.0),
+        (0.9, True, False, 0.5, 0.5),
+        (-0.3, True, False, 0.0, 0.0),
+        (None, True, False, 0.0, 0.0),
+    ],
+)
+def test_nothing_goes_down_but_with_a_deck_that_is_known_to_fall(
+    deck_m_s: float | None, fit: bool, over_ground: bool, velocity_m_s: float, lean_m_s: float
+) -> None:
+    knowledge = falling(deck_m_s)
+    for command, rate in (
+        (Velocity(np.array([0.4, -0.3, 0.5]), 0.1), velocity_m_s),
+        (Lean(np.ones(2), np.zeros(2), np.array([0.4, -0.3, 0.5]), 0.1), lean_m_s),
+    ):
+        slower = never_lower(command, knowledge, fit=fit, over_ground=over_ground)
+        assert type(slower) is type(command)
+        assert slower.v_level.tolist() == [0.4, -0.3, rate]
+        assert slower.yaw_rate_rad_s == 0.1
+
+
+def test_what_climbs_and_what_is_the_vehicle_s_own_is_left_as_it_is() -> None:
+    for command in (Velocity(np.array([0.0, 0.0, -0.4]), 0.0), Hover(), Land(on_deck=True)):
+        assert never_lower(command, falling(0.2), fit=False, over_ground=False) is command
+
+
+def test_an_estimate_carries_on_while_it_is_new_consistent_and_known_well_enough() -> None:
+    options = TryOptions(blind_sigma_m=0.5)
+    for late_s, sigma_m, consistent, is_usable in (
+        (0.0, 0.5, True, True), (0.4, 0.1, True, True), (-0.4, 0.1, True, True),
+        (0.6, 0.1, True, False), (-0.6, 0.1, True, False), (0.0, 0.51, True, False), (0.0, 0.1, False, False),
+    ):  # fmt: skip
+        one = estimate(NOW + late_s, (0.0, 0.0, 1.0), sigma=sigma_m, consistent=consistent, age=9.0)
+        found = usable(GuidanceCycle(ns(NOW), Knowledge(ns(NOW), one)), options, 0.5)
+        assert (found is one) is is_usable
+    assert usable(GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None)), options, 0.5) is None
