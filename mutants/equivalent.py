@@ -11,7 +11,15 @@ _ROUNDED = "computed real numbers: where they are equal to the last bit either d
 _ASKED = "a flag that is asked for being zero"
 _ROOM = "room for more than is ever used"
 _TINY = "bytes of one are 1e-303"
+_SCALE = "a scale that the sum takes out again"
 _NO_COLUMN = "the row has no column in the upper triangle"
+_ODDS = (
+    "odds -= (DIRECTIONS - UPRIGHT - 1) * prior_log_odds(m);",
+    "odds += (DIRECTIONS - UPRIGHT - 1) * prior_log_odds(m);",
+    "odds -= (DIRECTIONS + UPRIGHT - 1) * prior_log_odds(m);",
+    "odds -= (DIRECTIONS - UPRIGHT + 1) * prior_log_odds(m);",
+    "odds -= (DIRECTIONS - UPRIGHT - 2) * prior_log_odds(m);",
+)
 
 EQUIVALENT: dict[str, dict[str, str]] = {
     "companion/guidance/cone.py": {
@@ -36,6 +44,14 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "carry_covariances: for (int i = 0; i < STATES; i++) {  ->  for (int i = 0; i <= STATES; i++) {": _NO_COLUMN,
         "add_noises: for (int i = 0; i < 4; i++) {  ->  for (int i = 0; i <= 4; i++) {": _NO_COLUMN,
         "bank_begin: for (int i = 0; i < 4; i++) {  ->  for (int i = 0; i <= 4; i++) {": _NO_COLUMN,
+    },
+    "estimator/core/bank_weights.c": {
+        **{
+            f"{_ODDS[0]}  ->  {changed}": "the shipped prior of a deck at rest is one half, so it has no odds"
+            for changed in _ODDS[1:]
+        },
+        "const double top = largest(MEMBERS - 1, weight + 1);  ->  const double top = largest(MEMBERS - 2, weight + 1);": _SCALE,
+        "weight[g] = exp(weight[g] - top);  ->  weight[g] = exp(weight[g] + top);": _SCALE,
     },
     "estimator/core/correction.c": {
         "for (int i = 0; i < N; i++) {  ->  for (int i = 1; i < N; i++) {": "the attitude's error is zero afterwards",

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from companion.guidance.attempt import Attempt
 from companion.guidance.heading import HeadingMemory
-from companion.guidance.mission import ENDED, FLOWN, Event, State, StateChange
+from companion.guidance.mission import FLOWN, Event, State, StateChange
 from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
@@ -120,7 +120,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
             p = replace(p, search_leg=0)
         case _:
             pass
-    return replace(p, stood=change.target in (State.LANDED, State.LANDED_BY_OTHERS)) if change.target in ENDED else p
+    return replace(p, stood=change.target in (State.LANDED, State.LANDED_BY_OTHERS))
 
 
 def _fresh(p: Progress) -> Progress:

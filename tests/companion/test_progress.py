@@ -35,7 +35,10 @@ def well_on(state: State, **more: Any) -> Progress:
 
 
 def test_a_service_waits_for_a_vehicle_or_for_an_order() -> None:
-    assert (Progress.start(automatic=True).state, Progress.start(automatic=False).state) == (State.WAIT, State.STANDBY)
+    p = Progress.start(automatic=True)
+    assert (p.state, Progress.start(automatic=False).state) == (State.WAIT, State.STANDBY)
+    assert (p.begun, p.ordered, p.was_silent, p.in_sight) == (False,) * 4
+    assert (p.since_last_s, p.unheard_s, p.go_arounds, p.questions, p.search_leg) == (0,) * 5
 
 
 def test_a_state_begins_with_nothing_of_the_state_before() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from estimator.core.interface.filter import MEMBERS
 from estimator.ekf import deck_motion_bank
 from estimator.ekf.skill import IssuedForecast, Skill
 from tests.estimator.ekf import flown
@@ -22,6 +23,18 @@ def test_a_direction_is_unseen_from_a_variance_on(var: float) -> None:
         ours = flown.observe(ours, t, y, seen, noise, 2.0)
         expected = oracle.observe(expected, t, y, seen, noise.carrying, 2.0)
         same_sea(ours, expected)
+
+
+@pytest.mark.parametrize("best", [0, 1, MEMBERS - 1])
+def test_the_best_member_sets_the_scale_whichever_it_is(best: int) -> None:
+    log_weight = np.full((5, MEMBERS), -4.0)
+    log_weight[:, best] = 3.0
+    before = learned(t=T - 200 * MS)._replace(log_weight=log_weight)
+    nothing_seen, noise = np.full(5, 1e6), TOOLS.process_noise
+    after = flown.observe(before, T, np.zeros(5), nothing_seen, noise, 2.0)
+    same_sea(after, oracle.observe(before, T, np.zeros(5), nothing_seen, noise.carrying, 2.0))
+    assert np.all(after.log_weight.argmax(axis=1) == best)
+    assert np.all(after.log_weight.max(axis=1) == 0.0)
 
 
 @pytest.mark.parametrize(
