@@ -28,6 +28,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "error_m > math.sqrt(OUT) * radius_m(height_m, options)"
         "  ->  error_m >= math.sqrt(OUT) * radius_m(height_m, options)": _ROUNDED,
     },
+    "companion/guidance/heave.py": {"True  ->  False": "two rows of three numbers each"},
     "estimator/core/filter.c": {
         "return !b->heading_is_given || var > DIVERGED_VAR;  ->  return !b->heading_is_given || var >= DIVERGED_VAR;": _ROUNDED,
         "return 1;  ->  return 2;": _ASKED,
