@@ -28,6 +28,8 @@ _LEAST_CONTRAST = 0.05
 """Least luminance between a deck and what is painted on it, full scale 1: less drowns in wear, ripples and shadows."""
 _LEAST_RADIUS_PX = 5.0
 """Least radius of a pad that is searched for: below it the parts merge into a spot."""
+_LETTER_RADIUS_PX = 20.0
+"""The same of a letter on the bare deck: below it the edges merge, and it resembles what else is small and bright."""
 _NAMES = {EdgeKind.DISC: "disc", EdgeKind.RING: "ring", EdgeKind.ARROW: "arrowhead", EdgeKind.H: "lettering"}
 
 
@@ -61,6 +63,12 @@ def run(args: argparse.Namespace) -> int:
     warnings = [*_heading_warnings(headings), *_deck_warnings(lowest)]
     if lacking := lacking_parts(pad.regions):
         warnings.append(f"it has no {' and no '.join(lacking)}: seen where there is none, it is neither detected nor landed on")
+    if pad.markings.is_letter_alone:
+        far_m = 0.5 * (camera.fx + camera.fy) * pad.disc_radius_m / _LETTER_RADIUS_PX
+        warnings.append(
+            "its letter lies on the bare deck: any of these proportions is taken for it, and it is found from cold to "
+            f"{far_m:.1f} m where it is wholly in view"
+        )
     if args.json:
         found: dict[str, Any] = {
             "pad": pad.name, "radius_m": pad.disc_radius_m, "alike_headings": headings, "contrasts": contrasts,

@@ -85,6 +85,12 @@ class Markings:
         return bool(self.field_radius_m and self.ring_outer_m and self.letters)
 
     @property
+    def is_letter_alone(self) -> bool:
+        """Whether there is nothing but one H or X on the bare deck."""
+        bare = not (self.has_ground or self.ring_outer_m or self.arrow is not None or len(self.letters) != 1)
+        return bare and isinstance(self.letters[0], PaintedLetter) and self.letters[0].letter in ("H", "X")
+
+    @property
     def is_whole(self) -> bool:
         """Whether there are a disc, a ring, an arrowhead and an H: the markings that the thesis' methods measure."""
         return bool(self.field_radius_m and self.ring_outer_m and self.arrow is not None and self.is_h)

@@ -29,10 +29,12 @@ from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.fusion import agree, fuse
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
+from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register import fit_verification
 from estimator.vision.register.fiducial_cells import cells_log_odds
+from estimator.vision.register.letter_alone import letter_log_odds, nearest_of_four
 from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.register.sighting import registered_sighting
 from estimator.vision.thesis.detection import Detection, detect
@@ -83,6 +85,8 @@ class TrackerMemory:
 
     paint: PaintMemory = FRESH
     search: SearchMemory = FRESH_SEARCH
+    letter_yaw_rad: float | None = None
+    """The heading that a letter on the bare deck was last registered at, which the belief does not take as it is ambiguous."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +123,9 @@ def track(
         )
         thesis, best = _verify_cues(tracker, memory.paint, frame, pyramid, attitude, thesis, best)
         seen = together(thesis, None if best is None else best.sighting)
-    return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left)
+    sure = best is not None and tracker.pad.markings.is_letter_alone and best.sighting.confidence >= _FITS
+    yaw_rad = best.sighting.yaw_rad if best is not None and sure else None
+    return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad)
 
 
 def together(thesis: Detection, registered: Sighting | None) -> Detection:
@@ -131,11 +137,16 @@ def together(thesis: Detection, registered: Sighting | None) -> Detection:
     return Detection(fused.sighting, "fused", MappingProxyType(methods))
 
 
-def expected(belief: RelativeState, attitude: Attitude, camera: Camera) -> PadPose | None:
-    """Return the pose in camera coordinates that the belief predicts for a level deck; None if it has no heading."""
-    if belief.yaw_rad is None:
+def expected(belief: RelativeState, attitude: Attitude, camera: Camera, letter_yaw_rad: float | None = None) -> PadPose | None:
+    """Return the pose in camera coordinates that the belief predicts for a level deck; None without a heading.
+
+    Args:
+        letter_yaw_rad: the heading if the belief has none.
+    """
+    yaw_rad = letter_yaw_rad if belief.yaw_rad is None else belief.yaw_rad
+    if yaw_rad is None:
         return None
-    return _in_camera(belief.d_body_pad_level, belief.yaw_rad, attitude.R_ned_body.without_heading(), camera)
+    return _in_camera(belief.d_body_pad_level, yaw_rad, attitude.R_ned_body.without_heading(), camera)
 
 
 def _in_camera(d_body_pad_level: F64, yaw_rad: float, R_level_body: Rotation, camera: Camera) -> PadPose:
@@ -158,8 +169,8 @@ def _registered(
     best: _Registered | None = None
     start: PadPose | None = None
     sigma_m = math.inf if belief is None else _sigma_m(belief)
-    if belief is not None and attitude is not None and _near_enough(belief, sigma_m, tracker.pad):
-        start = expected(belief, attitude, tracker.camera)
+    if belief is not None and attitude is not None and _near_enough(belief, sigma_m, tracker.pad, memory.letter_yaw_rad):
+        start = expected(belief, attitude, tracker.camera, memory.letter_yaw_rad)
         if start is not None and start.t_cam_pad[2] > 0.05:
             options = _CLOSE if sigma_m * tracker.camera.fx < _CLOSE_PX * start.t_cam_pad[2] else _ROUGH
             best = _register_from(tracker, paint, frame, pyramid, start, orientation, options, verification.TRACKED_LOG_ODDS)
@@ -172,7 +183,11 @@ def _registered(
                 break
             off_m = math.inf if start is None else float(np.linalg.norm(candidate.pose.t_cam_pad - start.t_cam_pad))
             prior = verification.TRACKED_LOG_ODDS if off_m < _EXPECTED_SIGMAS * sigma_m else 0.0
-            best = _better(best, _register_from(tracker, paint, frame, pyramid, candidate.pose, orientation, _CLOSE, prior))
+            pose = candidate.pose
+            if tracker.pad.markings.is_letter_alone and alike_headings(tracker.pad) == 4:
+                R_level_cam = orientation.R_level_body.matrix @ tracker.camera.T_body_cam.R.matrix
+                pose = nearest_of_four(pose, R_level_cam, memory.letter_yaw_rad or 0.0)
+            best = _better(best, _register_from(tracker, paint, frame, pyramid, pose, orientation, _CLOSE, prior))
             if best is not None and best.sighting.confidence >= _FITS:
                 break
     return best, left
@@ -244,18 +259,21 @@ def _register_from(
     aligned = align(pyramid, tracker.camera, tracker.pad, found.pose, SIGMA_TILT_RAD, 0)
     if aligned is None:
         return None
-    cells = 0.0
+    shape = 0.0
     if tracker.pad.markings.fiducials:
-        cells = cells_log_odds(frame.px, tracker.camera, tracker.pad, found)
-    sure = fit_verification.confidence(fit_verification.features(aligned, found, tracker.pad), prior_log_odds, cells)
+        shape = cells_log_odds(frame.px, tracker.camera, tracker.pad, found)
+    elif tracker.pad.markings.is_letter_alone:
+        shape = letter_log_odds(found, prior_log_odds > 0.0)
+    sure = fit_verification.confidence(fit_verification.features(aligned, found, tracker.pad), prior_log_odds, shape)
     sighting = registered_sighting(frame, found, tracker.camera, orientation)
     sighting = replace(sighting, confidence=min(1.0, sure))
     return _Registered(sighting, learn(paint, aligned, sure) if sure >= _FITS else missed(paint))
 
 
-def _near_enough(belief: RelativeState, sigma_m: float, pad: Pad) -> bool:
+def _near_enough(belief: RelativeState, sigma_m: float, pad: Pad, letter_yaw_rad: float | None) -> bool:
     """Return whether the belief is certain enough to start tracking from."""
-    sigma_yaw = math.sqrt(float(belief.cov[6, 6]))
+    remembered = belief.yaw_rad is None and letter_yaw_rad is not None
+    sigma_yaw = 0.0 if remembered else math.sqrt(float(belief.cov[6, 6]))
     reach_m = _REACH_OF_DISC * pad.disc_radius_m + _REACH_OF_HEIGHT * belief.height_m
     return 2.0 * sigma_m < reach_m and sigma_yaw < 0.3
 

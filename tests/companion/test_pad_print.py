@@ -174,7 +174,7 @@ def test_shipped_pads_are_listed_and_checked(capsys: pytest.CaptureFixture[str])
     found = json.loads(capsys.readouterr().out)
     assert found["alike_headings"] == 4
     assert "quarter turn" in found["warnings"][0]
-    assert "no disc and no ring" in found["warnings"][-1]
+    assert "any of these proportions is taken for it, and it is found from cold to 5.7 m" in found["warnings"][-1]
     ranges = [bound["range_m"] for bound in found["bounds"]]
     assert ranges[2:] == sorted(ranges[2:]), "less is known from farther away"
     assert main(["pad", "check", "thesis"]) == 0
@@ -183,12 +183,16 @@ def test_shipped_pads_are_listed_and_checked(capsys: pytest.CaptureFixture[str])
     assert "deck green" in said.splitlines()[-1]
 
 
-@pytest.mark.parametrize("command", ["simulate calm --pad x", "detect frame.png --camera sim --pad h"])
+@pytest.mark.parametrize("command", ["simulate calm --pad bar.toml", "detect frame.png --camera sim --pad bar.toml"])
 def test_a_pad_that_nothing_tells_apart_is_not_detected(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Why: on empty decks an X or a bare H was seen with confidence 0.9 and more."""
+    """Why: a bar is a plank."""
     monkeypatch.chdir(tmp_path)
+    Path("bar.toml").write_text(
+        'name = "bar"\n[paints]\nwhite = [245, 245, 245]\n[[regions]]\nshape = "stroke"\npaint = "white"\n'
+        "from_m = [-0.2, 0.0]\nto_m = [0.2, 0.0]\nwidth_m = 0.1\n"
+    )
     cv2.imwrite("frame.png", np.zeros((36, 64, 3), np.uint8))
     assert main(command.split()) == 2
     said = capsys.readouterr().err

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.vision.camera import Camera
+from estimator.vision.detect.blobs import lettering_blobs
 from estimator.vision.detect.colour import disc_colour, disc_has_colour, is_coloured
 from estimator.vision.detect.edge_circles import EdgeCircle, Radii, edge_circles
 from estimator.vision.detect.guesses import Guess, guesses_from
@@ -32,7 +33,7 @@ _FULL_SIZE, _REDUCED, _LEAST_SIZE = Radii(4.5, 1.22, 5), Radii(5.0, 1.2, 7), Rad
 """Radii searched at full size, at half and a quarter of it, and at an eighth."""
 _BEYOND = 0.4
 """How far beyond the edge of the smallest image centres are looked for, in its widths."""
-_WORK_REDUCED, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_COLOUR = 4.0, 4.0, 3.0, 1.0
+_WORK_REDUCED, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_COLOUR, _WORK_BLOBS = 4.0, 4.0, 3.0, 1.0, 3.0
 FULL_PIXELS = 640 * 360
 """Pixels of the frame that work is counted for."""
 
@@ -61,6 +62,9 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
         level = max(1, round(math.log2(camera.width / STROKES_WIDTH_PX)))
         return h_markings(pyramid[level], 1 << level, camera, pad, plane) if pad.markings.is_h else []
 
+    if pad.markings.is_letter_alone:
+        alone = [Kind(_WORK_BLOBS * size, lambda: lettering_blobs(pyramid, camera, pad, plane))]
+        return [*alone, Kind(_WORK_STROKES, strokes)] if pad.markings.is_h else alone
     out = [
         Kind(_WORK_REDUCED * size, lambda: circles(luminance, (3, 2, 1))),
         Kind(_WORK_STROKES, strokes),

@@ -155,15 +155,15 @@ def _h_contrast_odd(found: Registration) -> float:
     return min(1.0, 2.0 * max(0.0, math.log(low * ring / h_marking), math.log(h_marking / (high * ring))))
 
 
-def confidence(values: F64, prior_log_odds: float = 0.0, cells_log_odds: float = 0.0) -> float:
+def confidence(values: F64, prior_log_odds: float = 0.0, shape_log_odds: float = 0.0) -> float:
     """Return the confidence, 0..1, of a registration from its inputs.
 
     Args:
         prior_log_odds: as for `verification.confidence`.
-        cells_log_odds: of `fiducial_cells.cells_log_odds`.
+        shape_log_odds: of `fiducial_cells.cells_log_odds` or `letter_alone.letter_log_odds`.
     """
     no_ring, disc_unseen, painted, no_disc, h_contrast_odd = values[len(FITTED_FEATURES) :].tolist()
-    z = float(values[: len(FITTED_FEATURES)] @ _COEFFICIENTS) + prior_log_odds + cells_log_odds
+    z = float(values[: len(FITTED_FEATURES)] @ _COEFFICIENTS) + prior_log_odds + shape_log_odds
     z += _DISC_UNSEEN * disc_unseen + _PAINTED * painted + _NO_DISC * no_disc + _H_CONTRAST_ODD * h_contrast_odd
     if prior_log_odds <= 0.0:
         z += _NO_RING * no_ring

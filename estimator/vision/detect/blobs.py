@@ -1,0 +1,107 @@
+"""Guess poses of lettering on the bare deck from connected components that stand out from their neighbourhood.
+
+A pad of lettering alone has neither circle nor disc. The share that its lettering fills of its convex hull is the same at any
+heading, size and tilt, and sorts components out; area and centroid give the place, and the drawing the heading.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from estimator.vision.camera import Camera
+from estimator.vision.detect.guesses import Guess
+from estimator.vision.detect.heading import heading, marks_are_bright
+from estimator.vision.detect.plane import Plane
+from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.pad import Pad
+
+U8 = NDArray[np.uint8]
+
+_LEVELS = (0, 2)
+"""Sizes of the frame that are looked at: for strokes up to some 25 px and 100 px wide."""
+_WINDOW_PX = 41
+"""Side of the neighbourhood that a pixel is compared with."""
+_STANDS_OUT = 7.0
+"""Least difference from the neighbourhood's mean, 8-bit."""
+_LEAST_AREA_PX = 60.0
+_FILLED = 0.3
+"""Largest difference of the logarithm of a component's share of its hull from the drawing's."""
+_TRIED = 8
+"""Largest number of components whose heading is searched."""
+_HEADING_PX = 28.0
+"""Smallest radius of the pad in the frame that a heading is searched in."""
+
+
+class _Component(NamedTuple):
+    contour_px: F64
+    """Its outline in the whole frame, (N, 2)."""
+    off: float
+    """How far its share of its hull is from the drawing's, by the logarithm."""
+
+
+def lettering_blobs(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> list[Guess]:
+    """Return guesses from components of a frame that resemble the lettering of a pad on the bare deck."""
+    found = [c for level in _LEVELS for c in _components(pyramid[level], 1 << level, pad)]
+    guesses = []
+    for component in sorted(found, key=lambda c: c.off)[:_TRIED]:
+        guess = _guess(component, pyramid, camera, pad, plane)
+        if guess is not None:
+            guesses.append(guess)
+    return guesses
+
+
+def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
+    """Yield the components that fill as much of their hull as the lettering does and lie within the frame."""
+    grey = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
+    sign = 1 if marks_are_bright(pad) else -1
+    mean = cv2.blur(grey, (_WINDOW_PX, _WINDOW_PX))
+    mask = np.asarray(sign * (grey.astype(np.int16) - mean) > _STANDS_OUT, np.uint8)
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    h, w = grey.shape
+    share = _shape(pad)[1]
+    for contour in contours:
+        if len(contour) < 30:
+            continue
+        # A contour runs through the middles of the outermost pixels: half a pixel is missing all around.
+        area = cv2.contourArea(contour) + 0.5 * cv2.arcLength(contour, True)
+        x, y, wide, high = cv2.boundingRect(contour)
+        if area < _LEAST_AREA_PX or x <= 1 or y <= 1 or x + wide >= w - 1 or y + high >= h - 1:
+            continue
+        hull = cv2.convexHull(contour)
+        off = abs(math.log(area / (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True)) / share))
+        if off < _FILLED:
+            at = contour.reshape(-1, 2).astype(float)
+            centre = at.mean(axis=0)
+            outward = (at - centre) * (1.0 + math.sqrt(area / max(cv2.contourArea(contour), 1.0)) - 1.0) + centre
+            yield _Component((outward + 0.5) * step - 0.5, off)
+
+
+def _guess(component: _Component, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> Guess | None:
+    at = plane.places(camera, component.contour_px).astype(np.float32)
+    if not np.isfinite(at).all():
+        return None
+    of = cv2.moments(at.reshape(-1, 1, 2))
+    if abs(of["m00"]) < 1e-9:
+        return None
+    centre = np.array([of["m10"], of["m01"]]) / of["m00"]
+    flat = plane.pose(centre, math.sqrt(abs(of["m00"])), math.sqrt(_shape(pad)[0]))
+    radius_px = camera.fx * pad.disc_radius_m / float(flat.t_cam_pad[2])
+    level = max(0, math.floor(math.log2(max(radius_px, 1.0) / _HEADING_PX)))
+    best = heading(pyramid[level], 1 << level, camera, pad, flat)
+    return None if best is None else Guess(flat, best.turn_rad, best.score, best.score, plane.known)
+
+
+@lru_cache(maxsize=8)
+def _shape(pad: Pad) -> tuple[float, float]:
+    """Return the lettering's area, m^2, and its share of its convex hull."""
+    outline = pad.markings.letters[0].corners().astype(np.float32).reshape(-1, 1, 2)
+    area = cv2.contourArea(outline)
+    return area, area / cv2.contourArea(cv2.convexHull(outline))
