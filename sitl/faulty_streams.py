@@ -113,7 +113,8 @@ class InTransit(Generic[_T]):
         if fate.overtaken:
             self._held.append((packet, fate.copies))
             return None
-        due = after(now, usual_s + self._stream.delay_s)
+        late_s = usual_s + self._stream.delay_s
+        due = after(now, late_s) if late_s else now
         if self._due is not None and self._due > due:
             due = self._due
         self._due = due

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 import struct
-from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar, get_type_hints
 
@@ -180,9 +179,15 @@ _KINDS: dict[type[Any], tuple[tuple[str, str], ...]] = {
     cls: tuple((f.name, get_type_hints(cls, include_extras=True)[f.name].__metadata__[0]) for f in fields(cls))
     for cls in _CLASSES.values()
 }
+_NAMED: dict[bytes, tuple[type[Any], list[str]]] = {
+    name.encode(): (cls, [kind for _, kind in _KINDS[cls]]) for name, cls in _CLASSES.items()
+}
+"""The class of each command and the kinds of its arguments, by its name on the wire."""
 _START = b"AT*"
+_LINE_END = re.compile(rb"[\r\n]+")
 _COMMAND = re.compile(rb"AT\*([A-Z_]{2,16})=(\d{1,10})(?:,(.*))?", re.DOTALL)
 _ARGUMENTS = re.compile(rb'"[^"]*"|[^,"]*')
+_SINGLE, _BITS, _SIGNED_BITS = struct.Struct("<f"), struct.Struct("<I"), struct.Struct("<i")
 _INTEGER = re.compile(rb"-?\d{1,10}")
 _CLEAN_TEXT = re.compile(r'[^"\x00-\x1f\x7f]*')
 
@@ -231,7 +236,7 @@ def decode(datagram: bytes) -> list[tuple[int, AtCommand] | Refusal]:
     A line feed ends a command as well as a carriage return. The bytes before the `AT*` of a good command make one refusal.
     """
     out: list[tuple[int, AtCommand] | Refusal] = []
-    *lines, rest = re.split(rb"[\r\n]+", datagram)
+    *lines, rest = _LINE_END.split(datagram)
     for line in lines:
         if not line:
             continue
@@ -256,11 +261,11 @@ def _decode_one(line: bytes) -> tuple[int, AtCommand] | Refusal:
     if match is None:
         return Refusal.BAD_ARGUMENTS
     name, sequence, rest = match.groups()
-    cls = _CLASSES.get(name.decode("ascii"))
-    if cls is None:
+    known = _NAMED.get(name)
+    if known is None:
         return Refusal.UNKNOWN_COMMAND
-    words = list(_split(rest)) if rest is not None else []
-    kinds = [kind for _, kind in _KINDS[cls]]
+    cls, kinds = known
+    words = _split(rest) if rest is not None else []
     left_out = bool(kinds) and kinds[-1] == _MAYBE_INT and len(words) == len(kinds) - 1
     values = _values(words, kinds[:-1] if left_out else kinds)
     if values is None or int(sequence) >= 1 << 32:
@@ -268,19 +273,21 @@ def _decode_one(line: bytes) -> tuple[int, AtCommand] | Refusal:
     return int(sequence), cls(*values, *([None] if left_out else []))
 
 
-def _split(rest: bytes) -> Iterable[bytes]:
-    """Yield the arguments between commas; text that follows a closing quote without a comma yields an empty, unreadable one."""
+def _split(rest: bytes) -> list[bytes]:
+    """Return the arguments between commas; text that follows a closing quote without a comma gives an empty, unreadable one."""
+    if b'"' not in rest:
+        return rest.split(b",")
+    out: list[bytes] = []
     at = 0
     while True:
         match = _ARGUMENTS.match(rest, at)
         assert match is not None
-        yield match.group()
+        out.append(match.group())
         at = match.end() + 1
         if match.end() >= len(rest):
-            return
+            return out
         if rest[match.end()] != ord(","):
-            yield b""
-            return
+            return [*out, b""]
 
 
 def _values(words: list[bytes], kinds: list[str]) -> list[Any] | None:
@@ -300,7 +307,7 @@ def _values(words: list[bytes], kinds: list[str]) -> list[Any] | None:
         if kind != _FLOAT:
             out.append(number)
             continue
-        value: float = struct.unpack("<f", struct.pack("<I", number & 0xFFFFFFFF))[0]
+        value: float = _SINGLE.unpack(_BITS.pack(number & 0xFFFFFFFF))[0]
         if not math.isfinite(value):
             return None
         out.append(value)
@@ -314,7 +321,7 @@ def _bits_of(value: float) -> int:
         ValueError: the value is beyond the largest float32.
     """
     try:
-        bits: int = struct.unpack("<i", struct.pack("<f", value))[0]
+        bits: int = _SIGNED_BITS.unpack(_SINGLE.pack(value))[0]
     except OverflowError as why:
         raise ValueError(f"{value!r} does not fit a 32-bit float") from why
     return bits

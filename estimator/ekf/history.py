@@ -280,9 +280,9 @@ def _processed(
         rest = entries[len(made) :]
         followed: Sequence[PackedBelief | None] = ()
         if packed is not None:
-            row, first = packed.follow(params.process_noise, [entry.record for entry in rest])
+            row, _ = packed.follow(params.process_noise, [entry.record for entry in rest])
             if len(outcomes) < wanted and row:
-                outcomes += [first, *map(row.outcome, range(1, min(len(row), wanted - len(outcomes))))]
+                outcomes += row.outcomes(min(len(row), wanted - len(outcomes)))
             followed = row
         if not followed:
             b, first = process_event(None if packed is None else packed.belief, rest[0].event, params)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+
+from msgspec import Struct
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
 
 
-class Outcome(NamedTuple):
+class Outcome(Struct, frozen=True, eq=False):
     """What became of one event. Re-propagation repeats many events whose outcomes nobody asks for, so it holds no more."""
 
     verdict: Verdict

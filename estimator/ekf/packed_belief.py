@@ -50,7 +50,7 @@ _AXES = tuple(tuple([i for i in range(4) if mask >> i & 1]) for mask in range(16
 """The axes of a velocity and of a vessel's report, by the bits of the core's mask."""
 _NONE_GATHERED = (0, 0, 0, 0)
 _OUTCOME_HEAD, _NIS = struct.Struct("4q"), struct.Struct("2d")
-_INNOV_AT, _COV_AT, _NIS_AT = (8 * _OUTCOME[name].start for name in ("innov", "S", "nis"))
+_INNOV_AT, _COV_AT, _NIS_AT = (_OUTCOME[name].start for name in ("innov", "S", "nis"))
 _RATIOS = places_of("innovation_ratios")
 _WITHOUT_COMPARISON = {verdict: Outcome(verdict) for verdict in _VERDICTS.values()}
 
@@ -138,7 +138,7 @@ class PackedBelief:
         if done and seas is not None and slots[n + done - 1] >= 0:
             sea = _kept(seas, (slots[n + done - 1] + 1) * SEA_SIZE)
         made = Followed(self, done, slots, Words(block, at + 2 * n, index + 16 * n), P, sea)
-        return made, made.outcome(0) if done else _WITHOUT_COMPARISON[Verdict.GATED]
+        return made, made.outcomes(1)[0] if done else _WITHOUT_COMPARISON[Verdict.GATED]
 
     def propagated(self, t: int, noise: ProcessNoise, how_far: int) -> PackedBelief:
         """Return the belief at instant `t`, ns; `how_far` is one of `STATE_ALONE`, `WITH_COVARIANCE`, `WITH_AIDING`."""
@@ -188,9 +188,12 @@ class Followed(Sequence[PackedBelief]):
             made = self._made[i] = self._belief(i % len(self._made))
         return made
 
-    def outcome(self, i: int) -> Outcome:
-        """Return what became of one of the events."""
-        return _outcome(self._numbers.block, i * 8 * _OUTCOME_SIZE)
+    def outcomes(self, n: int) -> list[Outcome]:
+        """Return what became of the first events."""
+        rows = self._numbers.block[: n * _OUTCOME_SIZE].copy()
+        rows.setflags(write=False)
+        words = rows.data
+        return [_outcome(rows, words, first) for first in range(0, n * _OUTCOME_SIZE, _OUTCOME_SIZE)]
 
     def first(self, n: int) -> tuple[PackedBelief, ...]:
         """Return the first beliefs in memory of their own, so that the rest of the row can be freed."""
@@ -220,17 +223,15 @@ class Followed(Sequence[PackedBelief]):
         return self._seas_made[slot]
 
 
-def _outcome(block: F64, at: int) -> Outcome:
-    """Return the core's `outcome` so many bytes after the beginning of a block."""
-    words = block.data
-    verdict, m, axes, has_S = _OUTCOME_HEAD.unpack_from(words, at)
+def _outcome(rows: F64, words: memoryview, first: int) -> Outcome:
+    """Return the core's `outcome` that begins at a word; `words` are those of the rows."""
+    verdict, m, axes, has_S = _OUTCOME_HEAD.unpack_from(words, 8 * first)
     if m == 0:
         return _WITHOUT_COMPARISON[_VERDICTS[verdict]]
-    first, S = (at + _INNOV_AT) >> 3, (at + _COV_AT) >> 3
-    innov = np.ndarray((m,), np.float64, words[first : first + m].tobytes())
-    cov = np.ndarray((m, m), np.float64, words[S : S + m * m].tobytes()) if has_S else None
-    nis, nis_max = _NIS.unpack_from(words, at + _NIS_AT)
-    return Outcome(_VERDICTS[verdict], innov, cov, nis, nis_max, _AXES[axes])
+    innov, S = first + _INNOV_AT, first + _COV_AT
+    cov = rows[S : S + m * m].reshape(m, m) if has_S else None
+    nis, nis_max = _NIS.unpack_from(words, 8 * (first + _NIS_AT))
+    return Outcome(_VERDICTS[verdict], rows[innov : innov + m], cov, nis, nis_max, _AXES[axes])
 
 
 def _write(words: F64, b: Belief) -> None:

@@ -33,16 +33,16 @@ def _named(source: Source, axes: tuple[int, ...]) -> tuple[str, ...]:
 
 def result(event: Event, outcome: Outcome) -> FusionResult:
     """Return the outcome of an event with the event's source, instants and names of components."""
-    verdict, compared, S, nis, nis_max, axes = outcome
-    source, stamp = source_of(event), event.stamp
-    if compared is None:
+    verdict, S, source, stamp = outcome.verdict, outcome.innovation_cov, source_of(event), event.stamp
+    if outcome.innovation is None:
         return FusionResult("ekf", source, verdict, stamp.measured_at, stamp.received_at)
-    innov = np.asarray(compared)
-    if axes:
-        components = _named(source, axes)
+    innov = np.asarray(outcome.innovation)
+    if outcome.axes:
+        components = _named(source, outcome.axes)
     else:
         components = components_of(source, innov.size)
     for array in (innov, S):
         if array is not None and array.flags.writeable:
             array.setflags(write=False)
-    return FusionResult("ekf", source, verdict, stamp.measured_at, stamp.received_at, innov, S, components, nis, nis / nis_max)
+    nis, ratio = outcome.nis, outcome.nis / outcome.nis_max
+    return FusionResult("ekf", source, verdict, stamp.measured_at, stamp.received_at, innov, S, components, nis, ratio)

@@ -124,9 +124,8 @@ def _demo(s: Situation) -> navdata.Demo:
 
 def _raw_measures(s: Situation) -> navdata.RawMeasures:
     readings, echo = s.readings, s.readings.ultrasound_m
-    fx, fy, fz = readings.f_body.tolist()
+    x, y, z = readings.f_body.tolist()
     p, q, r = readings.w_body.tolist()
-    x, y, z = 1e3 * fx / STANDARD_GRAVITY, 1e3 * fy / STANDARD_GRAVITY, 1e3 * fz / STANDARD_GRAVITY
     return navdata.RawMeasures(
         raw_accs=(_raw_acc(x), _raw_acc(-y), _raw_acc(-z)),
         raw_gyros=(_raw_gyro(p), _raw_gyro(q), _raw_gyro(r)),
@@ -138,8 +137,8 @@ def _raw_measures(s: Situation) -> navdata.RawMeasures:
     )
 
 
-def _raw_acc(mg: float) -> int:
-    return _clip(2048 + 0.512 * mg, 0, 4095)
+def _raw_acc(f_m_s2: float) -> int:
+    return _clip(2048 + 0.512 * (1e3 * f_m_s2 / STANDARD_GRAVITY), 0, 4095)
 
 
 def _raw_gyro(w_rad_s: float) -> int:
