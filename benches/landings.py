@@ -4,9 +4,9 @@
     python -m benches.landings fly --perception pixels --scenario moderate --flights 12 --write pixels.jsonl
     python -m benches.landings compare pixels.jsonl model.jsonl
 
-`fly` prints the rate by the wall clock and the CPU time of a flight; `--write` appends one JSON object for each flight. `compare`
-takes two such files and prints outcomes, touchdown errors and the NEES of the estimate side by side, each with the probability
-that a two-sample Kolmogorov-Smirnov test gives to such a difference by chance.
+`fly` prints the rate by the wall clock and the CPU time of a flight, with one thread for algebra as in a campaign; `--write`
+appends one JSON object for each flight. `compare` takes two such files and prints outcomes, touchdown errors and the NEES of the
+estimate side by side, each with the probability that a two-sample Kolmogorov-Smirnov test gives to such a difference by chance.
 
 NEES: normalized estimation error squared of position, velocity and heading (7 degrees of freedom), once a second in flight
 (Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 5.4.2).
@@ -26,6 +26,9 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import msgspec
 import numpy as np
