@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol, Self
 
 import numpy as np
+from msgspec import Struct
 
 from estimator import dead_reckoning, ekf, filters
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
@@ -143,8 +144,7 @@ class DeadReckoningPath:
         return None
 
 
-@dataclass(frozen=True, slots=True)
-class EkfPath:
+class EkfPath(Struct, frozen=True):
     """The error-state Kalman filter: it fuses every sample and every sighting, late ones included."""
 
     filter: ekf.Ekf

@@ -15,6 +15,7 @@ from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from msgspec import Struct
 
 from companion.guidance.riccati import observer
 
@@ -49,7 +50,7 @@ class ObserverGains(NamedTuple):
     rows: tuple[tuple[float, float, float], ...]
 
 
-class Observed(NamedTuple):
+class Observed(Struct, frozen=True):
     """The state of one axis."""
 
     p: float

@@ -98,9 +98,9 @@ def margins(
         axis = TiltAxis(Observed(*s[:4]), s[4], s[5], s[6], tuple(s[7:]))
         p, w, lean, rate, a_body = z.tolist()
         axis = observed(axis, AxisMeasured(p, w, lean, rate, a_body), PERIOD_S, seeing, assumed, axis.under_way[-1])
-        u = command(axis, gains, axis.seen.p, 0.0, 0.0)
+        seen, u = axis.seen, command(axis, gains, axis.seen.p, 0.0, 0.0)
         axis = commanded(axis, u)
-        return np.array([*axis.seen, axis.lean, axis.rate, axis.lag, *axis.under_way]), u
+        return np.array([seen.p, seen.w, seen.d, seen.b, axis.lean, axis.rate, axis.lag, *axis.under_way]), u
 
     columns = [law(e, np.zeros(5)) for e in np.eye(own)]
     Ac, Cc = np.array([c[0] for c in columns]).T, np.array([c[1] for c in columns])

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from msgspec import Struct
+
 from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
 from drivers.ardrone.at import PCMD_PROGRESSIVE, REF_BASE, REF_EMERGENCY, Pcmd
 from drivers.ardrone.counters import Counters
@@ -29,7 +31,7 @@ _IN_THE_AIR_OR_DEAD = NavdataState.FLYING | NavdataState.EMERGENCY
 _NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LANDED)
 
 
-class _Motion(NamedTuple):
+class _Motion(Struct, frozen=True):
     """A velocity or a lean that guidance asks for."""
 
     wanted: Velocity | Lean

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec import Struct
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
@@ -55,7 +56,7 @@ _RATIOS = places_of("innovation_ratios")
 _WITHOUT_COMPARISON = {verdict: Outcome(verdict) for verdict in _VERDICTS.values()}
 
 
-class Words(NamedTuple):
+class Words(Struct, frozen=True, eq=False):
     """Words at a place in a block of words of eight bytes."""
 
     block: F64
@@ -219,7 +220,8 @@ class Followed(Sequence[PackedBelief]):
 
     def _sea(self, slot: int, seas: Words) -> PackedSea:
         if slot not in self._seas_made:
-            self._seas_made[slot] = PackedSea(*seas.part(slot * SEA_SIZE))
+            part = seas.part(slot * SEA_SIZE)
+            self._seas_made[slot] = PackedSea(part.block, part.at, part.address)
         return self._seas_made[slot]
 
 
