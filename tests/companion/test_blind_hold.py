@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.guidance.blind_hold import never_lower, usable
+from companion.guidance.blind_hold import never_lower, usable, without_estimate
 from companion.guidance.controller import Knowledge
 from companion.guidance.mission_options import TryOptions
 from companion.guidance.situation import GuidanceCycle
@@ -50,7 +50,7 @@ def test_nothing_goes_down_but_with_a_deck_that_is_known_to_fall(
 
 
 def test_what_climbs_and_what_is_the_vehicle_s_own_is_left_as_it_is() -> None:
-    for command in (Velocity(np.array([0.0, 0.0, -0.4]), 0.0), Hover(), Land(on_deck=True)):
+    for command in (Velocity(np.array([0.0, 0.0, -0.4]), 0.0), Velocity(np.zeros(3), 0.0), Hover(), Land(on_deck=True)):
         assert never_lower(command, falling(0.2), fit=False, over_ground=False) is command
 
 
@@ -58,9 +58,21 @@ def test_an_estimate_carries_on_while_it_is_new_consistent_and_known_well_enough
     options = TryOptions(blind_sigma_m=0.5)
     for late_s, sigma_m, consistent, is_usable in (
         (0.0, 0.5, True, True), (0.4, 0.1, True, True), (-0.4, 0.1, True, True),
-        (0.6, 0.1, True, False), (-0.6, 0.1, True, False), (0.0, 0.51, True, False), (0.0, 0.1, False, False),
+        (0.5, 0.1, True, True), (0.6, 0.1, True, False),
+        (-0.6, 0.1, True, False), (0.0, 0.51, True, False), (0.0, 0.1, False, False),
     ):  # fmt: skip
         one = estimate(NOW + late_s, (0.0, 0.0, 1.0), sigma=sigma_m, consistent=consistent, age=9.0)
         found = usable(GuidanceCycle(ns(NOW), Knowledge(ns(NOW), one)), options, 0.5)
         assert (found is one) is is_usable
     assert usable(GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None)), options, 0.5) is None
+
+
+@pytest.mark.parametrize("over_ground", [False, True])
+@pytest.mark.parametrize("climb_m_s", [0.0, 0.5, 1.0])
+def test_without_an_estimate_it_stays_with_the_deck_or_climbs_from_it(climb_m_s: float, over_ground: bool) -> None:
+    command = without_estimate(climb_m_s, over_ground=over_ground)
+    if climb_m_s == 0.0 and not over_ground:
+        assert isinstance(command, Hover)
+    else:
+        assert isinstance(command, Velocity)
+        assert (command.v_level.tolist(), command.yaw_rate_rad_s) == ([0.0, 0.0, -climb_m_s], 0.0)

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from companion.config.settings import shipped_response
 from companion.guidance import deck_turn
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.deck_turn import MOST_RAD_S, POLE_RAD_S
+from companion.guidance.deck_turn import MOST_RAD_S
 from companion.guidance.follow_deck import FollowDeck
 from estimator.contracts.commands import Lean
 from estimator.contracts.estimates import RelativeState
@@ -79,7 +79,7 @@ def test_a_heading_that_is_not_known_asks_for_no_turn() -> None:
 @pytest.mark.parametrize(("turn_rad_s", "body_rad_s"), [(0.1, 0.0), (-0.08, 0.3)])
 def test_the_deck_s_rate_is_found_by_an_observer_with_both_poles_in_one_place(turn_rad_s: float, body_rad_s: float) -> None:
     """What is left of the error after t is (1 + p t) exp(-p t) of the rate, and -t exp(-p t) of the heading."""
-    dt, t, seen = 0.001, 2.0 / POLE_RAD_S, 3.0
+    dt, t, seen = 0.001, 2.0 / 0.7, 3.0
     memory = deck_turn.observed(None, seen, body_rad_s, dt)
     assert memory == deck_turn.DeckTurn(seen)
     for _ in range(round(t / dt)):
@@ -87,3 +87,7 @@ def test_the_deck_s_rate_is_found_by_an_observer_with_both_poles_in_one_place(tu
         memory = deck_turn.observed(memory, seen, body_rad_s, dt)
     assert memory.rate_rad_s == pytest.approx(turn_rad_s * (1.0 - 3.0 * math.exp(-2.0)), rel=0.01)
     assert wrap_pi(seen - memory.yaw_rad) == pytest.approx(-turn_rad_s * t * math.exp(-2.0), rel=0.01)
+    for _ in range(round(6.0 / dt)):
+        seen = wrap_pi(seen - dt * math.copysign(0.5, turn_rad_s))
+        memory = deck_turn.observed(memory, seen, 0.0, dt)
+    assert math.degrees(memory.rate_rad_s) == pytest.approx(math.copysign(10.0, turn_rad_s)), "no ship turns faster"
