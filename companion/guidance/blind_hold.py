@@ -33,6 +33,11 @@ def without_estimate(climb_m_s: float, *, over_ground: bool) -> Command:
     return Velocity(np.array([0.0, 0.0, -climb_m_s]), 0.0) if over_ground or climb_m_s != 0.0 else Hover()
 
 
+def rising_m_s(knowledge: Knowledge) -> float:
+    """Return how fast the deck rises, 0 where it falls or nothing is known of it."""
+    return 0.0 if knowledge.deck is None else max(0.0, -float(knowledge.deck.v_level[2]))
+
+
 def never_lower(command: Command, knowledge: Knowledge, *, fit: bool, over_ground: bool) -> Command:
     """Return the command without any descent beyond that of the deck itself, and without any if the estimate is not fit.
 

@@ -93,7 +93,8 @@ def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
     rate = -o.tries.climb_m_s
     estimate = blind_hold.usable(s, o.tries, o.stale_after_s)
     if estimate is None or (p.track is not None and estimate.track != p.track):
-        return p, blind_hold.without_estimate(o.tries.climb_m_s, over_ground=over_ground)
+        rising = 0.0 if over_ground else blind_hold.rising_m_s(s.knowledge)
+        return p, blind_hold.without_estimate(o.tries.climb_m_s + rising, over_ground=over_ground)
     # Aside in proportion to the height, so that the pad stays in view.
     aside_m = o.tries.clear_side_m * min(1.0, max(0.0, estimate.height_m) / o.tries.safe_height_m)
     d = np.array([0.0, 0.0, o.tries.safe_height_m])

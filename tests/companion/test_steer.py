@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.mission import GROUND, State
@@ -16,6 +17,7 @@ from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim, aim, asks_to_descend
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.motion import DeckMotion
 from tests.companion.mission_flights import estimate, guided, ns
 from tests.companion.test_clearance import forecast, swell
 from tests.companion.test_clearance import knowledge as rising
@@ -121,6 +123,18 @@ def test_a_go_around_climbs_on_the_clear_side_whatever_the_heading(yaw: float, h
 
 def test_a_go_around_that_does_not_know_the_arrow_climbs_straight_up() -> None:
     assert target(State.GO_AROUND, known(yaw=None)).d_body_pad_level.tolist() == [0.0, 0.0, 2.0]
+
+
+@pytest.mark.parametrize("over_ground", [True, False])
+@pytest.mark.parametrize("rises_m_s", [0.4, -0.4])
+def test_a_go_around_without_an_estimate_climbs_from_a_deck_that_rises(over_ground: bool, rises_m_s: float) -> None:
+    """At 0.5 m/s over the ground it would be overtaken. A driver that adds the deck's velocity has it in already."""
+    deck = DeckMotion(ns(NOW), np.array([0.3, 0.0, -rises_m_s]), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
+    knowledge = replace(known(consistent=False), deck=deck)
+    p = Progress(State.GO_AROUND, automatic=True, begun=True)
+    _, found = aim(p, GuidanceCycle(knowledge.at, knowledge), guided(), over_ground=over_ground)
+    assert isinstance(found, Velocity)
+    assert found.v_level.tolist() == [0.0, 0.0, -0.9 if rises_m_s > 0.0 and not over_ground else -0.5]
 
 
 @pytest.mark.parametrize("state", [State.GO_AROUND, State.PAUSED])
