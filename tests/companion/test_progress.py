@@ -90,7 +90,7 @@ def test_what_goes_for_the_deck_is_our_order_and_what_gives_up_says_why() -> Non
         assert after(well_on(State.SEARCH, fault=None), Event.TIMEOUT, state).fault == WHY
 
 
-@pytest.mark.parametrize("state", ENDED)
+@pytest.mark.parametrize("state", sorted(ENDED, key=str))
 def test_only_what_landed_stands(state: State) -> None:
     p = after(well_on(State.DOWN), Event.GROUNDED, state)
     assert p.stood is (state in (State.LANDED, State.LANDED_BY_OTHERS))

@@ -47,7 +47,7 @@ def over_the_pad(d: F64, yaw_rad: float) -> tuple[float, float]:
     return -(c * d[0] - s * d[1]), -(s * d[0] + c * d[1])
 
 
-@pytest.mark.parametrize("state", GROUND)
+@pytest.mark.parametrize("state", sorted(GROUND, key=str))
 def test_on_the_ground_the_vehicle_is_left_alone(state: State) -> None:
     assert asked(state, known())[1] is None
 
