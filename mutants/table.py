@@ -25,7 +25,7 @@ _BANK = (
 )
 _ANSWERS = ("tests/estimator/ekf/test_answer.py", "tests/estimator/ekf/test_filter_bounds.py")
 _FORECASTS = ("tests/estimator/ekf/test_forecast.py", "tests/estimator/ekf/test_filter_bounds.py")
-_INTEGRITY = ("tests/estimator/integrity",)
+_INTEGRITY = "tests/estimator/integrity"
 _MISSION = ("tests/companion/test_mission_flights.py", "tests/companion/test_rendezvous.py")
 _LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py", "tests/companion/test_deck_turn.py")
 _RESPONSE = (
@@ -67,16 +67,16 @@ TARGETS: dict[str, tuple[str, ...]] = {
     ),
     "estimator/ekf/filter.py": ("tests/estimator/ekf/test_filter_bounds.py",),
     "estimator/ekf/history.py": ("tests/estimator/ekf/test_history_bounds.py",),
-    "estimator/integrity/guard.py": _INTEGRITY,
-    "estimator/integrity/clock.py": _INTEGRITY,
-    "estimator/integrity/frames.py": _INTEGRITY,
-    "estimator/integrity/heading.py": _INTEGRITY,
-    "estimator/integrity/heights.py": _INTEGRITY,
-    "estimator/integrity/sensors.py": _INTEGRITY,
-    "estimator/integrity/tracks.py": _INTEGRITY,
-    "estimator/integrity/view.py": _INTEGRITY,
+    "estimator/integrity/guard.py": (f"{_INTEGRITY}/test_guard.py",),
+    "estimator/integrity/clock.py": (f"{_INTEGRITY}/test_clock_bounds.py", f"{_INTEGRITY}/test_clock.py"),
+    "estimator/integrity/frames.py": (f"{_INTEGRITY}/test_frames.py",),
+    "estimator/integrity/heading.py": (f"{_INTEGRITY}/test_heading.py",),
+    "estimator/integrity/heights.py": (f"{_INTEGRITY}/test_heights_bounds.py", f"{_INTEGRITY}/test_heights.py"),
+    "estimator/integrity/sensors.py": (f"{_INTEGRITY}/test_sensors_bounds.py", f"{_INTEGRITY}/test_sensors.py"),
+    "estimator/integrity/tracks.py": (f"{_INTEGRITY}/test_tracks_bounds.py", f"{_INTEGRITY}/test_tracks.py"),
+    "estimator/integrity/view.py": (f"{_INTEGRITY}/test_view_bounds.py", f"{_INTEGRITY}/test_view.py"),
     "companion/guidance/mission.py": ("tests/companion/test_mission_table.py",),
-    "companion/guidance/mission_step.py": (*_MISSION, "tests/companion/test_held_up.py"),
+    "companion/guidance/mission_step.py": ("tests/companion/test_mission_step.py", *_MISSION, "tests/companion/test_held_up.py"),
     "companion/guidance/progress.py": ("tests/companion/test_progress.py", *_MISSION),
     "companion/guidance/watch.py": _MISSION,
     "companion/guidance/steer.py": ("tests/companion/test_steer.py", *_MISSION, "tests/companion/test_clearance.py"),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from estimator.integrity.frames import FrameWatch, watch
+from estimator.integrity.frames import FrameWatch, digest, watch
 
 RNG = np.random.default_rng(3)
 
@@ -67,3 +67,9 @@ def test_a_frame_is_known_for_fifteen_others() -> None:
             state, repeated = watch(state, frame)
             assert not repeated
         assert watch(state, frames[0])[1] is known
+
+
+def test_an_image_that_is_one_row_in_memory_is_known_by_that_row() -> None:
+    row = noisy()[0]
+    assert digest(np.broadcast_to(row, (360, *row.shape))) == digest(np.broadcast_to(row, (9, *row.shape)))
+    assert digest(np.repeat(row[None], 360, axis=0)) != digest(row[None].repeat(9, axis=0))

@@ -1,0 +1,94 @@
+"""What the vehicle's report and one guidance cycle do to the machine, one at a time."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec.structs import replace
+
+from companion.guidance import mission_step as module
+from companion.guidance.controller import Knowledge
+from companion.guidance.mission import ENDED, Event, State
+from companion.guidance.mission_step import Transitions, mission_step, ordered, reported
+from companion.guidance.options import GuidanceOptions
+from companion.guidance.progress import Progress
+from companion.guidance.reason import Reason, ReasonCause
+from companion.guidance.situation import GuidanceCycle
+from tests.companion.mission_flights import estimate, ns, status
+
+OPTIONS = GuidanceOptions()
+STAYS_UP = (State.REFUSED, State.GAVE_UP, State.ABORTED, State.EMERGENCY)
+
+
+def in_state(state: State, *, automatic: bool = False, stood: bool = False, we_land: bool = False) -> Progress:
+    return Progress(state, automatic=automatic, stood=stood, ordered=we_land)
+
+
+def told(changes: Transitions) -> list[tuple[int, State, Event, State, ReasonCause]]:
+    return [(c.at, c.source, c.event, c.target, c.reason.cause) for c in changes]
+
+
+def test_cut_motors_end_the_flight_even_if_the_vehicle_says_that_it_flies() -> None:
+    p, changes = reported(in_state(State.DESCEND), status(3.0, flying=True, emergency=True), OPTIONS)
+    assert p.state is State.EMERGENCY
+    assert told(changes) == [(ns(3), State.DESCEND, Event.CUT, State.EMERGENCY, ReasonCause.MOTORS_CUT)]
+
+
+@pytest.mark.parametrize(
+    ("we_land", "event", "target"),
+    [(True, Event.GROUNDED, State.LANDED), (False, Event.GROUNDED_BY_OTHERS, State.LANDED_BY_OTHERS)],
+)
+def test_a_vehicle_that_stands_landed_by_our_order_or_by_others(we_land: bool, event: Event, target: State) -> None:
+    p, changes = reported(in_state(State.DOWN, we_land=we_land), status(3.0, flying=False), OPTIONS)
+    assert p.state is target
+    assert told(changes) == [(ns(3), State.DOWN, event, target, ReasonCause.VEHICLE_STANDS)]
+
+
+@pytest.mark.parametrize("state", STAYS_UP)
+def test_a_flight_that_ended_in_the_air_is_followed_by_one_after_the_vehicle_stood(state: State) -> None:
+    flying, standing = status(3.0, flying=True), status(4.0, flying=False)
+    ended = in_state(state, automatic=True)
+    assert reported(ended, flying, OPTIONS) == (ended, ())
+    stood, changes = reported(ended, standing, OPTIONS)
+    assert (stood.state, stood.stood, changes) == (state, True, ())
+    again, changes = reported(stood, status(5.0, flying=True), OPTIONS)
+    assert again.state is State.SEARCH
+    assert told(changes) == [
+        (ns(5), state, Event.TAKEN_OFF, State.READY, ReasonCause.VEHICLE_FLIES),
+        (ns(5), State.READY, Event.BEGIN, State.SEARCH, ReasonCause.AUTOMATIC),
+    ]
+
+
+@pytest.mark.parametrize("state", sorted(ENDED, key=str))
+def test_without_the_setting_the_next_flight_waits_for_an_order(state: State) -> None:
+    p, changes = reported(in_state(state, stood=True), status(5.0, flying=True), OPTIONS)
+    assert (p.state, len(changes)) == (State.READY, 1)
+
+
+@pytest.mark.parametrize("state", [State.READY, State.SEARCH, State.STANDBY, State.PAUSED])
+def test_a_report_within_a_flight_begins_nothing_by_itself(state: State) -> None:
+    p, _ = reported(in_state(state, automatic=True), status(5.0, flying=True), OPTIONS)
+    assert p.state is (State.READY if state is State.STANDBY else state)
+
+
+@pytest.mark.parametrize("state", [State.WAIT, State.STANDBY, State.LANDED, State.DESCEND])
+def test_a_vehicle_that_does_not_say_whether_it_flies_changes_nothing(state: State) -> None:
+    p = in_state(state, automatic=True, stood=True)
+    unknown = replace(status(3.0, flying=True), flying=None)
+    assert reported(p, unknown, OPTIONS) == (p, ())
+
+
+def test_an_order_that_the_state_does_not_know_leaves_no_trace() -> None:
+    p = in_state(State.SEARCH)
+    assert ordered(p, Event.BEGIN, ns(1), OPTIONS) == (p, ())
+    moved, changes = ordered(p, Event.PAUSE, ns(1), OPTIONS)
+    assert moved.state is State.PAUSED
+    assert told(changes) == [(ns(1), State.SEARCH, Event.PAUSE, State.PAUSED, ReasonCause.OPERATOR)]
+
+
+def test_events_that_undo_each_other_do_not_hold_the_cycle_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    why = Reason(ReasonCause.OPERATOR)
+    monkeypatch.setattr(module, "events", lambda *_: [(Event.OUT_OF_CONE, why), (Event.IN_CONE, why)])
+    cycle = GuidanceCycle(ns(1), Knowledge(ns(1), estimate(1.0, (0.0, 0.0, 3.0))))
+    p, _, changes = mission_step(in_state(State.DESCEND), cycle, OPTIONS, over_ground=False)
+    assert [change.target for change in changes] == [State.INTERCEPT, State.DESCEND] * 2
+    assert p.state is State.DESCEND
