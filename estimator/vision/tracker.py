@@ -85,8 +85,8 @@ class TrackerMemory:
 
     paint: PaintMemory = FRESH
     search: SearchMemory = FRESH_SEARCH
-    letter_yaw_rad: float | None = None
-    """The heading that a letter on the bare deck was last registered at, which the belief does not take as it is ambiguous."""
+    alike_yaw_rad: float | None = None
+    """The heading at which a pad that looks the same from several was last registered: the belief does not take it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,8 +123,8 @@ def track(
         )
         thesis, best = _verify_cues(tracker, memory.paint, frame, pyramid, attitude, thesis, best)
         seen = together(thesis, None if best is None else best.sighting)
-    sure = best is not None and tracker.pad.markings.is_letter_alone and best.sighting.confidence >= _FITS
-    yaw_rad = best.sighting.yaw_rad if best is not None and sure else None
+    sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= _FITS
+    yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
     return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad)
 
 
@@ -137,13 +137,13 @@ def together(thesis: Detection, registered: Sighting | None) -> Detection:
     return Detection(fused.sighting, "fused", MappingProxyType(methods))
 
 
-def expected(belief: RelativeState, attitude: Attitude, camera: Camera, letter_yaw_rad: float | None = None) -> PadPose | None:
+def expected(belief: RelativeState, attitude: Attitude, camera: Camera, alike_yaw_rad: float | None = None) -> PadPose | None:
     """Return the pose in camera coordinates that the belief predicts for a level deck; None without a heading.
 
     Args:
-        letter_yaw_rad: the heading if the belief has none.
+        alike_yaw_rad: the heading if the belief has none.
     """
-    yaw_rad = letter_yaw_rad if belief.yaw_rad is None else belief.yaw_rad
+    yaw_rad = alike_yaw_rad if belief.yaw_rad is None else belief.yaw_rad
     if yaw_rad is None:
         return None
     return _in_camera(belief.d_body_pad_level, yaw_rad, attitude.R_ned_body.without_heading(), camera)
@@ -169,8 +169,8 @@ def _registered(
     best: _Registered | None = None
     start: PadPose | None = None
     sigma_m = math.inf if belief is None else _sigma_m(belief)
-    if belief is not None and attitude is not None and _near_enough(belief, sigma_m, tracker.pad, memory.letter_yaw_rad):
-        start = expected(belief, attitude, tracker.camera, memory.letter_yaw_rad)
+    if belief is not None and attitude is not None and _near_enough(belief, sigma_m, tracker.pad, memory.alike_yaw_rad):
+        start = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
         if start is not None and start.t_cam_pad[2] > 0.05:
             options = _CLOSE if sigma_m * tracker.camera.fx < _CLOSE_PX * start.t_cam_pad[2] else _ROUGH
             best = _register_from(tracker, paint, frame, pyramid, start, orientation, options, verification.TRACKED_LOG_ODDS)
@@ -186,7 +186,7 @@ def _registered(
             pose = candidate.pose
             if tracker.pad.markings.is_letter_alone and alike_headings(tracker.pad) == 4:
                 R_level_cam = orientation.R_level_body.matrix @ tracker.camera.T_body_cam.R.matrix
-                pose = nearest_of_four(pose, R_level_cam, memory.letter_yaw_rad or 0.0)
+                pose = nearest_of_four(pose, R_level_cam, memory.alike_yaw_rad or 0.0)
             best = _better(best, _register_from(tracker, paint, frame, pyramid, pose, orientation, _CLOSE, prior))
             if best is not None and best.sighting.confidence >= _FITS:
                 break
@@ -270,9 +270,9 @@ def _register_from(
     return _Registered(sighting, learn(paint, aligned, sure) if sure >= _FITS else missed(paint))
 
 
-def _near_enough(belief: RelativeState, sigma_m: float, pad: Pad, letter_yaw_rad: float | None) -> bool:
+def _near_enough(belief: RelativeState, sigma_m: float, pad: Pad, alike_yaw_rad: float | None) -> bool:
     """Return whether the belief is certain enough to start tracking from."""
-    remembered = belief.yaw_rad is None and letter_yaw_rad is not None
+    remembered = belief.yaw_rad is None and alike_yaw_rad is not None
     sigma_yaw = 0.0 if remembered else math.sqrt(float(belief.cov[6, 6]))
     reach_m = _REACH_OF_DISC * pad.disc_radius_m + _REACH_OF_HEIGHT * belief.height_m
     return 2.0 * sigma_m < reach_m and sigma_yaw < 0.3

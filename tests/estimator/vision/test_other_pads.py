@@ -7,18 +7,24 @@ import math
 import numpy as np
 import pytest
 
+from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Frame
+from estimator.vision import tracker as tracker_module
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.drawing import EdgeKind
+from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import accuracy, alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.register import fit_verification
 from estimator.vision.register.registration import RegistrationOptions, register
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from sitl.camera import Renderer
 from tests.sitl.images import PLAIN, pad_pose, shot
+from tests.support.pad_images import STAMP
 from tests.support.shipped import shipped_pad
 
 NAMES = ("h", "helideck", "icao", "x")
@@ -47,6 +53,25 @@ def test_a_pad_of_any_shape_is_registered_and_verified(name: str, height_m: floa
     aligned = align(Pyramid(px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)
     assert aligned is not None
     assert fit_verification.confidence(fit_verification.features(aligned, found, pad)) > 0.9
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_pad_of_several_headings_is_followed_without_a_search(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The filter takes no heading that is ambiguous: the last frame's is gone by."""
+    pad, exposure = shipped_pad(name), shot(2.0, (0.02, 0.03), (0.08, -0.05, 0.3))
+    px = Renderer(PLAIN, pad).render(exposure, np.random.default_rng(3))
+    config = TrackerConfig(PLAIN, pad, TrackerOptions(method="registration"))
+    attitude = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
+    seen, memory = track(config, TrackerMemory(), Frame(STAMP, 0, px), attitude)
+    assert seen.selected is not None
+    assert seen.selected.yaw_ambiguous
+    d, cov = seen.selected.d_body_pad_level, np.diag([1e-4] * 6 + [3.0])
+    belief = RelativeState(STAMP.measured_at, "ekf", d, np.zeros(3), None, cov, STAMP.measured_at, True)
+    monkeypatch.setattr(tracker_module, "search", None)
+    again = track(config, memory, Frame(STAMP, 0, px), attitude, belief)[0].selected
+    assert again is not None
+    assert again.yaw_rad == pytest.approx(seen.selected.yaw_rad, abs=0.01)
+    assert again.confidence > 0.9
 
 
 @pytest.mark.parametrize("name", NAMES)
