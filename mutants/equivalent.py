@@ -29,6 +29,18 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "  ->  error_m >= math.sqrt(OUT) * radius_m(height_m, options)": _ROUNDED,
     },
     "companion/guidance/heave.py": {"True  ->  False": "two rows of three numbers each"},
+    "estimator/integrity/sensors.py": {
+        "t < repeat.since  ->  t <= repeat.since": "what begins anew at its own instant with its own value is the same",
+    },
+    "estimator/integrity/tracks.py": {"2.0 * _ALIVE_S  ->  2.0 / _ALIVE_S": "it is one second"},
+    "estimator/integrity/clock.py": {"off_s > step  ->  off_s >= step": "where they are equal either is the step"},
+    "estimator/integrity/view.py": {
+        "distance_m < 1e-06  ->  distance_m <= 1e-06": _ROUNDED,
+        "True  ->  False": "every bearing has four parts",
+        "_spread(np.array(seen)) < o.view_still_ratio * turned"
+        "  ->  _spread(np.array(seen)) <= o.view_still_ratio * turned": _ROUNDED,
+        "turned > o.view_turned_min_rad  ->  turned >= o.view_turned_min_rad": _ROUNDED,
+    },
     "estimator/core/filter.c": {
         "return !b->heading_is_given || var > DIVERGED_VAR;  ->  return !b->heading_is_given || var >= DIVERGED_VAR;": _ROUNDED,
         "return 1;  ->  return 2;": _ASKED,

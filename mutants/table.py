@@ -28,6 +28,7 @@ _FORECASTS = ("tests/estimator/ekf/test_forecast.py", "tests/estimator/ekf/test_
 _INTEGRITY = "tests/estimator/integrity"
 _MISSION = ("tests/companion/test_mission_flights.py", "tests/companion/test_rendezvous.py")
 _LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py", "tests/companion/test_deck_turn.py")
+_AXIS = ("tests/companion/test_tilt_axis.py", "tests/companion/test_law.py")
 _RESPONSE = (
     "tests/companion/test_response_watch.py",
     "tests/companion/test_identify.py",
@@ -70,7 +71,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/integrity/guard.py": (f"{_INTEGRITY}/test_guard.py",),
     "estimator/integrity/clock.py": (f"{_INTEGRITY}/test_clock_bounds.py", f"{_INTEGRITY}/test_clock.py"),
     "estimator/integrity/frames.py": (f"{_INTEGRITY}/test_frames.py",),
-    "estimator/integrity/heading.py": (f"{_INTEGRITY}/test_heading.py",),
+    "estimator/integrity/heading.py": (f"{_INTEGRITY}/test_heading_bounds.py", f"{_INTEGRITY}/test_heading.py"),
     "estimator/integrity/heights.py": (f"{_INTEGRITY}/test_heights_bounds.py", f"{_INTEGRITY}/test_heights.py"),
     "estimator/integrity/sensors.py": (f"{_INTEGRITY}/test_sensors_bounds.py", f"{_INTEGRITY}/test_sensors.py"),
     "estimator/integrity/tracks.py": (f"{_INTEGRITY}/test_tracks_bounds.py", f"{_INTEGRITY}/test_tracks.py"),
@@ -87,20 +88,20 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/companion/test_clearance.py",
     ),
     "companion/guidance/blind_hold.py": ("tests/companion/test_blind_hold.py", "tests/companion/test_steer.py", *_MISSION),
-    "companion/guidance/heading.py": _MISSION,
+    "companion/guidance/heading.py": ("tests/companion/test_heading.py", *_MISSION),
     "companion/guidance/limits.py": ("tests/companion/test_limits.py", *_MISSION, "tests/companion/test_clearance.py"),
     "companion/guidance/attempt.py": ("tests/companion/test_attempt.py", *_MISSION),
     "companion/guidance/held_up.py": ("tests/companion/test_held_up.py",),
     "companion/guidance/contact.py": ("tests/companion/test_contact.py",),
     "companion/guidance/clearance.py": ("tests/companion/test_clearance.py",),
-    "companion/guidance/rendezvous.py": ("tests/companion/test_rendezvous.py",),
+    "companion/guidance/rendezvous.py": ("tests/companion/test_rendezvous_way.py", "tests/companion/test_rendezvous.py"),
     "companion/guidance/vessel_track.py": ("tests/companion/test_vessel_track.py", "tests/companion/test_rendezvous.py"),
     "companion/guidance/follow_deck.py": _LAW,
     "companion/guidance/heave.py": ("tests/companion/test_heave.py", *_LAW),
     "companion/guidance/climb_law.py": ("tests/companion/test_climb_law.py", *_LAW),
-    "companion/guidance/tilt_law.py": _LAW,
-    "companion/guidance/axis.py": _LAW,
-    "companion/guidance/disturbance.py": _LAW,
+    "companion/guidance/tilt_law.py": _AXIS,
+    "companion/guidance/axis.py": _AXIS,
+    "companion/guidance/disturbance.py": _AXIS,
     "companion/guidance/own_part.py": _LAW,
     "companion/guidance/margins.py": (*_LAW, "tests/companion/test_response_watch.py"),
     "companion/guidance/deck_turn.py": ("tests/companion/test_deck_turn.py",),

@@ -8,8 +8,9 @@ import pytest
 from msgspec.structs import replace
 
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
+from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Attitude, Baro, Frame, Imu, Range, Sample, VehicleStatus
+from estimator.contracts.samples import Attitude, Baro, Frame, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.integrity import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, fused
 from estimator.integrity.clock import ClockWatch
@@ -91,6 +92,33 @@ def test_range_and_barometer_are_compared_with_the_camera_unless_they_are_refuse
         held = replace(seen, sensors=MappingProxyType({kind: SensorWatch(Repeat(2.0, T - 3 * S))}))
         guard, verdict = admit_one(held, reading)
         assert (verdict, guard.heights) == (Verdict.FROZEN, seen.heights)
+
+
+def test_the_gyro_turns_the_held_heading_and_an_attitude_is_compared_with_it() -> None:
+    imu = Imu(stamp(T), np.array([0.0, 0.0, 0.2]), np.array([0.0, 0.0, -9.8]))
+    guard, (_, at) = admit(IntegrityGuard(), [imu, attitude(T)])
+    assert (guard.heading.turned_at, guard.heading.rate_rad_s, guard.heading.held_rad) == (T, 0.2, pytest.approx(HEADING))
+    assert isinstance(at, Attitude)
+
+
+def test_what_has_no_watch_of_its_own_passes_as_it_is() -> None:
+    fix = GeoFix(stamp(T), "vessel", GeoPoint(0.9, 0.2), 2.0)
+    report = VesselReport(stamp(T), np.array([1.0, 0.0, 0.0]), np.eye(3), None, None)
+    seen = IntegrityGuard(heights=HeightWatch(seen_at=T, d_level=(0.0, 0.0, 2.0)))
+    guard, admitted = admit(seen, [fix, report])
+    assert admitted == [fix, report]
+    assert (set(guard.sensors), guard.heights) == ({VesselReport}, seen.heights)
+
+
+def test_after_a_leap_of_the_time_every_delay_begins_again() -> None:
+    imu = Imu(stamp(T), np.zeros(3), np.array([0.0, 0.0, -9.8]))
+    guard, _ = admit(IntegrityGuard(), [imu, Baro(stamp(T), 1.0, 0.5)])
+    assert set(guard.clock.delays) == {"Imu", "Baro"}
+    later = T + 100 * S
+    guard, (first, second) = admit(guard, [status(later, flying=True), Baro(stamp(later, delay=50 * MS), 2.0, 0.5)])
+    assert (first, isinstance(second, Baro)) == (Verdict.TOO_NEW, True)
+    assert guard.clock.now == later
+    assert {kind: delay.median_s for kind, delay in guard.clock.delays.items()} == {"Baro": pytest.approx(0.05)}
 
 
 def test_a_frame_that_repeats_is_refused() -> None:

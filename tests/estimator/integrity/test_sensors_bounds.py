@@ -66,6 +66,16 @@ def test_a_limit_may_be_reached(reached: Reading, passed: Reading) -> None:
     assert said(passed) == [Verdict.IMPOSSIBLE]
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_speed_is_that_of_the_components_that_were_measured(axis: int) -> None:
+    var = np.full(3, 1e3)
+    var[axis] = 0.01
+    for speed, verdict in ((20.0, None), (-20.0, None), (20.01, Verdict.IMPOSSIBLE)):
+        v = np.full(3, 500.0)
+        v[axis] = speed
+        assert said(BodyVelocity(at(T), v, np.diag(var))) == [verdict]
+
+
 @pytest.mark.parametrize("after_ms", [20, 50, 100, 1000])
 def test_a_step_is_allowed_what_the_vehicle_can_do_within_a_tenth_of_a_second(after_ms: int) -> None:
     dt, t = min(0.1, 1e-3 * after_ms), T + after_ms * MS

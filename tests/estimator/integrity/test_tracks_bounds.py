@@ -168,3 +168,13 @@ def test_what_the_estimator_took_is_counted_and_compared_with_by_its_instant() -
 
 def test_the_first_sighting_begins_track_one_that_no_estimator_has_taken() -> None:
     assert associate(Tracks(), place(T), None, LIMITS) == (Tracks(1, 0, place(T)), True)
+
+
+def test_looks_at_another_place_count_from_the_first_one_after_the_pad_was_seen() -> None:
+    t = T + S
+    new, _ = associate(followed(), place(t, 1.0), None, LIMITS)
+    assert (new.candidates[0].n, new.candidates[0].n_alone, new.candidates[0].first) == (1, 1, t)
+    again, _ = associate(followed(20, other(5, T - S, t - 30 * MS)), place(t, 1.0), None, LIMITS)
+    assert (again.candidates[0].n, again.candidates[0].n_alone, again.candidates[0].first) == (6, 1, t)
+    more, _ = associate(again, place(t + 30 * MS, 1.0), None, LIMITS)
+    assert (more.candidates[0].n, more.candidates[0].n_alone, more.candidates[0].first) == (7, 2, t)
