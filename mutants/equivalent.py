@@ -28,6 +28,10 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "error_m > math.sqrt(OUT) * radius_m(height_m, options)"
         "  ->  error_m >= math.sqrt(OUT) * radius_m(height_m, options)": _ROUNDED,
     },
+    "companion/guidance/rendezvous.py": {
+        "0.0 < along < way_m  ->  0.0 <= along < way_m": _ROUNDED,
+        "abs(turn) <= _ROUND_RAD  ->  abs(turn) < _ROUND_RAD": _ROUNDED,
+    },
     "companion/guidance/heave.py": {"True  ->  False": "two rows of three numbers each"},
     "estimator/integrity/sensors.py": {
         "t < repeat.since  ->  t <= repeat.since": "what begins anew at its own instant with its own value is the same",

@@ -88,7 +88,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/companion/test_clearance.py",
     ),
     "companion/guidance/blind_hold.py": ("tests/companion/test_blind_hold.py", "tests/companion/test_steer.py", *_MISSION),
-    "companion/guidance/heading.py": ("tests/companion/test_heading.py", *_MISSION),
+    "companion/guidance/heading.py": ("tests/companion/test_heading.py",),
     "companion/guidance/limits.py": ("tests/companion/test_limits.py", *_MISSION, "tests/companion/test_clearance.py"),
     "companion/guidance/attempt.py": ("tests/companion/test_attempt.py", *_MISSION),
     "companion/guidance/held_up.py": ("tests/companion/test_held_up.py",),

@@ -99,6 +99,12 @@ def test_it_slows_before_the_point_and_moves_with_the_ship() -> None:
         assert by_itself.v_level == pytest.approx([v[0] + 0.3, v[1] - 0.2, 0.0])
 
 
+def test_on_the_point_itself_it_stays() -> None:
+    before_her = RendezvousOptions(bearing_deg=0.0, range_m=8.0)
+    assert not np.any(hold_off(place([-8.0, 0.0], axis=0.0), before_her))
+    assert not np.any(to_hold_off(place([-8.0, 0.0], axis=0.0), before_her, 0.8, over_ground=True).v_level)
+
+
 @pytest.mark.parametrize(("height", "rate"), [(5.49, -0.8), (5.5, 0.0), (60.0, 0.0), (None, 0.0), (-1.0, -0.8)])
 def test_it_climbs_while_it_is_low_and_never_descends(height: float | None, rate: float) -> None:
     low = place([20.0, 1.0], height=height)
@@ -126,7 +132,7 @@ def test_the_next_corner_is_flown_to_at_this_one_and_the_first_after_the_last() 
         return place(-2.5 * expanding_square(leg) + [0.0, off_m], axis=0.0)
 
     assert [next_leg(3, over(3, off_m), OPTIONS) for off_m in (0.69, 0.71)] == [4, 3]
-    assert [next_leg(0, over(0, off_m), OPTIONS) for off_m in (0.0, 0.71)] == [1, 0]
+    assert [next_leg(0, over(0, off_m), OPTIONS) for off_m in (0.0, 0.7, 0.71)] == [1, 1, 0]
     last = next(n for n in range(99) if math.hypot(*(2.5 * expanding_square(n + 1))) > 10.0 * math.sqrt(2.0))
     assert last == 16
     assert [next_leg(leg, over(leg, 0.0), OPTIONS) for leg in (last - 1, last)] == [last, 0]

@@ -72,7 +72,8 @@ def test_the_regulators_gains_solve_its_riccati_equation(lag_s: float, delay_lin
     S = solve_discrete_are(model.A, B, Q, R)
     K = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ model.A)[0]
     lag = (gains.lag,) if lag_s else ()
-    np.testing.assert_allclose((*gains[:4], *lag, *gains.under_way), K, rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose((*gains[:4], *lag, *gains.under_way), K, rtol=1e-9)
+    assert delay_line is (gains == tilt_gains(response, TiltWeights(), DT))
     assert len(gains.under_way) == (3 if delay_line else 1)
     assert (gains.lag == 0.0) is (lag_s == 0.0)
 
