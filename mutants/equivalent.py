@@ -32,6 +32,10 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "0.0 < along < way_m  ->  0.0 <= along < way_m": _ROUNDED,
         "abs(turn) <= _ROUND_RAD  ->  abs(turn) < _ROUND_RAD": _ROUNDED,
     },
+    "companion/guidance/heading.py": {
+        "0.0  ->  1.0": "a first heading that counts as a turn of one radian is no turn either",
+        "float(estimate.cov[6, 6]) <= SIGMA_MAX_RAD**2  ->  float(estimate.cov[6, 6]) < SIGMA_MAX_RAD**2": _ROUNDED,
+    },
     "companion/guidance/heave.py": {"True  ->  False": "two rows of three numbers each"},
     "estimator/integrity/sensors.py": {
         "t < repeat.since  ->  t <= repeat.since": "what begins anew at its own instant with its own value is the same",

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+
+if TYPE_CHECKING:
+    import cv2
 
 Cells = NDArray[np.bool_]
 QUIET_CELLS = 1.0
@@ -84,11 +87,15 @@ class PaintedFiducial(Struct, frozen=True, forbid_unknown_fields=True, tag_field
 @lru_cache(maxsize=1)
 def dictionary_names() -> tuple[str, ...]:
     """Return the names of the dictionaries that OpenCV's aruco module has."""
+    import cv2  # settings are checked without OpenCV unless their pad has fiducials
+
     return tuple(name for name in dir(cv2.aruco) if name.startswith("DICT_"))
 
 
 def dictionary_of(name: str) -> cv2.aruco.Dictionary:
     """Return a dictionary by one of `dictionary_names`."""
+    import cv2
+
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 

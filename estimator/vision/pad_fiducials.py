@@ -66,7 +66,7 @@ def check_fiducials(regions: Sequence[Region], paints: Mapping[str, Rgb], where:
     for i, fiducial in found.items():
         _check_ground(fiducial, ground, paints, f"{where}: regions[{i}]")
     for (i, a), (j, b) in combinations(found.items(), 2):
-        _check_told_apart(a, b, i, f"{where}: regions[{j}]")
+        _check_distinct(a, b, i, f"{where}: regions[{j}]")
     for i, fiducial in found.items():
         for j, other in enumerate(regions):
             if j != i and part_of(other) in ("letter", "fiducial"):
@@ -95,7 +95,7 @@ def _check_ground(fiducial: PaintedFiducial, ground: PaintedDisc | PaintedPanel,
         )
 
 
-def _check_told_apart(a: PaintedFiducial, b: PaintedFiducial, first: int, where: str) -> None:
+def _check_distinct(a: PaintedFiducial, b: PaintedFiducial, first: int, where: str) -> None:
     one, other = a.cells(), b.cells()
     if one.shape != other.shape:
         return

@@ -85,12 +85,12 @@ def read_cells(px: NDArray[np.uint8], camera: Camera, pad: Pad, pose: PadPose, b
     at = uv[seen].astype(np.float32)
     shown = cv2.remap(px, at[:, :1], at[:, 1:], cv2.INTER_LINEAR).reshape(-1, 3).mean(axis=1)
     dark, bright = np.percentile(shown, (10.0, 90.0)).tolist()
-    told = (2.0 * light[seen] - 1.0)[bits]
-    clear = max(float(told @ told), 1e-6)
+    expected = (2.0 * light[seen] - 1.0)[bits]
+    clear = max(float(expected @ expected), 1e-6)
     if bright - dark < _LEAST_SPAN:
-        return ReadCells(0.0, clear, len(told))
+        return ReadCells(0.0, clear, len(expected))
     read = np.clip(2.0 * (shown[bits] - dark) / (bright - dark) - 1.0, -1.0, 1.0)
-    return ReadCells(float(told @ read) / clear, clear, len(told))
+    return ReadCells(float(expected @ read) / clear, clear, len(expected))
 
 
 def _step_of(blur_cells: float) -> int:
