@@ -23,6 +23,7 @@ from companion.page.messages import DownloadRequest, DrawnNotice, LoginRequest, 
 from companion.page.recordings import Recordings
 from companion.page.report_maker import ReportMaker
 from companion.page.settings import PageSettings
+from companion.page.tool_messages import ToolRequest
 from companion.page.viewer import PageViewer
 from companion.runtime.health import Health
 from companion.runtime.make_pilot import make_pilot
@@ -110,6 +111,9 @@ class _Page:
 
     def make_report(self, viewer: PageViewer, name: str) -> None:
         self._reports.ask(viewer, name)
+
+    def use_tool(self, viewer: PageViewer, request: ToolRequest) -> None:
+        assert request
 
 
 class _Socket:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from msgspec import structs
+
 from companion.doctor.diagnose import PARAMETERS
 from companion.doctor.renamed import names_in
 from companion.doctor.snapshot import AutopilotSnapshot, HeardSystem, LinkSnapshot, Snapshot, TimeSyncSnapshot
@@ -82,6 +84,36 @@ async def examine(
         if autopilot.identity is not None:
             rates = await _ask(autopilot, notes, clock, seconds, say)
         return _snapshot(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now()))
+
+
+async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds: float) -> Snapshot:
+    """Examine the autopilot over the links that a service has open; cancelled, it asks nothing more.
+
+    The links' counters are those since they were opened; texts and events are those of this examination.
+
+    Args:
+        wanted: the system id that the settings ask for; 0 for any.
+        seconds: how long to count messages.
+    """
+    notes, began, events = _Notes(), clock.now(), autopilot.counts["EVENT"]
+    autopilot.add_listener(notes.on_message)
+    try:
+        rates: dict[str, float] = {}
+        if autopilot.identity is None:
+            await clock.sleep(seconds)
+        else:
+            rates = await _ask(autopilot, notes, clock, seconds, lambda text: None)
+        snapshot = _snapshot(autopilot, notes, rates, wanted, seconds_between(began, clock.now()))
+    finally:
+        autopilot.remove_listener(notes.on_message)
+        if autopilot.parameters is not None:
+            autopilot.parameters.forget()
+    if snapshot.autopilot is None:
+        return snapshot
+    texts = tuple(text for at, _, text in autopilot.texts if at >= began)
+    newer = min(autopilot.counts["EVENT"] - events, len(autopilot.events))
+    numbers = tuple(autopilot.events)[len(autopilot.events) - newer :]
+    return structs.replace(snapshot, autopilot=structs.replace(snapshot.autopilot, texts=texts, events=numbers))
 
 
 async def _ask(autopilot: Autopilot, notes: _Notes, clock: Clock, seconds: float, say: Say) -> dict[str, float]:

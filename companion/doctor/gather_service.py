@@ -1,8 +1,9 @@
-"""Take a snapshot of the service itself: its files, camera, broker and drone, and its metrics if it is running."""
+"""Take a snapshot of the service itself: its files, camera, broker and drone, and its figures if it is running."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 
 import aiohttp
 from msgspec import structs
@@ -10,10 +11,13 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
 from companion.config import secret_files
+from companion.config.effect import without_effect
 from companion.config.model import Settings
+from companion.config.referenced_files import check_files
 from companion.config.settings import camera_model, pad_model
 from companion.config.ship_place import contradiction
 from companion.doctor.snapshot import ServiceSnapshot
+from companion.runtime.health import HealthSnapshot
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.video_source import open_camera
 from estimator.contracts.errors import BadInput, DecklanderError
@@ -51,14 +55,44 @@ async def examine_service(
     return structs.replace(snapshot, broker=broker, broker_fault=fault)
 
 
-async def _from_settings(settings: Settings, clock: Clock, seconds: float, timeout_s: float) -> ServiceSnapshot:
-    snapshot = ServiceSnapshot(ship_place=contradiction(settings))
+def running_service(settings: Settings, health: HealthSnapshot) -> ServiceSnapshot:
+    """Return the snapshot of the service that runs in this process. It reads files, so it belongs on a thread."""
+    snapshot = _files(settings)
+    rates_hz = {kind: flow.rate_hz for kind, flow in health.flows.items() if flow.rate_hz is not None}
+    medians_s = {stage: times.p50_s for stage, times in health.stages.items() if times.p50_s is not None}
+    snapshot = _figures(snapshot, health.counters, rates_hz, medians_s)
+    if settings.mqtt.transport != "off":
+        fault = _fault_of(health, "mqtt")
+        snapshot = structs.replace(snapshot, broker=f"{settings.mqtt.host}:{settings.mqtt.port}", broker_fault=fault)
+    if isinstance(settings.vehicle, ArDroneOptions):
+        drone = f"{settings.vehicle.host}:{settings.vehicle.control_port}"
+        snapshot = structs.replace(snapshot, drone=drone, drone_fault=_fault_of(health, "vehicle"))
+    return snapshot
+
+
+def _fault_of(health: HealthSnapshot, name: str) -> str | None:
+    part = health.parts.get(name)
+    return None if part is None or part.up or not part.last_error else part.last_error
+
+
+def _files(settings: Settings) -> ServiceSnapshot:
+    snapshot = ServiceSnapshot(ship_place=contradiction(settings), without_effect=without_effect(settings))
+    try:
+        check_files(settings)
+    except BadInput as why:
+        snapshot = structs.replace(snapshot, files_fault=str(why))
     try:
         model = camera_model(settings)
         pad_model(settings)
     except BadInput as why:
         return structs.replace(snapshot, camera_fault=str(why))
-    snapshot = structs.replace(snapshot, camera_size=(model.width, model.height))
+    return structs.replace(snapshot, camera_size=(model.width, model.height))
+
+
+async def _from_settings(settings: Settings, clock: Clock, seconds: float, timeout_s: float) -> ServiceSnapshot:
+    snapshot = _files(settings)
+    if snapshot.camera_fault is not None:
+        return snapshot
     vehicle = settings.vehicle
     if isinstance(vehicle, ArDroneOptions):
         fault = await _unreachable(vehicle.host, vehicle.control_port, timeout_s)
@@ -109,12 +143,26 @@ async def _scrape(settings: Settings, timeout_s: float) -> list[Sample] | None:
 
 
 def _of_metrics(snapshot: ServiceSnapshot, scraped: list[Sample]) -> ServiceSnapshot:
-    counted = {s.labels["name"]: s.value for s in scraped if s.name == "decklander_count"}
+    counts: dict[str, dict[str, float]] = {}
+    for s in scraped:
+        if s.name == "decklander_count":
+            counts.setdefault(s.labels["part"], {})[s.labels["name"]] = s.value
     rates_hz = {s.labels["kind"]: s.value for s in scraped if s.name == "decklander_item_rate_hertz"}
     medians_s = {
         s.labels["stage"]: s.value for s in scraped if s.name == "decklander_stage_seconds" and s.labels["quantile"] == "0.5"
     }
-    places = {s.labels["name"]: int(s.value) for s in scraped if s.name == "decklander_count" and s.labels["part"] == _PLACES}
+    return _figures(snapshot, counts, rates_hz, medians_s)
+
+
+def _figures(
+    snapshot: ServiceSnapshot,
+    counts: Mapping[str, Mapping[str, float]],
+    rates_hz: Mapping[str, float],
+    medians_s: Mapping[str, float],
+) -> ServiceSnapshot:
+    """Return the snapshot with a running service's figures: counters by part and name, rates by kind, medians by stage."""
+    counted = {name: value for part in counts.values() for name, value in part.items()}
+    places = {name: int(value) for name, value in counts.get(_PLACES, {}).items()}
     taken = places.pop("taken", None)
     sent, ranges = counted.get("targets_sent"), counted.get("sends_ranges")
     return structs.replace(
@@ -124,24 +172,21 @@ def _of_metrics(snapshot: ServiceSnapshot, scraped: list[Sample]) -> ServiceSnap
         targets_sent=None if sent is None else int(sent),
         sends_ranges=None if ranges is None else bool(ranges),
         places_taken=taken,
-        places_refused=_sources_refused(scraped) | {name.replace("_", " "): n for name, n in places.items()},
+        places_refused=_sources_refused(counts) | {name.replace("_", " "): n for name, n in places.items()},
         withheld={
             name.removeprefix(_WITHHELD).replace("_", " "): int(n) for name, n in counted.items() if name.startswith(_WITHHELD)
         },
     )
 
 
-def _sources_refused(scraped: list[Sample]) -> dict[str, int]:
+def _sources_refused(counts: Mapping[str, Mapping[str, float]]) -> dict[str, int]:
     """Return the number of sentences and reports of the ship that were refused before they told a place, by reason."""
     out: dict[str, int] = {}
-    for sample in scraped:
-        if sample.name != "decklander_count":
-            continue
-        for part, prefix in _SHIP_SOURCES:
-            name = sample.labels["name"]
-            if sample.labels["part"] == part and name.startswith(prefix) and name not in _NOT_REFUSED:
+    for part, prefix in _SHIP_SOURCES:
+        for name, value in counts.get(part, {}).items():
+            if name.startswith(prefix) and name not in _NOT_REFUSED:
                 why = name.removeprefix(prefix).replace("_", " ")
-                out[why] = out.get(why, 0) + int(sample.value)
+                out[why] = out.get(why, 0) + int(value)
     return out
 
 

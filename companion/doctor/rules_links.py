@@ -292,6 +292,26 @@ def clock_jumps(p: Snapshot) -> Finding | None:
     return None
 
 
+def files_fault(p: Snapshot) -> Finding | None:
+    """Find a key, password, certificate or gamepad mapping that cannot be used."""
+    if p.service.files_fault is not None:
+        return error(
+            "settings-files", p.service.files_fault, "correct the file or the setting that names it; its part cannot begin"
+        )
+    return None
+
+
+def settings_idle(p: Snapshot) -> Finding | None:
+    """Find settings without effect."""
+    if p.service.without_effect:
+        return advice(
+            "settings-idle",
+            "; ".join(p.service.without_effect),
+            "take these keys out, or switch on what they belong to",
+        )
+    return None
+
+
 def camera_fault(p: Snapshot) -> Finding | None:
     """Find a fault in the camera or pad file."""
     if p.service.camera_fault is not None:
@@ -381,7 +401,7 @@ def ship_silent(p: Snapshot) -> Finding | None:
 RULES: tuple[Rule, ...] = (
     link_down, link_silent, link_garbage, link_signature, link_old_version, link_lossy, link_unsigned,
     link_unknown_senders, link_one_way, wrong_system, no_autopilot, several_autopilots,
-    stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, camera_fault, camera_device,
-    camera_size, camera_slow,
+    stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, files_fault, settings_idle,
+    camera_fault, camera_device, camera_size, camera_slow,
     broker_fault, drone_fault, ship_place, ship_silent,
 )  # fmt: skip

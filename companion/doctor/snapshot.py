@@ -89,6 +89,10 @@ class HeardSystem(Struct, frozen=True):
 class ServiceSnapshot(Struct, frozen=True):
     """The service itself, as far as it runs or could be queried."""
 
+    files_fault: str | None = None
+    """Why a key, password or certificate that the settings name cannot be used."""
+    without_effect: tuple[str, ...] = ()
+    """Lines about settings that have no effect beside others."""
     camera_fault: str | None = None
     """Description of the fault of the camera or pad file."""
     device_fault: str | None = None

@@ -66,6 +66,11 @@ class AutopilotPart:
         pilot.engage = self._engage
         health.counters("mavlink", self._counted)
 
+    @property
+    def autopilot(self) -> Autopilot | None:
+        """The autopilot whose links are open; None while they are not."""
+        return self._open
+
     @asynccontextmanager
     async def open(self) -> AsyncIterator[VehicleLink]:
         """Open the autopilot as the daemon's link."""

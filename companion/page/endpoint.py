@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from aiohttp import WSMsgType, web
@@ -40,6 +40,8 @@ from companion.page.recordings import Recordings
 from companion.page.report_maker import ReportMaker
 from companion.page.settings import PageSettings
 from companion.page.state import HORIZONS_S, page_health, place
+from companion.page.tool import Tool, flying
+from companion.page.tool_messages import ToolRequest
 from companion.page.viewer import ORDERS, PageViewer
 from companion.report.expected_place import camera_lean
 from companion.runtime.connection_limits import ConnectionLimits, listen
@@ -74,6 +76,7 @@ class PageEndpoint(NullObserver):
     Args:
         vehicle: the vehicle's name for the page.
         recordings: the recorder's folder.
+        tools: what the page offers beside the flight.
 
     Raises:
         BadInput: the token or the certificate cannot be read.
@@ -88,6 +91,7 @@ class PageEndpoint(NullObserver):
         vehicle: str,
         recordings: Path,
         limits: ConnectionLimits | None = None,
+        tools: Sequence[Tool] = (),
     ) -> None:
         self._settings = settings
         self.pilot = pilot
@@ -98,6 +102,7 @@ class PageEndpoint(NullObserver):
         self._tls = server_context(settings)
         self._limits = limits or ConnectionLimits()
         self._assets = assets()
+        self._tools = tuple(tools)
         self._recordings = Recordings(recordings, clock)
         self._reports = ReportMaker(recordings, lambda: self._flying)
         self._asking: Line[PageViewer] = Line(settings.viewers_max)
@@ -136,6 +141,8 @@ class PageEndpoint(NullObserver):
         self._tell(handled.at, "info" if handled.accepted else "warning", str(handled))
 
     def on_frame(self, processed: ProcessedFrame) -> None:
+        for tool in self._tools:
+            tool.on_frame(processed)
         now = self.clock.now()
         due = self._offered is None or seconds_between(self._offered, now) >= 1.0 / self._settings.picture_rate_hz
         if due and any(viewer.ready for viewer in self._viewers):
@@ -168,6 +175,8 @@ class PageEndpoint(NullObserver):
                     group.create_task(self._send_pictures(worker))
                     group.create_task(self._send_lists())
                     group.create_task(self._reports.run())
+                    for tool in self._tools:
+                        group.create_task(tool.run())
             finally:
                 server.close()
         finally:
@@ -197,10 +206,15 @@ class PageEndpoint(NullObserver):
         """Make the report of a recording for this viewer, or tell why not."""
         self._reports.ask(viewer, name)
 
+    def use_tool(self, viewer: PageViewer, request: ToolRequest) -> None:
+        """Pass a request to the tool that answers it."""
+        for tool in self._tools:
+            if isinstance(request, tool.kinds):
+                tool.ask(viewer, request)
+
     @property
     def _flying(self) -> bool:
-        status = self.pilot.vehicle
-        return status is not None and bool(status.flying)
+        return flying(self.pilot)
 
     async def _send_lists(self) -> None:
         worker = Worker("page lists")

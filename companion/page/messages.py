@@ -9,6 +9,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from companion.operator.wire import FlightState, OrderAnswer, OrderRequest, RequestRefused, SticksRequest
+from companion.page.tool_messages import ToolAnswer, ToolRequest
 
 TEXT_MAX = 1024
 """The longest message from a browser, bytes."""
@@ -45,7 +46,9 @@ class ReportRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="re
     name: Annotated[str, Meta(max_length=205)]
 
 
-PageRequest = LoginRequest | OrderRequest | SticksRequest | DrawnNotice | RecordingsRequest | DownloadRequest | ReportRequest
+PageRequest = (
+    LoginRequest | OrderRequest | SticksRequest | DrawnNotice | RecordingsRequest | DownloadRequest | ReportRequest | ToolRequest
+)
 
 
 class PageWelcome(Struct, frozen=True, kw_only=True, tag_field="kind", tag="welcome"):
@@ -172,7 +175,7 @@ class PictureHeader(Struct, frozen=True, kw_only=True):
 
 
 FileAnswer = RecordingList | DownloadAnswer | ReportAnswer
-ToPage = PageWelcome | PageState | PageHealth | PageEvent | OrderAnswer | RequestRefused | FileAnswer
+ToPage = PageWelcome | PageState | PageHealth | PageEvent | OrderAnswer | RequestRefused | FileAnswer | ToolAnswer
 
 _requests = msgspec.json.Decoder(PageRequest)
 _encode = msgspec.json.Encoder().encode

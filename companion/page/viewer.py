@@ -26,6 +26,7 @@ from companion.page.messages import (
     request_in,
     text_of,
 )
+from companion.page.tool_messages import ToolRequest
 from companion.runtime.pilot import Pilot
 from drivers.mailbox import Latest, Line
 from estimator.contracts.ports import Clock
@@ -56,6 +57,8 @@ class Served(Protocol):
     def offer_recording(self, viewer: PageViewer, name: str) -> None: ...
 
     def make_report(self, viewer: PageViewer, name: str) -> None: ...
+
+    def use_tool(self, viewer: PageViewer, request: ToolRequest) -> None: ...
 
 
 class PageViewer:
@@ -161,6 +164,8 @@ class PageViewer:
                 return "this page is logged in already"
             case str():
                 return request
+            case _:
+                self._served.use_tool(self, request)
         return None
 
     def _order(self, request: OrderRequest) -> None:

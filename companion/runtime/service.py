@@ -7,7 +7,6 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from companion.config.model import Settings
@@ -118,9 +117,9 @@ def make_daemon(
 
         extras["metrics"] = MetricsEndpoint(settings.metrics, health).run
     if settings.page.endpoint != "off":
-        from companion.page.endpoint import PageEndpoint
+        from companion.page.make import make_page
 
-        page = PageEndpoint(settings.page, pilot, health, ticking, vehicle_name(settings), Path(settings.recorder.folder))
+        page = make_page(settings, pilot, health, ticking, vehicle_name(settings), vehicle.autopilot)
         watching.append(page)
         extras["page"] = page.run
         health.counters("page", page.counted)

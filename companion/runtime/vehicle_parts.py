@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from companion.config.model import Settings, ardrone_options
@@ -25,6 +25,7 @@ from estimator.uvlc import UvlcDecoder
 
 if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does not need it
     from companion.mavlink.camera_component import ShowCamera
+    from drivers.mavlink.autopilot import Autopilot
     from drivers.mavlink.links import Tap
 
 
@@ -36,6 +37,8 @@ class VehicleParts:
     observers: tuple[Observer, ...] = ()
     extras: dict[str, Body] = field(default_factory=dict)
     """Tasks to be supervised, by name."""
+    autopilot: Callable[[], Autopilot | None] = lambda: None
+    """Returns the autopilot whose links are open; None while they are not, or if the vehicle has none."""
 
 
 def vehicle_parts(
@@ -62,7 +65,7 @@ def vehicle_parts(
         from companion.mavlink.make import AutopilotPart
 
         autopilot = AutopilotPart(settings, vehicle, pilot, health, clock, recording, tap, show)
-        parts = VehicleParts(autopilot.open, (autopilot.component,))
+        parts = VehicleParts(autopilot.open, (autopilot.component,), autopilot=lambda: autopilot.autopilot)
     else:
         parts = _ardrone(settings, pilot, health, clock, tap, show)
     if settings.camera.source == "vehicle":
@@ -73,7 +76,7 @@ def vehicle_parts(
     except ValueError as why:
         raise BadInput(f"{settings.camera.file}: {why}") from why
     open_link = with_camera(parts.open_link, settings.camera, size, clock)
-    return VehicleParts(open_link, parts.observers, parts.extras)
+    return replace(parts, open_link=open_link)
 
 
 def _ardrone(

@@ -173,6 +173,14 @@ class Autopilot:
         """Call `listener` with every message of every link except our own, before it becomes samples. It must be quick."""
         self._listeners.append(listener)
 
+    def remove_listener(self, listener: Callable[[ReceivedMessage], None]) -> None:
+        """Call this listener no more.
+
+        Raises:
+            ValueError: it was not added.
+        """
+        self._listeners.remove(listener)
+
     async def _read(self) -> None:
         async for received in self.links.received:
             if (received.system, received.component) == self.links.identity:

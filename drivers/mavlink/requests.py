@@ -201,6 +201,11 @@ class Parameters:
                 self.absent.discard(name)
                 self._wanted.append(name)
 
+    def forget(self) -> None:
+        """Ask for nothing more. What was asked and not answered is neither read nor absent."""
+        self._wanted.clear()
+        self._asked.clear()
+
     def due(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
         """Return the requests to send now."""
         out = []

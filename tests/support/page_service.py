@@ -11,21 +11,26 @@ from typing import Any
 
 import aiohttp
 import numpy as np
+from msgspec import structs
 
 from companion.config.settings import load
 from companion.operator.orders import HandledOrder
-from companion.page.endpoint import PageEndpoint
+from companion.page.make import make_page
 from companion.page.settings import PageSettings
+from companion.recorder.options import RecorderOptions
 from companion.runtime.connection_limits import ConnectionLimits
 from companion.runtime.health import Health
 from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import ProcessedFrame
 from companion.runtime.pilot import Pilot
 from drivers.clock import SystemClock
+from drivers.mavlink.autopilot import Autopilot
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import in_words
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
+from tests.support.fake_ardrone import until
 
 TOKEN = "a-token-of-sixteen-and-more"
 
@@ -33,17 +38,22 @@ TOKEN = "a-token-of-sixteen-and-more"
 class PageService:
     """See the module's docstring."""
 
-    def __init__(self, folder: Path, limits: ConnectionLimits | None = None, **settings: Any) -> None:
+    def __init__(
+        self, folder: Path, limits: ConnectionLimits | None = None, autopilot: Autopilot | None = None, **settings: Any
+    ) -> None:
         file = folder / "token"
         file.write_text(TOKEN + "\n")
         file.chmod(0o600)
-        self.pilot: Pilot = make_pilot(load("sim"))
+        given = {"endpoint": "http", "port": 0, "token_file": str(file)} | settings
+        self.settings = structs.replace(
+            load("sim"), page=PageSettings(**given), recorder=RecorderOptions(folder=str(folder / "recordings"))
+        )
+        if autopilot is not None:
+            self.settings = structs.replace(self.settings, vehicle=AutopilotOptions("udpin://127.0.0.1:0"))
+        self.pilot: Pilot = make_pilot(self.settings)
         self.clock = SystemClock()
         self.health = Health(self.clock)
-        given = {"endpoint": "http", "port": 0, "token_file": str(file)} | settings
-        self.page = PageEndpoint(
-            PageSettings(**given), self.pilot, self.health, self.clock, "a vehicle", folder / "recordings", limits
-        )
+        self.page = make_page(self.settings, self.pilot, self.health, self.clock, "a vehicle", lambda: autopilot, limits)
         self.health.counters("page", self.page.counted)
         self.orders: list[HandledOrder] = []
         self.pilot.operator.on_order = self._on_order
@@ -72,6 +82,11 @@ class PageService:
             if self.cycles % 3 == 0:
                 self.page.on_frame(self.frame(now))
             await asyncio.sleep(0.02)
+
+    async def lands(self) -> None:
+        """Let the vehicle stand, and wait until the pilot knows it."""
+        self.flying = False
+        await until(lambda: self.pilot.vehicle is not None and self.pilot.vehicle.flying is False)
 
     def frame(self, now: MonoNs) -> ProcessedFrame:
         self._frames += 1

@@ -1,4 +1,5 @@
 // The page's beginning: the theme, the login, and who gets which message.
+import { Doctor } from "./doctor.js";
 import { Link } from "./link.js";
 import { Picture } from "./picture.js";
 import { Orders } from "./orders.js";
@@ -37,6 +38,7 @@ const picture = new Picture($("picture"), $("picture-note"), (number) => link.se
 const sticks = new Sticks(link, orders, $("sticks"), $("by-hand"), $("hand-note"));
 const plots = new Plots();
 new RecordingsList(link);
+const doctor = new Doctor(link);
 const views = [new Above($("above")), new Side($("side"))];
 $("lines").addEventListener("change", (event) => picture.showLines(event.target.checked));
 
@@ -82,6 +84,7 @@ link.onLost = (why) => {
   telling.chip($("link"), "fault", "lost");
   orders.enable(false);
   sticks.lost();
+  doctor.lost();
   picture.forget();
   $("flight").classList.add("stale");
   $("lost").hidden = $("flight").hidden;

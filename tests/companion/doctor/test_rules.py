@@ -169,6 +169,8 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "telemetry radio": ("clock-far", replace(GOOD, sync=TimeSyncSnapshot(True, 0.180)), "wire"),
     "PX4 over Wi-Fi": ("clock-far", replace(GOOD_PX4, sync=TimeSyncSnapshot(True, 0.022)), "wire"),
     "clock set while listening": ("clock-jumps", replace(GOOD, sync=TimeSyncSnapshot(True, 0.004, jumps=2)), "power"),
+    "a key that is not there": ("settings-files", service(files_fault="page.token_file: t: No such file"), "setting"),
+    "settings that do nothing": ("settings-idle", service(without_effect=("page.port: without effect",)), "take these keys out"),
     "camera not plugged in": ("camera-device", service(device_fault="usb: no such camera; there is none at all"), "cable"),
     "camera file with a fault": ("camera-file", service(camera_fault="cam.toml: fx: expected a number"), "config check"),
     "camera at another size": ("camera-size", service(frame_size=(1280, 720)), "calibrate"),

@@ -1,0 +1,47 @@
+"""Make the page with its tools from the settings of a service."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from companion.config.model import Settings
+from companion.doctor.live import LiveExaminer
+from companion.page.doctor_tool import DoctorTool
+from companion.page.endpoint import PageEndpoint
+from companion.page.tool import Tool, flying
+from companion.runtime.connection_limits import ConnectionLimits
+from companion.runtime.health import Health
+from companion.runtime.pilot import Pilot
+from estimator.contracts.ports import Clock
+
+if TYPE_CHECKING:
+    from drivers.mavlink.autopilot import Autopilot
+
+
+def make_page(
+    settings: Settings,
+    pilot: Pilot,
+    health: Health,
+    clock: Clock,
+    vehicle: str,
+    autopilot: Callable[[], Autopilot | None],
+    limits: ConnectionLimits | None = None,
+) -> PageEndpoint:
+    """Return the page.
+
+    Args:
+        vehicle: the vehicle's name for the page.
+        autopilot: returns the autopilot whose links are open; None while they are not.
+
+    Raises:
+        BadInput: the token or the certificate cannot be read.
+    """
+
+    def in_flight() -> bool:
+        return flying(pilot)
+
+    tools: list[Tool] = [DoctorTool(LiveExaminer(settings, health, clock, autopilot, in_flight), clock, in_flight)]
+    folder = Path(settings.recorder.folder)
+    return PageEndpoint(settings.page, pilot, health, clock, vehicle, folder, limits, tools)

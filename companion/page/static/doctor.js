@@ -1,0 +1,44 @@
+// The doctor's findings: asked for by a button, the most severe first, each with its cure.
+const LEVELS = { error: "fault", warning: "warning", advice: "info" };
+const $ = (id) => document.getElementById(id);
+
+function part(tag, text, name = "") {
+  const element = document.createElement(tag);
+  element.textContent = text;
+  if (name) element.className = name;
+  return element;
+}
+
+export class Doctor {
+  #link;
+
+  constructor(link) {
+    this.#link = link;
+    $("examine").addEventListener("click", () => this.#ask());
+    link.on("examined", (message) => this.#show(message));
+  }
+
+  lost() {
+    $("examine").removeAttribute("aria-busy");
+  }
+
+  #ask() {
+    if (!this.#link.send({ kind: "examine" })) $("examined").textContent = "not asked, the connection is lost";
+  }
+
+  #show({ text, busy, findings }) {
+    $("examine").setAttribute("aria-busy", String(busy));
+    const at = new Date().toLocaleTimeString();
+    $("examined").textContent = busy ? "Examining: this takes some seconds." : findings === null ? text : `${at}: ${text}`;
+    if (findings !== null) $("findings").replaceChildren(...findings.map((finding) => this.#line(finding)));
+  }
+
+  #line({ rule, severity, what, fix }) {
+    const line = document.createElement("li");
+    line.dataset.level = LEVELS[severity];
+    const head = part("p", "");
+    head.append(part("b", severity), ` ${what} `, part("code", rule));
+    line.append(head, part("p", `Cure: ${fix}`, "cure"));
+    return line;
+  }
+}
