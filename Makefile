@@ -136,7 +136,8 @@ pins:
 	$(PIN) --constraint requirements/build.txt -o requirements/runtime.txt pyproject.toml
 	$(PIN) --constraint requirements/runtime.txt --extra report -o requirements/report.txt pyproject.toml
 	$(PIN) --constraint requirements/report.txt --extra lab -o requirements/lab.txt pyproject.toml
-	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --extra report --extra lab --extra dev -o requirements/dev.txt pyproject.toml
+	$(PIN) --constraint requirements/lab.txt --extra ros2 -o requirements/ros2.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --extra report --extra lab --extra ros2 --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/docs.txt requirements/docs.in

@@ -23,6 +23,7 @@ _FROM_CLASSIFIER = {
 _FROM_TEXT = {
     "Apache 2.0": "Apache-2.0",
     "Apache-2.0": "Apache-2.0",
+    "any-OSI": "any-OSI",
     "BSD": "BSD-3-Clause",
     "BSD 3-Clause License": "BSD-3-Clause",
     "BSD-3-Clause": "BSD-3-Clause",

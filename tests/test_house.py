@@ -48,6 +48,9 @@ LAB = {
 }
 """What needs the extra `lab`. It asks `require_lab` first, or does without."""
 
+ROS2 = {"companion/ros2/bag.py"}
+"""What needs the extra `ros2`. It asks `require_rosbags` first."""
+
 IMPURE_MODULES = {
     "asyncio", "ctypes", "datetime", "glob", "io", "logging", "multiprocessing", "os", "pathlib", "queue", "random", "secrets",
     "select", "selectors", "shutil", "signal", "socket", "subprocess", "sys", "tempfile", "threading", "time", "tomllib",
@@ -328,7 +331,8 @@ def test_what_is_imported_is_declared() -> None:
     runtime = import_names(project["dependencies"])
     report = import_names(project["optional-dependencies"]["report"])
     lab = import_names(project["optional-dependencies"]["lab"])
-    dev = runtime | report | lab | import_names(project["optional-dependencies"]["dev"])
+    ros2 = import_names(project["optional-dependencies"]["ros2"])
+    dev = runtime | report | lab | ros2 | import_names(project["optional-dependencies"]["dev"])
     undeclared = set()
     for path in files():
         if path.suffix == ".py":
@@ -336,6 +340,7 @@ def test_what_is_imported_is_declared() -> None:
             shipped = top in PACKAGES
             drawn = report if str(path.relative_to(ROOT)) in DRAWINGS else set()
             drawn = drawn | (lab if str(path.relative_to(ROOT)) in LAB else set())
+            drawn = drawn | (ros2 if str(path.relative_to(ROOT)) in ROS2 else set())
             declared = runtime | drawn if shipped else dev | extra(top)
             tops = {name.partition(".")[0] for name in imports(parsed(path.read_text()))}
             ours = {"", *PACKAGES, "configs", "examples", "tests", "benches", "fuzz", "mutants", "supply"}

@@ -19,6 +19,7 @@ from companion.recorder.csv_export import export
 from companion.recorder.reading import RecordedFrame, Recording, instant, open_recording
 from companion.recorder.rewriting import Cut, rewrite
 from companion.recorder.setup import about, recorder_to_file
+from companion.ros2 import bag
 from companion.runtime.observer import ProcessedFrame
 from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog, video
 from estimator.contracts.errors import BadInput
@@ -56,11 +57,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     mend.add_argument("--no-frames", action="store_true", help="drop the images, keep the detections")
     tables = actions.add_parser(
         "export",
-        help="write a recording as CSV tables",
-        description="Write a recording as CSV tables, one for each topic, with time stamps in microseconds.",
+        help="write a recording as CSV tables or as a ROS 2 bag",
+        description="Write a recording as CSV tables, one for each topic, with time stamps in microseconds; or as a ROS 2 bag "
+        "of standard messages in the axes of REP-103, for which the extra decklander[ros2] is needed.",
     )
     tables.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recording, or the files of one in order")
-    tables.add_argument("--output", required=True, type=Path, metavar="DIR", help="folder to write the tables into")
+    tables.add_argument("--output", required=True, type=Path, metavar="DIR", help="folder of the tables, or the new bag")
+    tables.add_argument("--format", choices=("csv", "ros2"), default="csv", help="what to write (default: csv)")
     foreign = actions.add_parser(
         "import",
         help="import videos, tables and logs of other tools",
@@ -120,6 +123,11 @@ def _described(recording: Recording, seconds: float, images: int, verdicts: Coun
 
 
 def _export(args: argparse.Namespace) -> int:
+    if args.format == "ros2":
+        counts = bag.export(open_recording(args.files), args.output)
+        sys.stdout.writelines(f"{n:8d}  {topic}\n" for topic, n in sorted(counts.items()))
+        sys.stdout.write(f"{args.output}: {sum(counts.values())} messages; ros2 bag play {args.output}\n")
+        return 0
     written = export(open_recording(args.files), args.output)
     sys.stdout.writelines(f"{args.output / name}: {n} rows\n" for name, n in sorted(written.items()))
     return 0

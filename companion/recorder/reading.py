@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -169,6 +170,17 @@ class Recording:
                     continue
                 if event is not None:
                     yield event
+
+    def offset_ns(self) -> int:
+        """Return the offset from the recording's instants to the time axis of its file, ns.
+
+        Raises:
+            BadInput: it is no number.
+        """
+        text = self.metadata.get("clock", {}).get("monotonic_to_epoch_ns", "0")
+        if not re.fullmatch(r"-?\d{1,19}", text):
+            raise BadInput(f"{self.name}: its clock's offset is no number of nanoseconds: {text[:40]!r}")
+        return int(text)
 
     def settings(self) -> Settings | None:
         """Return the settings that the recording was made with, or None if it holds none.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,7 +49,7 @@ def rewrite(recording: Recording, output: Path, cut: Cut) -> int:
     if camera is None:
         raise BadInput(f"{recording.name}: does not hold its camera")
     metadata = {name: data for name, data in recording.metadata.items() if name != "clock"}
-    offset_ns = _offset_ns(recording)
+    offset_ns = recording.offset_ns()
     attachments = [Attachment(name, "application/toml", data) for name, data in recording.attachments.items()]
     message_encoder = MessageEncoder(camera, offset_ns, "none", 90, recording.pad())
     output.unlink(missing_ok=True)
@@ -62,13 +61,6 @@ def rewrite(recording: Recording, output: Path, cut: Cut) -> int:
         raise
     file.close()
     return n
-
-
-def _offset_ns(recording: Recording) -> int:
-    text = recording.metadata.get("clock", {}).get("monotonic_to_epoch_ns", "0")
-    if not re.fullmatch(r"-?\d{1,19}", text):
-        raise BadInput(f"{recording.name}: its clock's offset is no number of nanoseconds: {text[:40]!r}")
-    return int(text)
 
 
 def _copy(recording: Recording, file: McapFile, message_encoder: MessageEncoder, cut: Cut, offset_ns: int) -> int:

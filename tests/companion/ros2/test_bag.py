@@ -1,0 +1,207 @@
+"""A recording as a ROS 2 bag, read back by the library that ROS users read bags with."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from companion.cli import main as cli
+from companion.recorder.reading import RecordedFrame, open_recording
+from companion.recorder.records import TruthRecord
+from companion.ros2 import bag
+from companion.runtime.observer import Decision
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Imu, Range
+from tests.support.recorded_flight import record_to
+
+rosbags = pytest.importorskip("rosbags", reason="needs the extra ros2")
+Bag = dict[str, list[tuple[int, Any]]]
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("ros2") / "flight.mcap"
+    record_to(path, seconds=1.2)
+    return path
+
+
+@pytest.fixture(scope="module")
+def exported(flown: Path) -> Path:
+    folder = flown.parent / "bag"
+    assert cli.main(["record", "export", str(flown), "--format", "ros2", "--output", str(folder)]) == 0
+    return folder
+
+
+def read(folder: Path) -> Bag:
+    from rosbags.highlevel import AnyReader
+
+    out: Bag = defaultdict(list)
+    with AnyReader([folder]) as reader:
+        for connection, at, data in reader.messages():
+            out[connection.topic].append((at, reader.deserialize(data, connection.msgtype)))
+    return out
+
+
+@pytest.fixture(scope="module")
+def messages(exported: Path) -> Bag:
+    return read(exported)
+
+
+def xyz(v: Any) -> list[float]:
+    return [v.x, v.y, v.z]
+
+
+def rotation(q: Any) -> Rotation:
+    return Rotation.from_quat([q.w, q.x, q.y, q.z])
+
+
+def test_samples_have_the_axes_of_ros_and_the_time_of_their_measurement(flown: Path, messages: Bag) -> None:
+    events = list(open_recording([flown]).events())
+    imus = [e for e in events if isinstance(e, Imu)]
+    assert len(messages["/imu/data_raw"]) == len(imus) > 100
+    for (at, message), imu in zip(messages["/imu/data_raw"], imus, strict=True):
+        assert at == imu.stamp.received_at
+        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == imu.stamp.measured_at
+        forward, right, down = imu.f_body
+        assert xyz(message.linear_acceleration) == [forward, -right, -down]
+        assert xyz(message.angular_velocity) == (imu.w_body * [1.0, -1.0, -1.0]).tolist()
+        assert message.orientation_covariance[0] == -1.0
+    assert np.mean([m.linear_acceleration.z for _, m in messages["/imu/data_raw"]]) == pytest.approx(9.81, abs=1.5)
+    attitudes = [e for e in events if isinstance(e, Attitude)]
+    for (_, message), attitude in zip(messages["/imu/data"], attitudes, strict=True):
+        nose = rotation(message.orientation) @ np.array([1.0, 0.0, 0.0])
+        north, east, down = attitude.R_ned_body @ np.array([1.0, 0.0, 0.0])
+        assert nose == pytest.approx([east, north, -down], abs=1e-9)
+        left = rotation(message.orientation) @ np.array([0.0, 1.0, 0.0])
+        north, east, down = attitude.R_ned_body @ np.array([0.0, -1.0, 0.0])
+        assert left == pytest.approx([east, north, -down], abs=1e-9)
+    ranges = [e.range_m for e in events if isinstance(e, Range)]
+    assert [m.range for _, m in messages["/range"]] == pytest.approx(ranges, rel=1e-6)
+
+
+def test_the_camera_of_the_transforms_sees_the_pad_where_the_service_does(flown: Path, messages: Bag) -> None:
+    recording = open_recording([flown])
+    camera = recording.camera()
+    assert camera is not None
+    fixed = {t.child_frame_id: t.transform for t in messages["/tf_static"][0][1].transforms}
+    mount, beam = fixed["camera_optical_frame"], fixed["range_down"]
+    assert rotation(beam.rotation) @ np.array([1.0, 0.0, 0.0]) == pytest.approx([0.0, 0.0, -1.0], abs=1e-12)
+    newest: dict[str, Any] = {}
+    seen: dict[int, np.ndarray] = {}
+    for at, message in messages["/tf"]:
+        newest.update({t.child_frame_id: t.transform for t in message.transforms})
+        if message.transforms[0].child_frame_id == "base_stabilized" and "base_link" in newest:
+            level, body = newest["base_stabilized"], newest["base_link"]
+            in_level = rotation(level.rotation).inv @ -np.array(xyz(level.translation))
+            in_body = rotation(body.rotation).inv @ in_level
+            seen[at] = rotation(mount.rotation).inv @ (in_body - np.array(xyz(mount.translation)))
+    checked = 0
+    attitude: Attitude | None = None
+    for event in recording.events():
+        if isinstance(event, Attitude):
+            attitude = event
+        elif isinstance(event, Decision) and event.belief is not None and event.at in seen and attitude is not None:
+            d_body = attitude.R_ned_body.without_heading().inv @ event.belief.d_body_pad_level
+            # A bag does not say which of an attitude and a decision of the same instant came first.
+            assert seen[event.at] == pytest.approx(camera.T_body_cam.inv @ d_body, abs=0.05)
+            checked += 1
+    assert checked > 20
+    info = messages["/camera/camera_info"][0][1]
+    assert info.k.tolist() == camera.K.ravel().tolist()
+    assert info.header.frame_id == "camera_optical_frame"
+
+
+def test_estimates_carry_their_covariance_into_the_axes_of_ros(flown: Path, messages: Bag) -> None:
+    """The covariance of the place in `deck` is checked against a cloud drawn from the estimate's own."""
+    decisions = [e for e in open_recording([flown]).events() if isinstance(e, Decision) and e.belief is not None]
+    by_time = dict(messages["/dead_reckoning/odometry"])
+    decision = next(d for d in reversed(decisions) if d.at in by_time and d.belief.yaw_rad is not None)
+    belief, message = decision.belief, by_time[decision.at]
+    rng = np.random.default_rng(1)
+    cov = belief.cov + np.diag([0.0] * 6 + [1e-4])
+    drawn = rng.multivariate_normal(np.r_[belief.d_body_pad_level, belief.v_pad_level, belief.yaw_rad], cov, 40_000)
+    c, s = np.cos(drawn[:, 6]), np.sin(drawn[:, 6])
+    # In `pad` (x along the arrow, y to starboard, z down) the body is at -Rz(yaw) d; `deck` has y to port and z up.
+    place = np.stack([-(c * drawn[:, 0] - s * drawn[:, 1]), s * drawn[:, 0] + c * drawn[:, 1], drawn[:, 2]], axis=1)
+    from companion.ros2.axes import level_in_deck
+
+    at, found = level_in_deck(belief.d_body_pad_level, belief.yaw_rad, cov)
+    assert at == pytest.approx(xyz(message.pose.pose.position), abs=1e-12)
+    assert at == pytest.approx(place.mean(axis=0), abs=0.02)
+    cloud = np.cov(np.c_[place, -drawn[:, 6]].T)
+    keep = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
+    sigma = np.sqrt(np.diag(cloud))
+    assert found[keep] / np.outer(sigma, sigma) == pytest.approx(cloud / np.outer(sigma, sigma), abs=0.05)
+    assert xyz(message.twist.twist.linear) == (belief.v_pad_level * [-1.0, 1.0, 1.0]).tolist()
+    assert message.pose.covariance.reshape(6, 6)[3, 3] == pytest.approx(math.pi**2 / 3.0)
+    pads = dict(messages["/dead_reckoning/pad_pose"])
+    pad = pads[decision.at].pose
+    assert xyz(pad.pose.position) == (belief.d_body_pad_level * [1.0, -1.0, -1.0]).tolist()
+    assert rotation(pad.pose.orientation).rpy_rad[2] == pytest.approx(belief.yaw_rad, abs=1e-9)
+    assert pad.covariance.reshape(6, 6)[0, 5] == belief.cov[0, 6]
+    assert pad.covariance.reshape(6, 6)[1, 5] == -belief.cov[1, 6]
+    truths = [e for e in open_recording([flown]).events() if isinstance(e, TruthRecord)]
+    assert all(
+        m.pose.pose.position.z == pytest.approx(t.d_body_pad_level[2])
+        for (_, m), t in zip(messages["/truth/odometry"], truths, strict=True)
+    )
+
+
+def test_images_are_those_of_the_recording_and_a_video_is_decoded(flown: Path, messages: Bag, tmp_path: Path) -> None:
+    frames = [e for e in open_recording([flown]).events() if isinstance(e, RecordedFrame) and e.image is not None]
+    assert [bytes(m.data) for _, m in messages["/camera/image_raw/compressed"]] == [f.image for f in frames]
+    assert messages["/camera/image_raw/compressed"][0][1].format == "bgr8; jpeg compressed bgr8"
+    filmed = tmp_path / "video.mcap"
+    record_to(filmed, seconds=0.4, frames="h264")
+    bag.export(open_recording([filmed]), tmp_path / "bag")
+    images = read(tmp_path / "bag")["/camera/image_raw/compressed"]
+    first = cv2.imdecode(images[0][1].data, cv2.IMREAD_COLOR)
+    exact = cv2.imdecode(np.frombuffer(bytes(frames[0].image), np.uint8), cv2.IMREAD_COLOR)
+    assert np.mean(np.abs(first.astype(float) - exact)) < 8.0
+
+
+def test_what_does_not_change_is_kept_for_late_subscribers(exported: Path) -> None:
+    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import QosDurability
+
+    with AnyReader([exported]) as reader:
+        kept = {
+            c.topic
+            for c in reader.connections
+            if any(q.durability is QosDurability.TRANSIENT_LOCAL for q in c.ext.offered_qos_profiles)
+        }
+    assert kept == {"/tf_static"}
+
+
+def test_a_torn_recording_is_exported_as_far_as_it_goes(flown: Path, tmp_path: Path, messages: Bag) -> None:
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(flown.read_bytes()[:-20_000])
+    counts = bag.export(open_recording([torn]), tmp_path / "bag")
+    assert 0 < counts["/imu/data_raw"] <= len(messages["/imu/data_raw"])
+    assert {topic: len(found) for topic, found in read(tmp_path / "bag").items()} == counts
+
+
+def test_nothing_is_overwritten_and_a_bag_that_failed_leaves_nothing(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine").mkdir()
+    command = ["record", "export", str(flown), "--format", "ros2", "--output"]
+    assert cli.main([*command, str(tmp_path / "mine")]) == 2
+    assert f"{tmp_path / 'mine'}: exists already" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    assert cli.main([*command, str(tmp_path / "file/bag")]) == 2
+    assert "cannot write a bag there" in capsys.readouterr().err
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(bag._Bag, "close", full)
+    assert cli.main([*command, str(tmp_path / "new")]) == 2
+    assert "No space left on device" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
