@@ -243,6 +243,13 @@ def test_topics_of_recordings_in_the_page_are_written() -> None:
     assert len(named) > 10
 
 
+def test_topics_of_bags_in_the_page_are_those_that_are_written() -> None:
+    source = (ROOT / "companion/ros2/messages.py").read_text()
+    written = set(re.findall(r'"(/[a-z][\w/]*)"', source)) | {"/vehicle/fix", "/vessel/fix", "/PATH/pad_pose", "/PATH/odometry"}
+    named = set(re.findall(r"`(/[\w/]+)`", (ROOT / "docs/ros2.md").read_text()))
+    assert named == written
+
+
 def test_modules_listed_beside_a_folder_exist() -> None:
     """A listing is a block whose lines begin with a folder, then names of its modules, then what they are for."""
     wrong, seen = [], 0
