@@ -52,7 +52,12 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     p.add_argument("paths", nargs="*", metavar="PATH", help="images, folders of images, or videos")
     p.add_argument("--device", metavar="NAME", help="use a live camera instead: a V4L2 name or path, or an address (rtsp://...)")
-    p.add_argument("--size", metavar="WxH", help="frame size of the live V4L2 camera")
+    p.add_argument(
+        "--pipeline",
+        metavar="TEXT",
+        help="use a live camera by GStreamer instead: a pipeline up to raw frames, as libcamerasrc",
+    )
+    p.add_argument("--size", metavar="WxH", help="frame size of the live camera, V4L2's or the pipeline's")
     p.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="frame rate of the live camera (default: %(default)s)")
     p.add_argument(
         "--format", default="auto", choices=["auto", *FORMATS], help="pixel format of the live camera (default: %(default)s)"
@@ -127,7 +132,7 @@ def _run_camera(args: argparse.Namespace) -> int:
     found = assess.assess(solution, size)
     accepted = assess.GRADES.index(found.grade) <= assess.GRADES.index(args.accept)
     if accepted:
-        source = args.device or f"{len(args.paths)} files or folders"
+        source = args.device or args.pipeline or f"{len(args.paths)} files or folders"
         try:
             out.write_text(text(solution, f"{source} ({args.board} {args.squares}, {found.grade})", rpy), encoding="utf-8")
         except OSError as why:
@@ -138,8 +143,8 @@ def _run_camera(args: argparse.Namespace) -> int:
 
 def _gather(args: argparse.Namespace, board: Board) -> Collection:
 
-    if bool(args.paths) == (args.device is not None):
-        raise BadInput("give either images and videos, or --device")
+    if [bool(args.paths), args.device is not None, args.pipeline is not None].count(True) != 1:
+        raise BadInput("give either images and videos, or --device, or --pipeline")
     quiet = args.json or not sys.stderr.isatty()
 
     def tell(collection: Collection) -> None:
@@ -148,7 +153,7 @@ def _gather(args: argparse.Namespace, board: Board) -> Collection:
             line = f"{collection.image_count} images, {len(collection.views)} views; {lacks[0] if lacks else 'enough'}"
             sys.stderr.write(f"\r{line[:100]:<100}")
 
-    if args.device is not None:
+    if not args.paths:
         collection = Collection(board, moving=True)
         event_loop.run(watch(*_camera(args), collection, tell, args.seconds))
     else:
@@ -163,13 +168,15 @@ def _gather(args: argparse.Namespace, board: Board) -> Collection:
 
 
 def _camera(args: argparse.Namespace) -> tuple[CameraOptions, Size | None]:
-    if "://" in args.device:
+    if args.device is not None and "://" in args.device:
         return CameraOptions(source="stream", device=args.device), None
     match = re.fullmatch(r"(\d+)[xX](\d+)", args.size or "")
     if match is None:
         raise BadInput(f"--size must be the image to calibrate, such as 640x480, got {args.size!r}")
     try:
         size = check_size((int(match[1]), int(match[2])))
+        if args.device is None:
+            return CameraOptions(source="gstreamer", device=args.pipeline, rate_hz=args.rate), size
         return CameraOptions(source="v4l2", device=args.device, format=args.format, rate_hz=args.rate), size
     except ValueError as why:
         raise BadInput(f"the camera: {why}") from why

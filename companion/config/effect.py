@@ -87,9 +87,14 @@ _RULES = (
         'vehicle.landing is "mode"',
     ),
     _Rule(
-        "camera.format,camera.rate_hz,camera.controls,camera.buffers,camera.arrival_sigma_s",
+        "camera.format,camera.controls,camera.buffers",
         lambda s: s.camera.source != "v4l2",
         'camera.source is not "v4l2"',
+    ),
+    _Rule(
+        "camera.rate_hz,camera.arrival_sigma_s",
+        lambda s: s.camera.source not in ("v4l2", "gstreamer"),
+        'camera.source is neither "v4l2" nor "gstreamer"',
     ),
     _Rule(
         "camera.repeat",

@@ -99,7 +99,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
         """Return the reason why keys do not go together, beginning with the key, or None if they do."""
         if isinstance(self.vehicle, AutopilotOptions):
             if self.camera.source == "vehicle":
-                return 'camera.source must be "v4l2" or "stream": an autopilot has no frames'
+                return 'camera.source must be "v4l2", "gstreamer" or "stream": an autopilot has no frames'
             if self.bridge.links:
                 return "bridge.links must be empty: an autopilot speaks MAVLink itself"
         if self.vessel.mqtt and (self.mqtt.transport == "off" or self.mqtt.commands == "off"):

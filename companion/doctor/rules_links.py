@@ -325,8 +325,8 @@ def camera_device(p: Snapshot) -> Finding | None:
         return error(
             "camera-device",
             f"camera: {p.service.device_fault}",
-            "check cable and power; v4l2-ctl --list-devices names what is there, and its user must be in the group video; "
-            "stop whatever else holds it",
+            "check cable and power; v4l2-ctl --list-devices (libcamera: cam -l) names what is there, and its user must be in the "
+            "group video; stop whatever else holds it",
         )
     return None
 

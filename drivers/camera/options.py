@@ -23,13 +23,17 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """
 
     source: Annotated[
-        Literal["vehicle", "v4l2", "stream"],
-        choice("where frames come from: the vehicle itself; a camera of this computer; a network camera or a video file"),
+        Literal["vehicle", "v4l2", "gstreamer", "stream"],
+        choice(
+            "where frames come from: the vehicle itself; a camera of this computer by the kernel's V4L2, or by a GStreamer "
+            "pipeline (libcamera, Jetson); a network camera or a video file"
+        ),
     ] = "vehicle"
     device: Annotated[
         str,
         text(
-            "of v4l2: a path under /dev/v4l/by-id or a part of its name; of stream: an address (rtsp://...) or a file",
+            "of v4l2: a path under /dev/v4l/by-id or a part of its name; of gstreamer: the pipeline up to raw frames, as "
+            "libcamerasrc ! video/x-raw,width=640,height=480; of stream: an address (rtsp://...) or a file",
             4096,
             shortest=0,
         ),
@@ -38,7 +42,9 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         Literal["auto", Format],
         choice("pixel format of v4l2; auto is the first of these that the camera offers in the camera file's size at this rate"),
     ] = "auto"
-    rate_hz: Annotated[float, number("frame rate requested from v4l2", "Hz", 0.1, 1000.0)] = 30.0
+    rate_hz: Annotated[
+        float, number("frame rate requested from v4l2; of gstreamer, what its pipeline gives", "Hz", 0.1, 1000.0)
+    ] = 30.0
     controls: Annotated[
         str,
         text(
@@ -54,16 +60,19 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         float,
         number(
             "v4l2: how much later than half an exposure after its middle the kernel stamps (or after half an exposure before it, "
-            "where the driver stamps the start); stream: from mid-exposure to arrival",
+            "where the driver stamps the start); gstreamer: from mid-exposure to the buffer's stamp, below zero where that is "
+            "the start of the exposure; stream: from mid-exposure to arrival",
             "s",
-            0.0,
+            -0.1,
             0.5,
         ),
     ] = 0.0
     latency_sigma_s: Annotated[float, number("one standard deviation of it", "s", 0.0, 0.2)] = 0.005
     arrival_sigma_s: Annotated[
         float,
-        number("the same for v4l2 frames that the kernel does not stamp, whose time of arrival is used", "s", 0.0, 0.5),
+        number(
+            "the same for frames of v4l2 and gstreamer that come without a stamp, whose time of arrival is used", "s", 0.0, 0.5
+        ),
     ] = 0.02
     exposure_s: Annotated[
         float, number("exposure time, 0 if unknown; a time reported by v4l2 takes precedence", "s", 0.0, 0.5)
@@ -77,7 +86,9 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         if self.source != "vehicle" and not self.device:
             raise ValueError(f'device must be given with source "{self.source}"')
         if self.source == "vehicle" and self.device:
-            raise ValueError(f'device {self.device!r} is given, so source must be "v4l2" or "stream"')
+            raise ValueError(f'device {self.device!r} is given, so source must be "v4l2", "gstreamer" or "stream"')
+        if self.latency_s < 0.0 and self.source != "gstreamer":
+            raise ValueError(f'latency_s ({self.latency_s:g} s) may be below zero with source "gstreamer" alone')
         if self.reconnect_most_s < self.reconnect_first_s:
             raise ValueError(
                 f"reconnect_most_s ({self.reconnect_most_s:g} s) must not be shorter than reconnect_first_s "

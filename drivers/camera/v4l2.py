@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import errno
 import logging
-import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -18,19 +17,16 @@ from numpy.typing import NDArray
 from drivers.camera.images import claimed_size
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
+from drivers.camera.stamping import stamp_of
 from drivers.camera.v4l2_device import Buffer, Device, KernelDevice
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from drivers.camera.v4l2_names import cameras, find
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
-from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+from estimator.contracts.time import MonoNs, Stamp
 
 log = logging.getLogger(__name__)
 
-_OLDEST_S = 2.0
-"""A buffer whose stamp is older than this was not stamped by this host's monotonic clock."""
-_AHEAD_S = 0.005
-"""A driver that stamps by the kernel's tick may be ahead by one tick; a stamp further ahead is refused."""
 _WRAP = 1 << 32
 
 OpenDevice = Callable[[str, CameraOptions, Size], Device]
@@ -107,7 +103,7 @@ class V4l2Channel:
                 continue
             buffer, px = seen
             exposure_s = self._o.exposure_s if device.exposure_s is None else device.exposure_s
-            stamp, refused = stamp_of(buffer, received_at, self._o, exposure_s)
+            stamp, refused = kernel_stamp(buffer, received_at, self._o, exposure_s)
             counters.stamps_refused += refused
             counters.frames += 1
             frame = Frame(stamp, buffer.sequence, px, exposure_s)
@@ -185,22 +181,11 @@ class V4l2Channel:
         return seen
 
 
-def stamp_of(buffer: Buffer, received_at: MonoNs, options: CameraOptions, exposure_s: float) -> tuple[Stamp, bool]:
-    """Return the stamp of mid-exposure, and whether the kernel's stamp had to be refused (future, or older than 2 s).
+def kernel_stamp(buffer: Buffer, received_at: MonoNs, options: CameraOptions, exposure_s: float) -> tuple[Stamp, bool]:
+    """Return the stamp of mid-exposure, and whether the kernel's stamp had to be refused.
 
     A stamp of the start of the exposure lies half an exposure before its middle, one of the end of the transfer half an exposure
-    after it; `latency_s` is added to that. If the exposure is not known, half a frame's time is added to the variance.
+    after it.
     """
-    unknown_s = 0.5 / options.rate_hz / math.sqrt(3.0) if exposure_s == 0.0 else 0.0
-    sigma_s = math.hypot(options.latency_sigma_s, unknown_s)
     half_s = 0.5 * exposure_s if buffer.at_start else -0.5 * exposure_s
-    stamped = MonoNs(buffer.stamp_ns)
-    measured_at = after(stamped, half_s - options.latency_s)
-    possible = (
-        -_AHEAD_S <= seconds_between(stamped, received_at) <= _OLDEST_S
-        and seconds_between(received_at, measured_at) <= 5.0 * sigma_s
-    )
-    if buffer.monotonic and possible:
-        return Stamp(measured_at, received_at, sigma_s, "kernel"), False
-    measured_at = after(received_at, -0.5 * exposure_s - max(0.0, options.latency_s))
-    return Stamp(measured_at, received_at, math.hypot(sigma_s, options.arrival_sigma_s), "arrival"), buffer.monotonic
+    return stamp_of(MonoNs(buffer.stamp_ns) if buffer.monotonic else None, half_s, received_at, options, exposure_s)

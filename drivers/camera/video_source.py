@@ -1,4 +1,4 @@
-"""Open a camera that is not part of the vehicle: a V4L2 device, a network camera or a video file.
+"""Open a camera that is not part of the vehicle: a V4L2 device, a GStreamer pipeline, a network camera or a video file.
 
 options = CameraOptions(source="v4l2", device="/dev/v4l/by-id/usb-...")
 async with open_camera(options, (640, 480), clock) as camera:
@@ -38,16 +38,20 @@ async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -
     # Each kind loads what it reads by only when it is used.
     if options.source == "vehicle":
         raise ValueError("the frames of this camera come with the vehicle")
-    if options.source == "v4l2":
-        if size is None:
-            raise ValueError("a device needs the size of its frames")
+    if options.source == "stream":
+        from drivers.camera.video_source_stream import StreamChannel
+
+        body = StreamChannel(options, size, clock, camera).run
+    elif size is None:
+        raise ValueError("a device needs the size of its frames")
+    elif options.source == "v4l2":
         from drivers.camera.v4l2 import V4l2Channel
 
         body = V4l2Channel(options, size, clock, camera).run
     else:
-        from drivers.camera.video_source_stream import StreamChannel
+        from drivers.camera.gstreamer import GstreamerChannel
 
-        body = StreamChannel(options, size, clock, camera).run
+        body = GstreamerChannel(options, size, clock, camera).run
     name, longest_s = options.device, options.reconnect_most_s
     back_off = BackOff(options.reconnect_first_s, longest_s, healthy_after_s=longest_s)
 

@@ -227,7 +227,10 @@ def good_settings(draw: st.DrawFn) -> Settings:
     data.setdefault("limits", {}).update(fence_polygon="")
     data.setdefault("vessel", {}).update(age_max_s=5.0, forget_s=30.0, nmea="", nmea_from="", mmsi=0, mqtt=False)
     data["camera"].update(reconnect_first_s=0.1, reconnect_most_s=1.0, controls="", device="usb")
-    data["camera"].update(draw(st.sampled_from([{"source": "v4l2"}, {"source": "stream"}, {"source": "vehicle", "device": ""}])))
+    sources = [{"source": "v4l2"}, {"source": "gstreamer"}, {"source": "stream"}, {"source": "vehicle", "device": ""}]
+    data["camera"].update(draw(st.sampled_from(sources)))
+    if data["camera"]["source"] != "gstreamer":
+        data["camera"].update(latency_s=abs(data["camera"].get("latency_s", 0.0)))
     guidance.setdefault("thesis", {}).update(final_height_m=0.2, approach_height_m=1.0)
     guidance.setdefault("rendezvous", {}).update(reached_m=1.0, range_m=8.0, spacing_m=2.0, extent_m=10.0)
     guidance.setdefault("tries", {}).update(climb_after_s=1.0, give_up_after_s=9.0)
@@ -270,7 +273,7 @@ def test_the_kind_of_vehicle_decides_which_keys_there_are(tmp_path: Path) -> Non
     [
         (
             ('source = "v4l2"\ndevice = "Test camera"', ""),
-            'camera.source must be "v4l2" or "stream": an autopilot has no frames',
+            'camera.source must be "v4l2", "gstreamer" or "stream": an autopilot has no frames',
         ),
         (("[camera]", '[bridge]\nlinks = "udpin://0.0.0.0:14550"\n[camera]'), "bridge.links must be empty"),
     ],

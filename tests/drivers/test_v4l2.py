@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from drivers.camera.counters import CameraCounters
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
-from drivers.camera.v4l2 import V4l2Channel, stamp_of
+from drivers.camera.v4l2 import V4l2Channel, kernel_stamp
 from drivers.camera.v4l2_device import Buffer
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, stands_alone, to_bgr
 from drivers.camera.v4l2_names import CaptureDevice, cameras, find
@@ -301,12 +301,12 @@ def test_torn_bytes_are_refused_and_never_raise(form: str, data: bytes, cut: int
 def test_the_stamp_is_the_middle_of_the_exposure() -> None:
     o = options(latency_s=0.004, latency_sigma_s=0.002, rate_hz=50.0)
     received_at, stamped = MonoNs(10_000_000_000), 9_980_000_000
-    at_end, refused = stamp_of(Buffer(b"", 0, stamped, True, False, False), received_at, o, 0.006)
+    at_end, refused = kernel_stamp(Buffer(b"", 0, stamped, True, False, False), received_at, o, 0.006)
     assert (at_end.measured_at, at_end.source, refused) == (9_980_000_000 - 3_000_000 - 4_000_000, "kernel", False)
     assert at_end.sigma_s == pytest.approx(0.002)
-    at_start, _ = stamp_of(Buffer(b"", 0, stamped, True, True, False), received_at, o, 0.006)
+    at_start, _ = kernel_stamp(Buffer(b"", 0, stamped, True, True, False), received_at, o, 0.006)
     assert at_start.measured_at == 9_980_000_000 + 3_000_000 - 4_000_000
-    unknown, _ = stamp_of(Buffer(b"", 0, stamped, True, False, False), received_at, o, 0.0)
+    unknown, _ = kernel_stamp(Buffer(b"", 0, stamped, True, False, False), received_at, o, 0.0)
     assert unknown.sigma_s > 0.005
 
 
@@ -317,7 +317,7 @@ def test_no_kernel_stamp_whatever_makes_an_impossible_one(
 ) -> None:
     received_at = MonoNs(5_000_000_000)
     o = options(latency_s=latency_s)
-    stamp, refused = stamp_of(Buffer(b"", 0, stamp_ns, monotonic, at_start, False), received_at, o, 0.004)
+    stamp, refused = kernel_stamp(Buffer(b"", 0, stamp_ns, monotonic, at_start, False), received_at, o, 0.004)
     assert stamp.received_at == received_at
     assert (stamp.source == "kernel") == (monotonic and not refused)
     if not 3_000_000_000 <= stamp_ns <= 5_005_000_000:
