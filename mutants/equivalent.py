@@ -13,6 +13,7 @@ _ROOM = "room for more than is ever used"
 _TINY = "bytes of one are 1e-303"
 _SCALE = "a scale that the sum takes out again"
 _NO_COLUMN = "the row has no column in the upper triangle"
+_SWEEPS = "Jacobi's rotations end at the same axes, a sweep sooner or later"
 _ODDS = (
     "odds -= (DIRECTIONS - UPRIGHT - 1) * prior_log_odds(m);",
     "odds += (DIRECTIONS - UPRIGHT - 1) * prior_log_odds(m);",
@@ -21,6 +22,7 @@ _ODDS = (
     "odds -= (DIRECTIONS - UPRIGHT - 2) * prior_log_odds(m);",
 )
 
+_ROTATED = "const double t = (theta < 0.0 ? -1.0 : 1.0) / (fabs(theta) + hypot(theta, 1.0)), c = 1.0 / hypot(t, 1.0), s = t * c;"
 EQUIVALENT: dict[str, dict[str, str]] = {
     "companion/guidance/cone.py": {
         "error_m < math.sqrt(INSIDE) * radius_m(height_m, options)"
@@ -32,9 +34,10 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "0.0 < along < way_m  ->  0.0 <= along < way_m": _ROUNDED,
         "abs(turn) <= _ROUND_RAD  ->  abs(turn) < _ROUND_RAD": _ROUNDED,
     },
-    "companion/guidance/heading.py": {
-        "0.0  ->  1.0": "a first heading that counts as a turn of one radian is no turn either",
-        "float(estimate.cov[6, 6]) <= SIGMA_MAX_RAD**2  ->  float(estimate.cov[6, 6]) < SIGMA_MAX_RAD**2": _ROUNDED,
+    "companion/guidance/margins.py": {
+        "40  ->  41": "the sum has converged",
+        "angle[:-1] * angle[1:] < 0.0  ->  angle[:-1] * angle[1:] <= 0.0": _ROUNDED,
+        "np.abs(angle[:-1]) > 2.0  ->  np.abs(angle[:-1]) >= 2.0": _ROUNDED,
     },
     "companion/guidance/heave.py": {"True  ->  False": "two rows of three numbers each"},
     "estimator/integrity/sensors.py": {
@@ -48,6 +51,34 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "_spread(np.array(seen)) < o.view_still_ratio * turned"
         "  ->  _spread(np.array(seen)) <= o.view_still_ratio * turned": _ROUNDED,
         "turned > o.view_turned_min_rad  ->  turned >= o.view_turned_min_rad": _ROUNDED,
+    },
+    "estimator/core/answer.c": {
+        "for (int k = 0; k < PER_DIRECTION; k++) {  ->  for (int k = 0; k <= PER_DIRECTION; k++) {": (
+            "the pad's acceleration along down does not depend on the deck's roll, which lies behind"
+        ),
+        "for (int i = 0; i < N; i++) {  ->  for (int i = 1; i < N; i++) {": "no figure is of the attitude's error",
+    },
+    "estimator/core/jacobian.c": {
+        "memset(JF, 0, (size_t)m * N * sizeof *JF);  ->  memset(JF, 1, (size_t)m * N * sizeof *JF);": _TINY,
+        "rows_times: for (int k = 0; k < N; k++) {  ->  for (int k = 1; k < N; k++) {": (
+            "a turn about the nose changes neither heading nor what is written in level"
+        ),
+        "AT(JF, i, j) += factor * AT(F, k, j);  ->  AT(JF, i, j) -= factor * AT(F, k, j);": (
+            "the covariance takes each row twice, so that its sign goes out"
+        ),
+        "columns_of: for (int i = 0; i < m; i++) {  ->  for (int i = 0; i <= m; i++) {": (
+            "a column too many in which the matrix is zero adds nothing"
+        ),
+        "add_spread: for (int i = 0; i < m; i++) {  ->  for (int i = 0; i <= m; i++) {": (
+            "what is made of a row behind the last is not written"
+        ),
+    },
+    "estimator/core/forecast.c": {
+        "double J[3 * N] = {0.0}, by[2][2], reach[2][2], d[3];  ->  double J[3 * N] = {0.0}, by[2][2], reach[2][2], d[4];": _ROOM,
+        "covariance c = {P_before, {places[0], places[1]}};  ->  covariance c = {P_before, {places[0], places[2]}};": (
+            "the covariance is propagated once, so that one place would do"
+        ),
+        "return 1;  ->  return 2;": _ASKED,
     },
     "estimator/core/filter.c": {
         "return !b->heading_is_given || var > DIVERGED_VAR;  ->  return !b->heading_is_given || var >= DIVERGED_VAR;": _ROUNDED,
@@ -135,6 +166,22 @@ EQUIVALENT: dict[str, dict[str, str]] = {
             "equal values may change places"
         ),
         "if (missing[axis] <= 0.0) {  ->  if (missing[axis] < 0.0) {": "a variance of zero adds nothing",
+    },
+    "estimator/core/symmetric.c": {
+        "enum { SWEEPS_MAX = 12 };  ->  enum { SWEEPS_MAX = 13 };": _ROOM,
+        **{
+            f"{_ROTATED}  ->  {_ROTATED.replace(before, after)}": _SWEEPS
+            for before, after in (
+                ("theta < 0.0", "theta <= 0.0"),
+                ("theta < 0.0", "theta < 1.0"),
+                ("? -1.0 : 1.0", "? -2.0 : 1.0"),
+                ("? -1.0 : 1.0", "? -1.0 : 2.0"),
+                ("hypot(theta, 1.0)", "hypot(theta, 2.0)"),
+            )
+        },
+        "for (int sweep = 0; sweep < SWEEPS_MAX; sweep++) {  ->  for (int sweep = 1; sweep < SWEEPS_MAX; sweep++) {": _ROOM,
+        "for (int sweep = 0; sweep < SWEEPS_MAX; sweep++) {  ->  for (int sweep = 0; sweep <= SWEEPS_MAX; sweep++) {": _ROOM,
+        "double off = 0.0, size = 0.0;  ->  double off = 1.0, size = 0.0;": _SWEEPS,
     },
     "estimator/core/vision.c": {
         "const int lost = sqrt(fmax(var / 3.0, 0.0)) > LOST_SIGMA_M;"

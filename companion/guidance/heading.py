@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from msgspec import Struct
-from msgspec.structs import replace
 
 from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.estimates import RelativeState
@@ -26,11 +25,11 @@ class HeadingMemory(Struct, frozen=True):
 
 def watch(memory: HeadingMemory, estimate: RelativeState) -> tuple[HeadingMemory, Reason | None]:
     """Take the next estimate; return the reason if the arrow turned in it by more than any vehicle turns."""
-    yaw = estimate.yaw_rad
+    yaw, last = estimate.yaw_rad, memory.last_rad
     if yaw is None:
         return memory, None
-    jump = 0.0 if memory.last_rad is None else abs(wrap_pi(yaw - memory.last_rad))
-    memory = replace(memory, last_rad=yaw)
+    jump = abs(wrap_pi(yaw - (yaw if last is None else last)))
+    memory = HeadingMemory(yaw)
     return memory, Reason(ReasonCause.HEADING_TURNED, math.degrees(jump), math.degrees(JUMP_RAD)) if jump > JUMP_RAD else None
 
 

@@ -89,7 +89,7 @@ def margins(
     seeing = chosen(observer_gains(noise or ObserverNoise(), PERIOD_S), _SIGMA_P_M)
     vehicle = tilt_model(true or assumed, PERIOD_S)
     n = max(1, math.ceil(assumed.delay_s / PERIOD_S - 1e-9))
-    a_plant, own = vehicle.A.shape[0], 7 + n
+    a_plant, own = len(vehicle.A), 7 + n
     A = vehicle.A.copy()
     A[1, 1] -= PERIOD_S * around.drag_1_s
 
@@ -131,13 +131,17 @@ def margins(
         Q[a_plant + i, a_plant + i] = w.sigma**2 * (1.0 - keep[i, i] ** 2)
     white = np.concatenate([vehicle.B * Dc[4], np.zeros(e), Bc[:, 4]])
     Q += around.sample_m_s2**2 * np.outer(white, white)
-    X, power = Q, M
-    for _ in range(40 if stable else 0):
-        X, power = X + power @ X @ power.T, power @ power
     L = _open_loop(A, vehicle.B, measured, Ac, Bc, Cc, Dc)
-    return LoopMargins(
-        stable, *_by_frequency(*L), math.sqrt(X[0, 0]) if stable else math.inf, math.sqrt(X[1, 1]) if stable else math.inf
-    )
+    p, w = np.sqrt(np.diagonal(_stationary(M, Q))[:2]).tolist() if stable else (math.inf, math.inf)
+    return LoopMargins(stable, *by_frequency(*L), p, w)
+
+
+def _stationary(M: F64, Q: F64) -> F64:
+    """Return X = M X M' + Q of a stable M: twice as many terms of its sum in each step."""
+    X, power = Q, M
+    for _ in range(40):
+        X, power = X + power @ X @ power.T, power @ power
+    return X
 
 
 def _open_loop(
@@ -146,14 +150,19 @@ def _open_loop(
     w = np.geomspace(0.05, 0.98 * math.pi / PERIOD_S, 1500)
     out = np.empty(w.size, complex)
     for i, z in enumerate(np.exp(1j * w * PERIOD_S)):
-        plant = measured @ np.linalg.solve(z * np.eye(A.shape[0]) - A, B)
-        out[i] = -((Cc @ np.linalg.solve(z * np.eye(Ac.shape[0]) - Ac, Bc) + Dc) @ plant)
+        plant = measured @ np.linalg.solve(z * np.eye(len(A)) - A, B)
+        out[i] = -((Cc @ np.linalg.solve(z * np.eye(len(Ac)) - Ac, Bc) + Dc) @ plant)
     return w, out
 
 
-def _by_frequency(
+def by_frequency(
     w: F64, L: np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
 ) -> tuple[tuple[float, float], float, float, float]:
+    """Return gain margins, phase margin in deg, delay margin in s and the sensitivity of a loop that -L closes.
+
+    Args:
+        w: (n,) rad/s, rising; L: (n,) open loop there.
+    """
     size, angle = np.abs(L), np.angle(L)
     crossings = np.flatnonzero((size[:-1] - 1.0) * (size[1:] - 1.0) < 0.0)
     phase = [float((angle[i] + math.pi) % math.tau) for i in crossings]

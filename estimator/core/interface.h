@@ -1052,6 +1052,9 @@ void vehicle_carry(vehicle *v, const deck *g);
 void vessel_moved(int32_t harmonics, const harmonic *h, int32_t n, const double *t_s, vessel_motion *out);
 void vessel_mounted(int32_t n, const vessel_origin *origin, const vessel_motion *m, const mount *at, mounted *out);
 
+/* symmetric.c */
+void remove_attitude(int32_t m, double *cov, const double *J, const double *cov_attitude);
+
 /* uvlc_decode.c */
 int32_t uvlc_header(const uint8_t *data, int32_t bytes, uvlc_picture *picture);
 int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *picture, uint8_t *bgr);
@@ -1060,7 +1063,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 792079267u
+#define INTERFACE_DIGEST 1240056145u
 #endif
 
 #endif

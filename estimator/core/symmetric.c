@@ -10,8 +10,8 @@ static const double KEPT = 0.02;
 /* An attitude covariance above this many times the covariance that should contain it is no part of it. The different
  * linearisations of vision and filter cause a few hundredths. */
 static const double NOT_A_PART = 1.5;
-/* Jacobi's sweeps converge quadratically; more than these are never needed. */
-enum { SWEEPS_MAX = 30 };
+/* Jacobi's sweeps converge quadratically; random matrices of ROWS_MAX rows needed 8 at most. */
+enum { SWEEPS_MAX = 12 };
 
 /* Rotate rows and columns p and q so that A[p][q] vanishes. */
 static void jacobi_rotate(int m, int p, int q, double A[ROWS_MAX][ROWS_MAX], double V[ROWS_MAX][ROWS_MAX])
@@ -120,7 +120,11 @@ static void assemble(int m, double L[ROWS_MAX][ROWS_MAX], double axes[ROWS_MAX][
     }
 }
 
-void remove_attitude(int m, double *cov, const double *J, const double cov_attitude[9])
+/* The part of a measurement's covariance that an attitude's errors made is removed: cov - J cov_attitude J', (m, m) in rows.
+ *
+ * J is (m, 3). At least a small fraction of each direction remains. A `cov` that is clearly too small to contain that part in some
+ * direction comes from an attitude that was taken as exact, and stays. */
+void remove_attitude(int32_t m, double *cov, const double *J, const double *cov_attitude)
 {
     double part[ROWS_MAX][ROWS_MAX], rest[ROWS_MAX][ROWS_MAX], L[ROWS_MAX][ROWS_MAX];
     if (!attitude_part(m, J, cov_attitude, part)) {

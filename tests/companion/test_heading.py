@@ -51,5 +51,5 @@ def test_less_than_that_is_none_across_the_half_turn_too(last_deg: float, yaw_de
 def test_nothing_turns_by_a_heading_that_is_unknown_or_unsure() -> None:
     assert wanted_rad(seen(None)) is None
     assert wanted_rad(seen(2.0, math.radians(20.1))) is None
-    assert wanted_rad(seen(2.0, math.radians(19.9))) == 0.0
+    assert wanted_rad(seen(2.0, math.radians(20.0))) == 0.0
     assert wanted_rad(seen(-2.0)) == 0.0

@@ -155,6 +155,7 @@ FUNCTIONS = (
         "double *dx, double *P_after, double *S, double *nis",
         "kalman.c",
     ),
+    Function("remove_attitude", "void", "int32_t m, double *cov, const double *J, const double *cov_attitude", "symmetric.c"),
     Function("bank_begin", "void", "const bank_members *m, sea *after", "bank.c"),
     Function(
         "bank_observe",

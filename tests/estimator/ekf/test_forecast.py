@@ -111,6 +111,13 @@ def test_a_covariance_is_symmetric_and_finite_and_a_sigma_is_not_negative() -> N
             assert not name.startswith("sigma") or np.all(getattr(found, name) >= 0.0)
 
 
+@pytest.mark.parametrize(("ago_ns", "foretold"), [(S // 2, True), (S // 2 + 1, False)])
+def test_a_pad_is_foretold_until_it_is_forgotten_to_the_nanosecond(ago_ns: int, foretold: bool) -> None:
+    b = beginning(2)._replace(sighted=T - ago_ns)
+    found = forecast(Ekf(params(forget_s=0.5), History(base=PackedBelief.of(b))), MonoNs(T), HORIZONS_S)
+    assert (found is not None) is foretold
+
+
 def test_no_horizons_make_a_forecast_of_nothing() -> None:
     found = forecast(Ekf(TOOLS, History(base=PackedBelief.of(beginning(2)._replace(sighted=T)))), MonoNs(T), [])
     assert found is not None

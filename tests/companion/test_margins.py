@@ -1,0 +1,173 @@
+"""Margins and errors of one axis: against loops of the textbook, and against the law flown cycle by cycle."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from companion.config.settings import shipped_response
+from companion.guidance import disturbance
+from companion.guidance.axis import AxisMeasured, begun, command, commanded, observed
+from companion.guidance.margins import PERIOD_S, AxisDisturbances, GaussMarkov, by_frequency, margins
+from companion.guidance.response import TiltResponse, tilt_model
+from companion.guidance.tilt_law import TiltWeights, tilt_gains
+from estimator.contracts.geometry import F64
+
+SHIPPED = shipped_response("ardrone2").tilt
+AGILE = TiltResponse(0.01, 45.0, 0.6, 0.0)
+SLOW = TiltResponse(0.14, 5.0, 0.7, 0.07)
+QUIET = GaussMarkov(0.0, 1.0)
+W = np.geomspace(0.01, 60.0, 40_000)
+LOOP = 1j * W
+
+# Loops of the textbook
+
+
+def test_an_integrator_and_two_lags() -> None:
+    """1 / (s (s + 1)^2) turns by half a turn at 1 rad/s, where it is one half."""
+    (down, up), phase_deg, delay_s, sensitivity = by_frequency(W, L := 1.0 / (LOOP * (1.0 + LOOP) ** 2))
+    crossing = 0.68233
+    assert (down, up) == (0.0, pytest.approx(2.0, rel=1e-3))
+    assert phase_deg == pytest.approx(90.0 - 2.0 * math.degrees(math.atan(crossing)), abs=0.05)
+    assert delay_s == pytest.approx(math.radians(phase_deg) / crossing, rel=1e-3)
+    assert sensitivity == pytest.approx(1.0 / np.abs(1.0 + L).min())
+
+
+def test_a_loop_that_too_little_gain_makes_unstable() -> None:
+    """The loop k (s + 1)^2 / s^3 is stable above k = 1/2."""
+    (down, up), *_ = by_frequency(W, 2.0 * (LOOP + 1.0) ** 2 / LOOP**3)
+    assert (down, up) == (pytest.approx(0.25, rel=1e-3), math.inf)
+
+
+def test_of_several_half_turns_the_nearest_on_either_side_count_and_whole_turns_do_not() -> None:
+    """10 exp(-s) / s is real and negative at pi/2, 5 pi/2 and 9 pi/2 rad/s, positive between."""
+    (down, up), *_ = by_frequency(W, 10.0 * np.exp(-LOOP) / LOOP)
+    assert (down, up) == (pytest.approx(0.25 * math.pi, rel=1e-3), pytest.approx(0.45 * math.pi, rel=1e-3))
+
+
+@pytest.mark.parametrize(("gain", "peak_rad_s", "late_s"), [(0.4, 10.0, 0.0), (1.0, 4.0, 0.3), (0.6, 8.0, 0.12)])
+def test_of_several_crossings_the_least_phase_and_the_least_delay_count(gain: float, peak_rad_s: float, late_s: float) -> None:
+    """An integrator and a resonance: the size is one three times."""
+    L = gain / LOOP / ((LOOP / peak_rad_s) ** 2 + 0.02 * LOOP / peak_rad_s + 1.0) * np.exp(-late_s * LOOP)
+    at = np.flatnonzero(np.diff(np.sign(np.abs(L) - 1.0)))
+    assert at.size == 3
+    lag = -np.unwrap(np.angle(L))[at]
+    left = (math.pi - lag) % math.tau
+    _, phase_deg, delay_s, _ = by_frequency(W, L)
+    assert math.radians(phase_deg) == pytest.approx(np.minimum(left, math.tau - left).min(), abs=1e-2)
+    assert delay_s == pytest.approx((left / W[at]).min(), rel=1e-2)
+
+
+def test_a_loop_that_never_reaches_one_has_every_margin() -> None:
+    assert by_frequency(W, 0.3 / (1.0 + LOOP))[:3] == ((0.0, math.inf), pytest.approx(180.0), math.inf)
+
+
+# The law flown
+
+
+class Pushed(NamedTuple):
+    """What is added in one cycle: to the body's acceleration, and to what is measured of it."""
+
+    gust: float = 0.0
+    tilt: float = 0.0
+    place: float = 0.0
+    speed: float = 0.0
+    accel: float = 0.0
+    deck: float = 0.0
+
+
+def flown(
+    assumed: TiltResponse, true: TiltResponse, pushes: list[Pushed], cycles: int, *, answer: float = 1.0, drag_1_s: float = 0.35
+) -> F64:
+    """Return place and speed of the pad against the body, (cycles, 2), from rest; `answer` scales what commands do."""
+    gains = tilt_gains(assumed, TiltWeights(), PERIOD_S)
+    seeing = disturbance.observer_gains(disturbance.ObserverNoise(), PERIOD_S)[1]
+    model, x = tilt_model(true, PERIOD_S), np.zeros(len(tilt_model(true, PERIOD_S).A))
+    axis = begun(AxisMeasured(0.0, 0.0, 0.0, 0.0, 0.0), max(1, len(gains.under_way)))
+    out = np.empty((cycles, 2))
+    for k in range(cycles):
+        out[k] = x[:2]
+        by = pushes[k] if k < len(pushes) else Pushed()
+        z = AxisMeasured(x[0] + by.place, x[1] + by.speed, x[2], x[3], x[2] + by.accel + by.gust - by.tilt)
+        axis = observed(axis, z, PERIOD_S, seeing, assumed, axis.under_way[-1])
+        u = command(axis, gains, axis.seen.p, 0.0, 0.0)
+        axis = commanded(axis, u)
+        push = by.deck + by.tilt - by.gust
+        w = x[1]
+        x = model.A @ x + model.B * answer * u
+        x[0] += 0.5 * PERIOD_S**2 * push
+        x[1] += PERIOD_S * (push - drag_1_s * w)
+    return out
+
+
+def settles(assumed: TiltResponse, true: TiltResponse, answer: float = 1.0) -> bool:
+    """Whether a push dies away."""
+    course = np.abs(flown(assumed, true, [Pushed(gust=1.0)], 1500, answer=answer)[:, 0])
+    return bool(course[-400:].max() < 0.5 * course[-900:-500].max())
+
+
+@pytest.mark.parametrize("assumed", [SHIPPED, AGILE, SLOW])
+def test_a_vehicle_may_answer_more_or_less_by_the_gain_margins_and_no_further(assumed: TiltResponse) -> None:
+    found = margins(assumed)
+    down, up = found.gain
+    assert found.stable
+    assert settles(assumed, assumed)
+    assert math.isfinite(up)
+    assert settles(assumed, assumed, 0.97 * up)
+    assert not settles(assumed, assumed, 1.03 * up)
+    if down > 0.0:
+        assert settles(assumed, assumed, 1.03 * down)
+        assert not settles(assumed, assumed, 0.97 * down)
+
+
+@pytest.mark.parametrize("assumed", [SHIPPED, AGILE, SLOW])
+def test_a_vehicle_may_be_later_than_assumed_by_the_delay_margin_and_no_further(assumed: TiltResponse) -> None:
+    more_s = margins(assumed).delay_s
+    for share, stands in ((0.9, True), (1.1, False)):
+        true = structs.replace(assumed, delay_s=assumed.delay_s + share * more_s)
+        beside = margins(assumed, true)
+        assert beside.stable is settles(assumed, true) is stands
+        assert math.isfinite(beside.error_m) is math.isfinite(beside.speed_m_s) is stands
+
+
+def wandering(name: str, of: GaussMarkov, cycles: int) -> list[Pushed]:
+    """The course of one process after a single new part of it: the square of what follows, summed, is its variance's share."""
+    keep = math.exp(-PERIOD_S / of.time_s)
+    return [Pushed(**{name: of.sigma * math.sqrt(1.0 - keep**2) * keep**k}) for k in range(cycles)]
+
+
+@pytest.mark.parametrize("tilt", [SHIPPED, AGILE])
+@pytest.mark.parametrize("name", Pushed._fields)
+def test_each_disturbance_moves_the_body_as_much_as_it_is_said_to(name: str, tilt: TiltResponse) -> None:
+    fields = {"gust": "gust_m_s2", "tilt": "tilt_m_s2", "place": "place_m", "speed": "speed_m_s", "accel": "accel_m_s2",
+              "deck": "deck_m_s2"}  # fmt: skip
+    silent = AxisDisturbances(*[QUIET] * 6, sample_m_s2=0.0)
+    of = GaussMarkov(0.3, 0.7)
+    found = margins(tilt, around=silent._replace(**{fields[name]: of}))
+    course = flown(tilt, tilt, wandering(name, of, 1200), 1200)
+    assert (found.error_m, found.speed_m_s) == pytest.approx(np.sqrt((course**2).sum(axis=0)).tolist(), rel=1e-5)
+
+
+def test_single_samples_of_the_accelerometer_and_another_drag_move_it_as_well() -> None:
+    found = margins(SHIPPED, around=AxisDisturbances(*[QUIET] * 6, sample_m_s2=0.5, drag_1_s=1.2))
+    course = flown(SHIPPED, SHIPPED, [Pushed(accel=0.5)], 1200, drag_1_s=1.2)
+    assert (found.error_m, found.speed_m_s) == pytest.approx(np.sqrt((course**2).sum(axis=0)).tolist(), rel=1e-5)
+
+
+def test_of_all_surroundings_together_the_variances_add() -> None:
+    each = AxisDisturbances()
+    alone = []
+    for name in AxisDisturbances._fields[:7]:
+        silent = AxisDisturbances(*[QUIET] * 6, sample_m_s2=0.0)
+        alone.append(margins(SHIPPED, around=silent._replace(**{name: getattr(each, name)})).error_m)
+    assert min(alone) > 0.0
+    assert margins(SHIPPED).error_m == pytest.approx(math.hypot(*alone), rel=1e-9)
+
+
+def test_the_shipped_vehicle_near_the_deck_at_sea_state_4() -> None:
+    found = margins(SHIPPED)
+    assert (found.error_m, found.speed_m_s) == pytest.approx((0.01756, 0.04148), rel=1e-3)
