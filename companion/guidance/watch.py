@@ -303,7 +303,7 @@ def _way_points(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Rel
 
 def near(estimate: RelativeState, ahead_m: float, height_m: float, reached_m: float) -> bool:
     """Return whether the drone is within `reached_m` of a way point, aside and in height."""
-    x, y, z = estimate.d_body_pad_level
+    x, y, z = estimate.d_body_pad_level.tolist()
     return math.hypot(x - ahead_m, y) <= reached_m and abs(z - height_m) <= reached_m
 
 

@@ -63,10 +63,9 @@ void symmetric_eigen(int m, double A[ROWS_MAX][ROWS_MAX], double values[ROWS_MAX
     }
 }
 
-/* part = J cov_attitude J', (m, m); returns whether any of it is not zero. */
-static int attitude_part(int m, const double *J, const double cov_attitude[9], double part[ROWS_MAX][ROWS_MAX])
+/* part = J cov_attitude J', (m, m) */
+static void attitude_part(int m, const double *J, const double cov_attitude[9], double part[ROWS_MAX][ROWS_MAX])
 {
-    int some = 0;
     for (int i = 0; i < m; i++) {
         double row[3];
         for (int k = 0; k < 3; k++) {
@@ -74,10 +73,8 @@ static int attitude_part(int m, const double *J, const double cov_attitude[9], d
         }
         for (int j = 0; j < m; j++) {
             part[i][j] = row[0] * J[3 * j] + row[1] * J[3 * j + 1] + row[2] * J[3 * j + 2];
-            some |= part[i][j] != 0.0;
         }
     }
-    return some;
 }
 
 /* inv(L) part inv(L)': the part in units of the whole. */
@@ -127,9 +124,7 @@ static void assemble(int m, double L[ROWS_MAX][ROWS_MAX], double axes[ROWS_MAX][
 void remove_attitude(int32_t m, double *cov, const double *J, const double *cov_attitude)
 {
     double part[ROWS_MAX][ROWS_MAX], rest[ROWS_MAX][ROWS_MAX], L[ROWS_MAX][ROWS_MAX];
-    if (!attitude_part(m, J, cov_attitude, part)) {
-        return;
-    }
+    attitude_part(m, J, cov_attitude, part);
     for (int i = 0; i < m; i++) {
         for (int j = 0; j < m; j++) {
             L[i][j] = cov[i * m + j];

@@ -68,6 +68,20 @@ static void algebra(int n, int m, double poison)
     }
 }
 
+/* What attitudes of all sizes add to a measurement's covariance, and to one that contains none. */
+static void attitudes(int m, double poison)
+{
+    for (int k = 0; k < 8; k++) {
+        double *cov = covariance(m), *J = numbers(3 * m), *by = covariance(3);
+        for (int i = 0; i < 9; i++) {
+            by[i] *= poison * pow(10.0, 0.5 * k - 3.0);
+        }
+        remove_attitude(m, cov, J, by);
+        fold(cov, m * m);
+        free(cov), free(J), free(by);
+    }
+}
+
 static void parameters(filter_params *o, int surface)
 {
     memset(o, 0, sizeof *o);
@@ -340,6 +354,10 @@ int main(int count, char **files)
     }
     algebra(ORDER_MAX, ROWS_MAX, 1.0);
     report("kalman_predict kalman_correct nis_of");
+    for (int m = 1; m <= ROWS_MAX; m++) {
+        attitudes(m, 1.0), attitudes(m, NAN), attitudes(m, -1e300);
+    }
+    report("remove_attitude");
     for (int surface = OVER_GROUND; surface <= OVER_EITHER; surface++) {
         fly(surface, 200, 1.0);
         fly(surface, 3, NAN);

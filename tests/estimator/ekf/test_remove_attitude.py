@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from scipy.linalg import eigh
@@ -11,7 +13,7 @@ from estimator.core.interface.filter import ROWS_MAX
 from estimator.core.library import CORE, address
 
 KEPT, NOT_A_PART = 0.02, 1.5
-SIZES = range(1, ROWS_MAX + 1)
+SIZES = (1, 2, 3, 6, ROWS_MAX)
 _REMOVE = CORE.function("remove_attitude")
 
 
@@ -50,7 +52,7 @@ def test_what_vision_itself_is_uncertain_of_is_found_again(m: int) -> None:
 @pytest.mark.parametrize("m", SIZES)
 @pytest.mark.parametrize("largest", [0.979, 0.981, 0.999, 1.2, 1.499])
 def test_each_direction_keeps_a_fiftieth_at_least_and_no_direction_more_than_is_its_own(m: int, largest: float) -> None:
-    for seed in range(6):
+    for seed in range(4):
         cov, J, cov_attitude = drawn(m, seed)
         cov_attitude = part_of(cov, J, cov_attitude, largest)
         part = J @ cov_attitude @ J.T
@@ -86,3 +88,12 @@ def test_only_what_belongs_to_the_matrix_is_written(m: int) -> None:
         part = np.ascontiguousarray(part_of(cov, J, cov_attitude, largest))
         _REMOVE(m, address(room), address(np.ascontiguousarray(J)), address(part))
         assert (room[m * m :] == 7.0).all()
+
+
+def test_directions_that_do_not_hang_together_stay_apart() -> None:
+    """Two alike, and two that the attitude moves together by more than is there."""
+    J = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.5]])
+    rest = rest_of(np.eye(4), J, 0.9 * np.eye(3))
+    along, across = np.array([2.0, 1.0]) / math.sqrt(5.0), np.array([-1.0, 2.0]) / math.sqrt(5.0)
+    np.testing.assert_allclose(rest[:2], [[0.1, 0.0, 0.0, 0.0], [0.0, 0.1, 0.0, 0.0]], atol=1e-15)
+    np.testing.assert_allclose(rest[2:, 2:], KEPT * np.outer(along, along) + np.outer(across, across), atol=1e-14)

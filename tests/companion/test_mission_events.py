@@ -1,0 +1,276 @@
+"""What happens in a guidance cycle, state by state, with each figure at its limit and beside it."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from companion.guidance.attempt import Attempt
+from companion.guidance.controller import Impact, Knowledge
+from companion.guidance.mission import FLOWN, Event, State
+from companion.guidance.options import GuidanceOptions
+from companion.guidance.progress import Progress
+from companion.guidance.reason import Reason, ReasonCause
+from companion.guidance.situation import GuidanceCycle
+from companion.guidance.watch import events, fit_in
+from estimator.contracts.estimates import Verdict
+from tests.companion.mission_flights import estimate, guided, ns
+
+NOW = 100.0
+OPTIONS = GuidanceOptions()
+WHY = Reason(ReasonCause.LOSSES, 9.0, 8.0)
+BLIND = Counter({Verdict.GATED: 20})
+DESCENT = (State.INTERCEPT, State.DESCEND, State.GATE, State.HOLD_BLIND)
+
+
+def memory(state: State, since_s: float = 1.0, **more: Any) -> Progress:
+    """A try that began a second ago, in sight of pad 1 at a metre."""
+    fields: dict[str, Any] = {
+        "automatic": True, "since": ns(NOW - since_s), "seen": ns(NOW), "seen_height_m": 1.0, "in_sight": True, "track": 1,
+        "entered_height_m": 1.0, "begun": True,
+    }  # fmt: skip
+    return Progress(state, **{**fields, **more})
+
+
+def seen(d: tuple[float, float, float] = (0.0, 0.0, 1.0), **more: Any):
+    return estimate(NOW, d, **more)
+
+
+def cycle(relative: Any = None, *, impact: Impact | None = None, **more: Any) -> GuidanceCycle:
+    return GuidanceCycle(ns(NOW), Knowledge(ns(NOW), relative, impact=impact), **more)
+
+
+def happens(p: Progress, s: GuidanceCycle, o: GuidanceOptions = OPTIONS) -> list[tuple[Event, Reason]]:
+    return list(events(p, s, o))
+
+
+def of(event: Event, p: Progress, s: GuidanceCycle, o: GuidanceOptions = OPTIONS) -> Reason | None:
+    found = [reason for kind, reason in events(p, s, o) if kind is event]
+    assert len(found) <= 1
+    return found[0] if found else None
+
+
+def figures(reason: Reason | None) -> tuple[ReasonCause, float | None, float | None] | None:
+    return None if reason is None else (reason.cause, reason.measured, reason.limit)
+
+
+def test_nothing_happens_where_nobody_flies_a_landing() -> None:
+    for state in set(State) - FLOWN:
+        assert happens(memory(state, 1e6, track=2), cycle(seen(), impact=Impact(ns(NOW), "vehicle"))) == []
+
+
+# Sight
+
+
+def test_in_the_commit_a_sighting_may_be_older() -> None:
+    for age_s, commit in ((0.5, True), (0.51, True), (1.5, True), (1.51, False)):
+        s = cycle(seen(age=age_s))
+        assert (fit_in(State.COMMIT, s, OPTIONS) is None) is commit
+        assert (fit_in(State.GATE, s, OPTIONS) is None) is (age_s <= 0.5)
+    patient = replace(OPTIONS, stale_after_s=4.0)
+    assert fit_in(State.COMMIT, cycle(seen(age=3.9)), patient) is None
+
+
+@pytest.mark.parametrize("state", sorted(FLOWN - {State.ANOTHER_PAD}, key=str))
+def test_sight_comes_with_an_estimate_that_is_fit_and_is_lost_without(state: State) -> None:
+    assert figures(of(Event.SIGHT, memory(state), cycle(seen()))) == (ReasonCause.PAD_SEEN, 1.0, None)
+    assert of(Event.SIGHT_LOST, memory(state), cycle(seen())) is None
+    for relative in (None, seen(age=9.0), seen(consistent=False)):
+        assert of(Event.SIGHT, memory(state), cycle(relative)) is None
+        assert of(Event.SIGHT_LOST, memory(state), cycle(relative)) is not None
+
+
+@pytest.mark.parametrize(("until_s", "lost"), [(0.0, False), (0.001, False), (-0.001, True), (None, True)])
+def test_just_over_the_deck_the_contact_is_awaited_without_sight(until_s: float | None, lost: bool) -> None:
+    p = memory(State.COMMIT, no_return_until=None if until_s is None else ns(NOW + until_s))
+    assert (of(Event.SIGHT_LOST, p, cycle()) is not None) is lost
+    assert of(Event.SIGHT, p, cycle()) is None
+
+
+@pytest.mark.parametrize(("track", "other"), [(1, False), (2, True), (None, False)])
+def test_an_estimate_of_another_track_is_another_pad_and_comes_first(track: int | None, other: bool) -> None:
+    for state in (State.DESCEND, State.ANOTHER_PAD):
+        found = happens(memory(state, track=track), cycle(seen()))
+        assert (bool(found) and found[0] == (Event.OTHER_PAD, Reason(ReasonCause.ANOTHER_PAD))) is other
+    assert of(Event.OTHER_PAD, memory(State.DESCEND, track=2), cycle()) is None
+
+
+# Contact
+
+
+def struck(by: str, ago_s: float = 0.0) -> Impact:
+    return Impact(ns(NOW - ago_s), by, size_m_s2=4.0, held_m_s=0.6)
+
+
+@pytest.mark.parametrize(
+    ("by", "reason"),
+    [
+        ("accelerometer", (ReasonCause.FELT, 4.0, None)),
+        ("velocity", (ReasonCause.HELD_UP, 0.6, None)),
+        ("vehicle", (ReasonCause.REPORTED, None, None)),
+    ],
+)
+def test_a_contact_of_this_commit_counts_and_says_by_what(by: str, reason: object) -> None:
+    low = seen((0.0, 0.0, 0.1))
+    assert figures(of(Event.CONTACT, memory(State.COMMIT, 0.2), cycle(low, impact=struck(by, 0.2)))) == reason
+    assert of(Event.CONTACT, memory(State.COMMIT, 0.2), cycle(low, impact=struck(by, 0.201))) is None, "before the commit"
+    assert of(Event.CONTACT, memory(State.GATE), cycle(low, impact=struck(by))) is None
+    assert of(Event.CONTACT, memory(State.COMMIT, since=None), cycle(low, impact=struck(by))) is None
+    assert of(Event.CONTACT, memory(State.COMMIT), cycle(low)) is None
+
+
+@pytest.mark.parametrize(
+    ("height_m", "ago_s", "counts"),
+    [(0.224, 0.25, True), (0.226, 0.25, False), (0.224, 0.251, False), (None, 0.1, True), (None, 0.3, False)],
+)
+def test_being_held_up_is_a_contact_near_the_deck_alone_and_while_it_lasts(
+    height_m: float | None, ago_s: float, counts: bool
+) -> None:
+    """Three quarters of the gate's 0.3 m; a step that no flight makes is a contact at any height."""
+    relative = None if height_m is None else seen((0.0, 0.0, height_m))
+    found = of(Event.CONTACT, memory(State.COMMIT), cycle(relative, impact=struck("velocity", ago_s)))
+    assert (found is not None) is counts
+    assert of(Event.CONTACT, memory(State.COMMIT), cycle(relative, impact=struck("accelerometer", ago_s))) is not None
+
+
+@pytest.mark.parametrize(("since_s", "pressed"), [(0.4, True), (0.399, False)])
+def test_it_presses_on_for_its_time(since_s: float, pressed: bool) -> None:
+    found = figures(of(Event.PRESSED, memory(State.PRESS, since_s), cycle(seen())))
+    assert found == ((ReasonCause.PRESSED, pytest.approx(since_s), 0.4) if pressed else None)
+    assert of(Event.PRESSED, memory(State.COMMIT, 2.0), cycle(seen())) is None
+    assert of(Event.PRESSED, memory(State.PRESS, since=None), cycle(seen())) is None
+
+
+# What ends the flight's tries
+
+
+@pytest.mark.parametrize(
+    ("lean_deg", "on_way_s", "windy"), [(15.1, None, True), (14.9, None, False), (15.1, 6.0, False), (15.1, 6.01, True)]
+)
+def test_wind_is_a_mean_lean_that_is_not_the_vehicle_s_own_speed(lean_deg: float, on_way_s: float | None, windy: bool) -> None:
+    p = memory(State.DESCEND, on_way=None if on_way_s is None else ns(NOW - on_way_s))
+    found = figures(of(Event.NO_CONDITIONS, p, cycle(seen(), lean_rad=math.radians(lean_deg))))
+    assert found == ((ReasonCause.WIND, pytest.approx(lean_deg), 15.0) if windy else None)
+    assert of(Event.NO_CONDITIONS, p, cycle(seen())) is None
+
+
+@pytest.mark.parametrize(("battery", "low"), [(0.09, True), (0.1, False), (None, False)])
+def test_a_low_battery_ends_what_has_not_begun(battery: float | None, low: bool) -> None:
+    for state in FLOWN - {State.ANOTHER_PAD}:
+        found = figures(of(Event.NO_CONDITIONS, memory(state), cycle(seen(), battery=battery)))
+        begins = state in (State.SEARCH, State.RENDEZVOUS)
+        assert found == ((ReasonCause.BATTERY, pytest.approx(9.0), pytest.approx(10.0)) if low and begins else None)
+
+
+@pytest.mark.parametrize("state", [State.SEARCH, State.RENDEZVOUS])
+def test_without_sight_and_without_the_ship_s_place_it_refuses_after_a_while(state: State) -> None:
+    silent = Reason(ReasonCause.VESSEL_SILENT)
+    cases = ((10.0, None, False), (10.001, None, True), (30.0, 10.0, False), (30.0, 10.001, True), (5.0, 30.0, False))
+    for since_s, known_s, refuses in cases:
+        p = memory(state, since_s, place_known=None if known_s is None else ns(NOW - known_s))
+        assert of(Event.NO_CONDITIONS, p, cycle(vessel=silent)) == (silent if refuses else None)
+        assert of(Event.NO_CONDITIONS, p, cycle(seen(), vessel=silent)) is None, "the pad is in sight"
+        assert of(Event.NO_CONDITIONS, replace(p, state=State.HOLD_BLIND), cycle(vessel=silent)) is None
+    assert of(Event.NO_CONDITIONS, memory(state, since=None), cycle(vessel=silent)) is None
+    assert of(Event.NO_CONDITIONS, memory(state, 99.0), cycle(vessel=None)) is None
+
+
+def test_a_go_around_ends_the_tries_once_it_is_high_enough() -> None:
+    wind = Reason(ReasonCause.WIND, 16.0, 15.0)
+
+    def after(
+        height_m: float, fault: Reason | None, go_arounds: int = 1, *, refusing: bool = False, **s: Any
+    ) -> list[tuple[Event, Reason]]:
+        p = memory(State.GO_AROUND, seen_height_m=height_m, fault=fault, go_arounds=go_arounds, refusing=refusing)
+        ends = (Event.NO_CONDITIONS, Event.HOPELESS)
+        return [found for found in happens(p, cycle(seen((0.0, 0.0, height_m)), **s)) if found[0] in ends]
+
+    assert after(2.0, WHY, 3) == after(2.0, None, 4) == after(1.7, WHY, 4, refusing=True) == []
+    assert after(2.0, WHY, 4) == [(Event.HOPELESS, WHY)]
+    assert after(2.0, wind, 4) == [(Event.NO_CONDITIONS, wind), (Event.HOPELESS, wind)]
+    assert after(2.0, wind, 3) == []
+    assert after(2.0, wind, 3, refusing=True) == [(Event.NO_CONDITIONS, wind)]
+    assert after(2.0, WHY, 3, lean_rad=0.4)[0][0] is Event.NO_CONDITIONS
+    assert after(1.7, WHY, 3, lean_rad=0.4) == [], "up first"
+    assert of(Event.HOPELESS, memory(State.HOLD_BLIND, fault=WHY, go_arounds=9), cycle(seen())) is None
+
+
+def test_what_the_frames_show_is_told_where_nothing_else_is_seen() -> None:
+    p = memory(State.GO_AROUND, 60.0, seen=ns(NOW - 60.0), in_sight=False, fault=WHY, go_arounds=4)
+    assert of(Event.HOPELESS, p, cycle()) == WHY
+    told = of(Event.HOPELESS, p, cycle(frames=BLIND))
+    assert told is not None
+    assert told.cause is ReasonCause.FRAMES
+    assert of(Event.HOPELESS, replace(p, in_sight=True, seen_height_m=2.0), cycle(seen(), frames=BLIND)) == WHY
+
+
+# Limits of a try
+
+
+def test_a_limit_ends_the_commit_but_not_without_an_estimate() -> None:
+    off = seen((0.3, 0.0, 0.2))
+    assert figures(of(Event.LIMIT, memory(State.COMMIT), cycle(off))) == (ReasonCause.ERROR, pytest.approx(0.3), 0.25)
+    assert of(Event.LIMIT, memory(State.COMMIT), cycle(seen((0.2, 0.0, 0.2)))) is None
+    assert of(Event.LIMIT, memory(State.COMMIT), cycle()) is None
+    assert of(Event.LIMIT, memory(State.PRESS), cycle(off)) is None
+
+
+@pytest.mark.parametrize("state", sorted(FLOWN - {State.ANOTHER_PAD}, key=str))
+def test_a_try_s_budget_and_a_turned_arrow_end_the_way_down_alone(state: State) -> None:
+    turned = Reason(ReasonCause.HEADING_TURNED, 170.0, 90.0)
+    spent = memory(state, attempt=Attempt(losses=9))
+    limited = state in DESCENT
+    assert figures(of(Event.LIMIT, spent, cycle(seen()))) == ((ReasonCause.LOSSES, 9.0, 8.0) if limited else None)
+    assert of(Event.LIMIT, replace(spent, turned=turned), cycle(seen())) != turned, "nobody keeps to the arrow"
+    align = guided(tries={"heading": "align"})
+    assert of(Event.LIMIT, replace(spent, turned=turned), cycle(seen()), align) == (turned if limited else None)
+    assert of(Event.LIMIT, memory(state), cycle(seen()), align) is None
+
+
+@pytest.mark.parametrize(
+    ("ago_s", "height_m", "lost"), [(1.51, 1.7, True), (1.5, 1.7, False), (1.51, 1.75, False), (None, 1.0, False)]
+)
+def test_low_and_blind_for_a_while_it_goes_around(ago_s: float | None, height_m: float, lost: bool) -> None:
+    p = memory(State.HOLD_BLIND, seen=None if ago_s is None else ns(NOW - ago_s), seen_height_m=height_m, in_sight=False)
+    assert figures(of(Event.LIMIT, p, cycle())) == ((ReasonCause.LOST_LOW, height_m, None) if lost else None)
+    assert of(Event.LIMIT, replace(p, state=State.DESCEND), cycle()) is None
+
+
+@pytest.mark.parametrize(
+    ("d", "cause", "figure"),
+    [
+        ((0.0, 0.0, -0.59), None, None), ((0.0, 0.0, -0.61), ReasonCause.PAST_DECK, 0.61),
+        ((0.0, 0.0, 0.69), None, None), ((0.0, 0.0, 0.71), ReasonCause.ROSE, 0.41),
+        ((0.33, 0.24, 0.2), None, None), ((0.36, 0.24, 0.2), ReasonCause.DRIFTED, math.hypot(0.36, 0.24)),
+    ],
+)  # fmt: skip
+def test_a_landing_that_the_vehicle_makes_is_left_to_it_as_long_as_it_goes_down_at_the_pad(
+    d: tuple[float, float, float], cause: ReasonCause | None, figure: float | None
+) -> None:
+    """0.6 m past the deck, 0.4 m risen, 0.3 m beside the last way point's 0.12 m."""
+    p = memory(State.DOWN, entered_height_m=0.3)
+    found = of(Event.LIMIT, p, cycle(seen(d)))
+    assert (None if found is None else (found.cause, found.measured)) == (
+        None if cause is None else (cause, pytest.approx(figure))
+    )  # fmt: skip
+    if cause is ReasonCause.DRIFTED:
+        assert found is not None
+        assert found.limit == pytest.approx(0.42)
+        assert of(Event.LIMIT, p, cycle(seen(d)), guided(thesis={"pad_ahead_m": 0.05})) is None
+    if cause is not ReasonCause.PAST_DECK:
+        assert of(Event.LIMIT, replace(p, seen_height_m=0.3), cycle(seen(d, age=0.51))) is None, "an old sight tells nothing"
+
+
+@pytest.mark.parametrize(
+    ("ago_s", "height_m", "lost"), [(0.51, 0.53, True), (0.5, 0.53, False), (0.51, 0.51, False), (None, 0.53, False)]
+)
+def test_a_vehicle_that_lands_by_itself_loses_the_pad_where_it_leaves_the_view(
+    ago_s: float | None, height_m: float, lost: bool
+) -> None:
+    """Below the last way point's 0.3 m and what lies about it that is no loss."""
+    p = memory(State.DOWN, seen=None if ago_s is None else ns(NOW - ago_s), seen_height_m=height_m)
+    assert figures(of(Event.LIMIT, p, cycle())) == ((ReasonCause.LOST_LOW, height_m, None) if lost else None)
