@@ -34,6 +34,14 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "0.0 < along < way_m  ->  0.0 <= along < way_m": _ROUNDED,
         "abs(turn) <= _ROUND_RAD  ->  abs(turn) < _ROUND_RAD": _ROUNDED,
     },
+    "companion/guidance/clearance.py": {
+        "span_s <= 0.0  ->  span_s < 0.0": "over no time nothing is summed",
+        "before * after < 0.0  ->  before * after <= 0.0": "where one of them is zero the triangle is the whole area",
+        "True  ->  False": "a forecast has as many sigmas as rates",
+    },
+    "companion/guidance/response_course.py": {
+        "np.isfinite(u).all  ->  np.isfinite(u).any": "a step is unknown on all axes",
+    },
     "companion/guidance/margins.py": {
         "40  ->  41": "the sum has converged",
         "angle[:-1] * angle[1:] < 0.0  ->  angle[:-1] * angle[1:] <= 0.0": _ROUNDED,

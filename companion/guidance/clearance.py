@@ -36,8 +36,6 @@ def rise_beyond_climb_m(knowledge: Knowledge) -> float:
 def _largest_sum_m(ahead: Forecast, climb_m_s: float, from_s: float) -> float:
     """Return the largest integral of the rate beyond `climb_m_s` over any part of the time from `from_s` on, m."""
     horizons, beyond = _beyond(ahead, climb_m_s)
-    if max(beyond) <= 0.0:
-        return 0.0
     largest_m = sum_m = 0.0
     for k in range(1, len(horizons)):
         span_s, before, after = horizons[k] - max(horizons[k - 1], from_s), beyond[k - 1], beyond[k]

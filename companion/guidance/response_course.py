@@ -77,7 +77,7 @@ def course_of(asked: Track, reported: Track, stamp_sigma_s: float = 0.0, drifts:
     u = _held(asked, grid)
     known = np.asarray(np.isfinite(u).all(axis=1))
     u = np.where(known[:, None], u, y)
-    after = np.clip(np.searchsorted(reported.t_s, grid[:-1]), 1, reported.t_s.size - 1)
+    after = np.maximum(1, np.searchsorted(reported.t_s, grid[:-1]))
     fresh = reported.t_s[after] - reported.t_s[after - 1] <= _REPORT_GAP_S
     settled = round(_SETTLING_S / STEP_S)
     since = np.arange(n) - np.maximum.accumulate(np.where(known, -1, np.arange(n)))
@@ -93,12 +93,14 @@ def joined(courses: Sequence[FlightCourse]) -> FlightCourse | None:
 
 
 def _held(asked: Track, grid: F64) -> F64:
-    """Return the mean of what is asked over each step of the grid: a command in the middle of a step keeps its instant."""
-    t, length = asked.t_s, np.diff(asked.t_s, append=asked.t_s[-1] + HELD_S)
-    values = np.where((length <= HELD_S)[:, None], asked.values, math.nan)
+    """Return the mean of what is asked over each step of a grid that ends before the last command.
+
+    A command in the middle of a step keeps its instant.
+    """
+    t, length = asked.t_s, np.diff(asked.t_s)
+    values = np.where((length <= HELD_S)[:, None], asked.values[:-1], math.nan)
     area = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(np.nan_to_num(values) * length[:, None], axis=0)])
-    ends = np.append(t, t[-1] + HELD_S)
-    out = np.column_stack([np.diff(np.interp(grid, ends, one)) / STEP_S for one in area.T])
-    missing = np.interp(grid, ends, np.append(0.0, np.cumsum(np.isnan(values).any(axis=1) * length)))
+    out = np.column_stack([np.diff(np.interp(grid, t, one)) / STEP_S for one in area.T])
+    missing = np.interp(grid, t, np.append(0.0, np.cumsum(np.isnan(values).any(axis=1))))
     out[np.diff(missing) > 0.0] = math.nan
     return out

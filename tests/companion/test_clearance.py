@@ -68,6 +68,30 @@ def test_it_is_what_a_swell_gains_on_a_climb_at_the_limit(largest_m_s: float) ->
     assert rise_beyond_climb_m(knowledge(forecast(swell(largest_m_s)))) == pytest.approx(gained_m(largest_m_s), rel=0.1)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_it_is_the_largest_sum_over_any_part_of_the_forecast_and_of_the_swell_that_follows(seed: int) -> None:
+    """The rate goes straight from one horizon to the next, then on for 3 s as a swell of 9 s with its last rate and slope."""
+    rng = np.random.default_rng(seed)
+    h, rise = np.array(HORIZONS_S), 1.0 + np.cumsum(rng.normal(0.0, 0.35, len(HORIZONS_S)))
+    sigma, w = 0.07, math.tau / 9.0
+    t = np.arange(0.5, 3.1, 0.5)
+    swells = rise[-1] * np.cos(w * t) + (rise[-1] - rise[-2]) / (h[-1] - h[-2]) / w * np.sin(w * t)
+    at = np.arange(0.0, h[-1] + 3.0, 1e-3)
+    beyond = np.interp(at, np.concatenate([h, h[-1] + t]), np.concatenate([rise, swells])) + sigma - CLIMB_M_S
+    total = np.concatenate([[0.0], np.cumsum(beyond) * 1e-3])
+    found = rise_beyond_climb_m(knowledge(forecast(rise, sigma_m_s=sigma)))
+    assert found == pytest.approx((total - np.minimum.accumulate(total)).max(), abs=3e-3)
+
+
+def test_what_of_a_forecast_is_over_does_not_count_and_an_old_one_says_nothing() -> None:
+    steady = forecast(np.full(len(HORIZONS_S), 1.6))
+    whole = rise_beyond_climb_m(knowledge(steady))
+    for age_s in (0.1, 0.3, 0.5):
+        assert rise_beyond_climb_m(knowledge(steady, at_s=age_s)) == pytest.approx(whole - 0.6 * age_s)
+    for age_s in (-0.001, 0.501):
+        assert rise_beyond_climb_m(knowledge(steady, at_s=age_s)) == 0.0
+
+
 def test_what_is_uncertain_counts_as_rising_faster() -> None:
     sure, unsure = (rise_beyond_climb_m(knowledge(forecast(swell(1.2), sigma_m_s=s))) for s in (0.0, 0.1))
     assert unsure > sure + 0.1

@@ -113,6 +113,49 @@ def test_two_steps_are_a_course_and_fewer_are_none(seconds: float, steps: int | 
     assert course_of(two, later) is course_of(later, two) is None, "they do not overlap"
     one = Track(two.t_s[:1], two.values[:1])
     assert course_of(one, two) is course_of(two, one) is None
+    none = Track(np.empty(0), np.empty((0, 1)))
+    assert course_of(none, two) is course_of(two, none) is course_of(none, none) is None
+
+
+def test_a_lean_of_which_one_axis_is_unknown_is_not_compared() -> None:
+    t = STEP_S * np.arange(200)
+    asked = np.ones((t.size, 2))
+    asked[120:130, 1] = math.nan
+    course = course_of(Track(t, asked), Track(t, np.zeros((t.size, 2))))
+    assert course is not None
+    assert (course.stamp_sigma_s, course.drifts) == (0.0, 0), "unless it is said"
+    assert course.counts[60:119].all()
+    assert not course.counts[120:190].any()
+    np.testing.assert_allclose(course.asked[121:129], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("gap", ["first", "last"])
+def test_a_gap_between_the_outermost_reports_is_a_gap(gap: str) -> None:
+    t = 0.02 * np.arange(300)
+    inner = 0.125 * np.arange(12, 33)
+    at = np.concatenate([[0.0], inner] if gap == "first" else [inner, [inner[-1] + 0.6]])
+    course = course_of(Track(t, np.ones((t.size, 1))), Track(at, np.zeros((at.size, 1))))
+    assert course is not None
+    begins = max(t[0], at[0]) + STEP_S * np.arange(len(course.counts))
+    k = np.clip(np.searchsorted(at, begins), 1, None)
+    np.testing.assert_array_equal(course.counts, (at[k] - at[k - 1] <= 0.25) & (np.arange(len(begins)) >= 60))
+    assert not course.counts[-1] if gap == "last" else course.counts[-1]
+
+
+def test_before_the_first_command_the_vehicle_leans_as_it_likes() -> None:
+    t = STEP_S * np.arange(100)
+    asked = np.where(t < 0.41, math.nan, 1.0)[:, None]
+    course = course_of(Track(t, asked), Track(t, np.full((t.size, 1), 0.3)))
+    assert course is not None
+    np.testing.assert_allclose(course.asked[:, 0], np.where(t[:-1] < 0.41, 0.3, 1.0))
+
+
+def test_the_last_command_holds_to_the_course_s_end() -> None:
+    """The course ends with the newer of both tracks' ends, so the last command's own time begins there."""
+    t = np.array([0.0, 0.3, 0.6, 0.9, 1.2, 1.5])
+    course = course_of(Track(t, np.arange(6.0)[:, None]), Track(0.1 * np.arange(30), np.zeros((30, 1))))
+    assert course is not None
+    np.testing.assert_allclose(course.asked[:, 0], np.repeat(np.arange(5.0), 15), atol=1e-9)
 
 
 def test_flights_are_joined_in_their_order() -> None:
