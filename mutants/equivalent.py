@@ -39,6 +39,13 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "before * after < 0.0  ->  before * after <= 0.0": "where one of them is zero the triangle is the whole area",
         "True  ->  False": "a forecast has as many sigmas as rates",
     },
+    "companion/guidance/response.py": {"1e-09  ->  2e-09": "what floating point adds is 1e-15"},
+    "companion/guidance/vessel_track.py": {
+        "report.v_vessel_ned is not None and report.cov_v_ned is not None"
+        "  ->  report.v_vessel_ned is not None or report.cov_v_ned is not None": "no report has one of them alone",
+        "math.hypot(*v_vessel) >= _COURSE_FROM_M_S  ->  math.hypot(*v_vessel) > _COURSE_FROM_M_S": _ROUNDED,
+        "math.hypot(*step) > may_m  ->  math.hypot(*step) >= may_m": _ROUNDED,
+    },
     "companion/guidance/response_course.py": {
         "np.isfinite(u).all  ->  np.isfinite(u).any": "a step is unknown on all axes",
     },

@@ -113,7 +113,11 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/own_part.py": ("tests/companion/test_own_part.py",),
     "companion/guidance/margins.py": ("tests/companion/test_margins.py",),
     "companion/guidance/deck_turn.py": ("tests/companion/test_deck_turn.py",),
-    "companion/guidance/response.py": (*_RESPONSE, "tests/companion/test_law.py"),
+    "companion/guidance/response.py": (
+        "tests/companion/test_response.py",
+        "tests/companion/test_law.py::test_the_discrete_model_is_the_continuous_one",
+        "tests/companion/test_identify.py::test_a_descent_tells_the_delay_of_any_vehicle_to_40_ms",
+    ),
     "companion/guidance/response_course.py": ("tests/companion/test_response_course.py",),
     "companion/guidance/response_fit.py": _RESPONSE,
     "companion/guidance/response_watch.py": _RESPONSE,
