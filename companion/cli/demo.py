@@ -18,7 +18,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from companion.cli import page_option, record_option, report_option
+from companion.cli import foxglove_option, page_option, record_option, report_option
 from companion.cli.progress import ProgressObserver
 from companion.cli.version import version
 from companion.config import reference
@@ -79,6 +79,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--no-report", action="store_true", help="write no report")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of progress")
     page_option.add_argument(parser)
+    foxglove_option.add_argument(parser)
     parser.add_argument(
         "--video",
         metavar="ADDRESS:PORT",
@@ -115,6 +116,8 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
             settings = _profile(scenario, child.ports)
             if args.page is not None:
                 settings = page_option.with_page(settings, args.page, Path(folder))
+            if args.foxglove is not None:
+                settings = foxglove_option.with_foxglove(settings, args.foxglove)
             if args.video is not None:
                 settings = msgspec.structs.replace(settings, video_stream=_video(args.video))
             pilot = make_pilot(settings, shadows=SHADOWS)

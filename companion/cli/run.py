@@ -65,6 +65,7 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
             f"recorder: {'on, into ' + settings.recorder.folder if settings.recorder.enabled else 'off'}\n"
             f"mqtt: {_broker(settings)}\n"
             f"metrics: {settings.metrics.endpoint}\n"
+            f"foxglove: {settings.foxglove.endpoint}\n"
             f"files: found{not_checked(unchecked)}\n" + "".join(f"{line}\n" for line in remarks(settings))
         )
         return 0

@@ -48,7 +48,19 @@ _RULES = (
     _Rule("mqtt.commands_max_hz", lambda s: s.mqtt.transport != "off" and s.mqtt.commands == "off", 'mqtt.commands is "off"'),
     _Rule("metrics.", lambda s: s.metrics.endpoint == "off", 'metrics.endpoint is "off"', "metrics.endpoint"),
     _Rule("page.", lambda s: s.page.endpoint == "off", 'page.endpoint is "off"', "page.endpoint"),
+    _Rule("foxglove.", lambda s: s.foxglove.endpoint == "off", 'foxglove.endpoint is "off"', "foxglove.endpoint"),
     _Rule("video_stream.", lambda s: not s.video_stream.to, "video_stream.to is empty", "video_stream.to"),
+    _Rule("foxglove.origins", lambda s: bool(s.foxglove.token_file), "foxglove.token_file is set"),
+    _Rule(
+        "foxglove.jpeg_quality",
+        lambda s: s.foxglove.endpoint != "off" and s.foxglove.frames != "jpeg",
+        'foxglove.frames is not "jpeg"',
+    ),
+    _Rule(
+        "foxglove.frame_rate_hz",
+        lambda s: s.foxglove.endpoint != "off" and s.foxglove.frames == "none",
+        'foxglove.frames is "none"',
+    ),
     _Rule("page.certificate_file,page.key_file", lambda s: s.page.endpoint == "http", 'page.endpoint is "http"'),
     _Rule(
         "limits.fence_radius_m,limits.fence_polygon,limits.fence_brake_s,limits.fence_ends_s",

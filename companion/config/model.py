@@ -13,6 +13,7 @@ from msgspec import Struct
 
 from companion.config.vessel import VesselOptions
 from companion.guidance.options import GuidanceOptions
+from companion.live.settings import FoxgloveSettings
 from companion.mavlink.options import BridgeOptions, OutputOptions
 from companion.metrics.settings import MetricsSettings
 from companion.mqtt.settings import MqttSettings
@@ -88,6 +89,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     mqtt: MqttSettings = MqttSettings()
     metrics: MetricsSettings = MetricsSettings()
     page: PageSettings = PageSettings()
+    foxglove: FoxgloveSettings = FoxgloveSettings()
     video_stream: VideoStreamOptions = VideoStreamOptions()
     landing_target: OutputOptions = OutputOptions()
     bridge: BridgeOptions = BridgeOptions()

@@ -53,6 +53,8 @@ def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Call
         yield "mqtt.ca_file", (m.ca_file, m.certificate_file, m.key_file), lambda: access.tls_context(m)
     if settings.metrics.endpoint != "off" and settings.metrics.token_file:
         yield _token("metrics", settings.metrics.token_file)
+    if settings.foxglove.endpoint != "off" and settings.foxglove.token_file:
+        yield _token("foxglove", settings.foxglove.token_file)
     if settings.page.endpoint != "off":
         from companion.page.access import server_context
 

@@ -63,6 +63,7 @@ def load(name_or_path: str | Path) -> Settings:
         vehicle=_anchored(settings.vehicle, path.parent, signing),
         bridge=_anchored(settings.bridge, path.parent, ["signing_key_file", "signing_time_file"]),
         metrics=_anchored(settings.metrics, path.parent, ["token_file"]),
+        foxglove=_anchored(settings.foxglove, path.parent, ["token_file"]),
         page=_anchored(settings.page, path.parent, ["token_file", "certificate_file", "key_file"]),
         mqtt=_anchored(
             settings.mqtt, path.parent, ["password_file", "ca_file", "certificate_file", "key_file", "command_key_file", "spool"]

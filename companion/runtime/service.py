@@ -116,6 +116,14 @@ def make_daemon(
         from companion.metrics.endpoint import MetricsEndpoint
 
         extras["metrics"] = MetricsEndpoint(settings.metrics, health).run
+    if settings.foxglove.endpoint != "off":
+        from companion.live.part import FoxgloveEndpoint
+        from companion.recorder.setup import wall_offset_ns
+
+        data = FoxgloveEndpoint(settings.foxglove, pilot, health, ticking, vehicle_name(settings), wall_offset_ns(ticking))
+        watching.append(data)
+        extras["foxglove"] = data.run
+        health.counters("foxglove", data.counted)
     if settings.page.endpoint != "off":
         from companion.page.make import make_page
 

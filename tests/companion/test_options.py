@@ -60,6 +60,7 @@ IN_THE_FILE = {
 TABLES = {
     "companion.guidance": ("guidance", "guidance.pid", "guidance.cone", "guidance.limits", "guidance.tries", "guidance.thesis"),
     "companion.mavlink": ("vehicle", "landing_target", "bridge"),
+    "companion.live": ("foxglove",),
     "companion.metrics": ("metrics",),
     "companion.mqtt": ("mqtt",),
     "companion.recorder": ("recorder",),

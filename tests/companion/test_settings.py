@@ -89,7 +89,7 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
         (
             {"a b": 1},
             '"a b" is not a known key; known here are vehicle, camera, pad, vision, estimator, guidance, service, recorder, '
-            "mqtt, metrics, page, video_stream, landing_target, bridge, operator, limits, vessel",
+            "mqtt, metrics, page, foxglove, video_stream, landing_target, bridge, operator, limits, vessel",
         ),
         ({"line\nbreak ` - at `$.vehicle.host`": 1}, None),
         ({"vision": 3}, "vision must be a table of keys, found 3"),
@@ -218,6 +218,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
     data["mqtt"].update(commands="off", command_key_file="")
     data.setdefault("metrics", {}).update(endpoint="off")
     data.setdefault("page", {}).update(endpoint="off")
+    data.setdefault("foxglove", {}).update(endpoint="off")
     data.setdefault("video_stream", {}).update(to="")
     data["vehicle"].pop("vessel_id", None)
     for table in (data["vehicle"], data.setdefault("bridge", {})):

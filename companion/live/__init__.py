@@ -1,0 +1,1 @@
+"""The flight as it happens, in Foxglove and Lichtblick, by their websocket protocol."""

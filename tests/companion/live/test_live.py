@@ -1,0 +1,389 @@
+"""Foxglove's live data over real sockets, of the real pilot in a simulated flight: what comes, and who is refused."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import json
+import socket
+import struct
+from collections import defaultdict
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from companion.config.effect import without_effect
+from companion.config.settings import from_mapping
+from companion.live import feed, protocol, viewer
+from companion.live.part import FoxgloveEndpoint
+from companion.live.settings import FoxgloveSettings
+from companion.recorder.frame_video import is_key_frame
+from companion.recorder.recorder import Recorder
+from companion.recorder.setup import about, recorder_to_file
+from companion.runtime.connection_limits import ConnectionLimits
+from companion.runtime.health import Health
+from companion.runtime.make_pilot import make_pilot
+from companion.runtime.observer import Observer
+from companion.runtime.worker import Worker
+from drivers.clock import SystemClock
+from sitl.flight import Flight
+from sitl.scenario import load as load_scenario
+from tests.support.fake_ardrone import until
+from tests.support.recorded_flight import SCENARIO, sim_settings
+
+TOKEN = "a-token-of-more-than-sixteen"
+
+
+class Service:
+    """The endpoint beside a simulated flight."""
+
+    def __init__(self, limits: ConnectionLimits | None, recorder: Recorder | None, **settings: Any) -> None:
+        whole = sim_settings()
+        pilot = make_pilot(whole, shadows=("median_mean",))
+        clock = SystemClock()
+        self.endpoint = FoxgloveEndpoint(
+            FoxgloveSettings(endpoint="websocket", port=_free_port(), **settings), pilot, Health(clock), clock, "drone", 0, limits
+        )
+        observers: list[Observer] = [self.endpoint] if recorder is None else [recorder, self.endpoint]
+        self.flight = Flight(load_scenario(SCENARIO), 1, whole, pilot, observers=observers)
+
+    async def fly(self, seconds: float) -> None:
+        for _ in range(round(seconds / 0.005)):
+            self.flight.step()
+            await asyncio.sleep(0.0005)
+
+    @property
+    def address(self) -> str:
+        return f"ws://127.0.0.1:{self.endpoint.port}/"
+
+    def counted(self, name: str) -> float:
+        return self.endpoint.counted().get(name, 0.0)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@asynccontextmanager
+async def serving(
+    limits: ConnectionLimits | None = None, recorder: Recorder | None = None, **settings: Any
+) -> AsyncIterator[Service]:
+    service = Service(limits, recorder, **settings)
+    task = asyncio.create_task(service.endpoint.run())
+    await until(lambda: service.endpoint.port is not None or task.done())
+    try:
+        yield service
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+class Client:
+    """A viewer as the protocol describes one."""
+
+    def __init__(self, opened: aiohttp.ClientWebSocketResponse) -> None:
+        self.socket = opened
+        self.texts: list[dict[str, Any]] = []
+        self.channels: dict[str, dict[str, Any]] = {}
+        self.messages: dict[str, list[tuple[int, Any]]] = defaultdict(list)
+        self._topics: dict[int, str] = {}
+
+    async def subscribe(self, *topics: str) -> None:
+        asked = []
+        for topic in topics:
+            number = 1000 + len(self._topics)
+            self._topics[number] = topic
+            asked.append({"id": number, "channelId": self.channels[topic]["id"]})
+        await self.say(op="subscribe", subscriptions=asked)
+
+    async def say(self, **fields: Any) -> None:
+        await self.socket.send_str(json.dumps(fields))
+
+    async def read(self) -> aiohttp.WSMessage:
+        async with asyncio.timeout(20):
+            message = await self.socket.receive()
+        if message.type is aiohttp.WSMsgType.TEXT:
+            text = json.loads(message.data)
+            self.texts.append(text)
+            if text["op"] == "advertise":
+                self.channels |= {channel["topic"]: channel for channel in text["channels"]}
+        elif message.type is aiohttp.WSMsgType.BINARY:
+            opcode, number, at_ns = struct.unpack_from("<BIQ", message.data)
+            assert opcode == 1
+            self.messages[self._topics[number]].append((at_ns, message.data[13:]))
+        return message
+
+    async def told(self, op: str) -> dict[str, Any]:
+        while not any(text["op"] == op for text in self.texts):
+            assert (await self.read()).type in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY), "closed"
+        return next(self.texts.pop(k) for k, text in enumerate(self.texts) if text["op"] == op)
+
+    async def drain(self, *topics: str) -> None:
+        """Read until there is a message of each of these topics."""
+        while not all(self.messages[topic] for topic in topics):
+            await self.read()
+
+
+@asynccontextmanager
+async def watching(
+    service: Service, query: str = "", protocols: tuple[str, ...] = ("foxglove.sdk.v1",), **headers: str
+) -> AsyncIterator[Client]:
+    async with (
+        aiohttp.ClientSession() as session,
+        session.ws_connect(service.address + query, protocols=protocols, headers=headers, max_msg_size=0) as opened,
+    ):
+        client = Client(opened)
+        assert (await client.read()).type is aiohttp.WSMsgType.TEXT
+        yield client
+
+
+async def test_a_viewer_gets_the_very_messages_of_the_recording(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    settings = sim_settings()
+    with recorder_to_file(path, make_pilot(settings).camera, about(settings, {"kind": "test"})) as recorder:
+        async with serving(recorder=recorder) as service, watching(service) as client:
+            info = await client.told("serverInfo")
+            assert (info["name"], info["capabilities"]) == ("drone", [])
+            await client.told("advertise")
+            assert client.channels["/tf"]["schemaName"] == "foxglove.FrameTransforms"
+            assert json.loads(client.channels["/decision"]["schema"])["title"] == "decklander.Decision"
+            assert "/truth" not in client.channels
+            wanted = (
+                "/decision",
+                "/belief/dead_reckoning",
+                "/sample/imu",
+                "/tf",
+                "/tf_static",
+                "/camera/image",
+                "/fusion/sighting",
+            )
+            await client.subscribe(*wanted)
+            await until(lambda: service.counted("viewers") == 1 and len(service.endpoint._feed._wanted) == len(wanted))
+            flying = asyncio.create_task(service.fly(1.2))
+            while not flying.done() or service.endpoint._viewers[0]._waiting:
+                try:
+                    async with asyncio.timeout(0.3):
+                        await client.read()
+                except TimeoutError:
+                    pass
+            await flying
+            assert service.counted("events_dropped") == service.counted("slow_dropped") == 0.0
+    recorded: dict[str, set[tuple[int, bytes]]] = defaultdict(set)
+    with path.open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages():
+            recorded[channel.topic].add((message.log_time, message.data))
+    assert set(client.messages) >= set(wanted)
+    for topic in ("/decision", "/belief/dead_reckoning", "/sample/imu", "/fusion/sighting"):
+        assert len(client.messages[topic]) > 20
+        assert set(client.messages[topic]) <= recorded[topic], topic
+    assert {json.loads(data)["transforms"][1]["child_frame_id"] for _, data in client.messages["/tf_static"]} == {"cam"}
+    image = json.loads(client.messages["/camera/image"][0][1])
+    px = cv2.imdecode(np.frombuffer(base64.b64decode(image["data"]), np.uint8), cv2.IMREAD_COLOR)
+    assert px.shape == (360, 640, 3)
+    times = [at for at, _ in client.messages["/camera/image"]]
+    assert min(np.diff(times)) >= 0.9e9 / 15.0, "no more pictures than were asked for"
+
+
+async def test_a_late_viewer_is_told_what_does_not_change_and_a_video_from_a_key_frame() -> None:
+    async with serving(frames="h264") as service, watching(service) as first:
+        await first.told("advertise")
+        assert "/camera/image" not in first.channels
+        await first.subscribe("/camera/video")
+        await until(lambda: bool(service.endpoint._feed._wanted))
+        await service.fly(0.4)
+        async with watching(service, protocols=("foxglove.websocket.v1",)) as late:
+            assert late.socket.protocol == "foxglove.websocket.v1"
+            await late.told("advertise")
+            await late.subscribe("/camera/video", "/tf_static", "/scene", "/camera/calibration", "/log")
+            await until(lambda: len(service.endpoint._feed._wanted) == 5)
+            await service.fly(0.15)
+            await late.drain("/camera/video", "/tf_static", "/scene", "/camera/calibration", "/log")
+        assert is_key_frame(base64.b64decode(json.loads(late.messages["/camera/video"][0][1])["data"]))
+        await until(lambda: service.endpoint._feed._wanted == {"/camera/video"})
+
+
+async def test_nothing_is_taken_that_nobody_asked_for() -> None:
+    async with serving() as service, watching(service) as client:
+        await client.told("advertise")
+        await service.fly(0.1)
+        assert service.endpoint._feed._events.offered == 0
+        await client.subscribe("/sample/range")
+        await until(lambda: bool(service.endpoint._feed._wanted))
+        await client.say(op="unsubscribe", subscriptionIds=[1000])
+        await until(lambda: not service.endpoint._feed._wanted)
+        await service.fly(0.1)
+        assert service.endpoint._feed._events.offered == 0
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        ("{", "not understood"),
+        ("[]", "not understood"),
+        ('{"op":"getParameters","parameterNames":[]}', "not understood"),
+        ('{"op":"subscribe","subscriptions":[{"id":-1,"channelId":1}]}', "not understood"),
+        ('{"op":"subscribe","subscriptions":[{"id":1,"channelId":999}]}', "there is no channel 999"),
+        (
+            '{"op":"subscribe","subscriptions":[{"id":1,"channelId":1},{"id":1,"channelId":2}]}',
+            "there is a subscription 1 already",
+        ),
+        ('{"op":"unsubscribe","subscriptionIds":[5]}', "there is no subscription 5"),
+        (b"\x01\x00\x00\x00\x00data", "publishing is not offered"),
+    ],
+)
+async def test_garbage_is_counted_and_told_and_ends_nothing(said: str | bytes, why: str) -> None:
+    async with serving() as service, watching(service) as client, watching(service) as other:
+        await client.told("advertise")
+        await (client.socket.send_str(said) if isinstance(said, str) else client.socket.send_bytes(said))
+        status = await client.told("status")
+        assert status["level"] == 2
+        assert why in status["message"]
+        assert service.counted("refused") == 1
+        await other.told("advertise")
+        await other.subscribe("/decision")
+        await until(lambda: "/decision" in service.endpoint._feed._wanted)
+        await service.fly(0.05)
+        await other.drain("/decision")
+
+
+async def test_a_flood_and_a_huge_message_end_their_own_connection_alone() -> None:
+    async with serving() as service, watching(service) as other:
+        for flood in (["{"] * (viewer._REFUSALS_MAX + 5), ['{"op":"unsubscribe","subscriptionIds":[]}'] * 400, ["x" * 70_000]):
+            async with watching(service) as client:
+                for said in flood:
+                    if not client.socket.closed:
+                        await client.socket.send_str(said)
+                async with asyncio.timeout(20):
+                    while (await client.socket.receive()).type not in (aiohttp.WSMsgType.CLOSE, aiohttp.WSMsgType.CLOSED):
+                        pass
+            await until(lambda: service.counted("viewers") == 1)
+        await other.told("advertise")
+
+
+async def test_a_slow_viewer_loses_the_oldest_and_delays_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer, "_WAITING_BYTES", 300_000)
+    async with serving() as service, watching(service) as slow, watching(service) as quick:
+        for client in (slow, quick):
+            await client.told("advertise")
+            await client.subscribe("/decision")
+        await until(lambda: all(v.wanted for v in service.endpoint._viewers))
+        slow.socket._conn.transport.pause_reading()
+        for k in range(120):
+            service.endpoint._show([("/decision", k, b"x" * 100_000)])
+            while len(quick.messages["/decision"]) <= k:
+                await quick.read()
+        assert service.counted("slow_dropped") > 30
+        assert max(v._waiting_bytes for v in service.endpoint._viewers) <= 300_000
+        slow.socket._conn.transport.resume_reading()
+        while not slow.messages["/decision"] or slow.messages["/decision"][-1][0] != 119:
+            await slow.read()
+        numbers = [at for at, _ in slow.messages["/decision"]]
+        assert numbers == sorted(numbers)
+
+
+async def test_a_thread_that_is_behind_costs_events_and_never_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    held = asyncio.Event()
+
+    async def stuck(*_: object) -> list[object]:
+        await held.wait()
+        return []
+
+    monkeypatch.setattr(Worker, "run", stuck)
+    monkeypatch.setattr(feed, "_EVENTS", 50)
+    async with serving() as service, watching(service) as client:
+        await client.told("advertise")
+        await client.subscribe("/sample/imu", "/camera/image", "/decision")
+        await until(lambda: bool(service.endpoint._feed._wanted))
+        reading = asyncio.create_task(client.read())
+        await service.fly(0.6)
+        assert len(service.endpoint._feed._events) == 50
+        assert service.counted("events_dropped") > 50
+        assert service.counted("frames_dropped") > 3
+        reading.cancel()
+
+
+async def test_without_the_token_nothing_is_told(tmp_path: Path) -> None:
+    (tmp_path / "token").write_text(TOKEN)
+    async with serving(token_file=str(tmp_path / "token")) as service:
+        for query, headers in (
+            ("", {}),
+            ("?token=wrong-token-of-sixteen", {}),
+            (f"?token={TOKEN}x", {}),
+            ("", {"Authorization": "Bearer x"}),
+        ):
+            with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+                async with watching(service, query, **headers):
+                    pass
+            assert refused.value.status == 401
+        assert service.counted("wrong_tokens") == 4
+        async with watching(service, f"?token={TOKEN}", Origin="http://anywhere.example") as client:
+            await client.told("advertise")
+        async with watching(service, Authorization=f"Bearer {TOKEN}") as client:
+            await client.told("advertise")
+
+
+async def test_a_page_that_is_not_named_cannot_connect_from_a_browser_here() -> None:
+    async with serving() as service:
+        for origin in ("http://evil.example", "null", "http://127.0.0.1:1", "https://app.foxglove.dev.evil.example"):
+            with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+                async with watching(service, Origin=origin):
+                    pass
+            assert refused.value.status == 403
+        assert service.counted("foreign_origins") == 4
+        async with watching(service, Origin="https://app.foxglove.dev") as client:
+            await client.told("advertise")
+
+
+async def test_a_connection_of_another_protocol_or_one_too_many_is_refused() -> None:
+    async with serving(viewers_max=1) as service:
+        for protocols, status in (((), 426), (("mqtt",), 426)):
+            with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+                async with watching(service, protocols=protocols):
+                    pass
+            assert refused.value.status == status
+        async with watching(service) as client:
+            await client.told("advertise")
+            with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+                async with watching(service):
+                    pass
+            assert refused.value.status == 503
+
+
+async def test_a_flood_of_connections_neither_grows_nor_touches_who_watches() -> None:
+    limits = ConnectionLimits(connections=8, connection_s=0.4)
+    async with serving(limits) as service, watching(service) as client:
+        await client.told("advertise")
+        opened = [await asyncio.open_connection("127.0.0.1", service.endpoint.port) for _ in range(60)]
+        for _, writer in opened:
+            writer.write(b"GET / HTTP/1.1\r\nHost: x\r\n")
+        await until(lambda: not limits.open)
+        assert limits.evicted + limits.overdue >= 60
+        await client.subscribe("/decision")
+        await until(lambda: bool(service.endpoint._feed._wanted))
+        await service.fly(0.05)
+        await client.drain("/decision")
+        for _, writer in opened:
+            writer.close()
+
+
+def test_settings_that_would_let_others_watch_are_refused_and_those_without_effect_are_told() -> None:
+    with pytest.raises(ValueError, match="token_file is needed because host"):
+        FoxgloveSettings(endpoint="websocket", host="0.0.0.0")
+    minimal = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}, "foxglove": {"port": 1}}
+    assert without_effect(from_mapping(minimal, "x")) == ('foxglove.port: without effect, as foxglove.endpoint is "off"',)
+
+
+@given(st.text(max_size=200))
+def test_no_text_makes_the_decoder_raise(text: str) -> None:
+    assert isinstance(protocol.request_in(text), str | protocol.Subscribe | protocol.Unsubscribe)
