@@ -41,7 +41,7 @@ class FoxgloveSettings(Struct, frozen=True, forbid_unknown_fields=True):
     viewers_max: Annotated[int, number("viewers at a time", "1", 1, 16)] = 4
     frames: Annotated[
         Literal["jpeg", "h264", "none"],
-        choice("how the picture is sent: as images; as a video, which takes about a sixth of that; or not at all"),
+        choice("how the picture is sent: as images; as a video, which takes about a tenth of that; or not at all"),
     ] = "jpeg"
     frame_rate_hz: Annotated[float, number("largest rate of the picture", "Hz", 1.0, 60.0)] = 15.0
     jpeg_quality: Annotated[int, number("JPEG quality of the picture", "1", 50, 95)] = 70

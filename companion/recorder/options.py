@@ -23,9 +23,8 @@ class RecorderOptions(Struct, frozen=True, forbid_unknown_fields=True):
     frames: Annotated[
         FrameForm,
         choice(
-            "how frames are kept: as images; as a video, which takes about a quarter of that; exactly, which takes ten times as "
-            "much; or "
-            "not at all. What was seen in them is kept always"
+            "how frames are kept: as images; as a video, which takes about a twentieth of that; exactly, which takes ten times "
+            "as much; or not at all. What was seen in them is kept always"
         ),
     ] = "jpeg"
     frames_each: Annotated[int, number("keep the frame of each n-th frame only", "frames", 1, 1000)] = 1
