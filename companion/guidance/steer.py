@@ -109,6 +109,9 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
     estimate = blind_hold.usable(s, o.tries, o.stale_after_s)
     # A pad that nobody has agreed to land on is not followed either: its deck may fall away.
     if estimate is None or (p.track is not None and estimate.track != p.track):
+        # A deck that rises comes up to a drone that stays where it is.
+        if p.state is State.HOLD_BLIND and not over_ground:
+            climb_m_s += blind_hold.rising_m_s(s.knowledge)
         return replace(p, held=None), blind_hold.without_estimate(climb_m_s, over_ground=over_ground)
     held = estimate.d_body_pad_level if p.held is None else _turned_with_the_body(p.held, p.held_yaw_rad, estimate)
     speed = _HOLD_SPEED_M_S

@@ -23,7 +23,12 @@ _UPRIGHT = 0.85
 _EDGE_M = 0.1
 _PAUSE_S = 0.3
 """Longest time between two ranges that counts."""
-_SPAN_S = 10.0
+_SPAN_S = 12.0
+"""Time over which barometer and camera are compared: a swell of 12 s has brought a deck to where it is now."""
+_BACK_S = 6.0
+"""The newest time that is not compared: a deck that rises for so long is no deck on waves."""
+_SHORT_S = 4.0
+"""The least of the compared time that shows a wave's crest and trough; of a shorter one twice the difference is allowed."""
 _AGREES_S = 2.0
 _BARO_LAG = 0.1
 """Weight of a new difference in the mean: a barometer's noise is half a metre."""
@@ -87,7 +92,11 @@ def ranged(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch
 
 
 def weighed(state: HeightWatch, event: Baro, o: IntegrityOptions) -> HeightWatch:
-    """Compare a barometric height with the camera's: the difference must not drift while the pad is visible."""
+    """Compare a barometric height with the camera's: the difference must not drift while the pad is visible.
+
+    A deck on waves takes the difference up and down with it, by metres. So it may be wherever it has been `_BACK_S` to `_SPAN_S`
+    ago; what drifts on is beyond that.
+    """
     t = event.stamp.measured_at
     if state.seen_at == 0 or abs(t - state.seen_at) > _FRESH_S * 1e9:
         return state
@@ -98,8 +107,16 @@ def weighed(state: HeightWatch, event: Baro, o: IntegrityOptions) -> HeightWatch
     if not rise or t - rise[-1][0] >= 1e9:
         rise = (*(r for r in rise if t - r[0] <= _SPAN_S * 1e9), (t, now))
         seen = (*(s for s in seen if t - s[0] <= _SPAN_S * 1e9), (t, height))
-    against = _farthest(now, rise) > o.height_tolerance_m + _farthest(height, seen) / 3.0
+    allowed_m = o.height_tolerance_m + _farthest(height, seen) / 3.0
+    if t - rise[0][0] < (_BACK_S + _SHORT_S) * 1e9:
+        allowed_m *= 2.0
+    against = _beyond(now, [each for at, each in rise if t - at >= _BACK_S * 1e9]) > allowed_m
     return replace(state, rise=rise, rise_now=now, seen_height=seen, baro_contradicted=against)
+
+
+def _beyond(value: float, range_of: list[float]) -> float:
+    """Return how far a value lies outside the range of others; 0 if there are none."""
+    return max(value - max(range_of), min(range_of) - value) if range_of else 0.0
 
 
 def _farthest(value: float, course: tuple[tuple[int, float], ...]) -> float:

@@ -168,7 +168,8 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
     height_tolerance_m: Annotated[
         float,
         number(
-            "largest difference between barometer and camera in the change of height over ten seconds, besides a third of it",
+            "how far barometer minus camera may go beyond all that it was 6 to 12 s before (waves bring it back), besides a "
+            "third of the change of the camera's height",
             "m",
             0.01,
             100.0,

@@ -137,6 +137,26 @@ def test_a_go_around_without_an_estimate_climbs_from_a_deck_that_rises(over_grou
     assert found.v_level.tolist() == [0.0, 0.0, -0.9 if rises_m_s > 0.0 and not over_ground else -0.5]
 
 
+@pytest.mark.parametrize("over_ground", [True, False])
+@pytest.mark.parametrize(("state", "flees"), [(State.HOLD_BLIND, True), (State.COMMIT, False), (State.PAUSED, False)])
+@pytest.mark.parametrize("rises_m_s", [0.4, 0.0, -0.4])
+def test_a_blind_hold_without_an_estimate_goes_up_with_a_deck_that_rises(
+    state: State, flees: bool, over_ground: bool, rises_m_s: float
+) -> None:
+    deck = DeckMotion(ns(NOW), np.array([0.3, 0.0, -rises_m_s]), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
+    knowledge = replace(known(consistent=False), deck=deck)
+    p = Progress(state, automatic=True, begun=True)
+    _, found = aim(p, GuidanceCycle(knowledge.at, knowledge), guided(), over_ground=over_ground)
+    if over_ground:
+        assert isinstance(found, Velocity)
+        assert found.v_level.tolist() == [0.0, 0.0, 0.0], "its driver adds the deck's velocity"
+    elif flees and rises_m_s > 0.0:
+        assert isinstance(found, Velocity)
+        assert found.v_level.tolist() == [0.0, 0.0, -rises_m_s]
+    else:
+        assert found == Hover()
+
+
 @pytest.mark.parametrize("state", [State.GO_AROUND, State.PAUSED])
 def test_a_pad_that_was_not_agreed_on_and_an_estimate_too_vague_are_not_flown_by(state: State) -> None:
     for knowledge in (known(track=2), known(sigma=3.0), known(consistent=False)):

@@ -84,5 +84,18 @@ def test_a_barometer_contradicts_a_height_that_stands_while_the_drone_climbs() -
     assert pressed(lambda t: 30.0 + 0.8 * t, lambda t: 1.5).baro_contradicted
 
 
+@pytest.mark.parametrize(("rate_m_s", "seconds"), [(0.9, 7.5), (-0.9, 7.5), (0.55, 11.5), (-0.55, 11.5)])
+def test_a_drift_is_contradicted_the_sooner_the_faster_it_is(rate_m_s: float, seconds: float) -> None:
+    assert pressed(lambda t: 30.0 + rate_m_s * t, lambda t: 1.5, seconds).baro_contradicted
+
+
+@pytest.mark.parametrize("period_s", [5.0, 7.0, 9.0, 12.0])
+@pytest.mark.parametrize("phase", [0.0, 1.5, 3.0, 4.5])
+def test_a_drone_that_follows_a_deck_in_a_high_sea_is_no_contradiction(period_s: float, phase: float) -> None:
+    for end in (8.0, 12.0, 15.5, 19.0):
+        heave = pressed(lambda t: 30.0 + 2.0 * math.sin(math.tau * t / period_s + phase), lambda t: 0.4, seconds=end)
+        assert not heave.baro_contradicted, end
+
+
 def test_a_heaving_deck_and_a_descent_are_no_contradiction() -> None:
     assert not pressed(lambda t: 30.0 - 0.4 * t, lambda t: 6.0 - 0.4 * t + 0.8 * math.sin(0.7 * t)).baro_contradicted

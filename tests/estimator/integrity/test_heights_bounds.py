@@ -143,7 +143,7 @@ def pressed(state: HeightWatch, baro_m: float, t: int = T) -> HeightWatch:
     return weighed(state, Baro(stamp(t), baro_m, 0.5), LIMITS)
 
 
-def test_the_difference_is_smoothed_and_kept_once_a_second_for_ten() -> None:
+def test_the_difference_is_smoothed_and_kept_once_a_second_for_twelve() -> None:
     state = pressed(OVER, 32.0)
     assert (state.rise_now, state.rise, state.seen_height) == (30.0, ((T, 30.0),), ((T, 2.0),))
     late = pressed(replace(state, seen_at=T + S), 33.0, T + S - 1)
@@ -152,7 +152,7 @@ def test_the_difference_is_smoothed_and_kept_once_a_second_for_ten() -> None:
     second = pressed(replace(state, seen_at=T + S, d_level=(0.0, 0.0, 3.0)), 33.0, T + S)
     assert second.rise == ((T, 30.0), (T + S, 30.0))
     assert second.seen_height == ((T, 2.0), (T + S, 3.0))
-    for age, kept in ((10 * S, 2), (10 * S + 1, 1)):
+    for age, kept in ((12 * S, 2), (12 * S + 1, 1)):
         later = pressed(replace(state, seen_at=T + age), 32.0, T + age)
         assert len(later.rise) == len(later.seen_height) == kept
 
@@ -165,6 +165,24 @@ def test_the_difference_is_smoothed_and_kept_once_a_second_for_ten() -> None:
     ],
 )  # fmt: skip
 def test_it_contradicts_beyond_its_tolerance_and_a_third_of_the_change(drift_m: float, from_m: float, contradicts: bool) -> None:
-    rise = ((T - S // 2, 0.0), (T - S // 4, 0.75 * drift_m))
-    state = replace(OVER, rise=rise, rise_now=drift_m, seen_height=((T - S // 2, from_m), (T - S // 4, 2.0)))
+    rise = ((T - 10 * S, 0.0), (T - S // 4, 0.75 * drift_m))
+    state = replace(OVER, rise=rise, rise_now=drift_m, seen_height=((T - 8 * S, from_m), (T - S // 4, 2.0)))
     assert pressed(state, 2.0 + drift_m).baro_contradicted is contradicts
+    short = replace(state, rise=((T - 10 * S + 1, 0.0), *rise[1:]))
+    assert not pressed(short, 2.0 + drift_m).baro_contradicted
+    twice = replace(short, rise_now=2.0 * drift_m)
+    assert pressed(twice, 2.0 + 2.0 * drift_m).baro_contradicted is contradicts, "too short a time for a wave's crest and trough"
+
+
+@pytest.mark.parametrize(("ago_ns", "counts"), [(6 * S, True), (6 * S - 1, False)])
+def test_what_was_less_than_six_seconds_ago_is_not_compared(ago_ns: int, counts: bool) -> None:
+    state = replace(OVER, rise=((T - 12 * S, 9.0), (T - ago_ns, 0.0)), rise_now=3.0, seen_height=((T - 12 * S, 2.0),))
+    assert pressed(state, 5.0).baro_contradicted is not counts
+
+
+@pytest.mark.parametrize("now_m", [-3.0, 0.0, 5.0, 9.0])
+def test_a_difference_within_what_it_was_is_a_wave_that_came_back(now_m: float) -> None:
+    rise = ((T - 11 * S, 7.0), (T - 8 * S, -1.0), (T - 7 * S, 3.0))
+    state = replace(OVER, rise=rise, rise_now=now_m, seen_height=((T - 8 * S, 2.0),))
+    assert not pressed(state, 2.0 + now_m).baro_contradicted
+    assert pressed(replace(state, rise=rise[1:], rise_now=9.0), 11.0).baro_contradicted
