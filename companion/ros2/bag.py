@@ -7,13 +7,13 @@ from collections import Counter
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from companion.recorder.reading import Recording, instant
 from companion.ros2.messages import Message, RosMessages
 from estimator.contracts.errors import BadInput
 
-_METADATA_VERSION = 8
+_METADATA_VERSION: Final = 8
 """What ROS 2 Humble and everything later reads; the newer 9 is that of Jazzy."""
 _KEPT = ("/tf_static",)
 """Topics whose newest message a late subscriber gets, too (transient local)."""
