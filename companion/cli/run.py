@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from pathlib import Path
 
 from companion.cli.config import not_checked, remarks
 from companion.config.referenced_files import check_files
-from companion.config.settings import Settings, load, shipped
+from companion.config.settings import Settings, find_file, load, shipped
 from companion.mavlink.options import BridgeOptions
 from companion.runtime import event_loop, memory
 from companion.runtime.make_pilot import make_pilot
@@ -73,7 +74,8 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
     for line in remarks(settings):
         log.warning(line)
     memory.share_one_arena()
-    daemon = make_daemon(settings, pilot, observers=[proven], once=args.once)
+    file = find_file(args.config, "", Path(), "settings")
+    daemon = make_daemon(settings, pilot, observers=[proven], once=args.once, settings_file=file)
     outcome = event_loop.run(live(daemon, pilot))
     if outcome is not None:
         sys.stderr.write(f"flight ended: {outcome.value}\n")

@@ -30,8 +30,8 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_rules import check_for_detection
 
 __all__ = [
-    "Settings", "camera_model", "find_file", "from_mapping", "load", "pad_model", "read_toml", "response_model", "shipped",
-    "shipped_response",
+    "Settings", "camera_model", "complete", "find_file", "from_mapping", "load", "pad_model", "read_toml", "response_model",
+    "shipped", "shipped_response",
 ]  # fmt: skip
 
 _Table = TypeVar("_Table", bound=msgspec.Struct)
@@ -50,7 +50,18 @@ def load(name_or_path: str | Path) -> Settings:
             camera or pad file has such a fault. The text is one line that names the file and the key.
     """
     path = find_file(str(name_or_path), "", Path(), "settings")
-    settings = from_mapping(read_toml(path), str(path))
+    return complete(from_mapping(read_toml(path), str(path)), path)
+
+
+def complete(settings: Settings, path: Path) -> Settings:
+    """Return settings that were read from a file with their references resolved, as `load` does.
+
+    Args:
+        path: the settings file, to whose folder the references are relative.
+
+    Raises:
+        BadInput: keys do not go together, or a file that the settings name is missing or has a fault.
+    """
     if fault := settings.fault():
         raise BadInput(f"{path}: {fault}")
     camera = _reference(settings.camera.file, "cameras", path, "camera.file")

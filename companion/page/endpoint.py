@@ -25,7 +25,7 @@ from companion.page.access import HEADERS, is_token, same_origin, server_context
 from companion.page.assets import assets
 from companion.page.file_answer import send_file
 from companion.page.messages import (
-    TEXT_MAX,
+    MESSAGE_MAX,
     Level,
     LoginRequest,
     PageEvent,
@@ -246,7 +246,7 @@ class PageEndpoint(NullObserver):
             answer = web.Response(status=403, text="this connection belongs to another page\n")
             answer.force_close()
             return answer
-        socket = web.WebSocketResponse(max_msg_size=TEXT_MAX, compress=False, heartbeat=_ALIVE_S, timeout=1.0)
+        socket = web.WebSocketResponse(max_msg_size=MESSAGE_MAX, compress=False, heartbeat=_ALIVE_S, timeout=1.0)
         if not socket.can_prepare(request).ok:
             answer = web.Response(status=426, text="this address is for a websocket\n", headers={"Upgrade": "websocket"})
             answer.force_close()

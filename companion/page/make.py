@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from companion.config.model import Settings
+from companion.config.settings_file import SettingsFile
 from companion.doctor.live import LiveExaminer
 from companion.page.doctor_tool import DoctorTool
 from companion.page.endpoint import PageEndpoint
+from companion.page.settings_tool import SettingsTool
 from companion.page.tool import Tool, flying
 from companion.runtime.connection_limits import ConnectionLimits
 from companion.runtime.health import Health
@@ -27,6 +29,7 @@ def make_page(
     clock: Clock,
     vehicle: str,
     autopilot: Callable[[], Autopilot | None],
+    settings_file: Path | None = None,
     limits: ConnectionLimits | None = None,
 ) -> PageEndpoint:
     """Return the page.
@@ -34,6 +37,7 @@ def make_page(
     Args:
         vehicle: the vehicle's name for the page.
         autopilot: returns the autopilot whose links are open; None while they are not.
+        settings_file: the file that the settings were read from; None if there is none.
 
     Raises:
         BadInput: the token or the certificate cannot be read.
@@ -42,6 +46,14 @@ def make_page(
     def in_flight() -> bool:
         return flying(pilot)
 
-    tools: list[Tool] = [DoctorTool(LiveExaminer(settings, health, clock, autopilot, in_flight), clock, in_flight)]
+    def armed() -> bool:
+        found = autopilot()
+        return found is not None and found.condition.armed is True
+
+    file = None if settings_file is None else SettingsFile(settings_file)
+    tools: list[Tool] = [
+        DoctorTool(LiveExaminer(settings, health, clock, autopilot, in_flight), clock, in_flight),
+        SettingsTool(settings, file, in_flight, armed),
+    ]
     folder = Path(settings.recorder.folder)
     return PageEndpoint(settings.page, pilot, health, clock, vehicle, folder, limits, tools)

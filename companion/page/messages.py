@@ -9,10 +9,12 @@ import msgspec
 from msgspec import Meta, Struct
 
 from companion.operator.wire import FlightState, OrderAnswer, OrderRequest, RequestRefused, SticksRequest
-from companion.page.tool_messages import ToolAnswer, ToolRequest
+from companion.page.tool_messages import CheckSettingsRequest, SaveSettingsRequest, ToolAnswer, ToolRequest
 
 TEXT_MAX = 1024
-"""The longest message from a browser, bytes."""
+"""The longest message from a browser, characters, unless it brings a settings text."""
+MESSAGE_MAX = 65_536
+"""The longest message of all, bytes."""
 Level = Literal["info", "warning", "fault"]
 Line = tuple[float, ...]
 """Points of a line in the camera's pixels: u, v, u, v, ..."""
@@ -185,6 +187,8 @@ def request_in(text: str) -> PageRequest | str:
     """Return the request in a message, or the reason why it is none. Never raises."""
     try:
         found: PageRequest = _requests.decode(text)
+        if len(text) > TEXT_MAX and not isinstance(found, CheckSettingsRequest | SaveSettingsRequest):
+            return f"more than {TEXT_MAX} characters"
         return found
     except (msgspec.DecodeError, UnicodeError, RecursionError) as why:
         return str(why)[:200]

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from msgspec import Struct
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+SETTINGS_MAX = 60_000
+"""The longest settings text from a browser, characters."""
 
 
 class ExamineRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="examine", forbid_unknown_fields=True):
@@ -29,5 +34,77 @@ class ExaminedReport(Struct, frozen=True, kw_only=True, tag_field="kind", tag="e
     """None if nothing was examined."""
 
 
-ToolRequest = ExamineRequest
-ToolAnswer = ExaminedReport
+class SettingsRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="settings", forbid_unknown_fields=True):
+    """Show the settings. It is answered by a `SettingsText`."""
+
+
+class CheckSettingsRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="check_settings", forbid_unknown_fields=True):
+    """Is this text good settings? It is answered by a `CheckedSettings`."""
+
+    number: Annotated[int, Meta(ge=0, le=1 << 53)]
+    text: Annotated[str, Meta(max_length=SETTINGS_MAX)]
+
+
+class SaveSettingsRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="save_settings", forbid_unknown_fields=True):
+    """Save this text as the settings file. It is answered by a `SavedSettings`."""
+
+    number: Annotated[int, Meta(ge=0, le=1 << 53)]
+    text: Annotated[str, Meta(max_length=SETTINGS_MAX)]
+    revision: Annotated[str, Meta(max_length=64)]
+    """That of the text that was edited."""
+
+
+class SettingsText(Struct, frozen=True, kw_only=True, tag_field="kind", tag="settings"):
+    """The settings, with the secrets of addresses hidden."""
+
+    text: str
+    """The settings file."""
+    in_force: str
+    """The settings of the running service with every default."""
+    path: str
+    """The file's name; empty if there is no file."""
+    revision: str
+    refusal: str
+    """Why the text cannot be saved here; empty if it can."""
+
+
+class ShownFault(Struct, frozen=True, kw_only=True):
+    """One reason why a text cannot be saved."""
+
+    path: str
+    """The key; empty for the whole text."""
+    text: str
+    line: int | None
+
+
+class ShownChange(Struct, frozen=True, kw_only=True):
+    """One key that would change at the next start; empty where there is no such key."""
+
+    path: str
+    before: str
+    after: str
+
+
+class CheckedSettings(Struct, frozen=True, kw_only=True, tag_field="kind", tag="checked"):
+    """What is to be said of a text."""
+
+    number: int
+    text: str
+    """Why it was not checked; empty if it was."""
+    faults: tuple[ShownFault, ...] = ()
+    changes: tuple[ShownChange, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+class SavedSettings(Struct, frozen=True, kw_only=True, tag_field="kind", tag="saved"):
+    """Whether a text was saved."""
+
+    number: int
+    saved: bool
+    text: str
+    """What follows, or why it was not saved."""
+    revision: str = ""
+
+
+ToolRequest = ExamineRequest | SettingsRequest | CheckSettingsRequest | SaveSettingsRequest
+ToolAnswer = ExaminedReport | SettingsText | CheckedSettings | SavedSettings

@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from companion.config.model import Settings
@@ -45,9 +46,18 @@ if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does
 
 
 def make_daemon(
-    settings: Settings, pilot: Pilot, *, clock: Clock | None = None, observers: Sequence[Observer] = (), once: bool = False
+    settings: Settings,
+    pilot: Pilot,
+    *,
+    clock: Clock | None = None,
+    observers: Sequence[Observer] = (),
+    once: bool = False,
+    settings_file: Path | None = None,
 ) -> Daemon:
     """Return a daemon around the pilot, with the vehicle and the links of the settings.
+
+    Args:
+        settings_file: the file that the settings were read from, for the page; None if there is none.
 
     Raises:
         BadInput: a secret, certificate or folder that a link needs cannot be read or used.
@@ -127,7 +137,7 @@ def make_daemon(
     if settings.page.endpoint != "off":
         from companion.page.make import make_page
 
-        page = make_page(settings, pilot, health, ticking, vehicle_name(settings), vehicle.autopilot)
+        page = make_page(settings, pilot, health, ticking, vehicle_name(settings), vehicle.autopilot, settings_file)
         watching.append(page)
         extras["page"] = page.run
         health.counters("page", page.counted)

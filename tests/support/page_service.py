@@ -39,7 +39,12 @@ class PageService:
     """See the module's docstring."""
 
     def __init__(
-        self, folder: Path, limits: ConnectionLimits | None = None, autopilot: Autopilot | None = None, **settings: Any
+        self,
+        folder: Path,
+        limits: ConnectionLimits | None = None,
+        autopilot: Autopilot | None = None,
+        settings_file: Path | None = None,
+        **settings: Any,
     ) -> None:
         file = folder / "token"
         file.write_text(TOKEN + "\n")
@@ -53,7 +58,8 @@ class PageService:
         self.pilot: Pilot = make_pilot(self.settings)
         self.clock = SystemClock()
         self.health = Health(self.clock)
-        self.page = make_page(self.settings, self.pilot, self.health, self.clock, "a vehicle", lambda: autopilot, limits)
+        args = self.settings, self.pilot, self.health, self.clock, "a vehicle", lambda: autopilot, settings_file, limits
+        self.page = make_page(*args)
         self.health.counters("page", self.page.counted)
         self.orders: list[HandledOrder] = []
         self.pilot.operator.on_order = self._on_order

@@ -5,6 +5,7 @@ import { Picture } from "./picture.js";
 import { Orders } from "./orders.js";
 import { Plots } from "./plots.js";
 import { RecordingsList } from "./recordings.js";
+import { SettingsEditor } from "./settings.js";
 import { Sticks } from "./sticks.js";
 import { Above, Side } from "./place.js";
 import * as telling from "./telling.js";
@@ -39,6 +40,7 @@ const sticks = new Sticks(link, orders, $("sticks"), $("by-hand"), $("hand-note"
 const plots = new Plots();
 new RecordingsList(link);
 const doctor = new Doctor(link);
+const settings = new SettingsEditor(link);
 const views = [new Above($("above")), new Side($("side"))];
 $("lines").addEventListener("change", (event) => picture.showLines(event.target.checked));
 
@@ -68,6 +70,7 @@ link.on("welcome", (message) => {
   picture.camera(...message.camera_px);
   for (const view of views) view.pad(message);
   orders.enable(true);
+  settings.back();
 });
 link.on("state", (message) => {
   telling.state(message);
@@ -85,6 +88,7 @@ link.onLost = (why) => {
   orders.enable(false);
   sticks.lost();
   doctor.lost();
+  settings.lost();
   picture.forget();
   $("flight").classList.add("stale");
   $("lost").hidden = $("flight").hidden;
