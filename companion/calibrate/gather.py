@@ -9,7 +9,7 @@ from pathlib import Path
 import av
 import numpy as np
 
-from companion.calibrate.assess import missing_before
+from companion.calibrate.guide import Guide, GuideState
 from companion.calibrate.views import Collection
 from drivers.camera import images
 from drivers.camera.options import CameraOptions, Size
@@ -71,9 +71,14 @@ def add_file(file: Path, collection: Collection, tell: Report) -> None:
 
 
 async def watch(
-    options: CameraOptions, size: Size | None, collection: Collection, tell: Report, timeout_s: float, first_s: float = 10.0
+    options: CameraOptions,
+    size: Size | None,
+    guide: Guide,
+    tell: Callable[[GuideState], None],
+    timeout_s: float,
+    first_s: float = 10.0,
 ) -> None:
-    """Add frames of a live camera until the views cover the image, or until `timeout_s`.
+    """Add frames of a live camera until nothing is missing, or until `timeout_s`.
 
     Args:
         size: the width and height of the camera's frames, px; None where a stream decides.
@@ -92,9 +97,9 @@ async def watch(
         try:
             async with asyncio.timeout(timeout_s):
                 while True:
-                    await loop.run_in_executor(None, collection.add, f"frame {frame.seq}", frame.px)
-                    tell(collection)
-                    if collection.size is not None and not missing_before(collection.views, collection.size):
+                    state = await loop.run_in_executor(None, guide.add, f"frame {frame.seq}", frame.px)
+                    tell(state)
+                    if state.complete:
                         return
                     frame = await camera.frames.get()
         except TimeoutError:

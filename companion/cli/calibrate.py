@@ -18,9 +18,11 @@ from companion.calibrate import assess
 from companion.calibrate.board import Board
 from companion.calibrate.camera_file import text
 from companion.calibrate.gather import PICTURES, add_file, image_files, watch
+from companion.calibrate.guide import Guide
 from companion.calibrate.solve import LEAST_VIEWS, Solution, solve
 from companion.calibrate.views import Collection
 from companion.cli import board_option, calibrate_flight, identify
+from companion.cli.calibrate_progress import ProgressBlock
 from companion.report.drawing import require_drawing
 from companion.runtime import event_loop
 from drivers.camera.options import FORMATS, CameraOptions, Size, check_size
@@ -154,14 +156,13 @@ def _gather(args: argparse.Namespace, board: Board) -> Collection:
             sys.stderr.write(f"\r{line[:100]:<100}")
 
     if not args.paths:
-        collection = Collection(board, moving=True)
-        event_loop.run(watch(*_camera(args), collection, tell, args.seconds))
-    else:
-        files = image_files([Path(p) for p in args.paths])
-
-        collection = Collection(board, moving=any(f.suffix.lower() not in PICTURES for f in files))
-        for file in files:
-            add_file(file, collection, tell)
+        guide = Guide(board)
+        event_loop.run(watch(*_camera(args), guide, ProgressBlock(quiet=quiet).show, args.seconds))
+        return guide.collection
+    files = image_files([Path(p) for p in args.paths])
+    collection = Collection(board, moving=any(f.suffix.lower() not in PICTURES for f in files))
+    for file in files:
+        add_file(file, collection, tell)
     if not quiet:
         sys.stderr.write("\n")
     return collection

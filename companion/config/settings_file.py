@@ -66,6 +66,23 @@ class SettingsFile:
             raise BadInput(f"cannot be saved: {target}: {in_words(why)}") from why
         return _revision(content)
 
+    def save_beside(self, name: str, text: str) -> None:
+        """Write a file of this name into the settings' folder; one that is there is kept, as `save` keeps it.
+
+        Raises:
+            BadInput: it cannot be written.
+        """
+        if refusal := self.refusal():
+            raise BadInput(f"cannot be saved: {refusal}")
+        like = self.path.resolve()
+        target = like.with_name(name)
+        try:
+            if target.exists():
+                _replace(target.with_name(name + BEFORE), target.read_bytes(), like)
+            _replace(target, text.encode(), like)
+        except OSError as why:
+            raise BadInput(f"cannot be saved: {target}: {in_words(why)}") from why
+
 
 def _revision(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()

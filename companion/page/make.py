@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from companion.config.model import Settings
 from companion.config.settings_file import SettingsFile
 from companion.doctor.live import LiveExaminer
+from companion.page.calibration_tool import CalibrationTool
 from companion.page.doctor_tool import DoctorTool
 from companion.page.endpoint import PageEndpoint
 from companion.page.settings_tool import SettingsTool
@@ -54,6 +55,7 @@ def make_page(
     tools: list[Tool] = [
         DoctorTool(LiveExaminer(settings, health, clock, autopilot, in_flight), clock, in_flight),
         SettingsTool(settings, file, in_flight, armed),
+        CalibrationTool(pilot, clock, file, in_flight, armed),
     ]
     folder = Path(settings.recorder.folder)
     return PageEndpoint(settings.page, pilot, health, clock, vehicle, folder, limits, tools)

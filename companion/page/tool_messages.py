@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
@@ -106,5 +106,35 @@ class SavedSettings(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sa
     revision: str = ""
 
 
-ToolRequest = ExamineRequest | SettingsRequest | CheckSettingsRequest | SaveSettingsRequest
-ToolAnswer = ExaminedReport | SettingsText | CheckedSettings | SavedSettings
+class CalibrationRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="calibration", forbid_unknown_fields=True):
+    """Begin or end a calibration of the camera, or save what came of it. It is answered by `CalibrationReport`s."""
+
+    action: Literal["begin", "end", "save"]
+    board: Literal["charuco", "chessboard"] = "charuco"
+    columns: Annotated[int, Meta(ge=3, le=40)] = 7
+    """Squares across."""
+    rows: Annotated[int, Meta(ge=3, le=40)] = 10
+    """Squares down."""
+    square_mm: Annotated[float, Meta(ge=1.0, le=1000.0)] = 25.0
+
+
+class CalibrationReport(Struct, frozen=True, kw_only=True, tag_field="kind", tag="calibration"):
+    """How far a calibration is, or why there is none."""
+
+    active: bool
+    text: str
+    """What happened, or why not; empty if there is nothing to say."""
+    images: int = 0
+    views: int = 0
+    board_seen: bool = False
+    cells: tuple[tuple[int, ...], ...] | None = None
+    """Corners of the board in each part of the image, rows of columns; None if there is no calibration."""
+    lacks: tuple[str, ...] = ()
+    rms_px: float | None = None
+    grade: str | None = None
+    file: str = ""
+    """The camera file, once a calibration has ended with one that can be used."""
+
+
+ToolRequest = ExamineRequest | SettingsRequest | CheckSettingsRequest | SaveSettingsRequest | CalibrationRequest
+ToolAnswer = ExaminedReport | SettingsText | CheckedSettings | SavedSettings | CalibrationReport

@@ -14,6 +14,7 @@ import pytest
 from companion.calibrate import assess
 from companion.calibrate.board import Board
 from companion.calibrate.gather import add_file, watch
+from companion.calibrate.guide import Guide, GuideState
 from companion.calibrate.solve import solve
 from companion.calibrate.views import BoardView, Collection
 from companion.cli.main import main
@@ -171,14 +172,16 @@ async def test_a_live_camera_is_watched_for_new_still_views(folders: dict[str, P
             for _ in range(20):
                 out.mux(stream.encode(av.VideoFrame.from_ndarray(px, format="gray")))
         out.mux(stream.encode(None))
-    collection = Collection(CHARUCO, moving=True)
+    guide, told = Guide(CHARUCO), list[GuideState]()
     live = CameraOptions(source="stream", device=str(path), repeat=True)
-    await watch(live, None, collection, lambda c: None, timeout_s=3.5)
-    assert len(collection.views) == 3
-    assert collection.image_count >= 6
+    await watch(live, None, guide, told.append, timeout_s=3.5)
+    assert len(guide.collection.views) == told[-1].views == 3
+    assert guide.collection.image_count >= 6
+    assert told[0].rms_px is None
+    assert "7 more views (3 of 10)" in told[-1].lacks
     absent = CameraOptions(source="v4l2", device="/dev/v4l/by-id/no-such-camera")
     with pytest.raises(Recoverable, match="no such camera"):
-        await watch(absent, (480, 320), collection, lambda c: None, timeout_s=1.0, first_s=0.2)
+        await watch(absent, (480, 320), guide, told.append, timeout_s=1.0, first_s=0.2)
 
 
 @pytest.mark.parametrize(

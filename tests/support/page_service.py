@@ -67,6 +67,8 @@ class PageService:
         self.commanded: set[type] = set()
         """The kinds of all commands so far: some are repeated for half a second only."""
         self.flying = True
+        self.px = np.full((360, 640, 3), 90, np.uint8)
+        """What the camera sees."""
         self.cycles = 0
         self._frames = 0
 
@@ -96,8 +98,7 @@ class PageService:
 
     def frame(self, now: MonoNs) -> ProcessedFrame:
         self._frames += 1
-        px = np.full((360, 640, 3), 90, np.uint8)
-        frame = Frame(Stamp(now, now, 0.001, "arrival"), self._frames, px)
+        frame = Frame(Stamp(now, now, 0.001, "arrival"), self._frames, self.px)
         return ProcessedFrame(frame, None, None, Verdict.NO_PAD, now, now)
 
     @property

@@ -1,4 +1,5 @@
 // The page's beginning: the theme, the login, and who gets which message.
+import { Calibration } from "./calibration.js";
 import { Doctor } from "./doctor.js";
 import { Link } from "./link.js";
 import { Picture } from "./picture.js";
@@ -41,6 +42,7 @@ const plots = new Plots();
 new RecordingsList(link);
 const doctor = new Doctor(link);
 const settings = new SettingsEditor(link);
+const calibration = new Calibration(link);
 const views = [new Above($("above")), new Side($("side"))];
 $("lines").addEventListener("change", (event) => picture.showLines(event.target.checked));
 
@@ -89,6 +91,7 @@ link.onLost = (why) => {
   sticks.lost();
   doctor.lost();
   settings.lost();
+  calibration.lost();
   picture.forget();
   $("flight").classList.add("stale");
   $("lost").hidden = $("flight").hidden;
