@@ -97,11 +97,11 @@ export class SettingsEditor {
     this.#good = !text && faults.length === 0;
     const count = faults.length === 1 ? "1 fault" : `${faults.length} faults`;
     const next = changes.length ? `${changes.length === 1 ? "1 key differs" : `${changes.length} keys differ`} from what is in force` : "it is what is in force";
-    this.#tell(text || faults.length ? "fault" : "info", text || (faults.length ? count : `No fault; ${next}.`));
+    this.#tell(text ? "" : faults.length ? "fault" : "info", text || (faults.length ? count : `No fault; ${next}.`));
     $("settings-faults").replaceChildren(...faults.map((fault) => this.#fault(fault)), ...remarks.map((remark) => this.#remark(remark)));
     $("settings-changes").replaceChildren(...changes.map((change) => this.#change(change)));
     $("settings-next").hidden = changes.length === 0;
-    $("settings-text").setAttribute("aria-invalid", String(!this.#good));
+    $("settings-text").setAttribute("aria-invalid", String(faults.length > 0));
     this.#offer();
   }
 
