@@ -48,11 +48,17 @@ def refused_values(settings: Settings, before: Mapping[str, Any]) -> Iterator[st
 
 def refused_references(data: Mapping[str, Any], before: Mapping[str, Any], folder: Path) -> Iterator[str]:
     """Yield a line for each key that names a file elsewhere. It reads none of them."""
+    cameras = [(_at(settings, "camera.source"), _at(settings, "camera.device")) for settings in (data, before)]
+    if cameras[0] != cameras[1] and cameras[0][0] == "gstreamer":
+        yield "camera.device is not changed from a browser: a pipeline may read and write any file; set it on the drone itself"
     for path in REFERENCES:
         name = _at(data, path)
-        if not isinstance(name, str) or name == _at(before, path) or _NAME.fullmatch(name):
+        if not isinstance(name, str) or _NAME.fullmatch(name):
             continue
-        if path == "camera.device" and not _is_file(data):
+        if path == "camera.device":
+            if cameras[0] == cameras[1] or not _is_file(data):
+                continue
+        elif name == _at(before, path):
             continue
         if not _inside(name, folder):
             yield f"{path}: from a browser only a shipped name or a file beside the settings may be named, found {name[:60]!r}"

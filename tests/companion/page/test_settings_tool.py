@@ -187,6 +187,12 @@ def test_every_fault_is_told_with_its_line() -> None:
         ('file = "thesis"', 'file = "a/../../b.toml"', "pad.file"),
         ('device = "rtsp', 'device = "/srv/other/film.mp4"\n#', "camera.device"),
         ('device = "rtsp', 'device = "file:///srv/other/film.mp4"\n#', "camera.device"),
+        (
+            'source = "stream"\ndevice = "rtsp',
+            'source = "gstreamer"\ndevice = "fakesrc ! filesink location=x"\n#',
+            "camera.device",
+        ),
+        ('source = "stream"', 'source = "gstreamer"', "camera.device"),
         ("[guidance]", '[operator]\ngamepad = "/srv/other/pad.toml"\n[guidance]', "operator.gamepad"),
         ("[guidance]", '[operator]\nsocket = "/tmp/socket"\n[guidance]', "operator.socket"),
         ("[guidance]", '[recorder]\nfolder = "/srv/other"\n[guidance]', "recorder.folder"),
@@ -203,6 +209,14 @@ def test_a_browser_names_no_file_elsewhere_and_gives_no_rights(tmp_path: Path, w
     assert found
     assert all(fault.path.startswith(named) for fault in found), found
     assert "from a browser" in found[0].text, "nothing is read, so it is not told whether it exists"
+
+
+def test_a_name_that_was_allowed_for_one_kind_of_camera_is_not_for_another(tmp_path: Path) -> None:
+    words = 'source = "stream"\ndevice = "rtsp://admin:hunter2@10.0.0.8/live?token=s3cret"'
+    for device, source in (("../film.mp4", "stream"), ("fakesrc ! filesink location=x", "gstreamer")):
+        before, after = (RIG.replace(words, f'source = "{kind}"\ndevice = "{device}"') for kind in ("v4l2", source))
+        found = check_draft(after, tmp_path / "rig.toml", tomllib.loads(before), load("sim")).faults
+        assert [fault.path for fault in found] == ["camera.device"]
 
 
 def test_an_address_that_was_changed_gets_no_secret_of_another() -> None:
