@@ -18,8 +18,8 @@ from companion.config.settings import from_mapping
 from estimator.contracts.errors import BadInput
 
 GUARDED = (
-    "page", "metrics", "mqtt", "bridge", "recorder.folder", "operator.socket", "vehicle.operators", "vehicle.signing_key_file",
-    "vehicle.signing_time_file", "vehicle.unsigned", "vehicle.links",
+    "page", "metrics", "foxglove", "mqtt", "bridge", "recorder.folder", "operator.socket", "vehicle.operators",
+    "vehicle.signing_key_file", "vehicle.signing_time_file", "vehicle.unsigned", "vehicle.links",
 )  # fmt: skip
 """Keys and tables that keep the value that they have."""
 REFERENCES = ("camera.file", "camera.device", "pad.file", "guidance.follow_deck.response", "operator.gamepad")

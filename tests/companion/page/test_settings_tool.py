@@ -199,6 +199,7 @@ def test_every_fault_is_told_with_its_line() -> None:
         ("[guidance]", '[page]\nendpoint = "http"\ntoken_file = "/etc/hostname"\n[guidance]', "page."),
         ("[guidance]", '[mqtt]\ntransport = "tcp"\nhost = "evil.example"\n[guidance]', "mqtt."),
         ("[guidance]", '[metrics]\nendpoint = "http"\n[guidance]', "metrics.endpoint"),
+        ("[guidance]", '[foxglove]\nendpoint = "websocket"\n[guidance]', "foxglove.endpoint"),
     ],
 )
 def test_a_browser_names_no_file_elsewhere_and_gives_no_rights(tmp_path: Path, was: str, becomes: str, named: str) -> None:
