@@ -1,5 +1,5 @@
 // A guided calibration: which parts of the picture the board was in, what is missing, the error so far, the finished file.
-const $ = (id) => document.getElementById(id);
+import { $ } from "./elements.js";
 
 export class Calibration {
   #link;

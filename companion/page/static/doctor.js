@@ -1,13 +1,7 @@
 // The doctor's findings: asked for by a button, the most severe first, each with its cure.
-const LEVELS = { error: "fault", warning: "warning", advice: "info" };
-const $ = (id) => document.getElementById(id);
+import { $, part } from "./elements.js";
 
-function part(tag, text, name = "") {
-  const element = document.createElement(tag);
-  element.textContent = text;
-  if (name) element.className = name;
-  return element;
-}
+const LEVELS = { error: "fault", warning: "warning", advice: "info" };
 
 export class Doctor {
   #link;

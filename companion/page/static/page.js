@@ -10,8 +10,8 @@ import { SettingsEditor } from "./settings.js";
 import { Sticks } from "./sticks.js";
 import { Above, Side } from "./place.js";
 import * as telling from "./telling.js";
+import { $ } from "./elements.js";
 
-const $ = (id) => document.getElementById(id);
 const TOKEN = "decklander.token";
 const THEME = "decklander.theme";
 

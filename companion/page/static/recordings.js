@@ -1,5 +1,5 @@
 // The recordings on the drone's computer: a list, a download by an address that holds once, and the report of a flight.
-const $ = (id) => document.getElementById(id);
+import { $ } from "./elements.js";
 
 export class RecordingsList {
   #link;

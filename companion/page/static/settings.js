@@ -1,14 +1,8 @@
 // The settings: what is in force, and a copy to edit that the service checks while it is typed; saved on the ground alone.
+import { $, part } from "./elements.js";
+
 const CHECK_MS = 400;
 const ANSWER_MS = 8000;
-const $ = (id) => document.getElementById(id);
-
-function part(tag, text, name = "") {
-  const element = document.createElement(tag);
-  element.textContent = text;
-  if (name) element.className = name;
-  return element;
-}
 
 export class SettingsEditor {
   #link;

@@ -1,5 +1,6 @@
 // What the page says in words and figures: phase and reason, who commands, figures, health and its causes, events.
-const $ = (id) => document.getElementById(id);
+import { $ } from "./elements.js";
+
 const EVENTS = 100;
 const DEGREES = 180 / Math.PI;
 const CHI_95 = 2.448; // two dimensions
