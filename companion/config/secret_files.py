@@ -5,6 +5,7 @@ No error text shows the content of a file.
 
 from __future__ import annotations
 
+import hmac
 import logging
 import os
 import stat
@@ -116,3 +117,8 @@ def _content(path: Path) -> bytes:
     """Return at most as many bytes as a secret can have: a setting may name any file, also one without an end."""
     with path.open("rb") as file:
         return file.read(_LONGEST)
+
+
+def is_token(given: str, token: bytes) -> bool:
+    """Return whether the text is the token, in a time that does not depend on where they differ."""
+    return hmac.compare_digest(given.strip().encode(errors="replace"), token)

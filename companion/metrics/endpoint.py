@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import hmac
 import json
 import logging
 import math
@@ -95,12 +94,11 @@ class MetricsEndpoint:
         return _closing(web.Response(text=json.dumps(said) + "\n", status=200 if ok else 503, content_type="application/json"))
 
     def _allows(self, request: web.Request) -> bool:
-        """Return whether the request carries the token, compared in a time that does not depend on where they differ."""
+        """Return whether the request carries the token."""
         if self._token is None:
             return True
         scheme, _, given = request.headers.get("Authorization", "").partition(" ")
-        right = hmac.compare_digest(given.strip().encode(errors="replace"), self._token)
-        return right and scheme.lower() == "bearer"
+        return secret_files.is_token(given, self._token) and scheme.lower() == "bearer"
 
 
 def _closing(answer: web.Response) -> web.Response:

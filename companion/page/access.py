@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hmac
 import secrets
 import ssl
 from collections.abc import Mapping
@@ -47,11 +46,6 @@ def token_of(settings: PageSettings) -> bytes:
     if token is None:
         raise BadInput("page.token_file: is not set")
     return token
-
-
-def is_token(given: str, token: bytes) -> bool:
-    """Return whether the text is the token, in a time that does not depend on where they differ."""
-    return hmac.compare_digest(given.strip().encode(errors="replace"), token)
 
 
 def server_context(settings: PageSettings) -> ssl.SSLContext | None:

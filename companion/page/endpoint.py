@@ -15,13 +15,14 @@ from pathlib import Path
 
 from aiohttp import WSMsgType, web
 
+from companion.config.secret_files import is_token
 from companion.guidance.advice import advice
 from companion.guidance.mission import FAULTS
 from companion.operator.flight_state import FlightWatch
 from companion.operator.orders import HandledOrder, OrderSender, OrderSource
 from companion.operator.wire import RequestRefused
 from companion.page import report_maker
-from companion.page.access import HEADERS, is_token, same_origin, server_context, token_of
+from companion.page.access import HEADERS, same_origin, server_context, token_of
 from companion.page.assets import assets
 from companion.page.file_answer import send_file
 from companion.page.messages import (
