@@ -58,20 +58,21 @@ class GstreamerChannel:
         self._camera = camera
         self._pythons = pythons
         self._seq = 0
+        self._opened_before = False
 
     async def run(self) -> None:
         """Read frames until the pipeline ends or is silent.
 
         Raises:
-            CameraLost: an element failed, the pipeline ended, its process died, or no frame came.
-            BadInput: GStreamer cannot build the pipeline.
-            SetupImpossible: no Python of this computer has GStreamer's bindings.
+            CameraLost: an element failed, the pipeline ended, its process died, no frame came, or what was opened before cannot
+                be built now.
+            BadInput: GStreamer cannot build the pipeline, the first time.
+            SetupImpossible: no Python of this computer has GStreamer's bindings, the first time.
         """
-        loop = asyncio.get_running_loop()
-        pool = ThreadPoolExecutor(1, "gstreamer")
+        loop, pool = asyncio.get_running_loop(), ThreadPoolExecutor(1, "gstreamer")
         pipeline = _Pipeline(self._o, self._size, self._clock, self._camera.counters, self._pythons)
         try:
-            await loop.run_in_executor(pool, pipeline.start)
+            await self._start(pipeline, pool)
             while True:
                 image = await loop.run_in_executor(pool, pipeline.newest)
                 self._camera.down = None
@@ -81,6 +82,16 @@ class GstreamerChannel:
             pipeline.kill()
             pool.submit(pipeline.close)
             pool.shutdown(wait=False)
+
+    async def _start(self, pipeline: _Pipeline, pool: ThreadPoolExecutor) -> None:
+        """Start the pipeline. GStreamer drops a plug-in that crashed from its list: later on that is a lost camera, in flight."""
+        again, self._opened_before = self._opened_before, True
+        try:
+            await asyncio.get_running_loop().run_in_executor(pool, pipeline.start)
+        except (BadInput, SetupImpossible) as why:
+            if not again:
+                raise
+            raise CameraLost("failed", str(why)) from why
 
     def _give(self, image: _Image) -> None:
         counters, o = self._camera.counters, self._o

@@ -137,6 +137,27 @@ async def test_each_end_has_its_error(tmp_path: Path) -> None:
     assert isinstance(why, CameraLost)
 
 
+@pytest.mark.parametrize("code", [wire.WRONG_PIPELINE, wire.NO_BINDINGS])
+async def test_a_pipeline_that_cannot_be_built_again_is_lost_and_tried_again(tmp_path: Path, code: int) -> None:
+    # In flight an error of the settings would end the service; only the first opening tells of the settings.
+    good, bad = message(wire.READY) + message(wire.FRAME, rows(1)), message(wire.FAULT, b'no element "camerasrc"')
+    python = program(tmp_path, good)
+    camera = VideoSource()
+    channel = GstreamerChannel(options("any"), (W, H), CLOCK, camera, [python])
+    async with asyncio.timeout(60):
+        with pytest.raises(CameraLost, match="its process ended"):
+            await channel.run()
+        program(tmp_path, bad, code)
+        for _ in range(2):
+            with pytest.raises(CameraLost) as why:
+                await channel.run()
+            assert why.value.reason == "failed"
+        program(tmp_path, good)
+        with pytest.raises(CameraLost, match="its process ended"):
+            await channel.run()
+    assert camera.counters.buffers == 2
+
+
 async def test_a_pipeline_that_stops_giving_frames_is_silent(tmp_path: Path) -> None:
     said = message(wire.READY) + message(wire.FRAME, rows(1))
     why, _, frames = await ending(program(tmp_path, said, stays=True), silence_s=0.1)
