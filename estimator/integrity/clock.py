@@ -6,6 +6,7 @@ than `clock_step_max_s` away is refused, and becomes the time only after others 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
@@ -35,6 +36,8 @@ class Delay(Struct, frozen=True):
     """The delay of one stream."""
 
     median_s: float
+    since: int
+    """Arrival of the first sample with about this delay, ns."""
     n: int = 1
     off_since: int | None = None
     """Arrival, ns, of the first of an unbroken series of samples with another delay."""
@@ -75,27 +78,40 @@ def watch_arrival(state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float)
 
 
 def watch_delay(
-    state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float, settle_s: float
+    state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float, settle_s: float, keep_s: float = math.inf
 ) -> tuple[ClockWatch, Verdict | None]:
-    """Process a delay; return TOO_NEW or TOO_OLD if it is far from its stream's running median and has not been so for long."""
-    delay, verdict = delay_after(state.delays.get(kind), stamp, step_max_s, settle_s)
+    """Process a delay of one stream.
+
+    Args:
+        kind: the stream's name.
+        step_max_s: largest difference from the stream's running median.
+        settle_s: time after which an unbroken other delay becomes the stream's own.
+        keep_s: time after which the stream's delay gives way to no other.
+
+    Returns:
+        The new state, and TOO_NEW or TOO_OLD if the delay is not the stream's.
+    """
+    delay, verdict = delay_after(state.delays.get(kind), stamp, step_max_s, settle_s, keep_s)
     return ClockWatch(state.now, state.rival, {**state.delays, kind: delay}), verdict
 
 
-def delay_after(delay: Delay | None, stamp: Stamp, step_max_s: float, settle_s: float) -> tuple[Delay, Verdict | None]:
+def delay_after(
+    delay: Delay | None, stamp: Stamp, step_max_s: float, settle_s: float, keep_s: float = math.inf
+) -> tuple[Delay, Verdict | None]:
     """Process a delay of one stream, as `watch_delay` does; `delay` is None before the stream's first sample."""
-    d = (stamp.received_at - stamp.measured_at) / NS_PER_S
+    received_at = stamp.received_at
+    d = (received_at - stamp.measured_at) / NS_PER_S
     if delay is None:
-        return Delay(d), None
+        return Delay(d, received_at), None
     median_s, n, off_since = delay.median_s, delay.n, delay.off_since
     off_s = d - median_s
     if abs(off_s) <= step_max_s:
         # The median moves in small steps, so that an outlier has no more effect than any other sample.
         step = max(_MEDIAN_STEP_S, abs(off_s) / (n + 1)) if n < _FIRST_FEW else _MEDIAN_STEP_S
-        return Delay(median_s + (-step if off_s < -step else step if off_s > step else off_s), n + 1), None
+        return Delay(median_s + (-step if off_s < -step else step if off_s > step else off_s), delay.since, n + 1), None
     if n < _FIRST_FEW:
-        return Delay(d), None
-    since = stamp.received_at if off_since is None else off_since
-    if (stamp.received_at - since) * 1e-9 >= settle_s:
-        return Delay(d), None
-    return Delay(median_s, n, since), Verdict.TOO_OLD if off_s > 0.0 else Verdict.TOO_NEW
+        return Delay(d, received_at), None
+    off_since = received_at if off_since is None else off_since
+    if (received_at - off_since) * 1e-9 >= settle_s and (off_since - delay.since) * 1e-9 < keep_s:
+        return Delay(d, received_at), None
+    return Delay(median_s, delay.since, n, off_since), Verdict.TOO_OLD if off_s > 0.0 else Verdict.TOO_NEW

@@ -102,7 +102,9 @@ def admit_sighting(
     o = guard.options
     watch, verdict = clock.watch_arrival(guard.clock, "Sighting", sighting.stamp, o.clock_step_max_s)
     if verdict is None:
-        watch, verdict = clock.watch_delay(watch, "Sighting", sighting.stamp, o.delay_step_max_s, o.delay_settle_s)
+        # In flight nothing tells a slower link from stamps that have begun to lie.
+        keep_s = o.delay_keep_s if guard.flying else math.inf
+        watch, verdict = clock.watch_delay(watch, "Sighting", sighting.stamp, o.delay_step_max_s, o.delay_settle_s, keep_s)
     guard = replace(guard, clock=watch)
     if verdict is not None:
         return guard, verdict

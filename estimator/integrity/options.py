@@ -109,8 +109,18 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("time after which a changed delay of samples is accepted as the stream's new delay", "s", 0.01, 600.0)
     ] = 1.0
     delay_settle_s: Annotated[
-        float, number("time after which a changed delay of frames is accepted as the new delay", "s", 0.01, 600.0)
+        float,
+        number(
+            "time after which a changed delay of frames is the new delay: on the ground, or where the one before held for "
+            "less than delay_keep_s",
+            "s",
+            0.01,
+            600.0,
+        ),
     ] = 10.0
+    delay_keep_s: Annotated[
+        float, number("time after which the frames' delay gives way to no other before the vehicle stands", "s", 0.1, 600.0)
+    ] = 3.0
 
     view_turned_min_rad: Annotated[
         float,

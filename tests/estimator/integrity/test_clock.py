@@ -1,5 +1,7 @@
 """Stamps alone with their time are refused, and one of them never makes the others late."""
 
+import math
+
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.integrity.clock import ClockWatch, watch_arrival, watch_delay
@@ -43,10 +45,10 @@ def test_a_clock_that_was_led_astray_comes_back() -> None:
     assert said[-1] is None
 
 
-def delays(values: list[float], settle_s: float = 10.0) -> list[Verdict | None]:
+def delays(values: list[float], keep_s: float = math.inf) -> list[Verdict | None]:
     state, out = ClockWatch(), []
     for i, d in enumerate(values):
-        state, verdict = watch_delay(state, "Sighting", stamp(100.0 + i / 30.0, d), 0.15, settle_s)
+        state, verdict = watch_delay(state, "Sighting", stamp(100.0 + i / 30.0, d), 0.15, 10.0, keep_s)
         out.append(verdict)
     return out
 
@@ -57,6 +59,15 @@ def test_a_delay_that_steps_is_refused_until_it_has_settled() -> None:
     assert said[60:360] == [Verdict.TOO_OLD] * 300
     assert said[-1] is None
     assert delays([0.39] * 60 + [0.09])[-1] is Verdict.TOO_NEW
+
+
+def test_a_delay_that_has_held_gives_way_to_no_other() -> None:
+    said = delays([0.09] * 60 + [0.39] * 1_000, keep_s=3.0)
+    assert said[60:360] == [Verdict.TOO_OLD] * 300
+    assert set(said[360:]) == {None}, "two seconds are too short to be kept"
+    said = delays([0.09] * 120 + [0.39] * 1_000 + [0.09], keep_s=3.0)
+    assert said[120:-1] == [Verdict.TOO_OLD] * 1_000
+    assert said[-1] is None
 
 
 def test_a_delay_that_jitters_or_creeps_is_a_delay() -> None:

@@ -178,6 +178,15 @@ def test_a_sightings_stamp_is_judged_before_its_place() -> None:
     assert alerts(guard, MonoNs(T)) == ()
 
 
+@pytest.mark.parametrize(("flying", "held_s", "kept"), [(True, 4, True), (False, 4, False), (True, 2, False)])
+def test_a_delay_that_has_held_in_flight_is_kept_until_the_vehicle_stands(flying: bool, held_s: int, kept: bool) -> None:
+    guard = IntegrityGuard(flying=flying)
+    for i in range(10 * (held_s + 12)):
+        t = T + i * 100 * MS
+        guard, verdict = admit_sighting(guard, sighting(t, delay=(90 if i < 10 * held_s else 390) * MS), None, None)
+    assert (verdict is Verdict.TOO_OLD, IntegrityAlert.STAMPS in alerts(guard, MonoNs(t))) == (kept, kept)
+
+
 @pytest.mark.parametrize(("flying", "known", "said"), [(True, True, Verdict.FROZEN), (False, True, None), (True, False, None)])
 def test_a_view_that_stands_still_while_the_body_turns_is_refused_in_flight(
     flying: bool, known: bool, said: Verdict | None
