@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from msgspec.structs import replace
 
@@ -38,8 +40,14 @@ def rising_m_s(knowledge: Knowledge) -> float:
     return 0.0 if knowledge.deck is None else max(0.0, -float(knowledge.deck.v_level[2]))
 
 
+def _falling_m_s(knowledge: Knowledge) -> float:
+    """Return how fast the deck falls at least, with two standard deviations; 0 where it may rise."""
+    deck = knowledge.deck
+    return 0.0 if deck is None else max(0.0, deck.v_level.item(2) - 2.0 * math.sqrt(deck.cov_level.item(2, 2)))
+
+
 def never_lower(command: Command, knowledge: Knowledge, *, fit: bool, over_ground: bool) -> Command:
-    """Return the command without any descent beyond that of the deck itself, and without any if the estimate is not fit.
+    """Return the command without any descent beyond the deck's own as far as it is certain, and none if the estimate is unfit.
 
     Args:
         over_ground: whether the vehicle's driver adds the deck's velocity to a velocity.
@@ -47,7 +55,7 @@ def never_lower(command: Command, knowledge: Knowledge, *, fit: bool, over_groun
     if not isinstance(command, Velocity | Lean):
         return command
     added_later = over_ground and isinstance(command, Velocity)
-    deck_m_s = 0.0 if knowledge.deck is None or not fit or added_later else max(0.0, float(knowledge.deck.v_level[2]))
+    deck_m_s = 0.0 if not fit or added_later else _falling_m_s(knowledge)
     v = np.array(command.v_level)
     if v[2] <= deck_m_s:
         return command

@@ -1,7 +1,8 @@
 """Compare other heights with the camera's: a range sensor over the pad, and the change of the barometric height.
 
-A range counts only if the sighting puts the deck around the pad below the body; beyond the edge there is water, and the
-difference means nothing. If the camera reports the pad below and there is none (another place, a wrong focal length), it counts.
+A range counts if the sighting puts the deck around the pad below the body; beyond the edge there is water, and a longer range
+means nothing. A shorter one counts there too, near the pad: nothing stands above the deck, so the camera sees it too far away (a
+smaller pad, a wrong focal length).
 """
 
 from __future__ import annotations
@@ -21,6 +22,10 @@ _NEAREST_M = 0.35
 """Smallest height for the comparison: an ultrasonic sensor measures nothing nearer than 0.2 m."""
 _UPRIGHT = 0.85
 _EDGE_M = 0.1
+_FASTEST = 3.0
+"""A difference of several times what is allowed counts so many times as fast."""
+_CLEAR = 0.35
+"""Over this part of the height around the pad nothing stands above the deck: there the vehicle comes down."""
 _PAUSE_S = 0.3
 """Longest time between two ranges that counts."""
 _SPAN_S = 12.0
@@ -79,14 +84,16 @@ def ranged(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch
     along = z / cz
     foot = math.hypot(x - cx * along, y - cy * along)
     tolerance = o.range_tolerance_m + o.range_tolerance_fraction * z
-    if foot > o.deck_radius_m - _EDGE_M:
+    # A cone measures the nearest surface, which lies between the axis and the perpendicular.
+    beyond, short, allowed = event.range_m - along, z - event.range_m, tolerance + 2.0 * event.sigma_m
+    if foot > o.deck_radius_m - _EDGE_M and (foot > _CLEAR * z or short <= allowed):
         # The beam is not certainly over the deck, so the previous result holds until it is.
         return replace(state, range_at=t)
-    # A cone measures the nearest surface, which lies between the axis and the perpendicular.
-    off = max(event.range_m - along, z - event.range_m, 0.0)
+    off = max(beyond, short, 0.0)
     dt = min(max(0.0, (t - state.range_at) * 1e-9), _PAUSE_S)
-    agrees = off <= tolerance + 2.0 * event.sigma_m
-    against = min(max(0.0, state.against_s + (-dt if agrees else dt)), 1.5 * o.range_disagree_s)
+    agrees = off <= allowed
+    step = -dt if agrees else dt * min(off / allowed, _FASTEST)
+    against = min(max(0.0, state.against_s + step), 1.5 * o.range_disagree_s)
     contradicted = against >= o.range_disagree_s or (state.contradicted and against > 0.0)
     return replace(state, range_at=t, against_s=against, contradicted=contradicted, agreed_at=t if agrees else state.agreed_at)
 

@@ -169,7 +169,13 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
         0.08
     )
     range_disagree_s: Annotated[
-        float, number("time for which range sensor and camera must differ for the descent to end", "s", 0.1, 60.0)
+        float,
+        number(
+            "time for which range sensor and camera must differ for the descent to end; a third where they differ much",
+            "s",
+            0.1,
+            60.0,
+        ),
     ] = 1.0
     deck_radius_m: Annotated[
         float,

@@ -16,11 +16,12 @@ from tests.companion.mission_flights import estimate, ns
 NOW = 20.0
 
 
-def falling(down_m_s: float | None) -> Knowledge:
+def falling(down_m_s: float | None, sigma_m_s: float = 0.0) -> Knowledge:
     deck = None
     if down_m_s is not None:
         v = np.array([3.0, 0.0, down_m_s])
-        deck = DeckMotion(ns(NOW), v, np.zeros(3), 0.01 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+        cov = np.diag([1.0, 1.0, sigma_m_s**2, 1.0, 1.0, 1.0])
+        deck = DeckMotion(ns(NOW), v, np.zeros(3), cov, 0, 0, 0, 0, 1e-4 * np.eye(4))
     return Knowledge(ns(NOW), None, deck=deck)
 
 
@@ -47,6 +48,14 @@ def test_nothing_goes_down_but_with_a_deck_that_is_known_to_fall(
         assert type(slower) is type(command)
         assert slower.v_level.tolist() == [0.4, -0.3, rate]
         assert slower.yaw_rate_rad_s == 0.1
+
+
+@pytest.mark.parametrize(("sigma_m_s", "rate"), [(0.05, 0.2), (0.1, 0.1), (0.2, 0.0)])
+def test_a_fall_of_the_deck_is_followed_as_far_as_it_is_certain(sigma_m_s: float, rate: float) -> None:
+    down = Lean(np.ones(2), np.zeros(2), np.array([0.0, 0.0, 0.5]), 0.0)
+    kept = never_lower(down, falling(0.3, sigma_m_s), fit=True, over_ground=False)
+    assert isinstance(kept, Lean)
+    assert kept.v_level[2] == pytest.approx(rate)
 
 
 def test_what_climbs_and_what_is_the_vehicle_s_own_is_left_as_it_is() -> None:

@@ -359,21 +359,21 @@ def test_still_means_still_against_the_deck(order: Event | None, blind_sigma_m: 
 
 def test_nothing_descends_against_the_deck_beyond_what_the_deck_itself_does() -> None:
     """The deck falls at 0.4 m/s. To a velocity over the ground the driver adds that, to another nobody does."""
-    deck = DeckMotion(ns(1.0), np.array([0.0, 0.0, 0.4]), np.zeros(3), 0.01 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+    deck = DeckMotion(ns(1.0), np.array([0.0, 0.0, 0.4]), np.zeros(3), 1e-4 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
     known = Knowledge(ns(1.0), None, deck=deck)
     down, lean = Velocity(np.array([0.1, 0.0, 0.9]), 0.2), Lean(np.zeros(2), np.zeros(2), np.array([0.1, 0.0, 0.9]), 0.2)
     for command, over_ground, fit, most in [
-        (down, False, True, 0.4),
+        (down, False, True, 0.38),
         (down, True, True, 0.0),
-        (lean, False, True, 0.4),
-        (lean, True, True, 0.4),
+        (lean, False, True, 0.38),
+        (lean, True, True, 0.38),
         (down, False, False, 0.0),
         (down, True, False, 0.0),
         (lean, True, False, 0.0),
     ]:
         kept = never_lower(command, known, fit=fit, over_ground=over_ground)
         assert isinstance(kept, Velocity | Lean)
-        assert kept.v_level.tolist() == [0.1, 0.0, most]
+        assert kept.v_level == pytest.approx([0.1, 0.0, most])
         assert kept.yaw_rate_rad_s == 0.2
     up = Velocity(np.array([0.0, 0.0, -0.3]), 0.0)
     assert never_lower(up, known, fit=False, over_ground=True) is up

@@ -58,11 +58,12 @@ def test_before_a_landing_is_asked_for_nothing_but_a_hover_is() -> None:
 
 
 def test_what_may_descend_is_named_and_nothing_else_does_however_good_the_sight() -> None:
-    down = {State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS}
+    down = {State.DESCEND, State.GATE, State.COMMIT, State.PRESS}
     fit, old = (GuidanceCycle(ns(NOW), known(age=age)) for age in (0.0, 9.0))
     for state in State:
         p = Progress(state, automatic=True, begun=True)
         assert asks_to_descend(p, fit, guided()) is (state in down)
+        assert asks_to_descend(p, fit, guided(mission="thesis")) is (state in down | {State.INTERCEPT})
         assert asks_to_descend(p, old, guided()) is (state is State.PRESS), "the deck is touched"
 
 

@@ -20,6 +20,10 @@ OVER = HeightWatch(seen_at=T, d_level=(0.0, 0.0, 2.0), range_at=T - S // 4)
 """Two metres over the pad, the range before a quarter of a second ago."""
 
 
+JUST_BEYOND_M = 2.24 + 1e-8
+"""A range that differs from a camera height of 2 m by no more than what is allowed and a trace."""
+
+
 def stamp(t: int) -> Stamp:
     return Stamp(MonoNs(t), MonoNs(t), 0.001, "sim")
 
@@ -86,6 +90,16 @@ def test_it_counts_where_the_axis_meets_the_deck_and_anything_between_axis_and_p
         assert speaks(leaning(*lean, foot), 2.1) is None
 
 
+@pytest.mark.parametrize(
+    ("foot_m", "range_m", "says"),
+    [(1.39, 3.59, False), (1.39, 3.61, None), (1.39, 6.0, None), (1.41, 2.0, None), (0.49, 3.61, True), (0.49, 6.0, False)],
+)
+def test_beyond_the_deck_only_what_is_nearer_than_the_pad_counts_and_only_close_around_it(
+    foot_m: float, range_m: float, says: bool | None
+) -> None:
+    assert speaks(replace(OVER, d_level=(foot_m, 0.0, 4.0)), range_m) is says
+
+
 def test_a_foot_on_the_edge_counts() -> None:
     assert speaks(replace(OVER, d_level=(0.5, 0.0, 2.0)), 2.0) is True
 
@@ -118,13 +132,19 @@ def test_a_sighting_is_compared_for_three_tenths_of_a_second(after: int, counts:
 @pytest.mark.parametrize(("since_s", "counted_s"), [(0.25, 0.25), (0.3, 0.3), (5.0, 0.3), (0.0, 0.0), (-1.0, 0.0)])
 def test_time_against_is_counted_between_ranges_up_to_a_pause(since_s: float, counted_s: float) -> None:
     state = replace(OVER, range_at=T - round(since_s * S), against_s=0.5)
-    assert received_at(state, 3.0).against_s == pytest.approx(0.5 + counted_s)
+    assert received_at(state, JUST_BEYOND_M).against_s == pytest.approx(0.5 + counted_s)
     assert received_at(state, 2.0).against_s == pytest.approx(0.5 - counted_s)
 
 
+@pytest.mark.parametrize(("off", "times"), [(1.5, 1.5), (2.9, 2.9), (3.1, 3.0), (9.0, 3.0)])
+def test_a_large_difference_counts_up_to_three_times_as_fast(off: float, times: float) -> None:
+    state = replace(OVER, range_at=T - S // 10)
+    assert received_at(state, 2.0 + 0.24 * off).against_s == pytest.approx(0.1 * times)
+
+
 def test_a_second_against_contradicts_and_agreement_ends_it_only_when_it_has_weighed_it_up() -> None:
-    assert received_at(replace(OVER, against_s=0.75), 3.0).contradicted
-    assert not received_at(replace(OVER, against_s=0.74), 3.0).contradicted
+    assert received_at(replace(OVER, against_s=0.75), JUST_BEYOND_M).contradicted
+    assert not received_at(replace(OVER, against_s=0.74), JUST_BEYOND_M).contradicted
     assert received_at(replace(OVER, against_s=1.4), 3.0).against_s == 1.5, "no grudge for ever"
     assert received_at(replace(OVER, against_s=0.5, contradicted=True), 2.0).contradicted
     over = received_at(replace(OVER, against_s=0.25, contradicted=True), 2.0)
