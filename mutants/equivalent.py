@@ -22,6 +22,9 @@ _ODDS = (
     "odds -= (DIRECTIONS - UPRIGHT - 2) * prior_log_odds(m);",
 )
 
+_NO_TIME = "nothing moves in no time"
+_HEAVE_ALONE = "the fifth is the deck's roll, which has nothing in common with the heave"
+_HELD = "if (b->t_imu >= 0 && b->t < held_until && held_until < t) {"
 _ROTATED = "const double t = (theta < 0.0 ? -1.0 : 1.0) / (fabs(theta) + hypot(theta, 1.0)), c = 1.0 / hypot(t, 1.0), s = t * c;"
 EQUIVALENT: dict[str, dict[str, str]] = {
     "companion/guidance/cone.py": {
@@ -72,6 +75,11 @@ EQUIVALENT: dict[str, dict[str, str]] = {
             "the pad's acceleration along down does not depend on the deck's roll, which lies behind"
         ),
         "for (int i = 0; i < N; i++) {  ->  for (int i = 1; i < N; i++) {": "no figure is of the attitude's error",
+        "double J[6 * N] = {0.0}, tilt[4 * N] = {0.0};  ->  double J[6 * N] = {0.0}, tilt[5 * N] = {0.0};": _ROOM,
+        "covariance c = {P_before, {places[0], places[1]}};  ->  covariance c = {P_before, {places[1], places[1]}};": (
+            "the covariance is propagated once at most"
+        ),
+        "memset(out, 0, sizeof *out);  ->  memset(out, 1, sizeof *out);": _TINY,
     },
     "estimator/core/jacobian.c": {
         "memset(JF, 0, (size_t)m * N * sizeof *JF);  ->  memset(JF, 1, (size_t)m * N * sizeof *JF);": _TINY,
@@ -137,10 +145,32 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "if (nis > nis_max) {  ->  if (nis >= nis_max) {": _ROUNDED,
     },
     "estimator/core/aiding.c": {
+        "if (away + 2.0 * spread > o->deck_radius_m || !distance(b->R, x, &r, H)) {"
+        "  ->  if (away + 2.0 * spread >= o->deck_radius_m || !distance(b->R, x, &r, H)) {": _ROUNDED,
+        "if (cosine < 0.3) {  ->  if (cosine <= 0.3) {": _ROUNDED,
         "b->is_levelled = b->heading_is_given = 1;  ->  b->is_levelled = b->heading_is_given = 2;": _ASKED,
     },
     "estimator/core/propagate.c": {
-        "if (dt <= 0.0) {  ->  if (dt < 0.0) {": "nothing moves in no time",
+        "if (dt <= 0.0) {  ->  if (dt < 0.0) {": _NO_TIME,
+        "if (T <= 0.0) {  ->  if (T < 0.0) {": _NO_TIME,
+        **{
+            f"{_HELD}  ->  {_HELD.replace(*changed)}": _NO_TIME
+            for changed in (("t < held", "t <= held"), ("until < t", "until <= t"))
+        },
+        "move_vessel: for (int j = 0; j < 4; j++) {  ->  for (int j = 0; j <= 4; j++) {": _HEAVE_ALONE,
+        "move_vessel: for (int j = 0; j < 4; j++) {  ->  for (int j = 0; j < 5; j++) {": _HEAVE_ALONE,
+        "memset(F, 0, N * N * sizeof *F);  ->  memset(F, 1, N * N * sizeof *F);": _TINY,
+        "memset(Q, 0, N * N * sizeof *Q);  ->  memset(Q, 1, N * N * sizeof *Q);": _TINY,
+        **{
+            f"memset(b->{name}, 0, sizeof b->{name});  ->  memset(b->{name}, 1, sizeof b->{name});": _TINY
+            for name in ("dv", "dp", "turned")
+        },
+        "propagated_belief: for (int i = 0; i < N; i++) {  ->  for (int i = 1; i < N; i++) {": (
+            "the attitude's block is written whole"
+        ),
+        "for (int k = 0; k < 5; k++) {  ->  for (int k = 1; k < 5; k++) {": (
+            "no sensor whose model looks at this state measures the displacement north"
+        ),
     },
     "estimator/core/kalman.c": {
         "if (!(pivot > 0.0) || !isfinite(pivot)) {  ->  if (!(pivot >= 0.0) || !isfinite(pivot)) {": (

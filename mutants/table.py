@@ -25,6 +25,8 @@ _BANK = (
 )
 _ANSWERS = ("tests/estimator/ekf/test_answer.py", "tests/estimator/ekf/test_filter_bounds.py")
 _FORECASTS = ("tests/estimator/ekf/test_forecast.py", "tests/estimator/ekf/test_filter_bounds.py")
+_RESULTS = ("tests/estimator/ekf/test_process_event_bounds.py", "tests/estimator/test_fusion_results.py")
+_PIPELINE = ("tests/estimator/test_pipeline.py", "tests/estimator/test_step_samples.py", "tests/estimator/test_fusion_results.py")
 _INTEGRITY = "tests/estimator/integrity"
 _MISSION = ("tests/companion/test_mission_flights.py", "tests/companion/test_rendezvous.py")
 _LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py", "tests/companion/test_deck_turn.py")
@@ -61,6 +63,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/deck_jolt.c": _SIGHTINGS,
     "estimator/core/vessel.c": (f"{_BESIDE_THE_ORACLE}::test_each_report_of_a_vessel_has_the_oracle_s_outcome_and_belief",),
     "estimator/core/correction.c": (*_CORE, *_SIGHTINGS[1:]),
+    "estimator/core/rotation.c": (*_CORE, *_SIGHTINGS[1:], "tests/estimator/ekf/test_answer.py"),
+    "estimator/core/sighting_level.c": ("tests/estimator/vision/test_registration_sighting.py",),
     "estimator/ekf/gate.py": _GATE,
     "estimator/ekf/process_event.py": (
         "tests/estimator/ekf/test_process_event_bounds.py",
@@ -68,6 +72,15 @@ TARGETS: dict[str, tuple[str, ...]] = {
     ),
     "estimator/ekf/filter.py": ("tests/estimator/ekf/test_filter_bounds.py",),
     "estimator/ekf/history.py": ("tests/estimator/ekf/test_history_bounds.py",),
+    "estimator/ekf/propagate.py": _RESULTS,
+    "estimator/ekf/packed_event.py": ("tests/estimator/ekf/test_process_event_bounds.py", *_SIGHTINGS),
+    "estimator/ekf/motion.py": ("tests/estimator/ekf/test_process_event_bounds.py", *_CORE),
+    "estimator/ekf/answers.py": _ANSWERS,
+    "estimator/ekf/forecast.py": _FORECASTS,
+    "estimator/ekf/deck_motion_bank.py": (*_FORECASTS, *_BANK),
+    "estimator/relative_estimator.py": ("tests/estimator/test_public_api.py",),
+    "estimator/pad_tracker.py": ("tests/estimator/test_public_api.py",),
+    "estimator/pipeline.py": _PIPELINE,
     "estimator/integrity/guard.py": (f"{_INTEGRITY}/test_guard.py",),
     "estimator/integrity/clock.py": (f"{_INTEGRITY}/test_clock_bounds.py", f"{_INTEGRITY}/test_clock.py"),
     "estimator/integrity/frames.py": (f"{_INTEGRITY}/test_frames.py",),

@@ -222,8 +222,7 @@ static void move_body(const belief *b, double T, double *F)
 /* The noise of the random walks, and of the body's velocity and position. */
 static void add_noise(const filter_params *o, const belief *b, double T, double *Q)
 {
-    const double coast = b->coast_s > 0.0 ? b->coast_s : 0.0;
-    const double force = o->psd_accel * T + o->psd_coast * coast, jolt = b->jolt_var_m2_s2;
+    const double coast = b->coast_s, force = o->psd_accel * T + o->psd_coast * coast, jolt = b->jolt_var_m2_s2;
     for (int i = 0; i < N; i++) {
         AT(Q, i, i) = o->psd[i] * T;
     }

@@ -12,7 +12,7 @@ from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import RESET, step
-from estimator.contracts.commands import Command, CutMotors, Hover, Land, TakeOff, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity
 from estimator.contracts.time import MonoNs, Stamp
@@ -148,6 +148,69 @@ def test_an_emergency_is_three_periods_and_ends_the_wish_to_take_off(cockpit: Co
     cockpit.streamer.take(CutMotors(), ms(0))
     emergency = at.REF_BASE | at.REF_EMERGENCY
     assert [cockpit.ref(t) for t in range(1, 6)] == [emergency] * 3 + [GROUND] * 2
+
+
+EMERGENCY = at.REF_BASE | at.REF_EMERGENCY
+
+
+@pytest.mark.parametrize(
+    ("command", "bit", "toggles"),
+    [
+        (CutMotors(), nd.NavdataState.EMERGENCY, False), (CutMotors(), 0, True), (CutMotors(), None, True),
+        (LeaveEmergency(), nd.NavdataState.EMERGENCY, True), (LeaveEmergency(), 0, False), (LeaveEmergency(), None, True),
+    ],
+)  # fmt: skip
+def test_the_first_toggle_is_sent_unless_the_drone_is_already_where_it_leads(
+    cockpit: Cockpit, command: CutMotors | LeaveEmergency, bit: int | None, toggles: bool
+) -> None:
+    """Motors that somebody else has cut would be released by it."""
+    if bit is not None:
+        cockpit.hears(0, LANDED, bit)
+    cockpit.streamer.take(command, ms(1))
+    assert (cockpit.ref(2) == EMERGENCY) is toggles
+
+
+@pytest.mark.parametrize(
+    ("command", "bit", "again_ms"), [(CutMotors(), 0, 300), (LeaveEmergency(), nd.NavdataState.EMERGENCY, 2000)]
+)
+def test_a_toggle_without_effect_is_sent_again_when_its_time_is_over(
+    cockpit: Cockpit, command: CutMotors | LeaveEmergency, bit: int, again_ms: int
+) -> None:
+    cockpit.hears(0, LANDED, bit)
+    cockpit.streamer.take(command, ms(0))
+    assert [cockpit.ref(t) for t in (1, 2, 3)] == [EMERGENCY] * 3
+    for t, toggles in ((again_ms - 0.001, False), (again_ms, True)):
+        cockpit.hears(t, LANDED, bit)
+        cockpit.streamer.take(command, ms(t))
+        assert (cockpit.ref(t) == EMERGENCY) is toggles
+
+
+@pytest.mark.parametrize(("age_ms", "ref"), [(250, STAY_UP), (250.001, None)])
+def test_a_low_landing_for_our_silence_is_called_off_while_guidance_flies(
+    cockpit: Cockpit, age_ms: float, ref: int | None
+) -> None:
+    cockpit.streamer.take(FORWARD, ms(0))
+    cockpit.hears(age_ms, LANDING, nd.NavdataState.COM_WATCHDOG, altitude_m=0.3)
+    assert cockpit.ref(age_ms) == ref
+
+
+def test_what_holds_against_the_wind_stays_where_it_blows_from_while_the_nose_turns(cockpit: Cockpit) -> None:
+    def sticks(t: float, yaw_rad: float | None) -> at.Pcmd:
+        cockpit.hears(t, FLYING)
+        cockpit.measures(t, -0.4 if t < 2000 else 0.0)
+        if yaw_rad is not None:
+            cockpit.streamer.on_sample(
+                Attitude(Stamp(ms(t), ms(t), 0.001, "synced"), Rotation.from_rpy(0.0, 0.0, yaw_rad), np.eye(3))
+            )
+        cockpit.streamer.take(Velocity(np.zeros(3), 0.0), ms(t))
+        return cockpit.sticks(t)
+
+    for t in range(0, 2000, 20):
+        sticks(t, 0.5)
+    ahead, turned = sticks(2000, 0.5), sticks(2020, 0.5 + np.pi / 2)
+    assert ahead.pitch < -0.01
+    assert abs(ahead.roll) < 1e-9
+    assert (turned.roll, turned.pitch) == (pytest.approx(ahead.pitch, rel=0.05), pytest.approx(0.0, abs=1e-9))
 
 
 @pytest.mark.parametrize("bit", [nd.NavdataState.EMERGENCY, nd.NavdataState.FLYING])

@@ -101,6 +101,15 @@ def test_after_a_row_of_samples_it_is_the_oracle_s(later_ms: int) -> None:
     assert seen == (24 if later_ms < 100 else 12)
 
 
+@pytest.mark.parametrize("t_imu", [0, 3 * MS])
+@pytest.mark.parametrize(("later_ns", "moves"), [(0, True), (20 * MS, True), (20 * MS + 1, False)])
+def test_the_body_moves_as_its_newest_sample_says_until_it_holds_no_longer_to_the_nanosecond(
+    t_imu: int, later_ns: int, moves: bool
+) -> None:
+    b = belief(LEVEL, t=t_imu, x=state(), t_imu=t_imu, f=(0.5, 0.1, -9.6))
+    assert same_answer(b, t_imu + later_ns, OFTEN)[1] is moves
+
+
 def test_an_answer_is_worked_out_once_for_all_that_ask() -> None:
     ekf = holding(belief(LEVEL, x=state()), TOOLS)
     now = MonoNs(T + 3 * MS)

@@ -19,7 +19,7 @@ from estimator.ekf.packed_event import packed_event
 from estimator.ekf.process_event import process_event
 from estimator.ekf.propagate import FilterParams
 from estimator.ekf.state import PAD_YAW, POS_REL, Belief, N
-from tests.estimator.ekf.hand import MS, TILTED, TOOLS, T, belief, correlated, params, stamp, state
+from tests.estimator.ekf.hand import MS, TILTED, TOOLS, T, belief, correlated, learned, params, stamp, state
 from tests.estimator.ekf.oracle import aiding, motion
 from tests.estimator.ekf.oracle.algebra import ALGEBRA
 from tests.estimator.ekf.oracle.propagate import propagated, ready_to_fuse
@@ -130,6 +130,7 @@ def beginning(seed: int) -> Belief:
         TILTED, x=0.3 * state(seed) + _over_the_pad(), P=correlated(seed, size=float(rng.uniform(0.1, 5.0))),
         sighted=sighted, over_pad=float(rng.uniform(-5.0, 5.0)), t_imu=int(rng.choice([-1, T - 5 * MS])),
         w=(0.01, 0.02, -0.03), w_smooth=(0.0, 0.01, 0.0), f=(0.1, -0.2, -9.7), agreed=5,
+        sea=learned(heave_m_s=0.4),
     )  # fmt: skip
 
 

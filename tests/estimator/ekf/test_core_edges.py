@@ -14,7 +14,7 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation, rpy_matrix
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
 from estimator.core.interface.filter import RATIOS_MAX
-from estimator.ekf.packed_belief import PackedBelief
+from estimator.ekf.packed_belief import WITH_COVARIANCE, PackedBelief
 from estimator.ekf.packed_event import PackedEvent, packed_event
 from estimator.ekf.so3 import about_down, wrap
 from estimator.ekf.state import (
@@ -54,6 +54,7 @@ from tests.estimator.ekf.hand import (
     whole,
 )  # fmt: skip
 from tests.estimator.ekf.oracle import so3
+from tests.estimator.ekf.oracle.propagate import propagated_with_covariance
 from tests.estimator.ekf.oracle.samples import process_sample
 from tests.estimator.ekf.oracle.sighting import levelling
 from tests.estimator.ekf.test_core import same
@@ -205,6 +206,31 @@ def in_the_first_second(ms: int, **fields: Any) -> Belief:
 def test_a_height_over_a_pad_seen_in_the_first_instant_counts(event: Baro | Range) -> None:
     _, verdict = agrees(in_the_first_second(20, sighted=0), event, params(deck_radius_m=3.0))
     assert verdict is Verdict.FUSED
+
+
+@pytest.mark.parametrize("lean_deg", [40.0, 60.0, 70.0])
+def test_a_beam_that_meets_the_deck_ahead_of_a_leaning_body_is_a_range(lean_deg: float) -> None:
+    lean = math.radians(lean_deg)
+    b = belief(rpy_matrix(0.0, lean, 0.0), x=under(2.0 * math.tan(lean)), P=diagonal(d=1e-4))
+    _, verdict = agrees(b, Range(stamp(T), 2.0 / math.cos(lean), 0.05), params(deck_radius_m=0.5))
+    assert verdict is Verdict.FUSED
+
+
+@pytest.mark.parametrize("later_ms", [0, 5, 19, 21, 60])
+def test_an_imu_sample_of_the_first_instant_holds_as_long_as_any_other(later_ms: int) -> None:
+    chosen = params(hold_s=0.02)
+    b = in_the_first_second(5, t_imu=0, w=(0.3, -0.2, 0.5), f=(0.5, 1.0, -9.0))._replace(P=correlated())
+    t = (5 + later_ms) * MS
+    ours = PackedBelief.of(b).propagated(t, chosen.process_noise, WITH_COVARIANCE).belief
+    same(ours, propagated_with_covariance(b, t, chosen))
+    assert ours.x[VEL][0] == pytest.approx(0.0005 * min(later_ms, 15), rel=0.05), "no force is known after its time"
+
+
+def test_no_time_changes_nothing_to_the_bit() -> None:
+    b = belief(TILTED, x=state(), P=correlated(), jolt_var_m2_s2=0.3)
+    after = PackedBelief.of(b).propagated(T, TOOLS.process_noise, WITH_COVARIANCE).belief
+    assert after.P.tobytes() == b.P.tobytes()
+    assert after.jolt_var_m2_s2 == b.jolt_var_m2_s2
 
 
 @pytest.mark.parametrize(("ms", "widens"), [(1000, False), (1001, True)])

@@ -181,6 +181,7 @@ def test_it_is_consistent_while_the_place_is_known_to_a_metre_along_each_axis(ax
 def test_every_figure_for_the_records_is_the_one_it_is_called_by() -> None:
     x, P = state(), correlated()
     P[VEL_SCALE, VEL_SCALE] = -1e-9
+    P[VESSEL_VEL, VESSEL_VEL] = [[0.04, 0.03], [0.03, 0.05]]
     b = belief(TILTED, x=x, P=P, nis_mean=1.3)
     b = b._replace(sea=b.sea._replace(zeta=np.array([0.1, 0.2, 0.3, 0.4, 0.5]), sigma=np.array([0.3, 0.4, 0.5, 0.02, 0.03])))
     expected = {
