@@ -168,7 +168,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "propagated_belief: for (int i = 0; i < N; i++) {  ->  for (int i = 1; i < N; i++) {": (
             "the attitude's block is written whole"
         ),
-        "for (int k = 0; k < 5; k++) {  ->  for (int k = 1; k < 5; k++) {": (
+        "peek: for (int k = 0; k < 5; k++) {  ->  for (int k = 1; k < 5; k++) {": (
             "no sensor whose model looks at this state measures the displacement north"
         ),
     },
