@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -125,7 +126,7 @@ class FaultySensors:
         return older[-1] if older else (self._past[0] if self._past else true)
 
 
-def _array(value: F64 | float | None) -> F64 | None:
+def _array(value: Sequence[float] | float | None) -> F64 | None:
     return None if value is None else np.atleast_1d(np.asarray(value, float)).copy()
 
 
@@ -134,25 +135,30 @@ def _put(r: Readings, field: Field, value: F64 | None) -> Readings:
     if field == "ultrasound_m":
         return replace(r, ultrasound_m=None if value is None else max(0.0, float(value[0])))
     if field == "magnetometer":
-        return replace(r, magnetometer=value)
+        return replace(r, magnetometer=None if value is None else _three(value))
     if value is None:
         return r
     match field:
         case "f_body":
-            return replace(r, f_body=value)
+            return replace(r, f_body=_three(value))
         case "w_body":
-            return replace(r, w_body=value)
+            return replace(r, w_body=_three(value))
         case "rpy_rad":
-            return replace(r, rpy_rad=value)
+            return replace(r, rpy_rad=_three(value))
         case "v_level_m_s":
-            return replace(r, v_level_m_s=value)
+            return replace(r, v_level_m_s=(float(value[0]), float(value[1])))
         case "pressure_pa":
             return replace(r, pressure_pa=float(value[0]))
 
 
-def _turned(field: F64 | None, by_rad: float) -> F64 | None:
+def _three(value: F64) -> tuple[float, float, float]:
+    x, y, z = value.tolist()
+    return x, y, z
+
+
+def _turned(field: tuple[float, float, float] | None, by_rad: float) -> tuple[float, float, float] | None:
     """Return the magnetic field as a compass beside steel reads it."""
     if field is None or by_rad == 0.0:
         return field
     c, s = math.cos(by_rad), math.sin(by_rad)
-    return np.array([c * field[0] + s * field[1], c * field[1] - s * field[0], field[2]])
+    return c * field[0] + s * field[1], c * field[1] - s * field[0], field[2]

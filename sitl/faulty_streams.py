@@ -49,6 +49,11 @@ class FaultyStream:
         self._rng = np.random.default_rng([seed, 0x57EA, STREAMS.index(stream)])
 
     @property
+    def clear(self) -> bool:
+        """Whether every packet passes, at its time and in its order."""
+        return not self._faults.active_kinds
+
+    @property
     def silent(self) -> bool:
         """Whether nothing passes."""
         return self._faults.active("link_lost") or any(fault.silent for fault, _ in self._faults.on(self._kind))
@@ -104,6 +109,13 @@ class InTransit(Generic[_T]):
             make: makes the packet; it is not called where the packet is lost.
             usual_s: time that the packet needs without a fault.
         """
+        if self._stream.clear and not self._held:
+            due = after(now, usual_s) if usual_s else now
+            before, under_way = self._due, self._under_way
+            if (before is None or before <= due) and (not under_way or under_way[-1][0] <= due):
+                self._due = due
+                under_way.append((due, make()))
+                return
         fate = self._stream.fate()
         if fate.copies:
             self.put(make(), fate, now, usual_s)

@@ -31,7 +31,7 @@ class Physics:
         self._sea = Packed("water", every=_SEA_EVERY)
         v, s = vehicle, sensors
         self._air = v.air_noise or v.noise
-        self._noises = {v.noise, self._air, s.noise}
+        self._noises = tuple(dict.fromkeys((v.noise, self._air, s.noise)))
         self._before = v.params.address, v.state.address, s.params.address, s.state.address, self._sea.address
         self._decks, self._decks_at = np.empty(0), 0
         self._waves_at = len(self._waves), start_of(self._waves)
@@ -46,13 +46,15 @@ class Physics:
         """
         if decks is not self._decks:
             self._decks, self._decks_at = decks, start_of(decks)
-        n = at_most
+        n, vehicle = at_most, self._vehicle
         for noise in self._noises:
-            n = min(n, noise.prepare())
-        self._vehicle.keep_limits()
+            ready = noise.prepare()
+            if ready < n:
+                n = ready
+        vehicle.keep_limits()
         done: int = sim_run(
             *self._before, *self._waves_at, n, self._decks_at + 8 * _DECK * first,
-            self._vehicle.noise.address, self._air.address, self._sensors.noise.address,
+            vehicle.noise.address, self._air.address, self._sensors.noise.address,
         )  # fmt: skip
         for noise in self._noises:
             noise.used(done)

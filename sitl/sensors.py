@@ -41,20 +41,20 @@ class Readings(Struct, frozen=True, eq=False):
 
     at: MonoNs
     """Instant at which the inertial values were measured."""
-    f_body: F64
-    """(3,) m/s^2, specific force."""
-    w_body: F64
-    """(3,) rad/s."""
-    rpy_rad: F64
-    """(3,) roll, pitch and heading by the drone's own estimate."""
-    v_level_m_s: F64
-    """(2,) velocity forward and right that the drone reports; it reports no vertical speed."""
+    f_body: tuple[float, float, float]
+    """Specific force, m/s^2."""
+    w_body: tuple[float, float, float]
+    """Turn rates, rad/s."""
+    rpy_rad: tuple[float, float, float]
+    """Roll, pitch and heading by the drone's own estimate."""
+    v_level_m_s: tuple[float, float]
+    """Velocity forward and right that the drone reports; it reports no vertical speed."""
     ultrasound_m: float | None
     """Distance to the nearest surface in the cone; None if there is no echo."""
     pressure_pa: float
     temperature_c: float
-    magnetometer: F64 | None
-    """(3,) magnetic field, tesla; None while the magnetometer is silent."""
+    magnetometer: tuple[float, float, float] | None
+    """Magnetic field, tesla; None while the magnetometer is silent."""
     battery_fraction: float
     motors_pwm: tuple[int, int, int, int]
     """0..255 of the front left, front right, rear right, rear left motor."""
@@ -116,18 +116,19 @@ class Sensors:
         """Return the readings of the newest step. Reading changes nothing."""
         v = self._vehicle
         sensors_read(v.params.address, v.state.address, self.params.address, self.state.address, self._read_at)
-        out = self._read.copy()
-        echo_m, pressure_pa, battery, front_left, front_right, rear_right, rear_left = out[14:].tolist()
+        numbers = self._read.tolist()
+        fx, fy, fz, p, q, r, roll, pitch, yaw, ahead, aside, mx, my, mz = numbers[:14]
+        echo_m, pressure_pa, battery, front_left, front_right, rear_right, rear_left = numbers[14:]
         return Readings(
             at,
-            out[0:3],
-            out[3:6],
-            out[6:9],
-            out[9:11],
+            (fx, fy, fz),
+            (p, q, r),
+            (roll, pitch, yaw),
+            (ahead, aside),
             None if echo_m != echo_m else echo_m,
             pressure_pa,
             BOARD_TEMPERATURE_C,
-            out[11:14],
+            (mx, my, mz),
             battery,
             (int(front_left), int(front_right), int(rear_right), int(rear_left)),
         )

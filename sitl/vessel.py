@@ -144,7 +144,8 @@ class Vessel:
         out = np.empty((self.batch, flat.size, _MOTION))
         for harmonics, moved in zip(self._harmonics, out, strict=True):
             vessel_moved(len(harmonics), address(harmonics, float), flat.size, address(flat, float), start_of(moved))
-        return Motion(*(part.reshape(self.batch, *t.shape, _MODES) for part in np.split(out, 3, axis=-1)))
+        whole = out.reshape(self.batch, *t.shape, _MOTION)
+        return Motion(whole[..., :_MODES], whole[..., _MODES : 2 * _MODES], whole[..., 2 * _MODES :])
 
     def origin(self, t: F64) -> tuple[F64, F64, F64, F64, Motion]:
         """Return the origin's position, velocity and acceleration in ned, the heading of the course, and the motion, (B, ...)."""

@@ -104,6 +104,7 @@ class World:
         """Phase of guidance if the flight's runner sets it, for faults that begin in a phase."""
         self.streams = VehicleStreams(self.faults, seed)
         """What becomes of samples, frames and commands, for the code that carries them."""
+        self._has_faults = bool(self.faults)
         self._faulty = FaultySensors(self.faults, seed)
         self._manoeuvre = Manoeuvre(self.vessel, scenario.vessel.speed_m_s, 0.0)
         self._contacts: list[Touchdown] = []
@@ -163,7 +164,7 @@ class World:
         while (left := (to - self.started) // STEP_NS - self._tick) > 0:
             if self._deck_next == self._deck_end:
                 self._move_deck()
-            if self.faults:
+            if self._has_faults:
                 self._tick += 1  # what begins acts from this step on
                 self._apply_faults()
                 self._run(1)
@@ -174,7 +175,7 @@ class World:
     def readings(self) -> Readings:
         """Return the sensors' readings of the newest step."""
         true = self._sensors.read(self.at)
-        return self._faulty.distorted(true) if self.faults else true
+        return self._faulty.distorted(true) if self._has_faults else true
 
     def render(self) -> RenderedFrame:
         """Return the bottom camera's frame; the newest step is the middle of its exposure."""

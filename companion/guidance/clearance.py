@@ -35,7 +35,9 @@ def rise_beyond_climb_m(knowledge: Knowledge) -> float:
 
 def _largest_sum_m(ahead: Forecast, climb_m_s: float, from_s: float) -> float:
     """Return the largest integral of the rate beyond `climb_m_s` over any part of the time from `from_s` on, m."""
-    horizons, beyond = _beyond(ahead, climb_m_s)
+    horizons, beyond, ever = _beyond(ahead, climb_m_s)
+    if not ever:
+        return 0.0
     largest_m = sum_m = 0.0
     for k in range(1, len(horizons)):
         span_s, before, after = horizons[k] - max(horizons[k - 1], from_s), beyond[k - 1], beyond[k]
@@ -50,8 +52,8 @@ def _largest_sum_m(ahead: Forecast, climb_m_s: float, from_s: float) -> float:
 
 
 @lru_cache(maxsize=4)
-def _beyond(ahead: Forecast, climb_m_s: float) -> tuple[list[float], list[float]]:
-    """Return times after the forecast, s, and the rate beyond `climb_m_s` there; a forecast serves some ten cycles."""
+def _beyond(ahead: Forecast, climb_m_s: float) -> tuple[list[float], list[float], bool]:
+    """Return times after the forecast, s, the rate beyond `climb_m_s` there, and whether it ever is; for some ten cycles."""
     horizons, rates = ahead.horizons_s.tolist(), ahead.rise_m_s.tolist()
     last, slope = rates[-1], (rates[-1] - rates[-2]) / (horizons[-1] - horizons[-2])
     beyond = [rate + _SIGMAS * sigma - climb_m_s for rate, sigma in zip(rates, ahead.sigma_rise_m_s.tolist(), strict=True)]
@@ -59,4 +61,4 @@ def _beyond(ahead: Forecast, climb_m_s: float) -> tuple[list[float], list[float]
         swell = last * math.cos(_SWELL_RAD_S * t) + slope / _SWELL_RAD_S * math.sin(_SWELL_RAD_S * t)
         horizons.append(horizons[len(rates) - 1] + t)
         beyond.append(swell + _SIGMAS * float(ahead.sigma_rise_m_s[-1]) - climb_m_s)
-    return horizons, beyond
+    return horizons, beyond, max(beyond) > 0.0

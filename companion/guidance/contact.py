@@ -44,10 +44,10 @@ class ContactWatch(Struct, frozen=True):
 
 def watched(watch: ContactWatch, imu: Imu) -> ContactWatch:
     """Return the memory after one IMU sample; `newest` is the newest contact."""
-    now, up = imu.stamp.measured_at, -float(imu.f_body[2])
-    if watch.at is None or not 0.0 < seconds_between(watch.at, now) <= MEAN_S:
+    now, up, before = imu.stamp.measured_at, -imu.f_body.item(2), watch.at
+    dt = 0.0 if before is None else seconds_between(before, now)
+    if not 0.0 < dt <= MEAN_S:
         return ContactWatch(now, up, newest=watch.newest)
-    dt = seconds_between(watch.at, now)
     push = up - watch.mean_m_s2
     if push <= LEAST_M_S2:
         mean = watch.mean_m_s2 + (1.0 - math.exp(-dt / MEAN_S)) * push

@@ -11,6 +11,7 @@ Source: Smeur, de Croon & Chu, Gust disturbance alleviation with incremental non
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
@@ -23,6 +24,7 @@ SIGMAS_P_M = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
 """Standard deviations of the place for which gains are kept, m."""
 
 
+_UP_TO_M = tuple(1.4 * sigma for sigma in SIGMAS_P_M)
 _Kept = TypeVar("_Kept")
 
 
@@ -78,10 +80,7 @@ def observer_gains(noise: ObserverNoise, period_s: float) -> tuple[ObserverGains
 
 def chosen(table: tuple[_Kept, ...], sigma_p_m: float) -> _Kept:
     """Return what is kept for a standard deviation of the place; the table has one entry for each of `SIGMAS_P_M`."""
-    for sigma, one in zip(SIGMAS_P_M, table, strict=True):
-        if sigma_p_m <= 1.4 * sigma:
-            return one
-    return table[-1]
+    return table[min(bisect_left(_UP_TO_M, sigma_p_m), len(table) - 1)]
 
 
 def observed(

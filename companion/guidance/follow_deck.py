@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
@@ -30,7 +29,7 @@ from companion.guidance.tuning import AS_GIVEN, SOFTER_LONGER_S, TiltTuning, Tun
 from companion.guidance.view import FieldOfView, lean_in_view
 from estimator.contracts.commands import Command, Hover, Lean
 from estimator.contracts.estimates import RelativeState
-from estimator.contracts.geometry import wrap_pi
+from estimator.contracts.geometry import fixed_pair, fixed_vector, wrap_pi
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -176,9 +175,12 @@ class FollowDeck:
         here = self._deck_ahead(deck, knowledge, 0.0)
         axes = self._axes(memory, now, relative, body, here, frame)
         v_down = (0.0 if deck is None else deck.v_level.item(2)) - relative.v_pad_level.item(2)
-        arrived = self._blended(memory, lambda choice: self._climbs(memory, choice)[-1])
+        if memory.share == 1.0:
+            arrived = self._climbs(memory, memory.tuning)[-1]
+        else:
+            arrived = self._blended(memory, lambda choice: self._climbs(memory, choice)[-1])
         pushed = climb_law.pushed(
-            memory.pushed_down_m_s2, float(body.a_level[2]), v_down, arrived, self.period_s, self.response.climb
+            memory.pushed_down_m_s2, body.a_level.item(2), v_down, arrived, self.period_s, self.response.climb
         )
         own = self._own(memory, now, axes, steers=target is not None) if self._over_ground else None
         turn = _deck_turn(memory, now, relative, body)
@@ -188,7 +190,10 @@ class FollowDeck:
         soon = self._blended(memory, self._slowness_s)
         then = self._deck_ahead(deck, knowledge, soon)
         forward, right, trim = self._lean(memory, relative, target, (here, then), frame)
-        down = self._blended(memory, lambda choice: self._down(memory, choice, relative, knowledge, target, v_down))
+        if memory.share == 1.0:
+            down = self._down(memory, memory.tuning, relative, knowledge, target, v_down)
+        else:
+            down = self._blended(memory, lambda choice: self._down(memory, choice, relative, knowledge, target, v_down))
         memory = self._noted(memory, frame.ned(forward, right), down)
         if own is not None:
             # A velocity loop of its own gets its own velocity, so that only its integral adds to the acceleration.
@@ -198,7 +203,7 @@ class FollowDeck:
         if deck is not None:
             v_deck = deck.v_level.tolist()
             along = v_deck[0] + soon * a[0] - v[0], v_deck[1] + soon * a[1] - v[1]
-        return memory, Lean(np.array(a), np.array(trim), np.array([*along, down]), _turn(relative, target, turn))
+        return memory, Lean(fixed_pair(*a), fixed_pair(*trim), fixed_vector(*along, down), _turn(relative, target, turn))
 
     def _own(
         self, memory: FollowDeckMemory, now: MonoNs, axes: tuple[TiltAxis, TiltAxis], *, steers: bool
@@ -223,18 +228,23 @@ class FollowDeck:
         """Observe: return the memory of both axes with this cycle's measurement."""
         d, v, a = relative.d_body_pad_level.tolist(), relative.v_pad_level.tolist(), body.a_level.tolist()
         roll_rate, pitch_rate, _ = body.w_body.tolist()
-        measured = (d, v, body.lean_m_s2, (-G_M_S2 * pitch_rate, G_M_S2 * roll_rate), a, here.a_m_s2)
-        of_north, of_east = zip(*[frame.ned(m[0], m[1]) for m in measured], strict=True)
-        north, east = AxisMeasured(*of_north), AxisMeasured(*of_east)
+        ned, lean = frame.ned, body.lean_m_s2
+        (pn, pe), (wn, we), (ln, le) = ned(d[0], d[1]), ned(v[0], v[1]), ned(lean[0], lean[1])
+        rn, re = ned(-G_M_S2 * pitch_rate, G_M_S2 * roll_rate)
+        (an, ae), (dn, de) = ned(a[0], a[1]), ned(here.a_m_s2[0], here.a_m_s2[1])
+        north, east = AxisMeasured(pn, wn, ln, rn, an, dn), AxisMeasured(pe, we, le, re, ae, de)
         dt = 0.0 if memory.at is None else seconds_between(memory.at, now)
         if memory.axes is None or not 0.0 < dt <= _GAP_MAX_S:
             x, y = (None, None) if memory.axes is None else memory.axes
             return begun(north, self._remembered, x), begun(east, self._remembered, y)
         gains = disturbance.chosen(self.observers, _sigma_m(relative))
-        tilt = self.response.tilt
+        tilt, newest = self.response.tilt, self._tuning(memory.tuning).under_way
 
         def after(axis: TiltAxis, z: AxisMeasured) -> TiltAxis:
-            arrived = self._blended(memory, lambda choice: axis.under_way[self._tuning(choice).under_way - 1])
+            arrived = axis.under_way[newest - 1]
+            if memory.share < 1.0:
+                earlier = axis.under_way[self._tuning(memory.tuning_before).under_way - 1]
+                arrived = memory.share * arrived + (1.0 - memory.share) * earlier
             return observed(axis, z, dt, gains, tilt, arrived)
 
         return after(memory.axes[0], north), after(memory.axes[1], east)
@@ -262,7 +272,7 @@ class FollowDeck:
         if memory.share < 1.0:
             before = _regulated(axes, self._tuning(memory.tuning_before).gains(sigma_m), far, target.speed_max_m_s, *ahead)
             u = tuple(memory.share * x + (1.0 - memory.share) * y for x, y in zip(u, before, strict=True))
-        trim = frame.level(*(reference(axes[k], 0.0) for k in range(2)))
+        trim = frame.level(reference(axes[0], 0.0), reference(axes[1], 0.0))
         forward, right = frame.level(*u)
         if self.view is not None:
             forward, right = lean_in_view(self.view, (forward, right), trim, relative.d_body_pad_level.tolist())
@@ -289,7 +299,7 @@ class FollowDeck:
         height_then = relative.height_m + then.moved_m[2] - way
         down = climb_law.climb_command(
             climb, v_then, pushed, then.v_m_s[2], then.a_m_s2[2],
-            height_then - float(target.d_body_pad_level[2]), target.descent_rate_m_s, target.vertical_rate_max_m_s,
+            height_then - target.d_body_pad_level.item(2), target.descent_rate_m_s, target.vertical_rate_max_m_s,
         )  # fmt: skip
         return min(climb.max_m_s, max(-climb.max_m_s, down))
 
@@ -314,7 +324,10 @@ def _regulated(
     # A place far off asks for no more than the speed that is allowed.
     size, reach = math.hypot(*far_m), speed_max_m_s * gains.w / gains.p
     shrink = reach / size if size > reach else 1.0
-    return tuple(command(axes[k], gains, shrink * far_m[k], a_deck[k], a_deck_then[k]) for k in range(2))
+    return (
+        command(axes[0], gains, shrink * far_m[0], a_deck[0], a_deck_then[0]),
+        command(axes[1], gains, shrink * far_m[1], a_deck[1], a_deck_then[1]),
+    )
 
 
 def _sigma_m(relative: RelativeState) -> float:
@@ -326,7 +339,7 @@ def _deck_turn(memory: FollowDeckMemory, now: MonoNs, relative: RelativeState, b
         return None
     dt = 0.0 if memory.at is None else seconds_between(memory.at, now)
     known = memory.turn if 0.0 < dt <= _GAP_MAX_S else None
-    return deck_turn.observed(known, relative.yaw_rad, float(body.w_body[2]), dt)
+    return deck_turn.observed(known, relative.yaw_rad, body.w_body.item(2), dt)
 
 
 def _turn(relative: RelativeState, target: Target, deck: DeckTurn | None) -> float:

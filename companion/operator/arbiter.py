@@ -31,6 +31,8 @@ _REPEAT_S = 0.5
 _CALL_OFF_S = 0.1
 """The time for which the end of a landing is repeated; sticks count after it."""
 _LIMIT_GAP_S = 1.0
+_SAMPLES_MOST = 64
+"""Number of samples from which on they are processed though no command needs the place."""
 BY_HAND, LANDING_FOR_PERSON = "flown by hand", "landing for the operator"
 """The phases in which a person commands."""
 
@@ -135,6 +137,8 @@ class OperatorArbiter:
         self._o = manual or ManualOptions()
         self._limits = limits or LimitOptions()
         self._place = PlaceMemory()
+        self._samples: list[Sample] = []
+        """Samples after `_place`."""
         self._limited = Limited()
         self._control = Control()
         self.on_order: Callable[[HandledOrder], None] = lambda handled: None
@@ -195,7 +199,14 @@ class OperatorArbiter:
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
         """Take samples of the vehicle, which the limits need."""
-        self._place = place_step(self._place, samples)
+        self._samples += samples
+        if len(self._samples) > _SAMPLES_MOST:
+            self._move()
+
+    def _move(self) -> None:
+        """Follow the vehicle's place through the samples that wait."""
+        self._place = place_step(self._place, self._samples)
+        self._samples.clear()
 
     def tick(self, now: MonoNs) -> None:
         """Follow the time and the vehicle's status; call it before each cycle of guidance."""
@@ -225,6 +236,7 @@ class OperatorArbiter:
         chosen, manual = self._choose(now, guided), self._control.hand is not None
         hit: tuple[Limit, ...] = ()
         if chosen.command is not None:
+            self._move()
             command, hit = limited(chosen.command, self._limits, self._place, belief, now, manual=manual)
             if command is not chosen.command:
                 chosen = replace(chosen, command=command)

@@ -184,11 +184,10 @@ _NAMED: dict[bytes, tuple[type[Any], list[str]]] = {
 }
 """The class of each command and the kinds of its arguments, by its name on the wire."""
 _START = b"AT*"
-_LINE_END = re.compile(rb"[\r\n]+")
 _COMMAND = re.compile(rb"AT\*([A-Z_]{2,16})=(\d{1,10})(?:,(.*))?", re.DOTALL)
 _ARGUMENTS = re.compile(rb'"[^"]*"|[^,"]*')
 _SINGLE, _BITS, _SIGNED_BITS = struct.Struct("<f"), struct.Struct("<I"), struct.Struct("<i")
-_INTEGER = re.compile(rb"-?\d{1,10}")
+_DIGITS_MOST = 10
 _CLEAN_TEXT = re.compile(r'[^"\x00-\x1f\x7f]*')
 
 
@@ -236,7 +235,7 @@ def decode(datagram: bytes) -> list[tuple[int, AtCommand] | Refusal]:
     A line feed ends a command as well as a carriage return. The bytes before the `AT*` of a good command make one refusal.
     """
     out: list[tuple[int, AtCommand] | Refusal] = []
-    *lines, rest = _LINE_END.split(datagram)
+    *lines, rest = datagram.replace(b"\n", b"\r").split(b"\r")
     for line in lines:
         if not line:
             continue
@@ -302,7 +301,8 @@ def _values(words: list[bytes], kinds: list[str]) -> list[Any] | None:
                 return None
             out.append(text)
             continue
-        if not _INTEGER.fullmatch(word) or not -(1 << 31) <= (number := int(word)) < 1 << 32:
+        digits = word[1:] if word.startswith(b"-") else word
+        if len(digits) > _DIGITS_MOST or not digits.isdigit() or not -(1 << 31) <= (number := int(word)) < 1 << 32:
             return None
         if kind != _FLOAT:
             out.append(number)

@@ -26,7 +26,19 @@ from drivers.ardrone.navdata import (
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vector
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
+from estimator.contracts.samples import (
+    UNKNOWN_VAR,
+    Baro,
+    BodyVelocity,
+    GeoFix,
+    Imu,
+    Range,
+    Sample,
+    VehicleStatus,
+    known_attitude,
+    known_imu,
+    known_velocity,
+)
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
 G_M_S2 = 9.80665
@@ -64,7 +76,7 @@ def _of_every_datagram(navdata: Navdata, stamp: Stamp, options: ArDroneOptions, 
         roll, pitch, yaw = demo.phi_mdeg, demo.theta_mdeg, demo.psi_mdeg
         if _finite((roll, pitch, yaw)):
             angles = math.radians(roll * 1e-3), math.radians(pitch * 1e-3), math.radians(yaw * 1e-3)
-            out.append(Attitude(stamp, Rotation.from_rpy(*angles), attitude_cov))
+            out.append(known_attitude(stamp, Rotation.from_rpy(*angles), attitude_cov))
         if _finite((demo.vx_mm_s, demo.vy_mm_s)):
             out.append(_velocity(demo, stamp, options))
     return out
@@ -137,7 +149,7 @@ def _imu(navdata: Navdata, stamp: Stamp) -> Imu | None:
     wx, wy, wz = measures.phys_gyros_deg_s
     fx, fy, fz = measures.phys_accs_mg
     w_body = fixed_vector(math.radians(wx), math.radians(wy), math.radians(wz))
-    return Imu(stamp, w_body, fixed_vector(fx * _M_S2_PER_MG, fy * _M_S2_PER_MG, fz * _M_S2_PER_MG))
+    return known_imu(stamp, w_body, fixed_vector(fx * _M_S2_PER_MG, fy * _M_S2_PER_MG, fz * _M_S2_PER_MG))
 
 
 def _velocity(demo: Demo, stamp: Stamp, options: ArDroneOptions) -> BodyVelocity:
@@ -145,7 +157,7 @@ def _velocity(demo: Demo, stamp: Stamp, options: ArDroneOptions) -> BodyVelocity
     ahead, aside = scale * demo.vx_mm_s, scale * demo.vy_mm_s
     var = options.sigma_velocity_m_s**2 + (options.sigma_velocity_fraction * min(math.hypot(ahead, aside), 1e6)) ** 2
     cov = fixed_matrix(var, 0.0, 0.0, 0.0, var, 0.0, 0.0, 0.0, UNKNOWN_VAR)
-    return BodyVelocity(stamp, fixed_vector(ahead, aside, 0.0), cov)
+    return known_velocity(stamp, fixed_vector(ahead, aside, 0.0), cov)
 
 
 def _range(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> Range | None:

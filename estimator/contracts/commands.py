@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import force_setattr
 
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, own_array
 
 
 class Velocity(Struct, frozen=True, eq=False):
@@ -48,16 +48,16 @@ class Lean(Struct, frozen=True, eq=False):
     """Clockwise from above positive."""
 
     def __post_init__(self) -> None:
-        a, trim, v = (np.array(x, dtype=float) for x in (self.a_level, self.trim_level, self.v_level))
+        a, trim, v = own_array(self.a_level), own_array(self.trim_level), own_array(self.v_level)
         whole = a.shape == trim.shape == (2,) and v.shape == (3,)
         if not whole or not all(map(math.isfinite, [*a.tolist(), *trim.tolist(), *v.tolist(), self.yaw_rate_rad_s])):
             raise ValueError(
                 "a lean command needs finite numbers of shapes (2,), (2,), (3,), (), "
                 f"got {self.a_level!r}, {self.trim_level!r}, {self.v_level!r}, {self.yaw_rate_rad_s!r}"
             )
-        for name, value in (("a_level", a), ("trim_level", trim), ("v_level", v)):
-            value.setflags(write=False)
-            force_setattr(self, name, value)
+        force_setattr(self, "a_level", a)
+        force_setattr(self, "trim_level", trim)
+        force_setattr(self, "v_level", v)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 F64 = NDArray[np.float64]
 _THRICE = 3.0 * np.eye(3)
-_THREE, _NINE = struct.Struct("3d"), struct.Struct("9d")
+DOUBLE = np.dtype(np.float64)
+_TWO, _THREE, _NINE = struct.Struct("2d"), struct.Struct("3d"), struct.Struct("9d")
 _new, _set = object.__new__, object.__setattr__
 
 
@@ -37,12 +38,33 @@ def skew(v: ArrayLike) -> F64:
 
 def fixed_vector(x: float, y: float, z: float) -> F64:
     """Return a read-only array, (3,), for samples that come hundreds of times a second. `np.array` takes three times as long."""
-    return np.ndarray((3,), np.float64, _THREE.pack(x, y, z))
+    return np.frombuffer(_THREE.pack(x, y, z))
+
+
+def fixed_pair(x: float, y: float) -> F64:
+    """Return a read-only array, (2,); as `fixed_vector`."""
+    return np.frombuffer(_TWO.pack(x, y))
 
 
 def fixed_matrix(*rows: float) -> F64:
     """Return a read-only array, (3, 3), of nine numbers, row by row; as `fixed_vector`."""
-    return np.ndarray((3, 3), np.float64, _NINE.pack(*rows))
+    return np.ndarray((3, 3), DOUBLE, _NINE.pack(*rows))
+
+
+def own_array(value: F64) -> F64:
+    """Return the numbers as a read-only array that nobody else can write to: the value itself if it is one, else a copy."""
+    if type(value) is np.ndarray and value.dtype is DOUBLE:
+        base: object = value.base
+        if type(base) is bytes:  # nobody can write to these
+            return value
+        if not value.flags.writeable:
+            while type(base) is np.ndarray and not base.flags.writeable:
+                base = base.base
+            if base is None or type(base) is bytes:
+                return value
+    a = np.array(value, dtype=float)
+    a.setflags(write=False)
+    return a
 
 
 def rpy_matrix(roll_rad: float, pitch_rad: float, yaw_rad: float) -> F64:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from collections.abc import Callable
+from typing import Literal, TypeVar
 
 import numpy as np
 from msgspec import Struct
@@ -11,32 +12,15 @@ from msgspec.structs import force_setattr
 from numpy.typing import NDArray
 
 from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.time import Stamp
+from estimator.contracts.geometry import DOUBLE, F64, Rotation, own_array
+from estimator.contracts.time import MonoNs, Stamp
 
 UNKNOWN_VAR = 1e6
 """Variance (SI units squared) of a direction that was not measured."""
 
 
-_DOUBLE = np.dtype(np.float64)
 _CHECKED: dict[str, F64] = {}
 """The newest read-only covariance that was found to be one, by name: a driver may give the same one with each of its samples."""
-
-
-def _own(value: F64) -> F64:
-    """Return the numbers as a read-only array that nobody else can write to: the value itself if it is one, else a copy."""
-    if type(value) is np.ndarray and value.dtype is _DOUBLE:
-        base: object = value.base
-        if type(base) is bytes:  # nobody can write to these
-            return value
-        if not value.flags.writeable:
-            while type(base) is np.ndarray and not base.flags.writeable:
-                base = base.base
-            if base is None or type(base) is bytes:
-                return value
-    a = np.array(value, dtype=float)
-    a.setflags(write=False)
-    return a
 
 
 def checked_vector(name: str, value: F64) -> F64:
@@ -45,7 +29,8 @@ def checked_vector(name: str, value: F64) -> F64:
     Raises:
         ValueError: it has another shape, or a number is not finite.
     """
-    a = _own(value)
+    base: object = value.base if type(value) is np.ndarray else None
+    a = value if type(base) is bytes and value.dtype is DOUBLE else own_array(value)
     # In plain numbers: there are hundreds of samples a second, and numpy's calls on a few numbers take ten times as long.
     if a.shape == (3,):
         x, y, z = a.tolist()
@@ -63,7 +48,7 @@ def checked_covariance(name: str, value: F64, n: int) -> F64:
     """
     if value is _CHECKED.get(name):
         return value
-    a = _own(value)
+    a = own_array(value)
     if a.shape != (n, n):
         raise ValueError(f"{name} needs finite numbers of shape ({n}, {n}), got {value!r}")
     numbers = a.ravel().tolist()
@@ -145,6 +130,41 @@ class BodyVelocity(Struct, frozen=True, eq=False):
             force_setattr(self, "v_level", own)
         if (own := checked_covariance("BodyVelocity.cov_level", cov_level, 3)) is not cov_level:
             force_setattr(self, "cov_level", own)
+
+
+_NO_STAMP, _ZEROS, _NO_COV = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim"), np.zeros(3), np.zeros((3, 3))
+_ANY_IMU = Imu(_NO_STAMP, _ZEROS, _ZEROS)
+_ANY_ATTITUDE = Attitude(_NO_STAMP, Rotation.identity(), _NO_COV)
+_ANY_VELOCITY = BodyVelocity(_NO_STAMP, _ZEROS, _NO_COV)
+_S = TypeVar("_S", bound=Struct)
+_copied: Callable[[_S], _S] = Struct.__copy__  # type: ignore[attr-defined]
+
+
+def known_imu(stamp: Stamp, w_body: F64, f_body: F64) -> Imu:
+    """Return a sample whose arrays the caller has checked: read-only and finite. Drivers make hundreds a second."""
+    made = _copied(_ANY_IMU)
+    force_setattr(made, "stamp", stamp)
+    force_setattr(made, "w_body", w_body)
+    force_setattr(made, "f_body", f_body)
+    return made
+
+
+def known_attitude(stamp: Stamp, R_ned_body: Rotation, cov_body: F64) -> Attitude:
+    """Return a sample whose covariance the caller has checked; as `known_imu`."""
+    made = _copied(_ANY_ATTITUDE)
+    force_setattr(made, "stamp", stamp)
+    force_setattr(made, "R_ned_body", R_ned_body)
+    force_setattr(made, "cov_body", cov_body)
+    return made
+
+
+def known_velocity(stamp: Stamp, v_level: F64, cov_level: F64) -> BodyVelocity:
+    """Return a sample whose velocity and covariance the caller has checked; as `known_imu`."""
+    made = _copied(_ANY_VELOCITY)
+    force_setattr(made, "stamp", stamp)
+    force_setattr(made, "v_level", v_level)
+    force_setattr(made, "cov_level", cov_level)
+    return made
 
 
 class Range(Struct, frozen=True):

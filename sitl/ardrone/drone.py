@@ -60,8 +60,7 @@ class Drone:
     @property
     def rpy_rad(self) -> tuple[float, float, float]:
         """The drone's own estimate of its attitude, rad."""
-        roll, pitch, yaw = self._readings.rpy_rad
-        return float(roll), float(pitch), float(yaw)
+        return self._readings.rpy_rad
 
     @property
     def measured_at(self) -> MonoNs:

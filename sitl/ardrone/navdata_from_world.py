@@ -69,6 +69,8 @@ class Options(Mapping[int, Any]):
     In virtual time nothing encodes them, and five of the 28 are read.
     """
 
+    __slots__ = ("_made", "_mask", "_situation")
+
     def __init__(self, situation: Situation, mask: int) -> None:
         self._situation = situation
         self._mask = mask
@@ -106,8 +108,8 @@ def _mdeg(angle_rad: float) -> float:
 
 
 def _demo(s: Situation) -> navdata.Demo:
-    roll, pitch, yaw = s.readings.rpy_rad.tolist()
-    vx, vy = s.readings.v_level_m_s.tolist()
+    roll, pitch, yaw = s.readings.rpy_rad
+    vx, vy = s.readings.v_level_m_s
     return navdata.Demo(
         ctrl_state=s.control_state,
         battery_percent=round(100 * s.readings.battery_fraction),
@@ -124,11 +126,11 @@ def _demo(s: Situation) -> navdata.Demo:
 
 def _raw_measures(s: Situation) -> navdata.RawMeasures:
     readings, echo = s.readings, s.readings.ultrasound_m
-    x, y, z = readings.f_body.tolist()
-    p, q, r = readings.w_body.tolist()
+    x, y, z = readings.f_body
+    p, q, r = readings.w_body
     return navdata.RawMeasures(
-        raw_accs=(_raw_acc(x), _raw_acc(-y), _raw_acc(-z)),
-        raw_gyros=(_raw_gyro(p), _raw_gyro(q), _raw_gyro(r)),
+        raw_accs=_counts(_raw_acc(x), _raw_acc(-y), _raw_acc(-z), 0, 4095),
+        raw_gyros=_counts(math.degrees(p) * 16.4, math.degrees(q) * 16.4, math.degrees(r) * 16.4, -(2**15), 2**15 - 1),
         vbat_raw_mv=round(10_772 + 1_828 * readings.battery_fraction),
         flag_echo_ini=1,
         nb_echo=0 if echo is None else 1,
@@ -137,17 +139,20 @@ def _raw_measures(s: Situation) -> navdata.RawMeasures:
     )
 
 
-def _raw_acc(f_m_s2: float) -> int:
-    return _clip(2048 + 0.512 * (1e3 * f_m_s2 / STANDARD_GRAVITY), 0, 4095)
+def _raw_acc(f_m_s2: float) -> float:
+    return 2048 + 0.512 * (1e3 * f_m_s2 / STANDARD_GRAVITY)
 
 
-def _raw_gyro(w_rad_s: float) -> int:
-    return _clip(math.degrees(w_rad_s) * 16.4, -(2**15), 2**15 - 1)
+def _counts(x: float, y: float, z: float, low: int, high: int) -> tuple[int, int, int]:
+    a, b, c = round(x), round(y), round(z)
+    if low <= a <= high and low <= b <= high and low <= c <= high:
+        return a, b, c
+    return _clip(x, low, high), _clip(y, low, high), _clip(z, low, high)
 
 
 def _phys_measures(s: Situation) -> navdata.PhysMeasures:
-    x, y, z = s.readings.f_body.tolist()
-    p, q, r = s.readings.w_body.tolist()
+    x, y, z = s.readings.f_body
+    p, q, r = s.readings.w_body
     return navdata.PhysMeasures(
         accs_temp_c=float(s.readings.temperature_c),
         gyro_temp=0,
@@ -157,7 +162,7 @@ def _phys_measures(s: Situation) -> navdata.PhysMeasures:
 
 
 def _euler_angles(s: Situation) -> navdata.EulerAngles:
-    x, y, z = (float(v) for v in s.readings.f_body)
+    x, y, z = s.readings.f_body
     return navdata.EulerAngles(_mdeg(math.atan2(x, math.hypot(y, z))), _mdeg(math.atan2(-y, -z)))
 
 
@@ -176,7 +181,7 @@ def _pwm(s: Situation) -> navdata.Pwm:
 
 def _altitude(s: Situation) -> navdata.Altitude:
     echo = s.readings.ultrasound_m
-    vx, vy = s.readings.v_level_m_s.tolist()
+    vx, vy = s.readings.v_level_m_s
     return navdata.Altitude(
         altitude_vision_mm=round(1e3 * s.altitude_m),
         altitude_raw_mm=0 if echo is None else round(1e3 * echo),
@@ -187,7 +192,7 @@ def _altitude(s: Situation) -> navdata.Altitude:
 
 def _vision(s: Situation) -> navdata.Vision:
     roll, pitch, yaw = s.shot.rpy_rad
-    vx, vy = (float(v) for v in s.readings.v_level_m_s)
+    vx, vy = s.readings.v_level_m_s
     return navdata.Vision(
         vision_state=2,
         theta_capture_rad=pitch,
@@ -217,7 +222,7 @@ def _pressure(s: Situation) -> navdata.PressureRaw:
 def _magneto(s: Situation) -> navdata.Magneto:
     if s.readings.magnetometer is None:
         return navdata.Magneto()
-    field_mg = tuple(float(v) / TESLA_PER_MILLIGAUSS for v in s.readings.magnetometer)
+    field_mg = tuple(v / TESLA_PER_MILLIGAUSS for v in s.readings.magnetometer)
     heading = math.degrees(s.readings.rpy_rad[2])
     mx, my, mz = (_clip(v / MILLIGAUSS_PER_COUNT, -(2**15), 2**15 - 1) for v in field_mg)
     return navdata.Magneto(

@@ -60,9 +60,13 @@ class TrueMotion:
         body = None
         if reported is not None:
             a = Z.dot(truth.a_body_ned) + SIGMA_ACCEL_M_S2 * standard[:3] + SIGMA_SAMPLE_M_S2 * self._rng.standard_normal(3)
+            a.setflags(write=False)
+            truth.w_body.setflags(write=False)
             body = BodyMotion(now, heading, a, _COV_ACCEL, truth.w_body, reported.R_ned_body, reported.cov_body)
         v = Z.dot(pad.v_ned + _SIGMA_DECK[:3] * standard[3:6])
         a = Z.dot(pad.a_ned + _SIGMA_DECK[3:] * standard[6:9])
+        v.setflags(write=False)
+        a.setflags(write=False)
         roll, pitch, _ = truth.R_ned_pad.rpy_rad
         off = (_SIGMA_TILT * standard[9:13]).tolist()
         roll_rate, pitch_rate, _ = pad.w.tolist()

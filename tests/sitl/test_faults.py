@@ -82,18 +82,43 @@ def changed(one: Readings, other: Readings) -> set[str]:
 
 
 READINGS: list[tuple[Fault, str, Callable[[Readings, Readings], Any], Any]] = [
-    (Accelerometer(at_s=0.5, axis="x", offset_m_s2=3.0), "f_body", lambda f, t: f.f_body - t.f_body, [3.0, 0.0, 0.0]),
-    (Accelerometer(at_s=0.5, axis="z", offset_m_s2=1e4), "f_body", lambda f, t: f.f_body - t.f_body, [0.0, 0.0, 1e4]),
-    (Gyro(at_s=0.5, axis="y", offset_deg_s=90.0), "w_body", lambda f, t: f.w_body - t.w_body, [0.0, math.pi / 2, 0.0]),
-    (AttitudeReading(at_s=0.5, roll_deg=8.0), "rpy_rad", lambda f, t: np.degrees(f.rpy_rad - t.rpy_rad), [8.0, 0.0, 0.0]),
-    (AttitudeReading(at_s=0.5, pitch_deg=-3.0), "rpy_rad", lambda f, t: np.degrees(f.rpy_rad - t.rpy_rad), [0.0, -3.0, 0.0]),
+    (Accelerometer(at_s=0.5, axis="x", offset_m_s2=3.0), "f_body", lambda f, t: np.subtract(f.f_body, t.f_body), [3.0, 0.0, 0.0]),
+    (Accelerometer(at_s=0.5, axis="z", offset_m_s2=1e4), "f_body", lambda f, t: np.subtract(f.f_body, t.f_body), [0.0, 0.0, 1e4]),
+    (
+        Gyro(at_s=0.5, axis="y", offset_deg_s=90.0),
+        "w_body",
+        lambda f, t: np.subtract(f.w_body, t.w_body),
+        [0.0, math.pi / 2, 0.0],
+    ),
+    (
+        AttitudeReading(at_s=0.5, roll_deg=8.0),
+        "rpy_rad",
+        lambda f, t: np.degrees(np.subtract(f.rpy_rad, t.rpy_rad)),
+        [8.0, 0.0, 0.0],
+    ),
+    (
+        AttitudeReading(at_s=0.5, pitch_deg=-3.0),
+        "rpy_rad",
+        lambda f, t: np.degrees(np.subtract(f.rpy_rad, t.rpy_rad)),
+        [0.0, -3.0, 0.0],
+    ),
     (Ultrasound(at_s=0.5, offset_m=-0.5), "ultrasound_m", lambda f, t: (f.ultrasound_m or 0) - (t.ultrasound_m or 9), -0.5),
     (Barometer(at_s=0.5, offset_pa=24.0), "pressure_pa", lambda f, t: f.pressure_pa - t.pressure_pa, 24.0),
-    (Accelerometer(at_s=0.5, drift_m_s3=2.0), "f_body", lambda f, t: f.f_body - t.f_body, [0.6, 0.6, 0.6]),
+    (Accelerometer(at_s=0.5, drift_m_s3=2.0), "f_body", lambda f, t: np.subtract(f.f_body, t.f_body), [0.6, 0.6, 0.6]),
     (Gyro(at_s=0.5, axis="z", scale=0.0), "w_body", lambda f, t: f.w_body[2], 0.0),
     (Accelerometer(at_s=0.5, limit_m_s2=1.0), "f_body", lambda f, t: f.f_body[2], -1.0),
-    (VelocityReading(at_s=0.5, axis="y", offset_m_s=1.5), "v_level_m_s", lambda f, t: f.v_level_m_s - t.v_level_m_s, [0.0, 1.5]),
-    (Magnetometer(at_s=0.5, axis="x", offset_ut=5.0), "magnetometer", lambda f, t: f.magnetometer - t.magnetometer, [5e-6, 0, 0]),
+    (
+        VelocityReading(at_s=0.5, axis="y", offset_m_s=1.5),
+        "v_level_m_s",
+        lambda f, t: np.subtract(f.v_level_m_s, t.v_level_m_s),
+        [0.0, 1.5],
+    ),
+    (
+        Magnetometer(at_s=0.5, axis="x", offset_ut=5.0),
+        "magnetometer",
+        lambda f, t: np.subtract(f.magnetometer, t.magnetometer),
+        [5e-6, 0, 0],
+    ),
     (Ultrasound(at_s=0.5, dropped_fraction=1.0), "ultrasound_m", lambda f, t: f.ultrasound_m is None, True),
     (Magnetometer(at_s=0.5, dropped_fraction=1.0), "magnetometer", lambda f, t: f.magnetometer is None, True),
     (LowBattery(at_s=0.5, fraction=0.05), "battery_fraction", lambda f, t: f.battery_fraction, 0.05),
@@ -117,7 +142,8 @@ def test_a_heading_offset_turns_the_compass_and_its_field_alike() -> None:
     assert math.degrees(faulty.rpy_rad[2] - true.rpy_rad[2]) % 360.0 == pytest.approx(75.0, abs=0.1)
     assert faulty.magnetometer is not None
     assert true.magnetometer is not None
-    turned = math.atan2(*true.magnetometer[[1, 0]]) - math.atan2(*faulty.magnetometer[[1, 0]])
+    (north, east, _), (faulty_north, faulty_east, _) = true.magnetometer, faulty.magnetometer
+    turned = math.atan2(east, north) - math.atan2(faulty_east, faulty_north)
     assert math.degrees(turned) % 360.0 == pytest.approx(75.0, abs=0.1)
     assert faulty.magnetometer[2] == true.magnetometer[2]
 

@@ -112,16 +112,18 @@ class PointMass:
     def readings(self) -> Readings:
         c, s = math.cos(self.rpy[2]), math.sin(self.rpy[2])
         R = Rotation.from_rpy(*self.rpy)
+        x, y, z = (R.inv @ np.array([0.0, 0.0, -G])).tolist()
+        roll, pitch, yaw = map(float, self.rpy)
         return Readings(
             at=self.now,
-            f_body=R.inv @ np.array([0.0, 0.0, -G]),
-            w_body=np.array([0.01, -0.02, 0.03]),
-            rpy_rad=np.array(self.rpy),
-            v_level_m_s=np.array([c * self.v[0] + s * self.v[1], c * self.v[1] - s * self.v[0]]),
+            f_body=(x, y, z),
+            w_body=(0.01, -0.02, 0.03),
+            rpy_rad=(roll, pitch, yaw),
+            v_level_m_s=(float(c * self.v[0] + s * self.v[1]), float(c * self.v[1] - s * self.v[0])),
             ultrasound_m=float(-self.p[2]) / (math.cos(self.rpy[0]) * math.cos(self.rpy[1])) if self.p[2] < -0.2 else None,
             pressure_pa=101_325.0 + 12.0 * float(self.p[2]),
             temperature_c=43.5,
-            magnetometer=np.array([210e-7, -15e-7, 430e-7]),
+            magnetometer=(210e-7, -15e-7, 430e-7),
             battery_fraction=0.5,
             motors_pwm=(170, 171, 172, 173) if self.phase is not VehiclePhase.LANDED else (0, 0, 0, 0),
         )
