@@ -20,6 +20,7 @@ from companion.operator.orders import OperatorOrder, OrderSender, OrderSource
 from companion.operator.wire import OrderRequest, SticksRequest, WatchRequest, line_of
 from companion.page.endpoint import PageEndpoint
 from companion.page.messages import DownloadRequest, DrawnNotice, LoginRequest, PageRequest, RecordingsRequest
+from companion.page.picture import video_quality
 from companion.page.recordings import Recordings
 from companion.page.report_maker import ReportMaker
 from companion.page.settings import PageSettings
@@ -28,6 +29,7 @@ from companion.page.viewer import PageViewer
 from companion.runtime.health import Health
 from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import Pilot
+from companion.video.frame_encoder import FrameEncoder
 from drivers.clock import SystemClock
 from estimator.contracts.ports import Clock
 from fuzz.target import SHARED_MEMORY, Choices, Target, block
@@ -100,6 +102,9 @@ class _Page:
 
     def count(self, what: str) -> None:
         assert what
+
+    def frame_encoder(self) -> FrameEncoder | None:
+        return FrameEncoder(video_quality(PageSettings()))
 
     def list_recordings(self, viewer: PageViewer) -> None:
         viewer.tell(self._recordings.listed())

@@ -11,9 +11,12 @@ import asyncio
 import logging
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 from aiohttp import WSMsgType, web
+from numpy.typing import NDArray
 
 from companion.config.secret_files import is_token
 from companion.guidance.advice import advice
@@ -33,10 +36,13 @@ from companion.page.messages import (
     PageHealth,
     PageState,
     PageWelcome,
+    PictureHeader,
+    PictureLine,
+    picture_message,
     request_in,
     text_of,
 )
-from companion.page.picture import AHEAD_S, picture
+from companion.page.picture import AHEAD_S, jpeg, picture_lines, video_quality
 from companion.page.recordings import Recordings
 from companion.page.report_maker import ReportMaker
 from companion.page.settings import PageSettings
@@ -50,6 +56,7 @@ from companion.runtime.health import Health
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.pilot import Pilot
 from companion.runtime.worker import Worker
+from companion.video.frame_encoder import FrameEncoder, codec_name
 from drivers.mailbox import Latest, Line
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.ports import Clock
@@ -99,6 +106,9 @@ class PageEndpoint(NullObserver):
         self.clock = clock
         self._health = health
         self._vehicle = vehicle
+        camera = pilot.camera
+        self._h264 = settings.picture_codec == "h264" and camera.width % 2 == camera.height % 2 == 0
+        self._video = video_quality(settings)
         self._token = token_of(settings)
         self._tls = server_context(settings)
         self._limits = limits or ConnectionLimits()
@@ -194,6 +204,10 @@ class PageEndpoint(NullObserver):
         answer = web.Response(body=asset.body, headers={"Content-Type": asset.content_type})
         answer.force_close()  # a connection's time is bounded, and an idle one holds no descriptor
         return answer
+
+    def frame_encoder(self) -> FrameEncoder | None:
+        """Return a new encoder of H.264; None where pictures are sent as JPEG."""
+        return FrameEncoder(self._video) if self._h264 else None
 
     def list_recordings(self, viewer: PageViewer) -> None:
         """Send this viewer the list of recordings soon."""
@@ -300,6 +314,7 @@ class PageEndpoint(NullObserver):
             you=str(viewer.sender),
             vehicle=self._vehicle,
             camera_px=(camera.width, camera.height),
+            h264=self._h264,
             pad_lines_m=tuple(tuple((float(x), float(y)) for x, y, _ in line) for line in pad.borders()),
             pad_radius_m=pad.disc_radius_m,
         )
@@ -347,17 +362,42 @@ class PageEndpoint(NullObserver):
             belief, ahead = self.pilot.believed(exposed), self.pilot.forecast(exposed, AHEAD_S)
             lean = camera_lean(processed, belief) or lean
             number += 1
-            message = await worker.run(
-                picture, number, processed, belief, ahead, lean, self.pilot.camera, self.pilot.pad, self._settings.jpeg_quality
-            )
-            for viewer in self._viewers:
-                viewer.show(number, exposed, message)
+            ready = [viewer for viewer in self._viewers if viewer.ready]
+            self._counts["pictures_skipped"] += len(self._viewers) - len(ready)
+            encoders = {viewer.encoder for viewer in ready}
+            lines = await worker.run(picture_lines, processed, belief, ahead, lean, self.pilot.camera, self.pilot.pad)
+            messages = await worker.run(_messages, number, processed, lines, encoders, self._settings.jpeg_quality)
+            for viewer in ready:
+                # Nothing for one that has asked for another codec meanwhile: the next picture is for it.
+                if viewer.encoder in messages:
+                    viewer.show(number, exposed, messages[viewer.encoder])
 
     def _tell(self, at: MonoNs, level: Level, text: str, todo: str = "") -> None:
         event = PageEvent(at_s=seconds_between(self._began, at), level=level, text=text, advice=todo)
         self._events.append(event)
         for viewer in self._viewers:
             viewer.tell(event)
+
+
+def _encoded(image: NDArray[np.uint8], encoder: FrameEncoder | None, quality: int) -> tuple[str, bytes]:
+    """Return codec and bytes of a picture; JPEG of one that H.264 does not take, as one of odd size."""
+    if encoder is not None:
+        with suppress(ValueError):
+            unit = encoder.encoded(image)
+            return codec_name(unit) or "", unit
+    return "jpeg", jpeg(image, quality)
+
+
+def _messages(
+    number: int, processed: ProcessedFrame, lines: tuple[PictureLine, ...], encoders: set[FrameEncoder | None], quality: int
+) -> dict[FrameEncoder | None, bytes]:
+    """Return a picture's message by each encoder; None stands for JPEG."""
+    messages = {}
+    for encoder in encoders:
+        codec, image = _encoded(processed.frame.px, encoder, quality)
+        header = PictureHeader(number=number, verdict=processed.verdict.value, codec=codec, lines=lines)
+        messages[encoder] = picture_message(header, image)
+    return messages
 
 
 async def _secured(request: web.Request, answer: web.StreamResponse) -> None:

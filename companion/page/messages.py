@@ -32,6 +32,12 @@ class DrawnNotice(Struct, frozen=True, kw_only=True, tag_field="kind", tag="draw
     number: Annotated[int, Meta(ge=0, le=1 << 53)]
 
 
+class PictureRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="picture", forbid_unknown_fields=True):
+    """Send pictures so from now on; H.264 begins anew with a key frame."""
+
+    codec: Literal["jpeg", "h264"]
+
+
 class RecordingsRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="recordings", forbid_unknown_fields=True):
     """Which recordings are there? It is answered by a `RecordingList`."""
 
@@ -49,7 +55,15 @@ class ReportRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="re
 
 
 PageRequest = (
-    LoginRequest | OrderRequest | SticksRequest | DrawnNotice | RecordingsRequest | DownloadRequest | ReportRequest | ToolRequest
+    LoginRequest
+    | OrderRequest
+    | SticksRequest
+    | DrawnNotice
+    | PictureRequest
+    | RecordingsRequest
+    | DownloadRequest
+    | ReportRequest
+    | ToolRequest
 )
 
 
@@ -60,6 +74,8 @@ class PageWelcome(Struct, frozen=True, kw_only=True, tag_field="kind", tag="welc
     """This browser as a sender of orders."""
     vehicle: str
     camera_px: tuple[int, int]
+    h264: bool
+    """Whether pictures are sent as H.264 to whoever asks for it."""
     pad_lines_m: tuple[tuple[tuple[float, float], ...], ...]
     """The pad's drawing: lines of points along the arrow and to starboard of it, metres."""
     pad_radius_m: float
@@ -173,6 +189,8 @@ class PictureHeader(Struct, frozen=True, kw_only=True):
 
     number: int
     verdict: str
+    codec: str
+    """ "jpeg", "avc1.PPCCLL" of a key frame of H.264, or "" of a frame that follows one."""
     lines: tuple[PictureLine, ...]
 
 
@@ -199,7 +217,7 @@ def text_of(message: ToPage) -> str:
     return _encode(message).decode()
 
 
-def picture_message(header: PictureHeader, jpeg: bytes) -> bytes:
-    """Return a picture's message: the header's length as a little-endian u32, the header as JSON, the JPEG."""
+def picture_message(header: PictureHeader, image: bytes) -> bytes:
+    """Return a picture's message: the header's length as a little-endian u32, the header as JSON, the encoded image."""
     said = _encode(header)
-    return struct.pack("<I", len(said)) + said + jpeg
+    return struct.pack("<I", len(said)) + said + image

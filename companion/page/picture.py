@@ -1,4 +1,4 @@
-"""The live picture: a frame as JPEG, and as lines what the estimate says of it. Pure; the page draws the lines itself.
+"""The live picture: what the estimate says of a frame, as lines that the page draws itself, and the frame as JPEG. Pure.
 
 Lines instead of painted pixels stay sharp on any screen, can be switched off, and cost the drone's computer no drawing.
 """
@@ -10,10 +10,13 @@ from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from companion.page.messages import PictureHeader, PictureLine, picture_message
+from companion.page.messages import PictureLine
+from companion.page.settings import PageSettings
 from companion.report.overlay import pad_lines
 from companion.runtime.observer import ProcessedFrame
+from companion.video.frame_encoder import VideoQuality
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.ekf import Forecast
@@ -28,32 +31,34 @@ _FAR_PX = 4000.0
 _CIRCLE = np.linspace(0.0, math.tau, 36, endpoint=True)
 
 
-def picture(
-    number: int,
-    processed: ProcessedFrame,
-    belief: RelativeState | None,
-    ahead: Forecast | None,
-    lean: Rotation,
-    camera: Camera,
-    pad: Pad,
-    quality: int,
-) -> bytes:
-    """Return the binary message of a picture.
+def video_quality(settings: PageSettings) -> VideoQuality:
+    """Return what the encoder of one browser's pictures is asked for: little work, and a key frame only where it begins."""
+    return VideoQuality(crf=26, key_each=300, preset="ultrafast", kbit_s=settings.bitrate_kbit_s)
+
+
+def jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
+    """Return a picture as JPEG.
+
+    Raises:
+        ValueError: it cannot be encoded.
+    """
+    done, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not done:
+        raise ValueError(f"a frame of {image.shape} cannot be encoded as JPEG")
+    return encoded.tobytes()
+
+
+def picture_lines(
+    processed: ProcessedFrame, belief: RelativeState | None, ahead: Forecast | None, lean: Rotation, camera: Camera, pad: Pad
+) -> tuple[PictureLine, ...]:
+    """Return what is drawn over a picture.
 
     Args:
         belief: the estimate at the exposure.
         ahead: the deck after the exposure.
         lean: see `camera_lean`.
-        quality: of the JPEG, 1 to 100.
-
-    Raises:
-        ValueError: the image cannot be encoded.
     """
-    done, jpeg = cv2.imencode(".jpg", processed.frame.px, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    if not done:
-        raise ValueError(f"a frame of {processed.frame.px.shape} cannot be encoded as JPEG")
-    lines = tuple(_lines(processed, belief, ahead, lean, camera, pad))
-    return picture_message(PictureHeader(number=number, verdict=processed.verdict.value, lines=lines), jpeg.tobytes())
+    return tuple(_lines(processed, belief, ahead, lean, camera, pad))
 
 
 def _lines(

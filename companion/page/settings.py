@@ -38,7 +38,14 @@ class PageSettings(Struct, frozen=True, forbid_unknown_fields=True):
     key_file: Annotated[str, text("file with the private key of the certificate (PEM)", 4096, shortest=0)] = ""
     viewers_max: Annotated[int, number("browsers that may watch at a time", "1", 1, 16)] = 4
     picture_rate_hz: Annotated[float, number("largest rate of the live picture", "Hz", 1.0, 60.0)] = 15.0
-    jpeg_quality: Annotated[int, number("JPEG quality of the live picture", "1", 10, 95)] = 70
+    picture_codec: Annotated[
+        Literal["h264", "jpeg"],
+        choice("how the live picture is sent; a browser that cannot decode H.264 gets JPEG, and so does a camera of odd size"),
+    ] = "h264"
+    bitrate_kbit_s: Annotated[
+        int, number("largest rate of the live picture as H.264, if it had 30 pictures a second", "kbit/s", 100, 20_000)
+    ] = 2000
+    jpeg_quality: Annotated[int, number("quality of the live picture as JPEG", "1", 10, 95)] = 70
 
     def __post_init__(self) -> None:
         if self.endpoint == "off":

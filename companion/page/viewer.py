@@ -20,6 +20,7 @@ from companion.page.messages import (
     DrawnNotice,
     LoginRequest,
     PageState,
+    PictureRequest,
     RecordingsRequest,
     ReportRequest,
     ToPage,
@@ -28,6 +29,7 @@ from companion.page.messages import (
 )
 from companion.page.tool_messages import ToolRequest
 from companion.runtime.pilot import Pilot
+from companion.video.frame_encoder import FrameEncoder
 from drivers.mailbox import Latest, Line
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
@@ -51,6 +53,8 @@ class Served(Protocol):
     clock: Clock
 
     def count(self, what: str) -> None: ...
+
+    def frame_encoder(self) -> FrameEncoder | None: ...
 
     def list_recordings(self, viewer: PageViewer) -> None: ...
 
@@ -78,6 +82,8 @@ class PageViewer:
         self._flying: dict[int, MonoNs] = {}
         """The exposure of each picture that is on its way, by its number."""
         self._recent: deque[MonoNs] = deque(maxlen=_REQUESTS_EACH_S)
+        self.encoder: FrameEncoder | None = None
+        """Makes H.264 for this browser alone, which may skip pictures that others get; None while it gets JPEG."""
         self.picture_delay_s: float | None = None
         """From the newest drawn picture's exposure until the browser said that it is drawn, s."""
 
@@ -87,10 +93,7 @@ class PageViewer:
         return len(self._flying) < _IN_FLIGHT
 
     def show(self, number: int, exposed: MonoNs, message: bytes) -> None:
-        """Send a picture, unless too many are on their way."""
-        if not self.ready:
-            self._served.count("pictures_skipped")
-            return
+        """Send a picture; only if the viewer is ready."""
         self._flying[number] = exposed
         self._served.count("pictures")
         self._pictures.offer(message)
@@ -154,6 +157,10 @@ class PageViewer:
                 self._served.pilot.operator.move(self.sender, request.positions, now)
             case DrawnNotice():
                 self._drawn(request.number, now)
+            case PictureRequest():
+                # A frame that is lost to the browser's decoder would be missing in all that follow: it asks anew.
+                self.encoder = self._served.frame_encoder() if request.codec == "h264" else None
+                self._flying.clear()
             case RecordingsRequest():
                 self._served.list_recordings(self)
             case DownloadRequest():

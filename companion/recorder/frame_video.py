@@ -1,4 +1,4 @@
-"""The camera's frames as H.264, one access unit a frame: about a twentieth of the bytes of JPEG.
+"""The camera's frames as H.264 in a recording.
 
 Each frame is encoded from those before it back to the last key frame, so whoever wants one decodes these as well. Frames are
 mostly wanted in order, and then each is decoded once.
@@ -7,64 +7,24 @@ mostly wanted in order, and then each is decoded once.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from fractions import Fraction
 
 import av
 import numpy as np
 from av.video.codeccontext import VideoCodecContext
 from numpy.typing import NDArray
 
-from companion.video.timed_frames import prepare, yuv_frame
+from companion.video.frame_encoder import VideoQuality, is_key_frame
 
 U8 = NDArray[np.uint8]
 
 KEY_EACH = 30
 """Frames from one key frame to the next: what a viewer decodes for a seek, and what a damaged frame spoils at most."""
 _CRF = 26
-"""x264's quality. At 20 most of the bytes are the sensor's noise: five times as many, for a heading that a replay measures 0.1
+"""At 20 most of the bytes are the sensor's noise: five times as many, for a heading that a replay measures 0.1
 degrees better at 95 %."""
 _PIXELS_MAX = 1 << 24
 """A file that claims larger frames than any camera here gets no memory for them."""
-_START = b"\x00\x00\x01"
-_IDR = 5
-
-
-class FrameEncoder:
-    """Encodes frames of one size in order. It begins with a key frame, and again where the size changes."""
-
-    def __init__(self) -> None:
-        self._codec: VideoCodecContext | None = None
-        self._size = (0, 0)
-        self._count = 0
-
-    def encoded(self, image: U8) -> bytes:
-        """Return a (H, W, 3) BGR frame as one access unit (Annex B), with all that decoding it needs if it is a key frame.
-
-        Raises:
-            ValueError: a width or height that is odd, or the encoder refuses the frame.
-        """
-        height, width = image.shape[:2]
-        if width % 2 or height % 2:
-            raise ValueError(f"H.264 needs an even width and height, got {width}x{height} px")
-        if self._codec is None or self._size != (width, height):
-            self._codec, self._size = _encoder(width, height), (width, height)
-        frame = yuv_frame(image)
-        frame.pts = self._count
-        self._count += 1
-        try:
-            return b"".join(bytes(packet) for packet in self._codec.encode(frame))
-        except av.FFmpegError as why:
-            raise ValueError(f"cannot encode a frame as H.264: {why}") from why
-
-
-def _encoder(width: int, height: int) -> VideoCodecContext:
-    codec = av.CodecContext.create("libx264", "w")
-    prepare(codec, (width, height))
-    codec.framerate = Fraction(30)
-    # Without lookahead each frame comes out at once, and none refers to a later one.
-    codec.options = {"preset": "superfast", "tune": "zerolatency", "crf": str(_CRF), "g": str(KEY_EACH), "sc_threshold": "0"}
-    codec.thread_count = 1
-    return codec
+RECORDED = VideoQuality(_CRF, KEY_EACH)
 
 
 @dataclass(slots=True, eq=False)
@@ -111,16 +71,6 @@ class FrameSequence:
             return None
         self._group.packets.append(data)
         return VideoImage(self._group, len(self._group.packets) - 1)
-
-
-def is_key_frame(data: bytes) -> bool:
-    """Return whether an access unit (Annex B) begins a group of frames."""
-    at = data.find(_START)
-    while 0 <= at < len(data) - 3:
-        if data[at + 3] & 31 == _IDR:
-            return True
-        at = data.find(_START, at + 3)
-    return False
 
 
 def _decoder() -> VideoCodecContext:

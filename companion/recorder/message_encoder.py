@@ -13,10 +13,11 @@ from companion.operator.orders import HandledOrder
 from companion.recorder import channels, encode
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
-from companion.recorder.frame_video import FrameEncoder
+from companion.recorder.frame_video import RECORDED
 from companion.recorder.options import FrameForm
 from companion.recorder.scene import error_ellipsoid, fixed_scene
 from companion.runtime.observer import Decision, ProcessedFrame
+from companion.video.frame_encoder import FrameEncoder
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, VehicleStatus, VesselReport
@@ -51,7 +52,7 @@ class MessageEncoder:
         self._phase: str | None = None
         self._turned: MonoNs | None = None
         self._repeated: MonoNs | None = None
-        self._video = FrameEncoder()
+        self._video = FrameEncoder(RECORDED)
         self._drawn: MonoNs | None = None
 
     def preamble(self, at: MonoNs) -> Iterator[Message]:

@@ -11,12 +11,13 @@ import msgspec
 
 from companion.recorder import channels, encode
 from companion.recorder import foxglove as fox
-from companion.recorder.frame_video import FrameEncoder, VideoImage
+from companion.recorder.frame_video import RECORDED, VideoImage
 from companion.recorder.mcap_file import About, Attachment, McapFile
 from companion.recorder.message_encoder import MessageEncoder
 from companion.recorder.reading import Event, RecordedFrame, Recording, instant
 from companion.recorder.records import DetectionRecord, FusionRecord, HealthRecord, LinkRecord, TruthRecord
 from companion.runtime.observer import Decision
+from companion.video.frame_encoder import FrameEncoder
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method
 from estimator.contracts.samples import VehicleStatus
@@ -67,7 +68,7 @@ def _copy(recording: Recording, file: McapFile, message_encoder: MessageEncoder,
     first: MonoNs | None = None
     met: Counter[str] = Counter()
     n = 0
-    video = FrameEncoder()
+    video = FrameEncoder(RECORDED)
     for event in recording.events():
         at = instant(event)
         if first is None:

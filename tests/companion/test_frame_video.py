@@ -12,8 +12,9 @@ import pytest
 from mcap.reader import make_reader
 
 from companion.cli import main as cli
-from companion.recorder.frame_video import KEY_EACH, FrameEncoder, FrameSequence, is_key_frame
+from companion.recorder.frame_video import KEY_EACH, RECORDED, FrameSequence
 from companion.recorder.reading import RecordedFrame, Recording, open_recording
+from companion.video.frame_encoder import FrameEncoder, is_key_frame
 from tests.support.recorded_flight import record_to
 
 
@@ -30,7 +31,7 @@ def moving(n: int) -> list[np.ndarray]:
 
 def test_any_frame_can_be_asked_for_and_looks_as_it_was() -> None:
     images = moving(40)
-    encoder, sequence = FrameEncoder(), FrameSequence()
+    encoder, sequence = FrameEncoder(RECORDED), FrameSequence()
     units = [encoder.encoded(image) for image in images]
     assert [k for k, unit in enumerate(units) if is_key_frame(unit)] == [0, KEY_EACH]
     frames = [sequence.add(unit) for unit in units]
@@ -44,7 +45,7 @@ def test_any_frame_can_be_asked_for_and_looks_as_it_was() -> None:
 
 
 def test_what_is_missing_or_damaged_gives_no_frame_until_the_next_key_frame() -> None:
-    encoder, sequence = FrameEncoder(), FrameSequence()
+    encoder, sequence = FrameEncoder(RECORDED), FrameSequence()
     units = [encoder.encoded(image) for image in moving(KEY_EACH + 5)]
     assert sequence.add(units[5]) is None, "nothing before the first key frame"
     for junk in (b"", b"\0" * 40, b"\0\0\1", b"\0\0\1\x65" + bytes(range(200))):
@@ -58,7 +59,7 @@ def test_what_is_missing_or_damaged_gives_no_frame_until_the_next_key_frame() ->
 
 
 def test_an_odd_size_is_refused_and_a_changed_size_begins_anew() -> None:
-    encoder = FrameEncoder()
+    encoder = FrameEncoder(RECORDED)
     with pytest.raises(ValueError, match="even width and height, got 127x96 px"):
         encoder.encoded(np.zeros((96, 127, 3), np.uint8))
     assert is_key_frame(encoder.encoded(np.zeros((96, 128, 3), np.uint8)))

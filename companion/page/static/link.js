@@ -56,7 +56,7 @@ export class Link {
     if (data instanceof ArrayBuffer) {
       const length = new DataView(data).getUint32(0, true);
       const header = JSON.parse(this.#decoder.decode(new Uint8Array(data, 4, length)));
-      this.#handlers.get("picture")?.(header, new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" }));
+      this.#handlers.get("picture")?.(header, new Uint8Array(data, 4 + length));
       return;
     }
     const message = JSON.parse(data);

@@ -36,7 +36,7 @@ if (given !== null) {
 
 const link = new Link();
 const orders = new Orders(link);
-const picture = new Picture($("picture"), $("picture-note"), (number) => link.send({ kind: "drawn", number }));
+const picture = new Picture($("picture"), $("picture-note"), (message) => link.send(message));
 const sticks = new Sticks(link, orders, $("sticks"), $("by-hand"), $("hand-note"));
 const plots = new Plots();
 new RecordingsList(link);
@@ -70,6 +70,7 @@ link.on("welcome", (message) => {
   telling.welcome(message);
   telling.chip($("link"), "info", "live");
   picture.camera(...message.camera_px);
+  picture.begin(message.h264);
   for (const view of views) view.pad(message);
   orders.enable(true);
   settings.back();
@@ -84,7 +85,7 @@ link.on("state", (message) => {
 link.on("health", telling.health);
 link.on("event", telling.event);
 link.on("answer", (message) => orders.answered(message));
-link.on("picture", (header, jpeg) => picture.show(header, jpeg));
+link.on("picture", (header, image) => picture.show(header, image));
 link.onLost = (why) => {
   telling.chip($("link"), "fault", "lost");
   orders.enable(false);

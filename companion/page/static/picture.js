@@ -1,4 +1,6 @@
 // The live picture with the estimate's lines over it. A picture is drawn as soon as it is decoded, and the service is told so.
+import { VideoPictures } from "./video.js";
+
 const INK = { pad: "#f0e442", seen: "#cc79a7", sigma: "#ff6f3c", ahead: "#56b4e9" };
 const DASH = { sigma: [4, 3], ahead: [6, 4] };
 const OLD_MS = 1000;
@@ -6,16 +8,21 @@ const OLD_MS = 1000;
 export class Picture {
   #canvas;
   #note;
-  #drawn;
+  #send;
+  #video;
   #newest = null;
   #at = null;
   #lines = true;
   #camera = [640, 360];
 
-  constructor(canvas, note, drawn) {
+  constructor(canvas, note, send) {
     this.#canvas = canvas;
     this.#note = note;
-    this.#drawn = drawn;
+    this.#send = send;
+    this.#video = new VideoPictures(
+      (header, frame) => this.#take(header, frame),
+      (codec) => send({ kind: "picture", codec }),
+    );
     new ResizeObserver(() => this.#draw()).observe(canvas);
     setInterval(() => this.#age(), 250);
   }
@@ -35,17 +42,38 @@ export class Picture {
     this.#age();
   }
 
-  async show(header, jpeg) {
+  // A new connection: the service sends JPEG until it is asked for H.264.
+  begin(h264) {
+    this.#video.begin(h264);
+  }
+
+  async show(header, image) {
+    if (header.codec !== "jpeg") {
+      this.#video.decode(header, image);
+      return;
+    }
     try {
-      const bitmap = await createImageBitmap(jpeg);
-      this.#newest?.bitmap.close();
-      this.#newest = { bitmap, header };
-      this.#at = performance.now();
+      this.#take(header, await createImageBitmap(new Blob([image], { type: "image/jpeg" })));
+    } catch {
+      this.#drawn(header);
+    }
+  }
+
+  #take(header, bitmap) {
+    this.#newest?.bitmap.close();
+    this.#newest = { bitmap, header };
+    this.#at = performance.now();
+    this.#canvas.dataset.codec = header.codec === "jpeg" ? "jpeg" : "h264";
+    try {
       this.#draw();
       this.#age();
     } finally {
-      this.#drawn(header.number);
+      this.#drawn(header);
     }
+  }
+
+  #drawn(header) {
+    this.#send({ kind: "drawn", number: header.number });
   }
 
   #age() {

@@ -26,7 +26,6 @@ from companion.config.settings import from_mapping
 from companion.live import feed, protocol, viewer
 from companion.live.part import FoxgloveEndpoint
 from companion.live.settings import FoxgloveSettings
-from companion.recorder.frame_video import is_key_frame
 from companion.recorder.recorder import Recorder
 from companion.recorder.setup import about, recorder_to_file
 from companion.runtime.connection_limits import ConnectionLimits
@@ -34,6 +33,7 @@ from companion.runtime.health import Health
 from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import Observer
 from companion.runtime.worker import Worker
+from companion.video.frame_encoder import is_key_frame
 from drivers.clock import SystemClock
 from sitl.flight import Flight
 from sitl.scenario import load as load_scenario

@@ -84,6 +84,31 @@ async def window(browser: Any, service: PageService, token: str = TOKEN, **optio
     await context.close()
 
 
+BROKEN_DECODER = """
+globalThis.VideoDecoder = class {
+  static async isConfigSupported() { return { supported: true }; }
+  state = "configured";
+  configure() {}
+  close() { this.state = "closed"; }
+  decode() { throw new Error("no picture of mine"); }
+};
+"""
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("script", ["delete globalThis.VideoDecoder", BROKEN_DECODER], ids=["none", "broken"])
+async def test_a_browser_that_cannot_decode_video_is_shown_jpeg(tmp_path: Path, script: str) -> None:
+    async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service, token="") as one:
+        await one.page.add_init_script(script)
+        await one.page.goto("about:blank")
+        await one.page.goto(f"{service.address}/#token={TOKEN}")
+        await playwright.expect(one.page.locator("#picture")).to_have_attribute("data-codec", "jpeg", timeout=WAIT_MS)
+        before = service.page.counted()["pictures"]
+        await until(lambda: service.page.counted()["pictures"] > before + 6)
+        assert service.page._viewers[0].encoder is None
+        assert one.faults == []
+
+
 @pytest.mark.timeout(500)
 async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -> None:
     async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service) as one:
@@ -93,6 +118,7 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
             "document.querySelector('#picture').width > 300 && document.querySelector('#picture-note').hidden"
         )
         await one.shows("delay", "ms")
+        assert await one.page.get_attribute("#picture", "data-codec") == "h264"
         assert "accepted" in await one.press("begin")
         assert (await one.press("takeoff")).endswith("refused: the vehicle flies already")
         async with window(browser, service) as two:

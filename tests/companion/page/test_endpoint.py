@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 
 import aiohttp
+import av
 import cv2
 import numpy as np
 import pytest
@@ -63,6 +64,47 @@ async def test_pictures_come_one_after_the_other_and_wait_for_the_browser(tmp_pa
         newer = await browser.read("picture")
         assert newer["number"] > first["number"] + 1
         await until(lambda: service.page._viewers[0].picture_delay_s is not None)
+
+
+async def test_each_browser_gets_the_pictures_that_it_can_decode(tmp_path: Path) -> None:
+    async with serving(tmp_path, picture_rate_hz=60.0) as service, browsing(service) as old, browsing(service) as new:
+        assert (await new.read("welcome"))["h264"]
+        await new.send(kind="picture", codec="h264")
+        decoder = av.CodecContext.create("h264", "r")
+        units: list[tuple[str, bytes]] = []
+        while len(units) < 6:
+            header = await new.read("picture")
+            await new.send(kind="drawn", number=header["number"])
+            if header["codec"] != "jpeg":
+                units.append((header["codec"], new.pictures[-1][1]))
+        assert re.fullmatch("avc1.42[0-9a-f]{4}", units[0][0]), "baseline, which every browser decodes"
+        assert [codec for codec, _ in units[1:]] == [""] * 5
+        assert sum(len(unit) for _, unit in units[1:]) < len(units[0][1]), "only what changes is sent"
+        shown = [frame.to_ndarray(format="bgr24") for _, unit in units for frame in decoder.decode(av.Packet(unit))]
+        shown += [frame.to_ndarray(format="bgr24") for frame in decoder.decode(None)]
+        assert len(shown) == 6
+        assert np.abs(shown[-1].astype(int) - 90).max() < 6
+        assert (await old.read("picture"))["codec"] == "jpeg"
+        # Its decoder has failed with both pictures on their way: it begins anew, and nothing waits for them.
+        await until(lambda: not service.page._viewers[1].ready)
+        await new.send(kind="picture", codec="h264")
+        while (await new.read("picture"))["codec"] in ("", "jpeg"):
+            pass
+
+
+async def test_a_camera_of_odd_size_is_shown_as_jpeg(tmp_path: Path) -> None:
+    async with serving(tmp_path, picture_rate_hz=60.0) as service, browsing(service) as browser:
+        service.px = np.full((361, 641, 3), 90, np.uint8)
+        await browser.send(kind="picture", codec="h264")
+        for _ in range(4):
+            header = await browser.read("picture")
+            await browser.send(kind="drawn", number=header["number"])
+        image = cv2.imdecode(np.frombuffer(browser.pictures[-1][1], np.uint8), cv2.IMREAD_COLOR)
+        assert (header["codec"], image.shape) == ("jpeg", (361, 641, 3))
+    async with serving(tmp_path, picture_codec="jpeg") as service, browsing(service) as browser:
+        assert not (await browser.read("welcome"))["h264"]
+        await browser.send(kind="picture", codec="h264")
+        assert (await browser.read("picture"))["codec"] == "jpeg"
 
 
 async def test_a_browser_that_has_the_hand_and_goes_leads_to_a_hold(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
@@ -12,7 +11,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.config.settings import camera_model, load, pad_model
-from companion.page.picture import picture
+from companion.page.picture import picture_lines
 from companion.page.state import place
 from companion.report.expected_place import camera_lean
 from estimator.contracts.estimates import RelativeState, Verdict
@@ -30,12 +29,6 @@ small = st.floats(-0.08, 0.08)
 
 def believed(d: np.ndarray, yaw_rad: float | None = 0.3) -> RelativeState:
     return RelativeState(AT, "ekf", d, np.array([0.1, -0.2, 0.3]), yaw_rad, np.diag([0.04, 0.01, 0.09, 1, 1, 1, 0.01]), AT, True)
-
-
-def lines_of(message: bytes) -> list[dict[str, object]]:
-    length = int.from_bytes(message[:4], "little")
-    lines: list[dict[str, object]] = json.loads(message[4 : 4 + length])["lines"]
-    return lines
 
 
 @given(st.tuples(small, small, small), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
@@ -61,8 +54,8 @@ def test_the_outline_lies_where_the_filter_expects_the_pad_whatever_the_attitude
     )
     lean = camera_lean(frame, believed(d))
     assert lean is not None
-    lines = lines_of(picture(1, frame, believed(d), None, lean, CAMERA, PAD, 70))
-    disc = np.array(next(line["uv_px"] for line in lines if line["kind"] == "pad")).reshape(-1, 2)[:-1]
+    lines = picture_lines(frame, believed(d), None, lean, CAMERA, PAD)
+    disc = np.array(next(line.uv_px for line in lines if line.kind == "pad")).reshape(-1, 2)[:-1]
     centre = CAMERA.project((CAMERA.T_body_cam.inv @ in_body)[None, :])[0]
     assert disc.mean(axis=0) == pytest.approx(centre, abs=3.0)
 
@@ -76,8 +69,8 @@ def test_a_frame_that_was_not_compared_says_nothing_of_the_mount() -> None:
 @given(st.floats(-40.0, 40.0), st.floats(-40.0, 40.0), st.floats(-2.0, 40.0), st.none() | st.floats(-3.1, 3.1))
 def test_any_estimate_makes_lines_of_finite_points(forward: float, right: float, down: float, yaw: float | None) -> None:
     belief = believed(np.array([forward, right, down]), yaw)
-    for line in lines_of(picture(1, seen(AT, found=False), belief, None, Rotation.identity(), CAMERA, PAD, 50)):
-        uv = np.array(line["uv_px"], dtype=float)
+    for line in picture_lines(seen(AT, found=False), belief, None, Rotation.identity(), CAMERA, PAD):
+        uv = np.array(line.uv_px, dtype=float)
         assert uv.size >= 4
         assert np.abs(uv).max() < 4001.0
 
