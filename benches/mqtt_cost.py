@@ -29,7 +29,8 @@ from companion.runtime.service import make_daemon
 from drivers.clock import SystemClock
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.scenario import load as load_scenario
-from tests.support.mosquitto import MOSQUITTO, Broker, free_port, make_certificates
+from tests.support.certificates import make_certificates
+from tests.support.mosquitto import MOSQUITTO, Broker, free_port
 from tests.support.mqtt_service import decision, event, running, until
 from tests.support.processed_frames import seen
 

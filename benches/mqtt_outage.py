@@ -13,7 +13,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.support.mosquitto import MOSQUITTO, Broker, make_certificates
+from tests.support.certificates import make_certificates
+from tests.support.mosquitto import MOSQUITTO, Broker
 from tests.support.mqtt_consumer import Consumer
 from tests.support.mqtt_service import event, running, until
 

@@ -19,7 +19,7 @@ from companion.operator.local_socket import OperatorSocket
 from companion.operator.orders import OperatorOrder, OrderSender, OrderSource
 from companion.operator.wire import OrderRequest, SticksRequest, WatchRequest, line_of
 from companion.page.endpoint import PageEndpoint
-from companion.page.messages import DownloadRequest, DrawnNotice, LoginRequest, PageRequest, RecordingsRequest
+from companion.page.messages import DownloadRequest, DrawnNotice, LoginRequest, PageRequest, PictureRequest, RecordingsRequest
 from companion.page.picture import video_quality
 from companion.page.recordings import Recordings
 from companion.page.report_maker import ReportMaker
@@ -227,7 +227,7 @@ def page_port_seeds() -> Iterator[bytes]:
 def page_requests_seeds() -> Iterator[bytes]:
     """Yield a session of orders and sticks, one of recordings, and messages that are no requests."""
     session: list[PageRequest] = [OrderRequest(number=n, order=order) for n, order in enumerate(OperatorOrder)]
-    session += [SticksRequest(climb=-0.3), DrawnNotice(number=3)]
+    session += [SticksRequest(climb=-0.3), PictureRequest(codec="h264"), DrawnNotice(number=3), PictureRequest(codec="jpeg")]
     yield b"".join(b"\0" + block(_text(one)) for one in session)
     asked: list[PageRequest] = [RecordingsRequest()]
     asked += [DownloadRequest(name=name) for name in ("flight.mcap", "../token", "/etc/passwd", "")]

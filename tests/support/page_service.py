@@ -103,7 +103,7 @@ class PageService:
 
     @property
     def address(self) -> str:
-        return f"http://127.0.0.1:{self.page.port}"
+        return f"{self.settings.page.endpoint}://127.0.0.1:{self.page.port}"
 
 
 @asynccontextmanager

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.mosquitto import Broker, make_certificates, need_mosquitto
+from tests.support.certificates import make_certificates
+from tests.support.mosquitto import Broker, need_mosquitto
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from estimator.contracts.commands import CutMotors, Hover, Land, Velocity
+from tests.support.certificates import make_certificates
 from tests.support.fake_ardrone import until
 from tests.support.page_service import TOKEN, PageService, serving
 from tests.support.recorded_flight import record_to
@@ -82,6 +83,23 @@ async def window(browser: Any, service: PageService, token: str = TOKEN, **optio
     await opened.page.goto(f"{service.address}/" + (f"#token={token}" if token else ""))
     yield opened
     await context.close()
+
+
+@pytest.mark.timeout(300)
+async def test_over_tls_the_page_shows_video_and_takes_orders(tmp_path: Path) -> None:
+    make_certificates(tmp_path)
+    files = {"certificate_file": str(tmp_path / "server.crt"), "key_file": str(tmp_path / "server.key")}
+    (tmp_path / "server.key").chmod(0o600)
+    async with (
+        serving(tmp_path, endpoint="https", **files, **CALM) as service,
+        chromium() as browser,
+        window(browser, service, ignore_https_errors=True) as one,
+    ):
+        assert one.page.url.startswith("https://")
+        await one.shows("phase", "search")
+        await playwright.expect(one.page.locator("#picture")).to_have_attribute("data-codec", "h264", timeout=WAIT_MS)
+        assert "accepted" in await one.press("hold")
+        assert one.faults == []
 
 
 BROKEN_DECODER = """

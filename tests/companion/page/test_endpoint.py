@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import re
+import ssl
 import tempfile
 from pathlib import Path
 
@@ -24,6 +26,7 @@ from companion.runtime.connection_limits import ConnectionLimits
 from companion.runtime.observer import Decision
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput
+from tests.support.certificates import make_certificates
 from tests.support.fake_ardrone import until
 from tests.support.page_service import TOKEN, PageService, browsing, serving
 from tests.support.recorded_flight import record_to
@@ -64,6 +67,23 @@ async def test_pictures_come_one_after_the_other_and_wait_for_the_browser(tmp_pa
         newer = await browser.read("picture")
         assert newer["number"] > first["number"] + 1
         await until(lambda: service.page._viewers[0].picture_delay_s is not None)
+
+
+async def test_a_page_on_tls_answers_nobody_in_clear_and_its_certificate_is_checked(tmp_path: Path) -> None:
+    make_certificates(tmp_path)
+    (tmp_path / "server.key").chmod(0o600)
+    files = {"certificate_file": str(tmp_path / "server.crt"), "key_file": str(tmp_path / "server.key")}
+    trusting = ssl.create_default_context(cafile=tmp_path / "ca.crt")
+    async with serving(tmp_path, endpoint="https", **files) as service, aiohttp.ClientSession() as session:
+        async with session.get(f"{service.address}/", ssl=trusting) as answer:
+            assert answer.status == 200
+        with pytest.raises(aiohttp.ClientConnectorCertificateError):
+            await session.get(f"{service.address}/")
+        with pytest.raises((aiohttp.ClientError, ConnectionError)):
+            await session.get(service.address.replace("https", "http") + "/")
+        async with session.ws_connect(f"{service.address}/live", origin=service.address, ssl=trusting) as socket:
+            await socket.send_str(json.dumps({"kind": "login", "token": TOKEN}))
+            assert json.loads((await socket.receive()).data)["kind"] == "welcome"
 
 
 async def test_each_browser_gets_the_pictures_that_it_can_decode(tmp_path: Path) -> None:
