@@ -291,7 +291,6 @@ class SetpointStreamer:
         self._paused = False
         if self._descending and self._land.persistent and seconds_between(self._land_began, now) > self._o.landing_most_s:
             self._descending = False
-            self._request_again(Hand.LANDING)
         if self._descending:
             v = np.array([self._mean_velocity[0], self._mean_velocity[1], self._o.descent_rate_m_s])
             return self._setpoint(now, Velocity(v, 0.0))

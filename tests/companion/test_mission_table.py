@@ -103,6 +103,13 @@ def test_a_table_with_a_gap_or_an_idle_line_is_refused() -> None:
         whole({State.WAIT: {}})
 
 
+def test_an_event_that_a_row_does_not_name_leaves_the_state_as_it_is() -> None:
+    table = whole({state: {Event.TAKEN_OFF: State.SEARCH} if state is State.WAIT else {} for state in State})
+    for state, event in product(State, Event):
+        named = (state, event) == (State.WAIT, Event.TAKEN_OFF)
+        assert table[state][event] is (State.SEARCH if named else state)
+
+
 def test_the_page_is_what_the_table_says() -> None:
     page = (Path(__file__).parents[2] / "docs" / "mission.md").read_text(encoding="utf-8")
     assert page == mission_page.page(), "run: decklander config mission > docs/mission.md"

@@ -12,7 +12,7 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.vehicle import Condition, Identity, Stack
-from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
@@ -372,3 +372,136 @@ def test_without_a_heading_no_mode_is_asked_for_either() -> None:
     flight.take(GO, 0)
     assert flight.sends(0, blind=True) == ([], [])
     assert flight.sends(10) == ([GOING], [GUIDED])
+
+
+# A landing by mode, on deck, the motors, and a person during a take-off
+
+
+def test_a_landing_by_the_autopilots_own_mode_goes_on_for_as_long_as_it_is_renewed() -> None:
+    flight = ours()
+    flight.streamer.on_position(-20.0)
+    flight.take(Land(), 0)
+    flight.sends(0)
+    flight.told("land")
+    for t in range(400, 40_000, 400):
+        flight.take(Land(), t)
+        flight.streamer.on_position(-20.0 + 0.0005 * t)
+        assert flight.sends(t) == ([], [])
+    assert (flight.streamer.hand, flight.streamer.landings_called_off) == (Hand.LANDING, 0)
+
+
+def standing(armed: bool | None = True) -> Flight:
+    """On the deck after a landing that felt it, at 1000 ms."""
+    flight = sinking(900)
+    flight.take(Land(on_deck=True), 1000)
+    flight.told("offboard", armed=armed)
+    assert flight.streamer.hand is Hand.STANDING
+    return flight
+
+
+def stops(messages: list[Message]) -> list[tuple[float, float]]:
+    """First two parameters of the requests to arm or disarm."""
+    return [
+        (m.param1, m.param2) for m in messages if m.get_type() == "COMMAND_LONG" and m.command == mav.MAV_CMD_COMPONENT_ARM_DISARM
+    ]
+
+
+FORCED, ASKED = (0.0, 21196.0), (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("armed", "t", "last"), [(True, 1100, [FORCED]), (None, 1100, [FORCED]), (True, 1300, [ASKED]), (False, 1100, [])]
+)
+def test_the_last_word_on_deck_is_to_stop_the_motors_that_still_turn(armed: bool | None, t: float, last: list[object]) -> None:
+    assert stops(standing(armed).streamer.leave(ms(t))) == last
+
+
+@pytest.mark.parametrize(("armed", "hand"), [(True, Hand.TAKING), (None, Hand.TAKING), (False, Hand.STANDING)])
+def test_a_hover_on_deck_takes_back_a_vehicle_whose_motors_turn(armed: bool | None, hand: Hand) -> None:
+    flight = standing(armed)
+    flight.take(Hover(), 1100)
+    assert flight.streamer.hand is hand
+
+
+def test_a_vehicle_that_was_never_steered_is_pressed_straight_down_on_deck() -> None:
+    flight = Flight(Stack.PX4, "offboard")
+    flight.take(Land(), 0)
+    flight.told("offboard", flying=False)
+    assert flight.sends(100)[0] == [(0.0, 0.0, 0.4, 0.0)]
+
+
+def test_a_landing_after_one_that_a_person_took_over_is_a_new_one() -> None:
+    flight = sinking()
+    flight.take(Land(persistent=True), 100)
+    flight.told("offboard", flying=False, armed=False)
+    assert flight.streamer.hand is Hand.IDLE
+    flight.told("offboard")
+    flight.take(Land(), 200)
+    assert flight.streamer.hand is Hand.LANDING
+
+
+def test_motors_are_cut_by_as_many_requests_as_are_allowed_and_then_not_any_more() -> None:
+    flight = ours()
+    flight.take(CutMotors(), 0)
+    sent = []
+    for t in range(0, 7000, 100):
+        if t <= 4000:
+            flight.take(CutMotors(), t)
+        sent += stops(flight.streamer.period(ms(t)))
+        assert flight.streamer.hand is (Hand.OURS if t <= 5000 else Hand.RELEASED)
+    assert sent == [FORCED] * 5
+
+
+def test_a_cut_that_is_taken_back_is_not_sent() -> None:
+    flight = ours()
+    flight.take(CutMotors(), 0)
+    flight.take(LeaveEmergency(), 10)
+    flight.take(GO, 20)
+    assert flight.sends(20) == ([GOING], [])
+    assert stops(flight.streamer.period(ms(30))) == []
+
+
+def test_a_vehicle_whose_motors_were_cut_may_take_off_again() -> None:
+    flight = ours()
+    flight.take(CutMotors(), 0)
+    flight.sends(0)
+    flight.told("guided", flying=False, armed=False)
+    assert flight.sends(100) == ([], [])
+    flight.streamer.engage()
+    flight.take(TakeOff(), 200)
+    assert stops(flight.streamer.period(ms(200))) == [(1.0, 0.0)]
+    flight.told("guided", flying=False, armed=True)
+    assert stops(flight.streamer.period(ms(1300))) == [], "what was cut once is not cut again"
+
+
+def climbing_from_deck() -> Flight:
+    """Climbing with a deck that makes 1.5 m/s north and 0.5 m/s west, a metre above it."""
+    flight = Flight(Stack.PX4, "offboard")
+    flight.told("offboard", flying=False)
+    flight.streamer.on_velocity(np.array([1.5, -0.5, 0.2]), ms(0))
+    flight.streamer.on_position(0.0)
+    flight.take(TakeOff(), 0)
+    assert flight.sends(0)[0] == [pytest.approx((1.5, -0.5, -1.0, 0.0))]
+    flight.told("offboard")
+    flight.streamer.on_position(-1.0)
+    assert flight.sends(1000)[0] == [pytest.approx((1.5, -0.5, -1.0, 0.0))]
+    return flight
+
+
+def test_a_person_who_chooses_another_mode_in_the_climb_has_the_vehicle() -> None:
+    flight = climbing_from_deck()
+    flight.told("offboard")
+    assert flight.sends(1100)[0] == [pytest.approx((1.5, -0.5, -1.0, 0.0))]
+    flight.told("posctl")
+    assert flight.streamer.hand is Hand.RELEASED
+    assert flight.sends(1200) == ([], [])
+
+
+def test_a_vehicle_that_has_not_flown_yet_may_be_in_any_mode_while_it_takes_off() -> None:
+    flight = Flight(Stack.PX4, "auto.loiter")
+    flight.told("auto.loiter", flying=False, armed=False)
+    flight.take(TakeOff(), 0)
+    flight.sends(0)
+    flight.told("auto.loiter", flying=False, armed=False)
+    assert flight.streamer.hand is Hand.IDLE
+    assert len(flight.sends(100)[0]) == 1
