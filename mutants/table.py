@@ -117,7 +117,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/companion/test_vessel_track.py",
         "tests/companion/test_rendezvous.py",
     ),
-    "companion/guidance/follow_deck.py": _LAW,
+    "companion/guidance/follow_deck.py": ("tests/companion/test_follow_deck.py", *_LAW),
     "companion/guidance/heave.py": ("tests/companion/test_heave.py", *_LAW),
     "companion/guidance/climb_law.py": ("tests/companion/test_climb_law.py", *_LAW),
     "companion/guidance/tilt_law.py": _AXIS,

@@ -1,0 +1,207 @@
+"""The law that follows the deck, one guidance cycle at a time: its axes, its limits, its silences, and whom it flies for."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec import structs
+
+from companion.config.settings import shipped_response
+from companion.guidance.controller import Knowledge, Target
+from companion.guidance.follow_deck import FollowDeck, FollowDeckMemory
+from companion.guidance.options import PidOptions
+from companion.guidance.pid_controller import PidController
+from companion.guidance.response_watch import ResponseInUse, ResponseState
+from companion.guidance.tuning import TuningChoice
+from estimator.contracts.commands import Hover, Lean, Velocity
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
+from estimator.contracts.time import MonoNs
+
+RESPONSE = shipped_response("ardrone2")
+T = 0.02
+LAW = FollowDeck(RESPONSE, T)
+OVER = np.array([0.0, 0.0, 1.0])
+HOLD = Target(OVER)
+IDENTIFIED = ResponseInUse(ResponseState.IDENTIFIED, 0.2, 0.02, 0.15)
+
+
+def ns(seconds: float) -> MonoNs:
+    return MonoNs(round(1e9 * seconds))
+
+
+def known(
+    t: float, d: tuple[float, float, float] = (0.0, 0.0, 1.0), v: tuple[float, float, float] = (0.0, 0.0, 0.0), *,
+    a: tuple[float, float] = (0.0, 0.0), lean: tuple[float, float] = (0.0, 0.0),
+    rates: tuple[float, float, float] = (0.0, 0.0, 0.0), v_deck: tuple[float, float, float] | None = None,
+    yaw: float | None = 0.0, heading: float = 0.0, var: tuple[float, float] = (1e-6, 1e-6), response: ResponseInUse | None = None,
+) -> Knowledge:  # fmt: skip
+    """What is known at an instant: vectors in level, leans and accelerations in m/s^2."""
+    pitch, roll = -math.atan(lean[0] / G_M_S2), math.atan(lean[1] / math.hypot(G_M_S2, lean[0]))
+    cov = np.diag([*var, 1e-6, 1e-4, 1e-4, 1e-4, 1e-4])
+    relative = RelativeState(ns(t), "ekf", np.array(d), np.array(v), yaw, cov, ns(t), True)
+    attitude = Rotation.from_rpy(roll, pitch, heading)
+    body = BodyMotion(ns(t), heading, np.array([*a, 0.0]), 1e-4 * np.eye(3), np.array(rates), attitude, 1e-4 * np.eye(3))
+    deck = None
+    if v_deck is not None:
+        deck = DeckMotion(ns(t), np.array(v_deck), np.zeros(3), 1e-4 * np.eye(6), 0.0, 0.0, 0.0, 0.0, np.zeros((4, 4)))
+    return Knowledge(ns(t), relative, body, deck, response=response)
+
+
+def stepped(
+    memory: FollowDeckMemory, k: Knowledge, target: Target | None = HOLD, law: FollowDeck = LAW
+) -> tuple[FollowDeckMemory, Lean]:
+    memory, command = law.step(memory, k.at, k, target)
+    assert isinstance(command, Lean)
+    return memory, command
+
+
+def asked(command: Lean) -> F64:
+    return np.asarray(command.a_level + command.trim_level)
+
+
+def swaying(seed: int, heading: float, *, swapped: bool = False) -> list[Lean]:
+    """Commands over half a second of random motion; `swapped` has forward and right in each other's place."""
+    rng, memory, out = np.random.default_rng(seed), LAW.start(), []
+    way = (1, 0) if swapped else (0, 1)
+    for k in range(25):
+        d, v, a, lean, v_deck = (0.3 * rng.standard_normal((5, 2))[:, way]).tolist()
+        roll_rate, pitch_rate = 0.2 * rng.standard_normal(2)
+        rates = (-pitch_rate, -roll_rate, 0.0) if swapped else (roll_rate, pitch_rate, 0.0)
+        var = (1e-6, 1e-2) if swapped else (1e-2, 1e-6)
+        now = known(
+            k * T, (*d, 1.0), (*v, 0.0), a=a, lean=lean, rates=rates, v_deck=(*v_deck, 0.0), heading=heading, var=var,
+            response=None if k < 5 else IDENTIFIED,
+        )  # fmt: skip
+        memory, command = stepped(memory, now)
+        out.append(command)
+    return out
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 1000), st.floats(-math.pi, math.pi))
+def test_what_it_asks_for_in_level_does_not_depend_on_where_the_nose_points(seed: int, heading: float) -> None:
+    for one, other in zip(swaying(seed, heading), swaying(seed, 0.0), strict=True):
+        np.testing.assert_allclose(one.a_level, other.a_level, atol=1e-9)
+        np.testing.assert_allclose(one.trim_level, other.trim_level, atol=1e-9)
+        np.testing.assert_allclose(one.v_level, other.v_level, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_forward_and_right_are_flown_alike(seed: int) -> None:
+    for one, other in zip(swaying(seed, 0.0), swaying(seed, 0.0, swapped=True), strict=True):
+        np.testing.assert_allclose(one.a_level, other.a_level[::-1], atol=1e-9)
+        np.testing.assert_allclose(one.trim_level, other.trim_level[::-1], atol=1e-9)
+        np.testing.assert_allclose(one.v_level, other.v_level[[1, 0, 2]], atol=1e-9)
+
+
+@pytest.mark.parametrize(("silent_s", "kept"), [(0.02, True), (0.5, True), (0.501, False), (0.0, False), (-0.1, False)])
+def test_after_half_a_second_of_silence_it_begins_again_and_keeps_the_wind(silent_s: float, kept: bool) -> None:
+    memory = LAW.start()
+    for k in range(100):
+        memory, _ = stepped(memory, known(k * T, lean=(0.5, -0.3), yaw=0.2, rates=(0.0, 0.0, 0.1)))
+    assert memory.axes is not None
+    wind, before = [axis.seen.d for axis in memory.axes], memory.axes[0].under_way
+    assert abs(wind[0]) > 0.1
+    after, _ = stepped(memory, known(99 * T + silent_s, (0.0, 0.0, 1.0), lean=(0.1, 0.2), yaw=0.2))
+    assert after.axes is not None
+    assert after.turn is not None
+    if kept:
+        assert after.axes[0].under_way[1:] == before[:-1]
+        assert after.turn.rate_rad_s != 0.0
+    else:
+        assert after.axes[0].under_way[1:] == (pytest.approx(0.1),) * (len(before) - 1)
+        assert [axis.seen.d for axis in after.axes] == wind
+        assert after.turn.rate_rad_s == 0.0
+
+
+@pytest.mark.parametrize(("off_rad", "rate"), [(0.5, 0.4), (-0.5, -0.4), (0.76, 0.6), (2.0, 0.6), (-2.0, -0.6)])
+def test_the_nose_turns_by_its_gain_and_no_faster_than_its_limit(off_rad: float, rate: float) -> None:
+    _, command = stepped(LAW.start(), known(0.0, yaw=0.3), Target(OVER, yaw_rad=0.3 + off_rad))
+    assert command.yaw_rate_rad_s == pytest.approx(rate, abs=0.01)
+    _, free = stepped(LAW.start(), known(0.0, yaw=0.3))
+    assert free.yaw_rate_rad_s == 0.0
+
+
+def test_other_gains_take_a_second_and_wait_for_those_before_them() -> None:
+    memory, _ = stepped(LAW.start(), known(0.0))
+    assert (memory.tuning, memory.share) == (TuningChoice(), 1.0)
+    longer = TuningChoice(pytest.approx(0.15), False)
+    for t, tuning, share in ((0.25, longer, 0.0), (0.75, longer, 0.5), (0.7, longer, 0.5), (1.0, longer, 0.8)):
+        memory, _ = stepped(memory, known(t, response=IDENTIFIED))
+        assert (memory.tuning, memory.share) == (tuning, pytest.approx(share))
+    memory, _ = stepped(memory, known(1.1))
+    assert (memory.tuning, memory.share) == (longer, pytest.approx(0.9)), "the ones begun are gone over to first"
+    memory, _ = stepped(memory, known(1.3))
+    assert (memory.tuning, memory.tuning_before, memory.share) == (TuningChoice(), longer, 0.0)
+
+
+@pytest.mark.parametrize("v_deck", [None, (0.4, -0.3, 0.0)])
+def test_its_velocity_is_the_decks_and_the_drones_with_what_the_lean_will_give(v_deck: tuple[float, float, float] | None) -> None:
+    now = known(0.0, (0.5, -0.4, 1.0), (-0.2, 0.1, 0.0), v_deck=v_deck)
+    _, command = stepped(LAW.start(), now)
+    soon = RESPONSE.tilt.slowness_s
+    wanted = [0.0, 0.0] if v_deck is None else [0.4 + 0.2 + soon * command.a_level[0], -0.3 - 0.1 + soon * command.a_level[1]]
+    assert command.v_level[:2] == pytest.approx(wanted)
+    _, own = stepped(LAW.start(), now, law=FollowDeck(RESPONSE, T, over_ground=True))
+    assert own.v_level[:2] == pytest.approx([0.0, 0.0] if v_deck is None else [0.6, -0.4])
+
+
+@pytest.mark.parametrize("most_rad", [None, 0.05, 1.0])
+def test_a_lean_beyond_the_limit_is_shortened_and_keeps_its_direction(most_rad: float | None) -> None:
+    most = min(RESPONSE.tilt.max_m_s2, math.inf if most_rad is None else G_M_S2 * math.tan(most_rad))
+    _, command = stepped(LAW.start(), known(0.0, (0.9, -1.2, 1.0), (3.0, -4.0, 0.0)), Target(OVER, lean_max_rad=most_rad))
+    assert asked(command) == pytest.approx([0.6 * most, -0.8 * most])
+    _, little = stepped(LAW.start(), known(0.0, (0.003, -0.004, 1.0)), Target(OVER, lean_max_rad=most_rad))
+    assert 0.0 < np.hypot(*asked(little)) < 0.5 * G_M_S2 * math.tan(0.05)
+
+
+def test_a_place_further_off_asks_for_no_more_than_the_speed_that_is_allowed() -> None:
+    def lean(far: float, speed: float) -> F64:
+        return asked(stepped(LAW.start(), known(0.0, (0.6 * far, 0.8 * far, 1.0)), Target(OVER, speed_max_m_s=speed))[1])
+
+    assert lean(20.0, 0.02) == pytest.approx(lean(5.0, 0.02))
+    assert np.hypot(*lean(20.0, 0.04)) == pytest.approx(2.0 * np.hypot(*lean(20.0, 0.02)))
+    assert np.hypot(*lean(0.02, 0.5)) == pytest.approx(2.0 * np.hypot(*lean(0.01, 0.5)))
+
+
+def test_a_vertical_speed_is_no_more_than_the_vehicle_makes() -> None:
+    most = RESPONSE.climb.max_m_s
+    assert LAW.climb_max_m_s == most
+    for height, down in ((50.0, most), (-50.0, -most)):
+        _, command = stepped(LAW.start(), known(0.0, (0.0, 0.0, height)), Target(OVER, vertical_rate_max_m_s=40.0))
+        assert command.v_level[2] == pytest.approx(down)
+
+
+def test_while_somebody_else_commands_it_notes_what_the_vehicle_does() -> None:
+    memory = LAW.start()
+    for k in range(3):
+        now = known(k * T, v=(0.0, 0.0, -0.2), lean=(0.3, -0.1), v_deck=(0.0, 0.0, 0.5), heading=1.0)
+        memory, command = LAW.step(memory, now.at, now, None)
+        assert command == Hover()
+    assert memory.axes is not None
+    c, s = math.cos(1.0), math.sin(1.0)
+    assert memory.axes[0].under_way[0] == pytest.approx(0.3 * c + 0.1 * s)
+    assert memory.axes[1].under_way[0] == pytest.approx(0.3 * s - 0.1 * c)
+    assert memory.climbs[:4] == (pytest.approx(0.7),) * 3 + (0.0,)
+
+
+def test_without_the_bodys_motion_the_plain_controller_flies_and_without_that_nobody() -> None:
+    both = known(0.0, (0.5, 0.0, 1.5))
+    bodiless = structs.replace(both, body=None)
+    begun = LAW.start()
+    assert LAW.step(begun, ns(0.0), bodiless, HOLD) == (begun, Hover())
+    plain = PidController(PidOptions())
+    law = FollowDeck(RESPONSE, T, fallback=plain)
+    memory, command = law.step(law.start(), ns(0.0), bodiless, HOLD)
+    _, wanted = plain.step(plain.start(), ns(0.0), bodiless, HOLD)
+    assert isinstance(command, Velocity)
+    assert isinstance(wanted, Velocity)
+    assert command.v_level.tolist() == wanted.v_level.tolist()
+    assert memory.plain.last == 0
+    assert isinstance(law.step(memory, ns(T), both, HOLD)[1], Lean)
