@@ -70,7 +70,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/estimator/ekf/test_process_event_bounds.py",
         "tests/estimator/ekf/test_noise_and_inflation.py",
     ),
-    "estimator/ekf/filter.py": ("tests/estimator/ekf/test_filter_bounds.py",),
+    "estimator/ekf/filter.py": _ANSWERS,
     "estimator/ekf/history.py": ("tests/estimator/ekf/test_history_bounds.py",),
     "estimator/ekf/propagate.py": _RESULTS,
     "estimator/ekf/packed_event.py": ("tests/estimator/ekf/test_process_event_bounds.py", *_SIGHTINGS),
@@ -133,7 +133,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     ),
     "companion/guidance/response_course.py": ("tests/companion/test_response_course.py",),
     "companion/guidance/response_fit.py": _RESPONSE,
-    "companion/guidance/response_watch.py": _RESPONSE,
+    "companion/guidance/response_watch.py": ("tests/companion/test_response_watch_bounds.py", *_RESPONSE),
     "companion/guidance/pid.py": ("tests/companion/test_pid_bounds.py", "tests/companion/test_pid.py"),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter_bounds.py", "tests/drivers/test_arbiter.py"),
     "drivers/ardrone/landing_watch.py": (

@@ -136,7 +136,7 @@ def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Foreca
     Raises:
         ValueError: a horizon that is negative or not finite.
     """
-    h = np.array(horizons_s, dtype=float).reshape(-1)
+    h = np.array(horizons_s, dtype=float).ravel()
     if not all(0.0 <= x < math.inf for x in h.tolist()):
         raise ValueError(f"horizons must be seconds of 0 or more, got {horizons_s!r}")
     before = ekf.history.before(now)

@@ -1,0 +1,228 @@
+"""The response identified in flight at each of its edges: what counts as a report, when a fit is due, and what it decides."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from companion.config.settings import shipped_response
+from companion.guidance import response_watch
+from companion.guidance.response_fit import Fitted, FlightCourse, TiltFit
+from companion.guidance.response_watch import (
+    CONTRADICTION_S,
+    DELAY_MAX_S,
+    ResponseInUse,
+    ResponseState,
+    ResponseWatch,
+    asked,
+    begun,
+    judged,
+    landed,
+    reported,
+)
+from estimator.contracts.commands import Lean
+from estimator.contracts.time import MonoNs, Stamp
+
+TILT = structs.replace(shipped_response("ardrone2").tilt, delay_s=0.05, delay_sigma_s=None)
+KNOWN_S = 0.04
+ASSUMED = ResponseInUse(ResponseState.ASSUMED, 0.05, None)
+KNOWN = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02)
+IDENTIFIED = ResponseInUse(ResponseState.IDENTIFIED, 0.2, 0.02, 0.15)
+FIRST = begun(TILT, KNOWN_S)
+
+
+def ns(seconds: float) -> MonoNs:
+    return MonoNs(round(1e9 * seconds))
+
+
+def told(watch: ResponseWatch, t: float, late_s: float = 0.0) -> ResponseWatch:
+    return reported(watch, Stamp(ns(t), ns(t + late_s), 0.003, "synced"), (0.1, 0.2))
+
+
+@pytest.mark.parametrize(
+    ("sigma_s", "state"),
+    [(None, ResponseState.ASSUMED), (0.04, ResponseState.KNOWN), (0.0401, ResponseState.ASSUMED), (0.0, ResponseState.KNOWN)],
+)
+def test_a_file_says_how_well_its_delay_is_known(sigma_s: float | None, state: ResponseState) -> None:
+    watch = begun(structs.replace(TILT, delay_sigma_s=sigma_s), KNOWN_S)
+    assert watch.in_use == ResponseInUse(state, 0.05, sigma_s)
+    assert (watch.in_use.longer_s, watch.due, watch.stamp_sigma_s) == (0.0, 0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("in_use", "text"),
+    [
+        (ASSUMED, "the vehicle's response is assumed: delay 50 ms, softer gains"),
+        (KNOWN, "the vehicle's response is known: delay 50 ms (sigma 20)"),
+        (ResponseInUse(ResponseState.KNOWN, 0.05, None), "the vehicle's response is known: delay 50 ms (sigma 0)"),
+        (IDENTIFIED, "the vehicle answers 150 ms longer than its response file says: 200 ms (sigma 20) is flown with"),
+        (
+            ResponseInUse(ResponseState.IDENTIFIED, 0.01, 0.02, -0.04),
+            "the vehicle answers 40 ms shorter than its response file says: 10 ms (sigma 20) is flown with",
+        ),
+    ],
+)
+def test_the_operator_reads_the_state_in_milliseconds(in_use: ResponseInUse, text: str) -> None:
+    assert in_use.text == text
+
+
+def test_a_report_is_kept_with_its_instant_and_how_well_it_is_known() -> None:
+    watch = told(FIRST, 2.0)
+    assert watch.reported == ((2.0, 0.1, 0.2),)
+    assert watch.stamp_sigma_s == 0.003
+
+
+@pytest.mark.parametrize(("after_s", "kept"), [(0.0079, False), (0.0081, True), (-1.0, False), (0.0, False)])
+@pytest.mark.parametrize("fitted_between", [False, True])
+def test_reports_that_follow_too_closely_or_out_of_order_are_left_out(after_s: float, kept: bool, fitted_between: bool) -> None:
+    watch = told(told(FIRST, 1.0), 2.0)
+    if fitted_between:
+        watch = asked(watch, ns(2.0), None, KNOWN_S)
+        assert watch.reported == ()
+    n = len(watch.reported)
+    assert len(told(watch, 2.0 + after_s).reported) == n + kept
+
+
+@pytest.mark.parametrize(("late_s", "kept"), [(0.0, True), (1.0, True), (1.001, False), (-0.001, False)])
+def test_a_report_that_is_old_on_arrival_or_of_the_future_is_left_out(late_s: float, kept: bool) -> None:
+    assert bool(told(FIRST, 4.0, late_s).reported) is kept
+
+
+def test_the_newest_reports_are_kept() -> None:
+    watch = FIRST
+    for k in range(501):
+        watch = told(watch, 0.01 * k)
+    assert len(watch.reported) == 500
+    assert (watch.reported[0][0], watch.reported[-1][0]) == (0.01, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("in_use", "doubt", "each_s"), [(ASSUMED, None, 1.0), (KNOWN, None, 2.0), (IDENTIFIED, None, 2.0), (KNOWN, IDENTIFIED, 1.0)]
+)
+def test_a_fit_is_due_every_second_while_there_is_doubt_and_half_as_often_when_there_is_none(
+    in_use: ResponseInUse, doubt: ResponseInUse | None, each_s: float
+) -> None:
+    watch = asked(structs.replace(FIRST, in_use=in_use, doubt=doubt), ns(5.0), None, KNOWN_S)
+    assert watch.due == ns(5.0 + each_s)
+    assert watch.asked == ()
+    early = asked(watch, MonoNs(watch.due - 1), Lean(np.array([0.3, 0.1]), np.zeros(2), np.zeros(3), 0.0), KNOWN_S)
+    assert early.due == watch.due
+    assert early.asked == (((watch.due - 1) / 1e9, 0.3, 0.1),)
+    assert asked(early, watch.due, None, KNOWN_S).due == ns(5.0 + 2.0 * each_s)
+
+
+def test_twelve_seconds_are_kept() -> None:
+    watch = FIRST
+    for t in range(1, 21):
+        watch = asked(told(watch, float(t)), ns(t), None, KNOWN_S)
+        for track in (watch.asked_before, watch.reported_before):
+            assert track is not None
+            assert track.t_s.tolist() == list(range(max(1, t - 12), t + 1))
+            assert track.values.shape == (track.t_s.size, 2)
+
+
+def test_another_flight_begins_with_what_is_known_and_without_the_courses() -> None:
+    watch = asked(told(told(FIRST, 1.0), 2.0), ns(2.0), None, KNOWN_S)
+    watch = told(structs.replace(watch, in_use=KNOWN, doubt=IDENTIFIED, asked=((2.5, 0.0, 0.0),)), 3.0)
+    after = landed(watch)
+    assert (after.in_use, after.due) == (KNOWN, watch.due)
+    assert (after.doubt, after.asked, after.reported, after.asked_before, after.reported_before) == (None, (), (), None, None)
+
+
+# What a fit decides
+
+
+def fit(
+    delay_s: float, sigma_s: float = 0.01, *, gain: float = 1.0, frequency: float | None = None, residual: float = 0.0
+) -> TiltFit:
+    """A fit whose model is the file's in all that is not given; its offset is a tenth."""
+    response = structs.replace(TILT, delay_s=delay_s, frequency_rad_s=TILT.frequency_rad_s if frequency is None else frequency)
+    cov, offset = np.diag([sigma_s**2, 1.0, 1.0, 1.0]), np.full((100, 2), 0.1)
+    return TiltFit(response, gain, Fitted(np.zeros(4), cov, np.zeros((100, 2)), offset, residual, 0.9, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("in_use", "delay_s", "sigma_s", "said"),
+    [
+        (ASSUMED, 0.05, 0.0401, ASSUMED),
+        (ASSUMED, 0.05, 0.04, ResponseInUse(ResponseState.KNOWN, 0.05, 0.04)),
+        (ASSUMED, 0.0899, 0.04, ResponseInUse(ResponseState.KNOWN, 0.05, 0.04)),
+        (ASSUMED, 0.0901, 0.04, ASSUMED),
+        (ASSUMED, 0.0901, 0.01, ResponseInUse(ResponseState.IDENTIFIED, 0.0901, 0.01, 0.0901 - 0.05)),
+        (KNOWN, 0.0899, 0.01, KNOWN),
+        (KNOWN, 0.1101, 0.02, ResponseInUse(ResponseState.IDENTIFIED, 0.1101, 0.02, 0.1101 - 0.05)),
+        (KNOWN, 0.1099, 0.02, KNOWN),
+        (IDENTIFIED, 0.2399, 0.01, IDENTIFIED),
+        (IDENTIFIED, 0.2401, 0.01, ResponseInUse(ResponseState.IDENTIFIED, 0.2401, 0.01, 0.2401 - 0.05)),
+        (IDENTIFIED, 0.0899, 0.01, ResponseInUse(ResponseState.KNOWN, 0.05, 0.01)),
+        (IDENTIFIED, 0.0101, 0.01, ResponseInUse(ResponseState.KNOWN, 0.05, 0.01)),
+        (IDENTIFIED, 0.0901, 0.01, ResponseInUse(ResponseState.IDENTIFIED, 0.0901, 0.01, 0.0901 - 0.05)),
+    ],
+)
+def test_a_fit_decides_by_how_sure_it_is_and_how_far_off(
+    in_use: ResponseInUse, delay_s: float, sigma_s: float, said: ResponseInUse
+) -> None:
+    found = judged(in_use, TILT, fit(delay_s, sigma_s), KNOWN_S)
+    assert (found.state, found.delay_s, found.longer_s) == (said.state, said.delay_s, said.longer_s)
+    assert found.sigma_s == pytest.approx(said.sigma_s)
+    if said is in_use:
+        assert found is in_use
+
+
+def moved(size: float) -> FlightCourse:
+    """A report that goes to and fro by this much about its offset, but where it is not compared."""
+    swing = np.outer(np.where(np.arange(100) % 2, size, -size), [1.0, 1.0])
+    counts = np.arange(100) >= 20
+    return FlightCourse(np.zeros((100, 2)), np.where(counts[:, None], swing + 0.1, 50.0), counts)
+
+
+SLOWNESS_S = 2.0 * TILT.damping / TILT.frequency_rad_s
+
+
+@pytest.mark.parametrize(
+    ("found", "trusted"),
+    [
+        (fit(0.05), True), (fit(0.0), False), (fit(1e-6), True), (fit(DELAY_MAX_S), True), (fit(DELAY_MAX_S + 1e-6), False),
+        (fit(0.05, gain=1.349), True), (fit(0.05, gain=1.351), False), (fit(0.05, gain=0.651), True),
+        (fit(0.05, gain=0.649), False),
+        (fit(0.05, frequency=TILT.frequency_rad_s * SLOWNESS_S / (SLOWNESS_S + 0.149)), True),
+        (fit(0.05, frequency=TILT.frequency_rad_s * SLOWNESS_S / (SLOWNESS_S + 0.151)), False),
+        (fit(0.3, frequency=TILT.frequency_rad_s * SLOWNESS_S / (SLOWNESS_S + 0.149)), True),
+        (fit(0.05, residual=math.sqrt(0.299)), True), (fit(0.05, residual=math.sqrt(0.301)), False),
+    ],
+)  # fmt: skip
+def test_a_fit_is_trusted_while_its_model_is_the_vehicles(found: TiltFit, trusted: bool) -> None:
+    assert response_watch._trusted(TILT, moved(1.0), found) is trusted
+    still = structs.replace(found, fitted=found.fitted._replace(residual=0.1))
+    assert not response_watch._trusted(TILT, moved(0.0), still), "a vehicle that stands still tells nothing"
+
+
+def test_what_two_fits_in_a_row_say_is_flown_by(monkeypatch: pytest.MonkeyPatch) -> None:
+    says: list[TiltFit | None] = []
+    monkeypatch.setattr(response_watch, "fit_tilt", lambda *_, **__: says.pop(0))
+
+    def after(watch: ResponseWatch, *found: TiltFit | None) -> ResponseWatch:
+        for one in found:
+            says.append(one)
+            watch = response_watch._fitted(watch, moved(1.0), KNOWN_S)
+        return watch
+
+    once = after(structs.replace(FIRST, in_use=KNOWN), fit(0.2))
+    assert (once.in_use, once.doubt) == (KNOWN, ResponseInUse(ResponseState.IDENTIFIED, 0.2, 0.01, pytest.approx(0.15)))
+    assert once.fit is not None
+    assert after(once, None) is once
+    twice = after(once, fit(0.2 + CONTRADICTION_S - 1e-4))
+    assert (twice.in_use.delay_s, twice.doubt) == (pytest.approx(0.2399), None)
+    other = after(once, fit(0.2 + CONTRADICTION_S + 1e-4))
+    assert other.in_use is KNOWN
+    assert other.doubt is not None
+    assert other.doubt.delay_s == pytest.approx(0.2401)
+    assert after(once, fit(0.05)).doubt is None, "a fit that agrees takes the doubt away"
+    assert after(once, fit(0.2, gain=3.0)).doubt is None, "and so does one that is of something else"
+    confirmed = after(structs.replace(FIRST, in_use=ASSUMED), fit(0.05))
+    assert confirmed.in_use is ASSUMED
+    assert after(confirmed, fit(0.2)).in_use is ASSUMED, "another state is another word"
+    assert after(confirmed, fit(0.06)).in_use.state is ResponseState.KNOWN
