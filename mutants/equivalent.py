@@ -150,6 +150,9 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "if (cosine < 0.3) {  ->  if (cosine <= 0.3) {": _ROUNDED,
         "b->is_levelled = b->heading_is_given = 1;  ->  b->is_levelled = b->heading_is_given = 2;": _ASKED,
     },
+    "estimator/core/sighting.c": {
+        "noise_of: for (int i = 0; i < 9; i++) {  ->  for (int i = 0; i <= 9; i++) {": "the tenth is zero, or written afterwards",
+    },
     "estimator/core/propagate.c": {
         "if (dt <= 0.0) {  ->  if (dt < 0.0) {": _NO_TIME,
         "if (T <= 0.0) {  ->  if (T < 0.0) {": _NO_TIME,

@@ -11,17 +11,20 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.config.settings import shipped_response
+from companion.guidance import climb_law, own_part, tuning
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import FollowDeck, FollowDeckMemory
 from companion.guidance.options import PidOptions
 from companion.guidance.pid_controller import PidController
 from companion.guidance.response_watch import ResponseInUse, ResponseState
 from companion.guidance.tuning import TuningChoice
+from companion.guidance.view import FieldOfView, lean_in_view
 from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
+from estimator.ekf import Forecast
 
 RESPONSE = shipped_response("ardrone2")
 T = 0.02
@@ -40,17 +43,18 @@ def known(
     a: tuple[float, float] = (0.0, 0.0), lean: tuple[float, float] = (0.0, 0.0),
     rates: tuple[float, float, float] = (0.0, 0.0, 0.0), v_deck: tuple[float, float, float] | None = None,
     yaw: float | None = 0.0, heading: float = 0.0, var: tuple[float, float] = (1e-6, 1e-6), response: ResponseInUse | None = None,
+    a_deck: tuple[float, float, float] = (0.0, 0.0, 0.0), a_down: float = 0.0, forecast: Forecast | None = None,
 ) -> Knowledge:  # fmt: skip
     """What is known at an instant: vectors in level, leans and accelerations in m/s^2."""
     pitch, roll = -math.atan(lean[0] / G_M_S2), math.atan(lean[1] / math.hypot(G_M_S2, lean[0]))
     cov = np.diag([*var, 1e-6, 1e-4, 1e-4, 1e-4, 1e-4])
     relative = RelativeState(ns(t), "ekf", np.array(d), np.array(v), yaw, cov, ns(t), True)
     attitude = Rotation.from_rpy(roll, pitch, heading)
-    body = BodyMotion(ns(t), heading, np.array([*a, 0.0]), 1e-4 * np.eye(3), np.array(rates), attitude, 1e-4 * np.eye(3))
+    body = BodyMotion(ns(t), heading, np.array([*a, a_down]), 1e-4 * np.eye(3), np.array(rates), attitude, 1e-4 * np.eye(3))
     deck = None
     if v_deck is not None:
-        deck = DeckMotion(ns(t), np.array(v_deck), np.zeros(3), 1e-4 * np.eye(6), 0.0, 0.0, 0.0, 0.0, np.zeros((4, 4)))
-    return Knowledge(ns(t), relative, body, deck, response=response)
+        deck = DeckMotion(ns(t), np.array(v_deck), np.array(a_deck), 1e-4 * np.eye(6), 0.0, 0.0, 0.0, 0.0, np.zeros((4, 4)))
+    return Knowledge(ns(t), relative, body, deck, forecast, response=response)
 
 
 def stepped(
@@ -70,15 +74,15 @@ def swaying(seed: int, heading: float, *, swapped: bool = False) -> list[Lean]:
     rng, memory, out = np.random.default_rng(seed), LAW.start(), []
     way = (1, 0) if swapped else (0, 1)
     for k in range(25):
-        d, v, a, lean, v_deck = (0.3 * rng.standard_normal((5, 2))[:, way]).tolist()
+        d, v, a, lean, v_deck, a_deck, place = (0.3 * rng.standard_normal((7, 2))[:, way]).tolist()
         roll_rate, pitch_rate = 0.2 * rng.standard_normal(2)
         rates = (-pitch_rate, -roll_rate, 0.0) if swapped else (roll_rate, pitch_rate, 0.0)
         var = (1e-6, 1e-2) if swapped else (1e-2, 1e-6)
         now = known(
             k * T, (*d, 1.0), (*v, 0.0), a=a, lean=lean, rates=rates, v_deck=(*v_deck, 0.0), heading=heading, var=var,
-            response=None if k < 5 else IDENTIFIED,
+            a_deck=(*a_deck, 0.0), response=None if k < 5 else IDENTIFIED,
         )  # fmt: skip
-        memory, command = stepped(memory, now)
+        memory, command = stepped(memory, now, Target(np.array([*place, 1.0])))
         out.append(command)
     return out
 
@@ -132,9 +136,9 @@ def test_other_gains_take_a_second_and_wait_for_those_before_them() -> None:
     memory, _ = stepped(LAW.start(), known(0.0))
     assert (memory.tuning, memory.share) == (TuningChoice(), 1.0)
     longer = TuningChoice(pytest.approx(0.15), False)
-    for t, tuning, share in ((0.25, longer, 0.0), (0.75, longer, 0.5), (0.7, longer, 0.5), (1.0, longer, 0.8)):
+    for t, chosen, share in ((0.25, longer, 0.0), (0.75, longer, 0.5), (0.7, longer, 0.5), (1.0, longer, 0.8)):
         memory, _ = stepped(memory, known(t, response=IDENTIFIED))
-        assert (memory.tuning, memory.share) == (tuning, pytest.approx(share))
+        assert (memory.tuning, memory.share) == (chosen, pytest.approx(share))
     memory, _ = stepped(memory, known(1.1))
     assert (memory.tuning, memory.share) == (longer, pytest.approx(0.9)), "the ones begun are gone over to first"
     memory, _ = stepped(memory, known(1.3))
@@ -205,3 +209,120 @@ def test_without_the_bodys_motion_the_plain_controller_flies_and_without_that_no
     assert command.v_level.tolist() == wanted.v_level.tolist()
     assert memory.plain.last == 0
     assert isinstance(law.step(memory, ns(T), both, HOLD)[1], Lean)
+
+
+# The deck ahead, what is under way, and what the vehicle does by itself
+
+
+def turning(t: float, early: float, late: float) -> Forecast:
+    """A forecast of a deck that accelerates forward, right and down: for a twentieth of a second by `early`, then by `late`."""
+    h, z = np.array([0.0, 0.05, 5.0]), np.zeros(3)
+    v = np.outer([0.0, 0.05 * early, 0.05 * early + 4.95 * late], [1.0, 2.0, 3.0])
+    return Forecast(ns(t), h, np.zeros((3, 3)), np.zeros((3, 3, 3)), v, z, z, z, z, z, z, z, z)
+
+
+def test_the_decks_acceleration_counts_now_and_when_the_command_has_taken_effect() -> None:
+    def lean(forecast: Forecast | None, law: FollowDeck = LAW) -> F64:
+        now = known(0.0, (0.001, -0.002, 1.0), v_deck=(0.0, 0.0, 0.0), forecast=forecast)
+        return np.append(asked(command := stepped(law.start(), now, law=law)[1]), command.v_level[2])
+
+    plain, early, late = lean(None), lean(turning(0.0, 0.2, 0.0)), lean(turning(0.0, 0.0, 0.2))
+    assert np.all(np.abs(early[:2] - plain[:2]) > 1e-3)
+    assert np.all(np.abs(late - plain) > 1e-3)
+    blind = FollowDeck(RESPONSE, T, forecast=False)
+    assert lean(turning(0.0, 0.2, 0.2), blind).tolist() == plain.tolist(), "a law without forecast follows from behind"
+
+
+def test_a_lean_is_cut_so_that_the_camera_keeps_the_pad() -> None:
+    field = FieldOfView(0.01, 0.0, 0.07, 0.06)
+    now = known(0.0, (0.06, -0.04, 1.5), heading=0.7)
+    _, free = stepped(LAW.start(), now)
+    _, seen = stepped(LAW.start(), now, law=FollowDeck(RESPONSE, T, field))
+    wanted = lean_in_view(field, (asked(free)[0], asked(free)[1]), (free.trim_level[0], free.trim_level[1]), [0.06, -0.04, 1.5])
+    assert asked(seen) == pytest.approx(wanted)
+    assert asked(seen) != pytest.approx(asked(free))
+
+
+@pytest.mark.parametrize("climb_delay_s", [0.0, 0.02, 0.1, 0.21])
+@pytest.mark.parametrize("response", [None, IDENTIFIED])
+def test_what_the_vehicle_answers_to_is_the_command_of_its_delay_ago(
+    climb_delay_s: float, response: ResponseInUse | None
+) -> None:
+    law = FollowDeck(structs.replace(RESPONSE, climb=structs.replace(RESPONSE.climb, delay_s=climb_delay_s)), T)
+    longer = 0.0 if response is None else response.longer_s
+    n = max(1, round((climb_delay_s + longer) / T))
+    n_tilt = math.ceil((RESPONSE.tilt.delay_s + longer) / T - 1e-9)
+    memory, rng = law.start(), np.random.default_rng(1)
+    length = len(memory.climbs)
+    for k in range(30):
+        a_down, v_down = rng.normal(size=2).tolist()
+        before = memory
+        now = known(k * T, (0.0, 0.0, 1.0 + rng.normal()), (0.0, 0.0, -v_down), a_down=a_down, response=response)
+        memory, _ = stepped(memory, now, law=law)
+        assert memory.axes is not None
+        assert len(memory.climbs) == length
+        if before.axes is not None:
+            arrived = before.climbs[n - 1]
+            expected = climb_law.pushed(before.pushed_down_m_s2, a_down, v_down, arrived, T, law.response.climb)
+            assert memory.pushed_down_m_s2 == pytest.approx(expected)
+            keep, north = math.exp(-T / RESPONSE.tilt.lag_s), before.axes[0]
+            assert memory.axes[0].lag == pytest.approx(keep * north.lag + (1.0 - keep) * north.under_way[n_tilt - 1])
+
+
+def test_while_gains_change_the_vertical_speed_lies_between_those_of_either() -> None:
+    now, end = known(0.5, (0.0, 0.0, 1.4), (0.0, 0.0, -0.3), response=IDENTIFIED), TuningChoice(0.15)
+    memory, _ = stepped(LAW.start(), known(0.48))
+    climbs = tuple(0.05 * k for k in range(len(memory.climbs)))
+
+    def down(**fields: object) -> float:
+        flown = structs.replace(memory, climbs=climbs, **fields)  # type: ignore[arg-type]
+        return float(stepped(flown, now)[1].v_level[2])
+
+    before, after = down(tuning=end, tuning_before=TuningChoice(), share=-T), down(tuning=end, tuning_before=end, share=1.0)
+    half = down(tuning=end, tuning_before=TuningChoice(), share=0.5 - T)
+    assert abs(after - before) > 0.01
+    assert min(before, after) < half < max(before, after)
+
+
+def test_commands_are_remembered_for_as_long_as_any_delay_that_is_flown_with() -> None:
+    slow = structs.replace(
+        RESPONSE, tilt=structs.replace(RESPONSE.tilt, delay_s=0.5), climb=structs.replace(RESPONSE.climb, delay_s=0.5)
+    )
+    law, assumed = FollowDeck(slow, T), ResponseInUse(ResponseState.ASSUMED, 0.5, None)
+    memory = law.start()
+    assert len(memory.climbs) * T >= 0.5 + tuning.SOFTER_LONGER_S
+    for k in range(3):
+        memory, _ = stepped(memory, known(k * T, response=assumed), law=law)
+        assert memory.axes is not None
+        assert len(memory.axes[0].under_way) * T >= 0.5 + tuning.SOFTER_LONGER_S
+
+
+@pytest.mark.parametrize("state", [ResponseState.ASSUMED, ResponseState.KNOWN])
+def test_no_gains_of_the_file_are_solved_in_flight(state: ResponseState, monkeypatch: pytest.MonkeyPatch) -> None:
+    law = FollowDeck(RESPONSE, T)
+    monkeypatch.setattr(tuning, "tilt_gains", None)
+    for sigma in (1e-3, 0.03, 0.3, 3.0):
+        stepped(law.start(), known(0.0, var=(sigma**2, 0.0), response=ResponseInUse(state, 0.05, None)), law=law)
+
+
+def test_a_velocity_loops_own_lean_is_followed_axis_by_axis_and_told_as_trim() -> None:
+    law, c, s = FollowDeck(RESPONSE, T, over_ground=True), math.cos(1.0), math.sin(1.0)
+    memory, at = law.start(), 0.0
+    for dt, target in ((0.0, HOLD), (T, None), (T, HOLD), (0.5, HOLD), (0.03, None), (0.6, HOLD), (T, HOLD)):
+        at += dt
+        now, before = known(at, lean=(0.3 + at, -0.1 - at), heading=1.0), memory
+        memory, command = law.step(memory, now.at, now, target)
+        assert memory.axes is not None
+        assert memory.own is not None
+        for k, axis in enumerate(memory.axes):
+            if before.own is None or dt > 0.5:
+                expected = own_part.begun(axis.lean)
+            elif target is None:
+                expected = own_part.hovered(before.own[k], axis.lean, dt)
+            else:
+                expected = own_part.flown(before.own[k], axis.lean, axis.lag, dt, RESPONSE.tilt)
+            assert memory.own[k] == pytest.approx(expected)
+        if isinstance(command, Lean):
+            north, east = memory.own[0].own, memory.own[1].own
+            assert command.trim_level == pytest.approx([c * north + s * east, c * east - s * north])
+    assert stepped(LAW.start(), known(0.0))[0].own is None

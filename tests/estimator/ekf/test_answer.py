@@ -115,11 +115,16 @@ def test_an_answer_is_worked_out_once_for_all_that_ask() -> None:
     now = MonoNs(T + 3 * MS)
     assert at(ekf, now) is at(ekf, now)
     assert motion_at(ekf, now)[1] is motion_at(ekf, now)[1]
+    first = at(ekf, now)
+    for k in range(4):
+        at(ekf, MonoNs(now + k))
+    assert at(ekf, now) is first, "guidance, recorder and links ask for instants of their own in between"
     for k in range(20):
         at(ekf, MonoNs(now + k))
     assert len(ekf.answers) <= 4, "the newest alone are kept"
     assert replace(ekf, history=History()).answers == {}, "another belief has its own"
     assert at(replace(ekf, history=History()), now) is None
+    assert motion_at(replace(ekf, history=History()), now) == (None, None)
 
 
 def test_an_estimate_s_figures_read_as_a_tuple_s() -> None:

@@ -34,6 +34,7 @@ from estimator.ekf.state import (
     Belief,
     InnovationRatios,
 )  # fmt: skip
+from tests.estimator.ekf import flown
 from tests.estimator.ekf.flown import fuse_sighting
 from tests.estimator.ekf.hand import (
     LEVEL,
@@ -286,6 +287,19 @@ def test_a_velocity_sensor_s_scale_stays_within_what_one_can_be_wrong_by(off_m: 
 
 
 # What a sighting says of the heading
+
+
+@pytest.mark.parametrize("pose6", [False, True])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_noise_of_a_sighting_is_symmetric_to_the_bit(seed: int, pose6: bool) -> None:
+    A = np.random.default_rng(seed).normal(size=(6, 6))
+    cov = 1e-4 * (A @ A.T)
+    cov = 0.5 * (cov + cov.T)
+    d = np.array([0.7, -0.4, 2.5])
+    seen = sighting(d, 0.3, pose6=whole(d, rpy_matrix(0.02, 0.1, -0.5), cov) if pose6 else None)
+    seen = replace(seen, cov=cov[:4, :4])
+    found = flown.sighting(state(), TILTED, (0.2, -0.1, 0.3), seen, rpy_matrix(0.1, -0.1, 0.7), 1e-7 * cov[:3, :3], 0.1)
+    assert found.R.tobytes() == found.R.T.copy().tobytes()
 
 
 @pytest.mark.parametrize(("var", "counts"), [(1.99, True), (2.0, False), (3.9, False)])
