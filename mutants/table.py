@@ -132,7 +132,11 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/companion/test_identify.py::test_a_descent_tells_the_delay_of_any_vehicle_to_40_ms",
     ),
     "companion/guidance/response_course.py": ("tests/companion/test_response_course.py",),
-    "companion/guidance/response_fit.py": _RESPONSE,
+    "companion/guidance/response_fit.py": (
+        "tests/companion/test_response_fit.py",
+        "tests/companion/test_identify.py::test_lag_and_delay_of_the_climb_are_told_apart",
+        "tests/companion/test_identify.py::test_a_descent_tells_the_delay_of_any_vehicle_to_40_ms",
+    ),
     "companion/guidance/response_watch.py": ("tests/companion/test_response_watch_bounds.py", *_RESPONSE),
     "companion/guidance/pid.py": ("tests/companion/test_pid_bounds.py", "tests/companion/test_pid.py"),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter_bounds.py", "tests/drivers/test_arbiter.py"),

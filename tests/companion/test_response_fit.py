@@ -1,0 +1,178 @@
+"""The fit of a response: it finds what made a course, says how well, and begins where it is told."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from companion.config.settings import shipped_response
+from companion.guidance.response import TiltResponse, tilt_model
+from companion.guidance.response_fit import STEP_S, FlightCourse, TiltFit, _good_size, fit_climb, fit_tilt
+from estimator.contracts.geometry import F64
+
+GIVEN = shipped_response("ardrone2")
+TRUE = structs.replace(GIVEN.tilt, delay_s=0.12, frequency_rad_s=5.5, damping=0.6)
+WARM = 60
+"""Steps of a course that are not compared."""
+
+
+def asked(seed: int, n: int) -> F64:
+    """Steps of half a second about a trim, two axes."""
+    rng = np.random.default_rng(seed)
+    return np.asarray(0.4 + np.repeat(rng.normal(size=(n // 25 + 1, 2)), 25, axis=0)[:n])
+
+
+def answered(true: TiltResponse, u: F64, gain: float = 1.0) -> F64:
+    model, out = tilt_model(true, STEP_S), np.zeros_like(u)
+    for axis in range(2):
+        x = np.zeros(model.A.shape[0])
+        for k in range(u.shape[0]):
+            out[k, axis] = gain * (x[2] + u[0, axis])
+            x = model.A @ x + model.B * (u[k, axis] - u[0, axis])
+    return out
+
+
+def lasting(rng: np.random.Generator, shape: tuple[int, int], sigma: float, rho: float) -> F64:
+    out = np.zeros(shape)
+    out[0] = sigma * rng.normal(size=shape[1])
+    for k in range(1, shape[0]):
+        out[k] = rho * out[k - 1] + sigma * math.sqrt(1.0 - rho * rho) * rng.normal(size=shape[1])
+    return out
+
+
+def course(
+    seed: int = 1, n: int = 600, *, gain: float = 1.0, noise: float = 0.0, rho: float = 0.9, drifts: int = 0
+) -> FlightCourse:
+    """What `TRUE` makes of steps, off by an offset or a drift; before anything is compared the report is nonsense."""
+    u, counts = asked(seed, n), np.arange(n) > WARM
+    off = np.outer(np.ones(n) if drifts == 0 else np.arange(n) / n, [0.3, -0.2])
+    y = answered(TRUE, u, gain) + off + lasting(np.random.default_rng(seed + 100), (n, 2), noise, rho)
+    return FlightCourse(u, np.where(counts[:, None], y, 99.0), counts, 0.0, drifts)
+
+
+def fitted(of: FlightCourse, begin: TiltFit | None = None, steps: int = 12) -> TiltFit:
+    found = fit_tilt(of, GIVEN.tilt, begin, steps)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("drifts", [0, 1, 2])
+def test_a_course_without_errors_gives_the_response_that_made_it(drifts: int) -> None:
+    of = course(gain=1.2, drifts=drifts)
+    found = fitted(of)
+    got = found.response
+    assert (got.delay_s, got.frequency_rad_s, got.damping, found.gain) == pytest.approx((0.12, 5.5, 0.6, 1.2), rel=1e-3)
+    assert (got.lag_s, got.max_deg) == (GIVEN.tilt.lag_s, GIVEN.tilt.max_deg)
+    assert found.fitted.residual < 1e-3
+    assert found.fitted.seconds == pytest.approx((600 - WARM - 2) * STEP_S)
+    off = np.outer(np.ones(600) if drifts == 0 else np.arange(600) / 600, [0.3, -0.2])
+    np.testing.assert_allclose(found.fitted.offset, off, atol=2e-3)
+    assert np.isnan(found.fitted.model[: WARM + 1]).all()
+    np.testing.assert_allclose((found.fitted.model + off)[WARM + 1 :], of.reported[WARM + 1 :], atol=5e-3)
+
+
+def test_sigmas_are_those_of_the_covariance() -> None:
+    found = fitted(course(noise=0.05))
+    sigma, got = np.sqrt(np.diag(found.fitted.cov)), found.response
+    assert (got.delay_sigma_s, found.delay_sigma_s) == pytest.approx((sigma[0], sigma[0]))
+    assert got.frequency_sigma_rad_s == pytest.approx(got.frequency_rad_s * sigma[1])
+    assert got.damping_sigma == pytest.approx(got.damping * sigma[2])
+    assert found.fitted.values == pytest.approx(
+        [got.delay_s, math.log(got.frequency_rad_s), math.log(got.damping), math.log(found.gain)]
+    )
+
+
+def test_an_error_of_the_stamps_is_one_of_the_delay_and_no_delay_is_known_to_less_than_4_ms() -> None:
+    sure, unsure = course(noise=0.0), course(noise=0.0)._replace(stamp_sigma_s=0.03)
+    assert 0.004 <= fitted(sure).delay_sigma_s < 0.0045
+    before, after = fitted(sure).fitted.cov, fitted(unsure).fitted.cov
+    assert after[0, 0] - before[0, 0] == pytest.approx(0.03**2)
+    assert after[1:, 1:] == pytest.approx(before[1:, 1:])
+
+
+@pytest.mark.parametrize("rho", [0.5, 0.95])
+def test_what_it_says_of_its_errors_is_true(rho: float) -> None:
+    off, told = [], []
+    for seed in range(16):
+        found = fitted(course(seed, noise=0.08, rho=rho))
+        off.append(found.fitted.values - [0.12, math.log(5.5), math.log(0.6), 0.0])
+        told.append(np.sqrt(np.diag(found.fitted.cov) - [0.004**2, 0.0, 0.0, 0.0]))
+    assert np.sqrt(np.mean((np.array(off) / np.array(told)) ** 2, axis=0)) == pytest.approx(np.full(4, 0.9), abs=0.35)
+    found = fitted(course(3, 3000, noise=0.08, rho=rho))
+    assert found.fitted.rho == pytest.approx(rho, abs=0.05)
+    assert found.fitted.residual == pytest.approx(0.08, rel=0.15)
+
+
+@pytest.mark.parametrize(("compared", "fits"), [(199, False), (200, True)])
+def test_four_seconds_are_a_flight_to_identify_from(compared: int, fits: bool) -> None:
+    of = course()
+    of = of._replace(counts=(np.arange(600) >= 100) & (np.arange(600) <= 100 + compared))
+    assert (fit_tilt(of, GIVEN.tilt) is not None) is fits
+
+
+def test_a_gap_in_what_is_compared_is_bridged_by_the_model() -> None:
+    of = course()
+    counts = of.counts & ~((np.arange(600) > 250) & (np.arange(600) < 330))
+    found = fitted(of._replace(counts=counts, reported=np.where(counts[:, None], of.reported, -50.0)))
+    assert (found.response.delay_s, found.response.frequency_rad_s) == pytest.approx((0.12, 5.5), rel=1e-3)
+    assert found.fitted.seconds == pytest.approx((np.count_nonzero(counts) - 2) * STEP_S)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.3, 0.55])
+def test_the_search_begins_at_the_delay_of_the_largest_correlation(delay_s: float) -> None:
+    u = asked(2, 600)
+    of = FlightCourse(u, answered(structs.replace(TRUE, delay_s=delay_s), u), np.arange(600) > WARM)
+    assert fitted(of).response.delay_s == pytest.approx(delay_s, abs=2e-3)
+    first = fitted(of, steps=1)
+    assert abs(first.response.delay_s - delay_s) <= 0.12
+
+
+def test_a_fit_goes_on_from_one_before_it_that_knew_the_delay() -> None:
+    of = course(noise=0.02)
+    settled = fitted(of)
+    again = fitted(of, settled, 1)
+    assert again.fitted.values == pytest.approx(settled.fitted.values, abs=2e-3)
+    far = structs.replace(settled, fitted=settled.fitted._replace(values=np.array([0.5, math.log(9.0), 0.0, 0.3])))
+    assert abs(fitted(of, far, 1).response.delay_s - 0.12) > 0.15, (
+        "one step of a tenth of a second from where it was told to begin"
+    )
+    vague = far.fitted._replace(cov=np.diag([0.16**2, 1.0, 1.0, 1.0]))
+    anew = fitted(of, structs.replace(far, fitted=vague), 1)
+    assert anew.fitted.values == pytest.approx(fitted(of, None, 1).fitted.values), "a delay that was not known is no beginning"
+
+
+def test_what_a_flight_does_not_tell_stays_where_the_search_began() -> None:
+    n, rng = 600, np.random.default_rng(5)
+    still = FlightCourse(np.zeros((n, 2)), lasting(rng, (n, 2), 0.05, 0.9), np.arange(n) > WARM)
+    found = fitted(still)
+    assert found.fitted.values[1:] == pytest.approx(
+        [math.log(GIVEN.tilt.frequency_rad_s), math.log(GIVEN.tilt.damping), 0.0], abs=0.02
+    )
+    assert np.sqrt(np.diag(found.fitted.cov)) == pytest.approx([0.25, 0.5, 0.5, 0.2], rel=0.05)
+
+
+@pytest.mark.parametrize(("delay_s", "lag_s"), [(0.1, 0.3), (0.3, 0.6), (0.0, 0.2)])
+def test_a_climb_without_errors_gives_the_response_that_made_it(delay_s: float, lag_s: float) -> None:
+    u = asked(4, 600)[:, :1]
+    v, late, keep = np.full((600, 1), 1.1 * u[0, 0]), round(delay_s / STEP_S), math.exp(-STEP_S / lag_s)
+    for k in range(1, 600):
+        v[k] = keep * v[k - 1] + (1.0 - keep) * 1.1 * u[max(0, k - 1 - late)]
+    found = fit_climb(FlightCourse(u, v + 0.2, np.arange(600) > WARM), GIVEN.climb)
+    assert found is not None
+    got, sigma = found.response, np.sqrt(np.diag(found.fitted.cov))
+    assert (got.delay_s, got.lag_s, found.gain) == pytest.approx((delay_s, lag_s, 1.1), abs=4e-3)
+    assert got.max_m_s == GIVEN.climb.max_m_s
+    assert (got.delay_sigma_s, got.lag_sigma_s) == pytest.approx((sigma[0], lag_s * sigma[1]), rel=0.02)
+    assert fit_climb(FlightCourse(u, v, np.arange(600) > 450), GIVEN.climb) is None
+
+
+def test_a_length_for_the_transform_holds_the_course_and_is_hardly_longer() -> None:
+    for least in range(2, 5000, 7):
+        size = _good_size(least)
+        assert least <= size <= 1.5 * least
+        odd = size // (size & -size)
+        assert odd in (1, 3)
+    assert (_good_size(1024), _good_size(1025), _good_size(1537)) == (1024, 1536, 2048)
