@@ -33,6 +33,19 @@ class AttitudeHistory(Struct, frozen=True):
                 return (earlier.R_ned_body.inv @ later.R_ned_body).rotvec_rad / dt
         return np.zeros(3)
 
+    def turn_at(self, instant: MonoNs) -> tuple[F64, F64]:
+        """Return the rate at an instant, (3,) rad/s, and the angle (3,) turned between the two samples around it.
+
+        Both are written in the body's axes at the earlier sample. After the newest sample, and with fewer than two samples, the
+        angle is zero and the rate `newest_rate_rad_s`.
+        """
+        i = bisect_left(self.samples, instant, key=lambda s: s.stamp.measured_at)
+        if not 0 < i < len(self.samples):
+            return self.newest_rate_rad_s, np.zeros(3)
+        earlier, later = self.samples[i - 1], self.samples[i]
+        turned = (earlier.R_ned_body.inv @ later.R_ned_body).rotvec_rad
+        return turned / seconds_between(earlier.stamp.measured_at, later.stamp.measured_at), turned
+
     def add(self, *samples: Attitude) -> AttitudeHistory:
         """Return the history with `samples` added in turn; one that is not newer than the newest is ignored."""
         kept = list(self.samples)

@@ -13,14 +13,14 @@ from estimator import dead_reckoning, ekf, filters
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, source_of
 from estimator.contracts.motion import BodyMotion, DeckMotion
-from estimator.contracts.samples import GeoFix, Sample, VehicleStatus
+from estimator.contracts.samples import GeoFix, GimbalAttitude, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.ekf import Forecast
 
 Event = Sample | Sighting
 
 
-_UNUSED_BY_EKF = frozenset({VehicleStatus, GeoFix})
+_UNUSED_BY_EKF = frozenset({VehicleStatus, GeoFix, GimbalAttitude})
 
 
 class Path(Protocol):

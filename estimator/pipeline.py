@@ -16,9 +16,10 @@ from estimator.attitude_history import AttitudeHistory
 from estimator.contracts.estimates import Details, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, source_of
 from estimator.contracts.motion import BodyMotion, DeckMotion
-from estimator.contracts.samples import Attitude, Frame, Sample
+from estimator.contracts.samples import Attitude, Frame, GimbalAttitude, Sample
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf import Forecast
+from estimator.gimbal_history import GimbalHistory, HeldCamera
 from estimator.options import EstimatorOptions
 from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
 
@@ -31,6 +32,7 @@ class Memory(Struct, frozen=True):
     paths: tuple[Path, ...]
     """The paths; the first one steers."""
     guard: integrity.IntegrityGuard = field(default_factory=integrity.IntegrityGuard)
+    gimbal: GimbalHistory = GimbalHistory()
 
 
 def start(options: EstimatorOptions, shadows: Sequence[PathName] = ()) -> Memory:
@@ -79,7 +81,8 @@ def step_samples(memory: Memory, samples: Sequence[Sample]) -> tuple[Memory, lis
         _refused(memory, sample, found) if isinstance(found, Verdict) else tuple([r for r in next(by_sample) if r is not None])
         for sample, found in zip(samples, admitted, strict=True)
     ]
-    return Memory(memory.options, attitudes, tuple(paths), guard), results
+    gimbal = memory.gimbal.add(*[s for s in passed if type(s) is GimbalAttitude])
+    return Memory(memory.options, attitudes, tuple(paths), guard, gimbal), results
 
 
 def _sighted(memory: Memory, sighting: Sighting) -> tuple[Memory, tuple[FusionResult, ...]]:
@@ -93,7 +96,7 @@ def _sighted(memory: Memory, sighting: Sighting) -> tuple[Memory, tuple[FusionRe
     paths, results = zip(*[path.step(sighting) for path in memory.paths], strict=True)
     if results[0].verdict is Verdict.FUSED:
         guard = integrity.fused(guard, sighting, attitude)
-    return Memory(memory.options, memory.attitudes, paths, guard), results
+    return Memory(memory.options, memory.attitudes, paths, guard, memory.gimbal), results
 
 
 def _refused(memory: Memory, event: Event, verdict: Verdict) -> tuple[FusionResult, ...]:
@@ -139,6 +142,15 @@ def forecast(memory: Memory, now: MonoNs, horizons_s: Sequence[float]) -> Foreca
 def attitude_at(memory: Memory, stamp: Stamp) -> Attitude | None:
     """Return the attitude at the instant a frame was exposed; None if no sample covers it."""
     return memory.attitudes.at(stamp.measured_at, stamp)
+
+
+def held_at(memory: Memory, stamp: Stamp, attitude: Attitude) -> HeldCamera | None:
+    """Return how the camera's gimbal held it at the instant of an exposure; None if no report of the gimbal covers it.
+
+    Args:
+        attitude: the vehicle's at that instant.
+    """
+    return memory.gimbal.at(stamp, attitude)
 
 
 def _dressed(state: RelativeState, guard: integrity.IntegrityGuard, now: MonoNs) -> RelativeState:

@@ -17,6 +17,7 @@ from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer
+from drivers.mavlink.gimbal_options import GimbalOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from sitl.ending import Contact, Ending, FlightGrade
@@ -62,10 +63,11 @@ def settings_for(scenario: Scenario, config: str | None) -> Settings:
         return settings
     rendezvous = msgspec.structs.replace(settings.guidance.rendezvous, enabled=scenario.vessel.reports_place)
     follow = msgspec.structs.replace(settings.guidance.follow_deck, response=vehicle_model(scenario).response)
+    gimbal = GimbalOptions(scenario.gimbal.device_id, point_down=scenario.gimbal.given)
     return msgspec.structs.replace(
         settings,
         vehicle=msgspec.structs.replace(settings.vehicle, model=scenario.vehicle.generation),
-        camera=CameraSettings(scenario.camera.file),
+        camera=CameraSettings(scenario.camera.file, gimbal=gimbal),
         pad=PadSettings(scenario.pad.file),
         guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous, follow_deck=follow),
     )

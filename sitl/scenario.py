@@ -24,6 +24,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.contradictions import contradictions
 from sitl.faults import AnyFault, WeakRotor
+from sitl.gimbal_settings import GimbalSettings
 from sitl.light_settings import LightSettings
 from sitl.operator_faults import OperatorActs
 from sitl.picture_faults import OtherPad
@@ -114,6 +115,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     wind: WindSettings = WindSettings()
     start: Start = Start()
     camera: CameraView = CameraView()
+    gimbal: GimbalSettings = GimbalSettings()
     pad: PadView = PadView()
     light: LightSettings = LightSettings()
     lamps: LampSettings = LampSettings()

@@ -25,6 +25,7 @@ from companion.runtime.restart_options import RestartOptions
 from companion.video.options import VideoStreamOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.options import CameraOptions
+from drivers.mavlink.gimbal_options import GimbalOptions
 from drivers.mavlink.options import AutopilotOptions
 from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
 from estimator.contracts.errors import BadInput
@@ -40,6 +41,7 @@ class CameraSettings(CameraOptions, frozen=True, forbid_unknown_fields=True):
     """The camera that looks down and the source of its frames; intrinsics, distortion and mount are in a file of their own."""
 
     file: Annotated[str, text(f"camera file: {_SHIPPED_OR_PATH}", 4096)]
+    gimbal: GimbalOptions = GimbalOptions()
 
 
 class PadSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -104,6 +106,8 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
                 return 'camera.source must be "v4l2", "gstreamer" or "stream": an autopilot has no frames'
             if self.bridge.links:
                 return "bridge.links must be empty: an autopilot speaks MAVLink itself"
+        elif self.camera.gimbal.given:
+            return "camera.gimbal.device_id must be 0: only an autopilot's link tells of a gimbal"
         if self.vessel.mqtt and (self.mqtt.transport == "off" or self.mqtt.commands == "off"):
             return "vessel.mqtt needs mqtt.transport and mqtt.commands: reports come from whom commands may come"
         return None

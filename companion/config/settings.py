@@ -25,13 +25,14 @@ from companion.guidance.response import Response, response_from_mapping
 from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput, unusable
+from estimator.gimbal_history import DOWN
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_rules import check_for_detection
 
 __all__ = [
-    "Settings", "camera_model", "complete", "find_file", "from_mapping", "load", "pad_model", "read_toml", "response_model",
-    "shipped", "shipped_response",
+    "Settings", "body_camera", "camera_model", "complete", "find_file", "from_mapping", "load", "pad_model", "read_toml",
+    "response_model", "shipped", "shipped_response",
 ]  # fmt: skip
 
 _Table = TypeVar("_Table", bound=msgspec.Struct)
@@ -131,6 +132,16 @@ def camera_model(settings: Settings) -> Camera:
     """
     path = find_file(settings.camera.file, "cameras", Path(), "camera.file")
     return Camera.from_mapping(read_toml(path), str(path))
+
+
+def body_camera(settings: Settings) -> Camera:
+    """Return the camera on the body; one on a gimbal as it is while that points straight down.
+
+    Raises:
+        BadInput: the file is missing or has a fault.
+    """
+    camera = camera_model(settings)
+    return camera.held(DOWN) if settings.camera.gimbal.given else camera
 
 
 def pad_model(settings: Settings) -> Pad:

@@ -20,7 +20,18 @@ from companion.runtime.worker import Worker
 from drivers.mailbox import Line
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
+from estimator.contracts.samples import (
+    Attitude,
+    Baro,
+    BodyVelocity,
+    GeoFix,
+    GimbalAttitude,
+    Imu,
+    Range,
+    Sample,
+    VehicleStatus,
+    VesselReport,
+)
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
@@ -34,6 +45,7 @@ _NEVER_LIVE = frozenset({channels.TRUTH, channels.TRUE_POSE, channels.LINK})
 _SAMPLE_TOPICS: dict[type, frozenset[str]] = {
     Imu: frozenset({"/sample/imu"}),
     Attitude: frozenset({"/sample/attitude", channels.TRANSFORMS}),
+    GimbalAttitude: frozenset({"/sample/gimbal"}),
     BodyVelocity: frozenset({"/sample/velocity"}),
     Range: frozenset({"/sample/range"}),
     Baro: frozenset({"/sample/baro"}),

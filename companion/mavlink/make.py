@@ -15,8 +15,10 @@ from companion.mavlink.signed_links import signed_links
 from companion.mavlink.tunables import Tunables
 from companion.runtime.daemon import VehicleLink
 from companion.runtime.health import Health
+from companion.runtime.missing_inputs import GIMBAL
 from companion.runtime.pilot import Pilot
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
+from drivers.mavlink.gimbal import Gimbal, tending
 from drivers.mavlink.links import Links, Tap
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.ports import Clock
@@ -65,6 +67,10 @@ class AutopilotPart:
         )
         pilot.engage = self._engage
         health.counters("mavlink", self._counted)
+        self._gimbal = Gimbal(settings.camera.gimbal, clock) if settings.camera.gimbal.given else None
+        if self._gimbal is not None:
+            health.awaited |= {GIMBAL}
+            health.counters("gimbal", self._gimbal.counted)
 
     @property
     def autopilot(self) -> Autopilot | None:
@@ -84,7 +90,11 @@ class AutopilotPart:
         async with opening as autopilot:
             self._links, autopilot.links.tap = autopilot.links, self._tap
             autopilot.deck_velocity = DeckVelocity(self._pilot.belief, autopilot, self._pilot.vessel_velocity)
-            async with speaking(self.component, autopilot, self._clock), showing(self._show, autopilot, self._clock):
+            async with (
+                speaking(self.component, autopilot, self._clock),
+                showing(self._show, autopilot, self._clock),
+                tending(self._gimbal, autopilot, self._clock),
+            ):
                 self._open = autopilot
                 try:
                     yield autopilot

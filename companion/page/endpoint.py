@@ -365,7 +365,8 @@ class PageEndpoint(NullObserver):
             ready = [viewer for viewer in self._viewers if viewer.ready]
             self._counts["pictures_skipped"] += len(self._viewers) - len(ready)
             encoders = {viewer.encoder for viewer in ready}
-            lines = await worker.run(picture_lines, processed, belief, ahead, lean, self.pilot.camera, self.pilot.pad)
+            camera = processed.camera or self.pilot.camera
+            lines = await worker.run(picture_lines, processed, belief, ahead, lean, camera, self.pilot.pad)
             messages = await worker.run(_messages, number, processed, lines, encoders, self._settings.jpeg_quality)
             for viewer in ready:
                 # Nothing for one that has asked for another codec meanwhile: the next picture is for it.

@@ -43,6 +43,7 @@ def pose(path: str) -> str:
 SAMPLES: dict[type[msgspec.Struct], str] = {
     rec.ImuRecord: "/sample/imu",
     rec.AttitudeRecord: "/sample/attitude",
+    rec.GimbalRecord: "/sample/gimbal",
     rec.VelocityRecord: "/sample/velocity",
     rec.RangeRecord: "/sample/range",
     rec.BaroRecord: "/sample/baro",

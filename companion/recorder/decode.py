@@ -19,7 +19,19 @@ from estimator.contracts.estimates import IntegrityAlert, Method, PathName, Pose
 from estimator.contracts.fusion import FusionResult, Source
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
+from estimator.contracts.samples import (
+    Attitude,
+    Baro,
+    BodyVelocity,
+    GeoFix,
+    GimbalAttitude,
+    GimbalFrame,
+    Imu,
+    Range,
+    Sample,
+    VehicleStatus,
+    VesselReport,
+)
 from estimator.contracts.time import MonoNs, Stamp, StampSource
 from estimator.vision.thesis.detection import Detection
 
@@ -32,6 +44,9 @@ def sample(of: rec.SampleRecord) -> Sample:
             return Imu(t, _vector(of.w_body), _vector(of.f_body))
         case rec.AttitudeRecord():
             return attitude(of)
+        case rec.GimbalRecord():
+            frame, R = cast(GimbalFrame, of.frame), Rotation(_matrix(of.R_frame_gimbal, 3))
+            return GimbalAttitude(t, frame, R, _matrix(of.cov_gimbal, 3))
         case rec.VelocityRecord():
             return BodyVelocity(t, _vector(of.v_level), _matrix(of.cov_level, 3))
         case rec.RangeRecord():
@@ -79,6 +94,11 @@ def detection(of: rec.DetectionRecord) -> Detection | None:
     methods = {_method(name): seen(name) for name in of.tried}
     chosen = None if of.chosen is None else _method(of.chosen)
     return Detection(seen("selected"), chosen, MappingProxyType(methods))
+
+
+def held_rotation(of: rec.DetectionRecord) -> Rotation | None:
+    """Return the rotation of a camera on the body as its gimbal held it; None of one that is fixed, or if it is not known."""
+    return None if of.R_body_cam is None else Rotation(_matrix(of.R_body_cam, 3))
 
 
 def frame_times(of: rec.DetectionRecord) -> FrameTimes | None:

@@ -16,7 +16,18 @@ from companion.runtime.observer import Decision, DeckOutlook, ProcessedFrame
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
+from estimator.contracts.samples import (
+    Attitude,
+    Baro,
+    BodyVelocity,
+    GeoFix,
+    GimbalAttitude,
+    Imu,
+    Range,
+    Sample,
+    VehicleStatus,
+    VesselReport,
+)
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.thesis.detection import Detection
 
@@ -33,6 +44,8 @@ def sample(of: Sample) -> rec.SampleRecord:
             return rec.ImuRecord(stamp(of.stamp), of.w_body.tolist(), of.f_body.tolist())
         case Attitude():
             return attitude(of)
+        case GimbalAttitude():
+            return rec.GimbalRecord(stamp(of.stamp), of.frame, _flat(of.R_frame_gimbal.matrix), _flat(of.cov_gimbal))
         case BodyVelocity():
             return rec.VelocityRecord(stamp(of.stamp), of.v_level.tolist(), _flat(of.cov_level))
         case Range():
@@ -89,6 +102,7 @@ def detection(of: ProcessedFrame) -> rec.DetectionRecord:
         None if processed is None else list(processed.methods),
         None if processed is None else processed.chosen,
         times=None if of.times is None else rec.FrameTimesRecord(*(seconds for _, seconds in of.times.by_stage())),
+        R_body_cam=None if of.camera is None else _flat(of.camera.T_body_cam.R.matrix),
         **({} if processed is None else _methods(processed)),
     )
 

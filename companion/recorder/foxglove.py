@@ -230,16 +230,22 @@ def calibration(at_ns: int, camera: Camera) -> CameraCalibration:
     )  # fmt: skip
 
 
-def fixed_transforms(at_ns: int, camera: Camera) -> FrameTransforms:
-    """Return the transforms that never change: the deck's own axes and the camera's mount."""
+def fixed_transforms(at_ns: int, camera: Camera | None) -> FrameTransforms:
+    """Return the transforms that never change: the deck's own axes and the camera's mount.
+
+    Args:
+        camera: None if a gimbal turns it.
+    """
     t = time_of(at_ns)
-    mount = camera.T_body_cam
-    return FrameTransforms(
-        [
-            FrameTransform(t, "deck", "pad", Vector3(0.0, 0.0, 0.0), quaternion(R_DECK_PAD)),
-            FrameTransform(t, "body", "cam", vector(mount.t), quaternion(mount.R)),
-        ]
-    )
+    transforms = [FrameTransform(t, "deck", "pad", Vector3(0.0, 0.0, 0.0), quaternion(R_DECK_PAD))]
+    if camera is not None:
+        transforms.append(FrameTransform(t, "body", "cam", vector(camera.T_body_cam.t), quaternion(camera.T_body_cam.R)))
+    return FrameTransforms(transforms)
+
+
+def camera_transform(at_ns: int, p_body_cam: F64, R_body_cam: Rotation) -> FrameTransforms:
+    """Return the transform of a camera that a gimbal turns, in `body`; its place is (3,) m."""
+    return FrameTransforms([FrameTransform(time_of(at_ns), "body", "cam", vector(p_body_cam), quaternion(R_body_cam))])
 
 
 def _level_in_pad(d_body_pad_level: F64, yaw_rad: float) -> tuple[Vector3, Quaternion]:

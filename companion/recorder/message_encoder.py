@@ -10,7 +10,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.operator.orders import HandledOrder
-from companion.recorder import channels, encode
+from companion.recorder import channels, decode, encode
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
 from companion.recorder.frame_video import RECORDED
@@ -20,7 +20,17 @@ from companion.runtime.observer import Decision, ProcessedFrame
 from companion.video.frame_encoder import FrameEncoder
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, VehicleStatus, VesselReport
+from estimator.contracts.samples import (
+    Attitude,
+    Baro,
+    BodyVelocity,
+    GeoFix,
+    GimbalAttitude,
+    Imu,
+    Range,
+    VehicleStatus,
+    VesselReport,
+)
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
@@ -28,7 +38,7 @@ from estimator.vision.thesis.detection import Detection
 
 Message = tuple[str, int, Struct]
 _TF_PERIOD_S, _REPEAT_S, _ELLIPSOID_S = 0.02, 1.0, 0.1
-_SAMPLES = (Imu, Attitude, BodyVelocity, Range, Baro, VesselReport, GeoFix, VehicleStatus)
+_SAMPLES = (Imu, Attitude, GimbalAttitude, BodyVelocity, Range, Baro, VesselReport, GeoFix, VehicleStatus)
 
 
 class MessageEncoder:
@@ -54,13 +64,15 @@ class MessageEncoder:
         self._repeated: MonoNs | None = None
         self._video = FrameEncoder(RECORDED)
         self._drawn: MonoNs | None = None
+        self._held = False
+        """Whether a gimbal turns the camera, so that its rotation is no constant."""
 
     def preamble(self, at: MonoNs) -> Iterator[Message]:
         """Yield the constant messages, which stand at the head of a file and again in each second of it."""
         self._repeated = at
         t = self._time(at)
         yield channels.CALIBRATION, t, fox.calibration(t, self._camera)
-        yield channels.FIXED_TRANSFORMS, t, fox.fixed_transforms(t, self._camera)
+        yield channels.FIXED_TRANSFORMS, t, fox.fixed_transforms(t, None if self._held else self._camera)
         yield channels.SCENE, t, fixed_scene(t, self._pad)
 
     def messages(self, at: MonoNs, what: object) -> Iterator[Message]:
@@ -70,7 +82,17 @@ class MessageEncoder:
         """
         t = self._time(at)
         match what:
-            case Imu() | Attitude() | BodyVelocity() | Range() | Baro() | VesselReport() | GeoFix() | VehicleStatus():
+            case (
+                Imu()
+                | Attitude()
+                | GimbalAttitude()
+                | BodyVelocity()
+                | Range()
+                | Baro()
+                | VesselReport()
+                | GeoFix()
+                | VehicleStatus()
+            ):
                 record = encode.sample(what)
                 yield channels.SAMPLES[type(record)], t, record
                 if isinstance(what, Attitude) and self._due(at):
@@ -119,6 +141,9 @@ class MessageEncoder:
             data = packed(processed.frame.px, self._frames, self._quality)
             yield channels.IMAGE, t, fox.compressed_image(exposed_at, data, self._frames)
         yield channels.DETECTION, t, record
+        if (R_body_cam := decode.held_rotation(record)) is not None:
+            self._held = True
+            yield channels.TRANSFORMS, t, fox.camera_transform(exposed_at, self._camera.T_body_cam.t, R_body_cam)
         if detection is not None:
             features = [(name, f) for name, s in detection.methods.items() if s is not None for f in s.features]
             where = "no pad"

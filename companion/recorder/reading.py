@@ -23,6 +23,7 @@ from companion.runtime.observer import Decision, FrameTimes
 from drivers.camera import images
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState, Verdict
+from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 from estimator.vision.camera import Camera
@@ -60,11 +61,16 @@ class RecordedFrame:
     def check(self) -> None:
         """Check the frame and its detection. Raises ValueError if numbers or names are not valid."""
         Verdict(self.record.verdict)
-        _ = self.stamp, self.attitude, self.detection()
+        _ = self.stamp, self.attitude, self.detection(), self.R_body_cam
 
     def detection(self) -> Detection | None:
         """Return the recorded detection without the features in pixels, or None if vision did not run."""
         return decode.detection(self.record)
+
+    @property
+    def R_body_cam(self) -> Rotation | None:
+        """The rotation of the camera on the body as its gimbal held it; None of one that is fixed, or if it is not known."""
+        return decode.held_rotation(self.record)
 
     @property
     def times(self) -> FrameTimes | None:

@@ -45,6 +45,15 @@ class AttitudeRecord(Struct, frozen=True):
     yaw_deg: float
 
 
+class GimbalRecord(Struct, frozen=True):
+    """A gimbal's attitude as a matrix (9,) in the frame that it names, and its covariance (9,)."""
+
+    stamp: StampRecord
+    frame: str
+    R_frame_gimbal: list[float]
+    cov_gimbal: list[float]
+
+
 class VelocityRecord(Struct, frozen=True):
     """A velocity (3,) in `level`, m/s, and its covariance (9,)."""
 
@@ -155,6 +164,8 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     fused: SightingRecord | None = None
     times: FrameTimesRecord | None = None
     """Left out if vision did not search the frame, and in virtual time."""
+    R_body_cam: list[float] | None = None
+    """The rotation (9,) of a camera on the body as its gimbal held it; left out for one that is fixed, or if it is not known."""
 
 
 class NamedNumber(Struct, frozen=True):
@@ -375,4 +386,14 @@ class HealthRecord(Struct, frozen=True):
     counters: list[CounterRecord]
 
 
-SampleRecord = ImuRecord | AttitudeRecord | VelocityRecord | RangeRecord | BaroRecord | VesselRecord | FixRecord | StatusRecord
+SampleRecord = (
+    ImuRecord
+    | AttitudeRecord
+    | GimbalRecord
+    | VelocityRecord
+    | RangeRecord
+    | BaroRecord
+    | VesselRecord
+    | FixRecord
+    | StatusRecord
+)

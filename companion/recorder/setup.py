@@ -10,7 +10,7 @@ from pathlib import Path
 
 from companion.config import reference
 from companion.config.model import Settings
-from companion.config.settings import camera_model, find_file, pad_model
+from companion.config.settings import body_camera, find_file, pad_model
 from companion.recorder.mcap_file import About, Attachment
 from companion.recorder.options import FrameForm, RecorderOptions
 from companion.recorder.reading import CAMERA, PAD, SETTINGS
@@ -57,7 +57,7 @@ def recorder_of(settings: Settings, clock: Clock, health: Health) -> Recorder:
     started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
     storage_policy = Folder(Path(r.folder), started, r.max_file_mb, r.max_total_mb, r.min_free_mb)
     described = about(settings, {"kind": "service"}, wall_offset_ns(clock))
-    recorder = Recorder(storage_policy, camera_model(settings), described, r, health, close_s=1.5)
+    recorder = Recorder(storage_policy, body_camera(settings), described, r, health, close_s=1.5)
     if not r.enabled:
         recorder.switch(False)
     return recorder

@@ -151,6 +151,7 @@ class Replay:
         self.counts.frames += 1
         attitude = recorded.attitude
         attitude = self._pilot.attitude_at(stamp) if attitude is None else replace(attitude, stamp=self._moved(attitude.stamp))
+        held = None if attitude is None else self._pilot.held_at(stamp, attitude)
         detection: Detection | None = None
         verdict = Verdict.NO_ATTITUDE
         results: tuple[FusionResult, ...] = ()
@@ -166,13 +167,16 @@ class Replay:
             frame = _black(recorded)
         elif (refused := self._pilot.admit(replace(frame, stamp=stamp))) is not None:
             verdict = refused
+        elif attitude is not None and held is None and self._pilot.gimballed:
+            verdict = Verdict.NO_GIMBAL
         elif attitude is not None:
             self.counts.searched += 1
-            detection = self._pilot.detect(replace(frame, stamp=stamp), attitude)
+            detection = self._pilot.detect(replace(frame, stamp=stamp), attitude, held)
             verdict, results = self._pilot.on_detection(detection)
         self._pilot.on_verdict(verdict)
         seen = replace(frame, stamp=stamp)
-        processed = ProcessedFrame(seen, attitude, detection, verdict, began, done, results, recorded.times)
+        camera = self._pilot.camera_held(held)
+        processed = ProcessedFrame(seen, attitude, detection, verdict, began, done, results, recorded.times, camera)
         self._hash.update(self._encoder.encode(encode.detection(processed)))
         for observer in self._observers:
             observer.on_frame(processed)

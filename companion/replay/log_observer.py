@@ -13,7 +13,7 @@ from companion.recorder.frame_video import VideoImage
 from companion.recorder.reading import Recording
 from companion.recorder.records import TruthRecord
 from companion.replay.truth_log import add_truth
-from companion.report.expected_place import expected_in_body
+from companion.report.expected_place import expected_in_body, held_rotation
 from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange
 from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.estimates import PathName, RelativeState
@@ -44,7 +44,8 @@ class BeliefLogObserver:
         expected = expected_in_body(processed, log.steering)
         place = None if R_level_body is None or expected is None else R_level_body @ expected
         exposed_at = processed.frame.stamp.measured_at
-        log.frames.append(FrameRecord(exposed_at, processed.frame.seq, processed.verdict, R_level_body, place))
+        held, verdict = held_rotation(processed), processed.verdict
+        log.frames.append(FrameRecord(exposed_at, processed.frame.seq, verdict, R_level_body, place, held))
         log.verdicts[processed.verdict] += 1
         if processed.detection is not None:
             log.add_detection(processed.detection)

@@ -69,6 +69,8 @@ def pilot_of(recording: Recording, settings: Settings, path: PathName | None, *,
             for name in (CAMERA, PAD):
                 (Path(folder) / name).write_bytes(recording.attachments[name])
             settings = msgspec.structs.replace(
-                settings, camera=CameraSettings(str(Path(folder) / CAMERA)), pad=PadSettings(str(Path(folder) / PAD))
+                settings,
+                camera=CameraSettings(str(Path(folder) / CAMERA), gimbal=settings.camera.gimbal),
+                pad=PadSettings(str(Path(folder) / PAD)),
             )
         return make_pilot(msgspec.structs.replace(settings, estimator=estimator), shadows=shadows)

@@ -96,7 +96,7 @@ def _framed(log: FlightLog, frame: RecordedFrame, compared: dict[tuple[str, Mono
     seen = None if detection is None else detection.selected
     if level is not None and seen is not None and result is not None and result.innovation is not None:
         place = level @ less_innovation(level, seen.d_body_pad_level, result.innovation)
-    log.frames.append(FrameRecord(at, frame.record.seq, verdict, level, place, frame.image))
+    log.frames.append(FrameRecord(at, frame.record.seq, verdict, level, place, frame.R_body_cam, frame.image))
     log.verdicts[verdict] += 1
     if detection is not None:
         log.add_detection(detection)

@@ -11,6 +11,11 @@ from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.geometry import F64, Rotation
 
 
+def held_rotation(processed: ProcessedFrame) -> Rotation | None:
+    """Return the rotation of the camera on the body as its gimbal held it; None of one that is fixed, or if it is not known."""
+    return None if processed.camera is None else processed.camera.T_body_cam.R
+
+
 def expected_in_body(processed: ProcessedFrame, path: PathName | None) -> F64 | None:
     """Return where the path's estimate expected the pad's centre in the frame, (3,) m in `body`, with the camera file's mount.
 

@@ -75,6 +75,8 @@ class FrameRecord:
     """The roll and pitch at the exposure, which place the drawn outline; None if not known."""
     d_expected_level: F64 | None = None
     """Where the steering path expected the pad's centre in this frame, (3,) m, levelled by `R_level_body`."""
+    R_body_cam: Rotation | None = None
+    """The rotation of a camera on the body as its gimbal held it; None of one that is fixed, or if it is not known."""
     image: bytes | Path | VideoImage | None = None
     """The image as bytes or a file, in JPEG or any format that OpenCV reads, or of a video; None if it was not kept."""
 

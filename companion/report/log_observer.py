@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 
 from companion.operator.orders import HandledOrder
-from companion.report.expected_place import expected_in_body
+from companion.report.expected_place import expected_in_body, held_rotation
 from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from estimator.contracts.fusion import FusionResult
@@ -38,7 +38,8 @@ class LogObserver(NullObserver):
         expected = expected_in_body(processed, log.steering)
         place = None if R_level_body is None or expected is None else R_level_body @ expected
         exposed_at = processed.frame.stamp.measured_at
-        log.frames.append(FrameRecord(exposed_at, processed.frame.seq, processed.verdict, R_level_body, place, image))
+        held, verdict = held_rotation(processed), processed.verdict
+        log.frames.append(FrameRecord(exposed_at, processed.frame.seq, verdict, R_level_body, place, held, image))
         if processed.detection is not None:
             log.add_detection(processed.detection)
         log.add_times(processed)

@@ -21,6 +21,7 @@ from drivers.camera import images
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.time import MonoNs, seconds_between
+from estimator.vision.camera import Camera
 
 FILM_BYTES = 6_000_000
 """About the most that a film takes: base64 makes it a third longer, and many mailboxes take 10 MB."""
@@ -144,9 +145,14 @@ def film_of(log: FlightLog, fps: float = 30.0, scale: float = 1.0) -> FilmFile |
                     R_level_body=frame.R_level_body,
                     d_expected_level=frame.d_expected_level,
                 )
-                if video.add(annotate(image, overlay, log.camera, log.pad, scale), frame.exposed_at) and began is None:
+                if video.add(annotate(image, overlay, _camera(log, frame), log.pad, scale), frame.exposed_at) and began is None:
                     began = frame.exposed_at
         return None if began is None else FilmFile(path.read_bytes(), began, video.frame_images)
+
+
+def _camera(log: FlightLog, frame: FrameRecord) -> Camera:
+    """Return the camera as a gimbal held it at a frame's exposure, or the log's."""
+    return log.camera if frame.R_body_cam is None else log.camera.turned(frame.R_body_cam)
 
 
 def _nearest(states: list[RelativeState], instants: NDArray[np.int64], at: MonoNs) -> RelativeState | None:

@@ -39,6 +39,7 @@ from estimator.contracts.fusion import FusionResult
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.gimbal_history import HeldCamera
 from estimator.vision.thesis.detection import Detection
 
 log = logging.getLogger(__name__)
@@ -225,7 +226,7 @@ class Daemon:
 
     async def _process(self, frame: Frame) -> ProcessedFrame:
         began = self._clock.now()
-        attitude = await self._attitude_of(frame)
+        attitude, held = await self._attitude_of(frame)
         detection: Detection | None = None
         results: tuple[FusionResult, ...] = ()
         seen, look_s = began, 0.0
@@ -235,10 +236,12 @@ class Daemon:
             verdict = refused
         elif attitude is None:
             verdict = Verdict.NO_ATTITUDE
+        elif held is None and self._pilot.gimballed:
+            verdict = Verdict.NO_GIMBAL
         else:
             assert self._tracker is not None
             waited_from = self._clock.now()
-            found, look_s = await self._tracker.run(self._look, frame, attitude)
+            found, look_s = await self._tracker.run(self._look, frame, attitude, held)
             seen, detection = self._clock.now(), found
             self._share.looked(waited_from, seconds_between(waited_from, seen))
             verdict, results = self._pilot.on_detection(found)
@@ -247,26 +250,31 @@ class Daemon:
         if detection is not None:
             decode_s, waited_s = seconds_between(frame.stamp.received_at, began), seconds_between(began, seen) - look_s
             times = FrameTimes(decode_s, waited_s, look_s, seconds_between(seen, done))
-        return ProcessedFrame(frame, attitude, detection, verdict, began, done, results, times)
+        camera = self._pilot.camera_held(held)
+        return ProcessedFrame(frame, attitude, detection, verdict, began, done, results, times, camera)
 
-    def _look(self, frame: Frame, attitude: Attitude) -> tuple[Detection, float]:
+    def _look(self, frame: Frame, attitude: Attitude, held: HeldCamera | None) -> tuple[Detection, float]:
         """Look at a frame on the thread of vision; return what was seen, and how long the look took, s."""
         began = self._clock.now()
-        detection = self._pilot.detect(frame, attitude)
+        detection = self._pilot.detect(frame, attitude, held)
         return detection, seconds_between(began, self._clock.now())
 
-    async def _attitude_of(self, frame: Frame) -> Attitude | None:
-        """Return the attitude at the exposure, or None; wait a little for one that covers it.
+    async def _attitude_of(self, frame: Frame) -> tuple[Attitude | None, HeldCamera | None]:
+        """Return the attitude at the exposure, and how a gimbal held the camera; wait a little for what covers it.
 
         On a busy machine the vehicle's samples may still be in a socket when the frame is decoded. There is nothing to wait
-        for before the first attitude.
+        for before the first ones.
         """
+        attitude, held = None, None
         for _ in range(_ATTITUDE_TRIES):
             attitude = self._pilot.attitude_at(frame.stamp)
-            if attitude is not None or self._link is None or "Attitude" not in self.health.flows:
-                return attitude
+            held = None if attitude is None else self._pilot.held_at(frame.stamp, attitude)
+            whole = attitude is not None and (held is not None or not self._pilot.gimballed)
+            awaited = "Attitude" if attitude is None else "GimbalAttitude"
+            if whole or self._link is None or awaited not in self.health.flows:
+                break
             await self._clock.sleep(_ATTITUDE_PAUSE_S)
-        return None
+        return attitude, held
 
     def _fits(self, frame: Frame) -> bool:
         height, width = frame.px.shape[:2]

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from msgspec import structs
 
 from companion.config.model import Settings
-from companion.config.settings import camera_model, pad_model, response_model
+from companion.config.settings import body_camera, camera_model, pad_model, response_model
 from companion.guidance.controller import Controller
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.options import GuidanceOptions
@@ -51,6 +51,7 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
         over_ground=_over_ground(settings),
         reports=settings.vessel,
         tilt=response_model(settings).tilt,
+        gimballed=settings.camera.gimbal.given,
     )
 
 
@@ -60,7 +61,7 @@ def law_of(settings: Settings) -> Callable[[GuidanceOptions], Controller[Any]]:
     Raises:
         BadInput: the response or camera file has a fault, or there is no such controller.
     """
-    response, view = _within_driver(response_model(settings), settings), field_of_view(camera_model(settings))
+    response, view = _within_driver(response_model(settings), settings), field_of_view(body_camera(settings))
 
     def make(guidance: GuidanceOptions) -> Controller[Any]:
         return make_controller(ControllerSetup(guidance, response, view, _over_ground(settings)))

@@ -16,6 +16,7 @@ from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import MonoNs
 from estimator.ekf import Forecast
+from estimator.vision.camera import Camera
 from estimator.vision.thesis.detection import Detection
 
 
@@ -51,6 +52,8 @@ class ProcessedFrame(Struct, frozen=True, eq=False):
     """The fusion result of each path of the estimator; empty without a sighting."""
     times: FrameTimes | None = None
     """None if vision did not search the frame, or in virtual time."""
+    camera: Camera | None = None
+    """The camera as its gimbal held it at the exposure; None for a camera that is fixed on the body, or if that is not known."""
 
 
 class DeckOutlook(Struct, frozen=True):

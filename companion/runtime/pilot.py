@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from enum import Enum
 from typing import Any
 
@@ -42,9 +43,20 @@ from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeStat
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
-from estimator.contracts.samples import Attitude, BodyVelocity, Frame, GeoFix, Imu, Sample, VehicleStatus, VesselReport
+from estimator.contracts.samples import (
+    Attitude,
+    BodyVelocity,
+    Frame,
+    GeoFix,
+    GimbalAttitude,
+    Imu,
+    Sample,
+    VehicleStatus,
+    VesselReport,
+)
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
+from estimator.gimbal_history import DOWN, HeldCamera
 from estimator.options import EstimatorOptions
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
@@ -75,6 +87,8 @@ FORECAST_S = 0.2
 _LEAN_TIME_S = 3.0
 """Time constant of the mean lean, s: shorter than a gust front, longer than a correction."""
 _NIS_WEIGHT = 0.1
+_DOWNWARD = 0.5
+"""Cosine of the largest angle between the axis of a camera on a gimbal and the vertical: beyond it no pad is looked for."""
 _PLAIN = (
     State.WAIT,
     State.STANDBY,
@@ -116,6 +130,7 @@ class Pilot:
         over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
         reports: what is believed of the places that ship and vehicle report.
         tilt: how the vehicle's tilt answers, by its file; by default an AR.Drone's.
+        gimballed: whether a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis.
     """
 
     def __init__(
@@ -132,8 +147,11 @@ class Pilot:
         over_ground: bool = False,
         reports: ReportLimits | None = None,
         tilt: TiltResponse | None = None,
+        gimballed: bool = False,
     ) -> None:
         self._tracker = tracker
+        self._gimballed = gimballed
+        self._camera = tracker.camera.held(DOWN) if gimballed else tracker.camera
         self._tracker_memory = TrackerMemory()
         self._memory = pipeline.start(options, shadows)
         self._waiting: list[Sample] = []
@@ -170,7 +188,13 @@ class Pilot:
 
     @property
     def camera(self) -> Camera:
-        return self._tracker.camera
+        """The camera on the body; one on a gimbal as it is while that points straight down."""
+        return self._camera
+
+    @property
+    def gimballed(self) -> bool:
+        """Whether a gimbal carries the camera."""
+        return self._gimballed
 
     @property
     def pad(self) -> Pad:
@@ -351,6 +375,8 @@ class Pilot:
                 self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
                 if of_ship(sample):
                     continue
+            elif type(sample) is GimbalAttitude:
+                continue
             self._heard = received_at
         self._keep(fused)
         return len(self._waiting) + len(self._fused)
@@ -393,6 +419,27 @@ class Pilot:
         self._settle()
         return pipeline.attitude_at(self._memory, stamp)
 
+    def held_at(self, stamp: Stamp, attitude: Attitude) -> HeldCamera | None:
+        """Return how the gimbal held the camera at the exposure of a frame.
+
+        None if no report of the gimbal covers it, if it did not point the camera down, and without a gimbal.
+
+        Args:
+            attitude: the vehicle's at the exposure.
+        """
+        if not self._gimballed:
+            return None
+        self._settle()
+        held = pipeline.held_at(self._memory, stamp, attitude)
+        if held is None:
+            return None
+        axis_level = attitude.R_ned_body @ (held.R_body_gimbal @ self._tracker.camera.T_body_cam.R.matrix[:, 2])
+        return held if float(axis_level[2]) > _DOWNWARD else None
+
+    def camera_held(self, held: HeldCamera | None) -> Camera | None:
+        """Return the camera on the body while the gimbal holds it so; None without a gimbal's attitude."""
+        return None if held is None else self._tracker.camera.held(held.R_body_gimbal)
+
     def admit(self, frame: Frame) -> Verdict | None:
         """Register a frame before the search; return None if it may be searched, otherwise its verdict."""
         self._settle()
@@ -401,15 +448,22 @@ class Pilot:
 
     def rehearse(self) -> None:
         """Look at a drawn frame, so that the first real one takes no longer than the others. This may run on another thread."""
-        rehearse(self._tracker)
+        rehearse(replace(self._tracker, camera=self._camera))
 
-    def detect(self, frame: Frame, attitude: Attitude) -> Detection:
+    def detect(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
         """Search a frame for the pad, beginning where it is expected.
 
         This may run on another thread, one call at a time: it reads only immutable estimator state and writes only its own.
+
+        Args:
+            held: how the gimbal held the camera at the exposure; None of a camera that is fixed on the body.
         """
         believed = pipeline.belief(self._memory, frame.stamp.measured_at)
-        seen, self._tracker_memory = track(self._tracker, self._tracker_memory, frame, attitude, believed)
+        tracker = self._tracker
+        if held is not None:
+            tracker = replace(tracker, camera=tracker.camera.held(held.R_body_gimbal))
+            attitude = structs.replace(attitude, cov_body=attitude.cov_body + held.cov_body)
+        seen, self._tracker_memory = track(tracker, self._tracker_memory, frame, attitude, believed)
         return seen
 
     def on_detection(self, seen: Detection) -> tuple[Verdict, tuple[FusionResult, ...]]:

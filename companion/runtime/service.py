@@ -101,7 +101,7 @@ def make_daemon(
         extras["sentences"] = sentences.run
         health.counters("sentences", sentences.counted)
     if sources(settings):
-        health.awaited = frozenset({SHIP_PLACE})
+        health.awaited |= {SHIP_PLACE}
         health.counters("ship_place", pilot.vessel_counts)
     if settings.mqtt.transport != "off":
         from companion.mqtt.make import make_mqtt

@@ -91,7 +91,7 @@ class VideoStreamPart(NullObserver):
     def _send(self, stream: RtpStream, processed: ProcessedFrame, belief: RelativeState | None, lean: Rotation) -> bool:
         image = processed.frame.px
         if self._o.drawn:
-            image = drawn(processed, belief, lean, self._pilot.camera, self._pilot.pad)
+            image = drawn(processed, belief, lean, processed.camera or self._pilot.camera, self._pilot.pad)
         elif image.shape[1::-1] != self.size:
             image = np.asarray(cv2.resize(image, self.size), np.uint8)
         return stream.send(image, processed.frame.stamp.measured_at)

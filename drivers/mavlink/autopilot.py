@@ -123,6 +123,11 @@ class Autopilot:
         return None if self._known is None else self._known.sync
 
     @property
+    def boot_clock(self) -> BootClock | None:
+        """The map of the autopilot's time since boot to ours."""
+        return None if self._known is None else self._known.clock
+
+    @property
     def parameters(self) -> Parameters | None:
         return None if self._known is None else self._known.parameters
 

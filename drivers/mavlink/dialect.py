@@ -1,12 +1,12 @@
 """The MAVLink dialect in use: `common` as pymavlink ships it, plus the messages that it lacks.
 
-TIMESYNC with its target fields and four further messages are built here from their definitions.
+TIMESYNC with its target fields and five further messages are built here from their definitions.
 
     message = mav.MAVLink_heartbeat_message(...)     # any message of `common`
     message = ComponentInformationBasic(...)         # a message added by this module
 
-Source of the added definitions: mavlink.io message definitions, `common` (396, 410) and `development` (510, 511). The wire order
-and the CRC seed of a message follow from its fields: mavlink.io, "MAVLink serialization".
+Source of the added definitions: mavlink.io message definitions, `common` (396, 410), `ardupilotmega` (158) and `development`
+(510, 511). The wire order and the CRC seed of a message follow from its fields: mavlink.io, "MAVLink serialization".
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ __all__ = [
     "ComponentInformationBasic",
     "Event",
     "Message",
+    "MountStatus",
     "TargetAbsolute",
     "TargetRelative",
     "TimeSyncV2",
@@ -163,6 +164,19 @@ TimeSyncV2 = define(
     [("int64_t", "tc1"), ("int64_t", "ts1")],
     [("uint8_t", "target_system"), ("uint8_t", "target_component")],
     replace=True,
+)
+
+MountStatus = define(
+    158,
+    "MOUNT_STATUS",
+    [
+        ("uint8_t", "target_system"),
+        ("uint8_t", "target_component"),
+        ("int32_t", "pointing_a"),
+        ("int32_t", "pointing_b"),
+        ("int32_t", "pointing_c"),
+    ],
+    [("uint8_t", "mount_mode")],
 )
 
 ComponentInformationBasic = define(

@@ -67,8 +67,8 @@ RATES_HZ: dict[Stack, dict[str, float]] = {
     Stack.OTHER: COMMON_RATES_HZ,
 }
 """Message rates, Hz, to request on a new link. Until then ArduPilot sends only HEARTBEAT and TIMESYNC."""
-INSTEAD = {"ATTITUDE_QUATERNION": "ATTITUDE"}
-"""The message to request if the first is refused: ArduCopter 4.0 does not stream the quaternion."""
+INSTEAD = {"ATTITUDE_QUATERNION": "ATTITUDE", "GIMBAL_DEVICE_ATTITUDE_STATUS": "MOUNT_ORIENTATION"}
+"""The message to request if the first is refused: ArduCopter 4.0 does not stream the quaternion, nor older mounts theirs."""
 
 
 def message_id(name: str) -> int:

@@ -43,6 +43,8 @@ class Verdict(Enum):
     """This machine is too slow to look at each frame, and this one was left out."""
     NO_ATTITUDE = "no_attitude"
     """No attitude sample covers the frame's exposure."""
+    NO_GIMBAL = "no_gimbal"
+    """No attitude of the camera's gimbal covers the frame's exposure, or the gimbal does not point the camera down."""
     FAILED = "failed"
     """The frame could not be read or processed."""
     REPEATED = "repeated"

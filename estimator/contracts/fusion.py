@@ -13,14 +13,26 @@ from msgspec import Struct
 
 from estimator.contracts.estimates import PathName, Sighting, Verdict
 from estimator.contracts.geometry import F64
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
+from estimator.contracts.samples import (
+    Attitude,
+    Baro,
+    BodyVelocity,
+    GeoFix,
+    GimbalAttitude,
+    Imu,
+    Range,
+    Sample,
+    VehicleStatus,
+    VesselReport,
+)
 from estimator.contracts.time import MonoNs
 
-Source = Literal["imu", "attitude", "velocity", "range", "baro", "vessel", "fix", "status", "sighting"]
+Source = Literal["imu", "attitude", "gimbal", "velocity", "range", "baro", "vessel", "fix", "status", "sighting"]
 
 _SOURCES: dict[type[Sample] | type[Sighting], Source] = {
     Imu: "imu",
     Attitude: "attitude",
+    GimbalAttitude: "gimbal",
     BodyVelocity: "velocity",
     Range: "range",
     Baro: "baro",
@@ -32,6 +44,7 @@ _SOURCES: dict[type[Sample] | type[Sighting], Source] = {
 COMPONENTS: dict[Source, tuple[str, ...]] = {
     "imu": (),
     "attitude": ("roll_rad", "pitch_rad", "yaw_rad"),
+    "gimbal": (),
     "velocity": ("forward_m_s", "right_m_s", "down_m_s"),
     "range": ("range_m",),
     "baro": ("height_m",),

@@ -1,7 +1,8 @@
 """Rotations and rigid transforms between named frames.
 
 Frames: `ned` local level north-east-down; `body` forward-right-down; `level` body without roll and pitch, same heading;
-`cam` x right, y down, z forward; `pad` x along the arrow, y to starboard of it, z into the deck.
+`cam` x right, y down, z forward; `gimbal` x ahead through the lens, y right, z down in the image; `pad` x along the arrow, y to
+starboard of it, z into the deck.
 A value called `R_a_b` or `T_a_b` takes coordinates of b to a, so neighbours cancel: `R_ned_cam = R_ned_body @ R_body_cam`.
 """
 

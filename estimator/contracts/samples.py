@@ -115,6 +115,31 @@ class Attitude(Struct, frozen=True, eq=False):
             force_setattr(self, "cov_body", own)
 
 
+GimbalFrame = Literal["ned", "level", "body"]
+
+
+class GimbalAttitude(Struct, frozen=True, eq=False):
+    """The attitude of the gimbal that carries the camera, as the gimbal reports it.
+
+    The axes of `gimbal` are those of its last axis: x ahead through the lens of a camera that is mounted straight, y to the right
+    of its image, z down in it. A gimbal that points down has a pitch of -90 degrees.
+    """
+
+    stamp: Stamp
+    frame: GimbalFrame
+    """What the attitude is relative to: north, the horizon and the vehicle's heading, or the vehicle itself."""
+    R_frame_gimbal: Rotation
+    cov_gimbal: F64
+    """Covariance of the small rotation error written in `gimbal`, (3, 3) rad^2."""
+
+    def __post_init__(self) -> None:
+        if self.frame not in ("ned", "level", "body"):
+            raise ValueError(f"GimbalAttitude.frame must be ned, level or body, got {self.frame!r}")
+        cov_gimbal = self.cov_gimbal
+        if (own := checked_covariance("GimbalAttitude.cov_gimbal", cov_gimbal, 3)) is not cov_gimbal:
+            force_setattr(self, "cov_gimbal", own)
+
+
 class BodyVelocity(Struct, frozen=True, eq=False):
     """Velocity of the body over the ground (or over the surface that its flow sensor sees), written in `level`."""
 
@@ -245,5 +270,5 @@ class VehicleStatus(Struct, frozen=True):
     link_ok: bool
 
 
-Sample = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | GeoFix | VehicleStatus
+Sample = Imu | Attitude | GimbalAttitude | BodyVelocity | Range | Baro | VesselReport | GeoFix | VehicleStatus
 """Everything that a driver delivers besides frames."""

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64
-from estimator.contracts.samples import Attitude, Baro, Frame, GeoFix, Imu, Range, Sample, VehicleStatus
+from estimator.contracts.samples import Attitude, Baro, Frame, GeoFix, GimbalAttitude, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs
 from estimator.integrity import clock, frames, heading, heights, sensors, tracks, view
 from estimator.integrity.options import IntegrityOptions
@@ -66,7 +66,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
         # By the type itself: a match asks one class after the other.
         if isinstance(sample, VehicleStatus):
             flying = sample.flying is not False
-        elif not isinstance(sample, GeoFix):
+        elif not isinstance(sample, GeoFix | GimbalAttitude):
             seen[kind], verdict = sensors.watch(seen.get(kind, _UNSEEN), sample, o, flying)
             if verdict is None:
                 if type(sample) is Imu:

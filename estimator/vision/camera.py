@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -129,6 +129,19 @@ class Camera:
             )  # fmt: skip
         except ValueError as why:
             raise BadInput(f"{where}: {why}") from why
+
+    @property
+    def lens(self) -> Camera:
+        """The camera without its mount, by which is found again what is computed once for a lens, whatever the mount."""
+        return replace(self, T_body_cam=Transform.identity(), cov_mount=None)
+
+    def turned(self, R_body_cam: Rotation) -> Camera:
+        """Return the camera with another rotation on the body, in the same place."""
+        return replace(self, T_body_cam=Transform(R_body_cam, self.T_body_cam.t))
+
+    def held(self, R_body_gimbal: Rotation) -> Camera:
+        """Return the camera as a gimbal holds it: its own rotation is that on the gimbal's last axis, its place the gimbal's."""
+        return self.turned(R_body_gimbal @ self.T_body_cam.R)
 
     @property
     def K(self) -> F64:

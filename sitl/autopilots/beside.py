@@ -89,6 +89,6 @@ def beside_autopilot(
     return msgspec.structs.replace(
         settings,
         vehicle=vehicle,
-        camera=CameraSettings(settings.camera.file),
+        camera=CameraSettings(settings.camera.file, gimbal=settings.camera.gimbal),
         guidance=msgspec.structs.replace(settings.guidance, start=start, tries=tries, follow_deck=follow),
     )

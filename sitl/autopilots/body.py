@@ -14,6 +14,7 @@ from sitl.autopilots.motors import Motors, MotorVehicle
 from sitl.camera import Exposure, Renderer
 from sitl.contact import Ground
 from sitl.film import Film
+from sitl.gimbal import SimulatedGimbal
 from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.stage import air, airframe, deck_shape, flight_seeds, place, renderer, sea_and_vessel, wind
 from sitl.truth import RenderedFrame
@@ -88,6 +89,8 @@ class Body:
         self._sea = (0.0, 0.0)
         place(scenario, self._vehicle, self._ground, at.p_ned, at.R_ned)
         self._renderer: Renderer | Film | None = None
+        self.gimbal = SimulatedGimbal(scenario.gimbal, step_s) if scenario.gimbal.given else None
+        """What carries the camera; None for a camera that is fixed on the vehicle."""
 
     @property
     def t_s(self) -> float:
@@ -106,6 +109,8 @@ class Body:
         self._ground.sea_z, self._ground.sea_vz = self._sea
         self._vehicle.motors = motors
         self._vehicle.step(self._ground)
+        if self.gimbal is not None:
+            self.gimbal.step(Rotation(self._vehicle.R_ned_body))
 
     def state(self) -> BodyState:
         """Return the body's state at the newest step."""
@@ -173,6 +178,8 @@ class Body:
         if self._renderer is None:
             self._renderer = renderer(self.scenario, self.waves, self.vessel, self._camera_seed)
         expose, shot = self._renderer.render, self.shot()
+        if self.gimbal is not None:
+            shot = self.gimbal.turned(shot, self.camera.T_body_cam.t)
         rng = np.random.default_rng([self._camera_seed, self._tick])
         at, exposure_s = MonoNs(round(self.t_s * NS_PER_S)), self.scenario.camera.exposure_s
         return lambda: RenderedFrame(expose(shot, rng), at, exposure_s)

@@ -30,7 +30,7 @@ from drivers.mavlink.dialect import mav
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.vehicle import Stack
-from estimator.contracts.errors import Recoverable
+from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.time import seconds_between
 from sitl.autopilots import arducopter, px4
@@ -47,6 +47,7 @@ from sitl.autopilots.px4_hil import HilBackend, serve_hil
 from sitl.autopilots.stand_in import fly as in_process
 from sitl.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.autopilots.stand_in.base import StandIn
+from sitl.autopilots.stand_in.gimbal import GimbalLink
 from sitl.autopilots.stand_in.px4 import Px4StandIn
 from sitl.autopilots.station import STATION, GroundStation, OperatorView, Task
 from sitl.flight_grader import FlightResult
@@ -136,6 +137,8 @@ class AutopilotFlight:
     """When the motors stopped, by the physics' time."""
 
     def __post_init__(self) -> None:
+        if self.scenario.gimbal.given and (self.autopilot.binary is not None or self.perception.level != "pixels"):
+            raise BadInput("gimbal: only the stand-in (--binary stand-in) with rendered frames (--perception pixels) has one")
         stack = Stack.PX4 if self.autopilot.name == "px4" else Stack.ARDUPILOT
         self.station = GroundStation(stack, height_m=self.height_m)
         watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
@@ -301,6 +304,8 @@ class AutopilotFlight:
         if chosen.binary is None:
             self.stand_in, body, urls = self._stand_in(), self.body, tuple(f"udpout://{HOST}:{port}" for port in ports)
             assert body is not None
+            if body.gimbal is not None:
+                self.stand_in.gimbal = GimbalLink(body.gimbal, self.stand_in.system)
             async with in_process.flying(
                 self.stand_in, body, self.clock, (urls[0], urls[1]), self._stepped, self._settle
             ) as program:

@@ -26,6 +26,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method, PathName, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
+from estimator.gimbal_history import HeldCamera
 from estimator.vision.camera import Camera
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
@@ -186,7 +187,7 @@ class ModelPilot(Pilot):
         super().__init__(*args, **options)
         self._detector = detector
 
-    def detect(self, frame: Frame, attitude: Attitude) -> Detection:
+    def detect(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
         """Draw the detection of a frame."""
         return self._detector.detect(frame, attitude)
 

@@ -27,6 +27,7 @@ from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
+from estimator.gimbal_history import HeldCamera
 from estimator.vision.thesis.detection import Detection
 from sitl.fault import Fault
 from sitl.perception.draw import detection_table, root_of, symmetric
@@ -220,7 +221,7 @@ class TruthPilot(Pilot):
         """Admit every frame: none is searched."""
         return None
 
-    def detect(self, frame: Frame, attitude: Attitude) -> Detection:
+    def detect(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
         """Draw whether the pad is seen in a frame, and say where it truly was."""
         scene = self._level.scenes.of(frame)
         view, light = scene.view, scene.light_stops

@@ -24,6 +24,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import Stamp, after, seconds_between
+from estimator.gimbal_history import HeldCamera
 from estimator.options import EstimatorOptions
 from estimator.vision.options import TrackerOptions
 from estimator.vision.thesis.detection import Detection
@@ -165,9 +166,9 @@ async def test_a_frame_waits_for_an_attitude_that_is_still_in_a_socket() -> None
 class SlowPilot(Pilot):
     """A pilot on a machine that needs 50 ms for a frame."""
 
-    def detect(self, frame: Frame, attitude: Attitude) -> Detection:
+    def detect(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
         time.sleep(0.05)
-        return super().detect(frame, attitude)
+        return super().detect(frame, attitude, held)
 
 
 async def test_a_slow_machine_leaves_frames_out_and_counts_them() -> None:

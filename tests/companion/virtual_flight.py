@@ -20,6 +20,7 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.gimbal_history import HeldCamera
 from estimator.options import EstimatorOptions
 from estimator.vision.thesis.detection import Detection
 from tests.companion.test_daemon import EYES
@@ -71,7 +72,7 @@ class SeeingPilot(Pilot):
         super().__init__(EYES, options, GuidanceOptions())
         self._truth = vehicle
 
-    def detect(self, frame: Frame, attitude: Attitude) -> Detection:
+    def detect(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
         d = -self._truth.p_level
         sighting = Sighting(frame.stamp, frame.seq, "selected", d, 0.0, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), 0.9)
         return Detection(sighting, "arrow", MappingProxyType({}))

@@ -68,7 +68,7 @@ def edge_circles(
     })  # fmt: skip
     scratch = np.empty(_ROOM(start_of(image)), np.float32)
     out = np.empty((most, _WORDS))
-    rays = _corner_rays(camera, step, w, h)
+    rays = _corner_rays(camera.lens, step, w, h)
     found = _CIRCLES(
         start_of(image),
         address(grey, np.uint8),

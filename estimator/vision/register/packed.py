@@ -41,7 +41,7 @@ class PackedLens:
 def packed_lens(camera: Camera) -> PackedLens:
     """Return a camera as the core reads it; the result is cached."""
     words = packed_camera(camera)
-    rays = ray_map(camera) if camera.distorted else None
+    rays = ray_map(camera.lens) if camera.distorted else None
     return PackedLens(words, rays, (address(words), 0 if rays is None else address(rays)))
 
 

@@ -17,6 +17,7 @@ from estimator.contracts.ports import Clock
 from sitl.autopilots.body import BodyState
 from sitl.autopilots.miniature import MiniatureAutopilot
 from sitl.autopilots.motors import Motors
+from sitl.autopilots.stand_in.gimbal import GimbalLink
 
 FORCED = 21196.0
 """Parameter 2 of COMPONENT_ARM_DISARM that arms or disarms whatever the checks say (mavlink.io)."""
@@ -45,6 +46,8 @@ class StandIn(MiniatureAutopilot, ABC):
         self._origin: F64 | None = None
         self._began_s = self.now_s
         self._text_id = itertools.count(1)
+        self.gimbal: GimbalLink | None = None
+        """The gimbal whose manager it is; None if it has none."""
         self.rpy = lambda t: (0.0, 0.0, 0.0) if self.state is None else self.state.R_ned_body.rpy_rad
 
     def parameter(self, name: str) -> float:
@@ -86,6 +89,13 @@ class StandIn(MiniatureAutopilot, ABC):
         super()._on_message(received)
 
     def _on_command_long(self, m: Message, received: ReceivedMessage) -> None:
+        result = None
+        if self.gimbal is not None and m.target_system == self.system:
+            result = self.gimbal.on_command(m, (received.system, received.component))
+        if result is not None:
+            ack = mav.MAVLink_command_ack_message(m.command, result, 0, 0, received.system, received.component)
+            self._send_as(m.target_component, ack)
+            return
         own = {
             mav.MAV_CMD_COMPONENT_ARM_DISARM: self._on_arm_disarm,
             mav.MAV_CMD_NAV_TAKEOFF: self._on_take_off,
@@ -139,7 +149,14 @@ class StandIn(MiniatureAutopilot, ABC):
         self.state = s
         self._origin = s.p_ned if self._origin is None else self._origin
         self.p_ned, self.v_ned = s.p_ned - self._origin, s.v_ned
+        if self.gimbal is not None:
+            for component, message in self.gimbal.due(self.now_s, self.boot_ms, s.R_ned_body.rpy_rad[2]):
+                self._send_as(component, message)
         return self.fly(s)
+
+    def _send_as(self, component: int, message: Message) -> None:
+        if self.links is not None:
+            self.links.send(message, component=component)
 
     @abstractmethod
     def fly(self, s: BodyState) -> Motors:
