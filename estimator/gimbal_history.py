@@ -10,7 +10,7 @@ from msgspec import Struct
 from estimator.attitude_history import AttitudeHistory
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, GimbalAttitude, GimbalFrame
-from estimator.contracts.time import Stamp
+from estimator.contracts.time import Stamp, seconds_between
 
 DOWN = Rotation.from_rpy(0.0, -0.5 * math.pi, 0.0)
 """A gimbal that points straight down, in `body`."""
@@ -44,6 +44,11 @@ class GimbalHistory(Struct, frozen=True):
                 frame, attitudes = sample.frame, AttitudeHistory(_SPAN_S)
             attitudes = attitudes.add(Attitude(sample.stamp, sample.R_frame_gimbal, sample.cov_gimbal))
         return GimbalHistory(frame, attitudes) if samples else self
+
+    def reports(self, stamp: Stamp) -> bool:
+        """Return whether the gimbal reported so lately that the report that covers an exposure may be on its way."""
+        samples = self.attitudes.samples
+        return bool(samples) and seconds_between(samples[-1].stamp.measured_at, stamp.measured_at) < _GAP_S
 
     def at(self, stamp: Stamp, attitude: Attitude) -> HeldCamera | None:
         """Return how the gimbal held the camera at an exposure; None if its reports do not cover that instant.

@@ -81,6 +81,12 @@ _RULES = (
     _Rule("vessel.", lambda s: not sources(s), "no source of the ship's place is set"),
     _Rule("operator.gamepad_device", lambda s: s.operator.gamepad == "off", 'operator.gamepad is "off"'),
     _Rule("landing_target.", lambda s: isinstance(s.vehicle, ArDroneOptions), 'vehicle.kind is "ardrone"'),
+    _Rule(
+        "camera.gimbal.",
+        lambda s: not s.camera.gimbal.given,
+        "camera.gimbal.device_id is 0",
+        "camera.gimbal.device_id",
+    ),
     _Rule("bridge.", lambda s: not s.bridge.links.strip(), "bridge.links is empty"),
     _Rule("bridge.signing_time_file", lambda s: not s.bridge.signing_key_file, "bridge.signing_key_file is empty"),
     _Rule(

@@ -106,8 +106,6 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
                 return 'camera.source must be "v4l2", "gstreamer" or "stream": an autopilot has no frames'
             if self.bridge.links:
                 return "bridge.links must be empty: an autopilot speaks MAVLink itself"
-        elif self.camera.gimbal.given:
-            return "camera.gimbal.device_id must be 0: only an autopilot's link tells of a gimbal"
         if self.vessel.mqtt and (self.mqtt.transport == "off" or self.mqtt.commands == "off"):
             return "vessel.mqtt needs mqtt.transport and mqtt.commands: reports come from whom commands may come"
         return None

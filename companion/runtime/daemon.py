@@ -269,9 +269,11 @@ class Daemon:
         for _ in range(_ATTITUDE_TRIES):
             attitude = self._pilot.attitude_at(frame.stamp)
             held = None if attitude is None else self._pilot.held_at(frame.stamp, attitude)
-            whole = attitude is not None and (held is not None or not self._pilot.gimballed)
-            awaited = "Attitude" if attitude is None else "GimbalAttitude"
-            if whole or self._link is None or awaited not in self.health.flows:
+            if attitude is None:
+                lacking = "Attitude" in self.health.flows
+            else:
+                lacking = held is None and self._pilot.awaits_gimbal(frame.stamp)
+            if not lacking or self._link is None:
                 break
             await self._clock.sleep(_ATTITUDE_PAUSE_S)
         return attitude, held

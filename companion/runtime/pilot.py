@@ -436,6 +436,10 @@ class Pilot:
         axis_level = attitude.R_ned_body @ (held.R_body_gimbal @ self._tracker.camera.T_body_cam.R.matrix[:, 2])
         return held if float(axis_level[2]) > _DOWNWARD else None
 
+    def awaits_gimbal(self, stamp: Stamp) -> bool:
+        """Return whether the gimbal's report that covers the exposure of a frame may still come."""
+        return self._gimballed and self._memory.gimbal.reports(stamp)
+
     def camera_held(self, held: HeldCamera | None) -> Camera | None:
         """Return the camera on the body while the gimbal holds it so; None without a gimbal's attitude."""
         return None if held is None else self._tracker.camera.held(held.R_body_gimbal)

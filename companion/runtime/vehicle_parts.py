@@ -82,6 +82,9 @@ def vehicle_parts(
 def _ardrone(
     settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap: Tap | None, show: ShowCamera | None
 ) -> VehicleParts:
+    if settings.camera.gimbal.given:
+        found = settings.camera.gimbal.device_id
+        raise BadInput(f"camera.gimbal.device_id must be 0, found {found}: only an autopilot's link tells of a gimbal")
     options, queue_items, decoder = ardrone_options(settings), settings.service.sample_queue_items, UvlcDecoder()
     if not settings.bridge.links:
         return VehicleParts(lambda: open_ardrone(options, clock, queue_items, decoder))

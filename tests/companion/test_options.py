@@ -68,7 +68,7 @@ TABLES = {
     "companion.video": ("video_stream",),
     "drivers.ardrone": ("vehicle",),
     "drivers.camera": ("camera",),
-    "drivers.mavlink": ("vehicle", "vehicle.samples", "vehicle.timesync", "bridge"),
+    "drivers.mavlink": ("vehicle", "vehicle.samples", "vehicle.timesync", "bridge", "camera.gimbal"),
     "estimator.vision": ("vision",),
     "estimator": ("estimator", "estimator.ekf", "estimator.dead_reckoning", "estimator.integrity"),
 }

@@ -108,7 +108,10 @@ def test_the_reference_reader_finds_an_indexed_file_whose_messages_keep_their_sc
             checked.add(channel.topic)
     unseen = set(TOPICS) - checked
     compared = {channels.fusion(source) for source in COMPONENTS if source != "sighting"}  # by the ekf alone, which does not run
-    assert unseen == {"/sample/vessel", "/sample/fix", "/link", "/belief/ekf", "/pose/ekf", "/camera/video"} | compared, unseen
+    assert (
+        unseen
+        == {"/sample/vessel", "/sample/gimbal", "/sample/fix", "/link", "/belief/ekf", "/pose/ekf", "/camera/video"} | compared
+    ), unseen
 
 
 def test_a_player_that_seeks_has_every_transform(flown: tuple[Path, ObservedCalls]) -> None:

@@ -228,6 +228,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
     data.setdefault("limits", {}).update(fence_polygon="")
     data.setdefault("vessel", {}).update(age_max_s=5.0, forget_s=30.0, nmea="", nmea_from="", mmsi=0, mqtt=False)
     data["camera"].update(reconnect_first_s=0.1, reconnect_most_s=1.0, controls="", device="usb")
+    data["camera"].setdefault("gimbal", {}).update(device_id=154)
     sources = [{"source": "v4l2"}, {"source": "gstreamer"}, {"source": "stream"}, {"source": "vehicle", "device": ""}]
     data["camera"].update(draw(st.sampled_from(sources)))
     if data["camera"]["source"] != "gstreamer":
