@@ -48,7 +48,7 @@ LAB = {
 }
 """What needs the extra `lab`. It asks `require_lab` first, or does without."""
 
-ROS2 = {"companion/ros2/bag.py"}
+ROS2 = {"companion/ros2/bag.py", "companion/ros2/typestore.py"}
 """What needs the extra `ros2`. It asks `require_rosbags` first."""
 
 IMPURE_MODULES = {

@@ -35,6 +35,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "replay": ("companion.cli.replay", "replay a recording through vision and estimator"),
     "identify": ("companion.cli.identify", "identify a vehicle's response from a recorded flight"),
     "record": ("companion.cli.record", "inspect, cut, repair, export and import recordings"),
+    "ros2": ("companion.cli.ros2", "publish a flight in ROS 2 while it is flown"),
     "watch": ("companion.cli.watch", "watch drones live in the terminal, over MQTT"),
     "calibrate": ("companion.cli.calibrate", "calibrate camera and vehicle"),
     "pad": ("companion.cli.pad", "list, check or print pads"),

@@ -31,7 +31,8 @@ from estimator.vision.pad import Pad
 from estimator.vision.thesis.detection import Detection
 
 SETTINGS, CAMERA, PAD = "settings.toml", "camera.toml", "pad.toml"
-_NOT_UNDERSTOOD = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)
+NOT_UNDERSTOOD = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)
+"""What a message raises that this version does not understand."""
 _APART_NS = 24 * 3600 * NS_PER_S
 """The longest time between two consecutive events, ns: a single event that is further away has a damaged instant."""
 
@@ -159,7 +160,7 @@ class Recording:
 
     def _events(self, path: Path, stream: IO[bytes]) -> Iterator[Event]:
         topics: dict[int, str] = {}
-        assembled = _Assembly()
+        assembled = EventAssembly()
         instants = _Instants()
         for record in records(stream, path, self.cut):
             if isinstance(record, Channel):
@@ -171,7 +172,7 @@ class Recording:
                     event = assembled.event(topic, record.data)
                     if event is not None and not instants.plausible(instant(event)):
                         raise ValueError("its instant is days away from those around it")
-                except _NOT_UNDERSTOOD:
+                except NOT_UNDERSTOOD:
                     self.skipped[topic] += 1
                     continue
                 if event is not None:
@@ -241,7 +242,7 @@ def open_recording(paths: Sequence[Path]) -> Recording:
                         raise _too_old(path)
                     ours = ours or record.topic in channels.TOPICS
                     topics[record.id] = record.topic
-                elif isinstance(record, Message) and topics.get(record.channel_id) not in _FOR_VIEWERS:
+                elif isinstance(record, Message) and topics.get(record.channel_id) not in FOR_VIEWERS:
                     break
         if not ours:
             raise BadInput(f"{path}: holds no recording of decklander, or is cut before its first message")
@@ -255,7 +256,7 @@ def _too_old(path: Path) -> BadInput:
     )
 
 
-class _Assembly:
+class EventAssembly:
     """Assembles events that were written as several messages: a frame and its detection, beliefs and their decision."""
 
     def __init__(self) -> None:
@@ -265,8 +266,12 @@ class _Assembly:
         self._beliefs: list[RelativeState] = []
 
     def event(self, topic: str, data: bytes) -> Event | None:
-        """Return the event that a message completes, or None if it is only for viewers or a part of a later event."""
-        if topic in _FOR_VIEWERS or topic not in self._decoders:
+        """Return the event that a message completes, or None if it is only for viewers or a part of a later event.
+
+        Raises:
+            Exception: one of `NOT_UNDERSTOOD`, for a message that is damaged or of another version.
+        """
+        if topic in FOR_VIEWERS or topic not in self._decoders:
             return None
         message = self._decoders[topic].decode(data)
         match message:
@@ -314,7 +319,7 @@ class _Assembly:
         )
 
 
-_FOR_VIEWERS = {
+FOR_VIEWERS = {
     channels.ANNOTATIONS,
     channels.CALIBRATION,
     channels.TRANSFORMS,
@@ -326,6 +331,7 @@ _FOR_VIEWERS = {
     channels.ELLIPSOID,
     *(channels.pose(path) for path in channels.PATHS),
 }
+"""Topics that repeat for viewers what others hold."""
 _OLD_TOPIC, _OLD_KEYS = "/look", ('"taken_ns"', '"doubts"')
 """The topic and key names before 0.1.0, which distinguish an old recording from a damaged one."""
 

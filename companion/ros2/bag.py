@@ -5,30 +5,17 @@ from __future__ import annotations
 import shutil
 from collections import Counter
 from contextlib import suppress
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
 from companion.recorder.reading import Recording, instant
 from companion.ros2.messages import Message, RosMessages
+from companion.ros2.node import KEPT
+from companion.ros2.typestore import require_rosbags, typestore
 from estimator.contracts.errors import BadInput
 
 _METADATA_VERSION: Final = 8
 """What ROS 2 Humble and everything later reads; the newer 9 is that of Jazzy."""
-_KEPT = ("/tf_static",)
-"""Topics whose newest message a late subscriber gets, too (transient local)."""
-
-
-def require_rosbags(option: str) -> None:
-    """Refuse `option` where rosbags is not installed.
-
-    Raises:
-        BadInput: it is not; the message says how to install it.
-    """
-    if find_spec("rosbags") is None:
-        raise BadInput(
-            f"{option} needs rosbags, which is not installed: install requirements/ros2.txt, or the extra decklander[ros2]"
-        )
 
 
 def export(recording: Recording, folder: Path) -> dict[str, int]:
@@ -69,11 +56,9 @@ class _Bag:
 
     def __init__(self, folder: Path) -> None:
         from rosbags.rosbag2 import Writer
-        from rosbags.typesys import Stores, get_typestore
 
         self._folder = folder
-        # Messages that later grew have the fields of Jazzy. An older ROS reads them: it leaves out what comes after the end.
-        self._store: Any = get_typestore(Stores.ROS2_JAZZY)
+        self._store: Any = typestore()
         self.types = self._store.types
         self._connections: dict[str, Any] = {}
         self.counts: Counter[str] = Counter()
@@ -83,7 +68,7 @@ class _Bag:
     def add(self, message: Message) -> None:
         topic, kind, at_ns, value = message
         if topic not in self._connections:
-            qos = [_kept()] if topic in _KEPT else []
+            qos = [_kept()] if topic in KEPT else []
             self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self._store, offered_qos_profiles=qos)
         self._writer.write(self._connections[topic], at_ns, self._store.serialize_cdr(value, kind))
         self.counts[topic] += 1

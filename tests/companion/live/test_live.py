@@ -51,7 +51,13 @@ class Service:
         pilot = make_pilot(whole, shadows=("median_mean",))
         clock = SystemClock()
         self.endpoint = FoxgloveEndpoint(
-            FoxgloveSettings(endpoint="websocket", port=_free_port(), **settings), pilot, Health(clock), clock, "drone", 0, limits
+            FoxgloveSettings(endpoint="websocket", **{"port": _free_port(), **settings}),
+            pilot,
+            Health(clock),
+            clock,
+            "drone",
+            0,
+            limits,
         )
         observers: list[Observer] = [self.endpoint] if recorder is None else [recorder, self.endpoint]
         self.flight = Flight(load_scenario(SCENARIO), 1, whole, pilot, observers=observers)

@@ -1,0 +1,80 @@
+"""`decklander ros2`: publish a flight in ROS 2 while it is flown."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+from typing import TYPE_CHECKING
+
+from estimator.contracts.errors import BadInput
+
+if TYPE_CHECKING:
+    from companion.ros2.bridge import RosBridge
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander ros2` to the parser."""
+    parser = subparsers.add_parser(
+        "ros2",
+        help="publish a flight in ROS 2 while it is flown",
+        description="Publish what the service's live port ([foxglove]) tells as standard messages of ROS 2, the same topics as "
+        "'record export --format ros2' (docs/ros2.md), until interrupted. Needs the extra ros2, and ROS 2 for this Python. Exit "
+        "code 1 if --seconds pass without a connection to the service.",
+    )
+    parser.add_argument("url", nargs="?", default="ws://127.0.0.1:8765", help="address of the live port (default: %(default)s)")
+    parser.add_argument("--token-file", default="", metavar="FILE", help="read the port's token from this file")
+    parser.add_argument(
+        "--config",
+        metavar="FILE",
+        help="settings of the service, for its camera: its mount and /camera/camera_info",
+    )
+    parser.add_argument("--seconds", type=float, metavar="S", help="stop after this many seconds")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Publish until interrupted or until `--seconds` have passed.
+
+    Returns:
+        0, or 1 if the service was never reached.
+
+    Raises:
+        BadInput: an option is wrong, the extra or ROS is missing, or the token is refused.
+    """
+    from companion.config import secret_files
+    from companion.config.settings import camera_model, load
+    from companion.ros2.typestore import require_rosbags
+
+    require_rosbags("decklander ros2")
+    if args.seconds is not None and not 0 < args.seconds < 1e9:
+        raise BadInput(f"--seconds must be more than 0, got {args.seconds}")
+    token = secret_files.token(args.token_file, "ros2", "--token-file")
+    camera = None if args.config is None else camera_model(load(args.config))
+    from companion.ros2.bridge import RosBridge, wanted
+    from companion.ros2.live_client import LiveClient
+    from companion.ros2.node import RosNode
+    from companion.runtime import event_loop
+
+    client = LiveClient(args.url, None if token is None else token.decode(), wanted, _note)
+    node = RosNode("decklander")
+    bridge = RosBridge(client, node, camera, _note)
+    try:
+        event_loop.run(_bounded(bridge, args.seconds))
+    finally:
+        node.close()
+        total, skipped = bridge.published.total(), bridge.skipped.total()
+        _note(f"{total} messages on {len(bridge.published)} topics; {skipped} of the service not understood")
+    return 0 if client.connections else 1
+
+
+async def _bounded(bridge: RosBridge, seconds: float | None) -> None:
+    try:
+        async with asyncio.timeout(seconds):
+            await bridge.run()
+    except TimeoutError:
+        pass
+
+
+def _note(what: str) -> None:
+    sys.stderr.write(f"decklander ros2: {what}\n")
+    sys.stderr.flush()

@@ -1,0 +1,21 @@
+"""Quality of service, as far as a publisher names it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class DurabilityPolicy(Enum):
+    """Whether late subscribers get what was published before."""
+
+    VOLATILE = 2
+    TRANSIENT_LOCAL = 1
+
+
+@dataclass(frozen=True)
+class QoSProfile:
+    """How a topic is published."""
+
+    depth: int
+    durability: DurabilityPolicy = DurabilityPolicy.VOLATILE
