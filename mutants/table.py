@@ -31,11 +31,6 @@ _INTEGRITY = "tests/estimator/integrity"
 _MISSION = ("tests/companion/test_mission_flights.py", "tests/companion/test_rendezvous.py")
 _LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py", "tests/companion/test_deck_turn.py")
 _AXIS = ("tests/companion/test_tilt_axis.py", "tests/companion/test_law.py")
-_RESPONSE = (
-    "tests/companion/test_response_watch.py",
-    "tests/companion/test_identify.py",
-    "tests/companion/test_response_told.py",
-)
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/answer.c": _ANSWERS,
@@ -137,7 +132,10 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/companion/test_identify.py::test_lag_and_delay_of_the_climb_are_told_apart",
         "tests/companion/test_identify.py::test_a_descent_tells_the_delay_of_any_vehicle_to_40_ms",
     ),
-    "companion/guidance/response_watch.py": ("tests/companion/test_response_watch_bounds.py", *_RESPONSE),
+    "companion/guidance/response_watch.py": (
+        "tests/companion/test_response_watch_bounds.py",
+        "tests/companion/test_response_watch.py",
+    ),
     "companion/guidance/pid.py": ("tests/companion/test_pid_bounds.py", "tests/companion/test_pid.py"),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter_bounds.py", "tests/drivers/test_arbiter.py"),
     "drivers/ardrone/landing_watch.py": (

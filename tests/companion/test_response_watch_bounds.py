@@ -172,6 +172,18 @@ def test_a_fit_decides_by_how_sure_it_is_and_how_far_off(
         assert found is in_use
 
 
+def test_forty_milliseconds_to_the_bit_are_no_contradiction(monkeypatch: pytest.MonkeyPatch) -> None:
+    at_once = structs.replace(TILT, delay_s=0.0)
+    in_use = begun(at_once, KNOWN_S).in_use
+    assert judged(in_use, at_once, fit(CONTRADICTION_S), KNOWN_S).state is ResponseState.KNOWN
+    late, says = structs.replace(TILT, delay_s=0.2), [fit(CONTRADICTION_S), fit(2.0 * CONTRADICTION_S)]
+    monkeypatch.setattr(response_watch, "fit_tilt", lambda *_, **__: says.pop(0))
+    watch = begun(structs.replace(late, delay_sigma_s=0.01), KNOWN_S)
+    for _ in range(2):
+        watch = response_watch._fitted(watch, moved(1.0), KNOWN_S)
+    assert watch.in_use.delay_s == 2.0 * CONTRADICTION_S
+
+
 def moved(size: float) -> FlightCourse:
     """A report that goes to and fro by this much about its offset, but where it is not compared."""
     swing = np.outer(np.where(np.arange(100) % 2, size, -size), [1.0, 1.0])
@@ -196,6 +208,8 @@ SLOWNESS_S = 2.0 * TILT.damping / TILT.frequency_rad_s
 )  # fmt: skip
 def test_a_fit_is_trusted_while_its_model_is_the_vehicles(found: TiltFit, trusted: bool) -> None:
     assert response_watch._trusted(TILT, moved(1.0), found) is trusted
+    half = structs.replace(found, fitted=found.fitted._replace(residual=0.5 * found.fitted.residual))
+    assert response_watch._trusted(TILT, moved(0.5), half) is trusted
     still = structs.replace(found, fitted=found.fitted._replace(residual=0.1))
     assert not response_watch._trusted(TILT, moved(0.0), still), "a vehicle that stands still tells nothing"
 
