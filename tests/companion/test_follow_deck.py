@@ -255,9 +255,9 @@ def test_what_the_vehicle_answers_to_is_the_command_of_its_delay_ago(
     memory, rng = law.start(), np.random.default_rng(1)
     length = len(memory.climbs)
     for k in range(30):
-        a_down, v_down = rng.normal(size=2).tolist()
+        a_down, v_down, off_m = rng.normal(size=3).tolist()
         before = memory
-        now = known(k * T, (0.0, 0.0, 1.0 + rng.normal()), (0.0, 0.0, -v_down), a_down=a_down, response=response)
+        now = known(k * T, (0.05 * off_m, 0.0, 1.0 + rng.normal()), (0.0, 0.0, -v_down), a_down=a_down, response=response)
         memory, _ = stepped(memory, now, law=law)
         assert memory.axes is not None
         assert len(memory.climbs) == length
@@ -269,19 +269,32 @@ def test_what_the_vehicle_answers_to_is_the_command_of_its_delay_ago(
             assert memory.axes[0].lag == pytest.approx(keep * north.lag + (1.0 - keep) * north.under_way[n_tilt - 1])
 
 
-def test_while_gains_change_the_vertical_speed_lies_between_those_of_either() -> None:
-    now, end = known(0.5, (0.0, 0.0, 1.4), (0.0, 0.0, -0.3), response=IDENTIFIED), TuningChoice(0.15)
-    memory, _ = stepped(LAW.start(), known(0.48))
-    climbs = tuple(0.05 * k for k in range(len(memory.climbs)))
+def test_while_gains_change_what_has_arrived_and_what_is_asked_lie_between_those_of_either() -> None:
+    now, later, share = known(0.5, (0.0, 0.0, 1.4), (0.0, 0.0, -0.3), response=IDENTIFIED), TuningChoice(0.15), 0.25
+    memory, _ = stepped(LAW.start(), known(0.48, (0.1, 0.0, 1.0)))
+    n = round(RESPONSE.climb.delay_s / T)
+    n_later, n_tilt = round((RESPONSE.climb.delay_s + 0.15) / T), math.ceil(RESPONSE.tilt.delay_s / T - 1e-9)
+    n_tilt_later = math.ceil((RESPONSE.tilt.delay_s + 0.15) / T - 1e-9)
+    assert memory.axes is not None
+    axes = tuple(structs.replace(axis, under_way=tuple(0.1 * k for k in range(len(axis.under_way)))) for axis in memory.axes)
 
-    def down(**fields: object) -> float:
-        flown = structs.replace(memory, climbs=climbs, **fields)  # type: ignore[arg-type]
-        return float(stepped(flown, now)[1].v_level[2])
+    def flown(climbs: list[float], **fields: object) -> tuple[FollowDeckMemory, Lean]:
+        return stepped(structs.replace(memory, climbs=tuple(climbs), axes=axes, **fields), now)  # type: ignore[arg-type]
 
-    before, after = down(tuning=end, tuning_before=TuningChoice(), share=-T), down(tuning=end, tuning_before=end, share=1.0)
-    half = down(tuning=end, tuning_before=TuningChoice(), share=0.5 - T)
+    rising = [0.05 * k for k in range(len(memory.climbs))]
+    made, _ = flown(rising, tuning=later, tuning_before=TuningChoice(), share=share - T)
+    arrived = share * rising[n_later - 1] + (1.0 - share) * rising[n - 1]
+    assert made.pushed_down_m_s2 == pytest.approx(climb_law.pushed(0.0, 0.0, 0.3, arrived, T, RESPONSE.climb))
+    assert made.axes is not None
+    keep, tilt = math.exp(-T / RESPONSE.tilt.lag_s), share * 0.1 * (n_tilt_later - 1) + (1.0 - share) * 0.1 * (n_tilt - 1)
+    assert made.axes[0].lag == pytest.approx(keep * axes[0].lag + (1.0 - keep) * tilt)
+    # The same has arrived by either delay, so that the predictions alone differ.
+    between = [0.3 if n <= k < n_later - 1 else 0.0 for k in range(len(memory.climbs))]
+    before = flown(between, tuning=later, tuning_before=TuningChoice(), share=-T)[1].v_level[2]
+    after = flown(between, tuning=later, tuning_before=TuningChoice(), share=1.0)[1].v_level[2]
+    mixed = flown(between, tuning=later, tuning_before=TuningChoice(), share=share - T)[1].v_level[2]
     assert abs(after - before) > 0.01
-    assert min(before, after) < half < max(before, after)
+    assert mixed == pytest.approx(share * after + (1.0 - share) * before)
 
 
 def test_commands_are_remembered_for_as_long_as_any_delay_that_is_flown_with() -> None:
