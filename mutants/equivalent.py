@@ -43,6 +43,9 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "True  ->  False": "a forecast has as many sigmas as rates",
     },
     "companion/guidance/response.py": {"1e-09  ->  2e-09": "what floating point adds is 1e-15"},
+    "companion/guidance/follow_deck.py": {
+        "if memory.share == 1.0  ->  if False": "a mean with a share of one is that one, only later",
+    },
     "companion/guidance/response_watch.py": {
         "self.longer_s > 0.0  ->  self.longer_s >= 0.0": "an identified response is off by more than 40 ms",
     },
