@@ -64,6 +64,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "np.abs(angle[:-1]) > 2.0  ->  np.abs(angle[:-1]) >= 2.0": _ROUNDED,
     },
     "companion/guidance/heave.py": {"True  ->  False": "two rows of three numbers each"},
+    "estimator/pipeline.py": {"True  ->  False": "each path has one result of each event"},
     "estimator/integrity/sensors.py": {
         "t < repeat.since  ->  t <= repeat.since": "what begins anew at its own instant with its own value is the same",
     },

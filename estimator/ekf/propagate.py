@@ -41,8 +41,5 @@ def result(event: Event, outcome: Outcome) -> FusionResult:
         components = _named(source, outcome.axes)
     else:
         components = components_of(source, innov.size)
-    for array in (innov, S):
-        if array is not None and array.flags.writeable:
-            array.setflags(write=False)
     nis, ratio = outcome.nis, outcome.nis / outcome.nis_max
     return FusionResult("ekf", source, verdict, stamp.measured_at, stamp.received_at, innov, S, components, nis, ratio)

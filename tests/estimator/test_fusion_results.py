@@ -83,6 +83,8 @@ def test_every_comparison_carries_figures_that_agree_with_one_another(
         assert (r.test_ratio > 1.0) == (r.verdict is Verdict.GATED)
         with pytest.raises(ValueError, match="read-only"):
             r.innovation[0] = 1.0
+        with pytest.raises(ValueError, match="read-only"):
+            r.innovation_cov[0, 0] = 1.0
 
 
 def test_the_innovation_is_measured_minus_predicted_and_beyond_the_gate_it_is_refused(

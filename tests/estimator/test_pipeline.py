@@ -99,3 +99,37 @@ def test_an_old_sighting_is_a_wide_one_on_every_path() -> None:
     memory = hovering()
     for fresh, late in zip(pipeline.beliefs(memory, MonoNs(10**9)), pipeline.beliefs(memory, MonoNs(3 * 10**9)), strict=True):
         assert np.trace(late.cov[:3, :3]) > 4 * np.trace(fresh.cov[:3, :3])
+
+
+NOW = MonoNs(10**9)
+
+
+def test_another_path_steers_on_with_what_it_knows_and_one_that_did_not_run_begins_empty() -> None:
+    memory = hovering()
+    first, second = pipeline.beliefs(memory, NOW)
+    steering = pipeline.belief(memory, NOW)
+    assert steering is not None
+    assert (steering.path, same(steering, first)) == ("dead_reckoning", True)
+    assert {"range_agrees", "heading_off_rad"} <= dict(steering.details).keys()
+    turned = pipeline.steer_by(memory, "median_mean")
+    assert (turned.options.path, [path.name for path in turned.paths]) == ("median_mean", ["median_mean", "dead_reckoning"])
+    after = pipeline.belief(turned, NOW)
+    assert after is not None
+    assert (after.path, same(after, second)) == ("median_mean", True)
+    anew = pipeline.steer_by(memory, "ekf")
+    assert [path.name for path in anew.paths] == ["ekf", "dead_reckoning", "median_mean"]
+    assert pipeline.belief(anew, NOW) is None
+    assert same(pipeline.beliefs(anew, NOW)[0], first)
+
+
+def test_a_sighting_of_another_place_is_refused_before_every_path_once_the_pad_was_fused() -> None:
+    elsewhere = sighting(0.95, (9.0, 0.0, 2.0))
+    memory = hovering()
+    after, outcomes = pipeline.step(memory, elsewhere)
+    assert [o.verdict for o in outcomes] == [Verdict.ELSEWHERE] * 2
+    assert after.paths == memory.paths
+    fresh, _ = feed(pipeline.start(STEERING, shadows=("median_mean",)), [e for i in range(200) for e in at_rest(i / 200)])
+    refused, outcomes = pipeline.step(fresh, sighting(0.9, (0.5, -0.2, 2.0), confidence=0.0))
+    assert Verdict.FUSED not in {o.verdict for o in outcomes}
+    _, outcomes = pipeline.step(refused, elsewhere)
+    assert outcomes[0].verdict is Verdict.FUSED, "what was refused is no place of the pad"

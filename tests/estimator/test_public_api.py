@@ -176,6 +176,11 @@ def test_the_estimator_takes_late_sightings_and_says_why_it_refuses_others() -> 
     assert filter.on_sighting(sighting(1.99, confidence=0.1)) is Verdict.GATED
     assert filter.on_imu(Imu(Stamp.from_seconds(2.0), np.full(3, 1e3), np.zeros(3))) is Verdict.IMPOSSIBLE
     after = filter.at(MonoNs(2_000_000_000))
+    assert filter.state is not None
+    assert filter.state.at == 1_990_000_000, "what is refused is no newest event"
+    for t in (2.01, 2.0):
+        assert filter.on_imu(Imu(Stamp.from_seconds(t), np.full(3, 1e-5 * t), np.array([0.0, 0.0, -9.81]))) is Verdict.FUSED
+    assert filter.state.at == 2_010_000_000, "nor is one that is late"
     assert before is not None
     assert after is not None
     assert np.array_equal(before.d_body_pad_level, after.d_body_pad_level)
