@@ -22,6 +22,7 @@ _ODDS = (
     "odds -= (DIRECTIONS - UPRIGHT - 2) * prior_log_odds(m);",
 )
 
+_COPIED = "an estimate takes a read-only copy of numbers that can be written"
 _NO_TIME = "nothing moves in no time"
 _HEAVE_ALONE = "the fifth is the deck's roll, which has nothing in common with the heave"
 _HELD = "if (b->t_imu >= 0 && b->t < held_until && held_until < t) {"
@@ -64,7 +65,17 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "np.abs(angle[:-1]) > 2.0  ->  np.abs(angle[:-1]) >= 2.0": _ROUNDED,
     },
     "companion/guidance/heave.py": {"True  ->  False": "two rows of three numbers each"},
+    "estimator/relative_estimator.py": {
+        "None if self._newest is None else self.at(self._newest)  ->  self.at(self._newest)": (
+            "before the first event there is no pad at any instant"
+        ),
+    },
     "estimator/pipeline.py": {"True  ->  False": "each path has one result of each event"},
+    "estimator/ekf/answers.py": {
+        "self._words.setflags(write=False)  ->  pass": _COPIED,
+        "False  ->  True": _COPIED,
+        "var_max <= o.consistent_sigma_m ** 2  ->  var_max < o.consistent_sigma_m ** 2": _ROUNDED,
+    },
     "estimator/integrity/sensors.py": {
         "t < repeat.since  ->  t <= repeat.since": "what begins anew at its own instant with its own value is the same",
     },

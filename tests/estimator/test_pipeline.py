@@ -10,7 +10,7 @@ from estimator import pipeline
 from estimator.contracts.estimates import RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu, Range
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
 from estimator.paths import Event
@@ -133,3 +133,17 @@ def test_a_sighting_of_another_place_is_refused_before_every_path_once_the_pad_w
     assert Verdict.FUSED not in {o.verdict for o in outcomes}
     _, outcomes = pipeline.step(refused, elsewhere)
     assert outcomes[0].verdict is Verdict.FUSED, "what was refused is no place of the pad"
+
+
+def test_a_range_agrees_with_sightings_that_the_steering_path_has_fused() -> None:
+    def agrees(range_m: float) -> float:
+        memory = pipeline.start(STEERING)
+        for i in range(240):
+            memory, _ = feed(memory, [*at_rest(i / 200), Range(stamp(i / 200), range_m + 1e-3 * (i % 3), 0.02)])
+            if i % 7 == 0 and i > 20:
+                memory, _ = pipeline.step(memory, sighting(i / 200 - 0.1, (0.05, 0.0, 2.0)))
+        state = pipeline.belief(memory, MonoNs(1_195_000_000))
+        assert state is not None
+        return dict(state.details)["range_agrees"]
+
+    assert (agrees(2.0), agrees(5.0)) == (1.0, 0.0)
