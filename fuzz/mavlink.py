@@ -46,7 +46,7 @@ from sitl.autopilots.lock_step import LockStepClock
 
 SETTINGS = {
     "vehicle": {"kind": "mavlink", "links": "udpin://127.0.0.1:14550, udpout://127.0.0.1:14551, tcp://127.0.0.1:5760"},
-    "camera": {"file": "sim"},
+    "camera": {"file": "sim", "gimbal": {"device_id": 1, "point_down": True}},
     "pad": {"file": "thesis"},
     "vision": {"colours": "simulator"},
     "guidance": {"start": "signal"},
@@ -56,6 +56,7 @@ _ACTED_ON = {
     "HEARTBEAT", "SYS_STATUS", "SYSTEM_TIME", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_VALUE", "PARAM_SET",
     "ATTITUDE", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "SCALED_IMU", "SCALED_IMU2", "RAW_IMU",
     "HIGHRES_IMU", "DISTANCE_SENSOR", "COMMAND_LONG", "COMMAND_INT", "COMMAND_ACK", "TIMESYNC", "STATUSTEXT", "EVENT",
+    "GIMBAL_DEVICE_ATTITUDE_STATUS", "GIMBAL_MANAGER_STATUS", "MOUNT_ORIENTATION", "MOUNT_STATUS",
     "EXTENDED_SYS_STATE", "MESSAGE_INTERVAL", "AUTOPILOT_VERSION", "BATTERY_STATUS", "LANDING_TARGET", "ALTITUDE",
     "SETUP_SIGNING", "PING", "COMMAND_CANCEL", "SET_MODE", "GPS_RAW_INT", "VFR_HUD", "ODOMETRY",
 }  # fmt: skip

@@ -12,7 +12,7 @@ from companion.config.model import VisionSettings
 from companion.recorder.reading import RecordedFrame, Recording
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from estimator.contracts.samples import Attitude, Imu
+from estimator.contracts.samples import Attitude, GimbalAttitude, Imu
 from estimator.vision.camera import Camera
 from estimator.vision.pose import Orientation
 from estimator.vision.register.camera_pose import camera_pose
@@ -74,6 +74,8 @@ def flight_views(recording: Recording) -> FlightViews:
             pose = camera_pose(sighting, camera, Orientation.of(levelled_by, sigma_deck_rad))
             if pose is not None and float(np.diag(pose.cov)[3:].max()) < TILT_SIGMA_MAX_RAD**2:
                 seen[event.stamp.measured_at * 1e-9] = pose.R_cam_pad, pose.t_cam_pad, pose.cov[3:, 3:]
+        elif isinstance(event, GimbalAttitude):
+            raise BadInput(f"{recording.name}: its camera hangs on a gimbal, which has no mount to calibrate")
         elif isinstance(event, Imu):
             gyro[event.stamp.measured_at * 1e-9] = event.w_body
         elif isinstance(event, Attitude):

@@ -127,7 +127,8 @@ async def _examined(args: argparse.Namespace) -> Snapshot:
     if found is None:
         return Snapshot(0.0, service=service)
     options, links = found
-    snapshot = await examine(options, SystemClock(), args.seconds, _progress, links)
+    gimbal = None if settings is None else settings.camera.gimbal
+    snapshot = await examine(options, SystemClock(), args.seconds, _progress, links, gimbal)
     return msgspec.structs.replace(snapshot, service=service)
 
 

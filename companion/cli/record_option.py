@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, get_args
 
-from companion.config.settings import Settings, camera_model
+from companion.config.settings import Settings, body_camera
 from companion.recorder.options import FrameForm
 from companion.recorder.recorder import Recorder
 from companion.recorder.records import ContactRecord, TruthRecord
@@ -52,7 +52,7 @@ def recording(
         raise BadInput(f"--record {args.record}: {why.strerror or why}") from why
     offset_ns = wall_offset_ns(SystemClock()) if live else 0
     described = about(settings, flight, offset_ns)
-    with recorder_to_file(args.record, camera_model(settings), described, frames=args.record_frames, live=live) as recorder:
+    with recorder_to_file(args.record, body_camera(settings), described, frames=args.record_frames, live=live) as recorder:
         yield recorder
     if recorder.why or recorder.faults:
         sys.stderr.write(f"the recording is incomplete: {recorder.why or 'a fault of the recorder'}\n")

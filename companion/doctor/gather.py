@@ -9,9 +9,11 @@ from msgspec import structs
 
 from companion.doctor.diagnose import PARAMETERS
 from companion.doctor.renamed import names_in
-from companion.doctor.snapshot import AutopilotSnapshot, HeardSystem, LinkSnapshot, Snapshot, TimeSyncSnapshot
+from companion.doctor.snapshot import AutopilotSnapshot, GimbalSnapshot, HeardSystem, LinkSnapshot, Snapshot, TimeSyncSnapshot
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import mav
+from drivers.mavlink.gimbal import Gimbal, tending
+from drivers.mavlink.gimbal_options import GimbalOptions
 from drivers.mavlink.links import LinkOptions, ReceivedMessage
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.requests import RATES_HZ
@@ -66,6 +68,7 @@ async def examine(
     seconds: float,
     say: Say = lambda text: None,
     links: Sequence[LinkOptions] | None = None,
+    gimbal: GimbalOptions | None = None,
 ) -> Snapshot:
     """Listen to the links, query the autopilot, and return the snapshot.
 
@@ -73,17 +76,22 @@ async def examine(
         seconds: how long to wait for an autopilot, and again how long to count its messages.
         say: called with a progress line for a terminal.
         links: the links of the options with their keys; None for those of the options without any key.
+        gimbal: the camera's gimbal, which is asked for its reports and left where it points; None without one.
     """
     notes = _Notes()
     began = clock.now()
-    async with open_autopilot(options, clock, links) as autopilot:
+    heard = None if gimbal is None or not gimbal.given else Gimbal(structs.replace(gimbal, point_down=False), clock)
+    async with open_autopilot(options, clock, links) as autopilot, tending(heard, autopilot, clock):
         autopilot.add_listener(notes.on_message)
         say(f"listening on {', '.join(str(link.endpoint) for link in autopilot.links.all)}")
         await wait_until(clock, seconds, lambda: autopilot.connected)
         rates: dict[str, float] = {}
         if autopilot.identity is not None:
             rates = await _ask(autopilot, notes, clock, seconds, say)
-        return _snapshot(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now()))
+        snapshot = _snapshot(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now()))
+        if heard is None or snapshot.autopilot is None:
+            return snapshot
+        return structs.replace(snapshot, gimbal=GimbalSnapshot(heard.device_id, heard.rate_hz, dict(heard.sampler.refused)))
 
 
 async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds: float) -> Snapshot:

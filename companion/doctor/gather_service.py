@@ -16,7 +16,7 @@ from companion.config.model import Settings
 from companion.config.referenced_files import check_files
 from companion.config.settings import camera_model, pad_model
 from companion.config.ship_place import contradiction
-from companion.doctor.snapshot import ServiceSnapshot
+from companion.doctor.snapshot import GimbalSnapshot, ServiceSnapshot
 from companion.runtime.health import HealthSnapshot
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.video_source import open_camera
@@ -27,6 +27,7 @@ from estimator.contracts.time import seconds_between
 _FIRST_FRAME_S = 5.0
 """Longest time until a camera's first frame, seconds."""
 _WITHHELD = "withheld_"
+_REFUSED = "refused_"
 _PLACES = "ship_place"
 _SHIP_SOURCES = (("sentences", "refused_"), ("mqtt", "ship_reports_"))
 """Parts that read the ship's reports, and the beginning of the names of their counters of refused ones."""
@@ -60,7 +61,7 @@ def running_service(settings: Settings, health: HealthSnapshot) -> ServiceSnapsh
     snapshot = _files(settings)
     rates_hz = {kind: flow.rate_hz for kind, flow in health.flows.items() if flow.rate_hz is not None}
     medians_s = {stage: times.p50_s for stage, times in health.stages.items() if times.p50_s is not None}
-    snapshot = _figures(snapshot, health.counters, rates_hz, medians_s)
+    snapshot = _figures(snapshot, settings, health.counters, rates_hz, medians_s)
     if settings.mqtt.transport != "off":
         fault = _fault_of(health, "mqtt")
         snapshot = structs.replace(snapshot, broker=f"{settings.mqtt.host}:{settings.mqtt.port}", broker_fault=fault)
@@ -99,7 +100,7 @@ async def _from_settings(settings: Settings, clock: Clock, seconds: float, timeo
         snapshot = structs.replace(snapshot, drone=f"{vehicle.host}:{vehicle.control_port}", drone_fault=fault)
     scraped = await _scrape(settings, timeout_s)
     if scraped is not None:
-        return _of_metrics(snapshot, scraped)
+        return _of_metrics(snapshot, settings, scraped)
     return await _of_camera(snapshot, settings, clock, seconds)
 
 
@@ -142,7 +143,7 @@ async def _scrape(settings: Settings, timeout_s: float) -> list[Sample] | None:
         return None
 
 
-def _of_metrics(snapshot: ServiceSnapshot, scraped: list[Sample]) -> ServiceSnapshot:
+def _of_metrics(snapshot: ServiceSnapshot, settings: Settings, scraped: list[Sample]) -> ServiceSnapshot:
     counts: dict[str, dict[str, float]] = {}
     for s in scraped:
         if s.name == "decklander_count":
@@ -151,11 +152,12 @@ def _of_metrics(snapshot: ServiceSnapshot, scraped: list[Sample]) -> ServiceSnap
     medians_s = {
         s.labels["stage"]: s.value for s in scraped if s.name == "decklander_stage_seconds" and s.labels["quantile"] == "0.5"
     }
-    return _figures(snapshot, counts, rates_hz, medians_s)
+    return _figures(snapshot, settings, counts, rates_hz, medians_s)
 
 
 def _figures(
     snapshot: ServiceSnapshot,
+    settings: Settings,
     counts: Mapping[str, Mapping[str, float]],
     rates_hz: Mapping[str, float],
     medians_s: Mapping[str, float],
@@ -172,11 +174,19 @@ def _figures(
         targets_sent=None if sent is None else int(sent),
         sends_ranges=None if ranges is None else bool(ranges),
         places_taken=taken,
+        gimbal=_gimbal(settings, counts.get("gimbal", {}), rates_hz),
         places_refused=_sources_refused(counts) | {name.replace("_", " "): n for name, n in places.items()},
         withheld={
             name.removeprefix(_WITHHELD).replace("_", " "): int(n) for name, n in counted.items() if name.startswith(_WITHHELD)
         },
     )
+
+
+def _gimbal(settings: Settings, counts: Mapping[str, float], rates_hz: Mapping[str, float]) -> GimbalSnapshot | None:
+    if not settings.camera.gimbal.given:
+        return None
+    refused = {name.removeprefix(_REFUSED): int(n) for name, n in counts.items() if name.startswith(_REFUSED)}
+    return GimbalSnapshot(settings.camera.gimbal.device_id, rates_hz.get("GimbalAttitude", 0.0), refused)
 
 
 def _sources_refused(counts: Mapping[str, Mapping[str, float]]) -> dict[str, int]:

@@ -9,6 +9,8 @@ from drivers.mavlink.requests import INSTEAD
 
 ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
 """Messages without which the service can neither report to an autopilot nor fly it."""
+_GIMBAL_HZ, _GIMBAL_SILENT_HZ = 10.0, 0.5
+"""Rates of a gimbal's reports below which most frames have none near them, and below which there are none."""
 _NO_ANSWER = -1
 _LISTED_MAX = 6
 _REASONS = {
@@ -355,6 +357,26 @@ def camera_slow(p: Snapshot) -> Finding | None:
     return None
 
 
+def gimbal_silent(p: Snapshot) -> Finding | None:
+    """Find a gimbal whose attitude does not come, or comes too seldom."""
+    gimbal = p.service.gimbal or p.gimbal
+    if gimbal is None or gimbal.rate_hz >= _GIMBAL_HZ:
+        return None
+    counts = ", ".join(f"{why} {n}" for why, n in sorted(gimbal.refused.items(), key=lambda i: -i[1]) if n)
+    refused = f"; refused: {counts}" if counts else ""
+    if gimbal.rate_hz < _GIMBAL_SILENT_HZ:
+        return error(
+            "gimbal-silent",
+            f"gimbal {gimbal.device_id} does not report its attitude{refused}",
+            "correct camera.gimbal.device_id, or let the autopilot forward its messages: every frame is refused without them",
+        )
+    return warning(
+        "gimbal-slow",
+        f"gimbal {gimbal.device_id} reports only {gimbal.rate_hz:.1f} times a second{refused}",
+        "raise the rate in the gimbal or the autopilot (SRn_EXTRA3): most frames fall between two reports and are refused",
+    )
+
+
 def broker_fault(p: Snapshot) -> Finding | None:
     """Find an MQTT broker that is not connected."""
     if p.service.broker_fault is not None:
@@ -403,5 +425,5 @@ RULES: tuple[Rule, ...] = (
     link_unknown_senders, link_one_way, wrong_system, no_autopilot, several_autopilots,
     stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, files_fault, settings_idle,
     camera_fault, camera_device, camera_size, camera_slow,
-    broker_fault, drone_fault, ship_place, ship_silent,
+    gimbal_silent, broker_fault, drone_fault, ship_place, ship_silent,
 )  # fmt: skip

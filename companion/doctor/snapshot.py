@@ -86,6 +86,16 @@ class HeardSystem(Struct, frozen=True):
         return f"system {self.system} ({self.stack} {self.kind})" if self.stack else f"system {self.system} ({self.kind})"
 
 
+class GimbalSnapshot(Struct, frozen=True):
+    """The gimbal that the settings name, over the time of the examination, or as the running service has it."""
+
+    device_id: int
+    rate_hz: float = 0.0
+    """Rate of its reports that were taken, Hz."""
+    refused: dict[str, int] = field(default_factory=dict)
+    """Reports that were refused, by reason."""
+
+
 class ServiceSnapshot(Struct, frozen=True):
     """The service itself, as far as it runs or could be queried."""
 
@@ -119,6 +129,8 @@ class ServiceSnapshot(Struct, frozen=True):
     """What does not go together in the settings about the ship's place."""
     places_refused: dict[str, int] = field(default_factory=dict)
     """Reports of the ship that the running service refused, by reason."""
+    gimbal: GimbalSnapshot | None = None
+    """The camera's gimbal; None if no service runs, or the camera has none."""
     places_taken: int | None = None
     """Places of the ship that the running service took; None if no service runs, or none are expected."""
 
@@ -142,6 +154,8 @@ class Snapshot(Struct, frozen=True):
     """Greatest speed of the ship over the ground, m/s; None if it was not told."""
     moving_pad: bool = True
     """Whether the pad is on something that moves."""
+    gimbal: GimbalSnapshot | None = None
+    """The camera's gimbal; None if the settings name none, or no link was examined."""
 
 
 def encode(snapshot: Snapshot) -> bytes:

@@ -6,6 +6,7 @@ async with tending(Gimbal(options, clock), autopilot): ...    # its attitudes ar
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -47,6 +48,20 @@ class Gimbal:
         self._manager: tuple[int, int] | None = None
         self._connects = 0
         self._samples = 0
+        self._times: deque[MonoNs] = deque(maxlen=50)
+        """When the newest of them were received."""
+
+    @property
+    def device_id(self) -> int:
+        return self._o.device_id
+
+    @property
+    def rate_hz(self) -> float:
+        """The rate of its newest reports that were taken, Hz; 0 while none come."""
+        times = self._times
+        if len(times) < 2 or seconds_between(times[-1], self._clock.now()) > 1.0:
+            return 0.0
+        return (len(times) - 1) / max(seconds_between(times[0], times[-1]), 1e-3)
 
     def counted(self) -> dict[str, float]:
         """Return the counters for health."""
@@ -74,7 +89,9 @@ class Gimbal:
             return None
         self._streams.on_message(m, received.received_at)
         sample = self.sampler.sample(m, received.received_at, autopilot.boot_clock if own else None)
-        self._samples += sample is not None
+        if sample is not None:
+            self._samples += 1
+            self._times.append(received.received_at)
         return sample
 
     def due(self, autopilot: Autopilot, now: MonoNs) -> list[Message]:

@@ -16,6 +16,7 @@ from companion.doctor.finding import Severity
 from companion.doctor.rules_px4 import event_id
 from companion.doctor.snapshot import (
     AutopilotSnapshot,
+    GimbalSnapshot,
     HeardSystem,
     LinkSnapshot,
     ServiceSnapshot,
@@ -178,6 +179,8 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "camera unplugged": ("camera-slow", service(frame_rate_hz=0.0), "cable"),
     "broker not running": ("broker", service(broker_fault="Connect call failed"), "start the broker"),
     "not in the drone's Wi-Fi": ("drone", service(drone_fault="no answer within 2 s"), "Wi-Fi"),
+    "a gimbal that is silent": ("gimbal-silent", service(gimbal=GimbalSnapshot(154, 0.0, {"failure": 9})), "device_id"),
+    "a gimbal that reports seldom": ("gimbal-slow", replace(GOOD, gimbal=GimbalSnapshot(1, 5.0)), "rate"),
     "rendezvous without a source": ("ship-place", service(ship_place=NO_SOURCE), "vessel.nmea"),
     "a place that nobody flies to": ("ship-place", service(ship_place=UNUSED), "enabled = true"),
     "the ship is silent": ("ship-silent", service(places_taken=0), "firewall"),
