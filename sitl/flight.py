@@ -301,10 +301,12 @@ class Flight:
 
     def _report_fused(self) -> None:
         """Tell health and observers of the samples that the estimator has processed."""
-        for sample, results in self._pilot.fused():
+        fused, count = self._pilot.fused(), self.health.fused
+        for sample, results in fused:
             if results:
-                self.health.fused(sample, results)
-            for observer in self._observers:
+                count(sample, results)
+        for observer in self._observers:
+            for sample, results in fused:
                 for result in results:
                     observer.on_fusion(sample.stamp.received_at, result)
 

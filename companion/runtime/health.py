@@ -72,8 +72,8 @@ class FusionTally:
     _normalized: deque[float] = field(default_factory=lambda: deque(maxlen=NIS_WINDOW))
 
     def add(self, result: FusionResult) -> None:
-        verdict, ratio = result.verdict, result.test_ratio
-        self.verdicts[verdict] = self.verdicts.get(verdict, 0) + 1
+        ratio = result.test_ratio
+        self.verdicts[result.verdict] += 1
         self.newest = result
         if math.isfinite(ratio):
             self.test_ratio = ratio
@@ -236,15 +236,16 @@ class Health:
 
     def fused(self, sample: Sample, results: Sequence[FusionResult]) -> None:
         """Count the results of one sample, path by path."""
+        kind = type(sample).__name__
         for result in results:
-            self.input(type(sample).__name__, result.verdict)
+            self.input(kind, result.verdict)
             self.fusion(result)
 
     def input(self, kind: str, verdict: Verdict) -> None:
         tally = self.inputs.get(kind)
         if tally is None:
             tally = self.inputs[kind] = Counter()
-        tally[verdict] = tally.get(verdict, 0) + 1
+        tally[verdict] += 1
 
     def fusion(self, result: FusionResult) -> None:
         """Count the result of one measurement on one path of the estimator."""

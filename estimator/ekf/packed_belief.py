@@ -6,7 +6,6 @@ a block that later beliefs share until an event changes it. It becomes a `Belief
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -50,10 +49,12 @@ _AIDS = _BELIEF["aids"].start + _AID_SIZE * np.arange(KINDS)[:, None] + [_AID[na
 _AXES = tuple(tuple([i for i in range(4) if mask >> i & 1]) for mask in range(16))
 """The axes of a velocity and of a vessel's report, by the bits of the core's mask."""
 _NONE_GATHERED = (0, 0, 0, 0)
-_OUTCOME_HEAD, _NIS = struct.Struct("4q"), struct.Struct("2d")
+_HEAD = 4
+"""Number of integers with which the core's `outcome` begins."""
 _INNOV_AT, _COV_AT, _NIS_AT = (_OUTCOME[name].start for name in ("innov", "S", "nis"))
 _RATIOS = places_of("innovation_ratios")
-_WITHOUT_COMPARISON = {verdict: Outcome(verdict) for verdict in _VERDICTS.values()}
+_UNCOMPARED = {number: Outcome(verdict) for number, verdict in _VERDICTS.items()}
+"""The outcomes of measurements that were compared with nothing, by the core's number of the verdict."""
 
 
 class Words(Struct, frozen=True, eq=False):
@@ -139,7 +140,7 @@ class PackedBelief:
         if done and seas is not None and slots[n + done - 1] >= 0:
             sea = _kept(seas, (slots[n + done - 1] + 1) * SEA_SIZE)
         made = Followed(self, done, slots, Words(block, at + 2 * n, index + 16 * n), P, sea)
-        return made, made.outcomes(1)[0] if done else _WITHOUT_COMPARISON[Verdict.GATED]
+        return made, made.outcomes(1)[0] if done else _UNCOMPARED[CONSTANTS["GATED"]]
 
     def propagated(self, t: int, noise: ProcessNoise, how_far: int) -> PackedBelief:
         """Return the belief at instant `t`, ns; `how_far` is one of `STATE_ALONE`, `WITH_COVARIANCE`, `WITH_AIDING`."""
@@ -193,8 +194,12 @@ class Followed(Sequence[PackedBelief]):
         """Return what became of the first events."""
         rows = self._numbers.block[: n * _OUTCOME_SIZE].copy()
         rows.setflags(write=False)
-        words = rows.data
-        return [_outcome(rows, words, first) for first in range(0, n * _OUTCOME_SIZE, _OUTCOME_SIZE)]
+        table = rows.reshape(n, _OUTCOME_SIZE)
+        heads, compared = table[:, :_HEAD].view(np.int64).tolist(), table[:, _NIS_AT : _NIS_AT + 2].tolist()
+        return [
+            _outcome(rows, _OUTCOME_SIZE * i, head, *compared[i]) if head[1] else _UNCOMPARED[head[0]]
+            for i, head in enumerate(heads)
+        ]
 
     def first(self, n: int) -> tuple[PackedBelief, ...]:
         """Return the first beliefs in memory of their own, so that the rest of the row can be freed."""
@@ -225,14 +230,11 @@ class Followed(Sequence[PackedBelief]):
         return self._seas_made[slot]
 
 
-def _outcome(rows: F64, words: memoryview, first: int) -> Outcome:
-    """Return the core's `outcome` that begins at a word; `words` are those of the rows."""
-    verdict, m, axes, has_S = _OUTCOME_HEAD.unpack_from(words, 8 * first)
-    if m == 0:
-        return _WITHOUT_COMPARISON[_VERDICTS[verdict]]
+def _outcome(rows: F64, first: int, head: list[int], nis: float, nis_max: float) -> Outcome:
+    """Return the core's `outcome` that begins at a word with these integers, of a measurement that was compared."""
+    verdict, m, axes, has_S = head
     innov, S = first + _INNOV_AT, first + _COV_AT
     cov = rows[S : S + m * m].reshape(m, m) if has_S else None
-    nis, nis_max = _NIS.unpack_from(words, 8 * (first + _NIS_AT))
     return Outcome(_VERDICTS[verdict], rows[innov : innov + m], cov, nis, nis_max, _AXES[axes])
 
 

@@ -17,7 +17,6 @@ Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
 
 _VALUES = size_of("event") - 2
 _HEAD, _TWO, _VESSEL = struct.Struct("2q"), struct.Struct("2d"), struct.Struct("16d")
-_NO_VALUES = bytes(8 * _VALUES)
 _FLAGS = 3
 _SIGHTING = struct.Struct(f"{_FLAGS}q{size_of('sighting') - _FLAGS}d")
 _NO_POSE = (0.0,) * (3 + 9 + 36)
@@ -35,10 +34,9 @@ class PackedEvent(Struct, frozen=True):
 
 def packed_event(event: Event) -> PackedEvent:
     """Return an event as the core reads it."""
-    kind, values_of = _KINDS[type(event)]
-    values = values_of(event)
-    record = _HEAD.pack(kind, event.stamp.measured_at) + values + _NO_VALUES[len(values) :]
-    return PackedEvent(record, _seen(event) if type(event) is Sighting else b"")
+    kind, values_of, rest = _KINDS[type(event)]
+    record = _HEAD.pack(kind, event.stamp.measured_at) + values_of(event) + rest
+    return PackedEvent(record, _seen(event)) if type(event) is Sighting else PackedEvent(record)
 
 
 def _of_imu(event: Imu) -> bytes:
@@ -78,12 +76,17 @@ def _seen(s: Sighting) -> bytes:
     )  # fmt: skip
 
 
-_KINDS: dict[type[Event], tuple[int, Callable[[Any], bytes]]] = {
-    Imu: (CONSTANTS["IMU"], _of_imu),
-    Attitude: (CONSTANTS["ATTITUDE"], _of_attitude),
-    BodyVelocity: (CONSTANTS["VELOCITY"], _of_velocity),
-    Range: (CONSTANTS["RANGE"], _of_range),
-    Baro: (CONSTANTS["HEIGHT"], _of_height),
-    VesselReport: (CONSTANTS["VESSEL"], _of_vessel),
-    Sighting: (CONSTANTS["SIGHTING"], lambda event: b""),
+def _kind(name: str, values_of: Callable[[Any], bytes], n: int) -> tuple[int, Callable[[Any], bytes], bytes]:
+    return CONSTANTS[name], values_of, bytes(8 * (_VALUES - n))
+
+
+_KINDS: dict[type[Event], tuple[int, Callable[[Any], bytes], bytes]] = {
+    Imu: _kind("IMU", _of_imu, 6),
+    Attitude: _kind("ATTITUDE", _of_attitude, 18),
+    BodyVelocity: _kind("VELOCITY", _of_velocity, 12),
+    Range: _kind("RANGE", _of_range, 2),
+    Baro: _kind("HEIGHT", _of_height, 2),
+    VesselReport: _kind("VESSEL", _of_vessel, 16),
+    Sighting: _kind("SIGHTING", lambda event: b"", 0),
 }
+"""Of each kind of event its number, what packs its values, and the zeros after them."""

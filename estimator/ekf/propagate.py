@@ -33,10 +33,10 @@ def _named(source: Source, axes: tuple[int, ...]) -> tuple[str, ...]:
 
 def result(event: Event, outcome: Outcome) -> FusionResult:
     """Return the outcome of an event with the event's source, instants and names of components."""
-    verdict, S, source, stamp = outcome.verdict, outcome.innovation_cov, source_of(event), event.stamp
+    source, stamp = source_of(event), event.stamp
     if outcome.innovation is None:
-        return FusionResult("ekf", source, verdict, stamp.measured_at, stamp.received_at)
-    innov = np.asarray(outcome.innovation)
+        return FusionResult("ekf", source, outcome.verdict, stamp.measured_at, stamp.received_at)
+    verdict, S, innov = outcome.verdict, outcome.innovation_cov, np.asarray(outcome.innovation)
     if outcome.axes:
         components = _named(source, outcome.axes)
     else:
