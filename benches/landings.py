@@ -23,7 +23,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +34,13 @@ import msgspec
 import numpy as np
 from scipy.stats import ks_2samp
 
+from companion.config.model import Settings
+from companion.runtime.garbage import collect_seldom
 from companion.runtime.observer import Decision, NullObserver
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
 from sitl.one_flight import PERCEPTIONS, fly, perception_level, settings_for
-from sitl.scenario import load
+from sitl.scenario import Scenario, load
 from sitl.truth import Truth
 from sitl.vehicle import VehiclePhase
 
@@ -72,9 +74,7 @@ class Consistency(NullObserver):
 
 def one(scenario: str, level: str, method: str, model: str | None, seed: int) -> dict[str, Any]:
     """Fly once and return the ending as plain values, with the level, NEES and errors of the estimate."""
-    loaded = load(scenario)
-    settings = settings_for(loaded, None)
-    settings = msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method=method))
+    loaded, settings = _loaded(scenario, method)
     watch = Consistency()
     ending = fly(
         scenario,
@@ -89,13 +89,21 @@ def one(scenario: str, level: str, method: str, model: str | None, seed: int) ->
     return {**ending.as_json(), "perception": level, "method": method, "nees": watch.nees, "error_per_height": watch.error_m}
 
 
+@cache
+def _loaded(name: str, method: str) -> tuple[Scenario, Settings]:
+    """Return a scenario and the settings to fly it with, read once in a process as in a campaign."""
+    scenario = load(name)
+    settings = settings_for(scenario, None)
+    return scenario, msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method=method))
+
+
 def fly_all(args: argparse.Namespace) -> int:
     """Fly the seeds, print the rate, and append the flights to a file if asked."""
     seeds = range(args.first, args.first + args.flights)
     call = partial(one, args.scenario, args.perception, args.method, args.perception_model)
     began = time.monotonic()
     done: list[dict[str, Any]] = []
-    with ProcessPoolExecutor(args.workers) as pool:
+    with ProcessPoolExecutor(args.workers, initializer=collect_seldom) as pool:
         for flight in pool.map(call, seeds):
             done.append(flight)
             if args.write is not None:

@@ -17,7 +17,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from companion.config.refusal import explain
-from companion.config.settings import SHIPPED, read_toml, shipped
+from companion.config.settings import SHIPPED, pad_of_file, read_toml, shipped
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from estimator.vision.camera import Camera
@@ -267,9 +267,8 @@ def pad_model(scenario: Scenario) -> Pad:
     for n, fault in enumerate(scenario.faults):
         if isinstance(fault, OtherPad):
             other = _find(fault.file, "pads", Path(), f"faults[{n}].file")
-            Pad.from_mapping(read_toml(other), str(other))
-    path = _find(scenario.pad.file, "pads", Path(), "pad.file")
-    return Pad.from_mapping(read_toml(path), str(path))
+            pad_of_file(other)
+    return pad_of_file(_find(scenario.pad.file, "pads", Path(), "pad.file"))
 
 
 def vehicle_model(scenario: Scenario) -> VehicleFile:

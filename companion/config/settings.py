@@ -11,6 +11,7 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -151,7 +152,26 @@ def pad_model(settings: Settings) -> Pad:
         BadInput: the file is missing or has a fault, or vision cannot tell this pad from what else lies on decks.
     """
     path = find_file(settings.pad.file, "pads", Path(), "pad.file")
-    pad = Pad.from_mapping(read_toml(path), str(path))
+    return _pad_to_detect(read_text(path), path)
+
+
+def pad_of_file(path: Path) -> Pad:
+    """Return the pad of a file; the flights of one process share it.
+
+    Raises:
+        BadInput: the file is missing or has a fault.
+    """
+    return _pad(read_text(path), path)
+
+
+@lru_cache(maxsize=16)
+def _pad(text: str, path: Path) -> Pad:
+    return Pad.from_mapping(toml_of(text, path), str(path))
+
+
+@lru_cache(maxsize=16)
+def _pad_to_detect(text: str, path: Path) -> Pad:
+    pad = _pad(text, path)
     check_for_detection(pad.regions, str(path))
     return pad
 
@@ -185,12 +205,31 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises:
         BadInput: the file cannot be read or is not TOML.
     """
+    return toml_of(read_text(path), path)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file.
+
+    Raises:
+        BadInput: the file cannot be read.
+    """
     try:
-        return tomllib.loads(path.read_bytes().decode("utf-8"))
+        return path.read_bytes().decode("utf-8")
     except OSError as why:
         raise unusable(str(path), why) from why
     except UnicodeDecodeError as why:
         raise BadInput(f"{path}: not UTF-8 text (byte {why.start})") from why
+
+
+def toml_of(text: str, path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file by its text.
+
+    Raises:
+        BadInput: it is not TOML; the text names the path.
+    """
+    try:
+        return tomllib.loads(text)
     except (ValueError, RecursionError) as why:  # a number of thousands of digits is a plain ValueError
         raise BadInput(f"{path}: not valid TOML: {why}") from why
 

@@ -63,4 +63,5 @@ def _course(forecast: Forecast) -> tuple[list[float], list[list[float]], list[li
 
 def _span(horizons: list[float], t: float) -> int:
     """Return the number of the horizon from which the straight line to the next one holds at a time."""
-    return max(0, min(len(horizons) - 2, bisect_right(horizons, t) - 1))
+    i = bisect_right(horizons, t) - 1
+    return min(i, len(horizons) - 2) if i > 0 else 0

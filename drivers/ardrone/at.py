@@ -10,6 +10,7 @@ import math
 import re
 import struct
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Annotated, Any, ClassVar, get_type_hints
 
 from drivers.ardrone.refusal import Refusal
@@ -260,6 +261,14 @@ def _decode_one(line: bytes) -> tuple[int, AtCommand] | Refusal:
     if match is None:
         return Refusal.BAD_ARGUMENTS
     name, sequence, rest = match.groups()
+    if int(sequence) >= 1 << 32:
+        return Refusal.UNKNOWN_COMMAND if name not in _NAMED else Refusal.BAD_ARGUMENTS
+    command = _steady(name, rest) if name in _STEADY else _read(name, rest)
+    return command if isinstance(command, Refusal) else (int(sequence), command)
+
+
+def _read(name: bytes, rest: bytes | None) -> AtCommand | Refusal:
+    """Return the command of this name with these arguments."""
     known = _NAMED.get(name)
     if known is None:
         return Refusal.UNKNOWN_COMMAND
@@ -267,9 +276,15 @@ def _decode_one(line: bytes) -> tuple[int, AtCommand] | Refusal:
     words = _split(rest) if rest is not None else []
     left_out = bool(kinds) and kinds[-1] == _MAYBE_INT and len(words) == len(kinds) - 1
     values = _values(words, kinds[:-1] if left_out else kinds)
-    if values is None or int(sequence) >= 1 << 32:
+    if values is None:
         return Refusal.BAD_ARGUMENTS
-    return int(sequence), cls(*values, *([None] if left_out else []))
+    made: AtCommand = cls(*values, *([None] if left_out else []))
+    return made
+
+
+_STEADY = (b"REF", b"COMWDG")
+"""Commands that are sent again and again without a change."""
+_steady = lru_cache(maxsize=16)(_read)
 
 
 def _split(rest: bytes) -> list[bytes]:

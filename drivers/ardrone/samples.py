@@ -121,7 +121,10 @@ class NavdataSampler:
         out = _of_every_datagram(navdata, stamp, self._options, self._attitude_cov)
         measured_at = stamp.measured_at
         for kind, (make, source) in _REPEATED.items():
-            key, given = source(navdata), self._given.get(kind)
+            key = source(navdata)
+            if key is None:
+                continue
+            given = self._given.get(kind)
             if given is not None and given[0] == key and 0.0 <= (measured_at - given[1]) / NS_PER_S < self._repeat_s:
                 continue
             made = make(navdata, stamp, self._options)
@@ -226,12 +229,17 @@ def _fix(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> GeoFix | No
     return GeoFix(stamp, "vehicle", place, max(1.0, gps.hdop) * options.sigma_fix_m)
 
 
+def _receiver(navdata: Navdata) -> Gps | None:
+    gps = navdata.get(Gps)
+    return None if gps is None or not gps.gps_plugged else gps
+
+
 _Maker = Callable[[Navdata, Stamp, ArDroneOptions], Sample | None]
 _REPEATED: dict[type[Sample], tuple[_Maker, Callable[[Navdata], Any]]] = {
     Range: (_range, _range_key),
     Baro: (_baro, lambda navdata: navdata.get(PressureRaw)),
-    GeoFix: (_fix, lambda navdata: navdata.get(Gps)),
+    GeoFix: (_fix, _receiver),
     VehicleStatus: (_status, _status_key),
 }
 """The makers of samples for sensors that are slower than the datagrams, in the order in which they return them, each with what
-changes when the sensor has a new reading."""
+changes when the sensor has a new reading; None where the datagram holds no reading of it."""

@@ -183,9 +183,7 @@ def _in_order(history: History, events: Sequence[Event], params: FilterParams) -
         rank, stamp = _RANK.get(type(event)), event.stamp
         if rank is None or abs(stamp.received_at - received_at) > leap_ns:
             break
-        key, latest = _key(event, rank), stamp.received_at
-        if latest < received_at:
-            latest = received_at
+        key, latest = _key(event, rank), max(received_at, stamp.received_at)
         if key < last or key[0] > latest + ahead_ns:
             break
         entries.append(Entry(key, event, packed_event(event)))

@@ -153,12 +153,8 @@ def _counts(x: float, y: float, z: float, low: int, high: int) -> tuple[int, int
 def _phys_measures(s: Situation) -> navdata.PhysMeasures:
     x, y, z = s.readings.f_body
     p, q, r = s.readings.w_body
-    return navdata.PhysMeasures(
-        accs_temp_c=float(s.readings.temperature_c),
-        gyro_temp=0,
-        phys_accs_mg=(1e3 * x / STANDARD_GRAVITY, 1e3 * y / STANDARD_GRAVITY, 1e3 * z / STANDARD_GRAVITY),
-        phys_gyros_deg_s=(math.degrees(p), math.degrees(q), math.degrees(r)),
-    )
+    accs_mg = 1e3 * x / STANDARD_GRAVITY, 1e3 * y / STANDARD_GRAVITY, 1e3 * z / STANDARD_GRAVITY
+    return navdata.PhysMeasures(s.readings.temperature_c, 0, accs_mg, (math.degrees(p), math.degrees(q), math.degrees(r)))
 
 
 def _euler_angles(s: Situation) -> navdata.EulerAngles:

@@ -265,8 +265,12 @@ class DroneState:
 
 def stick_of(command: at.Pcmd | at.PcmdMag) -> Stick:
     """The stick of a PCMD, each axis held to -1..1."""
-    roll, pitch, gaz, yaw = (min(1.0, max(-1.0, v)) for v in (command.roll, command.pitch, command.gaz, command.yaw))
+    roll, pitch, gaz, yaw = _unit(command.roll), _unit(command.pitch), _unit(command.gaz), _unit(command.yaw)
     return Stick(roll=roll, pitch=pitch, gaz=gaz, yaw=yaw, progressive=bool(command.flags & at.PCMD_PROGRESSIVE))
+
+
+def _unit(x: float) -> float:
+    return min(1.0, max(-1.0, x))
 
 
 def _leds_of(value: str) -> Leds | None:
