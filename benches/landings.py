@@ -35,7 +35,6 @@ import numpy as np
 from scipy.stats import ks_2samp
 
 from companion.config.model import Settings
-from companion.runtime.garbage import collect_seldom
 from companion.runtime.observer import Decision, NullObserver
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
@@ -103,7 +102,7 @@ def fly_all(args: argparse.Namespace) -> int:
     call = partial(one, args.scenario, args.perception, args.method, args.perception_model)
     began = time.monotonic()
     done: list[dict[str, Any]] = []
-    with ProcessPoolExecutor(args.workers, initializer=collect_seldom) as pool:
+    with ProcessPoolExecutor(args.workers) as pool:
         for flight in pool.map(call, seeds):
             done.append(flight)
             if args.write is not None:

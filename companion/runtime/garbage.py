@@ -14,13 +14,6 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 _PERIOD_S = 60.0
 _NEVER = 2**30
-_YOUNG_MOST = 20_000
-
-
-def collect_seldom() -> None:
-    """Look for garbage a thirtieth as often, in a process that flies simulated flights one after the other and does not wait."""
-    _, *older = gc.get_threshold()
-    gc.set_threshold(_YOUNG_MOST, *older)
 
 
 class GroundedCollector:

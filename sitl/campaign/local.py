@@ -11,7 +11,6 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait as wait_for_connections
 
-from companion.runtime.garbage import collect_seldom
 from sitl.campaign.plan import AnyPlan, Job
 from sitl.campaign.task import Flight, Flyer, Order, base_of, failed, finished, fly_flight, fly_order
 
@@ -115,7 +114,6 @@ def _begin() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT, signal.SIGTERM])
-    collect_seldom()
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
 
 

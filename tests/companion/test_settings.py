@@ -17,7 +17,7 @@ from msgspec import inspect
 
 from companion.config import reference
 from companion.config.refusal import walk
-from companion.config.settings import Settings, camera_model, from_mapping, load, pad_model, shipped
+from companion.config.settings import SHIPPED, Settings, camera_model, from_mapping, load, pad_model, pad_of_file, shipped
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
 
@@ -381,3 +381,16 @@ def test_settings_cannot_be_changed_after_loading() -> None:
     with pytest.raises(AttributeError):
         settings.vision.threads = 4  # type: ignore[misc]
     assert msgspec.structs.replace(settings.vision, threads=4).threads == 4
+
+
+def test_a_pad_is_read_once_and_again_when_its_file_has_changed(tmp_path: Path) -> None:
+    file = tmp_path / "pad.toml"
+    text = (SHIPPED / "pads" / "thesis.toml").read_text(encoding="utf-8")
+    file.write_text(text, encoding="utf-8")
+    first = pad_of_file(file)
+    assert pad_of_file(file) is first
+    file.write_text(text.replace(f'name = "{first.name}"', 'name = "another"'), encoding="utf-8")
+    assert pad_of_file(file).name == "another"
+    file.unlink()
+    with pytest.raises(BadInput, match=r"pad\.toml"):
+        pad_of_file(file)

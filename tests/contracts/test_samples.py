@@ -5,11 +5,23 @@ import pytest
 
 from estimator.contracts.commands import Velocity
 from estimator.contracts.estimates import Pose6, RelativeState, Sighting
-from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, VesselReport
+from estimator.contracts.geometry import Rotation, fixed_matrix, fixed_vector
+from estimator.contracts.samples import (
+    Attitude,
+    Baro,
+    BodyVelocity,
+    Frame,
+    Imu,
+    Range,
+    VesselReport,
+    known_attitude,
+    known_imu,
+    known_velocity,
+)
 from estimator.contracts.time import MonoNs, Stamp
 
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
+OTHER = Stamp(MonoNs(5), MonoNs(6), 0.001, "hw")
 V = np.array([1.0, 2.0, 3.0])
 C3, C4, C7 = np.eye(3), np.eye(4), np.eye(7)
 R = Rotation.identity()
@@ -104,3 +116,14 @@ def test_height_lateral_and_age():
     assert s.height_m == 2.5
     assert s.lateral_m == 5.0
     assert s.age_s(MonoNs(1_250_000_000)) == 0.25
+
+
+def test_what_the_caller_has_checked_makes_the_same_samples():
+    v, cov, R = fixed_vector(1.0, 2.0, 3.0), fixed_matrix(1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 3.0), Rotation.identity()
+    of = {Imu: (known_imu, v, v), Attitude: (known_attitude, R, cov), BodyVelocity: (known_velocity, v, cov)}
+    for cls, (make, *values) in of.items():
+        made, checked = make(STAMP, *values), cls(STAMP, *values)
+        assert type(made) is cls
+        assert all(getattr(made, name) is getattr(checked, name) for name in cls.__struct_fields__)
+        assert make(OTHER, *values).stamp is OTHER
+        assert made.stamp is STAMP, "one sample does not change with the next"
