@@ -49,7 +49,8 @@ def run(args: argparse.Namespace) -> int:
     if args.seconds is not None and not 0 < args.seconds < 1e9:
         raise BadInput(f"--seconds must be more than 0, got {args.seconds}")
     token = secret_files.token(args.token_file, "ros2", "--token-file")
-    camera = None if args.config is None else camera_model(load(args.config))
+    settings = None if args.config is None else load(args.config)
+    camera, gimballed = (None, False) if settings is None else (camera_model(settings), settings.camera.gimbal.given)
     from companion.ros2.bridge import RosBridge, wanted
     from companion.ros2.live_client import LiveClient
     from companion.ros2.node import RosNode
@@ -57,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
 
     client = LiveClient(args.url, None if token is None else token.decode(), wanted, _note)
     node = RosNode("decklander")
-    bridge = RosBridge(client, node, camera, _note)
+    bridge = RosBridge(client, node, camera, _note, gimballed=gimballed)
     try:
         event_loop.run(_bounded(bridge, args.seconds))
     finally:

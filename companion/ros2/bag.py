@@ -36,7 +36,7 @@ def export(recording: Recording, folder: Path) -> dict[str, int]:
     except OSError as why:
         raise BadInput(f"{folder}: cannot write a bag there: {why.strerror or why}") from why
     try:
-        messages = RosMessages(bag.types, offset_ns, camera)
+        messages = RosMessages(bag.types, offset_ns, camera, gimballed=_gimballed(recording))
         for event in recording.events():
             if not bag.counts:
                 bag.add(messages.fixed(instant(event)))
@@ -81,6 +81,15 @@ class _Bag:
         with suppress(Exception):  # of the storage, which may be what failed
             self._writer.abort()
         shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _gimballed(recording: Recording) -> bool:
+    """Return whether a gimbal turned the camera; settings of another version are not understood, and had none."""
+    try:
+        settings = recording.settings()
+    except BadInput:
+        return False
+    return settings is not None and settings.camera.gimbal.given
 
 
 def _is_fault_of_disk(why: BaseException) -> bool:

@@ -28,14 +28,17 @@ class RosBridge:
     """Publishes what a client receives.
 
     Args:
-        camera: the vehicle's camera; None leaves out its mount and `/camera/camera_info`.
+        camera: the vehicle's camera; None leaves out its place on the vehicle and `/camera/camera_info`.
         note: is told what a person should know.
+        gimballed: whether a gimbal turns the camera.
     """
 
-    def __init__(self, client: LiveClient, node: RosNode, camera: Camera | None, note: Callable[[str], None]) -> None:
+    def __init__(
+        self, client: LiveClient, node: RosNode, camera: Camera | None, note: Callable[[str], None], *, gimballed: bool = False
+    ) -> None:
         self._client = client
         self._node = node
-        self._camera = camera
+        self._camera, self._gimballed = camera, gimballed
         self._note = note
         self._store: Any = typestore()
         self.published: Counter[str] = Counter()
@@ -59,7 +62,7 @@ class RosBridge:
                     continue
                 if messages is None:
                     # The viewers' time axis is Unix time, and the events have the service's own clock.
-                    messages = RosMessages(self._store.types, at_ns - instant(event), self._camera)
+                    messages = RosMessages(self._store.types, at_ns - instant(event), self._camera, gimballed=self._gimballed)
                     self._publish(messages.fixed(instant(event)))
                 for message in messages.of(event):
                     self._publish(message)

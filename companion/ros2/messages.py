@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from companion.recorder import records as rec
+from companion.recorder.decode import held_rotation
 from companion.recorder.frame_video import VideoImage
 from companion.recorder.message_encoder import packed
 from companion.recorder.reading import Event, RecordedFrame, instant
@@ -43,10 +44,12 @@ class RosMessages:
         types: the class of each message by its name, such as `sensor_msgs/msg/Imu`.
         offset_ns: the offset from the events' instants to the time axis, ns.
         camera: the recording's camera; None leaves out what needs one.
+        gimballed: whether a gimbal turns the camera, so that its transform comes with each frame.
     """
 
-    def __init__(self, types: Mapping[str, Any], offset_ns: int, camera: Camera | None) -> None:
+    def __init__(self, types: Mapping[str, Any], offset_ns: int, camera: Camera | None, *, gimballed: bool = False) -> None:
         self._types = types
+        self._gimballed = gimballed
         self._offset_ns = offset_ns
         self._camera = camera
         self._phase = ""
@@ -54,9 +57,8 @@ class RosMessages:
     def fixed(self, at: MonoNs) -> Message:
         """Return the transforms that never change: the camera's mount and the range sensor's beam."""
         stamped = [self._transform(at, BODY, axes.BEAM, np.zeros(3), axes.R_BODY_BEAM)]
-        if self._camera is not None:
-            mount = self._camera.T_body_cam
-            stamped.append(self._transform(at, BODY, CAMERA, axes.up(mount.t), axes.camera_rotation(mount.R)))
+        if self._camera is not None and not self._gimballed:
+            stamped.append(self._camera_transform(at, self._camera, self._camera.T_body_cam.R))
         return "/tf_static", "tf2_msgs/msg/TFMessage", self._time(at), self._make("tf2_msgs/msg/TFMessage", transforms=stamped)
 
     def of(self, event: Event) -> Iterator[Message]:
@@ -210,8 +212,15 @@ class RosMessages:
             cell_voltage=np.zeros(0, np.float32), cell_temperature=np.zeros(0, np.float32), location="", serial_number="",
         )  # fmt: skip
 
+    def _camera_transform(self, at: MonoNs, camera: Camera, R_body_cam: Rotation) -> Any:
+        return self._transform(at, BODY, CAMERA, axes.up(camera.T_body_cam.t), axes.camera_rotation(R_body_cam))
+
     def _frame(self, frame: RecordedFrame) -> Iterator[Message]:
         at, exposed = self._time(frame.done), frame.stamp.measured_at
+        R_body_cam = held_rotation(frame.record)
+        if R_body_cam is not None and self._camera is not None:
+            turned = self._camera_transform(exposed, self._camera, R_body_cam)
+            yield "/tf", "tf2_msgs/msg/TFMessage", at, self._make("tf2_msgs/msg/TFMessage", transforms=[turned])
         image = _image(frame)
         if image is not None:
             form, data = image

@@ -10,11 +10,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from companion.cli import main as cli
 from companion.recorder.reading import RecordedFrame, open_recording
 from companion.recorder.records import TruthRecord
 from companion.ros2 import bag
+from companion.ros2.messages import RosMessages
+from companion.ros2.typestore import typestore
 from companion.runtime.observer import Decision
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Imu, Range
@@ -115,6 +118,23 @@ def test_the_camera_of_the_transforms_sees_the_pad_where_the_service_does(flown:
     info = messages["/camera/camera_info"][0][1]
     assert info.k.tolist() == camera.K.ravel().tolist()
     assert info.header.frame_id == "camera_optical_frame"
+
+
+def test_a_camera_on_a_gimbal_is_turned_with_each_frame(flown: Path) -> None:
+    recording = open_recording([flown])
+    camera = recording.camera()
+    assert camera is not None
+    frame = next(e for e in recording.events() if isinstance(e, RecordedFrame))
+    held = camera.T_body_cam.R @ Rotation.from_rpy(0.2, -0.1, 0.3)
+    turned = RecordedFrame(replace(frame.record, R_body_cam=held.matrix.ravel().tolist()), None)
+    ros = RosMessages(typestore().types, 0, camera, gimballed=True)
+    assert [t.child_frame_id for t in ros.fixed(frame.done)[3].transforms] == ["range_down"]
+    topic, _, _, message = next(iter(ros.of(turned)))
+    (transform,) = message.transforms
+    assert (topic, transform.header.frame_id, transform.child_frame_id) == ("/tf", "base_link", "camera_optical_frame")
+    axis = held @ np.array([0.0, 0.0, 1.0])
+    assert rotation(transform.transform.rotation) @ np.array([0.0, 0.0, 1.0]) == pytest.approx([axis[0], -axis[1], -axis[2]])
+    assert all(topic != "/tf" for topic, *_ in ros.of(frame))
 
 
 def test_estimates_carry_their_covariance_into_the_axes_of_ros(flown: Path, messages: Bag) -> None:
