@@ -19,6 +19,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, known_rotation
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.airframe import StickLimits
@@ -70,9 +71,14 @@ class World:
 
     Args:
         start: this host's instant at which the flight begins.
+
+    Raises:
+        BadInput: the scenario's camera hangs on a gimbal.
     """
 
     def __init__(self, scenario: Scenario, seed: int, start: MonoNs = _ORIGIN) -> None:
+        if scenario.gimbal.given:
+            raise BadInput("gimbal: an AR.Drone has none; fly it with --autopilot arducopter --binary stand-in")
         self.scenario, self.seed, self.started = scenario, seed, start
         self.pad, self.camera = pad_model(scenario), camera_model(scenario)
         self._step_s = STEP_NS / NS_PER_S

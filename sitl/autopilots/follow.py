@@ -22,6 +22,7 @@ from companion.runtime.observer import Observer
 from companion.runtime.pilot import FlightOutcome
 from drivers.clock import SystemClock
 from drivers.mavlink.links import ReceivedMessage
+from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
@@ -121,8 +122,10 @@ async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, ob
     """Run the daemon until its flight has ended or the scenario's time is over.
 
     Raises:
-        BadInput: the URL is not valid.
+        BadInput: the URL is not valid, or the scenario's camera hangs on a gimbal.
     """
+    if scenario.gimbal.given:
+        raise BadInput("gimbal: only the stand-in for an autopilot (--autopilot, --binary stand-in) has a simulated one")
     cv2.setNumThreads(1)
     clock = SystemClock()
     settings = beside_autopilot(settings, url, start=settings.guidance.start)
