@@ -72,6 +72,7 @@ def step_samples(memory: Memory, samples: Sequence[Sample]) -> tuple[Memory, lis
     guard, admitted = integrity.admit(memory.guard, samples)
     passed = [sample for sample in admitted if not isinstance(sample, Verdict)]
     attitudes, paths, by_path = memory.attitudes.add(*[s for s in passed if type(s) is Attitude]), [], []
+    gimbal = memory.gimbal.add(*[s for s in passed if type(s) is GimbalAttitude])
     results: list[tuple[FusionResult, ...]]
     for path in memory.paths:
         stepped, of_path = path.step_samples(passed)
@@ -79,13 +80,12 @@ def step_samples(memory: Memory, samples: Sequence[Sample]) -> tuple[Memory, lis
         by_path.append(of_path)
     if len(passed) == len(samples) and len(by_path) == 1:
         results = [() if r is None else (r,) for r in by_path[0]]
-        return Memory(memory.options, attitudes, tuple(paths), guard), results
+        return Memory(memory.options, attitudes, tuple(paths), guard, gimbal), results
     by_sample = zip(*by_path, strict=True)
     results = [
         _refused(memory, sample, found) if isinstance(found, Verdict) else tuple([r for r in next(by_sample) if r is not None])
         for sample, found in zip(samples, admitted, strict=True)
     ]
-    gimbal = memory.gimbal.add(*[s for s in passed if type(s) is GimbalAttitude])
     return Memory(memory.options, attitudes, tuple(paths), guard, gimbal), results
 
 

@@ -8,10 +8,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from estimator import pipeline
+from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.samples import Attitude, GimbalAttitude, GimbalFrame
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 from estimator.gimbal_history import DOWN, GimbalHistory
+from estimator.options import EstimatorOptions
 from estimator.vision.camera import Camera
 
 R_NED_BODY = Rotation.from_rpy(0.12, -0.07, 1.9)
@@ -94,3 +97,12 @@ def test_the_next_report_is_awaited_only_while_reports_come() -> None:
     assert history.reports(stamp(1.2))
     assert not history.reports(stamp(1.5))
     assert not GimbalHistory().reports(stamp(1.0))
+
+
+@pytest.mark.parametrize("shadows", [(), ("dead_reckoning",)])
+def test_the_estimator_keeps_the_reports_with_one_path_and_with_several(shadows: tuple[PathName, ...]) -> None:
+    memory = pipeline.start(EstimatorOptions(), shadows)
+    memory, _ = pipeline.step_samples(memory, [attitude(1.0), report(1.0, DOWN), attitude(1.1), report(1.1, DOWN)])
+    held = pipeline.held_at(memory, stamp(1.05), attitude(1.05))
+    assert held is not None
+    assert held.R_body_gimbal.angle_to(R_NED_BODY.without_heading().inv @ DOWN) < 1e-9
