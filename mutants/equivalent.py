@@ -26,6 +26,7 @@ _COPIED = "an estimate takes a read-only copy of numbers that can be written"
 _NO_TIME = "nothing moves in no time"
 _HEAVE_ALONE = "the fifth is the deck's roll, which has nothing in common with the heave"
 _HELD = "if (b->t_imu >= 0 && b->t < held_until && held_until < t) {"
+_DRIVEN = tuple(f"for (int {i} = {j} / 2 * 2; {i} < STATES; {i}++) {{" for i, j in ("ji", "li", "lj"))
 _ROTATED = "const double t = (theta < 0.0 ? -1.0 : 1.0) / (fabs(theta) + hypot(theta, 1.0)), c = 1.0 / hypot(t, 1.0), s = t * c;"
 EQUIVALENT: dict[str, dict[str, str]] = {
     "companion/guidance/cone.py": {
@@ -42,6 +43,9 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "span_s <= 0.0  ->  span_s < 0.0": "over no time nothing is summed",
         "before * after < 0.0  ->  before * after <= 0.0": "where one of them is zero the triangle is the whole area",
         "True  ->  False": "a forecast has as many sigmas as rates",
+    },
+    "companion/guidance/response_fit.py": {
+        "1e-12  ->  2e-12": "it keeps zero out of a denominator, and a report is never known to a millionth",
     },
     "companion/guidance/response.py": {"1e-09  ->  2e-09": "what floating point adds is 1e-15"},
     "companion/guidance/follow_deck.py": {
@@ -99,6 +103,12 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         ),
         "memset(out, 0, sizeof *out);  ->  memset(out, 1, sizeof *out);": _TINY,
     },
+    "estimator/core/rotation.c": {
+        "if (s < 1e-6 && cosine <= 0.0) {  ->  if (s <= 1e-6 && cosine <= 0.0) {": _ROUNDED,
+        "if (s >= 1e-6) {  ->  if (s > 1e-6) {": _ROUNDED,
+        "if (t2 >= 1e-8) {  ->  if (t2 > 1e-8) {": _ROUNDED,
+        "if (t2 >= 1e-6) {  ->  if (t2 > 1e-6) {": _ROUNDED,
+    },
     "estimator/core/jacobian.c": {
         "memset(JF, 0, (size_t)m * N * sizeof *JF);  ->  memset(JF, 1, (size_t)m * N * sizeof *JF);": _TINY,
         "rows_times: for (int k = 0; k < N; k++) {  ->  for (int k = 1; k < N; k++) {": (
@@ -127,6 +137,18 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "covariance c = {P_before, {places[0], places[1]}};  ->  covariance c = {P_before, {places[1], places[1]}};": (
             "one place would do: the correction after a propagation is never refused, and reads each row before it writes it"
         ),
+    },
+    "estimator/core/bank_ahead.c": {
+        "memset(after, 0, STATES * sizeof after[0]);  ->  memset(after, 1, STATES * sizeof after[0]);": _TINY,
+        "memset(of, 0, OSCILLATORS * sizeof *of);  ->  memset(of, 1, OSCILLATORS * sizeof *of);": _TINY,
+        "static const double KNOWN_VAR = 1e-18;  ->  static const double KNOWN_VAR = 2e-18;": (
+            "a rate is known to its last bit or with a variance far above either"
+        ),
+        **{
+            f"{loop}  ->  {loop.replace(' / 2 * 2', changed)}": "what it adds are the transition's zeros"
+            for loop in _DRIVEN
+            for changed in (" / 3 * 2", " / 2 / 2")
+        },
     },
     "estimator/core/bank.c": {
         "return g > 0 && m->w[g] == m->w[g - 1] && m->zeta[g] == m->zeta[g - 1];"

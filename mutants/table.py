@@ -27,6 +27,7 @@ _ANSWERS = ("tests/estimator/ekf/test_answer.py", "tests/estimator/ekf/test_filt
 _FORECASTS = ("tests/estimator/ekf/test_forecast.py", "tests/estimator/ekf/test_filter_bounds.py")
 _RESULTS = ("tests/estimator/ekf/test_process_event_bounds.py", "tests/estimator/test_fusion_results.py")
 _PIPELINE = ("tests/estimator/test_pipeline.py", "tests/estimator/test_step_samples.py", "tests/estimator/test_fusion_results.py")
+_NUMBERS = "tests/estimator/ekf/test_members_and_noise.py"
 _INTEGRITY = "tests/estimator/integrity"
 _MISSION = ("tests/companion/test_mission_flights.py", "tests/companion/test_rendezvous.py")
 _LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py", "tests/companion/test_deck_turn.py")
@@ -58,8 +59,14 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/deck_jolt.c": _SIGHTINGS,
     "estimator/core/vessel.c": (f"{_BESIDE_THE_ORACLE}::test_each_report_of_a_vessel_has_the_oracle_s_outcome_and_belief",),
     "estimator/core/correction.c": (*_CORE, *_SIGHTINGS[1:]),
-    "estimator/core/rotation.c": (*_CORE, *_SIGHTINGS[1:], "tests/estimator/ekf/test_answer.py"),
-    "estimator/core/sighting_level.c": ("tests/estimator/vision/test_registration_sighting.py",),
+    "estimator/core/rotation.c": (
+        "tests/estimator/ekf/test_half_turn.py",
+        "tests/estimator/vision/test_pose_in_level.py",
+        "tests/estimator/ekf/test_core_edges.py",
+        *_SIGHTINGS[1:3],
+        "tests/estimator/ekf/test_process_event_bounds.py",
+    ),
+    "estimator/core/sighting_level.c": ("tests/estimator/vision/test_pose_in_level.py",),
     "estimator/ekf/gate.py": _GATE,
     "estimator/ekf/process_event.py": (
         "tests/estimator/ekf/test_process_event_bounds.py",
@@ -69,10 +76,10 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/ekf/history.py": ("tests/estimator/ekf/test_history_bounds.py",),
     "estimator/ekf/propagate.py": _RESULTS,
     "estimator/ekf/packed_event.py": ("tests/estimator/ekf/test_process_event_bounds.py", *_SIGHTINGS),
-    "estimator/ekf/motion.py": ("tests/estimator/ekf/test_process_event_bounds.py", *_CORE),
+    "estimator/ekf/motion.py": (_NUMBERS, "tests/estimator/ekf/test_process_event_bounds.py", *_CORE),
     "estimator/ekf/answers.py": _ANSWERS,
-    "estimator/ekf/forecast.py": _FORECASTS,
-    "estimator/ekf/deck_motion_bank.py": (*_FORECASTS, *_BANK),
+    "estimator/ekf/forecast.py": (_NUMBERS, *_FORECASTS),
+    "estimator/ekf/deck_motion_bank.py": (_NUMBERS, *_FORECASTS, *_BANK),
     "estimator/relative_estimator.py": ("tests/estimator/test_public_api.py",),
     "estimator/pad_tracker.py": ("tests/estimator/test_public_api.py",),
     "estimator/pipeline.py": _PIPELINE,

@@ -32,8 +32,8 @@ _PRIOR_SHAPE = 0.5
 _PRIOR_GAIN = 0.2
 _STEPS = 12
 _BLOCK_S = 1.0
-_LEAST_BLOCKS = 4
-"""Fewer seconds than these are no flight to identify from."""
+_LEAST_S = 4.0
+"""A shorter course is no flight to identify from, s."""
 _NEAR_S = 0.15
 """A fit whose delay is known better than this is near enough to go on from, s."""
 _SETTLED_S = 8.0
@@ -101,6 +101,23 @@ _Transfer = Callable[[F64, _C128], tuple[_C128, _C128]]
 """Takes parameters and s = j w, (m,); returns the transfer function, (m,), and its derivatives, (parameters, m)."""
 
 
+def _tilt_transfer(lag_s: float) -> _Transfer:
+    def transfer(x: F64, s: _C128) -> tuple[_C128, _C128]:
+        w, z = math.exp(x[1]), math.exp(x[2])
+        below = s * s + 2.0 * z * w * s + w * w
+        H = math.exp(x[3]) * np.exp(-s * x[0]) * (w * w) / (below * (1.0 + s * lag_s))
+        d_frequency = H * (2.0 - (2.0 * z * w * s + 2.0 * w * w) / below)
+        return H, np.stack([-s * H, d_frequency, -H * (2.0 * z * w) * s / below, H])
+
+    return transfer
+
+
+def _climb_transfer(x: F64, s: _C128) -> tuple[_C128, _C128]:
+    lag = math.exp(x[1])
+    H = math.exp(x[2]) * np.exp(-s * x[0]) / (1.0 + s * lag)
+    return H, np.stack([-s * H, -H * (s * lag) / (1.0 + s * lag), H])
+
+
 def fit_tilt(course: FlightCourse, start: TiltResponse, begin: TiltFit | None = None, steps: int = _STEPS) -> TiltFit | None:
     """Return the response of the tilt; None if the course is too short.
 
@@ -110,17 +127,9 @@ def fit_tilt(course: FlightCourse, start: TiltResponse, begin: TiltFit | None = 
         begin: an earlier fit of the same flight to begin from instead; the prior stays that of `start`.
         steps: largest number of steps.
     """
-
-    def transfer(x: F64, s: _C128) -> tuple[_C128, _C128]:
-        w, z = math.exp(x[1]), math.exp(x[2])
-        below = s * s + 2.0 * z * w * s + w * w
-        H = math.exp(x[3]) * np.exp(-s * x[0]) * (w * w) / (below * (1.0 + s * start.lag_s))
-        d_frequency = H * (2.0 - (2.0 * z * w * s + 2.0 * w * w) / below)
-        return H, np.stack([-s * H, d_frequency, -H * (2.0 * z * w) * s / below, H])
-
     first = np.array([start.delay_s, math.log(start.frequency_rad_s), math.log(start.damping), 0.0])
     prior_sigma = np.array([_PRIOR_DELAY_S, _PRIOR_SHAPE, _PRIOR_SHAPE, _PRIOR_GAIN])
-    found = _fit(course, transfer, first, prior_sigma, None if begin is None else begin.fitted, steps)
+    found = _fit(course, _tilt_transfer(start.lag_s), first, prior_sigma, None if begin is None else begin.fitted, steps)
     if found is None:
         return None
     delay, (w, z, gain) = float(found.values[0]), (math.exp(x) for x in found.values[1:].tolist())
@@ -145,14 +154,8 @@ def fit_climb(course: FlightCourse, start: ClimbResponse) -> ClimbFit | None:
         course: asked and reported vertical speed, (n, 1) m/s.
         start: where the search begins; its limit is kept.
     """
-
-    def transfer(x: F64, s: _C128) -> tuple[_C128, _C128]:
-        lag = math.exp(x[1])
-        H = math.exp(x[2]) * np.exp(-s * x[0]) / (1.0 + s * lag)
-        return H, np.stack([-s * H, -H * (s * lag) / (1.0 + s * lag), H])
-
     first = np.array([start.delay_s, math.log(start.lag_s), 0.0])
-    found = _fit(course, transfer, first, np.array([_PRIOR_DELAY_S, _PRIOR_SHAPE, _PRIOR_GAIN]))
+    found = _fit(course, _climb_transfer, first, np.array([_PRIOR_DELAY_S, _PRIOR_SHAPE, _PRIOR_GAIN]))
     if found is None:
         return None
     delay, (lag, gain) = float(found.values[0]), (math.exp(x) for x in found.values[1:].tolist())
@@ -171,7 +174,7 @@ def _fit(
     course: FlightCourse, transfer: _Transfer, first: F64, prior_sigma: F64, begin: Fitted | None = None, steps: int = _STEPS
 ) -> Fitted | None:
     compared = course.counts[1:] & course.counts[:-1]
-    if np.count_nonzero(compared) * STEP_S < _LEAST_BLOCKS * _BLOCK_S:
+    if np.count_nonzero(compared) * STEP_S < _LEAST_S:
         return None
     loop, prior = _Loop(course, transfer, compared), prior_sigma**-2.0
     if begin is None or begin.cov[0, 0] > _NEAR_S**2:
@@ -220,7 +223,7 @@ class _Loop:
         n = course.asked.shape[0]
         self._size = _good_size(n + round(_SETTLED_S / STEP_S))
         self._transfer, self._compared, self._counts = transfer, compared, course.counts
-        self._reported = np.where(course.counts[:, None], course.reported, 0.0)
+        self._reported = course.reported
         s = np.asarray(2j * math.pi * np.fft.rfftfreq(self._size, STEP_S), dtype=np.complex128)
         self._s = s
         held = np.ones_like(s)
@@ -246,11 +249,12 @@ class _Loop:
         return float(STEP_S * np.argmax(lags))
 
     def whitened(self, x: F64, rho: float) -> _Whitened:
-        """Return residuals and derivatives whitened by an autoregression with the coefficient `rho`."""
+        """Return residuals and derivatives whitened by an autoregression with the coefficient `rho`.
+
+        The value at rest is left out: it is a constant, like the offset that is taken from both.
+        """
         H, dH = self._transfer(x, self._s)
         out = self._filtered(np.concatenate([H[None], dH]))
-        # At rest at the first value the output is that value times the gain, which is its own derivative.
-        out[[0, -1]] += math.exp(x[-1]) * self._first[:, None]
         white = (out[..., 1:] - rho * out[..., :-1])[..., self._compared]
         told = (self._reported[1:] - rho * self._reported[:-1]).T[:, self._compared]
         base, _ = np.linalg.qr((self._powers[1:] - rho * self._powers[:-1])[self._compared])
@@ -259,7 +263,7 @@ class _Loop:
         var = max(1e-12, float((e * e).mean()))
         flat = J.reshape(J.shape[0], -1)
         each = J * e / var
-        scores = np.stack([np.add.reduceat(each, self._starts(), axis=-1)]).reshape(J.shape[0], -1).T
+        scores = np.add.reduceat(each, self._starts(), axis=-1).reshape(J.shape[0], -1).T
         off = (self._reported.T - out[0])[:, self._counts]
         off = off - off.mean(axis=1, keepdims=True)
         near = float((off[:, 1:] * off[:, :-1]).sum() / max(1e-12, float((off * off).sum())))

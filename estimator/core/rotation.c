@@ -73,7 +73,7 @@ double wrapped(double angle)
 void exp_rotation(const double v[3], double R[9])
 {
     const double x = v[0], y = v[1], z = v[2], t2 = dot(v, v), t = sqrt(t2);
-    double a = 1.0 - t2 / 6.0, b = 0.5 - t2 / 24.0;
+    double a = 1.0 - t2 / 6.0, b = 0.5;
     if (t2 >= 1e-8) {
         a = sin(t) / t;
         b = (1.0 - cos(t)) / t2;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,19 @@ from msgspec import structs
 
 from companion.config.settings import shipped_response
 from companion.guidance.response import TiltResponse, tilt_model
-from companion.guidance.response_fit import STEP_S, FlightCourse, TiltFit, _good_size, fit_climb, fit_tilt
+from companion.guidance.response_fit import (
+    STEP_S,
+    FlightCourse,
+    TiltFit,
+    _climb_transfer,
+    _covariance,
+    _good_size,
+    _Loop,
+    _tilt_transfer,
+    _Whitened,
+    fit_climb,
+    fit_tilt,
+)
 from estimator.contracts.geometry import F64
 
 GIVEN = shipped_response("ardrone2")
@@ -176,3 +189,112 @@ def test_a_length_for_the_transform_holds_the_course_and_is_hardly_longer() -> N
         odd = size // (size & -size)
         assert odd in (1, 3)
     assert (_good_size(1024), _good_size(1025), _good_size(1537)) == (1024, 1536, 2048)
+
+
+@pytest.mark.parametrize(
+    ("transfer", "x"),
+    [(_tilt_transfer(0.05), [0.12, math.log(5.5), math.log(0.6), 0.3]), (_climb_transfer, [0.2, math.log(0.4), -0.2])],
+)
+def test_the_derivatives_are_those_of_the_transfer_function(transfer: Any, x: list[float]) -> None:
+    s, step = 2j * math.pi * np.linspace(0.0, 3.0, 20), 1e-6
+    _, dH = transfer(np.array(x), s)
+    for k, of_k in enumerate(dH):
+        more, less = (transfer(np.array(x) + sign * step * np.eye(len(x))[k], s)[0] for sign in (1, -1))
+        np.testing.assert_allclose(of_k, (more - less) / (2.0 * step), atol=1e-7)
+    H, _ = transfer(np.array(x), np.zeros(1, dtype=np.complex128))
+    assert H[0] == pytest.approx(math.exp(x[-1])), "of what stands still the answer is the gain"
+
+
+def test_a_response_beyond_what_a_vehicle_has_is_the_nearest_that_one_may_have() -> None:
+    u = asked(6, 600)
+    sluggish = tilt_course(frequency_rad_s=8.0, damping=4.0)
+    assert math.exp(sluggish.fitted.values[2]) > 3.2
+    assert sluggish.response.damping == 3.0
+    ringing = tilt_course(frequency_rad_s=4.0, damping=0.15)
+    assert math.exp(ringing.fitted.values[2]) < 0.18
+    assert ringing.response.damping == 0.2
+    slow, keep = np.full((600, 1), u[0, 0]), math.exp(-STEP_S / 5.0)
+    for k in range(1, 600):
+        slow[k] = keep * slow[k - 1] + (1.0 - keep) * u[k - 1, 0]
+    found = fit_climb(FlightCourse(u[:, :1], slow, np.arange(600) > 0), GIVEN.climb)
+    assert found is not None
+    assert math.exp(found.fitted.values[1]) > 3.3
+    assert found.response.lag_s == 3.0
+    at_once = FlightCourse(u[:, :1], np.vstack([u[:1, :1], u[:-1, :1]]), np.arange(600) > 0)
+    found = fit_climb(at_once, structs.replace(GIVEN.climb, lag_s=0.03))
+    assert found is not None
+    assert math.exp(found.fitted.values[1]) < 0.018
+    assert found.response.lag_s == 0.02
+
+
+def tilt_course(frequency_rad_s: float, damping: float) -> TiltFit:
+    """Fit an answer beyond the ranges of `TiltResponse`, integrated in small steps; it comes without a delay."""
+    u, parts = asked(6, 600), 40
+    out, x, v = np.empty_like(u), u[0].copy(), np.zeros(2)
+    lagged = u[0].copy()
+    for k in range(600):
+        out[k] = x
+        for _ in range(parts):
+            lagged = lagged + STEP_S / parts / GIVEN.tilt.lag_s * (u[k] - lagged) if GIVEN.tilt.lag_s > 0.0 else u[k]
+            v = v + STEP_S / parts * (frequency_rad_s**2 * (lagged - x) - 2.0 * damping * frequency_rad_s * v)
+            x = x + STEP_S / parts * v
+    return fitted(FlightCourse(u, out, np.arange(600) > 0))
+
+
+def test_of_a_climb_that_asked_for_nothing_lag_and_gain_stay_where_the_search_began() -> None:
+    still = FlightCourse(np.zeros((600, 1)), lasting(np.random.default_rng(5), (600, 1), 0.05, 0.9)[:, :1], np.arange(600) > WARM)
+    found = fit_climb(still, GIVEN.climb)
+    assert found is not None
+    assert found.fitted.values[1:] == pytest.approx([math.log(GIVEN.climb.lag_s), 0.0], abs=0.02)
+
+
+def test_of_a_flight_that_tells_little_most_stays_where_the_search_began() -> None:
+    n = 600
+    u = 0.004 * asked(7, n)
+    y = answered(TRUE, u) + lasting(np.random.default_rng(7), (n, 2), 0.08, 0.9)
+    found = fitted(FlightCourse(u, y, np.arange(n) > WARM))
+    begun = [math.log(GIVEN.tilt.frequency_rad_s), math.log(GIVEN.tilt.damping), 0.0]
+    assert found.fitted.values[1:] == pytest.approx(begun, abs=0.15)
+
+
+def test_the_covariance_is_the_larger_of_two() -> None:
+    information, prior = np.array([[3.0, 0.5], [0.5, 2.0]]), np.array([1.0, 4.0])
+    C = np.linalg.inv(np.array([[4.0, 0.5], [0.5, 6.0]]))
+    quiet = np.full((5, 2), 0.01)
+    np.testing.assert_allclose(_covariance(_Whitened(information, np.zeros(2), quiet, 0.9), prior), C)
+    loud = np.array([[3.0, 0.0], [-3.0, 1.0], [2.0, -1.0], [-2.0, 2.0], [1.0, -2.0]])
+    spread = loud.T @ loud * 5.0 / 3.0 + np.diag(prior)
+    np.testing.assert_allclose(_covariance(_Whitened(information, np.zeros(2), loud, 0.9), prior), C @ spread @ C)
+
+
+def test_scores_are_summed_over_a_second_of_each_axis() -> None:
+    of = course(n=560, noise=0.05)
+    loop = _Loop(of, _tilt_transfer(GIVEN.tilt.lag_s), of.counts[1:] & of.counts[:-1])
+    whitened = loop.whitened(np.array([0.12, math.log(5.0), math.log(0.6), 0.0]), 0.9)
+    begun = len({k // 50 for k in range(WARM + 1, 559)})
+    assert whitened.scores.shape == (2 * begun, 4)
+    assert whitened.scores.sum(axis=0) == pytest.approx(whitened.score)
+
+
+def test_the_end_of_a_course_does_not_come_back_at_its_beginning() -> None:
+    u = asked(8, 768)
+    assert _good_size(768) == 768
+    of = FlightCourse(u, answered(TRUE, u), np.ones(768, dtype=bool))
+    found = fitted(of)
+    assert found.fitted.residual < 1e-3
+    assert found.fitted.model[:5] == pytest.approx(np.tile(u[0], (5, 1)), abs=2e-3)
+
+
+def test_residuals_that_never_end_are_whitened_by_less_than_a_difference() -> None:
+    drifting = FlightCourse(np.zeros((9000, 1)), 1e-3 * np.arange(9000.0)[:, None], np.ones(9000, dtype=bool))
+    found = fit_climb(drifting, GIVEN.climb)
+    assert found is not None
+    assert found.fitted.rho == 0.999
+
+
+def test_a_search_that_has_settled_ends_after_the_third_step() -> None:
+    of = course(noise=0.02)
+    settled = fitted(of)
+    two, three, twelve = (fitted(of, settled, steps).fitted.values.tolist() for steps in (2, 3, 12))
+    assert three == twelve
+    assert two != twelve

@@ -5,6 +5,7 @@ import math
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 
 from estimator import pipeline
 from estimator.contracts.estimates import RelativeState, Sighting, Verdict
@@ -12,7 +13,7 @@ from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu, Range
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.options import EstimatorOptions
+from estimator.options import DeadReckoningOptions, EstimatorOptions
 from estimator.paths import Event
 
 STEERING = EstimatorOptions(path="dead_reckoning")
@@ -147,3 +148,48 @@ def test_a_range_agrees_with_sightings_that_the_steering_path_has_fused() -> Non
         return dict(state.details)["range_agrees"]
 
     assert (agrees(2.0), agrees(5.0)) == (1.0, 0.0)
+
+
+def test_what_the_steering_path_refuses_is_no_place_of_the_pad_to_the_guard() -> None:
+    memory, outcomes = pipeline.step(pipeline.start(EstimatorOptions(path="ekf")), sighting(0.5, (0.5, -0.2, 2.0)))
+    assert [o.verdict for o in outcomes] == [Verdict.NO_ATTITUDE]
+    assert memory.guard.tracks.n == 0
+
+
+def test_motion_and_forecast_are_those_of_the_path_that_steers() -> None:
+    memory = pipeline.start(EstimatorOptions(path="ekf"), shadows=("median_mean",))
+    for i in range(200):
+        memory, _ = feed(memory, at_rest(i / 200))
+        if i % 7 == 0 and i > 20:
+            memory, _ = pipeline.step(memory, sighting(i / 200 - 0.1, (0.5, -0.2, 2.0)))
+    _, deck = pipeline.motion(memory, NOW)
+    assert deck is not None
+    assert pipeline.forecast(memory, NOW, [1.0]) is not None
+    turned = pipeline.steer_by(memory, "median_mean")
+    assert pipeline.motion(turned, NOW) == (None, None)
+    assert pipeline.forecast(turned, NOW, [1.0]) is None
+
+
+def test_the_largest_delay_and_the_least_confidence_are_allowed_themselves() -> None:
+    at_bounds = Stamp(MonoNs(900_000_000), MonoNs(1_400_000_000), 0.001, "sim")
+    assert at_bounds.delay_s == STEERING.max_delay_s
+    seen = structs.replace(sighting(0.9, (0.5, -0.2, 2.0), confidence=STEERING.min_confidence), stamp=at_bounds)
+    memory, _ = feed(pipeline.start(STEERING), [event for i in range(200) for event in at_rest(i / 200)])
+    assert pipeline.step(memory, seen)[1][0].verdict is Verdict.FUSED
+    late = structs.replace(at_bounds, received_at=MonoNs(1_400_000_001))
+    assert pipeline.step(memory, structs.replace(seen, stamp=late))[1][0].verdict is Verdict.TOO_OLD
+
+
+def test_dead_reckoning_remembers_its_way_for_as_long_as_a_frame_may_be_late() -> None:
+    """A vehicle that flies forward at 1 m/s sees the pad 1.2 s late; it has flown 1.2 m since."""
+    options = structs.replace(STEERING, max_delay_s=1.4, dead_reckoning=DeadReckoningOptions(history_s=0.2))
+    memory = pipeline.start(options)
+    for i in range(400):
+        t = stamp(i / 200)
+        velocity = BodyVelocity(t, np.array([1.0, 1e-3 * (i % 3), 0.0]), np.diag([0.01, 0.01, UNKNOWN_VAR]))
+        memory, _ = feed(memory, [Attitude(t, Rotation.from_rpy(0.0, 1e-4 * (i % 3), 1.0), 1e-5 * np.eye(3)), velocity])
+    memory, outcomes = pipeline.step(memory, sighting(0.8, (3.0, 0.0, 2.0), delay_s=1.2))
+    assert outcomes[0].verdict is Verdict.FUSED
+    state = pipeline.belief(memory, MonoNs(2 * 10**9))
+    assert state is not None
+    assert math.isclose(state.d_body_pad_level[0], 1.8, abs_tol=0.05)

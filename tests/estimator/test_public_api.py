@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -32,6 +34,10 @@ from estimator import (
     Verdict,
     VesselReport,
 )
+from estimator.contracts.samples import Frame
+from estimator.vision.options import TrackerOptions
+from estimator.vision.pose import SIGMA_DECK_RAD
+from estimator.vision.tracker import TrackerConfig
 
 ROOT = Path(__file__).parents[2]
 
@@ -147,6 +153,29 @@ def test_the_tracker_refuses_unknown_colours_and_impossible_confidences() -> Non
         PadTracker(CAMERA, PAD, colours="pink")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="min_confidence must lie in"):
         PadTracker(CAMERA, PAD, min_confidence=1.5)
+
+
+def test_the_tracker_hands_on_its_options_and_counts_no_find_below_its_confidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[tuple[TrackerConfig, Frame]] = []
+
+    def found(config: TrackerConfig, memory: object, frame: Frame, *_: object) -> tuple[SimpleNamespace, object]:
+        given.append((config, frame))
+        return SimpleNamespace(selected=sighting(0.0, confidence=0.2)), memory
+
+    monkeypatch.setattr("estimator.pad_tracker.track", found)
+    image = np.zeros((360, 640, 3), np.uint8)
+    for least, counts in ((0.0, True), (0.2, True), (0.21, False)):
+        assert (PadTracker(CAMERA, PAD, min_confidence=least).track(image) is not None) is counts
+    assert PadTracker(CAMERA, PAD).track(image) is not None, "by default the least is 0.2"
+    below = SimpleNamespace(selected=sighting(0.0, confidence=0.19))
+    monkeypatch.setattr("estimator.pad_tracker.track", lambda *of: (below, of[1]))
+    assert PadTracker(CAMERA, PAD).track(image) is None
+    (config, frame), *_ = given
+    assert config.options == TrackerOptions("registration", "indoor", math.degrees(SIGMA_DECK_RAD))
+    assert (frame.seq, frame.stamp) == (0, Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival"))
+    monkeypatch.setattr("estimator.pad_tracker.track", found)
+    PadTracker(CAMERA, PAD, method="thesis", colours="outdoor", sigma_deck_rad=0.1).track(image)
+    assert given[-1][0].options == TrackerOptions("thesis", "outdoor", math.degrees(0.1))
 
 
 def test_the_estimator_knows_nothing_before_it_saw_a_pad() -> None:

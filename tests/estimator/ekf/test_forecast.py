@@ -19,7 +19,7 @@ from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.propagate import FilterParams
 from estimator.ekf.skill import Skill
 from estimator.ekf.state import Belief
-from tests.estimator.ekf.hand import MS, TOOLS, S, T, params
+from tests.estimator.ekf.hand import MS, TOOLS, S, T, belief, diagonal, params, under
 from tests.estimator.ekf.oracle import answers, bank
 from tests.estimator.ekf.oracle import forecast as oracle
 from tests.estimator.ekf.oracle.propagate import propagated_with_covariance
@@ -98,6 +98,12 @@ def test_a_bank_from_after_the_instant_is_taken_as_it_is() -> None:
     sea = learned(5, 6, 1.0)
     b = beginning(5)._replace(sighted=T, sea=sea._replace(t=T + 30 * MS))
     same_forecast(b, T, (0.0, 1.0), TOOLS)
+
+
+def test_a_sea_looked_at_in_the_first_instant_is_foretold_from_there() -> None:
+    sea = learned(4, 12, 1.0)
+    b = belief(t=300 * MS, x=under(), P=diagonal(d=0.01), sea=sea._replace(t=0))
+    same_forecast(b, 400 * MS, HORIZONS_S, TOOLS)
 
 
 def test_a_covariance_is_symmetric_and_finite_and_a_sigma_is_not_negative() -> None:
