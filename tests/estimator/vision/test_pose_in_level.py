@@ -106,3 +106,15 @@ def test_a_rotation_that_rounding_has_stretched_is_brought_back(camera: Camera) 
     assert seen.pose6 is not None
     R = seen.pose6.R_level_pad.matrix
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+
+
+def test_the_heading_of_a_tilted_pad_is_that_of_its_arrow_along_the_horizon(camera: Camera) -> None:
+    deck = np.array([0.3, -0.4])
+    seen = levelled(camera, deck, np.zeros(6), np.zeros(2), 10.0)
+    assert seen.pose6 is not None
+    R, rows = seen.pose6.R_level_pad.matrix, np.eye(4, 6)
+    for k in range(3):
+        more, less = (so3.exp(sign * STEP * np.eye(3)[k]) @ R for sign in (1, -1))
+        rows[3, 3 + k] = (math.atan2(less[1, 0], less[0, 0]) - math.atan2(more[1, 0], more[0, 0])) / (2.0 * STEP)
+    np.testing.assert_allclose(seen.cov, rows @ seen.pose6.cov @ rows.T, rtol=1e-6, atol=1e-12)
+    assert seen.yaw_rad == pytest.approx(-math.atan2(R[1, 0], R[0, 0]), abs=1e-12)
