@@ -45,7 +45,7 @@ def plot(path: Path, readings: Sequence[Reading], flights: Sequence[Flown]) -> N
         outcomes.scatter([f.at_s / 60 for f in its], places, s=22, color=colour, label=f"{len(its)} {worth.value}")
     outcomes.set_yticks(range(len(names)), [name[:44] for name in names], fontsize="x-small")
     outcomes.set_xlabel("minutes since the start")
-    outcomes.legend(loc="upper center", bbox_to_anchor=(0.4, -0.3 / rows_in), ncols=4, fontsize="small", frameon=False)
+    outcomes.legend(loc="upper center", bbox_to_anchor=(0.4, -0.5 / rows_in), ncols=4, fontsize="small", frameon=False)
     for axes in (memory, counts, outcomes):
         axes.grid(alpha=0.25)
     try:
