@@ -80,7 +80,7 @@ def observer_gains(noise: ObserverNoise, period_s: float) -> tuple[ObserverGains
 
 def chosen(table: tuple[_Kept, ...], sigma_p_m: float) -> _Kept:
     """Return what is kept for a standard deviation of the place; the table has one entry for each of `SIGMAS_P_M`."""
-    return table[min(bisect_left(_UP_TO_M, sigma_p_m), len(table) - 1)]
+    return table[min(bisect_left(_UP_TO_M, sigma_p_m), len(_UP_TO_M) - 1)]
 
 
 def observed(

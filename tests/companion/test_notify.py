@@ -107,10 +107,10 @@ async def test_a_image_that_vision_never_gives_back_ends_the_pings(systemd: Syst
     vehicle, pilot, begun, held = FakeVehicle(), pilot_of(), threading.Event(), threading.Event()
     look = pilot.detect
 
-    def held_up(frame: object, attitude: object) -> object:
+    def held_up(frame: object, attitude: object, held_by: object) -> object:
         begun.set()
         held.wait(100.0)
-        return look(frame, attitude)
+        return look(frame, attitude, held_by)
 
     monkeypatch.setattr(pilot, "detect", held_up)
     daemon = watched(vehicle, pilot, systemd.socket.getsockname(), 0.1)
