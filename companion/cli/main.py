@@ -80,13 +80,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if argv is not None:
         return _run(list(argv))
-    signals.install()
     try:
         try:
+            signals.install()
             code = _run(sys.argv[1:])
         except (SystemExit, signals.Stopped):
             raise
-        except BaseException:  # a bug of ours: told as Python tells it, but no thread that hangs may keep the process
+        except BaseException as why:  # a bug of ours: told as Python tells it, but no thread that hangs may keep the process
+            # A signal that comes while a class is made reaches us as the cause of Python's own error.
+            if isinstance(why.__cause__, signals.Stopped):
+                raise why.__cause__ from None
             traceback.print_exc()
             code = FAILED
         return signals.leave(code)

@@ -10,6 +10,7 @@ import random
 import signal
 import socket
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -386,3 +387,31 @@ def test_sigterm_while_it_ends_already(rig: str) -> None:
         code, said = ended(process, signal.SIGINT, signal.SIGTERM, pause_s=0.02)
     assert code in (0, 143)
     assert not any("Traceback" in words for words in said)
+
+
+WHILE_A_CLASS_IS_MADE = """
+class Named:
+    def __set_name__(self, owner, name):
+        os.kill(os.getpid(), signal.SIGTERM)
+def run(argv):
+    class Owner:
+        field = Named()
+    return 0
+main._run = run
+"""
+WHILE_IT_IS_INSTALLED = """
+class Late(threading.Thread):
+    def start(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        super().start()
+signals.threading.Thread = Late
+"""
+
+
+@pytest.mark.parametrize("moment", [WHILE_A_CLASS_IS_MADE, WHILE_IT_IS_INSTALLED], ids=["class", "install"])
+def test_sigterm_before_anything_was_begun_is_an_end_and_no_error(moment: str) -> None:
+    """Python wraps what is raised while it makes a class, and a handler raises while the next one is installed."""
+    first = "import os, signal, sys, threading\nfrom companion.cli import main\nfrom companion.runtime import signals\n"
+    last = "sys.argv = ['decklander', 'pad', 'list']\nsys.exit(main.main())\n"
+    ended = subprocess.run([sys.executable, "-c", first + moment + last], capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stderr) == (143, "")

@@ -132,11 +132,10 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
     async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service) as one:
         await one.shows("phase", "search")
         assert TOKEN not in one.page.url, "the token leaves the address"
-        await one.page.wait_for_function(
-            "document.querySelector('#picture').width > 300 && document.querySelector('#picture-note').hidden"
-        )
+        await playwright.expect(one.page.locator("#picture-note")).to_be_hidden(timeout=WAIT_MS)
+        assert await one.page.evaluate("document.querySelector('#picture').width") > 300
         await one.shows("delay", "ms")
-        assert await one.page.get_attribute("#picture", "data-codec") == "h264"
+        await playwright.expect(one.page.locator("#picture")).to_have_attribute("data-codec", "h264", timeout=WAIT_MS)
         assert "accepted" in await one.press("begin")
         assert (await one.press("takeoff")).endswith("refused: the vehicle flies already")
         async with window(browser, service) as two:
