@@ -127,10 +127,9 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
 
 def asks_to_descend(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
     """Return whether this cycle may ask for a way nearer to the deck: its state does, and its estimate is fit for it."""
-    if p.state is State.INTERCEPT and o.mission != "thesis":
-        # It keeps its height over the deck until it is in the cone; the thesis' way flies to a height of its own.
-        return False
-    if p.state not in (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS):
+    # An intercept keeps its height over the deck until it is in the cone; only the thesis' flies to a height of its own.
+    lower = p.state in (State.DESCEND, State.GATE, State.COMMIT, State.PRESS)
+    if not (lower or (p.state is State.INTERCEPT and o.mission == "thesis")):
         return False
     stale_s = o.stale_after_s if p.state not in (State.COMMIT, State.PRESS) else o.limits.commit_sighting_age_s
     return p.state is State.PRESS or unfit(s.estimate, s.at, stale_s) is None
