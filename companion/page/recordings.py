@@ -5,6 +5,7 @@ A browser's download carries no token, so the page asks for an address over its 
 
 from __future__ import annotations
 
+import os
 import re
 import secrets
 import stat
@@ -48,7 +49,7 @@ class Recordings:
     def listed(self) -> RecordingList:
         """Return the newest recordings. It reads the disk, so it belongs on a thread."""
         try:
-            found = [(path, path.lstat()) for path in self._folder.iterdir() if is_recording_name(path.name)]
+            found = [(path, _status(path)) for path in self._folder.iterdir() if is_recording_name(path.name)]
         except FileNotFoundError:
             return RecordingList(files=(), fault="")
         except OSError as why:
@@ -56,7 +57,7 @@ class Recordings:
         files = [
             RecordingFile(name=path.name, size_bytes=status.st_size, unix_s=status.st_mtime)
             for path, status in found
-            if stat.S_ISREG(status.st_mode)
+            if status is not None and stat.S_ISREG(status.st_mode)
         ]
         return RecordingList(files=tuple(sorted(files, key=lambda file: -file.unix_s)[:_LISTED]), fault="")
 
@@ -88,3 +89,11 @@ class Recordings:
             return await send_file(request, self._folder / name, headers)
         finally:
             self._under_way -= 1
+
+
+def _status(path: Path) -> os.stat_result | None:
+    """Return a file's state, or None if the recorder has removed it since it was listed."""
+    try:
+        return path.lstat()
+    except FileNotFoundError:
+        return None

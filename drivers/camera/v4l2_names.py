@@ -28,17 +28,19 @@ class CaptureDevice:
 
 
 def cameras(by_name: tuple[Path, ...] = BY_NAME, sysfs: Path = SYSFS, dev: Path = Path("/dev")) -> list[CaptureDevice]:
-    """Return every video device with its most stable path, in order of that path."""
+    """Return every video device with its most stable path, in order of that path.
+
+    A device may be plugged out while it is read: what is gone by then counts as absent.
+    """
     stable: dict[Path, Path] = {}
     for folder in reversed(by_name):
-        for link in sorted(folder.iterdir()) if folder.is_dir() else ():
-            stable[link.resolve()] = link
+        for link in _entries(folder):
+            stable[_resolved(link) or link] = link
     found = []
-    for entry in sysfs.iterdir() if sysfs.is_dir() else ():
+    for entry in _entries(sysfs):
         if not entry.name.startswith("video"):
             continue
-        node, device = dev / entry.name, entry / "device"
-        body = device.resolve() if device.exists() else entry
+        node, body = dev / entry.name, _resolved(entry / "device") or entry
         found.append(CaptureDevice(stable.get(node, node), node, _text(entry / "name"), body, int(_text(entry / "index") or 0)))
     return sorted(found, key=lambda f: str(f.path))
 
@@ -61,6 +63,20 @@ def find(text: str, there: list[CaptureDevice]) -> Path | None:
     if len({f.body for f in matches}) > 1:
         raise BadInput(f"camera {text!r} may be any of {', '.join(str(f.path) for f in matches)}; give more of its name")
     return matches[0].path if matches else None
+
+
+def _entries(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.iterdir())
+    except OSError:
+        return []
+
+
+def _resolved(link: Path) -> Path | None:
+    try:
+        return link.resolve(strict=True)
+    except OSError:
+        return None
 
 
 def _text(file: Path) -> str:

@@ -357,6 +357,26 @@ def test_cameras_are_found_by_what_does_not_move(tmp_path: Path) -> None:
         find("nice", there)
 
 
+@pytest.mark.parametrize("call", ["listdir", "readlink", "lstat", "stat"])
+def test_a_camera_that_is_plugged_out_while_it_is_looked_for_is_absent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    by_id, sysfs, body = tmp_path / "by-id", tmp_path / "sys", tmp_path / "usb1"
+    for folder in (by_id, body, sysfs / "video0"):
+        folder.mkdir(parents=True)
+    (by_id / "usb-Cam-video-index0").symlink_to(tmp_path / "video0")
+    (sysfs / "video0" / "device").symlink_to(body)
+    real = getattr(os, call)
+
+    def gone(path: str | os.PathLike[str], *more: Any, **options: Any) -> Any:
+        if str(path).startswith((str(by_id), str(sysfs))):
+            raise FileNotFoundError(errno.ENOENT, "unplugged", str(path))
+        return real(path, *more, **options)
+
+    monkeypatch.setattr(os, call, gone)
+    assert find("usb", cameras((by_id,), sysfs, tmp_path)) is None
+
+
 def test_options_refuse_what_cannot_be() -> None:
     for wrong in (
         {"rate_hz": 0.0},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import re
 import ssl
 import tempfile
@@ -21,9 +22,11 @@ from companion.guidance.mission import Event, State, StateChange
 from companion.guidance.reason import Reason, ReasonCause
 from companion.page import viewer
 from companion.page.messages import request_in
+from companion.page.recordings import Recordings
 from companion.page.settings import PageSettings
 from companion.runtime.connection_limits import ConnectionLimits
 from companion.runtime.observer import Decision
+from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput
 from tests.support.certificates import make_certificates
@@ -350,6 +353,23 @@ async def test_a_recording_is_loaded_once_from_an_address_that_only_the_page_get
                 assert answer.status == 404, "no link is followed, and nothing made up"
         async with client.get("/recordings/AAAAAAAAAAAAAAAA") as answer:
             assert answer.status == 404
+
+
+def test_a_recording_that_is_removed_while_the_list_is_made_hides_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in (1, 2):
+        (tmp_path / f"decklander-{number}.mcap").touch()
+    real = Path.lstat
+
+    def lstat(path: Path) -> os.stat_result:
+        if path.name == "decklander-1.mcap":
+            path.unlink()
+        return real(path)
+
+    monkeypatch.setattr(Path, "lstat", lstat)
+    listed = Recordings(tmp_path, SystemClock()).listed()
+    assert ([file.name for file in listed.files], listed.fault) == (["decklander-2.mcap"], "")
 
 
 def reports_in(folder: Path) -> list[Path]:
