@@ -5,16 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterator
 from contextlib import suppress
-from typing import Any
 
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.metrics.settings import MetricsSettings
 from companion.runtime.health import Health
 from drivers.clock import SystemClock
+from fuzz.connections import ANSWER_S, ended, watched
 from fuzz.target import Choices, Target, block
-
-_ANSWER_S = 10.0
-"""Time limit for an answer on a machine under load, s; a client that hangs up gets its answer within milliseconds."""
 
 
 def run_metrics(data: bytes) -> None:
@@ -24,12 +21,10 @@ def run_metrics(data: bytes) -> None:
     pieces = []
     while choices:
         pieces.append(choices.block())
-    asyncio.run(_ask(pieces, hang_up))
+    asyncio.run(watched(_ask(pieces, hang_up)))
 
 
 async def _ask(pieces: list[bytes], hang_up: bool) -> None:
-    complaints: list[dict[str, Any]] = []
-    asyncio.get_running_loop().set_exception_handler(lambda loop, context: complaints.append(context))
     endpoint = MetricsEndpoint(MetricsSettings(endpoint="http", port=0), Health(SystemClock()))
     task = asyncio.ensure_future(endpoint.run())
     while endpoint.port is None and not task.done():  # noqa: ASYNC110
@@ -37,10 +32,7 @@ async def _ask(pieces: list[bytes], hang_up: bool) -> None:
     with suppress(OSError):
         await _converse(endpoint.port, pieces, hang_up)
     assert not task.done(), "the endpoint has ended"
-    task.cancel()
-    with suppress(asyncio.CancelledError):
-        await task
-    assert not complaints, complaints
+    await ended(task)
 
 
 async def _converse(port: int | None, pieces: list[bytes], hang_up: bool) -> None:
@@ -52,7 +44,7 @@ async def _converse(port: int | None, pieces: list[bytes], hang_up: bool) -> Non
         if hang_up:
             return
         writer.write_eof()
-        async with asyncio.timeout(_ANSWER_S):
+        async with asyncio.timeout(ANSWER_S):
             await reader.read()
     finally:
         writer.close()

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import base64
 import tempfile
-from collections.abc import AsyncIterator, Coroutine, Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from aiohttp import WSMessage, WSMsgType, web
 
@@ -32,10 +31,9 @@ from companion.runtime.pilot import Pilot
 from companion.video.frame_encoder import FrameEncoder
 from drivers.clock import SystemClock
 from estimator.contracts.ports import Clock
+from fuzz.connections import ANSWER_S, HOST, converse, ended, upgrade, watched, websocket_frame
 from fuzz.target import SHARED_MEMORY, Choices, Target, block
 
-_ANSWER_S = 10.0
-"""Time limit for the end of a connection on a machine under load, s."""
 _TOKEN = "a-token-of-sixteen-and-more"
 
 
@@ -50,7 +48,7 @@ def run_operator_socket(data: bytes) -> None:
     pieces = []
     while choices:
         pieces.append(choices.block())
-    asyncio.run(_watched(_on_socket(pieces)))
+    asyncio.run(watched(_on_socket(pieces)))
 
 
 async def _on_socket(pieces: list[bytes]) -> None:
@@ -60,9 +58,9 @@ async def _on_socket(pieces: list[bytes]) -> None:
         while not served.path.exists() and not serving.done():  # noqa: ASYNC110
             await asyncio.sleep(0)
         with suppress(OSError):
-            await _converse(await asyncio.open_unix_connection(str(served.path)), pieces)
+            await converse(await asyncio.open_unix_connection(str(served.path)), pieces)
         assert not serving.done(), "the socket has ended"
-        await _ended(serving)
+        await ended(serving)
         assert not served.connections
 
 
@@ -72,7 +70,7 @@ def run_page_port(data: bytes) -> None:
     pieces = []
     while choices:
         pieces.append(choices.block())
-    asyncio.run(_watched(_on_port(pieces)))
+    asyncio.run(watched(_on_port(pieces)))
 
 
 async def _on_port(pieces: list[bytes]) -> None:
@@ -86,9 +84,9 @@ async def _on_port(pieces: list[bytes]) -> None:
         while page.port is None and not serving.done():  # noqa: ASYNC110
             await asyncio.sleep(0)
         with suppress(OSError):
-            await _converse(await asyncio.open_connection("127.0.0.1", page.port), pieces)
+            await converse(await asyncio.open_connection("127.0.0.1", page.port), pieces)
         assert not serving.done(), "the page has ended"
-        await _ended(serving)
+        await ended(serving)
 
 
 class _Page:
@@ -154,7 +152,7 @@ def run_page_requests(data: bytes) -> None:
         binary, content = choices.number(1) == 1, choices.block()
         text = content.decode("utf-8", "replace")
         messages.append(WSMessage(WSMsgType.BINARY, content, None) if binary else WSMessage(WSMsgType.TEXT, text, None))
-    asyncio.run(_watched(_logged_in(messages)))
+    asyncio.run(watched(_logged_in(messages)))
 
 
 async def _logged_in(messages: list[WSMessage]) -> None:
@@ -162,39 +160,9 @@ async def _logged_in(messages: list[WSMessage]) -> None:
         pilot = make_pilot(_settings())
         socket = cast(web.WebSocketResponse, _Socket(messages))
         viewer = PageViewer(_Page(pilot, Path(folder)), socket, OrderSender(OrderSource.PAGE, "1"))
-        async with asyncio.timeout(_ANSWER_S):
+        async with asyncio.timeout(ANSWER_S):
             await viewer.serve()
         pilot.decide(SystemClock().now())
-
-
-async def _watched(work: Coroutine[Any, Any, None]) -> None:
-    """Do the work; show that nothing failed beside it."""
-    complaints: list[dict[str, Any]] = []
-    asyncio.get_running_loop().set_exception_handler(lambda loop, context: complaints.append(context))
-    await work
-    assert not complaints, complaints
-
-
-async def _ended(serving: asyncio.Future[None]) -> None:
-    serving.cancel()
-    with suppress(asyncio.CancelledError):
-        await serving
-
-
-async def _converse(ends: tuple[asyncio.StreamReader, asyncio.StreamWriter], pieces: list[bytes]) -> None:
-    reader, writer = ends
-    try:
-        for piece in pieces:
-            writer.write(piece)
-            await asyncio.sleep(0)
-        writer.write_eof()
-        async with asyncio.timeout(_ANSWER_S):
-            while await reader.read(65536):
-                pass
-    finally:
-        writer.close()
-        with suppress(OSError):
-            await writer.wait_closed()
 
 
 def operator_socket_seeds() -> Iterator[bytes]:
@@ -211,16 +179,14 @@ def operator_socket_seeds() -> Iterator[bytes]:
 
 def page_port_seeds() -> Iterator[bytes]:
     """Yield requests for files, a login with the right and with no token, and bytes that are not HTTP."""
-    head = b"Host: 127.0.0.1\r\n"
-    yield block(b"GET / HTTP/1.1\r\n" + head + b"\r\n")
-    yield block(b"GET /recordings/abc HTTP/1.1\r\n" + head + b"\r\n") + block(b"GET /../token HTTP/1.1\r\n" + head + b"\r\n")
-    key = base64.b64encode(b"sixteen bytes of").decode().encode()
-    upgrade = b"Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: " + key
-    live = b"GET /live HTTP/1.1\r\n" + head + b"Origin: http://127.0.0.1\r\n" + upgrade + b"\r\n\r\n"
+    yield block(b"GET / HTTP/1.1\r\n" + HOST + b"\r\n")
+    yield block(b"GET /recordings/abc HTTP/1.1\r\n" + HOST + b"\r\n") + block(b"GET /../token HTTP/1.1\r\n" + HOST + b"\r\n")
+    live = upgrade(b"/live", b"Origin: http://127.0.0.1")
     login = _text(LoginRequest(token=_TOKEN))
-    yield block(live) + block(_frame(login)) + block(_frame(_text(RecordingsRequest()))) + block(_frame(b"", 8))
-    yield block(live) + block(_frame(b"", 9)) + block(_frame(b"\xff" * 2000))
-    yield block(b"POST /live HTTP/1.1\r\nContent-Length: 99999\r\n" + head + b"\r\nabc")
+    said = (websocket_frame(login), websocket_frame(_text(RecordingsRequest())), websocket_frame(b"", 8))
+    yield block(live) + b"".join(block(one) for one in said)
+    yield block(live) + block(websocket_frame(b"", 9)) + block(websocket_frame(b"\xff" * 2000))
+    yield block(b"POST /live HTTP/1.1\r\nContent-Length: 99999\r\n" + HOST + b"\r\nabc")
     yield block(b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03")
 
 
@@ -237,12 +203,6 @@ def page_requests_seeds() -> Iterator[bytes]:
 
 def _text(request: PageRequest) -> bytes:
     return line_of(cast(OrderRequest, request)).rstrip()
-
-
-def _frame(content: bytes, opcode: int = 1) -> bytes:
-    """Return a whole frame of a browser, masked by zeros (RFC 6455, section 5.2)."""
-    length = bytes([0x80 | len(content)]) if len(content) < 126 else bytes([0x80 | 126]) + len(content).to_bytes(2, "big")
-    return bytes([0x80 | opcode]) + length + bytes(4) + content
 
 
 TARGETS = {

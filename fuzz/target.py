@@ -32,6 +32,8 @@ MODULES = {
     "operator_socket": "fuzz.operator",
     "page_port": "fuzz.operator",
     "page_requests": "fuzz.operator",
+    "foxglove_port": "fuzz.live",
+    "foxglove_viewer": "fuzz.live",
     "nmea": "fuzz.nmea",
     "mcap_bytes": "fuzz.recordings",
     "mcap_messages": "fuzz.recordings",

@@ -22,6 +22,7 @@ from companion.runtime.connection_limits import ConnectionLimits, listen
 from companion.runtime.health import Health
 from companion.runtime.observer import Decision, ProcessedFrame
 from companion.runtime.pilot import Pilot
+from companion.runtime.server_log import make_runner
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample
@@ -102,7 +103,7 @@ class FoxgloveEndpoint:
         """
         app = web.Application(client_max_size=1024)
         app.router.add_get("/", self._live)
-        runner = web.AppRunner(app, access_log=None, shutdown_timeout=0.5)
+        runner = make_runner(app)
         await runner.setup()
         try:
             server = await listen(runner, self._limits, self._settings.host, self._settings.port, "Foxglove's data")

@@ -15,6 +15,7 @@ from companion.metrics.settings import MetricsSettings
 from companion.runtime.connection_limits import ConnectionLimits, listen
 from companion.runtime.health import Health
 from companion.runtime.liveness import stuck
+from companion.runtime.server_log import make_runner
 
 log = logging.getLogger(__name__)
 
@@ -60,7 +61,7 @@ class MetricsEndpoint:
         app = web.Application(client_max_size=1024)
         app.router.add_get("/metrics", self._metrics)
         app.router.add_get("/health", self._state)
-        runner = web.AppRunner(app, access_log=None, shutdown_timeout=0.5)
+        runner = make_runner(app)
         await runner.setup()
         try:
             server = await listen(runner, self._limits, self._settings.host, self._settings.port, "metrics")

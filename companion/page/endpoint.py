@@ -55,6 +55,7 @@ from companion.runtime.connection_limits import ConnectionLimits, listen
 from companion.runtime.health import Health
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.pilot import Pilot
+from companion.runtime.server_log import make_runner
 from companion.runtime.worker import Worker
 from companion.video.frame_encoder import FrameEncoder, codec_name
 from drivers.mailbox import Latest, Line
@@ -172,7 +173,7 @@ class PageEndpoint(NullObserver):
         app.router.add_get("/reports/{ticket}", self._report)
         app.router.add_get("/{name:.*}", self._file)
         app.on_response_prepare.append(_secured)
-        runner = web.AppRunner(app, access_log=None, shutdown_timeout=0.5)
+        runner = make_runner(app)
         await runner.setup()
         worker = Worker("page")
         try:

@@ -1,0 +1,32 @@
+"""The log of aiohttp's servers: an error of ours is told, and what a client did to its own connection is not.
+
+aiohttp logs a request that is no HTTP, and a client that goes away in the middle of its handshake, as an error with a traceback.
+Anybody who reaches a port could fill the journal with them.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
+
+log = logging.getLogger(__name__)
+
+_BY_CLIENTS = (HttpProcessingError, ConnectionError)
+
+
+class ServerLog(logging.LoggerAdapter[logging.Logger]):
+    """Tells what a client did at the level of debugging, in one line."""
+
+    def exception(self, msg: object, *args: object, exc_info: Any = True, **_: Any) -> None:
+        if isinstance(exc_info, _BY_CLIENTS):
+            self.debug(f"{msg}: {type(exc_info).__name__}", *args)
+        else:
+            self.error(msg, *args, exc_info=exc_info)
+
+
+def make_runner(app: web.Application) -> web.AppRunner:
+    """Return a runner of an application without a log of requests, whose errors go to this module's log."""
+    return web.AppRunner(app, access_log=None, shutdown_timeout=0.5, logger=ServerLog(log))
