@@ -38,6 +38,8 @@ _NEAR_S = 0.15
 """A fit whose delay is known better than this is near enough to go on from, s."""
 _SETTLED_S = 8.0
 """The response to what was asked is over after this time, s."""
+_SETTLED_WITHIN_S = 0.02
+"""A last step of the delay up to this belongs to a search that is at its end, s. On the way there a covariance says nothing."""
 _FLOOR_S = 0.004
 """What no fit sees, s: the command waits for the next datagram for a time that is random."""
 
@@ -72,6 +74,8 @@ class Fitted(NamedTuple):
     """Coefficient of the residuals' autoregression."""
     seconds: float
     """Length of what was compared."""
+    settled: bool = True
+    """Whether the search had come to its end: its last step was free in length, and small in the delay."""
 
 
 class TiltFit(msgspec.Struct, frozen=True):
@@ -193,8 +197,9 @@ def _fit(
         if k > 1 and float(np.abs(dx).max()) < 1e-3:
             break
     cov = _covariance(whitened, prior)
+    settled = bool(np.all(np.abs(dx) < stride)) and abs(float(dx[0])) <= _SETTLED_WITHIN_S
     cov[0, 0] += _FLOOR_S**2 + course.stamp_sigma_s**2
-    return Fitted(x, cov, *loop.output(x), rho, float(np.count_nonzero(compared) * STEP_S))
+    return Fitted(x, cov, *loop.output(x), rho, float(np.count_nonzero(compared) * STEP_S), settled)
 
 
 def _covariance(of: _Whitened, prior: F64) -> F64:

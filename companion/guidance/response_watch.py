@@ -1,9 +1,14 @@
 """Identify the vehicle's response in flight, and decide which one the control law flies by.
 
 Every second or two the newest `_WINDOW_S` of asked and reported tilt are fitted, beginning from the fit before. A fit whose delay
-is sure to `known_s` and within `CONTRADICTION_S` of the delay in use confirms it; one that is off by more than that and by more
-than three standard deviations takes its place. Either counts when the next fit says the same. What lies between decides nothing.
-A fit whose model is not the vehicle's counts for nothing: the response in use stays.
+is sure to `known_s` and within `CONTRADICTION_S` of the delay in use confirms it. One that is longer by more than that and by
+more than three standard deviations takes its place. Either counts when the next fit says the same; what lies between decides
+nothing. A fit whose model is not the vehicle's counts for nothing, nor one whose search is not at its end: the response in
+use stays.
+
+No delay shorter than the file's is flown with. The loop of the file's gains stands every shorter one, with more margin than its
+own. Gains for a shorter one that the vehicle does not have hardly stand the vehicle, and in a loop that disturbances drive the
+fit errs that way.
 """
 
 from __future__ import annotations
@@ -72,8 +77,7 @@ class ResponseInUse:
         """The state for the operator."""
         ms = f"{1e3 * self.delay_s:.0f} ms (sigma {1e3 * (self.sigma_s or 0.0):.0f})"
         if self.state is ResponseState.IDENTIFIED:
-            way = "longer" if self.longer_s > 0.0 else "shorter"
-            return f"the vehicle answers {1e3 * abs(self.longer_s):.0f} ms {way} than its response file says: {ms} is flown with"
+            return f"the vehicle answers {1e3 * self.longer_s:.0f} ms longer than its response file says: {ms} is flown with"
         if self.state is ResponseState.KNOWN:
             return f"the vehicle's response is known: delay {ms}"
         return f"the vehicle's response is assumed: delay {1e3 * self.delay_s:.0f} ms, softer gains"
@@ -173,12 +177,17 @@ def judged(in_use: ResponseInUse, given: TiltResponse, fit: TiltFit, known_s: fl
         return in_use
     if abs(delay_s - given.delay_s) <= CONTRADICTION_S:
         return ResponseInUse(ResponseState.KNOWN, given.delay_s, sigma)
+    if delay_s < given.delay_s:
+        shortened = in_use.state is ResponseState.IDENTIFIED
+        return ResponseInUse(ResponseState.ASSUMED, given.delay_s, given.delay_sigma_s) if shortened else in_use
     return ResponseInUse(ResponseState.IDENTIFIED, delay_s, sigma, delay_s - given.delay_s)
 
 
 def _trusted(given: TiltResponse, course: FlightCourse, fit: TiltFit) -> bool:
     """Whether the fit's model is the vehicle's: it flies what is asked as its file says, only later, and little beside it."""
     of = fit.response
+    if not fit.fitted.settled:
+        return False
     if not 0.0 < of.delay_s <= DELAY_MAX_S or abs(fit.gain - 1.0) > _GAIN_OFF:
         return False
     if abs((of.slowness_s - of.delay_s) - (given.slowness_s - given.delay_s)) > _COURSE_OFF_S:

@@ -147,6 +147,11 @@ class Daemon:
             self._tracker.close()
         return self._pilot.outcome
 
+    @property
+    def looking(self) -> bool:
+        """Whether vision is at work on its thread."""
+        return self._tracker is not None and self._tracker.busy
+
     def stop(self) -> None:
         """End `run` soon and cleanly, and release the vehicle to a person."""
         if self._link is not None:

@@ -29,8 +29,14 @@ class Worker:
 
     def __init__(self, name: str) -> None:
         self._calls: Queue[Callable[[], None] | None] = Queue(maxsize=WAITING)
+        self._awaited = 0
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
+
+    @property
+    def busy(self) -> bool:
+        """Whether somebody awaits the result of a call."""
+        return self._awaited > 0
 
     async def run(self, function: Callable[..., T], *args: Any) -> T:
         """Run the function on the thread and return its result. After a cancellation the call goes on by itself.
@@ -65,7 +71,11 @@ class Worker:
             self._calls.put_nowait(call)
         except Full as why:
             raise Recoverable(f"the thread {self._thread.name!r} is busy with an earlier call") from why
-        return await future
+        self._awaited += 1
+        try:
+            return await future
+        finally:
+            self._awaited -= 1
 
     def close(self) -> None:
         """Take no more calls. The one that runs goes on by itself."""

@@ -68,6 +68,10 @@ class FlightDaemon:
         """Return the number of frames that were processed."""
         return sum(self.daemon.health.frames.values())
 
+    def looking(self) -> bool:
+        """Return whether vision is at work on its thread."""
+        return self.daemon.looking
+
 
 def beside_autopilot(
     settings: Settings, links: str, start: Literal["automatic", "signal"] = "signal", response: str | None = None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -16,7 +15,9 @@ from sitl.faulty_streams import FaultyStream, InTransit
 from sitl.truth import RenderedFrame
 
 _STAMP_SIGMA_S = 0.002
-_NAP_S, _PATIENCE_S = 0.0005, 0.25
+_NAP_S = 0.0005
+_TURNS = 40
+"""Turns of the event loop after which a service that has a frame and does not look at it waits for the time to go on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +37,7 @@ class LockStepCamera:
     Args:
         offer: receives each frame when it has arrived.
         concluded: returns how many of the frames were processed.
+        looking: returns whether vision is at work; the world stands still meanwhile, however long it takes.
         pool: executor that renders frames.
         stream: what becomes of the frames on their way.
         expose: fixes the scene of a body and returns the function that makes its frame.
@@ -46,6 +48,7 @@ class LockStepCamera:
         clock: LockStepClock,
         offer: Callable[[Frame], object],
         concluded: Callable[[], int],
+        looking: Callable[[], bool],
         pool: Executor,
         stream: FaultyStream,
         timing: CameraTiming | None = None,
@@ -54,8 +57,9 @@ class LockStepCamera:
         self.on = False
         self.frames = 0
         self.waited_out = 0
-        """Number of times that the world went on although a frame was not processed within a reasonable time."""
-        self._clock, self._offer, self._concluded, self._pool = clock, offer, concluded, pool
+        """Number of times that the world went on although a frame was not processed, because the service waits for the time."""
+        self._clock, self._offer, self._pool = clock, offer, pool
+        self._concluded, self._looking = concluded, looking
         self._timing, self._expose = timing or CameraTiming(), expose
         self._due: MonoNs | None = None
         self._on_the_way: InTransit[tuple[MonoNs, asyncio.Future[RenderedFrame]]] = InTransit(stream)
@@ -84,11 +88,15 @@ class LockStepCamera:
             self._looking_until = after(now, self._timing.vision_s)
         if self._looking_until is None or now < self._looking_until:
             return
-        began = time.monotonic()
+        turns = 0
         while self._concluded() < self.frames:
-            if time.monotonic() - began > _PATIENCE_S:
-                # The service may be waiting for time to advance.
+            if self._looking():
+                turns = 0
+                await asyncio.sleep(_NAP_S)
+                continue
+            turns += 1
+            if turns > _TURNS:
                 self.waited_out += 1
                 return
-            await asyncio.sleep(_NAP_S)
+            await asyncio.sleep(0)
         self._looking_until = None

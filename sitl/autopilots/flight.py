@@ -173,7 +173,7 @@ class AutopilotFlight:
         failed: Recoverable | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
             frames = self.graded.streams.frames
-            self._camera = LockStepCamera(self.clock, side.offer, side.concluded, pool, frames, expose=self._expose)
+            self._camera = LockStepCamera(self.clock, side.offer, side.concluded, side.looking, pool, frames, expose=self._expose)
             async with AsyncExitStack() as stack:
                 links = await stack.enter_async_context(
                     open_links((link,), self.clock, STATION, access=NamedSenders(everybody=True))

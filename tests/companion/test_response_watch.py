@@ -184,7 +184,11 @@ def test_a_fit_confirms_contradicts_or_decides_nothing(
         if said is in_use:
             continue
         assert sigma_s <= KNOWN_S + 1e-12
-        assert said.state is not ResponseState.ASSUMED, "nothing known is forgotten"
+        if said.state is ResponseState.ASSUMED:
+            assert in_use is found, "nothing known is forgotten but a longer delay"
+            assert delay_s < tilt.delay_s == said.delay_s
+            continue
+        assert said.delay_s >= tilt.delay_s, "no shorter delay is flown with"
         if said.state is ResponseState.KNOWN:
             assert said.delay_s == tilt.delay_s
             assert said.longer_s == 0.0

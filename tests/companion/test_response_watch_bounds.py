@@ -10,7 +10,7 @@ from msgspec import structs
 
 from companion.config.settings import shipped_response
 from companion.guidance import response_watch
-from companion.guidance.response_fit import Fitted, FlightCourse, TiltFit
+from companion.guidance.response_fit import Fitted, FlightCourse, TiltFit, fit_tilt
 from companion.guidance.response_watch import (
     CONTRADICTION_S,
     DELAY_MAX_S,
@@ -25,6 +25,7 @@ from companion.guidance.response_watch import (
 )
 from estimator.contracts.commands import Lean
 from estimator.contracts.time import MonoNs, Stamp
+from tests.companion.test_identify import flown
 
 TILT = structs.replace(shipped_response("ardrone2").tilt, delay_s=0.05, delay_sigma_s=None)
 KNOWN_S = 0.04
@@ -59,10 +60,6 @@ def test_a_file_says_how_well_its_delay_is_known(sigma_s: float | None, state: R
         (KNOWN, "the vehicle's response is known: delay 50 ms (sigma 20)"),
         (ResponseInUse(ResponseState.KNOWN, 0.05, None), "the vehicle's response is known: delay 50 ms (sigma 0)"),
         (IDENTIFIED, "the vehicle answers 150 ms longer than its response file says: 200 ms (sigma 20) is flown with"),
-        (
-            ResponseInUse(ResponseState.IDENTIFIED, 0.01, 0.02, -0.04),
-            "the vehicle answers 40 ms shorter than its response file says: 10 ms (sigma 20) is flown with",
-        ),
     ],
 )
 def test_the_operator_reads_the_state_in_milliseconds(in_use: ResponseInUse, text: str) -> None:
@@ -172,16 +169,26 @@ def test_a_fit_decides_by_how_sure_it_is_and_how_far_off(
         assert found is in_use
 
 
+def test_no_delay_shorter_than_the_files_is_flown_with() -> None:
+    """The file's gains stand every shorter delay; gains for one that the vehicle does not have hardly stand the vehicle."""
+    late = structs.replace(TILT, delay_s=0.1)
+    for state in (ResponseState.ASSUMED, ResponseState.KNOWN):
+        in_use = ResponseInUse(state, 0.1, 0.03)
+        assert judged(in_use, late, fit(0.013), KNOWN_S) is in_use
+    said = judged(ResponseInUse(ResponseState.IDENTIFIED, 0.2, 0.02, 0.1), late, fit(0.013), KNOWN_S)
+    assert said == ResponseInUse(ResponseState.ASSUMED, 0.1, None), "what was longer is in doubt, and the gains are soft"
+
+
 def test_forty_milliseconds_to_the_bit_are_no_contradiction(monkeypatch: pytest.MonkeyPatch) -> None:
     at_once = structs.replace(TILT, delay_s=0.0)
     in_use = begun(at_once, KNOWN_S).in_use
     assert judged(in_use, at_once, fit(CONTRADICTION_S), KNOWN_S).state is ResponseState.KNOWN
-    late, says = structs.replace(TILT, delay_s=0.2), [fit(CONTRADICTION_S), fit(2.0 * CONTRADICTION_S)]
+    says = [fit(0.1 - CONTRADICTION_S), fit(0.1)]
     monkeypatch.setattr(response_watch, "fit_tilt", lambda *_, **__: says.pop(0))
-    watch = begun(structs.replace(late, delay_sigma_s=0.01), KNOWN_S)
+    watch = begun(structs.replace(at_once, delay_sigma_s=0.01), KNOWN_S)
     for _ in range(2):
         watch = response_watch._fitted(watch, moved(1.0), KNOWN_S)
-    assert watch.in_use.delay_s == 2.0 * CONTRADICTION_S
+    assert watch.in_use.delay_s == 0.1
 
 
 def moved(size: float) -> FlightCourse:
@@ -210,8 +217,25 @@ def test_a_fit_is_trusted_while_its_model_is_the_vehicles(found: TiltFit, truste
     assert response_watch._trusted(TILT, moved(1.0), found) is trusted
     half = structs.replace(found, fitted=found.fitted._replace(residual=0.5 * found.fitted.residual))
     assert response_watch._trusted(TILT, moved(0.5), half) is trusted
+    searching = structs.replace(found, fitted=found.fitted._replace(settled=False))
+    assert not response_watch._trusted(TILT, moved(1.0), searching), "on the way to its end a search tells nothing"
     still = structs.replace(found, fitted=found.fitted._replace(residual=0.1))
     assert not response_watch._trusted(TILT, moved(0.0), still), "a vehicle that stands still tells nothing"
+
+
+def test_a_search_is_settled_at_its_end_and_not_on_its_way() -> None:
+    course = flown(1, 0.5)[1]
+    far = structs.replace(TILT, delay_s=0.3, frequency_rad_s=14.0, damping=0.4)
+    first = fit_tilt(course, far, steps=1)
+    assert first is not None
+    assert not first.fitted.settled
+    for _ in range(12):
+        first = fit_tilt(course, far, begin=first, steps=1)
+        assert first is not None
+    assert first.fitted.settled
+    whole = fit_tilt(course, far)
+    assert whole is not None
+    assert whole.fitted.settled
 
 
 def test_what_two_fits_in_a_row_say_is_flown_by(monkeypatch: pytest.MonkeyPatch) -> None:

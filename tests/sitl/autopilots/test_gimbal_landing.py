@@ -38,11 +38,8 @@ def flight(
 async def test_it_lands_by_a_swinging_camera_whose_yaw_is_from_north_and_which_somebody_pointed_ahead_on_the_way(
     tmp_path: Path,
 ) -> None:
-    for n in range(3):  # a landing that a starved machine gave up, as it should, is flown again
-        landing = flight(tmp_path / str(n), device_id=1, yaw="earth", leaves_at_s=8.0)
-        end = await landing.fly()
-        if end.outcome is FlightOutcome.LANDED:
-            break
+    landing = flight(tmp_path, device_id=1, yaw="earth", leaves_at_s=8.0)
+    end = await landing.fly()
     assert end.failure == ""
     assert end.outcome is FlightOutcome.LANDED
     assert end.landing is not None
