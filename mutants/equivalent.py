@@ -48,9 +48,6 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "1e-12  ->  2e-12": "it keeps zero out of a denominator, and a report is never known to a millionth",
     },
     "companion/guidance/response.py": {"1e-09  ->  2e-09": "what floating point adds is 1e-15"},
-    "companion/guidance/follow_deck.py": {
-        "if memory.share == 1.0  ->  if False": "a mean with a share of one is that one, only later",
-    },
     "companion/guidance/response_watch.py": {
         "self.longer_s > 0.0  ->  self.longer_s >= 0.0": "an identified response is off by more than 40 ms",
     },
@@ -68,7 +65,6 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "angle[:-1] * angle[1:] < 0.0  ->  angle[:-1] * angle[1:] <= 0.0": _ROUNDED,
         "np.abs(angle[:-1]) > 2.0  ->  np.abs(angle[:-1]) >= 2.0": _ROUNDED,
     },
-    "companion/guidance/heave.py": {"True  ->  False": "two rows of three numbers each"},
     "estimator/relative_estimator.py": {
         "None if self._newest is None else self.at(self._newest)  ->  self.at(self._newest)": (
             "before the first event there is no pad at any instant"

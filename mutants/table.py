@@ -31,6 +31,7 @@ _NUMBERS = "tests/estimator/ekf/test_members_and_noise.py"
 _INTEGRITY = "tests/estimator/integrity"
 _MISSION = ("tests/companion/test_mission_flights.py", "tests/companion/test_rendezvous.py")
 _LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py", "tests/companion/test_deck_turn.py")
+_LAW_CORE = "tests/companion/test_law_core.py"
 _AXIS = ("tests/companion/test_tilt_axis.py", "tests/companion/test_law.py")
 
 TARGETS: dict[str, tuple[str, ...]] = {
@@ -58,6 +59,10 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/gate.c": (*_GATE, *_SIGHTINGS[:3]),
     "estimator/core/deck_jolt.c": _SIGHTINGS,
     "estimator/core/vessel.c": (f"{_BESIDE_THE_ORACLE}::test_each_report_of_a_vessel_has_the_oracle_s_outcome_and_belief",),
+    "estimator/core/law.c": (_LAW_CORE, "tests/companion/test_follow_deck.py"),
+    "estimator/core/law_axis.c": (_LAW_CORE, "tests/companion/test_margins.py"),
+    "estimator/core/law_climb.c": (_LAW_CORE,),
+    "estimator/core/law_deck.c": (_LAW_CORE,),
     "estimator/core/correction.c": (*_CORE, *_SIGHTINGS[1:]),
     "estimator/core/rotation.c": (
         "tests/estimator/ekf/test_half_turn.py",
@@ -124,14 +129,10 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/companion/test_rendezvous.py",
     ),
     "companion/guidance/follow_deck.py": ("tests/companion/test_follow_deck.py", *_LAW),
-    "companion/guidance/heave.py": ("tests/companion/test_heave.py", *_LAW),
-    "companion/guidance/climb_law.py": ("tests/companion/test_climb_law.py", *_LAW),
+    "companion/guidance/law_records.py": (_LAW_CORE, "tests/companion/test_follow_deck.py"),
     "companion/guidance/tilt_law.py": _AXIS,
-    "companion/guidance/axis.py": _AXIS,
     "companion/guidance/disturbance.py": _AXIS,
-    "companion/guidance/own_part.py": ("tests/companion/test_own_part.py",),
     "companion/guidance/margins.py": ("tests/companion/test_margins.py",),
-    "companion/guidance/deck_turn.py": ("tests/companion/test_deck_turn.py",),
     "companion/guidance/response.py": (
         "tests/companion/test_response.py",
         "tests/companion/test_law.py::test_the_discrete_model_is_the_continuous_one",

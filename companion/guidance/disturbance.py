@@ -16,7 +16,6 @@ from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from msgspec import Struct
 
 from companion.guidance.riccati import observer
 
@@ -52,15 +51,6 @@ class ObserverGains(NamedTuple):
     rows: tuple[tuple[float, float, float], ...]
 
 
-class Observed(Struct, frozen=True):
-    """The state of one axis."""
-
-    p: float
-    w: float
-    d: float
-    b: float
-
-
 @lru_cache(maxsize=16)
 def observer_gains(noise: ObserverNoise, period_s: float) -> tuple[ObserverGains, ...]:
     """Return the steady gains for each of `SIGMAS_P_M`."""
@@ -81,27 +71,3 @@ def observer_gains(noise: ObserverNoise, period_s: float) -> tuple[ObserverGains
 def chosen(table: tuple[_Kept, ...], sigma_p_m: float) -> _Kept:
     """Return what is kept for a standard deviation of the place; the table has one entry for each of `SIGMAS_P_M`."""
     return table[min(bisect_left(_UP_TO_M, sigma_p_m), len(_UP_TO_M) - 1)]
-
-
-def observed(
-    x: Observed, gains: ObserverGains, dt: float, a_deck: float, a_lean: float, p: float, w: float, a_body: float | None
-) -> Observed:
-    """Return the state of one axis after `dt` s.
-
-    Args:
-        a_deck: acceleration of the deck, m/s^2.
-        a_lean: reported tilt as an acceleration, mean over the step.
-        p, w: place and speed of the pad against the body by the filter, m and m/s.
-        a_body: levelled acceleration of the body; None if it is not known now.
-    """
-    push = a_deck - a_lean - x.d
-    p1, w1 = x.p + dt * x.w + 0.5 * dt * dt * push, x.w + dt * push
-    ep, ew = p - p1, w - w1
-    ea = 0.0 if a_body is None else a_body - a_lean - x.d - x.b
-    (pp, pw, pa), (wp, ww, wa), (dp, dw, da), (bp, bw, ba) = gains.rows
-    return Observed(
-        p1 + pp * ep + pw * ew + pa * ea,
-        w1 + wp * ep + ww * ew + wa * ea,
-        x.d + dp * ep + dw * ew + da * ea,
-        x.b + bp * ep + bw * ew + ba * ea,
-    )

@@ -14,15 +14,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.guidance.axis import AxisMeasured, TiltAxis, command, commanded, observed
-from companion.guidance.disturbance import Observed, ObserverNoise, chosen, observer_gains
-from companion.guidance.response import TiltResponse, tilt_model
+from companion.guidance.disturbance import ObserverNoise, chosen, observer_gains
+from companion.guidance.law_records import packed_gains, packed_observer, packed_params
+from companion.guidance.response import ClimbResponse, TiltResponse, tilt_model
 from companion.guidance.tilt_law import TiltWeights, tilt_gains
 from estimator.contracts.geometry import F64
+from estimator.core.interface import size_of
+from estimator.core.library import CORE, address
 
 PERIOD_S = 0.02
 """The guidance period that the margins are for, s."""
 _SIGMA_P_M = 0.01
+_OBSERVE, _TILT = CORE.function("law_observe"), CORE.function("law_tilt")
+_AXIS_SIZE, _SEEN = size_of("law_axis"), 7
+"""Words of an axis of the law, and those of them before the commands under way."""
+_ANY_CLIMB = ClimbResponse(0.1, 0.1)
+"""A horizontal axis knows nothing of it."""
 
 
 class GaussMarkov(NamedTuple):
@@ -89,18 +96,18 @@ def margins(
     seeing = chosen(observer_gains(noise or ObserverNoise(), PERIOD_S), _SIGMA_P_M)
     vehicle = tilt_model(true or assumed, PERIOD_S)
     n = max(1, math.ceil(assumed.delay_s / PERIOD_S - 1e-9))
-    a_plant, own = len(vehicle.A), 7 + n
+    a_plant, own = len(vehicle.A), _SEEN + n
     A = vehicle.A.copy()
     A[1, 1] -= PERIOD_S * around.drag_1_s
+    params = packed_params(assumed, _ANY_CLIMB, PERIOD_S, n)
+    packed, observer = packed_gains(gains, n, 1, assumed.slowness_s), packed_observer(seeing)
 
     def law(state: F64, z: F64) -> tuple[F64, float]:
-        s = state.tolist()
-        axis = TiltAxis(Observed(*s[:4]), s[4], s[5], s[6], tuple(s[7:]))
-        p, w, lean, rate, a_body = z.tolist()
-        axis = observed(axis, AxisMeasured(p, w, lean, rate, a_body), PERIOD_S, seeing, assumed, axis.under_way[-1])
-        seen, u = axis.seen, command(axis, gains, axis.seen.p, 0.0, 0.0)
-        axis = commanded(axis, u)
-        return np.array([seen.p, seen.w, seen.d, seen.b, axis.lean, axis.rate, axis.lag, *axis.under_way]), u
+        before, after, measured = np.zeros(_AXIS_SIZE), np.zeros(_AXIS_SIZE), np.append(z, 0.0)
+        before[:own] = state
+        _OBSERVE(params.address, observer.address, PERIOD_S, state[-1], address(before), address(measured), address(after))
+        u = _TILT(address(after), packed.address, after[0], 0.0, 0.0)
+        return np.array([*after[:_SEEN], u, *state[_SEEN:-1]]), u
 
     columns = [law(e, np.zeros(5)) for e in np.eye(own)]
     Ac, Cc = np.array([c[0] for c in columns]).T, np.array([c[1] for c in columns])

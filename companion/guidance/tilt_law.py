@@ -57,23 +57,3 @@ def tilt_gains(response: TiltResponse, weights: TiltWeights, period_s: float, *,
     K = regulator(model.A, model.B[:, None], Q, np.array([[weights.u_m_s2**-2]]))[0].tolist()
     lag = K[4] if m == 5 else 0.0
     return TiltGains(K[0], K[1], K[2], K[3], lag, tuple(K[m:]))
-
-
-def tilt_command(
-    gains: TiltGains, p: float, w: float, a: float, rate: float, lag: float, under_way: tuple[float, ...], now: float, then: float
-) -> float:
-    """Return the tilt to command on one axis, as an acceleration.
-
-    Args:
-        p: the pad's place less the wanted one, m.
-        w: speed of the pad against the body, m/s.
-        a, rate: reported tilt, m/s^2, and its rate, m/s^3.
-        lag: the rotors' state, m/s^2.
-        under_way: commands that have not arrived, newest first, m/s^2; as many as there are gains.
-        now: tilt that holds the body over the deck now, m/s^2.
-        then: the same when this command has taken effect.
-    """
-    off = gains.p * p + gains.w * w + gains.a * (a - now) + gains.rate * rate + gains.lag * (lag - now)
-    for k, u in zip(gains.under_way, under_way, strict=True):
-        off += k * (u - now)
-    return then - off

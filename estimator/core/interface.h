@@ -54,6 +54,7 @@
 #define STATE_ALONE 0
 #define WITH_COVARIANCE 1
 #define WITH_AIDING 2
+#define UNDER_WAY_MAX 132
 #define EDGE_KINDS 4
 #define PAD_CONTRASTS 4
 #define REGION_CIRCLES 2
@@ -391,6 +392,110 @@ typedef struct {
     double wave_zeta[5];
     double wave_sigma[5];
 } answer;
+
+typedef struct {
+    int64_t remembered;
+    int64_t over_ground;
+    int64_t keeps_in_view;
+    int64_t looks_ahead;
+    double period_s;
+    double frequency_rad_s;
+    double damping;
+    double lag_s;
+    double tilt_max_m_s2;
+    double climb_lag_s;
+    double climb_max_m_s;
+    double view_forward_m;
+    double view_right_m;
+    double half_forward_rad;
+    double half_right_rad;
+} law_params;
+
+typedef struct {
+    int64_t n;
+    int64_t tilt_delay;
+    int64_t climb_delay;
+    double slowness_s;
+    double p;
+    double w;
+    double a;
+    double rate;
+    double lag;
+    double under_way[132];
+} law_gains;
+
+typedef struct {
+    double p;
+    double w;
+    double d;
+    double b;
+    double lean;
+    double rate;
+    double lag;
+    double under_way[132];
+} law_axis;
+
+typedef struct {
+    double p;
+    double w;
+    double lean;
+    double rate;
+    double a_body;
+    double a_deck;
+} axis_measured;
+
+typedef struct {
+    double own;
+    double lean;
+    double rate;
+} law_own;
+
+typedef struct {
+    int64_t begun;
+    int64_t has_turn;
+    double pushed_down_m_s2;
+    double turn_yaw_rad;
+    double turn_rate_rad_s;
+    double climbs[132];
+    law_axis axes[2];
+    law_own own[2];
+} law_memory;
+
+typedef struct {
+    int64_t goes_on;
+    int64_t steers;
+    int64_t has_deck;
+    int64_t horizons;
+    int64_t has_yaw;
+    int64_t has_rate;
+    int64_t has_wanted_yaw;
+    int64_t has_lean_max;
+    double dt;
+    double share;
+    double forecast_age_s;
+    double heading_rad;
+    double d[3];
+    double v[3];
+    double yaw_rad;
+    double a_body[3];
+    double w_body[3];
+    double lean[2];
+    double v_deck[3];
+    double a_deck[3];
+    double wanted[3];
+    double rate_m_s;
+    double rate_max_m_s;
+    double speed_max_m_s;
+    double wanted_yaw_rad;
+    double lean_max_rad;
+} law_cycle;
+
+typedef struct {
+    double a[2];
+    double trim[2];
+    double v[3];
+    double yaw_rate_rad_s;
+} law_command;
 
 typedef struct {
     int64_t circles;
@@ -982,6 +1087,13 @@ int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis);
 void kalman_predict(int32_t n, const double *P, const double *F, const double *Q, double *P_after);
 int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx, double *P_after, double *S, double *nis);
 
+/* law.c */
+void law_step(const law_params *o, const law_gains *gains, const law_gains *gains_before, const double *observer, const law_cycle *in, const double *horizons_s, const double *rates_m_s, const law_memory *before, law_memory *after, law_command *out);
+
+/* law_axis.c */
+void law_observe(const law_params *o, const double *observer, double dt, double arrived, const law_axis *before, const axis_measured *z, law_axis *after);
+double law_tilt(const law_axis *x, const law_gains *gains, double off_m, double a_deck, double a_deck_then);
+
 /* register.c */
 int32_t register_pad(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad, int32_t points, const double *edges, const int32_t *edge_of, const tilt_prior *prior, const fit_options *o, const double *start, int32_t room, float *scratch, registration *out, double *outline);
 
@@ -1063,7 +1175,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 1240056145u
+#define INTERFACE_DIGEST 2424589451u
 #endif
 
 #endif

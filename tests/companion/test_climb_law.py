@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from companion.guidance.climb_law import climb_command, predicted, pushed
 from companion.guidance.response import ClimbResponse
+from tests.companion.oracle.climb_law import climb_command, predicted, pushed
 
 T = 0.005
 RESPONSE = ClimbResponse(delay_s=0.0, lag_s=0.3)

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.config.settings import shipped_response
-from companion.guidance import deck_turn
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.deck_turn import MOST_RAD_S
 from companion.guidance.follow_deck import FollowDeck
 from estimator.contracts.commands import Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.motion import BodyMotion
 from estimator.contracts.time import MonoNs
+from tests.companion.oracle import deck_turn
+from tests.companion.oracle.deck_turn import MOST_RAD_S
 
 T = 0.02
 ALONG = Target(np.array([0.0, 0.0, 1.0]), yaw_rad=0.0)

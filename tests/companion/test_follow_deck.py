@@ -11,20 +11,24 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.config.settings import shipped_response
-from companion.guidance import climb_law, own_part, tuning
+from companion.guidance import tuning
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import FollowDeck, FollowDeckMemory
 from companion.guidance.options import PidOptions
 from companion.guidance.pid_controller import PidController
 from companion.guidance.response_watch import ResponseInUse, ResponseState
 from companion.guidance.tuning import TuningChoice
-from companion.guidance.view import FieldOfView, lean_in_view
+from companion.guidance.view import FieldOfView
 from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
 from estimator.ekf import Forecast
+from tests.companion.oracle import climb_law, own_part
+from tests.companion.oracle.follow_deck import OracleMemory
+from tests.companion.oracle.memory import packed, plain
+from tests.companion.oracle.view import lean_in_view
 
 RESPONSE = shipped_response("ardrone2")
 T = 0.02
@@ -63,6 +67,11 @@ def stepped(
     memory, command = law.step(memory, k.at, k, target)
     assert isinstance(command, Lean)
     return memory, command
+
+
+def seen(memory: FollowDeckMemory, law: FollowDeck = LAW, *, over_ground: bool = False) -> OracleMemory:
+    """The memory's content."""
+    return plain(memory, law._remembered, over_ground=over_ground)
 
 
 def asked(command: Lean) -> F64:
@@ -109,10 +118,11 @@ def test_after_half_a_second_of_silence_it_begins_again_and_keeps_the_wind(silen
     memory = LAW.start()
     for k in range(100):
         memory, _ = stepped(memory, known(k * T, lean=(0.5, -0.3), yaw=0.2, rates=(0.0, 0.0, 0.1)))
-    assert memory.axes is not None
-    wind, before = [axis.seen.d for axis in memory.axes], memory.axes[0].under_way
+    known_by_then = seen(memory).axes
+    assert known_by_then is not None
+    wind, before = [axis.seen.d for axis in known_by_then], known_by_then[0].under_way
     assert abs(wind[0]) > 0.1
-    after, _ = stepped(memory, known(99 * T + silent_s, (0.0, 0.0, 1.0), lean=(0.1, 0.2), yaw=0.2))
+    after = seen(stepped(memory, known(99 * T + silent_s, (0.0, 0.0, 1.0), lean=(0.1, 0.2), yaw=0.2))[0])
     assert after.axes is not None
     assert after.turn is not None
     if kept:
@@ -188,11 +198,12 @@ def test_while_somebody_else_commands_it_notes_what_the_vehicle_does() -> None:
         now = known(k * T, v=(0.0, 0.0, -0.2), lean=(0.3, -0.1), v_deck=(0.0, 0.0, 0.5), heading=1.0)
         memory, command = LAW.step(memory, now.at, now, None)
         assert command == Hover()
-    assert memory.axes is not None
+    noted = seen(memory)
+    assert noted.axes is not None
     c, s = math.cos(1.0), math.sin(1.0)
-    assert memory.axes[0].under_way[0] == pytest.approx(0.3 * c + 0.1 * s)
-    assert memory.axes[1].under_way[0] == pytest.approx(0.3 * s - 0.1 * c)
-    assert memory.climbs[:4] == (pytest.approx(0.7),) * 3 + (0.0,)
+    assert noted.axes[0].under_way[0] == pytest.approx(0.3 * c + 0.1 * s)
+    assert noted.axes[1].under_way[0] == pytest.approx(0.3 * s - 0.1 * c)
+    assert noted.climbs[:4] == (pytest.approx(0.7),) * 3 + (0.0,)
 
 
 def test_without_the_bodys_motion_the_plain_controller_flies_and_without_that_nobody() -> None:
@@ -253,33 +264,34 @@ def test_what_the_vehicle_answers_to_is_the_command_of_its_delay_ago(
     n = max(1, round((climb_delay_s + longer) / T))
     n_tilt = math.ceil((RESPONSE.tilt.delay_s + longer) / T - 1e-9)
     memory, rng = law.start(), np.random.default_rng(1)
-    length = len(memory.climbs)
     for k in range(30):
         a_down, v_down, off_m = rng.normal(size=3).tolist()
-        before = memory
+        before = seen(memory, law)
         now = known(k * T, (0.05 * off_m, 0.0, 1.0 + rng.normal()), (0.0, 0.0, -v_down), a_down=a_down, response=response)
         memory, _ = stepped(memory, now, law=law)
-        assert memory.axes is not None
-        assert len(memory.climbs) == length
+        after = seen(memory, law)
+        assert after.axes is not None
         if before.axes is not None:
             arrived = before.climbs[n - 1]
             expected = climb_law.pushed(before.pushed_down_m_s2, a_down, v_down, arrived, T, law.response.climb)
-            assert memory.pushed_down_m_s2 == pytest.approx(expected)
+            assert after.pushed_down_m_s2 == pytest.approx(expected)
             keep, north = math.exp(-T / RESPONSE.tilt.lag_s), before.axes[0]
-            assert memory.axes[0].lag == pytest.approx(keep * north.lag + (1.0 - keep) * north.under_way[n_tilt - 1])
+            assert after.axes[0].lag == pytest.approx(keep * north.lag + (1.0 - keep) * north.under_way[n_tilt - 1])
 
 
 def test_while_gains_change_what_has_arrived_and_what_is_asked_lie_between_those_of_either() -> None:
     now, later, share = known(0.5, (0.0, 0.0, 1.4), (0.0, 0.0, -0.3), response=IDENTIFIED), TuningChoice(0.15), 0.25
-    memory, _ = stepped(LAW.start(), known(0.48, (0.1, 0.0, 1.0)))
+    memory = seen(stepped(LAW.start(), known(0.48, (0.1, 0.0, 1.0)))[0])
     n = round(RESPONSE.climb.delay_s / T)
     n_later, n_tilt = round((RESPONSE.climb.delay_s + 0.15) / T), math.ceil(RESPONSE.tilt.delay_s / T - 1e-9)
     n_tilt_later = math.ceil((RESPONSE.tilt.delay_s + 0.15) / T - 1e-9)
     assert memory.axes is not None
     axes = tuple(structs.replace(axis, under_way=tuple(0.1 * k for k in range(len(axis.under_way)))) for axis in memory.axes)
 
-    def flown(climbs: list[float], **fields: object) -> tuple[FollowDeckMemory, Lean]:
-        return stepped(structs.replace(memory, climbs=tuple(climbs), axes=axes, **fields), now)  # type: ignore[arg-type]
+    def flown(climbs: list[float], **fields: object) -> tuple[OracleMemory, Lean]:
+        begun = structs.replace(memory, climbs=tuple(climbs), axes=axes, **fields)  # type: ignore[arg-type]
+        after, command = stepped(packed(begun), now)
+        return seen(after), command
 
     rising = [0.05 * k for k in range(len(memory.climbs))]
     made, _ = flown(rising, tuning=later, tuning_before=TuningChoice(), share=share - T)
@@ -302,12 +314,21 @@ def test_commands_are_remembered_for_as_long_as_any_delay_that_is_flown_with() -
         RESPONSE, tilt=structs.replace(RESPONSE.tilt, delay_s=0.5), climb=structs.replace(RESPONSE.climb, delay_s=0.5)
     )
     law, assumed = FollowDeck(slow, T), ResponseInUse(ResponseState.ASSUMED, 0.5, None)
+    assert law._remembered * T >= 0.5 + tuning.SOFTER_LONGER_S
     memory = law.start()
-    assert len(memory.climbs) * T >= 0.5 + tuning.SOFTER_LONGER_S
     for k in range(3):
-        memory, _ = stepped(memory, known(k * T, response=assumed), law=law)
-        assert memory.axes is not None
-        assert len(memory.axes[0].under_way) * T >= 0.5 + tuning.SOFTER_LONGER_S
+        memory, _ = stepped(memory, known(k * T, lean=(0.2, 0.0), response=assumed), law=law)
+    axes = seen(memory, law).axes
+    assert axes is not None
+    assert axes[0].under_way[3:] == (pytest.approx(0.2),) * (law._remembered - 3), "the oldest are its lean at the first cycle"
+    assert axes[0].under_way[0] != pytest.approx(0.2)
+
+
+def test_a_law_keeps_no_more_commands_than_the_core() -> None:
+    with pytest.raises(ValueError, match=r"136 commands of 0\.00333.* are under way, and the law keeps 132"):
+        FollowDeck(RESPONSE, 1.0 / 300.0)
+    with pytest.raises(ValueError, match="a command that acts after 30 periods is forgotten after 24"):
+        LAW._gains(TuningChoice(0.7), 0.01)
 
 
 @pytest.mark.parametrize("state", [ResponseState.ASSUMED, ResponseState.KNOWN])
@@ -323,19 +344,19 @@ def test_a_velocity_loops_own_lean_is_followed_axis_by_axis_and_told_as_trim() -
     memory, at = law.start(), 0.0
     for dt, target in ((0.0, HOLD), (T, None), (T, HOLD), (0.5, HOLD), (0.03, None), (0.6, HOLD), (T, HOLD)):
         at += dt
-        now, before = known(at, lean=(0.3 + at, -0.1 - at), heading=1.0), memory
+        now, before = known(at, lean=(0.3 + at, -0.1 - at), heading=1.0), seen(memory, law, over_ground=True)
         memory, command = law.step(memory, now.at, now, target)
-        assert memory.axes is not None
-        assert memory.own is not None
-        for k, axis in enumerate(memory.axes):
+        after = seen(memory, law, over_ground=True)
+        assert after.axes is not None
+        assert after.own is not None
+        for k, axis in enumerate(after.axes):
             if before.own is None or dt > 0.5:
                 expected = own_part.begun(axis.lean)
             elif target is None:
                 expected = own_part.hovered(before.own[k], axis.lean, dt)
             else:
                 expected = own_part.flown(before.own[k], axis.lean, axis.lag, dt, RESPONSE.tilt)
-            assert memory.own[k] == pytest.approx(expected)
+            assert after.own[k] == pytest.approx(expected)
         if isinstance(command, Lean):
-            north, east = memory.own[0].own, memory.own[1].own
+            north, east = after.own[0].own, after.own[1].own
             assert command.trim_level == pytest.approx([c * north + s * east, c * east - s * north])
-    assert stepped(LAW.start(), known(0.0))[0].own is None

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.guidance.heave import STILL, DeckAhead, deck_ahead
 from estimator.contracts.motion import DeckMotion
 from estimator.ekf import Forecast
 from tests.companion.mission_flights import ns
+from tests.companion.oracle.heave import STILL, DeckAhead, deck_ahead
 from tests.companion.test_clearance import forecast
 
 HORIZONS = np.array([0.0, 0.1, 0.3, 0.6, 1.0])

@@ -12,20 +12,21 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.config.settings import shipped_response
-from companion.guidance import climb_law, own_part
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import FollowDeck
-from companion.guidance.heave import STILL, deck_ahead
 from companion.guidance.margins import margins
 from companion.guidance.response import ClimbResponse, TiltResponse, tilt_model
 from companion.guidance.riccati import exponential, observer, regulator, riccati
-from companion.guidance.view import LEAST_M_S2, FieldOfView, lean_in_view
+from companion.guidance.view import FieldOfView
 from estimator.contracts.commands import Hover, Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
 from estimator.ekf import Forecast
+from tests.companion.oracle import climb_law, own_part
+from tests.companion.oracle.heave import STILL, deck_ahead
+from tests.companion.oracle.view import LEAST_M_S2, lean_in_view
 
 RESPONSE = shipped_response("ardrone2")
 T = 0.02

@@ -11,11 +11,11 @@ from msgspec import structs
 
 from companion.config.settings import shipped_response
 from companion.guidance import disturbance
-from companion.guidance.axis import AxisMeasured, begun, command, commanded, observed
 from companion.guidance.margins import PERIOD_S, AxisDisturbances, GaussMarkov, by_frequency, margins
 from companion.guidance.response import TiltResponse, tilt_model
 from companion.guidance.tilt_law import TiltWeights, tilt_gains
 from estimator.contracts.geometry import F64
+from tests.companion.oracle.axis import AxisMeasured, begun, command, commanded, observed
 
 SHIPPED = shipped_response("ardrone2").tilt
 AGILE = TiltResponse(0.01, 45.0, 0.6, 0.0)

@@ -9,11 +9,13 @@ import pytest
 from msgspec import structs
 from scipy.linalg import solve_discrete_are
 
-from companion.guidance import axis, disturbance
-from companion.guidance.axis import AxisMeasured, TiltAxis
-from companion.guidance.disturbance import SIGMAS_P_M, Observed, ObserverGains, ObserverNoise
+from companion.guidance import disturbance
+from companion.guidance.disturbance import SIGMAS_P_M, ObserverGains, ObserverNoise
 from companion.guidance.response import TiltResponse, tilt_model
-from companion.guidance.tilt_law import TiltGains, TiltWeights, tilt_command, tilt_gains
+from companion.guidance.tilt_law import TiltGains, TiltWeights, tilt_gains
+from tests.companion.oracle import axis, observer
+from tests.companion.oracle.axis import AxisMeasured, TiltAxis, tilt_command
+from tests.companion.oracle.observer import Observed
 
 NO_GAINS = ObserverGains(((0.0, 0.0, 0.0),) * 4)
 GAINS = ObserverGains(((0.11, 0.22, 0.33), (0.44, 0.55, 0.66), (-0.77, -0.88, 0.99), (0.13, -0.17, 0.19)))
@@ -26,15 +28,15 @@ DT = 0.02
 
 
 def test_without_gains_the_pad_moves_on_by_what_pushes_the_body() -> None:
-    x = disturbance.observed(X, NO_GAINS, 0.5, 1.5, 0.3, 9.0, 9.0, 9.0)
+    x = observer.observed(X, NO_GAINS, 0.5, 1.5, 0.3, 9.0, 9.0, 9.0)
     assert tuple(structs.astuple(x)) == pytest.approx((1.0 - 0.25 + 0.125 * 0.5, -0.5 + 0.25, 0.7, 0.2))
 
 
 @pytest.mark.parametrize(("a_body", "missing"), [(2.0, 2.0 - 0.3 - 0.7 - 0.2), (None, 0.0)])
 def test_what_is_measured_corrects_by_its_gain(a_body: float | None, missing: float) -> None:
-    still = structs.astuple(disturbance.observed(X, NO_GAINS, 0.5, 1.5, 0.3, 0.0, 0.0, None))
+    still = structs.astuple(observer.observed(X, NO_GAINS, 0.5, 1.5, 0.3, 0.0, 0.0, None))
     errors = np.array([1.4 - still[0], -0.6 - still[1], missing])
-    x = disturbance.observed(X, GAINS, 0.5, 1.5, 0.3, 1.4, -0.6, a_body)
+    x = observer.observed(X, GAINS, 0.5, 1.5, 0.3, 1.4, -0.6, a_body)
     assert tuple(structs.astuple(x)) == pytest.approx(tuple(np.array(still) + np.array(GAINS.rows) @ errors))
 
 
@@ -98,7 +100,7 @@ def test_rotors_have_a_lag_from_a_tenth_of_a_millisecond_on(lag_s: float, keep: 
 
 def test_the_tilt_is_carried_on_by_the_model_and_a_quarter_of_the_gyro() -> None:
     new = axis.observed(KNOWN, Z, DT, GAINS, TILT, arrived=-0.6)
-    assert new.seen == disturbance.observed(KNOWN.seen, GAINS, DT, 0.25, 0.4, 1.2, -0.4, 1.6)
+    assert new.seen == observer.observed(KNOWN.seen, GAINS, DT, 0.25, 0.4, 1.2, -0.4, 1.6)
     keep = math.exp(-DT / 0.08)
     assert new.lag == pytest.approx(keep * 0.9 + (1.0 - keep) * -0.6)
     model = 1.1 + DT * (81.0 * (0.9 - 0.3) - 2.0 * 0.7 * 9.0 * 1.1)
@@ -110,7 +112,7 @@ def test_the_tilt_is_carried_on_by_the_model_and_a_quarter_of_the_gyro() -> None
 def test_no_disturbance_is_beyond_four_metres_per_second_squared(a_body: float, d: float) -> None:
     z = structs.replace(Z, a_body=a_body)
     new = axis.observed(KNOWN, z, DT, GAINS, TILT, 0.0)
-    free = disturbance.observed(KNOWN.seen, GAINS, DT, 0.25, 0.4, 1.2, -0.4, a_body)
+    free = observer.observed(KNOWN.seen, GAINS, DT, 0.25, 0.4, 1.2, -0.4, a_body)
     assert abs(free.d) > 4.0
     assert new.seen == structs.replace(free, d=d)
 

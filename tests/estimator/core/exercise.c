@@ -279,11 +279,12 @@ static void gate(int m, double poison)
 #include "exercise_align.h"
 #include "exercise_search.h"
 #include "exercise_video.h"
+#include "exercise_law.h"
 
 static void fuzz_one(const uint8_t *bytes, size_t size)
 {
     begin(bytes, size);
-    const int what = fuzzed_byte() % 9;
+    const int what = fuzzed_byte() % 10;
     if (what == 0) {
         const int n = 1 + draw() % ORDER_MAX, m = 1 + draw() % ROWS_MAX;
         algebra(n, m, 1.0);
@@ -302,6 +303,8 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
         searches(1);
     } else if (what == 8) {
         video(1);
+    } else if (what == 9) {
+        law(1 + draw() % 20, 1.0);
     } else {
         sail(draw() % 7, 1 + draw() % 200, 1.0);
     }
@@ -376,6 +379,10 @@ int main(int count, char **files)
     report("search_room search_circles search_heading search_guesses search_strokes_room search_strokes");
     video(40);
     report("uvlc_header uvlc_decode uvlc_encode");
+    for (int k = 0; k < 40; k++) {
+        law(25, poisons[k % 8 == 7 ? 4 : 0]);
+    }
+    report("law_observe law_tilt law_step");
     simulator();
     report("vehicle_step vehicle_carry sim_run sensors_read vessel_moved vessel_mounted");
     return 0;

@@ -6,10 +6,11 @@ import math
 
 from msgspec import Struct
 
-from companion.guidance import disturbance
-from companion.guidance.disturbance import Observed, ObserverGains
+from companion.guidance.disturbance import ObserverGains
 from companion.guidance.response import TiltResponse
-from companion.guidance.tilt_law import TiltGains, tilt_command
+from companion.guidance.tilt_law import TiltGains
+from tests.companion.oracle import observer
+from tests.companion.oracle.observer import Observed
 
 _DISTURBANCE_MAX_M_S2 = 4.0
 _GYRO_SHARE = 0.25
@@ -63,7 +64,7 @@ def observed(axis: TiltAxis, z: AxisMeasured, dt: float, gains: ObserverGains, t
     Args:
         arrived: the commanded tilt that acts on the vehicle now, m/s^2.
     """
-    seen = disturbance.observed(axis.seen, gains, dt, z.a_deck, 0.5 * (z.lean + axis.lean), z.p, z.w, z.a_body)
+    seen = observer.observed(axis.seen, gains, dt, z.a_deck, 0.5 * (z.lean + axis.lean), z.p, z.w, z.a_body)
     d = min(_DISTURBANCE_MAX_M_S2, max(-_DISTURBANCE_MAX_M_S2, seen.d))
     keep = math.exp(-dt / tilt.lag_s) if tilt.lag_s > 1e-4 else 0.0
     lag = keep * axis.lag + (1.0 - keep) * arrived
@@ -93,3 +94,23 @@ def command(axis: TiltAxis, gains: TiltGains, off_m: float, a_deck: float, a_dec
     now, then = reference(axis, a_deck), reference(axis, a_deck_then)
     under_way = axis.under_way[: len(gains.under_way)]
     return tilt_command(gains, off_m, axis.seen.w, axis.lean, axis.rate, axis.lag, under_way, now, then)
+
+
+def tilt_command(
+    gains: TiltGains, p: float, w: float, a: float, rate: float, lag: float, under_way: tuple[float, ...], now: float, then: float
+) -> float:
+    """Return the tilt to command on one axis, as an acceleration.
+
+    Args:
+        p: the pad's place less the wanted one, m.
+        w: speed of the pad against the body, m/s.
+        a, rate: reported tilt, m/s^2, and its rate, m/s^3.
+        lag: the rotors' state, m/s^2.
+        under_way: commands that have not arrived, newest first, m/s^2; as many as there are gains.
+        now: tilt that holds the body over the deck now, m/s^2.
+        then: the same when this command has taken effect.
+    """
+    off = gains.p * p + gains.w * w + gains.a * (a - now) + gains.rate * rate + gains.lag * (lag - now)
+    for k, u in zip(gains.under_way, under_way, strict=True):
+        off += k * (u - now)
+    return then - off
