@@ -108,6 +108,15 @@ static void forecast_tilt(const present *now, int axis, const waves_then *waves,
     *sigma = sqrt(fmax(var + waves->var_change, 0.0));
 }
 
+/* A band is no narrower than past forecasts have missed. */
+static void widen_by_misses(const forecast_misses *misses, double horizon_s, int k, waves_then *then)
+{
+    for (int r = 0; r < 2; r++) {
+        then->var[r] = missed_var(misses, horizon_s, k, r, then->var[r]);
+    }
+    then->var_change = missed_var(misses, horizon_s, k, 0, then->var_change);
+}
+
 int32_t filter_forecast(const filter_params *o, int64_t t, const belief *before, const double *P_before, const sea *bank, int32_t n,
                         const double *horizons_s, const horizon_reach *reach, deck_ahead *out)
 {
@@ -117,6 +126,7 @@ int32_t filter_forecast(const filter_params *o, int64_t t, const belief *before,
     present now;
     oscillator_steps steps;
     waves_now sea_now[DIRECTIONS];
+    forecast_misses misses;
     if (before->sighted < 0 || seconds(before->sighted, t) > o->forget_s) {
         return 0;
     }
@@ -128,6 +138,7 @@ int32_t filter_forecast(const filter_params *o, int64_t t, const belief *before,
     align(b.x, now.x);
     level_axes_of(b.R, &now.level);
     skill_factors(&bank->skill, bank->w_rad_s, factors);
+    skill_misses(&bank->skill, factors, &misses);
     steps_to(&o->members, bank, t, &steps);
     for (int k = 0; k < DIRECTIONS; k++) {
         waves_at(&o->members, bank, &steps, k, now.x[RATE + PER_DIRECTION * k], &sea_now[k]);
@@ -139,6 +150,7 @@ int32_t filter_forecast(const filter_params *o, int64_t t, const belief *before,
         for (int k = 0; k < DIRECTIONS; k++) {
             waves_ahead(&sea_now[k], &reach[h], &waves[k]);
             scale_by_skill(&sea_now[k], kept[k], &waves[k]);
+            widen_by_misses(&misses, horizons_s[h], k, &waves[k]);
         }
         forecast_place(&now, horizons_s[h], waves, &out[h]);
         forecast_heave(&now, &waves[ALONG_DOWN], &out[h]);

@@ -201,6 +201,7 @@ typedef struct {
     double n[3];
     double product[30];
     double square[30];
+    double came[30];
 } forecast_skill;
 
 typedef struct {
@@ -1175,7 +1176,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 2424589451u
+#define INTERFACE_DIGEST 11443572u
 #endif
 
 #endif

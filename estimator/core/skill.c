@@ -17,8 +17,28 @@ static const double PRIOR = 0.8;
 /* The number of comparisons that the prior weighs: the first, plus the second times (horizon / period)^4. A wave that passes once
  * is over before its forecasts can be compared, so beyond a period the prior decides. */
 static const double PRIOR_COUNT = 20.0, PRIOR_COUNT_FAR = 100.0;
+/* The number of comparisons that the claimed variance weighs; those of neighbouring instants miss alike. */
+static const double CLAIMED_COUNT = 8.0;
 /* Sum of squares below which nothing was forecast. */
 static const double NOTHING = 1e-12;
+
+/* Where a horizon lies among those that are compared. */
+typedef struct {
+    /* The compared horizons before (-1 for the present) and after it, and the part of the way from one to the other. */
+    int before, after;
+    double part;
+} interval;
+
+static interval interval_of(double horizon_s)
+{
+    int after = 0;
+    while (after < SKILL_HORIZONS - 1 && SKILL_HORIZONS_S[after] <= horizon_s) {
+        after++;
+    }
+    const double start = after == 0 ? 0.0 : SKILL_HORIZONS_S[after - 1];
+    const interval found = {after - 1, after, fmin((horizon_s - start) / (SKILL_HORIZONS_S[after] - start), 1.0)};
+    return found;
+}
 
 int skill_due(const forecast_skill *known, int64_t t)
 {
@@ -37,6 +57,7 @@ static void compare_one(forecast_skill *known, int horizon, int64_t then, double
             const double f = (1.0 - weight) * a->waves[at] + weight * b->waves[at];
             known->product[at] += f * now[k][r];
             known->square[at] += f * f;
+            known->came[at] += now[k][r] * now[k][r];
         }
     }
 }
@@ -49,6 +70,7 @@ static void fade(forecast_skill *known, double factor)
     for (int i = 0; i < SKILL_HORIZONS * DIRECTIONS * 2; i++) {
         known->product[i] *= factor;
         known->square[i] *= factor;
+        known->came[i] *= factor;
     }
 }
 
@@ -101,16 +123,35 @@ void skill_factors(const forecast_skill *known, const double w[DIRECTIONS], doub
 
 void skill_between(double factors[SKILL_HORIZONS][DIRECTIONS][2], double horizon_s, double found[DIRECTIONS][2])
 {
-    int after = 0;
-    while (after < SKILL_HORIZONS - 1 && SKILL_HORIZONS_S[after] <= horizon_s) {
-        after++;
-    }
-    const double start = after == 0 ? 0.0 : SKILL_HORIZONS_S[after - 1];
-    const double part = fmin((horizon_s - start) / (SKILL_HORIZONS_S[after] - start), 1.0);
+    const interval at = interval_of(horizon_s);
     for (int k = 0; k < DIRECTIONS; k++) {
         for (int r = 0; r < 2; r++) {
-            const double before = after == 0 ? 1.0 : factors[after - 1][k][r];
-            found[k][r] = (1.0 - part) * before + part * factors[after][k][r];
+            const double before = at.before < 0 ? 1.0 : factors[at.before][k][r];
+            found[k][r] = (1.0 - at.part) * before + at.part * factors[at.after][k][r];
         }
     }
+}
+
+void skill_misses(const forecast_skill *known, double factors[SKILL_HORIZONS][DIRECTIONS][2], forecast_misses *misses)
+{
+    for (int h = 0; h < SKILL_HORIZONS; h++) {
+        misses->trust[h] = known->n[h] / (CLAIMED_COUNT + known->n[h]);
+        for (int k = 0; k < DIRECTIONS; k++) {
+            for (int r = 0; r < 2; r++) {
+                const int at = (h * DIRECTIONS + k) * 2 + r;
+                const double f = factors[h][k][r];
+                const double sum = known->came[at] + f * (f * known->square[at] - 2.0 * known->product[at]);
+                misses->rms[h][k][r] = known->n[h] > 0.0 ? sqrt(fmax(sum, 0.0) / known->n[h]) : 0.0;
+            }
+        }
+    }
+}
+
+double missed_var(const forecast_misses *misses, double horizon_s, int direction, int r, double claimed)
+{
+    const interval at = interval_of(horizon_s);
+    const double rms = at.before < 0 ? at.part * misses->rms[at.after][direction][r]
+                                     : (1.0 - at.part) * misses->rms[at.before][direction][r] + at.part * misses->rms[at.after][direction][r];
+    const double trust = misses->trust[at.after];
+    return claimed + trust * fmax(rms * rms - claimed, 0.0);
 }

@@ -7,6 +7,14 @@
 /* Horizons of the forecasts that are compared, s. */
 extern const double SKILL_HORIZONS_S[SKILL_HORIZONS];
 
+/* Forecasts that have been compared, by horizon, direction, and displacement or rate. */
+typedef struct {
+    /* Root mean square of what came less what was forecast. */
+    double rms[SKILL_HORIZONS][DIRECTIONS][2];
+    /* How far it is believed, 0..1. */
+    double trust[SKILL_HORIZONS];
+} forecast_misses;
+
 /* Whether the next forecast is to be made at t. */
 int skill_due(const forecast_skill *known, int64_t t);
 /* Compare the present motion (displacement and rate by direction) with earlier forecasts of it, and add one. */
@@ -17,5 +25,10 @@ void skill_compare(forecast_skill *known, int64_t t, double now[DIRECTIONS][2], 
 void skill_factors(const forecast_skill *known, const double w[DIRECTIONS], double factors[SKILL_HORIZONS][DIRECTIONS][2]);
 /* The factors at any horizon, s: 1 at zero, constant beyond the longest that was compared. */
 void skill_between(double factors[SKILL_HORIZONS][DIRECTIONS][2], double horizon_s, double found[DIRECTIONS][2]);
+/* By how much past forecasts, scaled by these factors, have missed what came. */
+void skill_misses(const forecast_skill *known, double factors[SKILL_HORIZONS][DIRECTIONS][2], forecast_misses *misses);
+/* The variance of a forecast of displacement (r = 0) or rate (1) in a direction at a horizon, s: the one that is claimed, or a larger
+ * one as far as the misses, however few they are, show it. */
+double missed_var(const forecast_misses *misses, double horizon_s, int direction, int r, double claimed);
 
 #endif

@@ -172,7 +172,7 @@ def _read(words: F64) -> DeckMotionBank:
     known = words[_SEA["skill"]]
     issued = known[_SKILL["issued"]].reshape(-1, _ISSUED_SIZE)[: known[_SKILL["issued_n"]].view(np.int64).item()]
     waves = (skill.HORIZONS_S.size, DIRECTIONS, 2)
-    product, square = (known[_SKILL[name]].reshape(waves) for name in ("product", "square"))
+    product, square, came = (known[_SKILL[name]].reshape(waves) for name in ("product", "square", "came"))
     return DeckMotionBank(
         words[_SEA["t"]].view(np.int64).item(),
         words[_SEA["log_weight"]].reshape(DIRECTIONS, MEMBERS),
@@ -183,6 +183,7 @@ def _read(words: F64) -> DeckMotionBank:
             known[_SKILL["n"]],
             product,
             square,
+            came,
         ),
         words[_SEA["weight"]].reshape(DIRECTIONS, MEMBERS),
         *(words[_SEA[name]] for name in ("w_rad_s", "zeta", "sigma")),
@@ -201,7 +202,7 @@ def _write(words: F64, bank: DeckMotionBank) -> None:
     known[_SKILL["issued_n"]].view(np.int64)[:] = len(bank.skill.issued)
     for one, into in zip(bank.skill.issued, known[_SKILL["issued"]].reshape(-1, _ISSUED_SIZE), strict=False):
         into[:1].view(np.int64)[:], into[1:] = one.t, one.waves.ravel()
-    for name in ("n", "product", "square"):
+    for name in ("n", "product", "square", "came"):
         known[_SKILL[name]] = getattr(bank.skill, name).ravel()
 
 

@@ -2,7 +2,7 @@
 
 A sea with two wave systems is no single oscillator, so the member of the bank that fits the recent motion best may forecast the
 next seconds badly, with full amplitude. The regression slope of the observed on the forecast motion is the factor that minimises
-the squared error.
+the squared error. What the scaled forecasts have missed nonetheless widens the bands of the next ones.
 """
 
 from __future__ import annotations
@@ -36,3 +36,5 @@ class Skill(NamedTuple):
     """(3, 5, 2) faded sum of forecast times observed motion."""
     square: F64
     """(3, 5, 2) faded sum of the squared forecast motion."""
+    came: F64
+    """(3, 5, 2) faded sum of the squared motion that came."""

@@ -68,7 +68,7 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
     "forecast_skill": (
         *integers("issued_n"),
         Field("issued", "issued_forecast", ISSUED_MAX),
-        *doubles(n=SKILL_HORIZONS, product=_WAVES, square=_WAVES),
+        *doubles(n=SKILL_HORIZONS, product=_WAVES, square=_WAVES, came=_WAVES),
     ),
     "sea": (
         *integers("t"),

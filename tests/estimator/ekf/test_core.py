@@ -76,7 +76,7 @@ def same_sea(ours: DeckMotionBank, oracle: DeckMotionBank) -> None:
     assert [one.t for one in known.issued] == [one.t for one in expected.issued]
     for one, two in zip(known.issued, expected.issued, strict=True):
         close(one.waves, two.waves, "issued")
-    for name in ("n", "product", "square"):
+    for name in ("n", "product", "square", "came"):
         close(getattr(known, name), getattr(expected, name), name)
 
 

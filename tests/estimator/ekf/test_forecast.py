@@ -40,7 +40,8 @@ def learned(seed: int, looks: int, size: float) -> DeckMotionBank:
         seen = var.copy() if seed % 3 else np.array([1e-4] * 3 + [1e6] * 2)
         y = swing * np.sin(w * t) + np.sqrt(var) * rng.normal(size=5)
         sea = bank.observe(sea, T - 100 * MS - round((looks - 1 - k) * 0.25 * S), y, seen, TOOLS.process_noise.carrying, 2.0)
-    known = Skill(sea.skill.issued, rng.uniform(0.0, 60.0, 3), rng.normal(size=(3, 5, 2)), rng.uniform(0.0, 2.0, (3, 5, 2)))
+    product, square, came = rng.normal(size=(3, 5, 2)), *rng.uniform(0.0, 2.0, (2, 3, 5, 2))
+    known = Skill(sea.skill.issued, rng.uniform(0.0, 60.0, 3), product, square, came)
     return sea._replace(skill=known) if seed % 2 else sea
 
 
@@ -89,7 +90,7 @@ def test_a_bank_that_is_sure_forecasts_by_its_members_at_rest_or_by_the_others_a
 
 def test_a_motion_of_a_micrometre_is_foretold_by_the_skill_in_foretelling_it() -> None:
     sea, tiny = learned(4, 8, 1.0), np.full((3, 5, 2), 1.5e-12)
-    b = beginning(4)._replace(sighted=T, sea=sea._replace(skill=Skill(sea.skill.issued, np.full(3, 50.0), tiny, tiny)))
+    b = beginning(4)._replace(sighted=T, sea=sea._replace(skill=Skill(sea.skill.issued, np.full(3, 50.0), tiny, tiny, tiny)))
     same_forecast(b, T + 10 * MS, HORIZONS_S, TOOLS)
 
 

@@ -58,7 +58,7 @@ def test_forecasts_are_compared_issued_and_dropped_at_their_ages(ages_ns: tuple[
     """Of forecasts of these ages: how many pairs are compared with a look, and how many are kept, the new one among them."""
     rng = np.random.default_rng(len(ages_ns))
     told = tuple([IssuedForecast(T - age, rng.normal(size=(3, 5, 2))) for age in ages_ns])
-    known = Skill(told, rng.uniform(5.0, 9.0, 3), rng.normal(size=(3, 5, 2)), rng.uniform(1.0, 2.0, (3, 5, 2)))
+    known = Skill(told, rng.uniform(5.0, 9.0, 3), rng.normal(size=(3, 5, 2)), *rng.uniform(1.0, 2.0, (2, 3, 5, 2)))
     before = learned(t=T - 300 * MS)._replace(skill=known)
     y, var, noise = rng.normal(size=5), np.full(5, 1e-4), TOOLS.process_noise
     after = flown.observe(before, T, y, var, noise, 2.0)

@@ -89,7 +89,9 @@ def ahead(sea: DeckMotionBank, t: int, rate: F64, horizons_s: F64) -> Ahead:
     kept = skill.factor(sea.skill, horizons_s, sea.w_rad_s)
     skill_var = ((1.0 - kept) * mean) ** 2
     mean = kept * mean
-    return Ahead(mean, mean[..., 0] - now, by_rate, var + skill_var, var_change + skill_var[..., 0])
+    var = skill.missed(sea.skill, horizons_s, sea.w_rad_s, var + skill_var)
+    changes = np.repeat((var_change + skill_var[..., 0])[..., None], 2, axis=-1)
+    return Ahead(mean, mean[..., 0] - now, by_rate, var, skill.missed(sea.skill, horizons_s, sea.w_rad_s, changes)[..., 0])
 
 
 @lru_cache(maxsize=16)  # guidance asks for the same horizons again and again

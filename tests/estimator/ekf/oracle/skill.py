@@ -20,10 +20,13 @@ _PRIOR_COUNT, _PRIOR_COUNT_FAR = 20.0, 100.0
 """The number of comparisons that the prior weighs: the first, plus the second times (horizon / period)^4. A wave that passes once
 is over before its forecasts can be compared, so beyond a period the prior decides."""
 
+_CLAIMED_COUNT = 8.0
+"""The number of comparisons that the claimed variance weighs; those of neighbouring instants miss alike."""
+
 
 def unknown() -> Skill:
     """Return the skill before the first comparison."""
-    return Skill((), np.zeros(3), np.zeros((3, 5, 2)), np.zeros((3, 5, 2)))
+    return Skill((), np.zeros(3), np.zeros((3, 5, 2)), np.zeros((3, 5, 2)), np.zeros((3, 5, 2)))
 
 
 def due(skill: Skill, t: int) -> bool:
@@ -42,7 +45,7 @@ def compared(skill: Skill, t: int, now: F64, ahead: F64) -> Skill:
     """
     issued = skill.issued
     fade = math.exp(-(t - issued[-1].t) * 1e-9 / _MEMORY_S) if issued else 1.0
-    n, product, square = fade * skill.n, fade * skill.product, fade * skill.square
+    n, product, square, came = fade * skill.n, fade * skill.product, fade * skill.square, fade * skill.came
     for k, horizon in enumerate(HORIZONS_S.tolist()):
         # Sightings are irregular in time: interpolate between the two forecasts that were made before and after `then`.
         then = t - round(horizon * 1e9)
@@ -53,8 +56,9 @@ def compared(skill: Skill, t: int, now: F64, ahead: F64) -> Skill:
                 n[k] += 1.0
                 product[k] += f * now
                 square[k] += f * f
+                came[k] += now * now
     kept = tuple(one for one in issued if t - one.t <= (HORIZONS_S[-1] + 2.0 * PERIOD_S) * 1e9)
-    return Skill((*kept, IssuedForecast(t, ahead)), n, product, square)
+    return Skill((*kept, IssuedForecast(t, ahead)), n, product, square, came)
 
 
 def prior_factor(horizons_s: F64, w_rad_s: F64) -> F64:
@@ -86,6 +90,26 @@ def factor(skill: Skill, horizons_s: F64, w_rad_s: F64) -> F64:
     i = np.clip(np.searchsorted(knots, horizons_s, side="right") - 1, 0, knots.size - 2)
     part = np.minimum((horizons_s - knots[i]) / (knots[i + 1] - knots[i]), 1.0)[:, None, None]
     return np.asarray((1.0 - part) * at[i] + part * at[i + 1])
+
+
+def missed(skill: Skill, horizons_s: F64, w_rad_s: F64, claimed: F64) -> F64:
+    """Return the variance of a forecast, (H, 5, 2): the claimed one, or a larger one as far as past misses show it.
+
+    Args:
+        skill: the past comparisons.
+        horizons_s: (H,) horizons, s.
+        w_rad_s: (5,) frequency of the waves by direction.
+        claimed: (H, 5, 2) variance that the forecast claims.
+    """
+    f, n = factor(skill, HORIZONS_S, w_rad_s), skill.n[:, None, None]
+    squares = skill.came - 2.0 * f * skill.product + f**2 * skill.square
+    rms = np.sqrt(np.maximum(squares, 0.0) / np.where(n > 0.0, n, math.inf))
+    knots = np.concatenate([[0.0], HORIZONS_S])
+    at = np.concatenate([np.zeros((1, 5, 2)), rms])
+    between = np.stack([[np.interp(horizons_s, knots, at[:, k, r]) for r in range(2)] for k in range(5)])
+    after = np.clip(np.searchsorted(HORIZONS_S, horizons_s, side="right"), 0, HORIZONS_S.size - 1)
+    trust = (skill.n / (_CLAIMED_COUNT + skill.n))[after][:, None, None]
+    return np.asarray(claimed + trust * np.maximum(between.transpose(2, 0, 1) ** 2 - claimed, 0.0))
 
 
 def _periods(horizons_s: F64, w_rad_s: F64) -> F64:
