@@ -55,6 +55,24 @@ def test_beyond_a_period_the_prior_outweighs_a_minute_of_comparisons() -> None:
     assert factor(learned(1.0, 200), HORIZONS_S, quick)[2].max() < 0.5
 
 
+def test_a_band_grows_to_what_past_forecasts_have_missed_and_never_shrinks() -> None:
+    rng = np.random.default_rng(5)
+    known, missed_by = skill.unknown(), np.array([0.1, 0.3, 0.5])
+    claimed = np.full((3, 5, 2), 0.2**2)
+    horizons_s = HORIZONS_S - 1e-9
+    for k in range(400):
+        ahead = missed_by[:, None, None] * rng.normal(size=(3, 5, 2))
+        known = skill.compared(known, k * 500_000_000, np.zeros((5, 2)), ahead)
+        if k == 0:
+            np.testing.assert_array_equal(skill.missed(known, horizons_s, SWELL, claimed), claimed)
+    # Where nothing comes the regression leaves the forecasts out, so what still misses is what came: make it theirs.
+    known = known._replace(product=known.square, came=2.0 * known.square)
+    found = np.sqrt(skill.missed(known, horizons_s, SWELL, claimed))
+    rms = np.sqrt(known.square / known.n[:, None, None])
+    np.testing.assert_allclose(found, np.maximum(0.2, rms), rtol=0.06)
+    assert np.all(skill.missed(known, np.linspace(0.0, 5.0, 21), SWELL, np.full((21, 5, 2), 0.04)) >= 0.04)
+
+
 def test_forecasts_are_kept_until_their_longest_horizon_has_come_and_no_longer() -> None:
     known = learned(1.0, 100)
     assert 5 <= len(known.issued) <= 8
