@@ -31,13 +31,13 @@ from estimator.contracts.samples import Attitude  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.detect.acquire import PadCandidate, acquire  # noqa: E402
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align  # noqa: E402
 from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
-from estimator.vision.register.fit_verification import confidence, features  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
+from estimator.vision.tracker import WORTH_A_TRY  # noqa: E402
+from estimator.vision.verified import CLOSE, SURE, verified  # noqa: E402
 from tests.support.pad_claims import keeps_claim  # noqa: E402
 from tests.support.pad_scenes import (  # noqa: E402
     CONDITIONS,
@@ -91,20 +91,26 @@ def sheet(images: list[np.ndarray], path: Path) -> None:
     cv2.imwrite(str(path), np.vstack([np.hstack(images[i : i + 4]) for i in range(0, len(images), 4)]))
 
 
+def orientation_of(scene: PadScene) -> Orientation:
+    if scene.R_level_body is None:
+        return Orientation.of(None, math.radians(2.0))
+    stamp = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
+    return Orientation.of(Attitude(stamp, scene.R_level_body, np.eye(3) * math.radians(1.0) ** 2), math.radians(2.0))
+
+
 def registered(scene: PadScene, candidates: list[PadCandidate], camera: Camera, pad: Pad) -> tuple[float, bool] | None:
     """Register the candidates; return the best one's confidence, and whether it keeps the verification's claim."""
-    attitude = None
-    if scene.R_level_body is not None:
-        attitude = Attitude(Stamp(MonoNs(0), MonoNs(0), 0.0, "sim"), scene.R_level_body, np.eye(3) * math.radians(1.0) ** 2)
     out: list[tuple[float, bool]] = []
+    orientation, pyramid = orientation_of(scene), Pyramid(scene.px)
     for c in candidates[:2]:
-        found = register(
-            scene.px, camera, pad, c.pose, Orientation.of(attitude, math.radians(2.0)), RegistrationOptions(coarse=False)
-        )
-        aligned = None if found is None else align(Pyramid(scene.px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)
-        if found is not None and aligned is not None:
-            right = scene.truth is not None and keeps_claim(found.pose, scene.truth, camera, pad, found.yaw_ambiguous)
-            out.append((confidence(features(aligned, found, pad)), right))
+        if c.score < WORTH_A_TRY:
+            break
+        of = verified(pyramid, camera, pad, c.pose, orientation, CLOSE, cut=c.cut)
+        if of is not None:
+            right = scene.truth is not None and keeps_claim(of.found.pose, scene.truth, camera, pad, of.found.yaw_ambiguous)
+            out.append((of.confidence, right))
+            if of.confidence >= SURE:
+                break
     return max(out, default=None)
 
 

@@ -73,6 +73,9 @@ static inline float4 align_map_at(const pad_template *p, const int16_t *map, flo
     return (here + along * (next - here)) * (1.0f / TEMPLATE_ONE);
 }
 
+/* Trust the pixels on this side of a cut; returns their number. */
+int align_trust(const double cut[3], pixels *from);
+
 /* The light of the samples. */
 void align_take(float *const light[3], samples *s);
 

@@ -52,16 +52,14 @@ static void keep_paints(const painted *fit, double out[12])
 
 int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, const float *light,
                   const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part, const uint8_t *arrow_px,
-                  int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, float *scratch, aligned_pad *out)
+                  int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, const double *cut, float *scratch, aligned_pad *out)
 {
     pixels from;
     samples s;
     painted fit;
     align_rows((int)(part->width * part->height), scratch, &from, &s);
     align_light(c, p, part, px, stride, light, pose->t[2], 1, s.squared, &from);
-    for (int i = 0; i < from.n; i++) {
-        from.trust[i] = 1.0f;
-    }
+    align_trust(cut, &from);
     const int blur = align_blur_at(c, p, from.side_m, pose->t[2]);
     if (!align_samples(p, align_map(p, maps, blur), &from, pose, 0, &s)) {
         return 0;

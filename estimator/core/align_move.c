@@ -44,7 +44,7 @@ static int trust_side(const pad_pose *pose, const double side[2], pixels *from)
     }
     int used = 0;
     for (int i = 0; i < from->n; i++) {
-        const int beyond = over[0] * from->x[i] + over[1] * from->y[i] + over[2] > 0.0f;
+        const int beyond = over[0] * from->x[i] + over[1] * from->y[i] + over[2] > 0.0f && from->trust[i] > 0.0f;
         from->trust[i] = beyond ? 1.0f : 0.0f;
         used += beyond;
     }
@@ -171,10 +171,7 @@ int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *m
     double tilt[2] = {0.0, 0.0}, step[POSE];
     align_rows((int)(part->width * part->height), scratch, &from, &s);
     align_light(c, p, part, px, stride, light, depth_m, how->local, s.squared, &from);
-    for (int i = 0; i < from.n; i++) {
-        from.trust[i] = 1.0f;
-    }
-    int used = from.n;
+    int used = align_trust(how->cut, &from);
     if (how->one_side) {
         used = trust_side(pose, how->side, &from);
     }

@@ -156,6 +156,18 @@ static void keep_within(double limit, const pixels *from, samples *s)
     }
 }
 
+int align_trust(const double cut[3], pixels *from)
+{
+    const float a = (float)cut[0], b = (float)cut[1], c = (float)cut[2];
+    int used = 0;
+    for (int i = 0; i < from->n; i++) {
+        const int beyond = a * from->x[i] + b * from->y[i] + c < 0.0f;
+        from->trust[i] = beyond ? 0.0f : 1.0f;
+        used += !beyond;
+    }
+    return used;
+}
+
 const int16_t *align_map(const pad_template *p, const int16_t *maps, int blur)
 {
     return maps + (size_t)blur * (size_t)(p->n * p->n) * 4;

@@ -582,6 +582,7 @@ typedef struct {
     double edge_sigma_px;
     double dense_edge_sigma_px;
     double edge_sigma_m;
+    double cut[3];
 } fit_options;
 
 typedef struct {
@@ -695,7 +696,14 @@ typedef struct {
     int64_t one_side;
     double sigma_tilt_rad;
     double side[2];
+    double cut[3];
 } alignment;
+
+typedef struct {
+    double cut[3];
+    double gain;
+    double left;
+} cover_line;
 
 typedef struct {
     double paints[12];
@@ -1053,8 +1061,11 @@ typedef struct {
     int64_t number;
 } uvlc_picture;
 
+/* align_cover.c */
+int32_t align_cover(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const pad_pose *pose, float *scratch, cover_line *out);
+
 /* align_fit.c */
-int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part, const uint8_t *arrow_px, int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, float *scratch, aligned_pad *out);
+int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part, const uint8_t *arrow_px, int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, const double *cut, float *scratch, aligned_pad *out);
 
 /* align_move.c */
 int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const alignment *how, pad_pose *pose, double *tilt_sigmas, float *scratch);
@@ -1176,7 +1187,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 11443572u
+#define INTERFACE_DIGEST 1426707945u
 #endif
 
 #endif

@@ -9,6 +9,8 @@
 enum { PIXELS_MIN = 24, SIDE_MIN = 4, RIM_POINTS = 24 };
 /* Depth below which a point of the disc's rim counts as behind the camera, m. */
 static const double IN_FRONT_M = 0.02;
+/* Reach of the smoothing and of a cut's own blur, px of the reduced grid. */
+static const double SMOOTHED_PX = 2.0;
 
 /* Part of the frame: px, upper limits excluded. */
 typedef struct {
@@ -120,16 +122,18 @@ static void list_pixels(const view *v, const part *p, patch *out)
     }
 }
 
-/* Keep the pixels within `reach_m` of the centre. */
-static void keep_near(const fit_state *s, double reach_m, footprint *f, patch *out)
+/* Keep the pixels within `reach_m` of the centre, and away from what a cut hides. */
+static void keep_near(const view *v, const fit_state *s, double reach_m, footprint *f, patch *out)
 {
+    const double margin = SMOOTHED_PX * out->reduced / v->camera->fx * hypot(v->cut[0], v->cut[1]);
+    const float a = (float)v->cut[0], b = (float)v->cut[1], c = (float)(v->cut[2] - margin);
     const float most = (float)(reach_m * reach_m);
     int kept = 0;
     f->n = out->n;
     look_at(s, out->ray_x, out->ray_y, f);
     for (int i = 0; i < out->n; i++) {
         out->ray_x[kept] = out->ray_x[i], out->ray_y[kept] = out->ray_y[i], out->at[kept] = out->at[i];
-        kept += f->x[i] * f->x[i] + f->y[i] * f->y[i] < most;
+        kept += f->x[i] * f->x[i] + f->y[i] * f->y[i] < most && a * out->ray_x[i] + b * out->ray_y[i] + c >= 0.0f;
     }
     out->n = kept;
 }
@@ -177,7 +181,7 @@ int cut_patch(const view *v, const pad_shape *pad, const fit_state *s, double ma
     average(v, &p, k, out->columns, out->lines, scratch);
     *coarse = reduced(s, k, SMOOTHING_PX2);
     list_pixels(v, &p, out);
-    keep_near(coarse, pad->disc_radius_m + margin_px * coarse->m_per_px, f, out);
+    keep_near(v, coarse, pad->disc_radius_m + margin_px * coarse->m_per_px, f, out);
     read_light(scratch, out);
     if (out->n < PIXELS_MIN) {
         return 0;

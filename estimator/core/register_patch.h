@@ -31,6 +31,8 @@ typedef struct {
     /* Pixel values in blue, green, red, and the linear light of each value. */
     const uint8_t *pixels;
     const float *light;
+    /* The line beyond which rays do not count, as in `fit_options`. */
+    const double *cut;
 } view;
 
 /* Cut out the part of the frame that holds the pad, `margin_px` reduced pixels beyond it, with at most `most` pixels; `coarse` takes

@@ -15,14 +15,16 @@ typedef struct {
     double uv[2], out[2], way_px;
 } sighted;
 
-static int see_point(const camera_lens *camera, const fit_state *s, const double *at, int half, sighted *seen)
+static int see_point(const view *v, const fit_state *s, const double *at, int half, sighted *seen)
 {
+    const camera_lens *camera = v->camera;
     double p[3], way[3];
     in_camera(s, at[0], at[1], p);
     for (int i = 0; i < 3; i++) {
         way[i] = s->R[3 * i] * at[2] + s->R[3 * i + 1] * at[3];
     }
-    if (!(p[2] > NEAREST_M)) {
+    const double *cut = v->cut, margin = (half + 1.0) / camera->fx * hypot(cut[0], cut[1]);
+    if (!(p[2] > NEAREST_M) || cut[0] * p[0] + cut[1] * p[1] + (cut[2] - margin) * p[2] < 0.0) {
         return 0;
     }
     camera_project(camera, p, seen->uv);
@@ -42,7 +44,7 @@ static int see_point(const camera_lens *camera, const fit_state *s, const double
 }
 
 /* The edge points in view, one after the other in `seen` with their indices in `index`; returns their number. */
-static int see_edges(const camera_lens *camera, const fit_state *s, const edge_points *edges, int half, sighted *seen, int32_t *index,
+static int see_edges(const view *v, const fit_state *s, const edge_points *edges, int half, sighted *seen, int32_t *index,
                      double in_view[EDGE_KINDS])
 {
     int n = 0, total[EDGE_KINDS] = {0}, visible[EDGE_KINDS] = {0};
@@ -50,7 +52,7 @@ static int see_edges(const camera_lens *camera, const fit_state *s, const edge_p
     for (int i = 0; i < edges->points; i++) {
         const int kind = edges->of[2 * i];
         total[kind]++;
-        if (see_point(camera, s, edges->at + NUMBERS * i, half, &seen[n])) {
+        if (see_point(v, s, edges->at + NUMBERS * i, half, &seen[n])) {
             way += hypot(seen[n].out[0], seen[n].out[1]) * edges->at[NUMBERS * i + 4];
             seen[n].way_px = way;
             index[n++] = i;
@@ -142,7 +144,7 @@ int sample_profiles(const view *v, const fit_state *s, const edge_points *edges,
 {
     sighted *seen = (sighted *)(void *)doubles;
     int32_t *index = (int32_t *)(void *)keys, *table = index + room, mask = 1;
-    const int n = edges->points <= room ? see_edges(v->camera, s, edges, half, seen, index, out->in_view) : 0;
+    const int n = edges->points <= room ? see_edges(v, s, edges, half, seen, index, out->in_view) : 0;
     if (n < SEEN_MIN || !isfinite(seen[n - 1].way_px)) {
         return 0;
     }

@@ -22,7 +22,6 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
 from estimator.vision.detect import verification
 from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
 from estimator.vision.detect.pyramid import Pyramid
@@ -32,24 +31,21 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register import fit_verification
-from estimator.vision.register.fiducial_cells import cells_log_odds
-from estimator.vision.register.letter_alone import letter_log_odds, nearest_of_four
-from estimator.vision.register.registration import RegistrationOptions, register
+from estimator.vision.register.letter_alone import nearest_of_four
+from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import registered_sighting
 from estimator.vision.thesis.detection import Detection, detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS, ColourSet
+from estimator.vision.verified import CLOSE, ROUGH, SURE, verified
 
-_CLOSE, _ROUGH = RegistrationOptions(coarse=False), RegistrationOptions(coarse=True)
 _CLOSE_PX = 1.0
 """Largest standard deviation of the believed position in the frame at which registration starts directly from it."""
 _CANDIDATES = 2
 """Number of candidates of acquisition that are registered."""
-_WORTH_A_TRY = 0.05
+WORTH_A_TRY = 0.03
+"""Score of a candidate of acquisition, or of a drawing at a method's pose, below which it is not registered."""
 _HEADING_PX = 28.0
 """Smallest radius of the disc in the frame that a heading is searched in."""
-_FITS = 0.5
-"""Confidence below which a tracked pose is dropped for a new search."""
 _EXPECTED_SIGMAS = 3.0
 """Standard deviations of the believed position within which a candidate of acquisition counts as expected."""
 _REACH_OF_DISC, _REACH_OF_HEIGHT = 0.6, 0.04
@@ -123,7 +119,7 @@ def track(
         )
         thesis, best = _verify_cues(tracker, memory.paint, frame, pyramid, attitude, thesis, best)
         seen = together(thesis, None if best is None else best.sighting)
-    sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= _FITS
+    sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= SURE
     yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
     return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad)
 
@@ -172,14 +168,14 @@ def _registered(
     if belief is not None and attitude is not None and _near_enough(belief, sigma_m, tracker.pad, memory.alike_yaw_rad):
         start = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
         if start is not None and start.t_cam_pad[2] > 0.05:
-            options = _CLOSE if sigma_m * tracker.camera.fx < _CLOSE_PX * start.t_cam_pad[2] else _ROUGH
+            options = CLOSE if sigma_m * tracker.camera.fx < _CLOSE_PX * start.t_cam_pad[2] else ROUGH
             best = _register_from(tracker, paint, frame, pyramid, start, orientation, options, verification.TRACKED_LOG_ODDS)
-    if best is None or best.sighting.confidence < _FITS:
+    if best is None or best.sighting.confidence < SURE:
         R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
         found = search(frame.px, tracker.camera, tracker.pad, R_level_body, paint, memory.search, budget=tracker.search_work)
         left = found.memory
         for candidate in found.candidates[:_CANDIDATES]:
-            if candidate.score < _WORTH_A_TRY:
+            if candidate.score < WORTH_A_TRY:
                 break
             off_m = math.inf if start is None else float(np.linalg.norm(candidate.pose.t_cam_pad - start.t_cam_pad))
             prior = verification.TRACKED_LOG_ODDS if off_m < _EXPECTED_SIGMAS * sigma_m else 0.0
@@ -187,8 +183,8 @@ def _registered(
             if tracker.pad.markings.is_letter_alone and alike_headings(tracker.pad) == 4:
                 R_level_cam = orientation.R_level_body.matrix @ tracker.camera.T_body_cam.R.matrix
                 pose = nearest_of_four(pose, R_level_cam, memory.alike_yaw_rad or 0.0)
-            best = _better(best, _register_from(tracker, paint, frame, pyramid, pose, orientation, _CLOSE, prior))
-            if best is not None and best.sighting.confidence >= _FITS:
+            best = _better(best, _register_from(tracker, paint, frame, pyramid, pose, orientation, CLOSE, prior, candidate.cut))
+            if best is not None and best.sighting.confidence >= SURE:
                 break
     return best, left
 
@@ -208,15 +204,15 @@ def _verify_cues(
     registration. The returned registration is the best of the given one and those started from cues.
     """
     orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
-    sure = best.sighting if best is not None and best.sighting.confidence >= _FITS else None
+    sure = best.sighting if best is not None and best.sighting.confidence >= SURE else None
     methods: dict[Method, Sighting | None] = dict(thesis.methods)
     for method, cue in thesis.methods.items():
         if cue is None or (sure is not None and agree(cue, sure)):
             continue
         candidate = _verified(tracker, pyramid, cue, orientation)
         aligned = None
-        if candidate is not None and candidate.score >= _WORTH_A_TRY:
-            aligned = _register_from(tracker, paint, frame, pyramid, candidate.pose, orientation, _CLOSE)
+        if candidate is not None and candidate.score >= WORTH_A_TRY:
+            aligned = _register_from(tracker, paint, frame, pyramid, candidate.pose, orientation, CLOSE)
         methods[method] = replace(cue, confidence=0.0 if aligned is None else min(cue.confidence, aligned.sighting.confidence))
         best = _better(best, aligned)
     return replace(thesis, methods=MappingProxyType(methods)), best
@@ -251,23 +247,14 @@ def _register_from(
     orientation: Orientation,
     options: RegistrationOptions,
     prior_log_odds: float = 0.0,
+    cut: F64 | None = None,
 ) -> _Registered | None:
-    """Register from a start pose and verify the drawing at the result, with a prior for that place."""
-    found = register(frame.px, tracker.camera, tracker.pad, start, orientation, options)
-    if found is None:
+    """Register from a start pose and verify the drawing at the result; arguments as for `verified`."""
+    of = verified(pyramid, tracker.camera, tracker.pad, start, orientation, options, prior_log_odds, cut)
+    if of is None:
         return None
-    aligned = align(pyramid, tracker.camera, tracker.pad, found.pose, SIGMA_TILT_RAD, 0)
-    if aligned is None:
-        return None
-    shape = 0.0
-    if tracker.pad.markings.fiducials:
-        shape = cells_log_odds(frame.px, tracker.camera, tracker.pad, found)
-    elif tracker.pad.markings.is_letter_alone:
-        shape = letter_log_odds(found, prior_log_odds > 0.0)
-    sure = fit_verification.confidence(fit_verification.features(aligned, found, tracker.pad), prior_log_odds, shape)
-    sighting = registered_sighting(frame, found, tracker.camera, orientation)
-    sighting = replace(sighting, confidence=min(1.0, sure))
-    return _Registered(sighting, learn(paint, aligned, sure) if sure >= _FITS else missed(paint))
+    sighting = replace(registered_sighting(frame, of.found, tracker.camera, orientation), confidence=of.confidence)
+    return _Registered(sighting, learn(paint, of.aligned, of.confidence) if of.confidence >= SURE else missed(paint))
 
 
 def _near_enough(belief: RelativeState, sigma_m: float, pad: Pad, alike_yaw_rad: float | None) -> bool:

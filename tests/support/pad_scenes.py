@@ -24,6 +24,7 @@ from sitl.surroundings import RGB, Decal, Deck, Surroundings
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / ".." / "shared" / "data"
 DECK_PAINTS: tuple[RGB, ...] = ((112, 118, 122), (150, 152, 150), (78, 84, 90), (120, 96, 84))
+HALF_HIDDEN = ("half covered", "half cut", "half shaded")
 CONDITIONS = ("plain", "light", "glare", "wet", "shadow", "cut", "occluded")
 
 
@@ -162,6 +163,42 @@ def _measured(rng: np.random.Generator, R_ned_body: Rotation) -> Rotation | None
     return R_ned_body.without_heading() @ Rotation.from_rotvec(np.append(rng.normal(0, math.radians(1.0), 2), 0.0))
 
 
+def _aim(rng: np.random.Generator, camera: Camera, height_m: float, condition: str) -> F64:
+    """Return where in the frame the pad's centre shall be, (1, 2) px."""
+    size = np.array([[camera.width, camera.height]])
+    if condition == "half cut":
+        at = rng.uniform(0.1, 0.9, 2)
+        at[int(rng.integers(2))] = float(rng.integers(2))
+        return np.asarray(at * size)
+    edge = 1.05 if condition == "cut" else 0.92
+    u, v = rng.uniform(-edge, edge), rng.uniform(-edge, edge)
+    uv = np.array([[camera.width * (0.5 + 0.5 * u), camera.height * (0.5 + 0.5 * v)]])
+    return np.asarray(uv * 0.5 + size * 0.25 if height_m < 0.8 and condition != "cut" else uv)
+
+
+def _half_plane(
+    rng: np.random.Generator, camera: Camera, pad: Pad, truth: PadPose, off_radii: tuple[float, float]
+) -> NDArray[np.uint8]:
+    """Return a mask of what lies beyond a straight line so far from the centre, in radii of the disc."""
+    covered = np.zeros((camera.height, camera.width), np.uint8)
+    a = rng.uniform(0, math.tau)
+    side, up = np.array([math.cos(a), math.sin(a)]), np.array([-math.sin(a), math.cos(a)])
+    r, off = pad.disc_radius_m, float(rng.uniform(*off_radii)) * pad.disc_radius_m
+    corners = np.array([off * side - 2 * r * up, off * side + 2 * r * up, 2 * r * (side + up), 2 * r * (side - up)])
+    cam = truth.points(np.c_[corners, np.zeros(4)])
+    if np.all(cam[:, 2] > 0.02):
+        quad = np.clip(camera.project(cam), -8000, 8000).astype(np.int32)
+        cv2.fillPoly(covered, [quad], 255)
+    return covered
+
+
+def _shaded(rng: np.random.Generator, px: NDArray[np.uint8], covered: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the frame with a tenth to a third of the light where the mask is, and a border of one to four pixels."""
+    share = cv2.GaussianBlur(covered.astype(np.float32) / 255.0, (0, 0), float(rng.uniform(0.5, 2.0)))[:, :, None]
+    light = 1.0 - share * (1.0 - rng.uniform(0.1, 0.35))
+    return np.asarray(np.rint(px * light ** (1.0 / 2.2) + rng.normal(0.0, 1.0, px.shape)).clip(0, 255), np.uint8)
+
+
 def pad_scene(
     rng: np.random.Generator, camera: Camera, pad: Pad, height_m: float, condition: str, tilt_rad: float | None = None
 ) -> PadScene:
@@ -171,15 +208,10 @@ def pad_scene(
     R_ned_pad = Rotation.from_rpy(float(roll), float(pitch), float(rng.uniform(-math.pi, math.pi)))
     p_pad = np.array([rng.uniform(-20, 20), rng.uniform(-20, 20), -0.6])
     R_ned_cam = Rotation(R_ned_body.matrix @ camera.T_body_cam.R.matrix)
-    need = 0.35 if condition == "cut" else 0.9
+    need = {"cut": 0.35, "half cut": 0.0}.get(condition, 0.9)
     best: tuple[float, F64, F64] | None = None
     for _ in range(60):
-        edge = 1.05 if condition == "cut" else 0.92
-        uv = np.array(
-            [[camera.width * (0.5 + 0.5 * rng.uniform(-edge, edge)), camera.height * (0.5 + 0.5 * rng.uniform(-edge, edge))]]
-        )
-        if height_m < 0.8 and condition != "cut":
-            uv = uv * 0.5 + np.array([[camera.width, camera.height]]) * 0.25
+        uv = _aim(rng, camera, height_m, condition)
         ray = np.append(camera.rays(uv)[0], 1.0)
         n = R_ned_cam.matrix.T @ R_ned_pad.matrix[:, 2]
         if ray @ n < 0.3:
@@ -201,18 +233,13 @@ def pad_scene(
     px = renderer.render(shot, rng)
     truth = truth_of(shot, camera)
     covered = None
-    if condition == "occluded":
-        covered = np.zeros(px.shape[:2], np.uint8)
-        a = rng.uniform(0, math.tau)
-        side, up = np.array([math.cos(a), math.sin(a)]), np.array([-math.sin(a), math.cos(a)])
-        r, off = pad.disc_radius_m, float(rng.uniform(0.0, 0.25)) * pad.disc_radius_m
-        corners = np.array([off * side - 2 * r * up, off * side + 2 * r * up, 2 * r * (side + up), 2 * r * (side - up)])
-        cam = truth.points(np.c_[corners, np.zeros(4)])
-        if np.all(cam[:, 2] > 0.02):
-            quad = np.clip(camera.project(cam), -8000, 8000).astype(np.int32)
-            cv2.fillPoly(covered, [quad], 255)
-            shade = rng.integers(20, 160, 3)
-            px = np.where(covered[:, :, None] > 0, shade + rng.normal(0, 6, px.shape), px).clip(0, 255).astype(np.uint8)
+    if condition in ("occluded", "half covered", "half shaded"):
+        covered = _half_plane(rng, camera, pad, truth, (0.0, 0.25) if condition == "occluded" else (-0.05, 0.05))
+    if covered is not None and covered.any() and condition != "half shaded":
+        shade = rng.integers(20, 160, 3)
+        px = np.where(covered[:, :, None] > 0, shade + rng.normal(0, 6, px.shape), px).clip(0, 255).astype(np.uint8)
+    elif covered is not None and condition == "half shaded":
+        px = _shaded(rng, px, covered)
     return PadScene(px, truth, _measured(rng, R_ned_body), height_m, visible_fraction(truth, camera, pad, covered), condition)
 
 

@@ -42,7 +42,8 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
             arrow_tip_m=1, arrow_depth_m=1, arrow_half_base_m=1, arrow_margin_m=1, arrow_pitch_m=1, orange_place=3, h_side=3,
         ),
     ),
-    "alignment": (*integers("steps", "local", "one_side"), *doubles(sigma_tilt_rad=1, side=2)),
+    "alignment": (*integers("steps", "local", "one_side"), *doubles(sigma_tilt_rad=1, side=2, cut=3)),
+    "cover_line": doubles(cut=3, gain=1, left=1),
     "aligned_pad": doubles(
         paints=12, local_paints=12, sample_m=1, in_view=1, tilt_sigmas=1, arrow=6, features=len(FEATURES),
         light_n=4, light_mean=12, light_var=12,
@@ -52,7 +53,10 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
 the camera's. In `pad_template`, a map has n rows along x and n columns along y, and the centre in its middle; `log_blur` are
 the logarithms of the maps' standard deviations, m; `h_side` is -1 in a channel in which the H is darker than the disc, else 1.
 In `aligned_pad`, paints are (4, 3); `arrow` has found, seen and clear at its place and at the opposite one; `light_*` are
-number, mean and variance of the light's logarithm where one paint shows alone."""
+number, mean and variance of the light's logarithm where one paint shows alone. A `cut` is a line across the frame: rays (x, y)
+with `cut[0] x + cut[1] y + cut[2] < 0` do not count, so that zeros cut nothing off; the first two are a unit vector. In
+`cover_line`, `gain` is by how much the logarithm of the residuals' variance falls, on average, if what lies beyond the cut is
+another thing of one colour, and `left` the share of the light's variation that the drawing leaves on this side of it."""
 
 _FROM = "const float *light, const frame_part *part, const uint8_t *px, int32_t stride, "
 FUNCTIONS = (
@@ -74,8 +78,15 @@ FUNCTIONS = (
         "int32_t",
         f"const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, {_FROM}"
         "const frame_part *arrow_part, const uint8_t *arrow_px, int32_t arrow_stride, const pad_pose *pose, "
-        "double tilt_sigmas, float *scratch, aligned_pad *out",
+        "double tilt_sigmas, const double *cut, float *scratch, aligned_pad *out",
         "align_fit.c",
+    ),
+    Function(
+        "align_cover",
+        "int32_t",
+        f"const camera_lens *c, const pad_template *p, const int16_t *maps, {_FROM}"
+        "const pad_pose *pose, float *scratch, cover_line *out",
+        "align_cover.c",
     ),
 )
 """Functions of alignment."""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, AlignedTemplate, align
+from estimator.vision.detect.covered import align_uncovered
 from estimator.vision.detect.fiducials import WINDOWS_PX, WORK_FIDUCIALS, FiducialPose, fiducial_poses
 from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_GUESS, Kind, kinds
 from estimator.vision.detect.paint import FRESH, PaintMemory
@@ -52,6 +53,8 @@ _ARROW_SEEN = 0.3
 """Support of the arrowhead at which the heading is unambiguous."""
 _WORK_ALIGN, _WORK_ALIGN_FREE, _WORK_VERIFY = 1.6, 2.2, 0.8
 """Work of an alignment with the tilt known and unknown, and of one without a step."""
+_WORK_COVER, _WORK_COVERED = 0.5, 2.2
+"""Work of looking for what covers a part of the pad, and of aligning the drawing with the rest, too."""
 _SAME_PX, _SAME_RADII, _SAME_FAR = 4.0, 0.5, 0.15
 """What a place of one frame may be off from that of the next to be the same: px, radii of the disc, and by the logarithm of the
 distance.
@@ -76,6 +79,8 @@ class PadCandidate:
     features: F64
     """Inputs of the classifier that gave the score (`verification.FEATURES`)."""
     aligned: AlignedTemplate
+    cut: F64 | None = None
+    """The line beyond which something covers the pad, (3,); see `alignment.UNCUT`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +154,11 @@ def search(
     if pad.markings.fiducials and (_search_fiducials(task, plane) or not pad.markings.is_searched_by_parts):
         return Found(_distinct(task.found), FRESH_SEARCH, task.work)
     of_all = kinds(task.pyramid, camera, pad, plane, paint)
+    tried: list[Kind] = []
     for k in ((memory.first + i) % len(of_all) for i in range(len(of_all))):
+        if of_all[k] in tried:
+            continue
+        tried.append(of_all[k])
         enough = _try_kind(of_all[k], task)
         if enough is None:
             return Found(_distinct(task.found), SearchMemory(k, tuple(task.refused[-_REMEMBERED:])), task.work)
@@ -222,7 +231,7 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
         work = _WORK_ALIGN if guess.tilt_known else _WORK_ALIGN_FREE
         if task.work + work > task.budget and aligned > 0:
             return None
-        candidate = align_at(guess.pose, guess.tilt_known, task.pyramid, task.camera, task.pad, guess.side)
+        candidate = align_at(guess.pose, guess.tilt_known, task.pyramid, task.camera, task.pad, guess.side, kind.covered)
         aligned += 1
         task.work += work
         if candidate is not None:
@@ -230,6 +239,10 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
             task.found.append(candidate)
             if candidate.score >= task.sure:
                 return True
+        if candidate is not None and candidate.cut is not None:
+            task.work += _WORK_COVERED
+        elif candidate is not None or kind.covered:
+            task.work += _WORK_COVER
         if candidate is None or candidate.score < ENOUGH:
             task.refused.append(_place(guess.flat, task.camera))
     enough = task.sure <= 1.0 and any(c.score >= min(task.sure, ENOUGH) for c in task.found)
@@ -237,34 +250,53 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
 
 
 def align_at(
-    pose: PadPose, tilt_known: bool, pyramid: Pyramid, camera: Camera, pad: Pad, side: F64 | None = None
+    pose: PadPose, tilt_known: bool, pyramid: Pyramid, camera: Camera, pad: Pad, side: F64 | None = None, covered: bool = False
 ) -> PadCandidate | None:
     """Align the drawing from one rough pose and verify it; return None if it does not fit at all.
 
     Args:
         side: as for `align`.
+        covered: where the whole drawing does not fit at all, look for what covers a part of it, too.
     """
     sigma, steps = (SIGMA_TILT_RAD, _STEPS) if tilt_known else (SIGMA_TILT_FREE_RAD, _STEPS_FREE)
     aligned = align(pyramid, camera, pad, pose, sigma, steps, local=True, side=side)
-    if aligned is None:
-        return None
+    found = None if aligned is None else _with_arrow(aligned, pyramid, camera, pad, sigma, side)
+    enough = not covered if found is None else found.score >= ENOUGH
+    if enough or not pad.markings.is_searched_by_parts:
+        return found
+    uncovered = align_uncovered(pyramid, camera, pad, pose if found is None else found.pose, sigma, steps)
+    other = None if uncovered is None else _candidate(uncovered[0], arrow_support(uncovered[0]) < _ARROW_SEEN, uncovered[1])
+    return other if found is None or (other is not None and other.score > found.score) else found
+
+
+def _with_arrow(
+    aligned: AlignedTemplate, pyramid: Pyramid, camera: Camera, pad: Pad, sigma_tilt_rad: float, side: F64 | None
+) -> PadCandidate | None:
+    """Return an aligned drawing as a candidate, turned by 180 degrees if its arrowhead is there."""
     arrow = arrow_support(aligned)
     if arrow < -0.5 * _ARROW_SEEN:
         turned = align(
-            pyramid, camera, pad, aligned.pose.turned(math.pi), sigma, 2, local=True, side=None if side is None else -side
+            pyramid,
+            camera,
+            pad,
+            aligned.pose.turned(math.pi),
+            sigma_tilt_rad,
+            2,
+            local=True,
+            side=None if side is None else -side,
         )
         if turned is not None:
             aligned, arrow = turned, arrow_support(turned)
     return _candidate(aligned, ambiguous=arrow < _ARROW_SEEN and not pad.markings.fiducials)
 
 
-def _candidate(aligned: AlignedTemplate | None, ambiguous: bool = False) -> PadCandidate | None:
+def _candidate(aligned: AlignedTemplate | None, ambiguous: bool = False, cut: F64 | None = None) -> PadCandidate | None:
     """Return an aligned drawing as a candidate."""
     if aligned is None:
         return None
     values = aligned.features
     sure = confidence(values, ALONE_LOG_ODDS * alone(values))
-    return PadCandidate(aligned.pose, sure, ambiguous, aligned.in_view, values, aligned)
+    return PadCandidate(aligned.pose, sure, ambiguous, aligned.in_view, values, aligned, cut)
 
 
 def _place(pose: PadPose, camera: Camera) -> Place:

@@ -29,9 +29,13 @@ from estimator.vision.native import address, packed_camera, pixels
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 
-_VIEW, _MOVE, _FIT = (CORE.function(name) for name in ("align_view", "align_move", "align_fit"))
+_VIEW, _MOVE, _FIT, _COVER = (CORE.function(name) for name in ("align_view", "align_move", "align_fit", "align_cover"))
 _POSE_WORDS, _PART_WORDS, _HOW_WORDS, _ALIGNED_WORDS = map(size_of, ("pad_pose", "frame_part", "alignment", "aligned_pad"))
 _HOW, _ALIGNED = places_of("alignment"), places_of("aligned_pad")
+_COVER_WORDS, _LINE = size_of("cover_line"), places_of("cover_line")
+UNCUT = np.zeros(3)
+"""The cut that hides nothing. A cut (3,) is a line across the frame: rays (x, y) with `a x + b y + c < 0` do not count."""
+UNCUT.setflags(write=False)
 
 _SAMPLES, _APPROACH_SAMPLES, _FINAL_SAMPLES = 700, 1000, 2600
 """Largest numbers of samples in the disc's bounding box: during a search, on the way to a registration, and for verification."""
@@ -87,6 +91,17 @@ class AlignedTemplate:
     light: PureLight
 
 
+class Cover(NamedTuple):
+    """What seems to cover a part of the pad."""
+
+    cut: F64
+    """The line beyond which it lies, (3,); see `UNCUT`."""
+    gain: float
+    """By how much the logarithm of the residuals' variance falls, on average, if a thing of one colour is beyond the line."""
+    left: float
+    """Share of the light's variation on this side of the line that the drawing leaves, 0..1."""
+
+
 class _Fixed(NamedTuple):
     """Addresses of what stays the same from frame to frame, and what keeps it in memory."""
 
@@ -124,6 +139,7 @@ def align(
     *,
     local: bool = False,
     side: F64 | None = None,
+    cut: F64 = UNCUT,
 ) -> AlignedTemplate | None:
     """Align the drawing with the frame from a rough pose.
 
@@ -132,13 +148,14 @@ def align(
         steps: number of Gauss-Newton steps; the first half uses a drawing blurred twice as much. With 0 the pose is unchanged.
         local: use the light minus its mean in the neighbourhood, against glare and shadows; the reach is a little shorter.
         side: (2,) unit direction in x and y of the pad: use only the half of the disc on this side, because the other is covered.
+        cut: the line beyond which something covers the pad, (3,); see `UNCUT`.
 
     Returns:
         The aligned template; None if too little of the pad is in view, or if the pose diverges.
     """
     words, tilt_sigmas, fixed = _packed(pose), 0.0, _fixed(camera, pad)
     if steps > 0:
-        moved = _moved(pyramid, fixed, words, sigma_tilt_rad, steps, local, _SAMPLES, side)
+        moved = _moved(pyramid, fixed, words, sigma_tilt_rad, steps, local, _SAMPLES, side, cut)
         if moved is None:
             return None
         tilt_sigmas = moved
@@ -154,9 +171,25 @@ def align(
     found = _FIT(
         fixed.camera, fixed.template, fixed.coverage, fixed.local, fixed.light,
         address(part.words, np.int64), *pixels(part.px), address(arrow_part, np.int64),
-        *pixels(arrow_image), start_of(words), tilt_sigmas, address(part.scratch, np.float32), start_of(out),
+        *pixels(arrow_image), start_of(words), tilt_sigmas, address(cut), address(part.scratch, np.float32), start_of(out),
     )  # fmt: skip
     return _aligned(pose, out) if found else None
+
+
+def cover(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose) -> Cover | None:
+    """Return the line across the frame beyond which most probably something covers the pad, which lies about at this pose.
+
+    There is always such a line unless too little of the pad is in view; `gain` and `left` say what it is worth.
+    """
+    words, fixed = _packed(pose), _fixed(camera, pad)
+    part = _part(pyramid, fixed, words, _SAMPLES)
+    out = np.empty(_COVER_WORDS)
+    if part is None or not _COVER(
+        fixed.camera, fixed.template, fixed.coverage, fixed.light, address(part.words, np.int64), *pixels(part.px),
+        start_of(words), address(part.scratch, np.float32), start_of(out),
+    ):  # fmt: skip
+        return None
+    return Cover(out[_LINE["cut"]], *(float(out[_LINE[name].start]) for name in ("gain", "left")))
 
 
 def approach(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, sigma_tilt_rad: float, steps: int = 6) -> PadPose | None:
@@ -178,6 +211,7 @@ def _moved(
     local: bool,
     most: int,
     side: F64 | None = None,
+    cut: F64 = UNCUT,
 ) -> float | None:
     """Move a packed pose by some steps; return its tilt away from the start in standard deviations, None if it diverges."""
     part = _part(pyramid, fixed, pose, most)
@@ -186,7 +220,7 @@ def _moved(
     tilt_sigmas, how = np.empty(1), np.zeros(_HOW_WORDS)
     integers = how.view(np.int64)
     integers[_HOW["steps"]], integers[_HOW["local"]], integers[_HOW["one_side"]] = steps, local, side is not None
-    how[_HOW["sigma_tilt_rad"]] = sigma_tilt_rad
+    how[_HOW["sigma_tilt_rad"]], how[_HOW["cut"]] = sigma_tilt_rad, cut
     if side is not None:
         how[_HOW["side"]] = side
     found = _MOVE(

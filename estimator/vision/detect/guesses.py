@@ -31,7 +31,7 @@ from estimator.vision.pad_pose import PadPose
 _GUESSES = CORE.function("search_guesses")
 _WORDS, _AT = size_of("search_guess"), places_of("search_guess")
 
-_MOST = 20
+MOST = 20
 """Largest number of guesses from the circles of one kind."""
 _SAME_SHADE = 12.0
 """Difference in luminance between two paints below which either may be the brighter."""
@@ -62,7 +62,14 @@ class Guess:
 
 
 def guesses_from(
-    circles: Sequence[EdgeCircle], by_colour: bool, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane
+    circles: Sequence[EdgeCircle],
+    by_colour: bool,
+    pyramid: Pyramid,
+    camera: Camera,
+    pad: Pad,
+    plane: Plane,
+    most: int = MOST,
+    of_ring: bool = False,
 ) -> list[Guess]:
     """Return guesses from circles: one for each circle of the drawing that one may be, in each plane that it may lie in.
 
@@ -71,22 +78,24 @@ def guesses_from(
     Args:
         circles: likeliest first.
         by_colour: the circles were found in the measure of the disc's colour, not in luminance.
+        most: the largest number of guesses.
+        of_ring: take circles of colour for the ring's, not for the disc's.
     """
     if not circles:
         return []
     levels = [pyramid[level] for level in range(SEARCH_LEVELS)]
     at = [pixels(px) for px in levels]
-    radius_m, sign = _circles(pad, by_colour)
+    radius_m, sign = _circles(pad, by_colour, of_ring)
     frame = record("search_frame", {
         "levels": SEARCH_LEVELS, "plane_known": plane.known, "radii": len(radius_m), "width": [px.shape[1] for px in levels],
         "height": [px.shape[0] for px in levels], "stride": [stride for _, stride in at], "R_cam_plane": plane.R_cam_plane,
         "radius_m": radius_m, "sign": sign,
     })  # fmt: skip
     found = np.stack([circle.words for circle in circles])
-    starts, out = np.array([start for start, _ in at], np.int64), np.empty((_MOST, _WORDS))
+    starts, out = np.array([start for start, _ in at], np.int64), np.empty((most, _WORDS))
     n = _GUESSES(
         address(packed_camera(camera)), address(packed_drawing(pad)), start_of(frame), address(starts, np.int64), len(found),
-        start_of(found), _MOST, start_of(out),
+        start_of(found), most, start_of(out),
     )  # fmt: skip
     return [guess_of(words) for words in out[:n]]
 
@@ -100,9 +109,11 @@ def guess_of(words: F64) -> Guess:
 
 
 @lru_cache(maxsize=16)
-def _circles(pad: Pad, by_colour: bool) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _circles(pad: Pad, by_colour: bool, of_ring: bool) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the drawing's circles: radii, and 1 if brighter inside, -1 if darker, 0 if that depends on the deck."""
     marks = pad.markings
+    if by_colour and of_ring:
+        return (marks.ring_outer_m, marks.ring_inner_m), (-1.0, 1.0)
     if by_colour:
         return (disc_edge_m(pad),), (1.0,)
     paints = np.array([[marks.colours.ring[::-1], marks.colours.disc[::-1]]], np.uint8)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -14,12 +14,13 @@ from estimator.vision.camera import Camera
 from estimator.vision.detect.blobs import lettering_blobs
 from estimator.vision.detect.colour import disc_colour, disc_has_colour, is_coloured
 from estimator.vision.detect.edge_circles import EdgeCircle, Radii, edge_circles
-from estimator.vision.detect.guesses import Guess, guesses_from
+from estimator.vision.detect.guesses import MOST, Guess, guesses_from
 from estimator.vision.detect.paint import PaintMemory
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.strokes import h_markings
 from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
 
 U8 = NDArray[np.uint8]
 
@@ -29,6 +30,11 @@ WORK_GUESS = 0.1
 """Work of a guess; see `Kind`."""
 _CIRCLES = 12
 """Number of circles of one image."""
+_MORE_CIRCLES, _LOOKED_AT, _MORE_GUESSES = 48, 10, 60
+"""Number of circles of one image where half of the disc may be covered, how many of them are looked at before, and the largest
+number of guesses from them. Of ten half discs at 15 m seven were the 16th to 51st circle.
+"""
+_REDUCED_LEVELS = (3, 2, 1)
 _FULL_SIZE, _REDUCED, _LEAST_SIZE = Radii(4.5, 1.22, 5), Radii(5.0, 1.2, 7), Radii(8.5, 1.2, 10)
 """Radii searched at full size, at half and a quarter of it, and at an eighth."""
 _BEYOND = 0.4
@@ -45,36 +51,94 @@ class Kind:
     work: float
     """Work of looking for them, in the time of one BGR to HSV conversion and one inRange of a frame of 640x360."""
     guesses: Callable[[], list[Guess]]
+    covered: bool = False
+    """Whether guesses are of a pad of which a part may be covered."""
 
 
 def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: PaintMemory) -> list[Kind]:
-    """Return the kinds of hypotheses, quick and likely kinds first."""
+    """Return the kinds of hypotheses, quick and likely kinds first.
+
+    Those that only a pad of which a part is covered needs are the last ones, with the quickest kind in between once more, so that
+    a search over several frames comes back to it.
+    """
     luminance, colour = _Images(_luminance, pyramid), _Images(lambda px: disc_colour(px, pad), pyramid)
+    frame = _Searched(pyramid, camera, pad, plane)
     size = camera.width * camera.height / FULL_PIXELS
 
-    def circles(images: _Images, levels: tuple[int, ...]) -> list[Guess]:
-        by_colour = images is colour
-        if by_colour and not is_coloured(colour[2]):
+    def circles_of_colour(levels: tuple[int, ...], of_ring: bool = False) -> list[Guess]:
+        if not is_coloured(colour[2]):
             return []
-        return guesses_from(_by_rank(images, levels, camera, plane), by_colour, pyramid, camera, pad, plane)
-
-    def strokes() -> list[Guess]:
-        level = max(1, round(math.log2(camera.width / STROKES_WIDTH_PX)))
-        return h_markings(pyramid[level], 1 << level, camera, pad, plane) if pad.markings.is_h else []
+        most = _MORE_GUESSES if of_ring else MOST
+        return guesses_from(frame.circles(colour, levels), True, pyramid, camera, pad, plane, most, of_ring)
 
     if pad.markings.is_letter_alone:
         alone = [Kind(_WORK_BLOBS * size, lambda: lettering_blobs(pyramid, camera, pad, plane))]
-        return [*alone, Kind(_WORK_STROKES, strokes)] if pad.markings.is_h else alone
+        return [*alone, Kind(_WORK_STROKES, frame.strokes)] if pad.markings.is_h else alone
     out = [
-        Kind(_WORK_REDUCED * size, lambda: circles(luminance, (3, 2, 1))),
-        Kind(_WORK_STROKES, strokes),
-        Kind(_WORK_FULL_SIZE * size, lambda: circles(luminance, (0,))),
+        Kind(
+            _WORK_REDUCED * size,
+            lambda: guesses_from(frame.circles(luminance, _REDUCED_LEVELS), False, pyramid, camera, pad, plane),
+        ),
+        Kind(_WORK_STROKES, frame.strokes),
+        Kind(_WORK_FULL_SIZE * size, lambda: guesses_from(frame.circles(luminance, (0,)), False, pyramid, camera, pad, plane)),
     ]
-    if disc_has_colour(pad):
-        by_colour = Kind((_WORK_REDUCED + _WORK_COLOUR) * size, lambda: circles(colour, (3, 2, 1)))
+    coloured = disc_has_colour(pad)
+    if coloured:
+        by_colour = Kind((_WORK_REDUCED + _WORK_COLOUR) * size, lambda: circles_of_colour(_REDUCED_LEVELS))
         out.insert(0 if paint.dominance(pad) is not None else 2, by_colour)
-        out.append(Kind((_WORK_FULL_SIZE + _WORK_COLOUR) * size, lambda: circles(colour, (0,))))
-    return out
+        out.append(Kind((_WORK_FULL_SIZE + _WORK_COLOUR) * size, lambda: circles_of_colour((0,))))
+    if not pad.markings.is_searched_by_parts:
+        return out
+    if coloured:
+        out.append(Kind((_WORK_REDUCED + _WORK_COLOUR) * size, lambda: circles_of_colour(_REDUCED_LEVELS, of_ring=True), True))
+    return [
+        *out,
+        Kind(_WORK_FULL_SIZE * size, lambda: frame.fainter_circles(luminance), True),
+        out[0],
+        Kind(_WORK_STROKES, frame.beside_strokes, True),
+    ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Searched:
+    """What hypotheses of one frame are made of."""
+
+    pyramid: Pyramid
+    camera: Camera
+    pad: Pad
+    plane: Plane
+
+    def circles(self, images: _Images, levels: tuple[int, ...], most: int = _CIRCLES) -> list[EdgeCircle]:
+        """Return the circles at several sizes of an image: the most prominent at each size first."""
+        found = []
+        for level in levels:
+            image, least = images[level], level == max(levels) > 0
+            radii = _FULL_SIZE if level == 0 else _LEAST_SIZE if least else _REDUCED
+            beyond_px = round(_BEYOND * image.shape[1]) if least else 0
+            of_level = edge_circles(image, 1 << level, self.camera, self.plane, radii, most, beyond_px)
+            found += [(rank - circle.support, circle) for rank, circle in enumerate(of_level)]
+        return [circle for _, circle in sorted(found, key=lambda of: of[0])]
+
+    def fainter_circles(self, images: _Images) -> list[Guess]:
+        """Return guesses from the circles at full size behind those that are looked at first: half a circle is one of them."""
+        rest = self.circles(images, (0,), _MORE_CIRCLES)[_LOOKED_AT:]
+        return guesses_from(rest, False, self.pyramid, self.camera, self.pad, self.plane, _MORE_GUESSES)
+
+    def strokes(self) -> list[Guess]:
+        """Return guesses from the strokes of the H."""
+        level = max(1, round(math.log2(self.camera.width / STROKES_WIDTH_PX)))
+        return h_markings(self.pyramid[level], 1 << level, self.camera, self.pad, self.plane) if self.pad.markings.is_h else []
+
+    def beside_strokes(self) -> list[Guess]:
+        """Return guesses in which what was taken for one leg of the H is the other: where half of it is covered."""
+        apart_m = self.pad.markings.h_width_m - self.pad.markings.leg_width_m
+        return [_moved(guess, side * apart_m) for guess in self.strokes() for side in (1.0, -1.0)]
+
+
+def _moved(guess: Guess, across_m: float) -> Guess:
+    """Return a guess of a pad so far along its own y axis."""
+    t = guess.flat.t_cam_pad + across_m * guess.pose.R_cam_pad.matrix[:, 1]
+    return replace(guess, flat=PadPose(guess.flat.R_cam_pad, t))
 
 
 class _Images:
@@ -93,15 +157,3 @@ class _Images:
 
 def _luminance(px: U8) -> U8:
     return np.asarray(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), np.uint8)
-
-
-def _by_rank(images: _Images, levels: tuple[int, ...], camera: Camera, plane: Plane) -> list[EdgeCircle]:
-    """Return the circles at several sizes of an image: the most prominent at each size first."""
-    found = []
-    for level in levels:
-        image, least = images[level], level == max(levels) > 0
-        radii = _FULL_SIZE if level == 0 else _LEAST_SIZE if least else _REDUCED
-        beyond_px = round(_BEYOND * image.shape[1]) if least else 0
-        of_level = edge_circles(image, 1 << level, camera, plane, radii, _CIRCLES, beyond_px)
-        found += [(rank - circle.support, circle) for rank, circle in enumerate(of_level)]
-    return [circle for _, circle in sorted(found, key=lambda of: of[0])]

@@ -21,7 +21,7 @@ from estimator.core.interface import places_of, size_of
 from estimator.core.interface.registration import FIT_ROWS
 from estimator.core.library import CORE, address, start_of
 from estimator.vision.camera import Camera
-from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, approach
+from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT, approach
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
@@ -34,6 +34,7 @@ from estimator.vision.register.pixels import U8
 from estimator.vision.register.shape import pad_shape
 
 _REGISTER = CORE.function("register_pad")
+_CUT = places_of("fit_options")["cut"]
 _AT, _SUPPORT = places_of("registration"), size_of("edge_support")
 
 
@@ -74,7 +75,13 @@ class Registration:
 
 
 def register(
-    px: U8, camera: Camera, pad: Pad, start: PadPose, prior: Orientation | None = None, options: RegistrationOptions | None = None
+    px: U8,
+    camera: Camera,
+    pad: Pad,
+    start: PadPose,
+    prior: Orientation | None = None,
+    options: RegistrationOptions | None = None,
+    cut: F64 = UNCUT,
 ) -> Registration | None:
     """Refine a rough pose.
 
@@ -82,6 +89,7 @@ def register(
         px: (H, W, 3) BGR.
         start: off by at most a tenth of the disc's radius and less than a quarter turn with `coarse`; by about 1.5 px without.
         prior: attitude at the exposure and the deck's expected tilt. Without one, the tilt comes from the frame alone.
+        cut: the line beyond which something covers the pad, (3,); see `alignment.UNCUT`.
 
     Returns:
         The registration; None if nothing of the pad is in view at the start, or if the frame does not determine a pose.
@@ -99,6 +107,9 @@ def register(
     edges, out = edge_points(pad), np.empty(size_of("registration"))
     outline = np.empty((edges.shown[-1].stop, 2))
     with_prior, of_options = packed_prior(prior), packed_options(options)
+    if cut is not UNCUT:
+        of_options = of_options.copy()
+        of_options[_CUT] = cut
     from_pose = np.concatenate([pose.R_cam_pad.matrix.ravel(), pose.t_cam_pad])
     px = np.ascontiguousarray(px, np.uint8)
     room = scratch_room(options, edges)

@@ -1,0 +1,101 @@
+"""Register the drawing from a start pose and verify it there: what a pad's sighting and its confidence come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from estimator.contracts.geometry import F64
+from estimator.vision.camera import Camera
+from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT, AlignedTemplate, align
+from estimator.vision.detect.covered import COVERED_LOG_ODDS, align_uncovered
+from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.drawing import EdgeKind
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import Orientation
+from estimator.vision.register import fit_verification
+from estimator.vision.register.fiducial_cells import cells_log_odds
+from estimator.vision.register.letter_alone import letter_log_odds
+from estimator.vision.register.registration import Registration, RegistrationOptions, register
+
+SURE = 0.5
+"""Confidence from which on a pose is the pad's."""
+CLOSE, ROUGH = RegistrationOptions(coarse=False), RegistrationOptions(coarse=True)
+_CERTAIN = 0.9
+"""Confidence from which on it is not tried whether something covers a part of the pad."""
+_RINGLESS_LOG_ODDS = -4.0
+"""Prior where the ring does not show beside what covers the pad: an H on something green, whose lack of a ring the line hides."""
+_STEPS = 4
+"""Steps of the alignment with what is not covered."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verified:
+    """A registration, the drawing aligned at its pose, and how sure it is that this is the pad."""
+
+    found: Registration
+    aligned: AlignedTemplate
+    confidence: float
+    """0..1."""
+
+
+def verified(
+    pyramid: Pyramid,
+    camera: Camera,
+    pad: Pad,
+    start: PadPose,
+    orientation: Orientation,
+    options: RegistrationOptions = CLOSE,
+    prior_log_odds: float = 0.0,
+    cut: F64 | None = None,
+) -> Verified | None:
+    """Register the drawing from a start pose and verify it there; return None if nothing is found.
+
+    Where the whole drawing does not fit, it is tried whether something covers a part of the pad.
+
+    Args:
+        orientation: the attitude at the exposure.
+        prior_log_odds: for the place of the start, as for `verification.confidence`.
+        cut: the line beyond which something covers the pad, (3,), if that is known; see `alignment.UNCUT`.
+
+    Raises:
+        ValueError: the frame is not of the camera's size.
+    """
+    best = None
+    if cut is None:
+        best = _of_visible(pyramid, camera, pad, start, orientation, options, prior_log_odds, UNCUT)
+        if (best is not None and best.confidence >= _CERTAIN) or not pad.markings.is_searched_by_parts:
+            return best
+        sigma_rad = SIGMA_TILT_RAD if orientation.measured else SIGMA_TILT_FREE_RAD
+        uncovered = align_uncovered(pyramid, camera, pad, start, sigma_rad, _STEPS)
+        if uncovered is None:
+            return best
+        start, cut = uncovered[0].pose, uncovered[1]
+    other = _of_visible(pyramid, camera, pad, start, orientation, CLOSE, prior_log_odds + COVERED_LOG_ODDS, cut)
+    return other if best is None or (other is not None and other.confidence > best.confidence) else best
+
+
+def _of_visible(
+    pyramid: Pyramid,
+    camera: Camera,
+    pad: Pad,
+    start: PadPose,
+    orientation: Orientation,
+    options: RegistrationOptions,
+    prior_log_odds: float,
+    cut: F64,
+) -> Verified | None:
+    """Register what lies on this side of a cut, and verify the drawing there."""
+    found = register(pyramid[0], camera, pad, start, orientation, options, cut)
+    if found is None:
+        return None
+    aligned = align(pyramid, camera, pad, found.pose, SIGMA_TILT_RAD, 0, cut=cut)
+    if aligned is None:
+        return None
+    shape = 0.0 if cut is UNCUT or found.edges[EdgeKind.RING].seen else _RINGLESS_LOG_ODDS
+    if pad.markings.fiducials:
+        shape += cells_log_odds(pyramid[0], camera, pad, found)
+    elif pad.markings.is_letter_alone:
+        shape = letter_log_odds(found, prior_log_odds > 0.0)
+    sure = fit_verification.confidence(fit_verification.features(aligned, found, pad), prior_log_odds, shape)
+    return Verified(found, aligned, min(1.0, sure))

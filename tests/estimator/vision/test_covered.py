@@ -1,0 +1,101 @@
+"""A pad of which something covers a part: what is beyond its border counts as little as what is beyond the frame's edge."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from estimator.contracts.geometry import F64
+from estimator.vision.camera import Camera
+from estimator.vision.detect.acquire import acquire
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, UNCUT, align, cover
+from estimator.vision.detect.covered import cut_at
+from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.pad import Pad
+from estimator.vision.pose import Orientation
+from estimator.vision.register.registration import register
+from estimator.vision.verified import CLOSE, SURE, verified
+from tests.support.pad_claims import keeps_claim
+from tests.support.pad_scenes import CONDITIONS, PadScene, pad_scene
+
+
+def seen(camera: Camera, pad: Pad, condition: str, height_m: float, seed: int) -> PadScene:
+    return pad_scene(np.random.default_rng([seed, 0xC07]), camera, pad, height_m, condition)
+
+
+def kept_share(camera: Camera, pad: Pad, scene: PadScene, cut: F64) -> float:
+    """Return the share of the disc's points on this side of a cut."""
+    assert scene.truth is not None
+    r, a = pad.disc_radius_m * np.sqrt((np.arange(400) + 0.5) / 400), np.arange(400) * 2.399963
+    p = scene.truth.points(np.stack([r * np.cos(a), r * np.sin(a), 0.0 * a], axis=1))
+    return float((p @ cut >= 0.0).mean())
+
+
+@pytest.mark.parametrize("height_m", [1.0, 3.0, 5.0, 10.0])
+def test_the_border_of_what_covers_a_pad_is_found_and_the_rest_is_verified(camera: Camera, pad: Pad, height_m: float) -> None:
+    good = 0
+    for seed in range(4):
+        scene = seen(camera, pad, "half covered", height_m, seed)
+        assert scene.truth is not None
+        cut = cut_at(Pyramid(scene.px), camera, pad, scene.truth)
+        assert cut is not None
+        assert kept_share(camera, pad, scene, cut) == pytest.approx(0.5, abs=0.15)
+        of = verified(Pyramid(scene.px), camera, pad, scene.truth, Orientation.of(None))
+        good += (
+            of is not None
+            and of.confidence > SURE
+            and keeps_claim(of.found.pose, scene.truth, camera, pad, of.found.yaw_ambiguous)
+        )
+    assert good >= 3
+
+
+def test_nothing_seems_to_cover_a_pad_in_plain_view(camera: Camera, pad: Pad) -> None:
+    gains = []
+    for seed, condition in enumerate(c for c in CONDITIONS if c not in ("occluded", "glare")):
+        for height_m in (1.0, 3.0, 8.0):
+            scene = seen(camera, pad, condition, height_m, seed)
+            assert scene.truth is not None
+            found = cover(Pyramid(scene.px), camera, pad, scene.truth)
+            gains.append(-1.0 if found is None else found.gain)
+    assert np.mean(np.array(gains) > 0.7) < 0.15
+
+
+def test_a_cut_hides_what_is_beyond_it_from_registration_and_verification(camera: Camera, pad: Pad) -> None:
+    scene = seen(camera, pad, "plain", 2.0, 1)
+    assert scene.truth is not None
+    middle = scene.truth.t_cam_pad[:2] / scene.truth.t_cam_pad[2]
+    cut = np.array([1.0, 0.0, -middle[0]])
+    beyond = np.arange(camera.width) < camera.cx + camera.fx * middle[0] - 2.0
+    painted = scene.px.copy()
+    painted[:, beyond] = (90, 30, 140)
+    for px in (scene.px, painted):
+        found = register(px, camera, pad, scene.truth, None, CLOSE, cut)
+        aligned = align(Pyramid(px), camera, pad, scene.truth, SIGMA_TILT_RAD, 0, cut=cut)
+        assert found is not None
+        assert aligned is not None
+        if px is scene.px:
+            first, before = found, aligned
+    np.testing.assert_array_equal(found.pose.t_cam_pad, first.pose.t_cam_pad)
+    np.testing.assert_array_equal(found.cov, first.cov)
+    assert found.visible == pytest.approx(0.5, abs=0.1)
+    assert aligned.in_view == before.in_view
+    whole = register(scene.px, camera, pad, scene.truth, None, CLOSE, UNCUT)
+    uncut = align(Pyramid(scene.px), camera, pad, scene.truth, SIGMA_TILT_RAD, 0)
+    assert whole is not None
+    assert uncut is not None
+    assert aligned.in_view == pytest.approx(0.5 * uncut.in_view, abs=0.06)
+    assert np.trace(found.cov[:3, :3]) > np.trace(whole.cov[:3, :3])
+
+
+def test_half_covered_pads_are_found_from_cold(camera: Camera, pad: Pad) -> None:
+    found = 0
+    for seed in range(3):
+        for height_m in (0.5, 1.0, 3.0, 5.0):
+            scene = seen(camera, pad, "half covered", height_m, 100 + seed)
+            for candidate in acquire(scene.px, camera, pad, scene.R_level_body)[:2]:
+                of = verified(Pyramid(scene.px), camera, pad, candidate.pose, Orientation.of(None), cut=candidate.cut)
+                if of is not None and of.confidence >= SURE:
+                    assert scene.truth is not None
+                    found += keeps_claim(of.found.pose, scene.truth, camera, pad, of.found.yaw_ambiguous)
+                    break
+    assert found >= 9
