@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from estimator.vision.camera import Camera
 from sitl.automatic import Adjusted, Automatics, adjust, settings
 from sitl.camera import Exposure, Renderer
+from sitl.driven_exposure import Taken, taken_with
 from sitl.light import Development, Light
 from sitl.video_link import VideoLink, VideoLinkOptions
 
 U8 = NDArray[np.uint8]
 
+_AS_IT_IS = Taken()
 _LOOKS = 6
 """Number of times that the automatics meter the first scene before its frame: the camera has been on for a while."""
 
@@ -60,25 +62,32 @@ class Film:
 
         return image
 
-    def render(self, shot: Exposure, rng: np.random.Generator) -> U8:
-        """Return the next frame, (H, W, 3) BGR."""
-        image = self._exposed(shot, rng)
+    def render(self, shot: Exposure, rng: np.random.Generator, taken: Taken = _AS_IT_IS) -> U8:
+        """Return the next frame, (H, W, 3) BGR.
+
+        Args:
+            taken: how it is taken; exposure and white balance that it does not name are the camera's own.
+        """
+        image = self._exposed(shot, rng, taken)
         return self._link.send(image) if self._link is not None else image
 
-    def _exposed(self, shot: Exposure, rng: np.random.Generator) -> U8:
+    def _exposed(self, shot: Exposure, rng: np.random.Generator, taken: Taken) -> U8:
         """Return the camera's own frame, and let the automatics follow it."""
-        automatics = self._automatics
-        if not automatics.any:
-            return self._renderer.render(shot, rng)
+        automatics, renderer = self._automatics, self._renderer
+        if taken.setting is not None or not automatics.any:
+            if taken == _AS_IT_IS:
+                return renderer.render(shot, rng)
+            return renderer.render(shot, rng, renderer.development(*taken_with(renderer.light, renderer.sensor, taken)))
         if self._adjusted is None:
             self._adjusted = Adjusted(shot.t_s, -self._renderer.light.daylight_ev)
             for _ in range(_LOOKS):
-                look = self._renderer.render(shot, np.random.default_rng(0), self._development(self._adjusted))
+                look = renderer.render(shot, np.random.default_rng(0), self._development(self._adjusted, taken))
                 self._adjusted = adjust(automatics, self._adjusted, look, shot.t_s, at_once=True)
-        image = self._renderer.render(shot, rng, self._development(self._adjusted))
+        image = renderer.render(shot, rng, self._development(self._adjusted, taken))
         self._adjusted = adjust(automatics, self._adjusted, image, shot.t_s)
         return image
 
-    def _development(self, adjusted: Adjusted) -> Development:
+    def _development(self, adjusted: Adjusted, taken: Taken) -> Development:
         renderer = self._renderer
-        return renderer.development(*settings(renderer.light, renderer.sensor, self._automatics, adjusted))
+        light, sensor = taken_with(renderer.light, renderer.sensor, taken)
+        return renderer.development(*settings(light, sensor, self._automatics, adjusted))

@@ -129,9 +129,23 @@ def renderer(scenario: Scenario, waves: Waves, vessel: Vessel, seed: int) -> Ren
         Lamps(**msgspec.structs.asdict(scenario.lamps)),
         water if d.rain_per_minute > 0 or d.spray_per_minute > 0 else None,
     )
-    automatics = Automatics(c.exposure_lag_s, c.exposure_longest_s, c.white_balance_lag_s)
+    if _automatics(scenario).any or v.bitrate_kbit_s > 0:
+        return film(scenario, one_by_one, seed)
+    return one_by_one
+
+
+def film(scenario: Scenario, made: Renderer | Film, seed: int) -> Film:
+    """Return what renders the frames one after the other, each taken as it is told (`Taken`)."""
+    if isinstance(made, Film):
+        return made
+    v = scenario.video
     link = VideoLinkOptions(v.bitrate_kbit_s, v.loss, v.burst_packets, v.keyframe_s) if v.bitrate_kbit_s > 0 else None
-    return Film(one_by_one, automatics, link, seed) if automatics.any or link is not None else one_by_one
+    return Film(made, _automatics(scenario), link, seed)
+
+
+def _automatics(scenario: Scenario) -> Automatics:
+    c = scenario.camera
+    return Automatics(c.exposure_lag_s, c.exposure_longest_s, c.white_balance_lag_s)
 
 
 def sea_and_vessel(scenario: Scenario, seeds: list[int]) -> tuple[Waves, Vessel]:

@@ -55,6 +55,8 @@ class RenderedFrame(Struct, frozen=True, eq=False):
     """Error of the stamp that is sent with the frame, s: the stamp minus `exposed_at`."""
     true_view: bool = True
     """Whether the frame shows what the camera truly saw at `exposed_at`."""
+    gain: float = 0.0
+    """Amplification of a camera whose exposure is driven; else 0."""
 
 
 class Truth(Struct, frozen=True, eq=False):

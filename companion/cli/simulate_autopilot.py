@@ -33,8 +33,8 @@ from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
 from sitl.stream_faults import STREAMS
 
-CARRIED = frozenset({*STREAMS, "link_lost"})
-"""Kinds of faults that act on a flight with an autopilot program: those of its streams."""
+CARRIED = frozenset({*STREAMS, "link_lost", "light_falls"})
+"""Kinds of faults that act on a flight with an autopilot program: those of its streams, and of the light on its camera."""
 
 
 STAND_IN = "stand-in"

@@ -87,6 +87,12 @@ _RULES = (
         "camera.gimbal.device_id is 0",
         "camera.gimbal.device_id",
     ),
+    _Rule(
+        "camera.exposure.",
+        lambda s: not s.camera.exposure.driven,
+        'camera.exposure.mode is "camera"',
+        "camera.exposure.mode",
+    ),
     _Rule("bridge.", lambda s: not s.bridge.links.strip(), "bridge.links is empty"),
     _Rule("bridge.signing_time_file", lambda s: not s.bridge.signing_key_file, "bridge.signing_key_file is empty"),
     _Rule(

@@ -24,6 +24,7 @@ from companion.recorder.options import RecorderOptions
 from companion.runtime.restart_options import RestartOptions
 from companion.video.options import VideoStreamOptions
 from drivers.ardrone.options import ArDroneOptions
+from drivers.camera.exposure_options import DRIVEN_SOURCES
 from drivers.camera.options import CameraOptions
 from drivers.mavlink.gimbal_options import GimbalOptions
 from drivers.mavlink.options import AutopilotOptions
@@ -106,6 +107,11 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
                 return 'camera.source must be "v4l2", "gstreamer" or "stream": an autopilot has no frames'
             if self.bridge.links:
                 return "bridge.links must be empty: an autopilot speaks MAVLink itself"
+        if self.camera.exposure.driven and self.camera.source not in DRIVEN_SOURCES:
+            return (
+                f'camera.exposure.mode must be "camera" with camera.source "{self.camera.source}": '
+                f'only that of a camera with source "v4l2" can be driven'
+            )
         if self.vessel.mqtt and (self.mqtt.transport == "off" or self.mqtt.commands == "off"):
             return "vessel.mqtt needs mqtt.transport and mqtt.commands: reports come from whom commands may come"
         return None

@@ -175,6 +175,7 @@ def _figures(
         sends_ranges=None if ranges is None else bool(ranges),
         places_taken=taken,
         gimbal=_gimbal(settings, counts.get("gimbal", {}), rates_hz),
+        exposure=dict(counts.get("exposure", {})),
         places_refused=_sources_refused(counts) | {name.replace("_", " "): n for name, n in places.items()},
         withheld={
             name.removeprefix(_WITHHELD).replace("_", " "): int(n) for name, n in counted.items() if name.startswith(_WITHHELD)

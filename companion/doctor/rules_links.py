@@ -9,6 +9,8 @@ from drivers.mavlink.requests import INSTEAD
 
 ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
 """Messages without which the service can neither report to an autopilot nor fly it."""
+_LIMITED_SHARE = 0.1
+"""Share of the frames with a pad that may be too dark or too bright at the camera's limits."""
 _GIMBAL_HZ, _GIMBAL_SILENT_HZ = 10.0, 0.5
 """Rates of a gimbal's reports below which most frames have none near them, and below which there are none."""
 _NO_ANSWER = -1
@@ -357,6 +359,26 @@ def camera_slow(p: Snapshot) -> Finding | None:
     return None
 
 
+def exposure_limited(p: Snapshot) -> Finding | None:
+    """Find a camera that refuses the exposure that is asked of it, or whose limits leave the pad too dark or too bright."""
+    counts = p.service.exposure
+    if refused := int(counts.get("refused", 0)):
+        return warning(
+            "exposure-refused",
+            f"the camera refused {refused} exposures",
+            'the journal has the reason; without a cure let camera.exposure.mode be "camera"',
+        )
+    tracked, dark, bright = (counts.get(f"frames_{name}", 0.0) for name in ("pad", "dark", "bright"))
+    if tracked and max(dark, bright) > _LIMITED_SHARE * tracked:
+        return warning(
+            "exposure-limited",
+            f"the pad was too {'dark' if dark > bright else 'bright'} in {max(dark, bright) / tracked:.0%} of its frames, "
+            "at the limits of the camera",
+            "too dark: more light, a faster lens, or a greater camera.exposure.blur_px; too bright: a grey filter",
+        )
+    return None
+
+
 def gimbal_silent(p: Snapshot) -> Finding | None:
     """Find a gimbal whose attitude does not come, or comes too seldom."""
     gimbal = p.service.gimbal or p.gimbal
@@ -424,6 +446,6 @@ RULES: tuple[Rule, ...] = (
     link_down, link_silent, link_garbage, link_signature, link_old_version, link_lossy, link_unsigned,
     link_unknown_senders, link_one_way, wrong_system, no_autopilot, several_autopilots,
     stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, files_fault, settings_idle,
-    camera_fault, camera_device, camera_size, camera_slow,
+    camera_fault, camera_device, camera_size, camera_slow, exposure_limited,
     gimbal_silent, broker_fault, drone_fault, ship_place, ship_silent,
 )  # fmt: skip

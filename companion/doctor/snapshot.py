@@ -131,6 +131,8 @@ class ServiceSnapshot(Struct, frozen=True):
     """Reports of the ship that the running service refused, by reason."""
     gimbal: GimbalSnapshot | None = None
     """The camera's gimbal; None if no service runs, or the camera has none."""
+    exposure: dict[str, float] = field(default_factory=dict)
+    """The counters of the exposure that the running service drives; empty where it does not."""
     places_taken: int | None = None
     """Places of the ship that the running service took; None if no service runs, or none are expected."""
 

@@ -93,12 +93,12 @@ class RecordedFrame:
             px = self.image.px()
             if px is None or px.shape[:2] != (size[1], size[0]):
                 return None
-            return Frame(self.stamp, self.record.seq, px, self.record.exposure_s)
+            return Frame(self.stamp, self.record.seq, px, self.record.exposure_s, self.record.gain)
         try:
             px = images.decode(self.image, size)
         except images.ImageRefused:
             return None
-        return Frame(self.stamp, self.record.seq, px, self.record.exposure_s)
+        return Frame(self.stamp, self.record.seq, px, self.record.exposure_s, self.record.gain)
 
 
 Event = Sample | RecordedFrame | Decision | rec.FusionRecord | rec.TruthRecord | rec.LinkRecord | rec.HealthRecord

@@ -166,6 +166,8 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     """Left out if vision did not search the frame, and in virtual time."""
     R_body_cam: list[float] | None = None
     """The rotation (9,) of a camera on the body as its gimbal held it; left out for one that is fixed, or if it is not known."""
+    gain: float = 0.0
+    """Amplification of a camera whose exposure is driven; left out if unknown."""
 
 
 class NamedNumber(Struct, frozen=True):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 
 from companion.runtime.daemon import OpenLink, VehicleLink
+from drivers.camera.exposure_drive import ExposureDrive
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import VideoSource
 from drivers.camera.video_source import open_camera
@@ -37,16 +38,24 @@ class LinkWithCamera:
         self.vehicle.release()
 
 
-def with_camera(open_vehicle: OpenLink, options: CameraOptions, size: Size, clock: Clock) -> OpenLink:
+def with_camera(
+    open_vehicle: OpenLink,
+    options: CameraOptions,
+    size: Size,
+    clock: Clock,
+    attach: Callable[[ExposureDrive | None], None] = lambda drive: None,
+) -> OpenLink:
     """Return what opens both. A camera that goes away comes back by itself, and the vehicle is not told of it.
 
     Args:
         size: the width and height of the camera's frames, px.
+        attach: receives the exposure of each camera that was opened; None if it is not driven.
     """
 
     @asynccontextmanager
     async def both() -> AsyncIterator[VehicleLink]:
         async with open_vehicle() as vehicle, open_camera(options, size, clock) as camera:
+            attach(camera.exposure)
             yield LinkWithCamera(vehicle, camera)
 
     def open_link() -> AbstractAsyncContextManager[VehicleLink]:

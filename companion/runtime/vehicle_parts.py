@@ -11,6 +11,7 @@ from companion.config.settings import camera_model
 from companion.operator.orders import OrderSender, OrderSource
 from companion.operator.pilot_operator import PilotOperator
 from companion.runtime.daemon import OpenLink
+from companion.runtime.exposure_part import ExposurePart
 from companion.runtime.health import Health
 from companion.runtime.link_with_camera import with_camera
 from companion.runtime.observer import Observer
@@ -75,8 +76,12 @@ def vehicle_parts(
         size = check_size((camera.width, camera.height))
     except ValueError as why:
         raise BadInput(f"{settings.camera.file}: {why}") from why
-    open_link = with_camera(parts.open_link, settings.camera, size, clock)
-    return replace(parts, open_link=open_link)
+    if not settings.camera.exposure.driven:
+        return replace(parts, open_link=with_camera(parts.open_link, settings.camera, size, clock))
+    exposure = ExposurePart(settings.camera.exposure, pilot)
+    health.counters("exposure", exposure.counted)
+    open_link = with_camera(parts.open_link, settings.camera, size, clock, exposure.attach)
+    return replace(parts, open_link=open_link, observers=(*parts.observers, exposure))
 
 
 def _ardrone(

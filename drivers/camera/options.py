@@ -6,6 +6,7 @@ from typing import Annotated, Literal, get_args
 
 from msgspec import Struct
 
+from drivers.camera.exposure_options import ExposureOptions
 from estimator.contracts.keys import check_ranges, choice, number, text
 
 Format = Literal["YUYV", "NV12", "MJPG", "H264", "GREY"]
@@ -13,6 +14,13 @@ FORMATS: tuple[Format, ...] = get_args(Format)
 """The supported pixel formats of a V4L2 device, in the order in which `auto` prefers them: raw colour, compressed, grey."""
 Size = tuple[int, int]
 """The width and height of a frame, px."""
+_DRIVEN = frozenset(
+    {
+        "auto_exposure", "exposure_auto", "exposure_time_absolute", "exposure_absolute", "gain", "gain_automatic",
+        "white_balance_automatic", "white_balance_temperature_auto", "white_balance_temperature",
+    }
+)  # fmt: skip
+"""Controls, by their present and former names, that are set with `exposure.mode` "pad"."""
 
 
 class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -81,6 +89,8 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     reconnect_first_s: Annotated[float, number("first back-off before a lost camera is opened again", "s", 0.01, 60.0)] = 0.2
     reconnect_most_s: Annotated[float, number("longest back-off; each is twice the one before", "s", 0.01, 60.0)] = 2.0
 
+    exposure: ExposureOptions = ExposureOptions()
+
     def __post_init__(self) -> None:
         check_ranges(self)
         if self.source != "vehicle" and not self.device:
@@ -94,6 +104,8 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
                 f"reconnect_most_s ({self.reconnect_most_s:g} s) must not be shorter than reconnect_first_s "
                 f"({self.reconnect_first_s:g} s)"
             )
+        if self.exposure.driven and (both := sorted(_DRIVEN & set(self.control_values()))):
+            raise ValueError(f'controls: exposure.mode "pad" sets {both[0]!r}: leave it out, or let exposure.mode be "camera"')
         self.control_values()
 
     @property

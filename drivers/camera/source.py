@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from drivers.camera.counters import CameraCounters
+from drivers.camera.exposure_drive import ExposureDrive
 from drivers.mailbox import Latest
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Frame
@@ -20,9 +21,15 @@ class CameraLost(Recoverable):
 
 
 class VideoSource:
-    """An open camera. It may be absent at the moment: see `down`."""
+    """An open camera. It may be absent at the moment: see `down`.
 
-    def __init__(self) -> None:
+    Args:
+        exposure: connects who drives the exposure with the driver; None where the camera does that itself.
+    """
+
+    def __init__(self, exposure: ExposureDrive | None = None) -> None:
+        self.exposure = exposure
+        """The exposure that we drive; None where the camera does."""
         self.frames: Latest[Frame] = Latest()
         """The newest frame. The end of a video file ends it with `CameraLost`."""
         self.counters = CameraCounters()

@@ -14,7 +14,12 @@ _AHEAD_S = 0.005
 
 
 def stamp_of(
-    stamped: MonoNs | None, to_middle_s: float, received_at: MonoNs, options: CameraOptions, exposure_s: float
+    stamped: MonoNs | None,
+    to_middle_s: float,
+    received_at: MonoNs,
+    options: CameraOptions,
+    exposure_s: float,
+    error_s: float = 0.0,
 ) -> tuple[Stamp, bool]:
     """Return the stamp of mid-exposure, and whether the given stamp had to be refused (future, or older than 2 s).
 
@@ -24,9 +29,10 @@ def stamp_of(
         stamped: by CLOCK_MONOTONIC; None if nothing or another clock stamped the frame, whose arrival is used then.
         to_middle_s: from the stamped instant to mid-exposure, s; `latency_s` is subtracted besides.
         exposure_s: exposure time, 0 if unknown.
+        error_s: largest error of `to_middle_s`.
     """
     unknown_s = 0.5 / options.rate_hz / math.sqrt(3.0) if exposure_s == 0.0 else 0.0
-    sigma_s = math.hypot(options.latency_sigma_s, unknown_s)
+    sigma_s = math.hypot(options.latency_sigma_s, unknown_s, error_s / math.sqrt(3.0))
     if stamped is not None:
         measured_at = after(stamped, to_middle_s - options.latency_s)
         possible = (

@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.camera.exposure_setter import ExposureSetter
 from drivers.camera.images import claimed_size
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
@@ -62,10 +63,12 @@ class V4l2Channel:
                 if not isinstance(opened := (await asyncio.gather(opening, return_exceptions=True))[0], BaseException):
                     opened.close()
                 raise
+            control = ExposureSetter(device, self._camera.exposure)
             try:
                 self._camera.down = None
-                await self._watch(device, pool)
+                await self._watch(device, pool, control)
             finally:
+                await asyncio.shield(control.close())
                 # A buffer still being decoded was copied out, so the device may go at once; its closing may block for long.
                 await asyncio.shield(loop.run_in_executor(pool, device.close))
 
@@ -81,7 +84,7 @@ class V4l2Channel:
             gone = why.errno in (errno.ENODEV, errno.ENOENT, errno.ENXIO)
             raise CameraLost("absent" if gone else "failed", f"{name}: {why.strerror or why}") from why
 
-    async def _watch(self, device: Device, pool: ThreadPoolExecutor) -> None:
+    async def _watch(self, device: Device, pool: ThreadPoolExecutor, control: ExposureSetter) -> None:
         loop = asyncio.get_running_loop()
         counters = self._camera.counters
         last: int | None = None
@@ -96,6 +99,8 @@ class V4l2Channel:
                     gap += missed if missed < _WRAP // 2 else 0
                 last = buffer.sequence
             counters.frames_lost += gap
+            if last is not None:
+                control.tend(last)
             if not batch:
                 continue
             seen = await loop.run_in_executor(pool, self._newest, device, batch, gap > 0)
@@ -103,10 +108,13 @@ class V4l2Channel:
                 continue
             buffer, px = seen
             exposure_s = self._o.exposure_s if device.exposure_s is None else device.exposure_s
-            stamp, refused = kernel_stamp(buffer, received_at, self._o, exposure_s)
+            gain, error_s = 0.0, 0.0
+            if (driven := control.of(buffer.sequence)) is not None:
+                (exposure_s, gain), error_s = (driven[0].exposure_s, driven[0].gain), driven[1]
+            stamp, refused = kernel_stamp(buffer, received_at, self._o, exposure_s, 0.5 * error_s)
             counters.stamps_refused += refused
             counters.frames += 1
-            frame = Frame(stamp, buffer.sequence, px, exposure_s)
+            frame = Frame(stamp, buffer.sequence, px, exposure_s, gain)
             counters.frames_replaced += self._camera.frames.offer(frame) is not None
 
     async def _readable(self, device: Device) -> MonoNs:
@@ -181,11 +189,16 @@ class V4l2Channel:
         return seen
 
 
-def kernel_stamp(buffer: Buffer, received_at: MonoNs, options: CameraOptions, exposure_s: float) -> tuple[Stamp, bool]:
+def kernel_stamp(
+    buffer: Buffer, received_at: MonoNs, options: CameraOptions, exposure_s: float, error_s: float = 0.0
+) -> tuple[Stamp, bool]:
     """Return the stamp of mid-exposure, and whether the kernel's stamp had to be refused.
 
     A stamp of the start of the exposure lies half an exposure before its middle, one of the end of the transfer half an exposure
     after it.
+
+    Args:
+        error_s: largest error of mid-exposure for want of a better known exposure time, s.
     """
     half_s = 0.5 * exposure_s if buffer.at_start else -0.5 * exposure_s
-    return stamp_of(MonoNs(buffer.stamp_ns) if buffer.monotonic else None, half_s, received_at, options, exposure_s)
+    return stamp_of(MonoNs(buffer.stamp_ns) if buffer.monotonic else None, half_s, received_at, options, exposure_s, error_s)

@@ -15,7 +15,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.camera import v4l2_kernel as kernel
+from drivers.camera.exposure_law import ExposureRange, ExposureSetting
 from drivers.camera.options import FORMATS, CameraOptions, Size
+from drivers.camera.v4l2_exposure import KernelExposure
 from drivers.camera.v4l2_formats import FrameLayout
 from estimator.contracts.errors import BadInput, SetupImpossible
 
@@ -43,12 +45,29 @@ class Buffer:
     """Whether the kernel reports damaged content."""
 
 
+class DrivenExposure(Protocol):
+    """The exposure of a device as the driver sets it."""
+
+    can: ExposureRange
+    held: ExposureSetting
+
+    def set(self, wanted: ExposureSetting) -> ExposureSetting:
+        """Set the exposure, which may block, and return what the camera holds then.
+
+        Raises:
+            OSError: the camera refuses it, or is gone.
+        """
+        ...
+
+
 class Device(Protocol):
     """The interface of a device that the driver uses."""
 
     layout: FrameLayout
     rate_hz: float
     exposure_s: float | None
+    driven: DrivenExposure | None
+    """The exposure, where the options say that it is driven."""
 
     def fileno(self) -> int: ...
 
@@ -83,6 +102,9 @@ class KernelDevice:
             self._check()
             self.layout, self.rate_hz = self._set_format(options, *size)
             self._set_controls(options.control_values())
+            self.driven: DrivenExposure | None = None
+            if options.exposure.driven:
+                self.driven = KernelExposure(self.fileno(), path, options.exposure, self.rate_hz)
             self.exposure_s = self._exposure()
             self._stream(options.buffers)
         except BaseException:

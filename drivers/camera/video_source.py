@@ -11,6 +11,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from drivers.beside import running_beside
+from drivers.camera.exposure_drive import ExposureDrive
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import CameraLost, VideoSource
 from drivers.reconnect import BackOff, reconnect
@@ -34,7 +35,7 @@ async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -
         BadInput: the device cannot do what the options ask (size, format, control).
         SetupImpossible: permission is missing, or the device is not a camera.
     """
-    camera = VideoSource()
+    camera = VideoSource(ExposureDrive(options.exposure.settle_frames) if options.exposure.driven else None)
     # Each kind loads what it reads by only when it is used.
     if options.source == "vehicle":
         raise ValueError("the frames of this camera come with the vehicle")

@@ -77,6 +77,8 @@ class Frame(Struct, frozen=True, eq=False):
     """Pixels, (H, W, 3) BGR; the constructor makes them read-only."""
     exposure_s: float = 0.0
     """Exposure time; 0 if unknown."""
+    gain: float = 0.0
+    """Amplification of the sensor's light against its least, of a camera whose exposure is driven; 0 if unknown."""
 
     def __post_init__(self) -> None:
         if self.px.ndim != 3 or self.px.shape[2] != 3 or self.px.dtype != np.uint8:

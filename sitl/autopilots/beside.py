@@ -10,10 +10,12 @@ import msgspec
 
 from companion.config.model import CameraSettings, Settings
 from companion.runtime.daemon import Daemon, VehicleLink
+from companion.runtime.exposure_part import ExposurePart
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer
 from companion.runtime.pilot import Pilot
 from companion.runtime.vehicle_parts import vehicle_parts
+from drivers.camera.exposure_drive import ExposureDrive
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.ports import Clock
@@ -31,6 +33,14 @@ class FlightDaemon:
         health = Health(clock)
         self._parts = vehicle_parts(settings, pilot, health, clock)
         self._opened: list[VehicleLink] = []
+        options, observers = settings.camera.exposure, (*self._parts.observers, *observers)
+        self.exposure = ExposureDrive(options.settle_frames) if options.driven else None
+        """The exposure that the daemon drives; None where the camera does."""
+        if self.exposure is not None:
+            part = ExposurePart(options, pilot)
+            part.attach(self.exposure)
+            health.counters("exposure", part.counted)
+            observers = (*observers, part)
         self.daemon = Daemon(
             self._open,
             pilot,
@@ -38,7 +48,7 @@ class FlightDaemon:
             restart=settings.service,
             guidance_rate_hz=settings.guidance.rate_hz,
             threads=settings.vision.threads,
-            observers=(*self._parts.observers, *observers),
+            observers=observers,
             once=True,
             health=health,
             extras=self._parts.extras,
@@ -93,6 +103,6 @@ def beside_autopilot(
     return msgspec.structs.replace(
         settings,
         vehicle=vehicle,
-        camera=CameraSettings(settings.camera.file, gimbal=settings.camera.gimbal),
+        camera=CameraSettings(settings.camera.file, gimbal=settings.camera.gimbal, exposure=settings.camera.exposure),
         guidance=msgspec.structs.replace(settings.guidance, start=start, tries=tries, follow_deck=follow),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,12 +11,13 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.autopilots.motors import Motors, MotorVehicle
-from sitl.camera import Exposure, Renderer
+from sitl.camera import Exposure
 from sitl.contact import Ground
+from sitl.driven_exposure import DrivenExposure, Taken
 from sitl.film import Film
 from sitl.gimbal import SimulatedGimbal
 from sitl.scenario import Scenario, camera_model, pad_model
-from sitl.stage import air, airframe, deck_shape, flight_seeds, place, renderer, sea_and_vessel, wind
+from sitl.stage import air, airframe, deck_shape, film, flight_seeds, place, renderer, sea_and_vessel, wind
 from sitl.truth import RenderedFrame
 from sitl.vehicle import DECK, SEA, VehiclePhase
 
@@ -88,7 +89,9 @@ class Body:
         self._ground = Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w)
         self._sea = (0.0, 0.0)
         place(scenario, self._vehicle, self._ground, at.p_ned, at.R_ned)
-        self._renderer: Renderer | Film | None = None
+        self._renderer: Film | None = None
+        self.exposure: DrivenExposure | None = None
+        """The exposure of the camera where the service drives it."""
         self.gimbal = SimulatedGimbal(scenario.gimbal, step_s) if scenario.gimbal.given else None
         """What carries the camera; None for a camera that is fixed on the vehicle."""
 
@@ -173,16 +176,23 @@ class Body:
             w_pad=np.array(g.w),
         )
 
-    def expose(self) -> Callable[[], RenderedFrame]:
-        """Fix the scene now and return a function that renders its frame. Only one such function may run at a time."""
+    def expose(self, light_fraction: float = 1.0) -> Callable[[], RenderedFrame]:
+        """Fix the scene now and return a function that renders its frame. Only one such function may run at a time.
+
+        Args:
+            light_fraction: light on the scene against what the scenario says.
+        """
         if self._renderer is None:
-            self._renderer = renderer(self.scenario, self.waves, self.vessel, self._camera_seed)
+            seed = self._camera_seed
+            self._renderer = film(self.scenario, renderer(self.scenario, self.waves, self.vessel, seed), seed)
         expose, shot = self._renderer.render, self.shot()
+        taken = replace(Taken() if self.exposure is None else self.exposure.expose(), light_fraction=light_fraction)
         if self.gimbal is not None:
             shot = self.gimbal.turned(shot, self.camera.T_body_cam.t)
         rng = np.random.default_rng([self._camera_seed, self._tick])
-        at, exposure_s = MonoNs(round(self.t_s * NS_PER_S)), self.scenario.camera.exposure_s
-        return lambda: RenderedFrame(expose(shot, rng), at, exposure_s)
+        at, own_s, setting = MonoNs(round(self.t_s * NS_PER_S)), self.scenario.camera.exposure_s, taken.setting
+        exposure_s, gain = (own_s, 0.0) if setting is None else (setting.exposure_s, setting.gain)
+        return lambda: RenderedFrame(expose(shot, rng, taken), at, exposure_s, gain=gain)
 
     def _deck(self) -> Ground:
         i = self._tick - self._chunk_at - 1

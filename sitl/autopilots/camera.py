@@ -65,6 +65,11 @@ class LockStepCamera:
         self._on_the_way: InTransit[tuple[MonoNs, asyncio.Future[RenderedFrame]]] = InTransit(stream)
         self._looking_until: MonoNs | None = None
 
+    @property
+    def period_s(self) -> float:
+        """Time between two frames, s."""
+        return self._timing.period_s
+
     def stepped(self, body: Body) -> None:
         """Note a step of the physics; call it after each one."""
         now = self._clock.now()
@@ -84,7 +89,8 @@ class LockStepCamera:
             measured_at, developing = arrived[1]
             image = await developing
             self.frames += 1
-            self._offer(Frame(Stamp(measured_at, now, _STAMP_SIGMA_S, "sim"), self.frames, image.px, image.exposure_s))
+            stamp = Stamp(measured_at, now, _STAMP_SIGMA_S, "sim")
+            self._offer(Frame(stamp, self.frames, image.px, image.exposure_s, image.gain))
             self._looking_until = after(now, self._timing.vision_s)
         if self._looking_until is None or now < self._looking_until:
             return

@@ -25,6 +25,7 @@ from companion.config.model import Settings
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer
 from companion.runtime.pilot import FlightOutcome, Pilot
+from drivers.camera.exposure_law import ExposureSetting
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.endpoint import parse_endpoint
@@ -50,6 +51,7 @@ from sitl.autopilots.stand_in.base import StandIn
 from sitl.autopilots.stand_in.gimbal import GimbalLink
 from sitl.autopilots.stand_in.px4 import Px4StandIn
 from sitl.autopilots.station import STATION, GroundStation, OperatorView, Task
+from sitl.driven_exposure import DrivenExposure
 from sitl.flight_grader import FlightResult
 from sitl.perception.pixels import Pixels
 from sitl.perception.port import Perception
@@ -173,7 +175,13 @@ class AutopilotFlight:
         failed: Recoverable | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
             frames = self.graded.streams.frames
-            self._camera = LockStepCamera(self.clock, side.offer, side.concluded, side.looking, pool, frames, expose=self._expose)
+            camera = self._camera = LockStepCamera(
+                self.clock, side.offer, side.concluded, side.looking, pool, frames, expose=self._expose
+            )
+            if side.exposure is not None and self.body is not None and self.perception.level == "pixels":
+                start = ExposureSetting(self.scenario.camera.exposure_s, 1.0)
+                white_k = settings.camera.exposure.white_balance_k
+                self.body.exposure = DrivenExposure(side.exposure, start, camera.period_s, white_k, lambda: camera.frames)
             async with AsyncExitStack() as stack:
                 links = await stack.enter_async_context(
                     open_links((link,), self.clock, STATION, access=NamedSenders(everybody=True))

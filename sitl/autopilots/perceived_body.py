@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -16,6 +17,7 @@ from estimator.vision.pad import Pad
 from sitl.autopilots.body import Body
 from sitl.camera import Exposure
 from sitl.fault_timer import FaultTimer
+from sitl.picture_faults import LightFalls
 from sitl.render_worker import RenderWorker
 from sitl.scenario import Scenario
 from sitl.truth import RenderedFrame, Truth
@@ -89,7 +91,7 @@ class PerceivedBody:
         at: MonoNs = self._clock.now()
         exposure_s = self.scenario.camera.exposure_s
         if camera is None:
-            return self._body.expose()
+            return self._body.expose(math.prod(fault.fraction for fault, _ in self.faults.on(LightFalls)))
         covered = self.faults.active("lens_covered")
         px = camera(None if covered else self._body.shot(), self._body.tick)
         return lambda: RenderedFrame(px, at, exposure_s)

@@ -131,10 +131,12 @@ UNITS = {
     "rad": "_rad", "rad/s": "_rad_s", "rad/s/sqrt(Hz)": "_rad_s", "rad/s^2/sqrt(Hz)": "_rad_s2", "m/s^2/sqrt(Hz)": "_m_s2",
     "m/s^3/sqrt(Hz)": "_m_s3", "m/sqrt(s)": "_m", "s/sqrt(s)": "_s_sqrt_s", "rad/sqrt(s)": "_rad_sqrt_s", "1/sqrt(s)": "",
     "id": "_id", "ppm": "_ppm", "MB": "_mb", "KiB": "_kib", "records": "_records", "frames": "_frames", "kbit/s": "_kbit_s",
+    "px": "_px", "K": "_k",
 }  # fmt: skip
 GAINS_AND_RATIOS = {
     "core_fraction",
     "slope",
+    "gain_ratio",
     "battery",
     "mmsi",
     "return_charge",
@@ -231,6 +233,8 @@ def good_settings(draw: st.DrawFn) -> Settings:
     data["camera"].setdefault("gimbal", {}).update(device_id=154)
     sources = [{"source": "v4l2"}, {"source": "gstreamer"}, {"source": "stream"}, {"source": "vehicle", "device": ""}]
     data["camera"].update(draw(st.sampled_from(sources)))
+    if data["camera"]["source"] != "v4l2":
+        data["camera"].setdefault("exposure", {}).update(mode="camera")
     if data["camera"]["source"] != "gstreamer":
         data["camera"].update(latency_s=abs(data["camera"].get("latency_s", 0.0)))
     guidance.setdefault("thesis", {}).update(final_height_m=0.2, approach_height_m=1.0)
@@ -276,6 +280,14 @@ def test_the_kind_of_vehicle_decides_which_keys_there_are(tmp_path: Path) -> Non
         (
             ('source = "v4l2"\ndevice = "Test camera"', ""),
             'camera.source must be "v4l2", "gstreamer" or "stream": an autopilot has no frames',
+        ),
+        (
+            ('source = "v4l2"\ndevice = "Test camera"', 'source = "stream"\ndevice = "a.mp4"\n[camera.exposure]\nmode = "pad"'),
+            'camera.exposure.mode must be "camera" with camera.source "stream": only that of a camera with source "v4l2"',
+        ),
+        (
+            ('device = "Test camera"', 'device = "a"\ncontrols = "gain=4"\n[camera.exposure]\nmode = "pad"'),
+            'camera: controls: exposure.mode "pad" sets \'gain\': leave it out, or let exposure.mode be "camera"',
         ),
         (("[camera]", '[bridge]\nlinks = "udpin://0.0.0.0:14550"\n[camera]'), "bridge.links must be empty"),
     ],

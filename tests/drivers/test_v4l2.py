@@ -9,6 +9,7 @@ import asyncio
 import errno
 import os
 import socket
+import threading
 from collections import deque
 from fractions import Fraction
 from pathlib import Path
@@ -23,14 +24,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from drivers.camera.counters import CameraCounters
+from drivers.camera.exposure_drive import ExposureDrive
+from drivers.camera.exposure_law import ExposureRange, ExposureSetting
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
 from drivers.camera.v4l2 import V4l2Channel, kernel_stamp
-from drivers.camera.v4l2_device import Buffer
+from drivers.camera.v4l2_device import Buffer, DrivenExposure
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, stands_alone, to_bgr
 from drivers.camera.v4l2_names import CaptureDevice, cameras, find
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
+from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs
 from tests.support.image_files import claiming, encoded
 
@@ -64,6 +68,20 @@ def options(**more: Any) -> CameraOptions:
     return CameraOptions(**(usual | more))
 
 
+class SlowExposure:
+    """An exposure whose bus takes its time, and refuses an exposure of over 15 ms."""
+
+    def __init__(self) -> None:
+        self.can, self.held = ExposureRange(1e-4, 0.026, 8.0), ExposureSetting(0.01, 1.0)
+        self.go_on = threading.Event()
+
+    def set(self, wanted: ExposureSetting) -> ExposureSetting:
+        self.go_on.wait(30.0)
+        if wanted.exposure_s > 0.015:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return wanted
+
+
 class FakeDevice:
     """Buffers put in are read in order; `unplug` makes it answer as the kernel does."""
 
@@ -71,6 +89,7 @@ class FakeDevice:
         self.layout = FrameLayout(form, W, H, stride)
         self.rate_hz = 30.0
         self.exposure_s: float | None = 0.01
+        self.driven: DrivenExposure | None = None
         self.queue: deque[Buffer] = deque()
         self.gone = False
         self.closed = False
@@ -154,6 +173,47 @@ async def test_frames_gaps_damage_and_unplugging_are_all_counted() -> None:
     assert c.buffers == 8
     assert accounted(c)
     assert device.closed
+
+
+async def test_a_slow_bus_holds_up_no_frame_and_the_stamp_follows_the_new_exposure() -> None:
+    drive, device = ExposureDrive(settle_frames=2), FakeDevice()
+    camera, slow = VideoSource(drive), SlowExposure()
+    device.driven = slow
+    new = ExposureSetting(0.002, 1.5)
+    frames: list[Frame] = []
+
+    async def look(sequence: int) -> None:
+        device.put(buffer(sequence))
+        frames.append(await camera.frames.get())
+
+    async def story() -> None:
+        await look(0)
+        drive.ask(new)
+        for sequence in (1, 2, 3):
+            await look(sequence)
+        assert (drive.held, drive.changes, drive.settled(3)) == (ExposureSetting(0.01, 1.0), 0, False)
+        slow.go_on.set()
+        sequence = 4
+        while drive.changes == 0:
+            await look(sequence)
+            sequence += 1
+        for more in range(4):
+            await look(sequence + more)
+        drive.ask(ExposureSetting(0.02, 1.0))
+        while drive.refused == 0:
+            sequence += 1
+            await look(sequence + 4)
+        device.unplug()
+
+    assert await run(camera, device, story) == "unplugged"
+    assert [frame.exposure_s for frame in frames[:4]] == [0.01] * 4
+    assert (frames[-1].exposure_s, frames[-1].gain) == (0.002, 1.5)
+    # While a change may or may not show, mid-exposure is known to half the difference.
+    between = [frame for frame in frames if frame.exposure_s == 0.006]
+    assert between
+    assert all(frame.stamp.sigma_s > frames[-1].stamp.sigma_s for frame in between)
+    assert drive.held is None
+    assert drive.why_refused == os.strerror(errno.EIO)
 
 
 async def test_an_image_that_claims_another_size_is_named_once_and_counted(caplog: pytest.LogCaptureFixture) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.camera import v4l2_kernel as kernel
+from drivers.camera.exposure_options import ExposureOptions
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.v4l2_device import KernelDevice
 from drivers.camera.v4l2_names import cameras
@@ -179,4 +180,14 @@ async def unplugged() -> Seen:
     return out
 
 
-SCENES = (formats, automatic, stamps, drops, damage, slow_reader, controls, unplugged)
+async def exposure() -> Seen:
+    """The test camera has a gain and no exposure time."""
+    try:
+        async with open_camera(*options(exposure=ExposureOptions(mode="pad")), SystemClock()) as camera:
+            await take(camera, 1)
+    except DecklanderError as why:
+        return {"refused": [type(why).__name__, str(why)]}
+    return {}
+
+
+SCENES = (exposure, formats, automatic, stamps, drops, damage, slow_reader, controls, unplugged)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import deque
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from fractions import Fraction
@@ -15,6 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.camera.exposure_governor import ExposureGovernor
+from drivers.camera.exposure_options import ExposureOptions
+from drivers.camera.metering import meter_inside
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import VideoSource
 from drivers.camera.v4l2_names import cameras
@@ -70,10 +74,35 @@ def farthest_from_bars(px: NDArray[np.uint8]) -> int:
     return int(np.abs(px[middle].astype(int) - BARS).max())
 
 
+class Deck:
+    """A pad with white paint on a deck, in a light that may change; the frames follow exposure and gain two frames later."""
+
+    def __init__(self) -> None:
+        self.light = 3.0
+        """White paint at an exposure of 1 ms without gain, full scale is 1."""
+        self.webcam: Webcam | None = None
+        self._settings: deque[tuple[int, int]] = deque(maxlen=3)
+        where = np.zeros((SMALL[1], SMALL[0]), np.intp)
+        where[80:160, 100:220] = 1
+        where[100:120, 120:200] = 2
+        self._where = where
+
+    def image(self, fourcc: str, size: tuple[int, int], n: int) -> tuple[bytes, bool]:
+        assert self.webcam is not None
+        self._settings.append((self.webcam.exposure.now, self.webcam.gain.now))
+        units, gain = self._settings[0]
+        white = self.light * 0.1 * units * (1.0 + gain / 16.0)
+        grey = 255.0 * np.clip(white * np.array([0.05, 0.2, 1.0]), 0.0, 1.0) ** (1 / 2.2)
+        luma = np.round(16.0 + grey * 219.0 / 255.0).astype(np.uint8)[self._where]
+        return np.stack([luma, np.full_like(luma, 128)], axis=-1).tobytes(), False
+
+
 @asynccontextmanager
-async def plugged() -> AsyncIterator[tuple[Webcam, Faults]]:
+async def plugged(deck: Deck | None = None) -> AsyncIterator[tuple[Webcam, Faults]]:
     faults = Faults()
-    webcam = Webcam(FORMATS, faults.image)
+    webcam = Webcam(FORMATS, faults.image if deck is None else deck.image)
+    if deck is not None:
+        deck.webcam = webcam
     webcam.plug()
     try:
         async with asyncio.timeout(20):
@@ -158,4 +187,43 @@ async def webcam_unplugged() -> Seen:
     return out
 
 
-SCENES = (webcam_formats, webcam_controls, webcam_damage, webcam_unplugged)
+async def webcam_exposure() -> Seen:
+    """The light falls to a thirtieth; then the picture moves; then the camera refuses."""
+    deck, outline = Deck(), np.array([(100.0, 80.0), (219.0, 80.0), (219.0, 159.0), (100.0, 159.0)])
+    out: Seen = {}
+    async with plugged(deck) as (webcam, _):
+        driven = ExposureOptions(mode="pad", gain_ratio=8.0)
+        async with open_camera(*options(format="YUYV", exposure=driven), SystemClock()) as camera:
+            drive = camera.exposure
+            assert drive is not None
+            governor = ExposureGovernor(driven, drive)
+
+            async def watch(frames: int, speed_px_s: float) -> Seen:
+                levels: list[float] = []
+                for _ in range(frames):
+                    frame = await camera.frames.get()
+                    governor.on_frame(frame, outline, speed_px_s)
+                    seen = meter_inside(frame.px, outline)
+                    levels.append(0.0 if seen is None else round(seen.level, 3))
+                controls = (webcam.mode, webcam.exposure, webcam.auto_balance, webcam.balance)
+                assert drive.held is not None
+                return {
+                    "levels": levels,
+                    "frame": [frame.exposure_s, frame.gain],
+                    "held": [drive.held.exposure_s, drive.held.gain],
+                    "camera": [control.now for control in controls],
+                }
+
+            out["bright"] = await watch(60, 0.0)
+            deck.light /= 30.0
+            out["dark"] = await watch(60, 0.0)
+            out["moving"] = await watch(40, 500.0)
+            webcam.stubborn = True
+            deck.light *= 30.0
+            out["refused"] = await watch(20, 0.0)
+            out |= {"refusals": drive.refused, "why": drive.why_refused, "changes": drive.changes}
+            out |= await settled(camera)
+    return out
+
+
+SCENES = (webcam_formats, webcam_controls, webcam_damage, webcam_unplugged, webcam_exposure)

@@ -98,3 +98,9 @@ def test_unplugging_is_noticed_and_the_camera_comes_back(seen: dict[str, Seen]) 
     assert shot["restarts.unplugged"] == 2
     assert shot["restarts.absent"] >= 1
     assert accounted(shot)
+
+
+def test_a_camera_without_an_exposure_time_cannot_be_driven(seen: dict[str, Seen]) -> None:
+    kind, text = seen["exposure"]["refused"]
+    assert kind == "BadInput"
+    assert text.endswith('it has no exposure time that can be set; let camera.exposure.mode be "camera"')

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from drivers.camera.exposure_law import TARGET
 from tests.v4l2_vm.capture import Seen, accounted
 from tests.v4l2_vm.conftest import NEEDS_A_MACHINE
 from tests.v4l2_vm.scenes_webcam import BARS
@@ -71,4 +72,24 @@ def test_a_camera_pulled_out_comes_back_with_its_exposure(seen: dict[str, Seen])
     assert shot["restarts.unplugged"] == 1
     assert shows_bars(shot["back"])
     assert (shot["back"]["exposure"], shot["back"]["exposure_s"]) == (50, 0.005)
+    assert accounted(shot)
+
+
+def test_a_driven_exposure_brings_the_pad_to_its_level(seen: dict[str, Seen]) -> None:
+    shot = seen["webcam_exposure"]
+    for name in ("bright", "dark", "moving"):
+        assert all(0.4 * TARGET < level < 1.4 * TARGET for level in shot[name]["levels"][-10:]), (name, shot[name])
+        (held_s, gain), (mode, units, auto_balance, balance) = shot[name]["held"], shot[name]["camera"]
+        assert (mode, auto_balance, balance) == (1, 0, 6500)
+        assert held_s == pytest.approx(1e-4 * units)
+        assert shot[name]["frame"] == [held_s, gain]
+    assert shot["dark"]["held"][0] * shot["dark"]["held"][1] > 10 * shot["bright"]["held"][0]
+    assert shot["moving"]["held"][0] <= 1.5 / 500.0 < shot["dark"]["held"][0]
+
+
+def test_a_refused_exposure_is_counted_and_frames_go_on(seen: dict[str, Seen]) -> None:
+    shot = seen["webcam_exposure"]
+    assert shot["refusals"] >= 1
+    assert shot["why"]
+    assert len(shot["refused"]["levels"]) == 20
     assert accounted(shot)

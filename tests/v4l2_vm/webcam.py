@@ -1,4 +1,4 @@
-"""A USB camera as most people have it, in software: YUYV, MJPG and H.264 with exposure, brightness and gain, for `uvcvideo`.
+"""A USB camera as most people have it, in software: YUYV, MJPG and H.264 with exposure, brightness, gain and white balance.
 
 Source: USB Device Class Definition for Video Devices 1.1 (descriptors: section 3, requests: 4, payload headers: 2.4.3.3) and its
 payload documents for uncompressed, MJPEG and frame-based video. Frames go by a bulk endpoint, two bytes of header a transfer.
@@ -63,12 +63,18 @@ class Webcam:
         self._image = image
         self.mode = Control(1, MANUAL, APERTURE_PRIORITY, APERTURE_PRIORITY)
         self.exposure = Control(4, 1, 5000, 156)
+        self.gain = Control(2, 0, 255, 16)
+        self.balance, self.auto_balance = Control(2, 2800, 6500, 4000), Control(1, 0, 1, 1)
         self._controls = {
             (_CAMERA, 0x02): self.mode,
             (_CAMERA, 0x04): self.exposure,
             (_PROCESSING, 0x02): Control(2, -64, 64, 0),
-            (_PROCESSING, 0x04): Control(2, 0, 255, 16),
+            (_PROCESSING, 0x04): self.gain,
+            (_PROCESSING, 0x0A): self.balance,
+            (_PROCESSING, 0x0B): self.auto_balance,
         }
+        self.stubborn = False
+        """Whether it refuses a new exposure time."""
         self._probe = self._offer(1, 1)
         self._chosen: tuple[str, tuple[int, int]] | None = None
         self._plug: Plug | None = None
@@ -110,7 +116,7 @@ class Webcam:
             return None
         if request == 0x01:
             value = int.from_bytes(data, "little", signed=control.low < 0)
-            if control is self.exposure and self.mode.now != MANUAL:
+            if control is self.exposure and (self.stubborn or self.mode.now != MANUAL):
                 return None
             control.now = value
             return b""
@@ -180,7 +186,7 @@ class Webcam:
     def _configuration(self) -> bytes:
         header = struct.pack("<BBBHHIBB", 13, 0x24, 1, 0x0110, 0, 48_000_000, 1, 1)
         camera = struct.pack("<BBBBHBBHHHB3s", 18, 0x24, 2, _CAMERA, 0x0201, 0, 0, 0, 0, 0, 3, b"\x0a\0\0")
-        processing = struct.pack("<BBBBBHBHBB", 12, 0x24, 5, _PROCESSING, _CAMERA, 0, 2, 0x0201, 0, 0)
+        processing = struct.pack("<BBBBBHBHBB", 12, 0x24, 5, _PROCESSING, _CAMERA, 0, 2, 0x1241, 0, 0)
         output = struct.pack("<BBBBHBBB", 9, 0x24, 3, _OUTPUT, 0x0101, 0, _PROCESSING, 0)
         units = _with_total(header + camera + processing + output, 5)
         formats = b"".join(_format(number, f) for number, f in enumerate(self.formats, 1))

@@ -1,0 +1,146 @@
+"""The part that drives a camera's exposure: it meters where the pad is believed to be, and heeds how the vehicle turns."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from companion.config.model import CameraSettings
+from companion.config.settings import from_mapping
+from companion.recorder import encode
+from companion.recorder.reading import RecordedFrame
+from companion.runtime.exposure_part import ExposurePart
+from companion.runtime.health import Health
+from companion.runtime.make_pilot import make_pilot
+from companion.runtime.observer import ProcessedFrame
+from companion.runtime.pilot import Pilot
+from companion.runtime.vehicle_parts import vehicle_parts
+from drivers.camera.exposure_drive import ExposureDrive
+from drivers.camera.exposure_law import TARGET, ExposureRange, ExposureSetting
+from drivers.camera.exposure_options import ExposureOptions
+from drivers.clock import SystemClock
+from estimator.contracts.estimates import RelativeState, Verdict
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Frame, Imu
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+from tests.support.image_files import encoded
+
+SETTINGS = from_mapping(
+    {
+        "vehicle": {"kind": "mavlink", "links": "udpin://127.0.0.1:0"},
+        "camera": {"file": "sim", "source": "v4l2", "device": "Test camera", "exposure": {"mode": "pad"}},
+        "pad": {"file": "thesis"},
+    },
+    "test",
+)
+PILOT = make_pilot(SETTINGS)
+HEIGHT_M, AHEAD_M = 3.0, 0.6
+PERIOD_NS = 33_333_333
+
+
+class BelievingPilot:
+    """Believes that the pad is ahead of the vehicle, or nothing."""
+
+    def __init__(self, tracked: bool) -> None:
+        self.tracked = tracked
+        self.camera: Camera = PILOT.camera
+        self.pad: Pad = PILOT.pad
+
+    def believed(self, now: MonoNs) -> RelativeState | None:
+        if not self.tracked:
+            return None
+        d = np.array([AHEAD_M, 0.0, HEIGHT_M])
+        return RelativeState(now, "ekf", d, np.zeros(3), 0.0, np.eye(7), now, True)
+
+
+class Scene:
+    """A pad in the middle of the upper half of the frame, and a sea that is ten times as bright."""
+
+    def __init__(self, white_per_ms: float, tracked: bool = True) -> None:
+        self.white_per_ms, self.number = white_per_ms, 0
+        self.drive = ExposureDrive(settle_frames=1)
+        self.drive.opened(ExposureRange(1e-4, 0.026, 8.0), ExposureSetting(0.008, 1.0))
+        self.part = ExposurePart(ExposureOptions(mode="pad"), cast(Pilot, BelievingPilot(tracked)))
+        self.part.attach(self.drive)
+        camera = PILOT.camera
+        v, u = np.mgrid[: camera.height, : camera.width]
+        pad_v = camera.cy - camera.fy * (AHEAD_M - camera.T_body_cam.t[0]) / HEIGHT_M
+        self.inside = np.hypot(u - camera.cx, v - pad_v) < 1.1 * camera.fx * PILOT.pad.disc_radius_m / HEIGHT_M
+
+    def run(self, frames: int, w_body: float = 0.0) -> ExposureSetting:
+        for _ in range(frames):
+            held = self.drive.held
+            assert held is not None
+            self.number += 1
+            stamp = Stamp(MonoNs(self.number * PERIOD_NS), MonoNs(self.number * PERIOD_NS), 0.0, "sim")
+            self.part.on_sample(Imu(stamp, np.array([0.0, w_body, 0.0]), np.array([0.0, 0.0, -9.81])))
+            white = self.white_per_ms * 1e3 * held.product_s
+            light = np.where(self.inside, white, 10.0 * white)
+            grey = np.round(255.0 * np.clip(light, 0.0, 1.0) ** (1 / 2.2)).astype(np.uint8)
+            frame = Frame(stamp, self.number, np.repeat(grey[..., None], 3, axis=2), held.exposure_s, held.gain)
+            attitude = Attitude(stamp, Rotation.from_rpy(0.0, 0.0, 0.0), np.eye(3) * 1e-4)
+            done = stamp.received_at
+            self.part.on_frame(ProcessedFrame(frame, attitude, None, Verdict.NO_PAD, done, done))
+            if (wanted := self.drive.take()) is not None:
+                self.drive.changed(wanted, self.number, self.number)
+        assert self.drive.held is not None
+        return self.drive.held
+
+
+def test_the_pad_is_metered_and_not_the_bright_sea_around_it() -> None:
+    scene = Scene(0.2)
+    held = scene.run(60)
+    assert scene.white_per_ms * 1e3 * held.product_s == pytest.approx(TARGET, rel=0.25)
+    counted = scene.part.counted()
+    assert (counted["frames_pad"], counted["frames_search"], counted["frames_dark"]) == (60, 0, 0)
+    assert (counted["exposure_ms"], counted["gain"]) == (round(1e3 * held.exposure_s, 3), round(held.gain, 2))
+
+
+def test_without_a_belief_the_whole_picture_is_metered() -> None:
+    scene = Scene(0.2, tracked=False)
+    scene.run(60)
+    assert scene.part.counted()["frames_search"] == 60
+
+
+def test_a_vehicle_that_turns_gets_short_exposures_and_gain_in_their_place() -> None:
+    scene = Scene(0.05)
+    still = scene.run(60)
+    turning = scene.run(30, w_body=0.8)
+    assert turning.exposure_s * PILOT.camera.fx * 0.8 <= 1.5 < still.exposure_s * PILOT.camera.fx * 0.8
+    assert turning.product_s == pytest.approx(still.product_s, rel=0.05)
+    assert scene.run(200).exposure_s > 1.8 * turning.exposure_s
+
+
+def test_a_pad_too_dark_for_the_camera_is_counted_and_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    scene = Scene(1e-4)
+    scene.run(300)
+    assert scene.part.counted()["frames_dark"] > 200
+    assert caplog.text.count("stops too dark at 20.0 ms and gain 8.0, which the motion and the camera limit") == 1
+    scene.white_per_ms = 0.2
+    scene.run(60)
+    assert caplog.text.count("the pad is rightly exposed again") == 1
+
+
+def test_exposure_and_gain_of_each_frame_are_recorded() -> None:
+    at = Stamp(MonoNs(5), MonoNs(7), 0.001, "kernel")
+    taken = Frame(at, 3, np.zeros((48, 64, 3), np.uint8), 0.004, 2.5)
+    record = encode.detection(ProcessedFrame(taken, None, None, Verdict.NO_PAD, MonoNs(8), MonoNs(9)))
+    again = RecordedFrame(record, encoded(".png", 64, 48)).frame((64, 48))
+    assert again is not None
+    assert (again.exposure_s, again.gain) == (0.004, 2.5)
+
+
+def test_the_service_has_the_part_where_the_settings_ask_for_it() -> None:
+    own = structs.replace(SETTINGS, camera=CameraSettings("sim", source="v4l2", device="Test camera"))
+    for settings, there in ((SETTINGS, True), (own, False)):
+        health = Health(SystemClock())
+        parts: Any = vehicle_parts(settings, PILOT, health, SystemClock())
+        assert any(isinstance(observer, ExposurePart) for observer in parts.observers) is there
+        assert ("exposure" in health.snapshot().counters) is there
