@@ -32,7 +32,7 @@ class Taken:
     """Colour temperature that is taken for white; None where the camera sets it itself."""
 
 
-class DrivenExposure:
+class SimulatedExposure:
     """The camera's side of a driven exposure.
 
     Args:

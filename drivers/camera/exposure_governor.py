@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from drivers.camera.exposure_drive import ExposureDrive
 from drivers.camera.exposure_law import LawMemory, limit_of, step
 from drivers.camera.exposure_options import ExposureOptions
-from drivers.camera.exposure_search import SearchMemory, search_step
+from drivers.camera.exposure_search import BracketMemory, search_step
 from drivers.camera.metering import meter_inside, meter_whole
 from estimator.contracts.samples import Frame
 
@@ -18,7 +18,7 @@ class ExposureGovernor:
 
     def __init__(self, options: ExposureOptions, drive: ExposureDrive) -> None:
         self._o, self._drive = options, drive
-        self._law, self._search = LawMemory(), SearchMemory()
+        self._law, self._search = LawMemory(), BracketMemory()
 
     @property
     def short_of_ev(self) -> float:
@@ -45,7 +45,7 @@ class ExposureGovernor:
             self._law = LawMemory()
             self._search, wanted = search_step(self._search, held, can, limit_s, *meter_whole(frame.px))
         else:
-            self._search = SearchMemory()
+            self._search = BracketMemory()
             self._law, wanted = step(self._law, held, can, limit_s, metered)
         if wanted is not None and wanted != held:
             self._drive.ask(wanted)

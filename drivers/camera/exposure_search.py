@@ -17,7 +17,7 @@ _APART_EV = 1.0
 _FARTHEST_EV = 3.0
 
 
-class SearchMemory(Struct, frozen=True):
+class BracketMemory(Struct, frozen=True):
     """What the search remembers from picture to picture."""
 
     law: LawMemory = LawMemory()
@@ -28,19 +28,19 @@ class SearchMemory(Struct, frozen=True):
 
 
 def search_step(
-    memory: SearchMemory, held: ExposureSetting, can: ExposureRange, limit_s: float, brightest: Metered, darkest: Metered
-) -> tuple[SearchMemory, ExposureSetting | None]:
+    memory: BracketMemory, held: ExposureSetting, can: ExposureRange, limit_s: float, brightest: Metered, darkest: Metered
+) -> tuple[BracketMemory, ExposureSetting | None]:
     """Return the exposure that the camera is to take; None to leave it. The arguments are those of `step`."""
     pictures = memory.pictures + 1
     if memory.back_to_s is not None:
         if pictures < _DWELL:
-            return SearchMemory(memory.law, pictures, memory.back_to_s), step(memory.law, held, can, limit_s, None)[1]
-        return SearchMemory(), can.split(memory.back_to_s, limit_s)
+            return BracketMemory(memory.law, pictures, memory.back_to_s), step(memory.law, held, can, limit_s, None)[1]
+        return BracketMemory(), can.split(memory.back_to_s, limit_s)
     law, wanted = step(memory.law, held, can, limit_s, brightest)
     if wanted is not None or pictures < _DWELL:
-        return SearchMemory(law, 0 if wanted is not None else pictures), wanted
+        return BracketMemory(law, 0 if wanted is not None else pictures), wanted
     apart_ev = darkest.error_ev
     second = can.split(held.product_s * 2.0 ** min(apart_ev, _FARTHEST_EV), limit_s)
     if apart_ev < _APART_EV or second.product_s < 1.4 * held.product_s:
-        return SearchMemory(law), None
-    return SearchMemory(law, 0, held.product_s), second
+        return BracketMemory(law), None
+    return BracketMemory(law, 0, held.product_s), second

@@ -13,7 +13,7 @@ from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.autopilots.motors import Motors, MotorVehicle
 from sitl.camera import Exposure
 from sitl.contact import Ground
-from sitl.driven_exposure import DrivenExposure, Taken
+from sitl.driven_exposure import SimulatedExposure, Taken
 from sitl.film import Film
 from sitl.gimbal import SimulatedGimbal
 from sitl.scenario import Scenario, camera_model, pad_model
@@ -90,7 +90,7 @@ class Body:
         self._sea = (0.0, 0.0)
         place(scenario, self._vehicle, self._ground, at.p_ned, at.R_ned)
         self._renderer: Film | None = None
-        self.exposure: DrivenExposure | None = None
+        self.exposure: SimulatedExposure | None = None
         """The exposure of the camera where the service drives it."""
         self.gimbal = SimulatedGimbal(scenario.gimbal, step_s) if scenario.gimbal.given else None
         """What carries the camera; None for a camera that is fixed on the vehicle."""

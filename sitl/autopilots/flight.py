@@ -51,7 +51,7 @@ from sitl.autopilots.stand_in.base import StandIn
 from sitl.autopilots.stand_in.gimbal import GimbalLink
 from sitl.autopilots.stand_in.px4 import Px4StandIn
 from sitl.autopilots.station import STATION, GroundStation, OperatorView, Task
-from sitl.driven_exposure import DrivenExposure
+from sitl.driven_exposure import SimulatedExposure
 from sitl.flight_grader import FlightResult
 from sitl.perception.pixels import Pixels
 from sitl.perception.port import Perception
@@ -181,7 +181,7 @@ class AutopilotFlight:
             if side.exposure is not None and self.body is not None and self.perception.level == "pixels":
                 start = ExposureSetting(self.scenario.camera.exposure_s, 1.0)
                 white_k = settings.camera.exposure.white_balance_k
-                self.body.exposure = DrivenExposure(side.exposure, start, camera.period_s, white_k, lambda: camera.frames)
+                self.body.exposure = SimulatedExposure(side.exposure, start, camera.period_s, white_k, lambda: camera.frames)
             async with AsyncExitStack() as stack:
                 links = await stack.enter_async_context(
                     open_links((link,), self.clock, STATION, access=NamedSenders(everybody=True))

@@ -19,7 +19,7 @@ from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
 from sitl.autopilots.body import Body
 from sitl.camera import Exposure
-from sitl.driven_exposure import DrivenExposure, Taken, taken_with
+from sitl.driven_exposure import SimulatedExposure, Taken, taken_with
 from sitl.film import Film
 from sitl.light import Light, Sensor
 from sitl.scenario import load
@@ -58,7 +58,7 @@ def test_on_a_dark_sea_the_camera_clips_the_lit_pad_and_the_service_does_not() -
     assert seen(own(made, shot, 3), outline).saturated > 0.5
 
     drive, number = ExposureDrive(OPTIONS.settle_frames), 0
-    camera = DrivenExposure(drive, ExposureSetting(0.02, 16.0), 1 / 30, 6500.0, lambda: number)
+    camera = SimulatedExposure(drive, ExposureSetting(0.02, 16.0), 1 / 30, 6500.0, lambda: number)
     governor, found = ExposureGovernor(OPTIONS, drive), []
     for number in range(1, 50):
         px = made.render(shot, np.random.default_rng(number), camera.expose())
@@ -70,7 +70,7 @@ def test_on_a_dark_sea_the_camera_clips_the_lit_pad_and_the_service_does_not() -
 
 def test_a_change_shows_two_frames_later() -> None:
     drive = ExposureDrive(4)
-    camera = DrivenExposure(drive, ExposureSetting(0.008, 1.0), 1 / 30, 6500.0, lambda: 5)
+    camera = SimulatedExposure(drive, ExposureSetting(0.008, 1.0), 1 / 30, 6500.0, lambda: 5)
     assert drive.can is not None
     drive.ask(ExposureSetting(0.002, 4.0))
     shown = [camera.expose().setting for _ in range(4)]
