@@ -280,7 +280,7 @@ def _processed(
         rest = entries[len(made) :]
         followed: Sequence[PackedBelief | None] = ()
         if packed is not None:
-            row, _ = packed.follow(params.process_noise, [entry.record for entry in rest])
+            row = packed.follow(params.process_noise, [entry.record for entry in rest])
             if len(outcomes) < wanted and row:
                 outcomes += row.outcomes(min(len(row), wanted - len(outcomes)))
             followed = row

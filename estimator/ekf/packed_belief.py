@@ -114,8 +114,8 @@ class PackedBelief:
             self._belief = _read(self.numbers.read(_SIZE), self.P.read(_P_SIZE).reshape(N, N), self.sea)
         return self._belief
 
-    def follow(self, noise: ProcessNoise, events: Sequence[PackedEvent]) -> tuple[Followed, Outcome]:
-        """Return the beliefs after each of the events, which are in order, and the first one's outcome.
+    def follow(self, noise: ProcessNoise, events: Sequence[PackedEvent]) -> Followed:
+        """Return the beliefs after each of the events, which are in order.
 
         They are fewer than the events where the next one is not the core's to process.
         """
@@ -139,8 +139,7 @@ class PackedBelief:
             P = _kept(covariances, (slots[done - 1] + 1) * _P_SIZE)
         if done and seas is not None and slots[n + done - 1] >= 0:
             sea = _kept(seas, (slots[n + done - 1] + 1) * SEA_SIZE)
-        made = Followed(self, done, slots, Words(block, at + 2 * n, index + 16 * n), P, sea)
-        return made, made.outcomes(1)[0] if done else _UNCOMPARED[CONSTANTS["GATED"]]
+        return Followed(self, done, slots, Words(block, at + 2 * n, index + 16 * n), P, sea)
 
     def propagated(self, t: int, noise: ProcessNoise, how_far: int) -> PackedBelief:
         """Return the belief at instant `t`, ns; `how_far` is one of `STATE_ALONE`, `WITH_COVARIANCE`, `WITH_AIDING`."""

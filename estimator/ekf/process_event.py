@@ -43,9 +43,9 @@ def process_event(b: Belief | None, event: Event, params: FilterParams) -> tuple
     if b is None:
         return _first(event, params)
     packed = PackedBelief.of(b)
-    followed, outcome = packed.follow(params.process_noise, [packed_event(event)])
+    followed = packed.follow(params.process_noise, [packed_event(event)])
     if followed:
-        return followed[0].belief, outcome
+        return followed[0].belief, followed.outcomes(1)[0]
     assert isinstance(event, Attitude)
     return _set_by(packed.propagated(event.stamp.measured_at, params.process_noise, WITH_COVARIANCE).belief, event, params)
 

@@ -46,10 +46,18 @@ IN_USE = (
 )
 
 
+AHEAD_S = (0.0, T, SHIPPED.tilt.slowness_s, T * max(1, round(SHIPPED.climb.delay_s / T)), 0.5)
+"""Times at which the shipped law asks for the deck, as the horizons of some forecasts: a line ends there and another begins."""
+
+
 def forecast(rng: np.random.Generator, at: int) -> Forecast:
-    z = np.zeros(4)
-    horizons = np.array([0.0, *np.cumsum(rng.uniform(0.05, 0.6, 3))])
-    return Forecast(MonoNs(at), horizons, np.zeros((4, 3)), np.zeros((4, 3, 3)), rng.normal(size=(4, 3)), z, z, z, z, z, z, z, z)
+    if rng.random() < 0.5:
+        horizons = np.array(AHEAD_S[: rng.integers(2, len(AHEAD_S) + 1)])
+    else:
+        horizons = np.array([0.0, *np.cumsum(rng.uniform(0.05, 0.6, rng.integers(1, 5)))])
+    n, z = horizons.size, np.zeros(horizons.size)
+    rates = rng.normal(size=(n, 3))
+    return Forecast(MonoNs(at), horizons, np.zeros((n, 3)), np.zeros((n, 3, 3)), rates, z, z, z, z, z, z, z, z)
 
 
 def cycle(rng: np.random.Generator, at: int, made: Forecast | None, response: ResponseInUse | None) -> Knowledge:
@@ -92,7 +100,7 @@ def test_each_cycle_has_the_plain_law_s_command_and_memory(response: Response, o
     for _ in range(40):
         at += int(rng.choice([20_000_000, 20_000_000, 20_000_000, 0, 31_000_000, 500_000_000, 500_000_001, -7_000_000]))
         if rng.random() < 0.2:
-            made = None if rng.random() < 0.3 else forecast(rng, at - int(rng.integers(-2, 6)) * 100_000_000)
+            made = None if rng.random() < 0.3 else forecast(rng, at - int(rng.integers(-1, 6)) * 100_000_000)
         if rng.random() < 0.1:
             in_use = IN_USE[rng.integers(len(IN_USE))]
         known, wanted = cycle(rng, at, made, in_use), target(rng)
@@ -121,3 +129,15 @@ def test_a_memory_of_plain_values_is_the_core_s() -> None:
         memory, _ = law.step(memory, known.at, known, Target(np.array([0.0, 0.0, 1.0])))
     again = packed(plain(memory, law._remembered, over_ground=True))
     assert again.words.tolist() == memory.words[: again.words.size].tolist()
+
+
+def test_a_deck_that_is_not_looked_at_stands_still() -> None:
+    rng, still = np.random.default_rng(5), FollowDeck(SHIPPED, T, forecast=False)
+    known = cycle(rng, 0, forecast(rng, 0), None)
+    over = Target(np.array([0.0, 0.0, 1.0]))
+    _, command = still.step(still.start(), known.at, known, over)
+    assert isinstance(command, Lean)
+    bare = structs.replace(known, forecast=None, deck=None)
+    _, plainly = still.step(still.start(), bare.at, bare, over)
+    assert isinstance(plainly, Lean)
+    assert command.a_level.tolist() == plainly.a_level.tolist()

@@ -93,7 +93,7 @@ def test_after_a_row_of_samples_it_is_the_oracle_s(later_ms: int) -> None:
     for seed in range(12):
         packed = PackedBelief.of(beginning(seed)._replace(sighted=T - 20 * MS))
         row_of = [packed_event(one) for one in [*row(seed, 9, 0.2, 3.0), imu(T + 40 * MS, (0.1, 0.0, 0.2), (0.5, 0.1, -9.6))]]
-        made, _ = packed.follow(TOOLS.process_noise, row_of)
+        made = packed.follow(TOOLS.process_noise, row_of)
         assert len(made) == len(row_of)
         b = made[-1].belief
         pad, body = same_answer(b, b.t + later_ms * MS, TOOLS)

@@ -146,12 +146,12 @@ def _over_the_pad() -> F64:
 def test_each_sample_has_the_oracle_s_outcome_and_belief(seed: int, chosen: FilterParams, wild: float, gap_ms: float) -> None:
     oracle = beginning(seed)
     for one in row(seed, 20, wild, gap_ms):
-        made, outcome = PackedBelief.of(oracle).follow(chosen.process_noise, [packed_event(one)])
+        made = PackedBelief.of(oracle).follow(chosen.process_noise, [packed_event(one)])
         if not made:
             assert isinstance(one, Attitude), "an attitude that sets a diverged belief's"
             return
         oracle, expected = process_sample(oracle, one, chosen)
-        same_outcome(outcome, expected)
+        same_outcome(made.outcomes(1)[0], expected)
         same(made[0].belief, oracle)
 
 
@@ -160,10 +160,10 @@ def test_each_sample_has_the_oracle_s_outcome_and_belief(seed: int, chosen: Filt
 def test_a_row_in_one_call_is_one_call_for_each(seed: int, chosen: FilterParams) -> None:
     samples = row(seed, 40, 0.1, 3.0)
     one_by_one = PackedBelief.of(beginning(seed))
-    together, _ = one_by_one.follow(chosen.process_noise, [packed_event(one) for one in samples])
+    together = one_by_one.follow(chosen.process_noise, [packed_event(one) for one in samples])
     assert len(together) == len(samples)
     for one, after in zip(samples, together, strict=True):
-        (one_by_one,), _ = one_by_one.follow(chosen.process_noise, [packed_event(one)])
+        (one_by_one,) = one_by_one.follow(chosen.process_noise, [packed_event(one)])
         assert one_by_one.numbers.read(NUMBERS).tobytes() == after.numbers.read(NUMBERS).tobytes()
         assert one_by_one.belief.P.tobytes() == after.belief.P.tobytes()
 

@@ -247,7 +247,7 @@ def test_a_kind_that_was_fused_is_not_fused_again_with_the_next_one() -> None:
     """One row in one call: between calls a snapshot forgets what was gathered and fused."""
     oracle, turn = belief(x=under(), P=correlated()), Rotation.from_rpy(0.01, -0.01, 0.0)
     row = [BodyVelocity(stamp(T + MS), np.zeros(3), np.eye(3)), Attitude(stamp(T + 6 * MS), turn, 1e-4 * np.eye(3))]
-    together, _ = PackedBelief.of(oracle).follow(TOOLS.process_noise, [packed_event(event) for event in row])
+    together = PackedBelief.of(oracle).follow(TOOLS.process_noise, [packed_event(event) for event in row])
     for event, made in zip(row, together, strict=True):
         oracle, _ = process_sample(oracle, event, TOOLS)
         same(made.belief, oracle)
@@ -271,7 +271,7 @@ def test_a_refusal_leaves_the_covariance_as_it_was_propagated(later_ms: int) -> 
 def test_a_row_ends_before_an_event_of_a_kind_that_is_none() -> None:
     known = packed_event(imu(T + MS, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8)))
     strange = PackedEvent(struct.pack("q", 99) + known.record[8:])
-    together, _ = PackedBelief.of(belief()).follow(TOOLS.process_noise, [known, strange, known])
+    together = PackedBelief.of(belief()).follow(TOOLS.process_noise, [known, strange, known])
     assert len(together) == 1
 
 

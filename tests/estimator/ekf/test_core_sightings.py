@@ -114,7 +114,8 @@ def expected(b: Belief, event: Event, chosen: FilterParams) -> tuple[Belief, Any
 
 def agrees(b: Belief, event: Event, chosen: FilterParams) -> tuple[Belief, Verdict]:
     """Process an event in both ways; return the oracle's belief."""
-    (ours,), outcome = PackedBelief.of(b).follow(chosen.process_noise, [packed_event(event)])
+    made = PackedBelief.of(b).follow(chosen.process_noise, [packed_event(event)])
+    (ours,), (outcome,) = made, made.outcomes(1)
     oracle, oracle_outcome = expected(b, event, chosen)
     same_outcome(outcome, oracle_outcome)
     same(ours.belief, oracle)
@@ -185,9 +186,9 @@ def test_a_row_of_all_kinds_in_one_call_is_one_call_for_each(seed: int, chosen: 
     mixed += [look(rng, b, T + k * 50 * MS) for k in range(5)] + [report(rng, T + 70 * MS)]
     mixed.sort(key=lambda event: event.stamp.measured_at)
     one_by_one = PackedBelief.of(b)
-    together, _ = one_by_one.follow(chosen.process_noise, [packed_event(one) for one in mixed])
+    together = one_by_one.follow(chosen.process_noise, [packed_event(one) for one in mixed])
     for one, after in zip(mixed, together, strict=False):
-        (one_by_one,), _ = one_by_one.follow(chosen.process_noise, [packed_event(one)])
+        (one_by_one,) = one_by_one.follow(chosen.process_noise, [packed_event(one)])
         assert one_by_one.numbers.read(NUMBERS).tobytes() == after.numbers.read(NUMBERS).tobytes()
         assert one_by_one.belief.P.tobytes() == after.belief.P.tobytes()
         for name in ("t", "log_weight", "x", "pairs", "weight", "sigma"):
