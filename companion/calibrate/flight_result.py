@@ -11,12 +11,15 @@ from companion.calibrate import touchdown_cost
 from companion.calibrate.flight_coverage import FlightCoverage
 from companion.calibrate.flight_views import FlightViews
 from companion.calibrate.mount_fit import DELAY, LEVEL, MOUNT, MountFit, fit_mount
+from companion.calibrate.readout_fit import READOUT_LARGEST_S, ReadoutFit, fit_readout
 from companion.calibrate.rotations import exp, interpolated
 from companion.calibrate.touchdown_cost import TouchdownCost
+from companion.recorder.reading import Recording
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 
 MOUNT_SIGMA_MAX_DEG = 0.3
 DELAY_SIGMA_MAX_S = 0.003
+READOUT_SIGMA_MAX_S = 0.003
 """Standard deviations above which a result is not written."""
 DECK_TURNS_RAD = math.radians(0.2)
 """A pad that turns by more than this by itself is on a ship."""
@@ -75,7 +78,7 @@ class MountResult:
         worst = float(self.mount_sigma_deg.max())
         if worst > MOUNT_SIGMA_MAX_DEG:
             return f"the mount is known to {worst:.2f} degrees only, and {MOUNT_SIGMA_MAX_DEG:g} are needed"
-        return self._contradiction()
+        return self.contradiction()
 
     def delay_refusal(self) -> str | None:
         """Return why the delay is not known well enough, or None."""
@@ -83,9 +86,10 @@ class MountResult:
             return f"the delay is known to {1e3 * self.delay_sigma_s:.1f} ms only, and {1e3 * DELAY_SIGMA_MAX_S:.0f} are needed"
         if abs(self.later_s) > _DELAY_MOST_S:
             return f"the stamps are off by {1e3 * abs(self.later_s):.0f} ms or more, beyond what is searched"
-        return self._contradiction()
+        return self.contradiction()
 
-    def _contradiction(self) -> str | None:
+    def contradiction(self) -> str | None:
+        """Return why the views contradict each other, or None."""
         share = self.fit.left_out / self.fit.views
         if share > _CONTRADICTING_MOST:
             return f"{100 * share:.0f} % of the views contradict the rest: the pad's size, the lens or the gyro is wrong"
@@ -100,9 +104,51 @@ class MountResult:
         return out
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadoutResult:
+    """The readout time from one flight."""
+
+    fit: ReadoutFit
+    mount: MountResult
+    """Mount and delay as they were found along with it."""
+
+    @property
+    def readout_s(self) -> float:
+        return self.fit.readout_s
+
+    @property
+    def sigma_s(self) -> float:
+        return self.fit.sigma_s
+
+    def costs(self) -> tuple[TouchdownCost, TouchdownCost]:
+        """Return what the old readout time costs, and one standard deviation of the new one."""
+        return touchdown_cost.of_readout(self.readout_s - self.fit.was_s), touchdown_cost.of_readout(self.sigma_s)
+
+    def refusal(self) -> str | None:
+        """Return why the readout time is not known well enough, or None."""
+        if self.sigma_s > READOUT_SIGMA_MAX_S:
+            return f"the readout is known to {1e3 * self.sigma_s:.1f} ms only, and {1e3 * READOUT_SIGMA_MAX_S:.0f} are needed"
+        if abs(self.readout_s) > READOUT_LARGEST_S:
+            return f"the readout would take {1e3 * self.readout_s:.0f} ms, beyond what is searched"
+        return self.mount.contradiction()
+
+
+def readout_result(recording: Recording, views: FlightViews) -> ReadoutResult:
+    """Fit the readout time, mount and delay along with it, and say what the flight has shown.
+
+    Raises:
+        BadInput: the recording does not hold its pad or its images.
+    """
+    fit = fit_readout(recording, views)
+    return ReadoutResult(fit, _of_fit(fit.fit, views))
+
+
 def flight_result(views: FlightViews) -> MountResult:
     """Fit mount and delay, and say what the flight has shown."""
-    fit = fit_mount(views)
+    return _of_fit(fit_mount(views), views)
+
+
+def _of_fit(fit: MountFit, views: FlightViews) -> MountResult:
     mount = views.camera.T_body_cam.R
     turned = Rotation(exp(fit.values[MOUNT]) @ mount.matrix)
     return MountResult(fit, coverage_of(views), np.degrees(mount.rpy_rad), np.degrees(_near(turned, mount)))

@@ -20,6 +20,8 @@ from estimator.vision.register.camera_pose import camera_pose
 GYRO_RATE_LEAST_HZ = 40.0
 TILT_SIGMA_MAX_RAD = math.radians(2.0)
 """A pose whose tilt is known worse than this says nothing of the mount."""
+_NEIGHBOURS_S = 0.25
+"""Longest time between the frames before and after a view whose rate of place is used."""
 VIEWS_LEAST, VIEWS_MOST = 100, 600
 """More views of a minute tell hardly more: the errors of neighbours are alike."""
 
@@ -48,6 +50,14 @@ class FlightViews:
     """(A, 3, 3)."""
     sigma_tilt_rad: float
     """Standard deviation of roll and pitch as the attitude's source claims it."""
+    stamps_ns: tuple[int, ...] = ()
+    """Of the sightings, as recorded; empty of views that no recording holds."""
+    speed_cam: F64 | None = None
+    """(N, 3) m/s, rate of `t_cam_pad`; nan where the frames before and after do not show the pad."""
+    readout_s: float = 0.0
+    """The readout time that the poses are those of; in a recording it is the camera's."""
+    by_readout: F64 | None = None
+    """(N, 3) rad/s in `cam`: how a pose turns with each second of readout more; None if that is not known."""
 
 
 def flight_views(recording: Recording) -> FlightViews:
@@ -62,6 +72,7 @@ def flight_views(recording: Recording) -> FlightViews:
     settings = recording.settings()
     sigma_deck_rad = (VisionSettings() if settings is None else settings.vision).deck_tilt_sigma_rad
     seen: dict[float, tuple[F64, F64, F64]] = {}
+    measured: set[int] = set()
     gyro: dict[float, F64] = {}
     attitude: dict[float, F64] = {}
     tilt_var: list[float] = []
@@ -73,6 +84,7 @@ def flight_views(recording: Recording) -> FlightViews:
                 continue
             pose = camera_pose(sighting, camera, Orientation.of(levelled_by, sigma_deck_rad))
             if pose is not None and float(np.diag(pose.cov)[3:].max()) < TILT_SIGMA_MAX_RAD**2:
+                measured.add(int(event.stamp.measured_at))
                 seen[event.stamp.measured_at * 1e-9] = pose.R_cam_pad, pose.t_cam_pad, pose.cov[3:, 3:]
         elif isinstance(event, GimbalAttitude):
             raise BadInput(f"{recording.name}: its camera hangs on a gimbal, which has no mount to calibrate")
@@ -93,9 +105,23 @@ def flight_views(recording: Recording) -> FlightViews:
         raise BadInput(
             f"{recording.name}: only {kept.size} views of the pad lie within the gyro's samples; record the whole flight"
         )
+    moving = _speeds(t, np.array([pose[1] for pose in poses]))[kept]
+    stamps = tuple(sorted(ns for ns in measured))
     R_cam_pad, t_cam_pad, cov = (np.array(part) for part in zip(*(poses[i] for i in kept), strict=True))
     sigma_tilt_rad = math.sqrt(float(np.median(tilt_var)))
-    return FlightViews(camera, t[kept], R_cam_pad, t_cam_pad, cov, t_gyro, np.array(w), t_attitude, np.array(R), sigma_tilt_rad)
+    return FlightViews(
+        camera, t[kept], R_cam_pad, t_cam_pad, cov, t_gyro, np.array(w), t_attitude, np.array(R), sigma_tilt_rad,
+        tuple(stamps[i] for i in kept), moving, camera.readout_s,
+    )  # fmt: skip
+
+
+def _speeds(t: F64, places: F64) -> F64:
+    """Return the rate of a place between the frames before and after each, (N, 3); nan where there is a gap."""
+    out = np.full_like(places, np.nan)
+    apart = t[2:] - t[:-2]
+    near = np.flatnonzero(apart < _NEIGHBOURS_S)
+    out[near + 1] = (places[near + 2] - places[near]) / apart[near, None]
+    return out
 
 
 def _sorted(by_time: dict[float, Any], t0: float) -> tuple[F64, list[Any]]:

@@ -1,4 +1,4 @@
-"""Mount and delay of the camera from a flight over a pad, by least squares over the whole flight.
+"""Mount, delay and readout of the camera from a flight over a pad, by least squares over the whole flight.
 
 A pad that does not turn ties the camera to the gyro: R_ned_body(t + delay) R_body_cam R_cam_pad stays the same. Leans and turns
 about different axes show the rotation between camera and gyro, and their speed shows the delay. The reported attitude bounds the
@@ -18,15 +18,17 @@ from numpy.typing import NDArray
 
 from companion.calibrate.flight_views import FlightViews
 from companion.calibrate.noise_search import likeliest
-from companion.calibrate.rotations import GyroAttitude, exp, interpolated, logs, transposed
+from companion.calibrate.rotations import GyroAttitude, exp, exps, interpolated, logs, transposed
 from companion.calibrate.whitening import Noise, whiten
 from estimator.contracts.geometry import F64
 
-MOUNT, DELAY, GYRO, PAD, LEVEL = slice(0, 3), 3, slice(4, 7), slice(7, 10), slice(10, 12)
+MOUNT, DELAY, GYRO, PAD, LEVEL, READOUT = slice(0, 3), 3, slice(4, 7), slice(7, 10), slice(10, 12), 12
 """Places of the parameters: the mount (rad, a turn of the camera from its file, in `body`), the delay (s), the gyro's bias
-(rad/s), the pad's attitude (rad), the constant error of the reported roll and pitch (rad, in `body`)."""
-COUNT = 12
+(rad/s), the pad's attitude (rad), the constant error of the reported roll and pitch (rad, in `body`), and the readout time beyond
+that of the views (s), which stays 0 where they do not say what it does."""
+COUNT = 13
 _MOUNT_PRIOR_RAD, _DELAY_PRIOR_S, _GYRO_PRIOR_RAD_S, _PAD_PRIOR_RAD = 0.5, 0.3, 0.05, 1.0
+_READOUT_PRIOR_S, _READOUT_FIXED_S = 0.05, 1e-6
 _LEVEL_LEAST_RAD = math.radians(0.5)
 """An attitude that claims less than this for its constant error is not believed."""
 _STEPS, _SEARCHED_AT, _GATED_FROM = 8, (2, 4), 1
@@ -44,9 +46,9 @@ class MountFit:
     """What a flight tells."""
 
     values: F64
-    """(12,), see `MOUNT` and so on."""
+    """(13,), see `MOUNT` and so on."""
     cov: F64
-    """(12, 12)."""
+    """(13, 13)."""
     noise: Noise
     views: int
     left_out: int
@@ -54,7 +56,7 @@ class MountFit:
 
     @property
     def sigma(self) -> F64:
-        """Standard deviations, (12,)."""
+        """Standard deviations, (13,)."""
         return np.sqrt(np.diag(self.cov))
 
 
@@ -78,28 +80,33 @@ def fit_mount(views: FlightViews) -> MountFit:
         p[DELAY] = min(_DELAY_MAX_S, max(-_DELAY_MAX_S, p[DELAY]))
         if step >= _GATED_FROM:
             used &= np.sqrt((_left(white, dp)[:, :3] ** 2).sum(axis=1)) < _OUTLIER_SIGMAS
-        if step > max(_SEARCHED_AT) and float(np.abs(dp[: DELAY + 1]).max()) < _CONVERGED:
+        if step > max(_SEARCHED_AT) and float(np.abs(dp[[*range(DELAY + 1), READOUT]]).max()) < _CONVERGED:
             break
     blocks = ((views.t - views.t[0]) / _BLOCK_S).astype(int)
     return MountFit(p, _wider(white, dp, C, blocks), noise, views.t.size, int(np.count_nonzero(~used)))
 
 
 def _prior(views: FlightViews) -> F64:
-    """Return the standard deviations that are assumed before the flight, (12,)."""
+    """Return the standard deviations that are assumed before the flight, (13,)."""
     level = max(_LEVEL_LEAST_RAD, views.sigma_tilt_rad)
-    of = (_MOUNT_PRIOR_RAD,) * 3, (_DELAY_PRIOR_S,), (_GYRO_PRIOR_RAD_S,) * 3, (_PAD_PRIOR_RAD,) * 3, (level,) * 2
+    readout = _READOUT_FIXED_S if views.by_readout is None else _READOUT_PRIOR_S
+    of = (_MOUNT_PRIOR_RAD,) * 3, (_DELAY_PRIOR_S,), (_GYRO_PRIOR_RAD_S,) * 3, (_PAD_PRIOR_RAD,) * 3, (level,) * 2, (readout,)
     return np.concatenate([np.array(part) for part in of])
 
 
 def _columns(v: FlightViews, p: F64) -> tuple[F64, F64]:
-    """Return residuals with their derivatives by the parameters, (N, 6, 13), and the views' covariance in `ned`, (N, 3, 3)."""
+    """Return residuals with their derivatives by the parameters, (N, 6, 14), and the views' covariance in `ned`, (N, 3, 3)."""
     t = v.t + p[DELAY]
     gyro = GyroAttitude(v.t_gyro, v.w_body - p[GYRO], v.R_ned_body[0])
     R, drift = gyro.at(t), gyro.integral_at(t)
     R_ned_cam = R @ (exp(p[MOUNT]) @ v.camera.T_body_cam.R.matrix)
     out = np.zeros((t.size, 6, 1 + COUNT))
     residual, by = out[:, :, 0], out[:, :, 1:]
-    residual[:, :3] = logs(R_ned_cam @ v.R_cam_pad @ (exp(p[PAD]) @ _pad_first(v)).T)
+    R_cam_pad = v.R_cam_pad
+    if v.by_readout is not None:
+        R_cam_pad = exps(v.by_readout * p[READOUT]) @ R_cam_pad
+        by[:, :3, READOUT] = np.einsum("nij,nj->ni", R_ned_cam, v.by_readout)
+    residual[:, :3] = logs(R_ned_cam @ R_cam_pad @ (exp(p[PAD]) @ _pad_first(v)).T)
     by[:, :3, MOUNT], by[:, :3, DELAY] = R, gyro.rate_ned(t, _RATE_OVER_S)
     by[:, :3, GYRO], by[:, :3, PAD] = -drift, -np.eye(3)
     reported = interpolated(v.t_attitude, v.R_ned_body, t) @ exp(np.r_[p[LEVEL], 0.0]).T

@@ -1,9 +1,10 @@
-"""What an error of mount or delay costs at touchdown, centimetres beside the pad's centre.
+"""What an error of mount, delay or readout costs at touchdown, centimetres beside the pad's centre.
 
 A camera that is turned by an angle sees the pad beside its place by the angle times the distance. Lower than
 `LAST_SIGHTING_M` the pad fills the frame, and the filter carries on by the IMU. A delay shows the pad where it was, beside its
 place by a speed times the delay, and by the angle that the vehicle has turned meanwhile, times the distance. The law that follows
-the deck reacts late as well, so the speed is not that across the pad but what simulated landings show.
+the deck reacts late as well, so the speed is not that across the pad but what simulated landings show. A readout time that is
+wrong is a delay that differs from row to row.
 """
 
 from __future__ import annotations
@@ -49,3 +50,8 @@ def of_delay(seconds: float) -> TouchdownCost:
         math.hypot(DELAY_SPEED_M_S, TURN_RATE_RAD_S * distance_m) * late for distance_m in (LAST_SIGHTING_M, APPROACH_M)
     )
     return TouchdownCost(100.0 * touchdown, 100.0 * approach)
+
+
+def of_readout(seconds: float) -> TouchdownCost:
+    """Return the cost of a readout time that is wrong by so much, for a pad a quarter of the frame off the middle row."""
+    return of_delay(0.25 * seconds)

@@ -1,4 +1,4 @@
-"""`decklander calibrate mount` and `decklander calibrate delay`: the camera on the vehicle, from a recorded minute's flight."""
+"""`decklander calibrate mount`, `delay` and `readout`: the camera on the vehicle, from a recorded minute's flight."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from companion.calibrate.flight_result import MountResult, flight_result
-from companion.calibrate.flight_views import flight_views
+from companion.calibrate.flight_result import MountResult, flight_result, readout_result
+from companion.calibrate.flight_views import FlightViews, flight_views
 from companion.calibrate.touchdown_cost import TouchdownCost
 from companion.config.settings import load
 from companion.config.toml_edit import Value, with_values
@@ -29,7 +29,7 @@ FILTER_DELAY_LEAST_S = 0.002
 
 
 def add_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `mount` and `delay` to the actions of `calibrate`."""
+    """Add `mount`, `delay` and `readout` to the actions of `calibrate`."""
     mount = actions.add_parser(
         "mount",
         help="measure how the camera is turned on the vehicle, from a recorded flight",
@@ -43,7 +43,13 @@ def add_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     delay.add_argument("--config", metavar="FILE", help="settings file to change; with --out")
     delay.add_argument("--out", type=Path, metavar="FILE", help="write the settings file with the new delay; a new file")
-    for parser in (mount, delay):
+    readout = actions.add_parser(
+        "readout",
+        help="measure the readout time of a rolling shutter, from a recorded flight",
+        description=f"Measure how long the camera takes from its first row to its last. {_HOW} It needs the images.",
+    )
+    readout.add_argument("--out", type=Path, metavar="FILE", help="write the recorded camera file with readout_s; a new file")
+    for parser in (mount, delay, readout):
         parser.add_argument(
             "recording", nargs="+", type=Path, metavar="RECORDING", help="MCAP file, or the files of one recording in order"
         )
@@ -55,7 +61,8 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None and args.out.exists():
         raise BadInput(f"--out {args.out}: there is such a file already; name a new one")
     recording = open_recording(args.recording)
-    return _mount(args, recording) if args.action == "mount" else _delay(args, recording)
+    actions = {"mount": _mount, "delay": _delay, "readout": _readout}
+    return actions[args.action](args, recording)
 
 
 def _mount(args: argparse.Namespace, recording: Recording) -> int:
@@ -129,11 +136,31 @@ def _write_delay(args: argparse.Namespace, table: str, key: str, was: float, fou
     _write(args.out, with_values(text, "estimator.ekf", filter_knows, str(args.config)))
 
 
+def _readout(args: argparse.Namespace, recording: Recording) -> int:
+    result = readout_result(recording, _views(args, recording))
+    found, sigma_s, was_s, why = result.readout_s, result.sigma_s, result.fit.was_s, result.refusal()
+    if why is None and args.out is not None:
+        text = recording.attachments[CAMERA].decode("utf-8")
+        noted = f"# Readout calibrated from {recording.name}: {found:.5f} +- {sigma_s:.5f} s, was {was_s:g}.\n"
+        _write(args.out, noted + with_values(text, "", {"readout_s": round(found, 5)}, f"{recording.name}: {CAMERA}"))
+    lines = [
+        f"readout  readout_s {1e3 * found:.1f} +- {1e3 * sigma_s:.1f} ms, was {1e3 * was_s:.1f}"
+        + ("; that is a global shutter, or nearly one" if abs(found) < 3.0 * sigma_s else ""),
+        _cost_line(*result.costs()),
+    ]
+    record = {"readout_s": found, "was_s": was_s, "sigma_s": sigma_s}
+    return _say(args, result.mount, why, lines, record | _cost_record(*result.costs()))
+
+
 def _result(args: argparse.Namespace, recording: Recording) -> MountResult:
+    return flight_result(_views(args, recording))
+
+
+def _views(args: argparse.Namespace, recording: Recording) -> FlightViews:
     views = flight_views(recording)
     if not args.json and sys.stderr.isatty():
         sys.stderr.write(f"{views.t.size} views of the pad; fitting ...\n")
-    return flight_result(views)
+    return views
 
 
 _AXES = ("about forward", "right", "down")

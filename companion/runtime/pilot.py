@@ -38,6 +38,7 @@ from companion.operator.options import ManualOptions
 from companion.runtime.observer import Decision, DeckOutlook
 from companion.runtime.response_identifier import ResponseIdentifier
 from estimator import pipeline
+from estimator.camera_motion import camera_motion
 from estimator.contracts.commands import Command, Lean
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
@@ -467,6 +468,9 @@ class Pilot:
         if held is not None:
             tracker = replace(tracker, camera=tracker.camera.held(held.R_body_gimbal))
             attitude = structs.replace(attitude, cov_body=attitude.cov_body + held.cov_body)
+        if tracker.camera.readout_s and believed is not None:
+            motion = camera_motion(self._memory, frame.stamp, tracker.camera, believed, held)
+            tracker = replace(tracker, motion=motion)
         seen, self._tracker_memory = track(tracker, self._tracker_memory, frame, attitude, believed)
         return seen
 

@@ -12,13 +12,15 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.file_numbers import finite, shown
 
-_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion", "p_body_cam_m", "rpy_body_cam_deg", "mount_cov_deg2"}
+_OPTIONAL = {"distortion", "p_body_cam_m", "rpy_body_cam_deg", "mount_cov_deg2", "readout_s"}
+_KEYS = {"width", "height", "fx", "fy", "cx", "cy"} | _OPTIONAL
 _LARGEST_PX = 16_384
 """Largest width and height of an image; a square image of that size is the largest that fits in memory."""
 _FOCAL_PX = 1.0, 1e6
 _DISTORTION_MAX = 1e3
 _MOUNT_MAX_M = 100.0
 _MOUNT_VAR_MAX_DEG2 = 30.0**2
+_READOUT_MAX_S = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +49,9 @@ class Camera:
     T_body_cam: Transform
     cov_mount: F64 | None = None
     """Covariance of a small rotation of the camera on the body, (3, 3) rad^2 in `body`; None if the mount was not calibrated."""
+    readout_s: float = 0.0
+    """Time from the first row's exposure to the last one's; 0 for a global shutter, negative if the last row comes first. The
+    stamp of a frame is that of the middle row."""
     distorted: bool = field(init=False)
     _focal: F64 = field(init=False, repr=False)
     """The (2,) arrays (fx, fy) and (cx, cy). They are made once because pixels come in small batches."""
@@ -71,6 +76,8 @@ class Camera:
             raise ValueError(f"a camera cannot be mounted more than {_MOUNT_MAX_M:g} m from the body's origin")
         if np.max(np.abs(d)) > _DISTORTION_MAX:
             raise ValueError(f"distortion of more than {_DISTORTION_MAX:g} is no lens, got {d.tolist()}")
+        if not abs(self.readout_s) <= _READOUT_MAX_S:
+            raise ValueError(f"readout_s must lie in {-_READOUT_MAX_S:g}..{_READOUT_MAX_S:g} s, got {self.readout_s!r}")
         d.setflags(write=False)
         object.__setattr__(self, "distortion", d)
         object.__setattr__(self, "distorted", bool(np.any(d != 0.0)))
@@ -82,7 +89,7 @@ class Camera:
             object.__setattr__(self, "cov_mount", cov)
         known = b"" if self.cov_mount is None else self.cov_mount.tobytes()
         arrays = (d.tobytes(), self.T_body_cam.R.matrix.tobytes(), self.T_body_cam.t.tobytes(), known)
-        numbers = (self.width, self.height, self.fx, self.fy, self.cx, self.cy, *arrays)
+        numbers = (self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.readout_s, *arrays)
         object.__setattr__(self, "_numbers", numbers)
         object.__setattr__(self, "_hash", hash(numbers))
 
@@ -101,7 +108,7 @@ class Camera:
         """
         if unknown := sorted(set(data) - _KEYS):
             raise BadInput(f"{where}: unknown key {unknown[0]!r}; known are {', '.join(sorted(_KEYS))}")
-        if missing := sorted(_KEYS - {"distortion", "p_body_cam_m", "rpy_body_cam_deg", "mount_cov_deg2"} - set(data)):
+        if missing := sorted(_KEYS - _OPTIONAL - set(data)):
             raise BadInput(f"{where}: key {missing[0]!r} is missing")
 
         def number(key: str) -> float:
@@ -126,14 +133,15 @@ class Camera:
                 data["width"], data["height"], number("fx"), number("fy"), number("cx"), number("cy"),
                 vector("distortion", 5), Transform(Rotation.from_rpy(roll, pitch, yaw), vector("p_body_cam_m", 3)),
                 _mount_cov(data["mount_cov_deg2"], where) if "mount_cov_deg2" in data else None,
+                number("readout_s") if "readout_s" in data else 0.0,
             )  # fmt: skip
         except ValueError as why:
             raise BadInput(f"{where}: {why}") from why
 
     @property
     def lens(self) -> Camera:
-        """The camera without its mount, by which is found again what is computed once for a lens, whatever the mount."""
-        return replace(self, T_body_cam=Transform.identity(), cov_mount=None)
+        """The camera without mount and shutter, by which is found again what is computed once for a lens, whatever they are."""
+        return replace(self, T_body_cam=Transform.identity(), cov_mount=None, readout_s=0.0)
 
     def turned(self, R_body_cam: Rotation) -> Camera:
         """Return the camera with another rotation on the body, in the same place."""

@@ -34,6 +34,7 @@ from estimator.vision.pose import Orientation
 from estimator.vision.register.letter_alone import nearest_of_four
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import registered_sighting
+from estimator.vision.rolling import CameraMotion, at_one_instant
 from estimator.vision.thesis.detection import Detection, detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS, ColourSet
 from estimator.vision.verified import CLOSE, ROUGH, SURE, verified
@@ -68,6 +69,8 @@ class TrackerConfig:
     """Work of a search in one frame; what is left goes on with the next frame (`acquire.FRAME_WORK`). By default each frame is
     searched to the end.
     """
+    motion: CameraMotion | None = None
+    """How the camera moves in this frame; None if that is not known, or if all rows are exposed at once."""
 
     @property
     def colours(self) -> ColourSet:
@@ -103,6 +106,10 @@ def track(
     Raises:
         ValueError: the frame is not of the camera's size.
     """
+    if tracker.motion is not None and belief is not None and attitude is not None:
+        about = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
+        if about is not None:
+            frame = replace(frame, px=at_one_instant(frame.px, tracker.camera, about, tracker.motion))
     if tracker.options.method == "thesis":
         return detect(
             frame, attitude, tracker.camera, tracker.pad, tracker.colours, sigma_deck_rad=tracker.options.deck_tilt_sigma_rad

@@ -1,10 +1,11 @@
-"""Mount and delay from a flight: found within their own sigmas, written beside the old files, refused where a flight is dull."""
+"""Mount, delay and readout from a flight: within their sigmas, written beside the old files, refused where it is dull."""
 
 from __future__ import annotations
 
 import json
 import math
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -12,8 +13,8 @@ import numpy as np
 import pytest
 
 from companion.calibrate.flight_result import flight_result
-from companion.calibrate.mount_fit import DELAY, MOUNT, fit_mount
-from companion.calibrate.rotations import exp
+from companion.calibrate.mount_fit import DELAY, MOUNT, READOUT, fit_mount
+from companion.calibrate.rotations import exp, exps
 from companion.cli.main import main
 from companion.config.model import CameraSettings, Settings
 from companion.config.settings import SHIPPED, load
@@ -105,6 +106,35 @@ def test_the_delay_is_written_into_a_copy_of_the_settings(
     assert new.vehicle.video_delay_s == pytest.approx(told["delay_s"], abs=1e-4)  # type: ignore[union-attr]
     assert new.estimator.ekf.sigma_delay_s < 0.005
     assert "# The simulated AR.Drone on this machine" in out.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("seed", "readout_s"), [(7, 0.03), (8, 0.0), (9, -0.02)])
+def test_a_readout_time_is_found_within_its_sigma_and_does_not_spoil_mount_and_delay(seed: int, readout_s: float) -> None:
+    """Each pose is turned as a rolling shutter turns it: about the view by the roll's rate, by its tilt by the pitch's."""
+    views = flights.flight(seed, TURNED, 0.02, seconds=40.0)
+    rates = np.stack([np.interp(views.t + 0.02, views.t_gyro, axis) for axis in views.w_body.T], axis=1)
+    by = np.stack([1.5 * rates[:, 1], -1.5 * rates[:, 0], 0.4 * rates[:, 0]], axis=1)
+    rolled = exps(by * readout_s).swapaxes(1, 2) @ views.R_cam_pad
+    found = fit_mount(replace(views, R_cam_pad=rolled, by_readout=by))
+    assert abs(found.values[READOUT] - readout_s) < 3.5 * found.sigma[READOUT] < 0.007
+    assert np.all(np.abs(found.values[MOUNT] - TURNED) < 3.5 * found.sigma[MOUNT])
+    assert fit_mount(views).values[READOUT] == pytest.approx(0.0, abs=1e-5), "poses that do not say leave it as it is"
+
+
+def test_a_readout_needs_the_images(flown: tuple[Path, Path, Settings], capsys: pytest.CaptureFixture[str]) -> None:
+    folder, _, _ = flown
+    assert main(["calibrate", "readout", str(folder / "flight.mcap"), "--out", str(folder / "no.toml")]) == 2
+    assert "holds the images of 0 views" in capsys.readouterr().err
+    assert not (folder / "no.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"), [("0.2", "readout_s must lie in -0.1..0.1"), ('"fast"', "readout_s must be a finite")]
+)
+def test_a_readout_time_that_is_none_is_refused(value: str, shown: str) -> None:
+    text = (SHIPPED / "cameras" / "sim.toml").read_text(encoding="utf-8")
+    with pytest.raises(BadInput, match=shown):
+        Camera.from_mapping(tomllib.loads(text + f"readout_s = {value}\n"))
 
 
 def test_a_recording_with_hardly_a_pad_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
