@@ -23,8 +23,8 @@ _BLOCK_PX = 8
 """Size of the squares of the frame within which the displacement is interpolated."""
 _SMALL_PX = 0.05
 """A frame in which nothing is displaced by more is left as it is."""
-_LARGEST_PX = 60.0
-"""A displacement beyond it is no small one, and the frame is left as it is."""
+_LARGEST_PX = 15.0
+"""A displacement beyond it comes from a wrong belief rather than from a shutter, and the frame is left as it is."""
 _FLAT = 0.05
 """Least sine between a ray and the pad's plane at which the plane is looked at."""
 

@@ -106,10 +106,7 @@ def track(
     Raises:
         ValueError: the frame is not of the camera's size.
     """
-    if tracker.motion is not None and belief is not None and attitude is not None:
-        about = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
-        if about is not None:
-            frame = replace(frame, px=at_one_instant(frame.px, tracker.camera, about, tracker.motion))
+    frame = _of_one_instant(tracker, memory, frame, attitude, belief)
     if tracker.options.method == "thesis":
         return detect(
             frame, attitude, tracker.camera, tracker.pad, tracker.colours, sigma_deck_rad=tracker.options.deck_tilt_sigma_rad
@@ -129,6 +126,18 @@ def track(
     sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= SURE
     yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
     return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad)
+
+
+def _of_one_instant(
+    tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
+) -> Frame:
+    """Return the frame without the readout of a rolling shutter; as it is where the pad's place is hardly known."""
+    if tracker.motion is None or belief is None or attitude is None:
+        return frame
+    if not _near_enough(belief, _sigma_m(belief), tracker.pad, memory.alike_yaw_rad):
+        return frame
+    about = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
+    return frame if about is None else replace(frame, px=at_one_instant(frame.px, tracker.camera, about, tracker.motion))
 
 
 def together(thesis: Detection, registered: Sighting | None) -> Detection:
