@@ -86,7 +86,7 @@ def _of_visible(
     cut: F64,
 ) -> Verified | None:
     """Register what lies on this side of a cut, and verify the drawing there."""
-    found = register(pyramid[0], camera, pad, start, orientation, options, cut)
+    found = register(pyramid[0], camera, pad, start, orientation, options, cut, pyramid)
     if found is None:
         return None
     aligned = align(pyramid, camera, pad, found.pose, SIGMA_TILT_RAD, 0, cut=cut)

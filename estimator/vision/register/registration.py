@@ -82,6 +82,7 @@ def register(
     prior: Orientation | None = None,
     options: RegistrationOptions | None = None,
     cut: F64 = UNCUT,
+    pyramid: Pyramid | None = None,
 ) -> Registration | None:
     """Refine a rough pose.
 
@@ -90,6 +91,7 @@ def register(
         start: off by at most a tenth of the disc's radius and less than a quarter turn with `coarse`; by about 1.5 px without.
         prior: attitude at the exposure and the deck's expected tilt. Without one, the tilt comes from the frame alone.
         cut: the line beyond which something covers the pad, (3,); see `alignment.UNCUT`.
+        pyramid: of the same frame, if there is one.
 
     Returns:
         The registration; None if nothing of the pad is in view at the start, or if the frame does not determine a pose.
@@ -103,7 +105,7 @@ def register(
     pose = start
     if options.coarse:
         sigma = SIGMA_TILT_RAD if prior is not None and prior.measured else SIGMA_TILT_FREE_RAD
-        pose = approach(Pyramid(px), camera, pad, start, sigma) or start
+        pose = approach(pyramid or Pyramid(px), camera, pad, start, sigma) or start
     edges, out = edge_points(pad), np.empty(size_of("registration"))
     outline = np.empty((edges.shown[-1].stop, 2))
     with_prior, of_options = packed_prior(prior), packed_options(options)
