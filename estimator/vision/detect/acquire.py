@@ -161,7 +161,9 @@ def search(
         tried.append(of_all[k])
         enough = _try_kind(of_all[k], task)
         if enough is None:
-            return Found(_distinct(task.found), SearchMemory(k, tuple(task.refused[-_REMEMBERED:])), task.work)
+            # A kind may have more guesses than a frame has work and the memory places: a search that stayed would never leave it.
+            after = (k + 1) % len(of_all) if k == memory.first else k
+            return Found(_distinct(task.found), SearchMemory(after, tuple(task.refused[-_REMEMBERED:])), task.work)
         if enough:
             break
     return Found(_distinct(task.found), FRESH_SEARCH, task.work)

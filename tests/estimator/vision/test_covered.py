@@ -7,7 +7,7 @@ import pytest
 
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import acquire
+from estimator.vision.detect.acquire import FRAME_WORK, SearchMemory, acquire, search
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, UNCUT, align, cover
 from estimator.vision.detect.covered import cut_at
 from estimator.vision.detect.pyramid import Pyramid
@@ -99,3 +99,19 @@ def test_half_covered_pads_are_found_from_cold(camera: Camera, pad: Pad) -> None
                     found += keeps_claim(of.found.pose, scene.truth, camera, pad, of.found.yaw_ambiguous)
                     break
     assert found >= 9
+
+
+@pytest.mark.parametrize("first", range(9))
+def test_a_search_over_frames_leaves_every_kind_of_guesses_again(camera: Camera, pad: Pad, first: int) -> None:
+    """After a lens that was covered: some kinds have more guesses than a search remembers to have refused."""
+    rng = np.random.default_rng([first, 0xC08])
+    scene = seen(camera, pad, "plain", 2.0, 1)
+    memory, best = SearchMemory(first, ()), 0.0
+    for _ in range(10):
+        px = (scene.px + rng.normal(0.0, 2.0, scene.px.shape)).clip(0, 255).astype(np.uint8)
+        found = search(px, camera, pad, scene.R_level_body, memory=memory, budget=FRAME_WORK)
+        memory = found.memory
+        best = max([best, *(candidate.score for candidate in found.candidates)])
+        if best > SURE:
+            return
+    raise AssertionError(f"best score {best}")
