@@ -55,7 +55,13 @@ class KernelExposure:
         longest_s = min(_UNIT_S * self._time.maximum, _PART_OF_FRAME / rate_hz)
         shortest_s = _UNIT_S * max(1, self._time.minimum)
         self.can = ExposureRange(shortest_s, max(longest_s, shortest_s), self._ratio if self._gain is not None else 1.0)
-        self.held = self.set(self._now())
+        try:
+            self.held = self.set(self._now())
+        except OSError as why:
+            if why.errno == errno.ENODEV:
+                raise
+            # A camera that is opened again in flight and refuses gives frames all the same.
+            self.held = ExposureSetting(self._time_s(), self._amplification())
 
     def set(self, wanted: ExposureSetting) -> ExposureSetting:
         """Set the exposure, and return what the camera holds then. It may take as long as the device's bus does.
@@ -69,7 +75,7 @@ class KernelExposure:
         low, high = int(self._time.minimum), int(self._time.maximum)
         units = min(max(low + (units - low) // step * step, low, 1), high)
         kernel.set_control(self._fd, _TIME, units, self._time.type)
-        held_s = _UNIT_S * kernel.control_value(self._fd, _TIME, self._time.type)
+        held_s = self._time_s()
         if self._gain is None:
             return ExposureSetting(held_s, 1.0)
         gain = min(max(wanted.product_s / held_s, 1.0), self._ratio)
@@ -77,6 +83,9 @@ class KernelExposure:
         value = low + round((gain - 1.0) / (self._ratio - 1.0) * (high - low))
         kernel.set_control(self._fd, self._gain.id, value, self._gain.type)
         return ExposureSetting(held_s, self._amplification())
+
+    def _time_s(self) -> float:
+        return _UNIT_S * kernel.control_value(self._fd, _TIME, self._time.type)
 
     def _amplification(self) -> float:
         if self._gain is None:
@@ -86,8 +95,7 @@ class KernelExposure:
         return 1.0 + (self._ratio - 1.0) * (value - low) / (high - low)
 
     def _now(self) -> ExposureSetting:
-        held_s = _UNIT_S * kernel.control_value(self._fd, _TIME, self._time.type)
-        return self.can.split(held_s * self._amplification(), self.can.longest_s)
+        return self.can.split(self._time_s() * self._amplification(), self.can.longest_s)
 
     def _fix(self, control: kernel.VideoControl, value: int) -> None:
         name = control.name.decode(errors="replace")

@@ -193,7 +193,7 @@ async def webcam_exposure() -> Seen:
     out: Seen = {}
     async with plugged(deck) as (webcam, _):
         driven = ExposureOptions(mode="pad", gain_ratio=8.0)
-        async with open_camera(*options(format="YUYV", exposure=driven), SystemClock()) as camera:
+        async with open_camera(*options(format="YUYV", exposure=driven, silence_s=10.0), SystemClock()) as camera:
             drive = camera.exposure
             assert drive is not None
             governor = ExposureGovernor(driven, drive)
