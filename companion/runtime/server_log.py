@@ -1,7 +1,7 @@
 """The log of aiohttp's servers: an error of ours is told, and what a client did to its own connection is not.
 
-aiohttp logs a request that is no HTTP, and a client that goes away in the middle of its handshake, as an error with a traceback.
-Anybody who reaches a port could fill the journal with them.
+aiohttp logs a request that is no HTTP, one with bytes that it cannot answer with, and a client that goes away in the middle of
+its handshake, as an error with a traceback. Anybody who reaches a port could fill the journal with them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from aiohttp.http_exceptions import HttpProcessingError
 
 log = logging.getLogger(__name__)
 
-_BY_CLIENTS = (HttpProcessingError, ConnectionError)
+_BY_CLIENTS = (HttpProcessingError, ConnectionError, UnicodeEncodeError)
 
 
 class ServerLog(logging.LoggerAdapter[logging.Logger]):

@@ -42,9 +42,10 @@ async def _told(handler_fails: bool, *pieces: bytes) -> None:
 
 
 async def test_strangers_fill_no_log(caplog: pytest.LogCaptureFixture) -> None:
-    """A request with a broken header, bytes that are no HTTP, and a client that hangs up in the middle of its handshake."""
+    """Requests with a broken header and with bytes that are no text, bytes that are no HTTP, and a client that hangs up."""
+    no_text = b"GET / HTTP/1.1\r\nHost: x\r\nConnection: Upgrade\r\nUpgrade: web\x8d\x90\r\n\r\n"
     with caplog.at_level(logging.DEBUG, "companion.runtime.server_log"):
-        await _told(False, b"GET / HTTP/1.1\r\nno header\r\n\r\n", b"\x16\x03\x01\x02\x00\r\n\r\n", upgrade(b"/"))
+        await _told(False, b"GET / HTTP/1.1\r\nno header\r\n\r\n", b"\x16\x03\x01\x02\x00\r\n\r\n", no_text, upgrade(b"/"))
     assert not [record for record in caplog.records if record.levelno >= logging.WARNING], caplog.text
     assert "BadHttpMessage" in caplog.text or "InvalidHeader" in caplog.text
     assert "ConnectionResetError" in caplog.text
