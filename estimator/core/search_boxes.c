@@ -70,6 +70,14 @@ static void score_row(int cells, int side, const box boxes[BOXES], const int32_t
     }
 }
 
+/* Whether the sizes are those of an H no larger than the sums have room for: then its boxes lie within them. */
+static int fits_sums(const pad_strokes *h, double per_m)
+{
+    const double across = 0.5 * fmax(h->length_m, h->width_m) + h->margin_m;
+    const int drawn = h->leg_m > 0.0 && h->bar_m > 0.0 && h->margin_m >= 0.0 && h->width_m >= 2.0 * h->leg_m && h->length_m >= h->bar_m;
+    return drawn && across * per_m <= REACH_MAX - 1;
+}
+
 /* The boxes of the legs, of the cross-bar, and of the H with its margin, from a pixel of the sums. */
 static int boxes_of(const pad_strokes *h, double per_m, int across, box out[BOXES], float *area, float *area_around)
 {
@@ -144,10 +152,10 @@ int strokes_fit(const pad_strokes *h, int n, const int8_t *mask, double width, i
     float area, area_around;
     box boxes[BOXES];
     int found = 0;
-    const int reach = boxes_of(h, per_m, 0, boxes, &area, &area_around), side = cells + 2 * reach + 1;
-    if (reach > REACH_MAX || cells < 2) {
+    if (cells < 2 || !fits_sums(h, per_m)) {
         return 0;
     }
+    const int reach = boxes_of(h, per_m, 0, boxes, &area, &area_around), side = cells + 2 * reach + 1;
     int32_t *seen = sums + (size_t)side * (size_t)side;
     integrals(n, mask, step, cells, reach, sums, seen);
     for (int across = 0; across < 2; across++) {

@@ -115,7 +115,11 @@ static void look_for_strokes(int kind)
     const camera_lens c = random_camera(kind % 2);
     strokes_image image = {24 + draw() % 60, 24 + draw() % 40, 0, 1 + draw() % 3, kind % 2, kind % 3 == 0,
                            {1.0, 0.02, 0.01, -0.02, 1.0, 0.03, -0.01, -0.03, 1.0}};
+    static const double odd[] = {NAN, INFINITY, -INFINITY, 1e300, 1e-310, -1.0, 0.0};
     pad_strokes h = {0.28, 0.2, 0.04, 0.04, 0.035};
+    if (kind % 3 == 2) {
+        (&h.length_m)[kind % 5] = odd[kind % 7];
+    }
     image.stride = 3 * image.width + draw() % 5;
     poisoned(image.R_cam_plane, 9), poisoned(&h.length_m, 5);
     const int most = 1 + draw() % 4, wide = 4 + draw() % 4;
