@@ -13,7 +13,10 @@ from companion.guidance.mission_options import ConeOptions, LandingLimits
 from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import MonoNs, seconds_between
+
+_MOTORS_STOP_S = 0.2
+"""Time in contact after which a vehicle's own landing stops the motors, s."""
 
 
 class InputQuality(Struct, frozen=True):
@@ -59,6 +62,7 @@ def gate(
         (ReasonCause.RELATIVE_SPEED, speed, limits.relative_speed_m_s),
         *_of_the_deck(knowledge, limits, to_contact_s),
         (ReasonCause.DECK_RISE, rise_beyond_climb_m(knowledge), limits.deck_rise_m),
+        (ReasonCause.DECK_FALL, _fall_m_s(knowledge, to_contact_s, cone), limits.deck_fall_m_s),
     ]
     if aligned:
         off_rad = math.pi if estimate.yaw_rad is None else abs(wrap_pi(estimate.yaw_rad))
@@ -99,6 +103,17 @@ def _of_the_deck(
         pitch = float(np.interp(to_contact_s, ahead.horizons_s, ahead.pitch_rad))
         out.append((ReasonCause.DECK_TILT, math.degrees(math.hypot(roll, pitch)), limits.deck_tilt_commit_deg))
     return out
+
+
+def _fall_m_s(knowledge: Knowledge, to_contact_s: float, cone: ConeOptions) -> float | None:
+    """Return the fastest fall of the deck that is forecast from the contact until the motors stand, m/s; None without one."""
+    ahead = knowledge.forecast
+    if ahead is None:
+        return None
+    contact_s = seconds_between(ahead.at, knowledge.at) + to_contact_s
+    stand_s = contact_s + cone.press_s + _MOTORS_STOP_S
+    rises = np.interp([contact_s, 0.5 * (contact_s + stand_s), stand_s], ahead.horizons_s, ahead.rise_m_s)
+    return -float(rises.min())
 
 
 def _first(comparisons: list[tuple[ReasonCause, float | None, float]]) -> Reason | None:

@@ -162,7 +162,7 @@ _CONE: Table = {
     # Half a second from the deck the drone goes up without sight, it does not wait; and nothing but a limit of its own ends it.
     _S.COMMIT: {**_FLIGHT, **_AROUND, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.SIGHT_LOST: _S.GO_AROUND, _E.CONTACT: _S.PRESS},
     _S.PRESS: {**_FLIGHT, **_AROUND, _E.PRESSED: _S.DOWN},
-    _S.DOWN: {**_FLIGHT, _E.TIMEOUT: _S.GO_AROUND},
+    _S.DOWN: {**_FLIGHT, **_AROUND},
     _S.HOLD_BLIND: {
         **_FLIGHT, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.NO_CONDITIONS: _S.GO_AROUND, _E.LIMIT: _S.GO_AROUND, _E.TIMEOUT: _S.GAVE_UP,
         _E.SIGHT: _S.INTERCEPT,
@@ -183,7 +183,7 @@ _CONE: Table = {
 _THESIS: Table = {
     **_CONE,
     _S.GATE: {**_CONE[_S.GATE], _E.GATE_OPEN: _S.DOWN},
-    _S.DOWN: {**_CONE[_S.DOWN], _E.LIMIT: _S.GO_AROUND, _E.OTHER_PAD: _S.ANOTHER_PAD},
+    _S.DOWN: {**_CONE[_S.DOWN], _E.OTHER_PAD: _S.ANOTHER_PAD},
 }
 
 

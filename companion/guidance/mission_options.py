@@ -80,6 +80,16 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
             "how far at most the deck is forecast to rise above a drone that climbs as fast as it can, at the gate", "m", 0.0, 5.0
         ),
     ] = 0.1
+    deck_fall_m_s: Annotated[
+        float,
+        number(
+            "largest speed at which the deck is forecast to fall between contact and stop of the motors, at the gate: on a "
+            "deck that falls nearly as fast as it can descend the drone hardly presses, slides, and is in the air again",
+            "m/s",
+            0.05,
+            10.0,
+        ),
+    ] = 0.5
     normalized_nis: Annotated[
         float,
         number("largest recent mean of the sightings' innovations over their claimed variance, at the gate", "1", 1.0, 100.0),

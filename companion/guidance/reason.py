@@ -58,6 +58,7 @@ class ReasonCause(Enum):
     NO_LANDING = "no landing was reported within {limit:g} s"
     NO_CONTACT = "no contact was felt within {limit:g} s"
     ROSE = "it rose by {measured:.2f} m instead of landing"
+    OFF_DECK = "after the contact it is {measured:.2f} m over the deck again (limit {limit:.2f} m)"
     DRIFTED = "it drifted {measured:.2f} m off the pad while landing (limit {limit:.2f} m)"
     PAST_DECK = "it came down {measured:.2f} m past the deck"
     NOT_CLIMBING = "it did not climb within {limit:.0f} s"
@@ -69,6 +70,7 @@ class ReasonCause(Enum):
     DECK_TILT = "the deck tilts by {measured:.1f} deg (limit {limit:g} deg)"
     DECK_RATE = "the deck moves at {measured:.2f} m/s (limit {limit:g} m/s)"
     DECK_RISE = "the deck will rise {measured:.2f} m more than the drone can climb (limit {limit:g} m)"
+    DECK_FALL = "the deck will fall at {measured:.2f} m/s when the drone stands on it (limit {limit:g} m/s)"
     SIGHTING_AGE = "the newest sighting is {measured:.2f} s old (limit {limit:g} s)"
     NIS = "innovations are {measured:.1f} times their claimed size (limit {limit:g})"
     TIME_LOCK = "the frames' time is known to {measured:.3f} s (limit {limit:g} s)"
@@ -84,6 +86,7 @@ CONDITIONS = frozenset(
         ReasonCause.DECK_TILT,
         ReasonCause.DECK_RATE,
         ReasonCause.DECK_RISE,
+        ReasonCause.DECK_FALL,
         ReasonCause.WIND,
         ReasonCause.BATTERY,
         ReasonCause.TIME_LOCK,

@@ -32,10 +32,14 @@ _OVER_GATE_M = 0.3
 _RISEN_M = 0.4
 _ASIDE_M = 0.3
 _BELOW_DECK_M = 0.6
+"""A drone on deck without sight may be estimated some decimetres away from it."""
 _HELD_UP_BELOW = 0.75
 """Share of the gate's height below which being held up is a contact."""
-"""A drone on deck without sight may be estimated some decimetres away from it."""
 _BLIND_MARGIN_M = 0.1
+_OFF_DECK_M, _OFF_DECK_SIGMAS = 0.1, 2.0
+"""A height this far over the gate's, by so many standard deviations, is none at which a vehicle stands on the deck."""
+_FRESH_S = 0.2
+"""Age of a sighting up to which it tells that the drone has left the deck, s."""
 _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
 """Causes of a hold without sight that say more than its length."""
 _REASON_STANDS_S = 2.0
@@ -197,8 +201,10 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     match p.state:
         case State.COMMIT:
             return None if estimate is None else limits.commit(s.at, estimate, s.knowledge, o.limits, o.cone)
-        case State.DOWN:
+        case State.DOWN if o.mission == "thesis":
             return _lease(p, s, o)
+        case State.PRESS | State.DOWN:
+            return _off_deck(p, s, o)
         case State.INTERCEPT | State.DESCEND | State.GATE | State.HOLD_BLIND:
             if o.tries.heading == "align" and p.turned is not None:
                 return p.turned
@@ -210,6 +216,15 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
                 if lost_s > o.tries.climb_after_s:
                     return Reason(ReasonCause.LOST_LOW, p.seen_height_m)
     return None
+
+
+def _off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return that it is in the air again after the contact; only a fresh sight of the pad tells, for blind the height drifts."""
+    estimate, most_m = s.estimate, o.cone.gate_height_m + _OFF_DECK_M
+    if estimate is None or estimate.track != p.track or unfit(estimate, s.at, _FRESH_S) is not None:
+        return None
+    surely_m = estimate.height_m - _OFF_DECK_SIGMAS * math.sqrt(max(0.0, estimate.cov.item(2, 2)))
+    return Reason(ReasonCause.OFF_DECK, estimate.height_m, most_m) if surely_m > most_m else None
 
 
 def _lease(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:

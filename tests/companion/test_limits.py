@@ -38,6 +38,11 @@ def tilting(roll_deg: float, pitch_deg: float) -> Forecast:
     return Forecast(**fields | {"roll_rad": to_come[:, 0], "pitch_rad": to_come[:, 1]})
 
 
+def falling(m_s: float, at_s: tuple[float, ...] = HORIZONS_S, ago_s: float = 0.0) -> Forecast:
+    """A deck that falls at some horizons of a forecast made some time ago, and is still at the others."""
+    return forecast(np.where(np.isin(HORIZONS_S, at_s), -m_s, 0.0), NOW - ago_s)
+
+
 def shut(
     seen: dict[str, Any] | None = None,
     deck: DeckMotion | None = None,
@@ -66,6 +71,7 @@ def shut(
         ({"deck": tilted(down_m_s=-1.19)}, {"deck": tilted(down_m_s=-1.21)}, ReasonCause.DECK_RATE, 1.2),
         ({"ahead": tilting(1.0, -1.1)}, {"ahead": tilting(1.1, -1.1)}, ReasonCause.DECK_TILT, 1.5),
         ({"ahead": forecast(swell(1.0), NOW)}, {"ahead": forecast(swell(1.6), NOW)}, ReasonCause.DECK_RISE, 0.1),
+        ({"ahead": falling(0.49)}, {"ahead": falling(0.51)}, ReasonCause.DECK_FALL, 0.5),
         ({"seen": {"yaw": -0.2}, "aligned": True}, {"seen": {"yaw": -0.22}, "aligned": True}, ReasonCause.HEADING, 12.0),
         ({"seen": {"yaw": 3.0}}, {"seen": {"yaw": None}, "aligned": True}, ReasonCause.HEADING, 12.0),
     ],
@@ -80,6 +86,20 @@ def test_the_gate_is_open_up_to_a_limit_and_shut_beyond_it(
     assert found.measured is not None
     assert not found.measured <= limit
     assert math.isnan(found.measured) or cause is ReasonCause.DECK_RISE or found.measured < 1.1 * limit or limit == 12.0
+
+
+@pytest.mark.parametrize(
+    ("at_s", "ago_s", "opens"),
+    [
+        ((0.0, 0.1, 0.2, 0.3, 0.5), 0.0, True), ((0.5, 0.75), 0.0, False), ((1.0,), 0.0, False),
+        ((1.5,), 0.0, True), ((1.5,), 0.2, False), ((2.0, 3.0), 0.2, True),
+    ],
+)  # fmt: skip
+def test_a_deck_may_fall_before_the_contact_and_when_the_motors_stand(at_s: tuple[float, ...], ago_s: float, opens: bool) -> None:
+    """The contact comes after 0.67 s, the motors stand 0.6 s later."""
+    found = shut(ahead=falling(0.75, at_s, ago_s))
+    assert (found is None) is opens
+    assert shut(ahead=falling(-0.9)) is None, "a deck that rises presses by itself"
 
 
 def test_a_heading_that_is_not_known_is_as_far_off_as_one_can_be() -> None:

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from companion.guidance.attempt import Attempt
 from companion.guidance.controller import Impact, Knowledge
-from companion.guidance.mission import FLOWN, Event, State
+from companion.guidance.mission import FLOWN, TABLES, Event, State
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
 from companion.guidance.reason import Reason, ReasonCause
@@ -221,14 +221,15 @@ def test_a_limit_ends_the_commit_but_not_without_an_estimate() -> None:
 
 @pytest.mark.parametrize("state", sorted(FLOWN - {State.ANOTHER_PAD}, key=str))
 def test_a_try_s_budget_and_a_turned_arrow_end_the_way_down_alone(state: State) -> None:
+    sight = cycle(seen((0.0, 0.0, 0.3)))
     turned = Reason(ReasonCause.HEADING_TURNED, 170.0, 90.0)
     spent = memory(state, attempt=Attempt(losses=9))
     limited = state in DESCENT
-    assert figures(of(Event.LIMIT, spent, cycle(seen()))) == ((ReasonCause.LOSSES, 9.0, 8.0) if limited else None)
-    assert of(Event.LIMIT, replace(spent, turned=turned), cycle(seen())) != turned, "nobody keeps to the arrow"
+    assert figures(of(Event.LIMIT, spent, sight)) == ((ReasonCause.LOSSES, 9.0, 8.0) if limited else None)
+    assert of(Event.LIMIT, replace(spent, turned=turned), sight) != turned, "nobody keeps to the arrow"
     align = guided(tries={"heading": "align"})
-    assert of(Event.LIMIT, replace(spent, turned=turned), cycle(seen()), align) == (turned if limited else None)
-    assert of(Event.LIMIT, memory(state), cycle(seen()), align) is None
+    assert of(Event.LIMIT, replace(spent, turned=turned), sight, align) == (turned if limited else None)
+    assert of(Event.LIMIT, memory(state), sight, align) is None
 
 
 @pytest.mark.parametrize(
@@ -252,17 +253,18 @@ def test_a_landing_that_the_vehicle_makes_is_left_to_it_as_long_as_it_goes_down_
     d: tuple[float, float, float], cause: ReasonCause | None, figure: float | None
 ) -> None:
     """0.6 m past the deck, 0.4 m risen, 0.3 m beside the last way point's 0.12 m."""
-    p = memory(State.DOWN, entered_height_m=0.3)
-    found = of(Event.LIMIT, p, cycle(seen(d)))
+    p, thesis = memory(State.DOWN, entered_height_m=0.3), guided("thesis")
+    found = of(Event.LIMIT, p, cycle(seen(d)), thesis)
     assert (None if found is None else (found.cause, found.measured)) == (
         None if cause is None else (cause, pytest.approx(figure))
     )  # fmt: skip
     if cause is ReasonCause.DRIFTED:
         assert found is not None
         assert found.limit == pytest.approx(0.42)
-        assert of(Event.LIMIT, p, cycle(seen(d)), guided(thesis={"pad_ahead_m": 0.05})) is None
+        assert of(Event.LIMIT, p, cycle(seen(d)), guided("thesis", thesis={"pad_ahead_m": 0.05})) is None
     if cause is not ReasonCause.PAST_DECK:
-        assert of(Event.LIMIT, replace(p, seen_height_m=0.3), cycle(seen(d, age=0.51))) is None, "an old sight tells nothing"
+        old = cycle(seen(d, age=0.51))
+        assert of(Event.LIMIT, replace(p, seen_height_m=0.3), old, thesis) is None, "an old sight tells nothing"
 
 
 @pytest.mark.parametrize(
@@ -273,4 +275,25 @@ def test_a_vehicle_that_lands_by_itself_loses_the_pad_where_it_leaves_the_view(
 ) -> None:
     """Below the last way point's 0.3 m and what lies about it that is no loss."""
     p = memory(State.DOWN, seen=None if ago_s is None else ns(NOW - ago_s), seen_height_m=height_m)
-    assert figures(of(Event.LIMIT, p, cycle())) == ((ReasonCause.LOST_LOW, height_m, None) if lost else None)
+    assert figures(of(Event.LIMIT, p, cycle(), guided("thesis"))) == ((ReasonCause.LOST_LOW, height_m, None) if lost else None)
+
+
+@pytest.mark.parametrize("state", [State.PRESS, State.DOWN])
+def test_a_fresh_sight_from_above_the_gate_s_height_tells_that_it_has_left_the_deck_again(state: State) -> None:
+    """0.1 m over the gate's 0.3 m by two standard deviations, from a sighting of at most 0.2 s."""
+    p = memory(state, seen_height_m=0.1, entered_height_m=0.1)
+
+    def found(height_m: float, o: GuidanceOptions = OPTIONS, **more: Any) -> Reason | None:
+        return of(Event.LIMIT, p, cycle(seen((0.6, 0.2, height_m), **more)), o)
+
+    assert figures(found(0.421)) == (ReasonCause.OFF_DECK, 0.421, pytest.approx(0.4))
+    assert found(0.419) is None
+    assert found(0.539, sigma=0.07) is None
+    assert found(0.541, sigma=0.07) is not None
+    assert found(2.0, age=0.2) is not None
+    assert found(2.0, age=0.21) is None, "blind on the deck the height drifts"
+    assert found(2.0, consistent=False) is None
+    assert found(2.0, track=2) is None
+    assert found(0.45, guided(cone={"gate_height_m": 0.5})) is None, "as high as the commit begins a vehicle may stand"
+    assert of(Event.LIMIT, p, cycle()) is None
+    assert TABLES["cone"][state][Event.LIMIT] is State.GO_AROUND

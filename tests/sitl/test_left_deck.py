@@ -1,0 +1,56 @@
+"""A contact on a deck that then falls faster than the vehicle's own landing: it is not made, and if it was it is noticed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from companion.guidance.mission import Event, State, StateChange
+from companion.guidance.reason import ReasonCause
+from companion.runtime.observer import Decision, NullObserver
+from sitl.ending import Ending
+from sitl.one_flight import fly, perception_level, settings_for
+from sitl.scenario import load
+
+ROUGH, SEED = load("sea_state_4"), 21037
+
+
+class _Changes(NullObserver):
+    def __init__(self) -> None:
+        self.all: list[StateChange] = []
+
+    def on_decision(self, decision: Decision) -> None:
+        self.all.extend(decision.transitions)
+
+
+def flown(**limits: Any) -> tuple[Ending, list[StateChange]]:
+    settings = settings_for(ROUGH, None)
+    guidance = replace(settings.guidance, limits=replace(settings.guidance.limits, **limits))
+    changes = _Changes()
+    ending = fly("sea_state_4", ROUGH, SEED, replace(settings, guidance=guidance), perception_level("model"), observers=[changes])
+    return ending, changes.all
+
+
+def assert_landed_softly(ending: Ending) -> None:
+    assert ending.on_pad
+    assert ending.contact is not None
+    assert ending.contact.lateral_m < 0.05
+    assert ending.contact.vertical_speed_m_s < 0.5
+
+
+def test_it_waits_at_the_gate_while_the_deck_will_fall_away_from_a_drone_that_stands_on_it() -> None:
+    ending, changes = flown()
+    assert_landed_softly(ending)
+    assert len(ending.contacts) == 1
+    assert State.GO_AROUND not in {change.target for change in changes}
+
+
+def test_a_drone_that_is_in_the_air_again_after_the_contact_goes_around() -> None:
+    ending, changes = flown(deck_fall_m_s=10.0)
+    (around,) = (change for change in changes if change.target is State.GO_AROUND)
+    assert (around.source, around.event, around.reason.cause) == (State.DOWN, Event.LIMIT, ReasonCause.OFF_DECK)
+    assert around.reason.measured == pytest.approx(0.42, abs=0.05)
+    assert_landed_softly(ending)
+    assert len(ending.contacts) == 2
