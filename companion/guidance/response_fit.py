@@ -3,10 +3,11 @@
 The model's output is computed from the asked course alone (output error) and compared with the reported one. Gauss-Newton steps
 from the delay of the largest correlation minimise the squared residuals, which are whitened by a first-order autoregression: the
 error of a reported attitude lasts for a second. A weak prior keeps what a flight does not tell near where the search began, with
-a large sigma. The covariance is the larger of two: of the residuals as they should be, and of the scores summed over a second
-each, which also holds where model or whitening do not fit.
+a large sigma. The covariance is the larger of two in every direction: of the residuals as they should be, and of the fits that
+leave out one stretch of one axis each (a jackknife by one step), which also holds where model or whitening do not fit.
 Sources: Ljung, System Identification, 2nd ed., 1999, sec. 4.3 (output error), 7.2 (prediction error), 10.2 (Gauss-Newton);
-White, A heteroskedasticity-consistent covariance matrix estimator, Econometrica 48(4), 1980 (the second covariance).
+Bell & McCaffrey, Bias reduction in standard errors for linear regression with multi-stage samples, Survey Methodology 28(2), 2002
+(the second covariance).
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ _PRIOR_SHAPE = 0.5
 """Standard deviation of the prior of frequency, damping and lag, as a natural logarithm."""
 _PRIOR_GAIN = 0.2
 _STEPS = 12
-_BLOCK_S = 1.0
+_TILT_BLOCK_S, _CLIMB_BLOCK_S = 1.0, 2.0
+"""Length of a stretch that the jackknife leaves out: the residuals of the climb last longer, s."""
 _LEAST_S = 4.0
 """A shorter course is no flight to identify from, s."""
 _NEAR_S = 0.15
@@ -92,6 +94,11 @@ class TiltFit(msgspec.Struct, frozen=True):
         """Standard deviation of the delay."""
         return math.sqrt(float(self.fitted.cov[0, 0]))
 
+    @property
+    def cov(self) -> F64:
+        """Covariance of delay, frequency and damping, (3, 3), in s, rad/s and 1."""
+        return _in_units(self.fitted.cov, (1.0, *np.exp(self.fitted.values[1:3]).tolist()))
+
 
 class ClimbFit(msgspec.Struct, frozen=True):
     """The identified response of the vertical speed, with standard deviations."""
@@ -99,6 +106,16 @@ class ClimbFit(msgspec.Struct, frozen=True):
     response: ClimbResponse
     gain: float
     fitted: Fitted
+
+    @property
+    def cov(self) -> F64:
+        """Covariance of delay and lag, (2, 2) s^2."""
+        return _in_units(self.fitted.cov, (1.0, math.exp(self.fitted.values[1])))
+
+
+def _in_units(cov: F64, per_parameter: tuple[float, ...]) -> F64:
+    k, scale = len(per_parameter), np.array(per_parameter)
+    return np.asarray(cov[:k, :k] * np.outer(scale, scale))
 
 
 _Transfer = Callable[[F64, _C128], tuple[_C128, _C128]]
@@ -133,7 +150,8 @@ def fit_tilt(course: FlightCourse, start: TiltResponse, begin: TiltFit | None = 
     """
     first = np.array([start.delay_s, math.log(start.frequency_rad_s), math.log(start.damping), 0.0])
     prior_sigma = np.array([_PRIOR_DELAY_S, _PRIOR_SHAPE, _PRIOR_SHAPE, _PRIOR_GAIN])
-    found = _fit(course, _tilt_transfer(start.lag_s), first, prior_sigma, None if begin is None else begin.fitted, steps)
+    begun = None if begin is None else begin.fitted
+    found = _fit(course, _tilt_transfer(start.lag_s), first, prior_sigma, _TILT_BLOCK_S, begun, steps)
     if found is None:
         return None
     delay, (w, z, gain) = float(found.values[0]), (math.exp(x) for x in found.values[1:].tolist())
@@ -159,7 +177,7 @@ def fit_climb(course: FlightCourse, start: ClimbResponse) -> ClimbFit | None:
         start: where the search begins; its limit is kept.
     """
     first = np.array([start.delay_s, math.log(start.lag_s), 0.0])
-    found = _fit(course, _climb_transfer, first, np.array([_PRIOR_DELAY_S, _PRIOR_SHAPE, _PRIOR_GAIN]))
+    found = _fit(course, _climb_transfer, first, np.array([_PRIOR_DELAY_S, _PRIOR_SHAPE, _PRIOR_GAIN]), _CLIMB_BLOCK_S)
     if found is None:
         return None
     delay, (lag, gain) = float(found.values[0]), (math.exp(x) for x in found.values[1:].tolist())
@@ -175,12 +193,18 @@ def fit_climb(course: FlightCourse, start: ClimbResponse) -> ClimbFit | None:
 
 
 def _fit(
-    course: FlightCourse, transfer: _Transfer, first: F64, prior_sigma: F64, begin: Fitted | None = None, steps: int = _STEPS
+    course: FlightCourse,
+    transfer: _Transfer,
+    first: F64,
+    prior_sigma: F64,
+    block_s: float,
+    begin: Fitted | None = None,
+    steps: int = _STEPS,
 ) -> Fitted | None:
     compared = course.counts[1:] & course.counts[:-1]
     if np.count_nonzero(compared) * STEP_S < _LEAST_S:
         return None
-    loop, prior = _Loop(course, transfer, compared), prior_sigma**-2.0
+    loop, prior = _Loop(course, transfer, compared, block_s), prior_sigma**-2.0
     if begin is None or begin.cov[0, 0] > _NEAR_S**2:
         x, rho = first.copy(), 0.9
         x[0] = loop.best_delay(first)
@@ -203,12 +227,15 @@ def _fit(
 
 
 def _covariance(of: _Whitened, prior: F64) -> F64:
-    """Return the larger of the two covariances."""
-    C = np.linalg.inv(of.information + np.diag(prior))
-    blocks = of.scores.shape[0]
-    spread = of.scores.T @ of.scores * (blocks / max(1.0, blocks - prior.size)) + np.diag(prior)
-    robust = C @ spread @ C
-    return np.asarray(robust if robust[0, 0] > C[0, 0] else C)
+    """Return the larger of the two covariances, direction by direction."""
+    A, blocks = of.information + np.diag(prior), of.scores.shape[0]
+    C = np.linalg.inv(A)
+    steps = np.linalg.solve(A - of.informations, of.scores[..., None])[..., 0]
+    jackknife = steps.T @ steps * ((blocks - 1) / blocks) + C @ np.diag(prior) @ C
+    root = np.linalg.cholesky(C)
+    back = np.linalg.inv(root)
+    sizes, axes = np.linalg.eigh(back @ jackknife @ back.T)
+    return np.asarray(root @ (axes * np.maximum(sizes, 1.0)) @ axes.T @ root.T)
 
 
 class _Whitened(NamedTuple):
@@ -217,14 +244,16 @@ class _Whitened(NamedTuple):
     information: F64
     score: F64
     scores: F64
-    """(blocks, parameters), what each second of each axis adds to the score."""
+    """(blocks, parameters), what each stretch of each axis adds to the score."""
+    informations: F64
+    """(blocks, parameters, parameters), and to the information."""
     next_rho: float
 
 
 class _Loop:
     """A course and a model, as far as they do not change with the parameters."""
 
-    def __init__(self, course: FlightCourse, transfer: _Transfer, compared: NDArray[np.bool_]) -> None:
+    def __init__(self, course: FlightCourse, transfer: _Transfer, compared: NDArray[np.bool_], block_s: float) -> None:
         n = course.asked.shape[0]
         self._size = _good_size(n + round(_SETTLED_S / STEP_S))
         self._transfer, self._compared, self._counts = transfer, compared, course.counts
@@ -237,7 +266,7 @@ class _Loop:
         # The vehicle rests at the first value, and what is asked is filtered from there.
         self._U = np.fft.rfft(course.asked - self._first, self._size, axis=0).T * held
         self._powers = (np.arange(n) / n)[:, None] ** np.arange(course.drifts + 1)
-        self._block = (np.flatnonzero(compared) * STEP_S / _BLOCK_S).astype(int)
+        self._block = (np.flatnonzero(compared) * STEP_S / block_s).astype(int)
 
     def _filtered(self, H: _C128) -> F64:
         """Return the asked course, filtered; `H` is (k, m), the result (k, axes, n)."""
@@ -268,11 +297,14 @@ class _Loop:
         var = max(1e-12, float((e * e).mean()))
         flat = J.reshape(J.shape[0], -1)
         each = J * e / var
-        scores = np.add.reduceat(each, self._starts(), axis=-1).reshape(J.shape[0], -1).T
+        k, starts = J.shape[0], self._starts()
+        scores = np.add.reduceat(each, starts, axis=-1).reshape(k, -1).T
+        products = np.add.reduceat(J[:, None] * J[None] / var, starts, axis=-1)
+        informations = np.moveaxis(products.reshape(k, k, -1), -1, 0)
         off = (self._reported.T - out[0])[:, self._counts]
         off = off - off.mean(axis=1, keepdims=True)
         near = float((off[:, 1:] * off[:, :-1]).sum() / max(1e-12, float((off * off).sum())))
-        return _Whitened(flat @ flat.T / var, flat @ e.ravel() / var, scores, min(0.999, max(0.0, near)))
+        return _Whitened(flat @ flat.T / var, flat @ e.ravel() / var, scores, informations, min(0.999, max(0.0, near)))
 
     def _starts(self) -> NDArray[np.intp]:
         return np.flatnonzero(np.diff(self._block, prepend=-1))

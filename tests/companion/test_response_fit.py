@@ -108,12 +108,15 @@ def test_an_error_of_the_stamps_is_one_of_the_delay_and_no_delay_is_known_to_les
 
 @pytest.mark.parametrize("rho", [0.5, 0.95])
 def test_what_it_says_of_its_errors_is_true(rho: float) -> None:
-    off, told = [], []
+    off, told, nees = [], [], []
     for seed in range(16):
         found = fitted(course(seed, noise=0.08, rho=rho))
         off.append(found.fitted.values - [0.12, math.log(5.5), math.log(0.6), 0.0])
-        told.append(np.sqrt(np.diag(found.fitted.cov) - [0.004**2, 0.0, 0.0, 0.0]))
+        cov = found.fitted.cov - np.diag([0.004**2, 0.0, 0.0, 0.0])
+        told.append(np.sqrt(np.diag(cov)))
+        nees.append(off[-1] @ np.linalg.solve(cov, off[-1]) / 4.0)
     assert np.sqrt(np.mean((np.array(off) / np.array(told)) ** 2, axis=0)) == pytest.approx(np.full(4, 0.9), abs=0.35)
+    assert 0.4 < np.mean(nees) < 1.5
     found = fitted(course(3, 3000, noise=0.08, rho=rho))
     assert found.fitted.rho == pytest.approx(rho, abs=0.05)
     assert found.fitted.residual == pytest.approx(0.08, rel=0.15)
@@ -260,23 +263,44 @@ def test_of_a_flight_that_tells_little_most_stays_where_the_search_began() -> No
     assert found.fitted.values[1:] == pytest.approx(begun, abs=0.15)
 
 
-def test_the_covariance_is_the_larger_of_two() -> None:
-    information, prior = np.array([[3.0, 0.5], [0.5, 2.0]]), np.array([1.0, 4.0])
-    C = np.linalg.inv(np.array([[4.0, 0.5], [0.5, 6.0]]))
+def test_the_covariance_is_the_larger_of_two_in_every_direction() -> None:
+    information, prior = np.array([[3.0, 0.0], [0.0, 2.0]]), np.array([1.0, 4.0])
+    C = np.diag([1.0 / 4.0, 1.0 / 6.0])
+    each = np.tile(information / 5.0, (5, 1, 1))
     quiet = np.full((5, 2), 0.01)
-    np.testing.assert_allclose(_covariance(_Whitened(information, np.zeros(2), quiet, 0.9), prior), C)
-    loud = np.array([[3.0, 0.0], [-3.0, 1.0], [2.0, -1.0], [-2.0, 2.0], [1.0, -2.0]])
-    spread = loud.T @ loud * 5.0 / 3.0 + np.diag(prior)
-    np.testing.assert_allclose(_covariance(_Whitened(information, np.zeros(2), loud, 0.9), prior), C @ spread @ C)
+    np.testing.assert_allclose(_covariance(_Whitened(information, np.zeros(2), quiet, each, 0.9), prior), C, atol=1e-12)
+    loud = np.array([[3.0, 0.01], [-3.0, 0.01], [2.0, -0.01], [-2.0, 0.01], [1.0, -0.01]])
+    without = loud[:, 0] / (4.0 - 0.6)
+    first = 0.8 * float(without @ without) + 1.0 / 16.0
+    got = _covariance(_Whitened(information, np.zeros(2), loud, each, 0.9), prior)
+    assert (got[0, 0], got[1, 1]) == pytest.approx((first, 1.0 / 6.0), rel=1e-3)
 
 
-def test_scores_are_summed_over_a_second_of_each_axis() -> None:
+def test_the_jackknife_is_that_of_fits_without_one_stretch() -> None:
+    # Why: scores of a few long stretches are too small by their own leverage; fits that leave one out are not.
+    rng = np.random.default_rng(3)
+    J, e, prior = rng.normal(size=(6, 7, 2)), 4.0 * rng.normal(size=(6, 7)), np.full(2, 1e-9)
+    informations, scores = np.einsum("bik,bil->bkl", J, J), np.einsum("bik,bi->bk", J, e)
+    each = []
+    for left_out in range(6):
+        kept = np.arange(6) != left_out
+        each.append(np.linalg.lstsq(J[kept].reshape(-1, 2), e[kept].ravel(), rcond=None)[0])
+    whole = np.linalg.lstsq(J.reshape(-1, 2), e.ravel(), rcond=None)[0]
+    off = np.array(each) - whole
+    # The scores are those at the end of a search, so that they add up to nothing.
+    left = scores - np.einsum("bkl,l->bk", informations, whole)
+    got = _covariance(_Whitened(informations.sum(axis=0), np.zeros(2), left, informations, 0.9), prior)
+    np.testing.assert_allclose(got, 5.0 / 6.0 * off.T @ off, rtol=1e-6)
+
+
+def test_scores_are_summed_over_a_stretch_of_each_axis() -> None:
     of = course(n=560, noise=0.05)
-    loop = _Loop(of, _tilt_transfer(GIVEN.tilt.lag_s), of.counts[1:] & of.counts[:-1])
+    loop = _Loop(of, _tilt_transfer(GIVEN.tilt.lag_s), of.counts[1:] & of.counts[:-1], 1.0)
     whitened = loop.whitened(np.array([0.12, math.log(5.0), math.log(0.6), 0.0]), 0.9)
     begun = len({k // 50 for k in range(WARM + 1, 559)})
     assert whitened.scores.shape == (2 * begun, 4)
     assert whitened.scores.sum(axis=0) == pytest.approx(whitened.score)
+    np.testing.assert_allclose(whitened.informations.sum(axis=0), whitened.information)
 
 
 def test_the_end_of_a_course_does_not_come_back_at_its_beginning() -> None:
