@@ -12,12 +12,17 @@ from typing import Annotated, Any
 
 import msgspec
 import numpy as np
+from msgspec.structs import force_setattr
 
+from companion.guidance.response_cov import checked
 from companion.guidance.riccati import exponential
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import check_ranges, number
 from estimator.contracts.motion import G_M_S2
+
+Row2 = tuple[float, float]
+Row3 = tuple[float, float, float]
 
 
 class TiltResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -37,9 +42,14 @@ class TiltResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     )
     frequency_sigma_rad_s: Annotated[float, number("standard deviation of frequency_rad_s", "rad/s", 0.0, 60.0)] | None = None
     damping_sigma: Annotated[float, number("standard deviation of damping", "1", 0.0, 3.0)] | None = None
+    cov_delay_frequency_damping: tuple[Row3, Row3, Row3] | None = None
+    """Their covariance, in s, rad/s and 1; it gives the standard deviations that are left out."""
 
     def __post_init__(self) -> None:
         check_ranges(self)
+        if self.cov_delay_frequency_damping is not None:
+            keys = ("delay_sigma_s", "frequency_sigma_rad_s", "damping_sigma")
+            _take_sigmas(self, "cov_delay_frequency_damping", keys, (0.6, 60.0, 3.0))
 
     @property
     def max_m_s2(self) -> float:
@@ -66,9 +76,19 @@ class ClimbResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         None
     )
     lag_sigma_s: Annotated[float, number("standard deviation of lag_s", "s", 0.0, 3.0)] | None = None
+    cov_delay_lag: tuple[Row2, Row2] | None = None
+    """Covariance of delay_s and lag_s, s^2; it gives the standard deviations that are left out."""
 
     def __post_init__(self) -> None:
         check_ranges(self)
+        if self.cov_delay_lag is not None:
+            _take_sigmas(self, "cov_delay_lag", ("delay_sigma_s", "lag_sigma_s"), (0.6, 3.0))
+
+
+def _take_sigmas(of: TiltResponse | ClimbResponse, key: str, names: tuple[str, ...], largest: tuple[float, ...]) -> None:
+    for name, sigma in zip(names, checked(key, getattr(of, key), {n: getattr(of, n) for n in names}, largest), strict=True):
+        if getattr(of, name) is None:
+            force_setattr(of, name, sigma)
 
 
 class Response(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -56,6 +56,15 @@ def ns(seconds: float) -> MonoNs:
     return MonoNs(round(1e9 * seconds))
 
 
+@pytest.mark.parametrize(("sigma_s", "state"), [(0.039, ResponseState.KNOWN), (0.041, ResponseState.ASSUMED)])
+def test_the_covariance_of_a_file_says_whether_its_delay_is_known(sigma_s: float, state: ResponseState) -> None:
+    cov = ((sigma_s**2, 0.9 * sigma_s * 0.4, 0.0), (0.9 * sigma_s * 0.4, 0.16, 0.0), (0.0, 0.0, 0.01))
+    tilt = TiltResponse(0.05, 3.82, 0.825, 0.073, cov_delay_frequency_damping=cov)
+    assert begun(tilt, KNOWN_S).in_use.state is state
+    later = ResponseInUse(ResponseState.IDENTIFIED, 0.15, 0.01, 0.1)
+    assert tuned(tilt, TiltWeights(), chosen_tuning(later))[0].cov_delay_frequency_damping == cov
+
+
 def leans(seed: int, seconds: float, size_m_s2: float) -> F64:
     """What guidance asks for against gusts, one row a cycle."""
     rng, n = np.random.default_rng(seed), round(seconds / T)
