@@ -8,9 +8,14 @@ import math
 import sys
 from pathlib import Path
 
+import numpy as np
+
+from companion.calibrate import response_cost
+from companion.calibrate.response_cost import ResponseCost
 from companion.config.settings import find_file, read_toml, response_model
+from companion.guidance.follow_deck_options import FollowDeckOptions
 from companion.guidance.margins import LoopMargins, margins
-from companion.guidance.response import Response, response_from_mapping
+from companion.guidance.response import Response, TiltResponse, response_from_mapping
 from companion.guidance.response_file import text
 from companion.guidance.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt
 from companion.recorder.reading import Recording, open_recording
@@ -22,11 +27,15 @@ from estimator.contracts.errors import BadInput, unusable
 HELP = "identify a vehicle's response from a recorded flight"
 DESCRIPTION = (
     "Identify how a vehicle answers commands from a recorded flight: delay, frequency and damping of its tilt, "
-    "delay and lag of its climb, each with its standard deviation. The flight must have been flown with the controller "
-    "follow_deck, which commands tilt. Exit code 1 if the flight moved too little to tell."
+    "delay and lag of its climb, with their covariance, and what an error of them costs in centimetres at touchdown. Record a "
+    "landing by the controller follow_deck, which commands tilt: a flight by hand does not tell. Exit code 1 if the flight moved "
+    "too little to tell."
 )
 NOTHING_TOLD_S = 0.1
 """A delay that is known worse than this is not known at all."""
+_CURE = 'record a landing with guidance.controller = "follow_deck"'
+_CHI2_95 = 7.81
+"""Chi-square of three values that 95 % lie below."""
 DELAY_MARGIN_S = 0.06
 """Least delay beyond the known one that the law should stand."""
 
@@ -53,9 +62,13 @@ def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     if args.plot is not None:
         require_drawing("--plot")
+    if args.out is not None and args.out.exists():
+        raise BadInput(f"--out {args.out}: there is such a file already; name a new one")
     recording = open_recording(args.recording)
     start = _start(args.response, recording)
     courses = flown_courses(recording)
+    for path, why in recording.cut.items():
+        sys.stderr.write(f"decklander: {path} is cut short ({why}): identified from what comes before\n")
     tilt, climb = _fits(recording, courses, start)
     if tilt.delay_sigma_s > NOTHING_TOLD_S:
         sys.stderr.write(
@@ -73,11 +86,14 @@ def run(args: argparse.Namespace) -> int:
         assert courses.tilt is not None
         write_response(args.plot, recording.name, courses, tilt, climb)
     loops = {"by_the_given": margins(start.tilt, tilt.response), "by_the_identified": margins(tilt.response)}
+    costs = response_cost.of_file(start.tilt, tilt.response), response_cost.of_sigma(tilt.response, tilt.cov)
     if args.json:
         record = _record(tilt, climb) | {"loop": {name: _loop_record(loop) for name, loop in loops.items()}}
+        record |= {"cost_was_cm": _finite(costs[0].cost_cm), "cost_sigma_cm": _finite(costs[1].cost_cm)}
+        record |= {"chi2_of_given": _apart(start.tilt, tilt), "cut": {str(p): why for p, why in recording.cut.items()}}
         sys.stdout.write(json.dumps(record) + "\n")
     else:
-        sys.stdout.write("\n".join(_lines(args, start, courses, tilt, climb, loops)) + "\n")
+        sys.stdout.write("\n".join(_lines(args, start, courses, tilt, climb, loops, costs)) + "\n")
     return 0
 
 
@@ -94,17 +110,18 @@ def _start(named: str | None, recording: Recording) -> Response:
 def _fits(recording: Recording, courses: FlownCourses, start: Response) -> tuple[TiltFit, ClimbFit | None]:
     if courses.leans == 0:
         why = (
-            f"its {courses.velocities} commands ask for velocities, as the controller pid does, and none for a tilt; fly with "
-            'guidance.controller = "follow_deck"'
+            f"its {courses.velocities} commands ask for velocities, as the controller pid and a flight by hand do, and none for "
+            f"a tilt; {_CURE}"
             if courses.velocities
-            else "it holds no commands of guidance"
+            else f"it holds no commands of guidance; {_CURE}"
         )
         raise BadInput(f"{recording.name}: no response can be identified: {why}")
     tilt = None if courses.tilt is None else fit_tilt(courses.tilt, start.tilt)
     if tilt is None:
+        by_hand = f", beside {courses.velocities} for velocities, as by hand" if courses.velocities else ""
         raise BadInput(
             f"{recording.name}: no response can be identified: {courses.leans} commands for a tilt and the vehicle's attitude "
-            "overlap by less than 4 s"
+            f"overlap by less than 4 s{by_hand}; {_CURE}"
         )
     return tilt, None if courses.climb is None else fit_climb(courses.climb, start.climb)
 
@@ -124,6 +141,7 @@ def _lines(
     tilt: TiltFit,
     climb: ClimbFit | None,
     loops: dict[str, LoopMargins],
+    costs: tuple[ResponseCost, ResponseCost],
 ) -> list[str]:
     t = tilt.response
     out = [
@@ -146,9 +164,49 @@ def _lines(
         f"{_of(start.tilt.damping, start.tilt.damping_sigma)}; climb delay {_ms(start.climb.delay_s, start.climb.delay_sigma_s)} "
         f"ms, lag {_ms(start.climb.lag_s, start.climb.lag_sigma_s)} ms"
     )
+    apart = _apart(start.tilt, tilt)
+    verb = "contradicts" if apart > _CHI2_95 else "does not contradict"
+    out.append(f"       this flight {verb} the given tilt: chi-square {apart:.1f}, of which 95 % lie below {_CHI2_95:.1f}")
     out += [f"loop   {name.replace('_', ' ')} response: {_margins(loop)}" for name, loop in loops.items()]
+    out += [_cost_line(*costs), _service_line(t.delay_sigma_s or 0.0)]
     out += [f"written to {path}" for path in (args.out, args.plot) if path is not None]
     return out
+
+
+def _cost_line(was: ResponseCost, now: ResponseCost) -> str:
+    before = f"{was.cost_cm:.1f} cm at touchdown by the given response ({was.error_cm:.2f} cm rms instead of {was.own_cm:.2f})"
+    if not math.isfinite(was.error_cm):
+        before = "the loop by the given response is unstable"
+    after = f"{now.cost_cm:.1f} cm ({now.error_cm:.2f} instead of {now.own_cm:.2f}) for one sigma of the identified one"
+    if not math.isfinite(now.error_cm):
+        after = "by the identified one it is unstable one sigma away: fly longer, or in wind"
+    return f"cost   {before}, {after}"
+
+
+def _service_line(delay_sigma_s: float) -> str:
+    known_ms, sigma_ms = 1e3 * FollowDeckOptions().delay_known_s, 1e3 * delay_sigma_s
+    if sigma_ms <= known_ms:
+        return f"use    a service with this file begins with its full gains: the delay is known to {known_ms:.0f} ms"
+    return (
+        f"use    a service with this file begins with softer gains, until the delay is known to {known_ms:.0f} ms instead of "
+        f"{sigma_ms:.0f}; fly longer, or in wind"
+    )
+
+
+def _apart(given: TiltResponse, found: TiltFit) -> float:
+    """Return the chi-square of the difference between the given response and the identified one."""
+    t, cov = found.response, found.cov
+    if given.cov_delay_frequency_damping is not None:
+        cov = cov + np.array(given.cov_delay_frequency_damping)
+    else:
+        sigmas = given.delay_sigma_s, given.frequency_sigma_rad_s, given.damping_sigma
+        cov = cov + np.diag([(sigma or 0.0) ** 2 for sigma in sigmas])
+    off = np.array([t.delay_s - given.delay_s, t.frequency_rad_s - given.frequency_rad_s, t.damping - given.damping])
+    return float(off @ np.linalg.solve(cov, off))
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _margins(loop: LoopMargins) -> str:
@@ -186,6 +244,7 @@ def _record(tilt: TiltFit, climb: ClimbFit | None) -> dict[str, object]:
             "delay_s": t.delay_s, "delay_sigma_s": t.delay_sigma_s,
             "frequency_rad_s": t.frequency_rad_s, "frequency_sigma_rad_s": t.frequency_sigma_rad_s,
             "damping": t.damping, "damping_sigma": t.damping_sigma, "lag_s": t.lag_s,
+            "cov_delay_frequency_damping": tilt.cov.tolist(),
             "gain": tilt.gain, "residual_m_s2": tilt.fitted.residual, "seconds": tilt.fitted.seconds,
         },
         "climb": None,
@@ -194,6 +253,7 @@ def _record(tilt: TiltFit, climb: ClimbFit | None) -> dict[str, object]:
         c = climb.response
         record["climb"] = {
             "delay_s": c.delay_s, "delay_sigma_s": c.delay_sigma_s, "lag_s": c.lag_s, "lag_sigma_s": c.lag_sigma_s,
+            "cov_delay_lag": climb.cov.tolist(),
             "gain": climb.gain, "residual_m_s": climb.fitted.residual, "seconds": climb.fitted.seconds,
         }  # fmt: skip
     return record

@@ -91,10 +91,52 @@ def margins(
         weights, noise, delay_line: of the law.
         around: what disturbs it.
     """
-    around = around or AxisDisturbances()
+    loop = _closed(assumed, true or assumed, weights, noise, delay_line, around or AxisDisturbances())
+    L = _open_loop(*loop.broken)
+    error_m, speed_m_s = loop.errors()
+    return LoopMargins(loop.stable, *by_frequency(*L), error_m, speed_m_s)
+
+
+def axis_error_m(assumed: TiltResponse, true: TiltResponse) -> float:
+    """Return the standard deviation of the place of one axis near the deck at sea state 4, m; inf if the loop is unstable.
+
+    Args:
+        assumed: the response that the law is made for.
+        true: the vehicle's own.
+    """
+    return _closed(assumed, true, None, None, True, AxisDisturbances()).errors()[0]
+
+
+class _ClosedLoop(NamedTuple):
+    """One axis as one matrix, and the parts of its open loop."""
+
+    M: F64
+    Q: F64
+    broken: tuple[F64, F64, F64, F64, F64, F64, F64]
+
+    @property
+    def stable(self) -> bool:
+        return float(np.abs(np.linalg.eigvals(self.M)).max()) < 1.0
+
+    def errors(self) -> tuple[float, float]:
+        """Return the standard deviations of place, m, and speed, m/s; inf if the loop is unstable."""
+        if not self.stable:
+            return math.inf, math.inf
+        error_m, speed_m_s = np.sqrt(np.diagonal(_stationary(self.M, self.Q))[:2]).tolist()
+        return error_m, speed_m_s
+
+
+def _closed(
+    assumed: TiltResponse,
+    true: TiltResponse,
+    weights: TiltWeights | None,
+    noise: ObserverNoise | None,
+    delay_line: bool,
+    around: AxisDisturbances,
+) -> _ClosedLoop:
     gains = tilt_gains(assumed, weights or TiltWeights(), PERIOD_S, delay_line=delay_line)
     seeing = chosen(observer_gains(noise or ObserverNoise(), PERIOD_S), _SIGMA_P_M)
-    vehicle = tilt_model(true or assumed, PERIOD_S)
+    vehicle = tilt_model(true, PERIOD_S)
     n = max(1, math.ceil(assumed.delay_s / PERIOD_S - 1e-9))
     a_plant, own = len(vehicle.A), _SEEN + n
     A = vehicle.A.copy()
@@ -132,15 +174,12 @@ def margins(
             [Bc @ measured, Bc @ sensed, Ac],
         ]
     )
-    stable = float(np.abs(np.linalg.eigvals(M)).max()) < 1.0
     Q = np.zeros_like(M)
     for i, w in enumerate(exo):
         Q[a_plant + i, a_plant + i] = w.sigma**2 * (1.0 - keep[i, i] ** 2)
     white = np.concatenate([vehicle.B * Dc[4], np.zeros(e), Bc[:, 4]])
     Q += around.sample_m_s2**2 * np.outer(white, white)
-    L = _open_loop(A, vehicle.B, measured, Ac, Bc, Cc, Dc)
-    error_m, speed_m_s = np.sqrt(np.diagonal(_stationary(M, Q))[:2]).tolist() if stable else (math.inf, math.inf)
-    return LoopMargins(stable, *by_frequency(*L), error_m, speed_m_s)
+    return _ClosedLoop(M, Q, (A, vehicle.B, measured, Ac, Bc, Cc, Dc))
 
 
 def _stationary(M: F64, Q: F64) -> F64:

@@ -173,6 +173,8 @@ def test_a_recorded_flight_gives_the_response_of_the_simulated_vehicle(
     said = capsys.readouterr().out
     assert "tilt   delay" in said
     assert "climb  delay" in said
+    assert "does not contradict the given tilt" in said
+    assert "begins with softer gains, until the delay is known to 40 ms" in said
     assert str(out) in said
     found = response_from_mapping(tomllib.loads(out.read_text()), str(out))
     delay_s, frequency_rad_s, damping = truth()
@@ -183,6 +185,9 @@ def test_a_recorded_flight_gives_the_response_of_the_simulated_vehicle(
     assert abs(t.delay_s - delay_s) < 3.0 * t.delay_sigma_s < 0.15
     assert abs(t.frequency_rad_s - frequency_rad_s) < 3.0 * t.frequency_sigma_rad_s
     assert abs(t.damping - damping) < 3.0 * t.damping_sigma
+    assert t.cov_delay_frequency_damping is not None
+    assert found.climb.cov_delay_lag is not None
+    assert t.delay_sigma_s**2 == pytest.approx(t.cov_delay_frequency_damping[0][0])
     assert found.climb.delay_s == pytest.approx(GIVEN.climb.delay_s, abs=0.04)
     assert found.climb.lag_s == pytest.approx(GIVEN.climb.lag_s, rel=0.25)
     image = cv2.imread(str(plot))
@@ -198,6 +203,10 @@ def test_a_longer_delay_of_the_commands_is_found(recordings: dict[str, Path], ca
     assert abs(tilt["delay_s"] - truth()[0] - 0.1) < 3.0 * tilt["delay_sigma_s"] < 0.12
     assert loop["by_the_identified"]["delay_s"] >= 0.06, "the law by what was found stands what it should"
     assert loop["by_the_given"]["delay_s"] < 0.06, "and by the file's 50 ms it does not"
+    assert told["chi2_of_given"] > 7.81
+    assert np.linalg.eigvalsh(np.array(tilt["cov_delay_frequency_damping"])).min() > 0.0
+    assert told["cost_was_cm"] == 0.0, "stiffer gains than are due cost margin, and no centimetres"
+    assert 0.1 < told["cost_sigma_cm"] < 2.0
     assert main(["identify", str(recordings["late"])]) == 0
     said = capsys.readouterr().out.splitlines()
     assert "ms of further delay, less than 60;" in next(line for line in said if "by the given response" in line)
@@ -216,20 +225,36 @@ def test_what_cannot_be_identified_is_said_in_one_line(
 ) -> None:
     rough, pid = str(recordings["rough"]), str(recordings["pid"])
     for args, code, said in (
-        ([pid], 2, "ask for velocities, as the controller pid does"),
+        (
+            [pid],
+            2,
+            "as the controller pid and a flight by hand do, and none for a tilt; record a landing with guidance.controller =",
+        ),
         (
             [rough, "--response", "nonesuch"],
             2,
             "no shipped one of that name (shipped ones are ardrone2, autopilot, hexa_7kg, px4, quad_1_5kg)",
         ),
         ([str(tmp_path / "none.mcap")], 2, "No such file"),
-        ([rough, "--out", str(tmp_path)], 2, "--out"),
+        ([rough, "--out", rough], 2, "there is such a file already"),
+        ([rough, "--out", f"{rough}/mine.toml"], 2, "--out"),
     ):
         assert main(["identify", *args]) == code
         heard = capsys.readouterr()
         assert said in heard.err
         assert heard.err.count("\n") == 1
         assert heard.out == ""
+
+
+def test_a_recording_that_is_cut_is_identified_from_what_there_is(
+    recordings: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    torn, whole = tmp_path / "torn.mcap", recordings["rough"].read_bytes()
+    torn.write_bytes(whole[: len(whole) * 8 // 10])
+    assert main(["calibrate", "vehicle", str(torn), "--json"]) == 0
+    heard = capsys.readouterr()
+    assert f"{torn} is cut short" in heard.err
+    assert json.loads(heard.out)["cut"] == {str(torn): "EndOfFile"}
 
 
 def still_flight(path: Path, seconds: float) -> None:
