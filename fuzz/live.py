@@ -49,11 +49,7 @@ def _settings() -> Settings:
 
 def run_port(data: bytes) -> None:
     """Send bytes in pieces to the port: answered or closed, and the endpoint goes on without an error."""
-    choices = Choices(data)
-    pieces = []
-    while choices:
-        pieces.append(choices.block())
-    asyncio.run(watched(_on_port(pieces)))
+    asyncio.run(watched(_on_port(Choices(data).blocks())))
 
 
 async def _on_port(pieces: list[bytes]) -> None:

@@ -18,10 +18,7 @@ def run_metrics(data: bytes) -> None:
     """Send bytes in pieces on one connection: answered or closed, and the endpoint continues without an error."""
     choices = Choices(data)
     hang_up = bool(choices.number(1) & 1)
-    pieces = []
-    while choices:
-        pieces.append(choices.block())
-    asyncio.run(watched(_ask(pieces, hang_up)))
+    asyncio.run(watched(_ask(choices.blocks(), hang_up)))
 
 
 async def _ask(pieces: list[bytes], hang_up: bool) -> None:

@@ -44,11 +44,7 @@ def _settings() -> Settings:
 
 def run_operator_socket(data: bytes) -> None:
     """Send bytes in pieces to the local socket: obeyed, refused or closed, and the socket goes on without an error."""
-    choices = Choices(data)
-    pieces = []
-    while choices:
-        pieces.append(choices.block())
-    asyncio.run(watched(_on_socket(pieces)))
+    asyncio.run(watched(_on_socket(Choices(data).blocks())))
 
 
 async def _on_socket(pieces: list[bytes]) -> None:
@@ -66,11 +62,7 @@ async def _on_socket(pieces: list[bytes]) -> None:
 
 def run_page_port(data: bytes) -> None:
     """Send bytes in pieces to the page's port: answered or closed, and the page goes on without an error."""
-    choices = Choices(data)
-    pieces = []
-    while choices:
-        pieces.append(choices.block())
-    asyncio.run(watched(_on_port(pieces)))
+    asyncio.run(watched(_on_port(Choices(data).blocks())))
 
 
 async def _on_port(pieces: list[bytes]) -> None:

@@ -113,6 +113,13 @@ class Choices:
         """Return bytes that follow a length of 16 bits."""
         return self.take(self.number(2))
 
+    def blocks(self) -> list[bytes]:
+        """Return what is left as blocks."""
+        found = []
+        while self:
+            found.append(self.block())
+        return found
+
     def rest(self) -> bytes:
         """Return all bytes that are left."""
         return self.take(max(0, len(self._data) - self._at))

@@ -35,7 +35,8 @@ def cameras(by_name: tuple[Path, ...] = BY_NAME, sysfs: Path = SYSFS, dev: Path 
     stable: dict[Path, Path] = {}
     for folder in reversed(by_name):
         for link in _entries(folder):
-            stable[_resolved(link) or link] = link
+            if (node := _resolved(link)) is not None:
+                stable[node] = link
     found = []
     for entry in _entries(sysfs):
         if not entry.name.startswith("video"):

@@ -42,6 +42,10 @@ typedef struct {
     double spread;
 } painted;
 
+/* Sums of fit_sums of the samples' numbers: coverage (4), light (3) and one. */
+enum { FIT_NUMBERS = 8 };
+typedef float8 fit_sums[FIT_NUMBERS];
+
 /* The light of a part; `with_local` also makes `local`. What is in `spare`, 6 rows, is lost. */
 void align_light(const camera_lens *c, const pad_template *p, const frame_part *part, const uint8_t *px, int32_t stride,
                  const float *light, double depth_m, int with_local, float *spare, pixels *out);
@@ -95,6 +99,28 @@ double align_sum(const float8 *lanes);
 
 /* The fraction of the light's weighted variance that the model explains. */
 double align_explained(const samples *s);
+
+/* Add the fit_sums of a sample's numbers, coverage (4), light (3) and one, to their sums. */
+static inline void align_add(const samples *s, int i, fit_sums to)
+{
+    const float8 number = {s->coverage[0][i], s->coverage[1][i], s->coverage[2][i], s->coverage[3][i],
+                           s->light[0][i],    s->light[1][i],    s->light[2][i],    1.0f};
+    for (int k = 0; k < FIT_NUMBERS; k++) {
+        to[k] += number[k] * number;
+    }
+}
+
+/* The sums of several samples together. */
+void align_total(int n, fit_sums *of, fit_sums out);
+
+/* How many samples there are in the sums. */
+double align_number(const fit_sums of);
+
+/* The light's variation that one colour leaves. */
+double align_varied(const fit_sums of);
+
+/* The light's variation that least-squares paints leave. */
+double align_unexplained(const fit_sums of);
 
 /* Start the weights: 1, or next to nothing on a half of the disc that something covers. */
 void align_uncovered(samples *s);
