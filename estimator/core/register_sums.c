@@ -3,44 +3,39 @@
 #include <math.h>
 #include <string.h>
 
+#include "vectors.h"
 #include "wide.h"
 
-/* sum_n a[n] b[n] over a block */
-static inline double block_product(int n, const float *restrict a, const float *restrict b)
+/* The sum of eight lanes. */
+static inline double across(const float8 *sum)
 {
-    float sum[LANES] = {0.0f};
+    const float8 s = *sum;
+    return (double)((s[0] + s[4]) + (s[2] + s[6])) + (double)((s[1] + s[5]) + (s[3] + s[7]));
+}
+
+/* sum_n a[n] b[n] over a block */
+static inline double block_product(int n, const float *a, const float *b)
+{
+    float8 sum = {0.0f};
     for (int i = 0; i < n; i += LANES) {
-        for (int l = 0; l < LANES; l++) {
-            sum[l] += a[i + l] * b[i + l];
-        }
+        sum += *eight_of(a + i) * *eight_of(b + i);
     }
-    return (double)((sum[0] + sum[4]) + (sum[2] + sum[6])) + (double)((sum[1] + sum[5]) + (sum[3] + sum[7]));
+    return across(&sum);
 }
 
 /* The same with four rows at once, which share what is read of `a`. */
-static inline void block_products(int n, const float *restrict a, const float *const b[4], double *out)
+static inline void block_products(int n, const float *a, const float *const b[4], double *out)
 {
-    const float *restrict b0 = b[0], *restrict b1 = b[1], *restrict b2 = b[2], *restrict b3 = b[3];
-    float s0[LANES] = {0.0f}, s1[LANES] = {0.0f}, s2[LANES] = {0.0f}, s3[LANES] = {0.0f};
+    const float *b0 = b[0], *b1 = b[1], *b2 = b[2], *b3 = b[3];
+    float8 s0 = {0.0f}, s1 = {0.0f}, s2 = {0.0f}, s3 = {0.0f};
     for (int i = 0; i < n; i += LANES) {
-        for (int l = 0; l < LANES; l++) {
-            s0[l] += a[i + l] * b0[i + l];
-        }
-        for (int l = 0; l < LANES; l++) {
-            s1[l] += a[i + l] * b1[i + l];
-        }
-        for (int l = 0; l < LANES; l++) {
-            s2[l] += a[i + l] * b2[i + l];
-        }
-        for (int l = 0; l < LANES; l++) {
-            s3[l] += a[i + l] * b3[i + l];
-        }
+        const float8 of = *eight_of(a + i);
+        s0 += of * *eight_of(b0 + i);
+        s1 += of * *eight_of(b1 + i);
+        s2 += of * *eight_of(b2 + i);
+        s3 += of * *eight_of(b3 + i);
     }
-    const float *const sums[4] = {s0, s1, s2, s3};
-    for (int k = 0; k < 4; k++) {
-        const float *s = sums[k];
-        out[k] += (double)((s[0] + s[4]) + (s[2] + s[6])) + (double)((s[1] + s[5]) + (s[3] + s[7]));
-    }
+    out[0] += across(&s0), out[1] += across(&s1), out[2] += across(&s2), out[3] += across(&s3);
 }
 
 /* Add the products of one row with rows from..b - 1. */

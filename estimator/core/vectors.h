@@ -27,4 +27,10 @@ static inline float8 *eight(float *at)
     return (float8 *)(void *)at;
 }
 
+/* Eight floats in a row, to read. */
+static inline const float8 *eight_of(const float *at)
+{
+    return (const float8 *)(const void *)at;
+}
+
 #endif
