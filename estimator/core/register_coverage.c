@@ -153,8 +153,9 @@ static inline float spread(const footprint *f, const float *m, float *per_x, flo
 }
 
 /* Add the rectangles of a figure at `LANES` points. The blur's slant is neglected: it turns no edge. */
-static inline void add_rectangles(const pad_figure *g, const float *x, const float *y, const float *m, const float *per_x,
-                                  const float *per_y, float reach, float *value, float *const d[BY])
+WIDE
+static void add_rectangles(const pad_figure *g, const float *x, const float *y, const float *m, const float *per_x, const float *per_y,
+                           float reach, float *value, float *const d[BY])
 {
     cut across[FIGURE_CUTS], along[FIGURE_CUTS];
     const int many = g->rectangles >= MANY;

@@ -62,6 +62,7 @@ static void draw(const pad_shape *pad, const patch *cut, const fit_state *s, den
 }
 
 /* Mark the pixels that set the scale of the noise: bright ones, not clipped ones if there is a reflection. */
+WIDE
 static void judge(const patch *cut, const float *const light[CHANNELS], int k, int reflection, dense_rows *d)
 {
     float top = -INFINITY;
@@ -135,6 +136,7 @@ static int fit_paints(const patch *cut, int c, dense_rows *d, dense_sums *s)
 }
 
 /* The median of squared residuals less the edges' part, over light, times a factor for the noise of Gaussian light. */
+WIDE
 static double typical(const patch *cut, int c, int less_edges, const dense_rows *d)
 {
     const float *r = d->residual[c], *level = d->level[c], *unsharp = d->unsharp[c];
@@ -163,6 +165,7 @@ static void weigh(const patch *cut, int c, double noise, int reflection, dense_r
 }
 
 /* Give every pixel its full weight, over the variance that the last linearisation's noise assumes. */
+WIDE
 static void weigh_fully(const patch *cut, double noise, double edge_sigma_px, int first, dense_rows *d)
 {
     const float edge_var = (float)(edge_sigma_px * edge_sigma_px), scale = (float)noise;
@@ -285,6 +288,7 @@ static int add_channel(const patch *cut, int c, float m_per_px2, dense_rows *d, 
     return 1;
 }
 
+WIDE
 static void fill(const patch *cut, int c, const dense_sums *s, const dense_rows *d, dense_fit *fit)
 {
     float *restrict added = d->added[c];
