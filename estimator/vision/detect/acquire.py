@@ -154,11 +154,7 @@ def search(
     if pad.markings.fiducials and (_search_fiducials(task, plane) or not pad.markings.is_searched_by_parts):
         return Found(_distinct(task.found), FRESH_SEARCH, task.work)
     of_all = kinds(task.pyramid, camera, pad, plane, paint)
-    tried: list[Kind] = []
     for k in ((memory.first + i) % len(of_all) for i in range(len(of_all))):
-        if of_all[k] in tried:
-            continue
-        tried.append(of_all[k])
         enough = _try_kind(of_all[k], task)
         if enough is None:
             # A kind may have more guesses than a frame has work and the memory places: a search that stayed would never leave it.

@@ -58,8 +58,7 @@ class Kind:
 def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: PaintMemory) -> list[Kind]:
     """Return the kinds of hypotheses, quick and likely kinds first.
 
-    Those that only a pad of which a part is covered needs are the last ones, with the quickest kind in between once more, so that
-    a search over several frames comes back to it.
+    Those that only a pad of which a part is covered needs are the last ones.
     """
     luminance, colour = _Images(_luminance, pyramid), _Images(lambda px: disc_colour(px, pad), pyramid)
     frame = _Searched(pyramid, camera, pad, plane)
@@ -94,7 +93,6 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
     return [
         *out,
         Kind(_WORK_FULL_SIZE * size, lambda: frame.fainter_circles(luminance), True),
-        out[0],
         Kind(_WORK_STROKES, frame.beside_strokes, True),
     ]
 
