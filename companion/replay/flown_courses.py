@@ -12,6 +12,7 @@ import numpy as np
 from companion.guidance.mission import State
 from companion.guidance.response_course import asked_descent, asked_lean, course_of, joined, reported_lean, track
 from companion.guidance.response_fit import FlightCourse
+from companion.operator.arbiter import BY_HAND
 from companion.recorder.reading import Recording
 from companion.runtime.observer import Decision
 from estimator.contracts.commands import Command, Velocity
@@ -60,10 +61,11 @@ def flown_courses(recording: Recording) -> FlownCourses:
     for event in recording.events():
         if isinstance(event, Decision):
             t = event.at * 1e-9
-            command = None if event.phase in _ON_DECK else event.command
+            # By hand the speeds are steps with long rests, through which an integrated accelerometer drifts.
+            command = None if event.phase in _ON_DECK or event.phase == BY_HAND else event.command
             asked = asked_lean(command)
             leans += math.isfinite(asked[0])
-            velocities += isinstance(command, Velocity)
+            velocities += isinstance(event.command, Velocity)
             if math.isfinite(asked_descent(command)):
                 if t - commanded_s > _APART_S and math.isfinite(commanded_s):
                     flights.append(_Flight())
@@ -98,7 +100,12 @@ def _course(
 ) -> FlightCourse | None:
     if not asked or not reported:
         return None
-    return course_of(track(asked), track(sorted(reported)), sigma_s, drifts)
+    reported = sorted(reported)
+    if drifts:
+        # Without a command an integrated accelerometer drifts away from anything that could be asked.
+        commanded = [row[0] for row in asked if all(map(math.isfinite, row))] or [math.inf]
+        asked, reported = ([row for row in rows if commanded[0] <= row[0] <= commanded[-1]] for rows in (asked, reported))
+    return course_of(track(asked), track(reported), sigma_s, drifts) if asked and reported else None
 
 
 def _a_down(imu: Imu, R_ned_body: Rotation) -> float:

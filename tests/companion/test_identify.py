@@ -20,12 +20,15 @@ from companion.guidance.response import TiltResponse, response_from_mapping, til
 from companion.guidance.response_course import Track, course_of
 from companion.guidance.response_fit import STEP_S, FlightCourse, TiltFit, fit_climb, fit_tilt
 from companion.guidance.response_watch import ResponseState
+from companion.operator.arbiter import BY_HAND
 from companion.recorder.reading import open_recording
 from companion.recorder.setup import about, recorder_to_file
+from companion.replay.flown_courses import flown_courses
 from companion.runtime.observer import Decision
-from estimator.contracts.commands import Lean
+from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import Attitude
+from estimator.contracts.motion import G_M_S2
+from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
 from sitl.vehicle_file import load
 from tests.support.recorded_flight import sim_settings
@@ -267,6 +270,38 @@ def still_flight(path: Path, seconds: float) -> None:
             roll, pitch = 0.1 + 0.002 * rng.standard_normal(2)
             recorder.on_sample(Attitude(Stamp(at, at, 0.001, "sim"), Rotation.from_rpy(roll, pitch, 0.0), cov))
             recorder.on_decision(Decision(at, "descend", Lean(np.array([-0.98, 0.98]), np.zeros(2), np.zeros(3), 0.0), None))
+
+
+def landing_after_a_flight_by_hand(path: Path, by_hand_s: float) -> None:
+    """Record a descent in steps that is followed after 60 ms with a lag of 0.4 s, by an accelerometer with a bias."""
+    scenario, rng, cov, v = sim_settings(), np.random.default_rng(3), 1e-4 * np.eye(3), 0.0
+    n, still = round((by_hand_s + 14.0) / STEP_S), round(by_hand_s / STEP_S)
+    leans = 0.6 * np.repeat(rng.normal(size=(n // 25 + 1, 2)), 25, axis=0)
+    descents = np.where(np.arange(n) < still, 0.0, np.repeat(rng.uniform(0.0, 0.8, n // 40 + 1), 40)[:n])
+    with recorder_to_file(path, camera_model(scenario), about(scenario, {"kind": "test"}), frames="none") as recorder:
+        for k in range(n):
+            at = MonoNs(round(1e9 * STEP_S * k) + 1_000_000_000)
+            stamp = Stamp(at, at, 0.001, "sim")
+            a = (descents[max(0, k - 3)] - v) / 0.4
+            v += STEP_S * a
+            recorder.on_sample(Attitude(stamp, Rotation.from_rpy(0.002 * rng.standard_normal(), 0.0, 0.0), cov))
+            recorder.on_sample(Imu(stamp, np.zeros(3), np.array([0.0, 0.0, a - G_M_S2 + 0.4])))
+            lean = Lean(leans[k], np.zeros(2), np.array([0.0, 0.0, descents[k]]), 0.0)
+            by_hand = k < still
+            command = Velocity(np.zeros(3), 0.0) if by_hand else lean
+            recorder.on_decision(Decision(at, BY_HAND if by_hand else "descend", command, None))
+
+
+@pytest.mark.parametrize("by_hand_s", [0.0, 40.0])
+def test_the_climb_of_a_landing_is_found_after_a_flight_by_hand(by_hand_s: float, tmp_path: Path) -> None:
+    # Why: one recording of a flight by hand and a landing serves every calibration, and an accelerometer drifts meanwhile.
+    landing_after_a_flight_by_hand(tmp_path / "a.mcap", by_hand_s)
+    courses = flown_courses(open_recording([tmp_path / "a.mcap"]))
+    assert courses.climb is not None
+    found = fit_climb(courses.climb, GIVEN.climb)
+    assert found is not None
+    assert (found.response.delay_s, found.response.lag_s, found.gain) == pytest.approx((0.06, 0.4, 1.0), abs=0.03)
+    assert (courses.velocities > 0) is (by_hand_s > 0.0)
 
 
 @pytest.mark.parametrize(("seconds", "code", "said"), [(20.0, 1, "too little motion"), (4.0, 2, "overlap by less than 4 s")])
