@@ -9,11 +9,14 @@ from sitl.fault import Fault
 
 
 class OperatorActs(Fault, frozen=True, tag="operator"):
-    """A person takes over; after `for_s` he gives the vehicle back and lets guidance begin again."""
+    """A person takes over; after `for_s`, or by order begin, he gives the vehicle back and lets guidance begin again."""
 
     order: Annotated[
-        Literal["hold", "manual", "abort", "land"],
-        choice("hold in place, fly by hand with the sticks below, end the landing and hover, or land where the vehicle is"),
+        Literal["hold", "manual", "abort", "land", "begin"],
+        choice(
+            "hold in place, fly by hand with the sticks below, end the landing and hover, land where the vehicle is, or give it "
+            "back and let guidance begin"
+        ),
     ] = "hold"
     forward: Annotated[float, number("stick forward, with manual", "1", -1.0, 1.0)] = 0.0
     right: Annotated[float, number("stick to the right, with manual", "1", -1.0, 1.0)] = 0.0
@@ -25,3 +28,5 @@ class OperatorActs(Fault, frozen=True, tag="operator"):
             raise ValueError(f"forward, right, climb and turn are sticks: they go with order manual, not with {self.order}")
         if self.order in ("abort", "land") and self.for_s is not None:
             raise ValueError(f"for_s does not go with {self.order}, which ends the flight")
+        if self.order == "begin" and self.for_s is not None:
+            raise ValueError("for_s does not go with begin, after which guidance flies on")

@@ -32,6 +32,8 @@ class SimulatedPerson:
                     arbiter.take(OperatorOrder.RELEASE, _SENDER, now)
                 arbiter.take(OperatorOrder.BEGIN, _SENDER, now)
             elif wanted is not None:
+                if wanted.order == "begin" and self._doing is not None and self._doing.order == "manual":
+                    arbiter.take(OperatorOrder.RELEASE, _SENDER, now)
                 arbiter.take(OperatorOrder(wanted.order), _SENDER, now)
             self._doing = wanted
         if wanted is not None and wanted.order == "manual":

@@ -110,6 +110,11 @@ def test_a_person_takes_over_and_gives_back(fault: OperatorActs, situation: Cont
     assert early._pilot.operator.situation(early._clock.t) is ControlSituation.GUIDED
 
 
+def test_a_person_who_lets_guidance_begin_has_given_the_drone_back() -> None:
+    flight = flown(OperatorActs(at_s=0.2, order="manual"), OperatorActs(at_s=0.5, order="begin"), until_s=1.2)
+    assert flight._pilot.operator.situation(flight._clock.t) is ControlSituation.GUIDED
+
+
 def test_sticks_of_a_person_fly_the_drone() -> None:
     up, held = (flown(OperatorActs(at_s=0.2, order="manual", climb=c), until_s=2.0).world.truth() for c in (1.0, 0.0))
     assert held.p_body_ned[2] - up.p_body_ned[2] > 0.4
@@ -118,6 +123,8 @@ def test_sticks_of_a_person_fly_the_drone() -> None:
 def test_only_sensible_orders_are_accepted() -> None:
     with pytest.raises(ValueError, match="they go with order manual"):
         OperatorActs(at_s=1.0, order="hold", climb=0.5)
+    with pytest.raises(ValueError, match="after which guidance flies on"):
+        OperatorActs(at_s=1.0, for_s=1.0, order="begin")
     with pytest.raises(ValueError, match="which ends the flight"):
         OperatorActs(at_s=1.0, order="abort", for_s=2.0)
 
