@@ -13,7 +13,7 @@ from companion.runtime.server_log import make_runner
 from fuzz.connections import upgrade
 
 
-async def _told(handler_fails: bool, *pieces: bytes) -> None:
+async def _answers(handler_fails: bool, *pieces: bytes, hang_up: bool = True) -> list[bytes]:
     async def handle(request: web.Request) -> web.StreamResponse:
         if handler_fails:
             raise KeyError("ours")
@@ -24,35 +24,44 @@ async def _told(handler_fails: bool, *pieces: bytes) -> None:
 
     app = web.Application()
     app.router.add_get("/", handle)
-    runner = make_runner(app)
+    runner, answers = make_runner(app), []
     await runner.setup()
     try:
         server = await listen(runner, ConnectionLimits(), "127.0.0.1", 0, "a test")
         for piece in pieces:
             reader, writer = await asyncio.open_connection("127.0.0.1", server.sockets[0].getsockname()[1])
             writer.write(piece)
-            writer.write_eof()
+            if hang_up:
+                writer.write_eof()
             async with asyncio.timeout(20):
-                await reader.read()
+                answers.append(await reader.read(4096))
             writer.close()
         await asyncio.sleep(0.1)
         server.close()
     finally:
         await runner.cleanup()
+    return answers
 
 
 async def test_strangers_fill_no_log(caplog: pytest.LogCaptureFixture) -> None:
-    """Requests with a broken header and with bytes that are no text, bytes that are no HTTP, and a client that hangs up."""
-    no_text = b"GET / HTTP/1.1\r\nHost: x\r\nConnection: Upgrade\r\nUpgrade: web\x8d\x90\r\n\r\n"
+    """A request with a broken header, bytes that are no HTTP, and a client that hangs up."""
     with caplog.at_level(logging.DEBUG, "companion.runtime.server_log"):
-        await _told(False, b"GET / HTTP/1.1\r\nno header\r\n\r\n", b"\x16\x03\x01\x02\x00\r\n\r\n", no_text, upgrade(b"/"))
+        await _answers(False, b"GET / HTTP/1.1\r\nno header\r\n\r\n", b"\x16\x03\x01\x02\x00\r\n\r\n", upgrade(b"/"))
     assert not [record for record in caplog.records if record.levelno >= logging.WARNING], caplog.text
     assert "BadHttpMessage" in caplog.text or "InvalidHeader" in caplog.text
     assert "ConnectionResetError" in caplog.text
 
 
+@pytest.mark.parametrize(("text", "torn"), [(b"Upgrade: web", b"\x8d\x90"), (b"Sec-WebSocket-Key: c2l4", b"\x9c\xb6")])
+async def test_bytes_that_are_no_text_are_refused(text: bytes, torn: bytes, caplog: pytest.LogCaptureFixture) -> None:
+    (answer,) = await _answers(False, upgrade(b"/").replace(text, text + torn, 1), hang_up=False)
+    assert answer.startswith(b"HTTP/1.1 400 Bad Request"), answer
+    assert b"ASCII" in answer
+    assert not [record for record in caplog.records if record.levelno >= logging.WARNING], caplog.text
+
+
 async def test_an_error_of_ours_is_told_with_its_traceback(caplog: pytest.LogCaptureFixture) -> None:
-    await _told(True, b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+    await _answers(True, b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
     (record,) = [record for record in caplog.records if record.levelno >= logging.WARNING]
     assert record.levelno == logging.ERROR
     assert record.exc_info is not None
