@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.calibrate import response_cost
 from companion.calibrate.response_cost import ResponseCost
-from companion.config.settings import find_file, read_toml, response_model
+from companion.config.settings import find_file, read_toml, response_model, shipped
 from companion.guidance.follow_deck_options import FollowDeckOptions
 from companion.guidance.margins import LoopMargins, margins
 from companion.guidance.response import Response, TiltResponse, response_from_mapping
@@ -20,7 +20,6 @@ from companion.guidance.response_file import text
 from companion.guidance.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt
 from companion.recorder.reading import Recording, open_recording
 from companion.replay.flown_courses import FlownCourses, flown_courses
-from companion.replay.pilots import settings_of
 from companion.report.drawing import require_drawing
 from estimator.contracts.errors import BadInput, unusable
 
@@ -100,9 +99,15 @@ def run(args: argparse.Namespace) -> int:
 def _start(named: str | None, recording: Recording) -> Response:
     if named is None:
         try:
-            return response_model(settings_of(recording, None))
+            settings = recording.settings()
+            if settings is None:
+                raise BadInput(f"{recording.name}: holds no settings")
+            return response_model(settings)
         except BadInput as why:
-            raise BadInput(f"{why}; or say which vehicle flew with --response") from why
+            names = ", ".join(shipped("responses"))
+            raise BadInput(
+                f"{why}; name the response that it flew by with --response, a file or a shipped one ({names})"
+            ) from why
     path = find_file(named, "responses", Path(), "--response")
     return response_from_mapping(read_toml(path), str(path))
 

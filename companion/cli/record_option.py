@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -40,22 +41,33 @@ def recording(
 ) -> Iterator[Recorder | None]:
     """Open the recorder, or yield None without `--record`. A `live` flight is placed in wall time and never waits for the disk.
 
+    The file begins with the first record: a flight that is refused leaves none, and an older file of that name as it is.
+
     Raises:
         BadInput: the file cannot be made.
     """
     if args.record is None:
         yield None
         return
-    try:
-        args.record.open("ab").close()
-    except OSError as why:
-        raise BadInput(f"--record {args.record}: {why.strerror or why}") from why
+    _require_writable(args.record)
     offset_ns = wall_offset_ns(SystemClock()) if live else 0
     described = about(settings, flight, offset_ns)
     with recorder_to_file(args.record, body_camera(settings), described, frames=args.record_frames, live=live) as recorder:
         yield recorder
     if recorder.why or recorder.faults:
         sys.stderr.write(f"the recording is incomplete: {recorder.why or 'a fault of the recorder'}\n")
+
+
+def _require_writable(path: Path) -> None:
+    there = os.path.lexists(path)
+    if there and not path.is_file():
+        raise BadInput(f"--record {path}: is there already and is no regular file; name a new file")
+    try:
+        path.open("ab").close()
+        if not there:
+            path.unlink()
+    except OSError as why:
+        raise BadInput(f"--record {path}: {why.strerror or why}") from why
 
 
 def truth_record(truth: Truth) -> TruthRecord:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -21,7 +22,8 @@ from companion.guidance.response_course import Track, course_of
 from companion.guidance.response_fit import STEP_S, FlightCourse, TiltFit, fit_climb, fit_tilt
 from companion.guidance.response_watch import ResponseState
 from companion.operator.arbiter import BY_HAND
-from companion.recorder.reading import open_recording
+from companion.recorder.mcap_file import Attachment
+from companion.recorder.reading import SETTINGS, open_recording
 from companion.recorder.setup import about, recorder_to_file
 from companion.replay.flown_courses import flown_courses
 from companion.runtime.observer import Decision
@@ -260,11 +262,37 @@ def test_a_recording_that_is_cut_is_identified_from_what_there_is(
     assert json.loads(heard.out)["cut"] == {str(torn): "EndOfFile"}
 
 
-def still_flight(path: Path, seconds: float) -> None:
-    """Record a vehicle that is asked to lean by the same angle all the time, and reports it with the noise of its sensors."""
+def test_settings_that_cannot_be_read_are_done_without_by_naming_the_response(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stranger = {SETTINGS: b"[guidance.crystal_ball]\nclarity = 1.0\n"}
+    for name, kept, why in (
+        ("older", stranger, "settings.toml: guidance.crystal_ball is not a known key"),
+        ("bare", {}, "holds no settings"),
+    ):
+        path = tmp_path / f"{name}.mcap"
+        still_flight(path, 12.0, kept)
+        assert main(["identify", str(path)]) == 2
+        said = capsys.readouterr().err
+        assert f"{name}.mcap: {why}" in said
+        assert "name the response that it flew by with --response, a file or a shipped one (ardrone2, " in said
+        assert "--config" not in said, "identify has no such option"
+        assert said.count("\n") == 1
+        assert main(["identify", str(path), "--response", "ardrone2"]) == 1
+        assert "too little motion" in capsys.readouterr().err, "the cure leads on to the flight"
+
+
+def still_flight(path: Path, seconds: float, kept: dict[str, bytes] | None = None) -> None:
+    """Record a vehicle that is asked to lean by the same angle all the time, and reports it with the noise of its sensors.
+
+    `kept` are the files that the recording holds instead of its own settings, camera and pad.
+    """
     scenario = sim_settings()
     rng, cov = np.random.default_rng(2), 1e-4 * np.eye(3)
-    with recorder_to_file(path, camera_model(scenario), about(scenario, {"kind": "test"}), frames="none") as recorder:
+    described = about(scenario, {"kind": "test"})
+    if kept is not None:
+        described = replace(described, attachments=[Attachment(name, "application/toml", data) for name, data in kept.items()])
+    with recorder_to_file(path, camera_model(scenario), described, frames="none") as recorder:
         for k in range(round(seconds / STEP_S)):
             at = MonoNs(round(1e9 * STEP_S * k) + 1_000_000_000)
             roll, pitch = 0.1 + 0.002 * rng.standard_normal(2)

@@ -70,6 +70,39 @@ def test_a_flight_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
     assert set(told["frames"]) <= {"no_pad", "no_attitude"}
 
 
+@pytest.mark.parametrize(
+    ("key", "code", "said"),
+    [
+        ("guidance.follow_deck.response=nonesuch", 2, "guidance.follow_deck.response: there is no file 'nonesuch'"),
+        ("guidance.controller=nonesuch", 2, "guidance.controller: there is no controller 'nonesuch'"),
+        ("vehicle.model=1.0", 1, "the simulated drone refused the configuration key video:video_codec"),
+    ],
+)
+def test_a_flight_that_is_refused_leaves_no_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, code: int, said: str
+) -> None:
+    path, older = tmp_path / "new.mcap", tmp_path / "older.mcap"
+    older.write_bytes(b"as it was")
+    for out in (path, older):
+        assert cli.main(["simulate", "calm", "--perception", "truth", "--set", key, "--record", str(out)]) == code
+        assert said in capsys.readouterr().err
+    assert not path.exists()
+    assert older.read_bytes() == b"as it was"
+
+
+def test_a_recording_replaces_a_file_and_nothing_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for out, said in (
+        (tmp_path, "is there already and is no regular file"),
+        (Path("/dev/null"), "is there already and is no regular file"),
+        (tmp_path / "none" / "new.mcap", "No such file or directory"),
+    ):
+        assert cli.main(["simulate", "calm", "--perception", "truth", "--record", str(out)]) == 2
+        err = capsys.readouterr().err
+        assert err.startswith(f"decklander: --record {out}: {said}")
+        assert err.count("\n") == 1
+    assert Path("/dev/null").is_char_device()
+
+
 def test_a_landing_on_fiducials(capsys: pytest.CaptureFixture[str]) -> None:
     """By rendered frames, from where the large fiducial is read to where only the small one and single cells are in view."""
     start = ["start.height_m=2.2", "start.pad_forward_m=0.3", "start.pad_right_m=0.2"]
