@@ -2,7 +2,7 @@
 
 Near the deck, at sea state 4, gusts, the deck and the filter's errors drive the loop of `companion.guidance.margins`. Its law is
 made for the response of a file. With another vehicle than the file's it errs by more, and the squares' difference is the cost,
-as for mount and delay. A wrong climb costs descent rate, not centimetres beside the pad's centre, and is not counted.
+as for mount and delay. What a wrong climb costs is in `companion.calibrate.climb_cost`.
 """
 
 from __future__ import annotations

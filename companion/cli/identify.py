@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.calibrate import response_cost
+from companion.calibrate import climb_cost, response_cost
+from companion.calibrate.climb_cost import ClimbCost
 from companion.calibrate.response_cost import ResponseCost
 from companion.config.settings import find_file, read_toml, response_model, shipped
 from companion.guidance.follow_deck_options import FollowDeckOptions
@@ -35,6 +36,8 @@ NOTHING_TOLD_S = 0.1
 _CURE = 'record a landing with guidance.controller = "follow_deck"'
 _CHI2_95 = 7.81
 """Chi-square of three values that 95 % lie below."""
+ClimbCosts = dict[str, tuple[ClimbCost, ClimbCost]]
+"""The worst by its speed and the worst by its drift; "was" for the given climb, "sigma" for the identified one."""
 DELAY_MARGIN_S = 0.06
 """Least delay beyond the known one that the law should stand."""
 
@@ -86,13 +89,15 @@ def run(args: argparse.Namespace) -> int:
         write_response(args.plot, recording.name, courses, tilt, climb)
     loops = {"by_the_given": margins(start.tilt, tilt.response), "by_the_identified": margins(tilt.response)}
     costs = response_cost.of_file(start.tilt, tilt.response), response_cost.of_sigma(tilt.response, tilt.cov)
+    climbs = None if climb is None else _climb_costs(start, response, climb)
     if args.json:
         record = _record(tilt, climb) | {"loop": {name: _loop_record(loop) for name, loop in loops.items()}}
         record |= {"cost_was_cm": _finite(costs[0].cost_cm), "cost_sigma_cm": _finite(costs[1].cost_cm)}
+        record |= _climb_record(climbs) if climbs is not None else {}
         record |= {"chi2_of_given": _apart(start.tilt, tilt), "cut": {str(p): why for p, why in recording.cut.items()}}
         sys.stdout.write(json.dumps(record) + "\n")
     else:
-        sys.stdout.write("\n".join(_lines(args, start, courses, tilt, climb, loops, costs)) + "\n")
+        sys.stdout.write("\n".join(_lines(args, start, courses, tilt, climb, loops, costs, climbs)) + "\n")
     return 0
 
 
@@ -147,6 +152,7 @@ def _lines(
     climb: ClimbFit | None,
     loops: dict[str, LoopMargins],
     costs: tuple[ResponseCost, ResponseCost],
+    climbs: ClimbCosts | None,
 ) -> list[str]:
     t = tilt.response
     out = [
@@ -173,7 +179,9 @@ def _lines(
     verb = "contradicts" if apart > _CHI2_95 else "does not contradict"
     out.append(f"       this flight {verb} the given tilt: chi-square {apart:.1f}, of which 95 % lie below {_CHI2_95:.1f}")
     out += [f"loop   {name.replace('_', ' ')} response: {_margins(loop)}" for name, loop in loops.items()]
-    out += [_cost_line(*costs), _service_line(t.delay_sigma_s or 0.0)]
+    out.append(_cost_line(*costs))
+    out += [] if climbs is None else _climb_cost_lines(climbs)
+    out.append(_service_line(t.delay_sigma_s or 0.0))
     out += [f"written to {path}" for path in (args.out, args.plot) if path is not None]
     return out
 
@@ -185,7 +193,35 @@ def _cost_line(was: ResponseCost, now: ResponseCost) -> str:
     after = f"{now.cost_cm:.1f} cm ({now.error_cm:.2f} instead of {now.own_cm:.2f}) for one sigma of the identified one"
     if not math.isfinite(now.error_cm):
         after = "by the identified one it is unstable one sigma away: fly longer, or in wind"
-    return f"cost   {before}, {after}"
+    return f"cost   tilt: {before}, {after}"
+
+
+def _climb_costs(start: Response, found: Response, fit: ClimbFit) -> ClimbCosts:
+    given = climb_cost.of_file(start.climb, found)
+    return {"was": (given, given), "sigma": climb_cost.of_sigma(found, fit.cov)}
+
+
+def _climb_cost_lines(costs: ClimbCosts) -> list[str]:
+    named = (("was", "by the given one"), ("sigma", "for one sigma"))
+    return [f"       climb: {_contacts(*costs[name])}, {words}" for name, words in named]
+
+
+def _contacts(speed: ClimbCost, drift: ClimbCost) -> str:
+    if not math.isfinite(speed.by_file.speed_m_s):
+        return "the loop is unstable"
+    return (
+        f"{speed.cost_m_s:.2f} m/s at the contact (one in forty above {speed.by_file.hard_m_s:.2f} instead of "
+        f"{speed.own.hard_m_s:.2f}), {drift.cost_cm:.1f} cm of drift ({drift.by_file.drift_cm:.1f} instead of "
+        f"{drift.own.drift_cm:.1f})"
+    )
+
+
+def _climb_record(costs: ClimbCosts) -> dict[str, object]:
+    return {
+        f"climb_cost_{name}_{unit}": _finite(value)
+        for name, (speed, drift) in costs.items()
+        for unit, value in (("m_s", speed.cost_m_s), ("cm", drift.cost_cm))
+    }
 
 
 def _service_line(delay_sigma_s: float) -> str:

@@ -107,6 +107,19 @@ def axis_error_m(assumed: TiltResponse, true: TiltResponse) -> float:
     return _closed(assumed, true, None, None, True, AxisDisturbances()).errors()[0]
 
 
+def pushed_axis(response: TiltResponse) -> tuple[F64, F64]:
+    """Return the closed loop of one axis, x(k+1) = M x(k) + b push, by its own response; x begins with the place and the speed.
+
+    Returns:
+        M (n, n) and b (n,); the push is an acceleration of the vehicle in m/s^2 that the law knows nothing of.
+    """
+    loop = _closed(response, response, None, None, True, AxisDisturbances())
+    states = len(loop.broken[0])
+    b = loop.M[:, states].copy()
+    b[states] = 0.0
+    return loop.M, b
+
+
 class _ClosedLoop(NamedTuple):
     """One axis as one matrix, and the parts of its open loop."""
 
@@ -122,7 +135,7 @@ class _ClosedLoop(NamedTuple):
         """Return the standard deviations of place, m, and speed, m/s; inf if the loop is unstable."""
         if not self.stable:
             return math.inf, math.inf
-        error_m, speed_m_s = np.sqrt(np.diagonal(_stationary(self.M, self.Q))[:2]).tolist()
+        error_m, speed_m_s = np.sqrt(np.diagonal(stationary(self.M, self.Q))[:2]).tolist()
         return error_m, speed_m_s
 
 
@@ -182,7 +195,7 @@ def _closed(
     return _ClosedLoop(M, Q, (A, vehicle.B, measured, Ac, Bc, Cc, Dc))
 
 
-def _stationary(M: F64, Q: F64) -> F64:
+def stationary(M: F64, Q: F64) -> F64:
     """Return X = M X M' + Q of a stable M: twice as many terms of its sum in each step."""
     X, power = Q, M
     for _ in range(40):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -179,6 +180,7 @@ def test_a_recorded_flight_gives_the_response_of_the_simulated_vehicle(
     assert "tilt   delay" in said
     assert "climb  delay" in said
     assert "does not contradict the given tilt" in said
+    assert re.search(r"climb: 0\.0\d m/s at the contact .*, 0\.\d cm of drift .*, by the given one", said)
     assert "begins with softer gains, until the delay is known to 40 ms" in said
     assert str(out) in said
     found = response_from_mapping(tomllib.loads(out.read_text()), str(out))
@@ -212,6 +214,9 @@ def test_a_longer_delay_of_the_commands_is_found(recordings: dict[str, Path], ca
     assert np.linalg.eigvalsh(np.array(tilt["cov_delay_frequency_damping"])).min() > 0.0
     assert told["cost_was_cm"] == 0.0, "stiffer gains than are due cost margin, and no centimetres"
     assert 0.1 < told["cost_sigma_cm"] < 2.0
+    assert 0.0 < told["climb_cost_was_m_s"] + told["climb_cost_was_cm"] < 2.0, "the climb of this flight is 100 ms later as well"
+    assert 0.0 <= told["climb_cost_sigma_m_s"] < 0.05
+    assert 0.0 < told["climb_cost_sigma_cm"] < 1.0
     assert main(["identify", str(recordings["late"])]) == 0
     said = capsys.readouterr().out.splitlines()
     assert "ms of further delay, less than 60;" in next(line for line in said if "by the given response" in line)
