@@ -66,7 +66,7 @@ class Target(Struct, frozen=True, eq=False):
     d_body_pad_level: F64
     """Wanted vector from the body to the pad, (3,) m: (0, 0, 2) is two metres above its centre."""
     descent_rate_m_s: float | None = None
-    """The wanted rate against the deck, down positive. With a rate the wanted height is not looked at: 0.45 goes down to the deck
+    """The wanted rate against the deck, down positive. With a rate the wanted height is not looked at: 0.4 goes down to the deck
     and presses on there, -0.5 climbs. None flies to the wanted height and holds it."""
     v_body_level: F64 = field(default_factory=lambda: np.zeros(3))
     """Velocity of the target itself against the pad, (3,) m/s: for one that is moved along a way."""

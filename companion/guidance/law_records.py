@@ -45,8 +45,8 @@ def packed_params(
     remembered: int,
     view: FieldOfView | None = None,
     *,
-    looks_ahead: bool = True,
-    over_ground: bool = False,
+    looks_ahead: bool,
+    over_ground: bool,
 ) -> LawRecord:
     """Return the core's `law_params`.
 

@@ -154,7 +154,7 @@ def _closed(
     a_plant, own = len(vehicle.A), _SEEN + n
     A = vehicle.A.copy()
     A[1, 1] -= PERIOD_S * around.drag_1_s
-    params = packed_params(assumed, _ANY_CLIMB, PERIOD_S, n)
+    params = packed_params(assumed, _ANY_CLIMB, PERIOD_S, n, looks_ahead=True, over_ground=False)
     packed, observer = packed_gains(gains, n, 1, assumed.slowness_s), packed_observer(seeing)
 
     def law(state: F64, z: F64) -> tuple[F64, float]:

@@ -26,7 +26,7 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
     gate_height_m: Annotated[float, number("height over the deck at which it waits until every limit holds", "m", 0.1, 3.0)] = 0.3
     gate_dwell_s: Annotated[float, number("time for which every limit must have held", "s", 0.0, 10.0)] = 0.1
     gate_s: Annotated[float, number("longest wait there in one try; after it the drone goes around", "s", 1.0, 600.0)] = 20.0
-    commit_rate_m_s: Annotated[float, number("rate against the deck from the gate to the contact", "m/s", 0.1, 2.0)] = 0.45
+    commit_rate_m_s: Annotated[float, number("rate against the deck from the gate to the contact", "m/s", 0.1, 2.0)] = 0.4
     commit_s: Annotated[
         float, number("longest time from the gate to a felt contact; after it the drone goes around", "s", 0.5, 30.0)
     ] = 3.0

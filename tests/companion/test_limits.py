@@ -96,8 +96,8 @@ def test_the_gate_is_open_up_to_a_limit_and_shut_beyond_it(
     ],
 )  # fmt: skip
 def test_a_deck_may_fall_before_the_contact_and_when_the_motors_stand(at_s: tuple[float, ...], ago_s: float, opens: bool) -> None:
-    """The contact comes after 0.67 s, the motors stand 0.6 s later."""
-    found = shut(ahead=falling(0.75, at_s, ago_s))
+    """The contact comes after 0.75 s, the motors stand 0.6 s later."""
+    found = shut(ahead=falling(0.7, at_s, ago_s))
     assert (found is None) is opens
     assert shut(ahead=falling(-0.9)) is None, "a deck that rises presses by itself"
 
