@@ -27,8 +27,24 @@ _NO_TIME = "nothing moves in no time"
 _HEAVE_ALONE = "the fifth is the deck's roll, which has nothing in common with the heave"
 _HELD = "if (b->t_imu >= 0 && b->t < held_until && held_until < t) {"
 _DRIVEN = tuple(f"for (int {i} = {j} / 2 * 2; {i} < STATES; {i}++) {{" for i, j in ("ji", "li", "lj"))
+_SPANS = "const int64_t i = forecast ? span(n, horizons_s, age) : 0, k = forecast ? span(n, horizons_s, until) : 0;"
 _ROTATED = "const double t = (theta < 0.0 ? -1.0 : 1.0) / (fabs(theta) + hypot(theta, 1.0)), c = 1.0 / hypot(t, 1.0), s = t * c;"
+_ONE_BY_ONE = "what goes together goes one by one, to the same end"
+_UNREAD = "nobody reads the outcomes that are too many"
+_LINEAR = "the line ends there and the other begins"
 EQUIVALENT: dict[str, dict[str, str]] = {
+    "estimator/ekf/history.py": {
+        "history.leapt is not None  ->  True": "an absent row of leaps stays absent",
+        "stamp.received_at > history.received_at  ->  stamp.received_at >= history.received_at": "they are a leap apart",
+        "len(entries) > 1  ->  len(entries) >= 1": _ONE_BY_ONE,
+        "True  ->  False": "every event has an outcome",
+        "i > 0  ->  i < 0": _ONE_BY_ONE,
+        "out[i][-1][1] is not row  ->  False": "what is of another row stays as it is",
+        "len(chunks[-1]) < _CHUNK  ->  len(chunks[-1]) <= _CHUNK": "a full chunk is split off again",
+        "gone < len(first)  ->  gone > len(first)": _ONE_BY_ONE,
+        "len(outcomes) < wanted and row  ->  True": _UNREAD,
+        "len(outcomes) < wanted  ->  True": _UNREAD,
+    },
     "companion/guidance/cone.py": {
         "error_m < math.sqrt(INSIDE) * radius_m(height_m, options)"
         "  ->  error_m <= math.sqrt(INSIDE) * radius_m(height_m, options)": _ROUNDED,
@@ -139,7 +155,28 @@ EQUIVALENT: dict[str, dict[str, str]] = {
             "one place would do: the correction after a propagation is never refused, and reads each row before it writes it"
         ),
     },
+    "estimator/core/law.c": {
+        "const double shrink = size > reach ? reach / size : 1.0;"
+        "  ->  const double shrink = size >= reach ? reach / size : 1.0;": _LINEAR,
+        "const double cut = size > most ? most / size : 1.0;  ->  const double cut = size >= most ? most / size : 1.0;": _LINEAR,
+        "if (!o->keeps_in_view || d[2] < VIEW_FROM_M) {  ->  if (!o->keeps_in_view || d[2] <= VIEW_FROM_M) {": _ROUNDED,
+        "axis_measured z[2];  ->  axis_measured z[3];": _ROOM,
+    },
+    "estimator/core/law_axis.c": {
+        "return value < -most ? -most : value > most ? most : value;"
+        "  ->  return value < -most ? -most : value >= most ? most : value;": _LINEAR,
+    },
+    "estimator/core/law_deck.c": {
+        f"{_SPANS}  ->  {_SPANS.replace(was, becomes)}": "without a forecast neither is read"
+        for was, becomes in (("age) : 0", "age) : 1"), ("until) : 0", "until) : 1"))
+    },
     "estimator/core/bank_ahead.c": {
+        f"sum += weight[o] * (of[o] - mean) * (of[o] - mean);  ->  sum += weight[o] * {product};": (
+            "the same sum: the weights' mean of the first factor is zero"
+        )
+        for product in ("(of[o] + mean) * (of[o] - mean)", "(of[o] - mean) * (of[o] + mean)")
+    }
+    | {
         "memset(after, 0, STATES * sizeof after[0]);  ->  memset(after, 1, STATES * sizeof after[0]);": _TINY,
         "memset(of, 0, OSCILLATORS * sizeof *of);  ->  memset(of, 1, OSCILLATORS * sizeof *of);": _TINY,
         "static const double KNOWN_VAR = 1e-18;  ->  static const double KNOWN_VAR = 2e-18;": (

@@ -62,7 +62,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/law.c": (_LAW_CORE, "tests/companion/test_follow_deck.py"),
     "estimator/core/law_axis.c": (_LAW_CORE, "tests/companion/test_margins.py"),
     "estimator/core/law_climb.c": (_LAW_CORE,),
-    "estimator/core/law_deck.c": (_LAW_CORE,),
+    "estimator/core/law_deck.c": (_LAW_CORE, "tests/companion/test_deck_turn.py"),
     "estimator/core/correction.c": (*_CORE, *_SIGHTINGS[1:]),
     "estimator/core/rotation.c": (
         "tests/estimator/ekf/test_half_turn.py",

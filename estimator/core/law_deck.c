@@ -73,7 +73,7 @@ static double turned(double angle)
 void turn_observe(const law_cycle *in, const law_memory *before, law_memory *after)
 {
     after->has_turn = in->has_yaw != 0;
-    after->turn_yaw_rad = in->has_yaw ? in->yaw_rad : 0.0;
+    after->turn_yaw_rad = in->yaw_rad;
     after->turn_rate_rad_s = 0.0;
     if (!in->has_yaw || !in->goes_on || !before->has_turn) {
         return;

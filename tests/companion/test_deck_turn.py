@@ -74,6 +74,10 @@ def test_a_heading_that_is_not_known_asks_for_no_turn() -> None:
         _, command = law.step(law.start(), now, Knowledge(now, relative, body), ALONG)
         assert isinstance(command, Lean)
         assert (command.yaw_rate_rad_s != 0.0) == turns
+    for astern in (math.pi, -math.pi):
+        _, command = law.step(law.start(), now, Knowledge(now, replace(known, yaw_rad=astern), body), ALONG)
+        assert isinstance(command, Lean)
+        assert command.yaw_rate_rad_s == pytest.approx(0.6), "half a turn goes clockwise, whichever way it is written"
 
 
 @pytest.mark.parametrize(("turn_rad_s", "body_rad_s"), [(0.1, 0.0), (-0.08, 0.3)])

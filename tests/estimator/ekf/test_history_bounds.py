@@ -91,6 +91,8 @@ def test_samples_of_one_instant_lie_by_kind_and_those_of_one_kind_as_they_came()
     first, second = baro(T), Baro(one, 2.0, 0.5)
     for pair in ([first, second], [second, first]):
         assert [node.event for node in after(*pair)[0].nodes] == pair
+        between = baro(T + 5)
+        assert [node.event for node in after(pair[0], between, pair[1])[0].nodes] == [*pair, between]
 
 
 def test_what_is_no_measurement_is_named() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Attitude, Baro
+from estimator.contracts.samples import Attitude, Baro, Imu
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf.history import _CHUNK, History, Leap, _in_order, put, put_all
 from estimator.ekf.packed_belief import Followed
@@ -104,7 +104,34 @@ def test_a_row_of_which_few_beliefs_are_left_is_freed(late_ms: int, copied: bool
     kept = [node for node in after.nodes if 0 < node.key[0] - T <= late_ms * MS]
     assert len(kept) == late_ms
     assert {node.row is row for node in kept} == {not copied}
+    assert {len(node.row) for node in kept} == {late_ms if copied else 80}
     for node, before in zip(kept, history.nodes[1:], strict=False):
         assert node.after is not None
         assert before.after is not None
         assert node.after.P.tobytes() == before.after.P.tobytes()
+
+
+def test_a_row_that_the_first_attitude_interrupts_is_the_past_of_one_after_the_other() -> None:
+    """The filter has felt which way is down; the first heading is set outright, and the core's row ends before it."""
+
+    def felt(measured_ms: int) -> Imu:
+        return Imu(baro(measured_ms * MS).stamp, np.array([0.02 * measured_ms, 0.0, 0.1]), np.array([0.1, 0.2, -9.8]))
+
+    events: list[Event] = [felt(5), felt(10), felt(15), attitude(16 * MS), felt(20), baro(21 * MS)]
+    one = all_at_once = put(History(), felt(0), TOOLS)[0]
+    singly = []
+    for event in events:
+        one, result = put(one, event, TOOLS)
+        singly.append(result)
+    all_at_once, together = put_all(all_at_once, events, TOOLS)
+    assert [result.verdict for result in together] == [result.verdict for result in singly]
+    assert told(all_at_once) == told(one)
+    assert [len(node.row) for node in all_at_once.nodes] == [1, 3, 3, 3, 1, 2, 2]
+
+
+def test_whole_chunks_are_forgotten_one_at_a_time() -> None:
+    history, _ = put_all(begun(), [baro(k * MS) for k in range(1, 81)], TOOLS)
+    kept_ms = round(OPTIONS.history_s * 1e3)
+    history, _ = put(history, baro((kept_ms + 40) * MS), TOOLS)
+    assert [node.key[0] - T for node in history.nodes] == [*(k * MS for k in range(40, 81)), (kept_ms + 40) * MS]
+    assert history.forgotten == T + 39 * MS
