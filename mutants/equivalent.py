@@ -34,16 +34,15 @@ _UNREAD = "nobody reads the outcomes that are too many"
 _LINEAR = "the line ends there and the other begins"
 EQUIVALENT: dict[str, dict[str, str]] = {
     "estimator/ekf/history.py": {
-        "history.leapt is not None  ->  True": "an absent row of leaps stays absent",
+        "if history.leapt is not None  ->  if True": "an absent row of leaps stays absent",
         "stamp.received_at > history.received_at  ->  stamp.received_at >= history.received_at": "they are a leap apart",
         "len(entries) > 1  ->  len(entries) >= 1": _ONE_BY_ONE,
         "True  ->  False": "every event has an outcome",
-        "i > 0  ->  i < 0": _ONE_BY_ONE,
-        "out[i][-1][1] is not row  ->  False": "what is of another row stays as it is",
+        "if out[i][-1][1] is not row  ->  if False": "what is of another row stays as it is",
         "len(chunks[-1]) < _CHUNK  ->  len(chunks[-1]) <= _CHUNK": "a full chunk is split off again",
         "gone < len(first)  ->  gone > len(first)": _ONE_BY_ONE,
-        "len(outcomes) < wanted and row  ->  True": _UNREAD,
-        "len(outcomes) < wanted  ->  True": _UNREAD,
+        "if len(outcomes) < wanted and row  ->  if True": _UNREAD,
+        "if len(outcomes) < wanted  ->  if True": _UNREAD,
     },
     "companion/guidance/cone.py": {
         "error_m < math.sqrt(INSIDE) * radius_m(height_m, options)"

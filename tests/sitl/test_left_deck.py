@@ -25,9 +25,11 @@ class _Changes(NullObserver):
         self.all.extend(decision.transitions)
 
 
-def flown(**limits: Any) -> tuple[Ending, list[StateChange]]:
+def flown(commit_rate_m_s: float | None = None, **limits: Any) -> tuple[Ending, list[StateChange]]:
     settings = settings_for(ROUGH, None)
     guidance = replace(settings.guidance, limits=replace(settings.guidance.limits, **limits))
+    if commit_rate_m_s is not None:
+        guidance = replace(guidance, cone=replace(guidance.cone, commit_rate_m_s=commit_rate_m_s))
     changes = _Changes()
     ending = fly("sea_state_4", ROUGH, SEED, replace(settings, guidance=guidance), perception_level("model"), observers=[changes])
     return ending, changes.all
@@ -48,7 +50,8 @@ def test_it_waits_at_the_gate_while_the_deck_will_fall_away_from_a_drone_that_st
 
 
 def test_a_drone_that_is_in_the_air_again_after_the_contact_goes_around() -> None:
-    ending, changes = flown(deck_fall_m_s=10.0)
+    """At this rate the seed meets the deck as it begins to fall."""
+    ending, changes = flown(commit_rate_m_s=0.45, deck_fall_m_s=10.0)
     (around,) = (change for change in changes if change.target is State.GO_AROUND)
     assert (around.source, around.event, around.reason.cause) == (State.DOWN, Event.LIMIT, ReasonCause.OFF_DECK)
     assert around.reason.measured == pytest.approx(0.42, abs=0.05)
