@@ -118,7 +118,8 @@ def _law(
     assumed: ClimbResponse, vehicle: Response, delay: int, remembered: int, accel: F64, deck: F64
 ) -> Callable[[F64, float], tuple[float, float]]:
     """Return the law: from the state and a wanted rate to the vertical speed that it commands, and the push that it remembers."""
-    params = packed_params(vehicle.tilt, structs.replace(assumed, max_m_s=_LARGEST_M_S), PERIOD_S, remembered)
+    climb = structs.replace(assumed, max_m_s=_LARGEST_M_S)
+    params = packed_params(vehicle.tilt, climb, PERIOD_S, remembered, looks_ahead=True, over_ground=False)
     tilt = tilt_gains(vehicle.tilt, TiltWeights(), PERIOD_S)
     gains = packed_gains(tilt, len(tilt.under_way), delay, vehicle.tilt.slowness_s)
     observer = packed_observer(chosen(observer_gains(ObserverNoise(), PERIOD_S), 0.01))
