@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.config.learned_file import second_opinion
 from companion.config.settings import find_file, read_toml
 from companion.recorder.reading import RecordedFrame, open_recording
 from drivers.camera import images
@@ -31,7 +32,6 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
-from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pad_rules import check_for_detection
 from estimator.vision.thesis.detection import Detection, detect
@@ -119,6 +119,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         default="auto",
         help="colour limits to use; auto takes the most confident ones for each frame (default: %(default)s)",
     )
+    p.add_argument(
+        "--second-opinion",
+        nargs="?",
+        const="",
+        metavar="FILE",
+        help="ask a trained network about each registration, too, and print both opinions; it can only lower the confidence "
+        "(default: ask none; without FILE the shipped network)",
+    )
     p.add_argument("--annotate", metavar="DIR", help="write each frame with its detections drawn in as PNG into this folder")
     p.add_argument("--json", action="store_true", help="print JSON Lines, one object per frame")
 
@@ -133,6 +141,7 @@ def run(args: argparse.Namespace) -> int:
     models = {file: _model(args, file) for file in files}
     tilts = _attitudes(Path(args.attitude), files) if args.attitude is not None else {}
     sets = list(COLOUR_SETS.values()) if args.colours == "auto" else [COLOUR_SETS[args.colours]]
+    asked = None if args.second_opinion is None else second_opinion(args.second_opinion, "--second-opinion")
     album = _album(args.annotate)
     frames = found = unreadable = 0
     if not args.json:
@@ -144,12 +153,13 @@ def run(args: argparse.Namespace) -> int:
                 attitude = _attitude(tilts, image, math.radians(args.attitude_sigma_deg)) or image.attitude
                 frame = Frame(_STAMP, image.index, image.px)
                 began = time.perf_counter()
-                seen, colours = _best(frame, attitude, camera, pad, sets)
+                seen, colours = _best(frame, attitude, TrackerConfig(camera, pad, second_opinion=asked), sets)
                 elapsed_ms = (time.perf_counter() - began) * 1e3
                 frames += 1
                 found += seen.selected is not None
                 record = _record(image, seen, colours, elapsed_ms)
-                sys.stdout.write(json.dumps(record) + "\n" if args.json else _line(image, seen, elapsed_ms))
+                line = f"{_line(image, seen)} {elapsed_ms:6.1f}{_opinions(seen)}"
+                sys.stdout.write((json.dumps(record) if args.json else line) + "\n")
                 if album is not None:
                     _write(album / f"{file.stem}_{image.index:05d}.png", _annotated(image, seen, camera))
         except _NoImageError as why:
@@ -326,12 +336,12 @@ def _attitude(tilts: Mapping[str, _Tilt], image: _Image, sigma_rad: float) -> At
     return Attitude(_STAMP, R, np.eye(3) * sigma_rad**2)
 
 
-def _best(frame: Frame, attitude: Attitude | None, camera: Camera, pad: Pad, sets: Sequence[ColourSet]) -> tuple[Detection, str]:
+def _best(frame: Frame, attitude: Attitude | None, tracker: TrackerConfig, sets: Sequence[ColourSet]) -> tuple[Detection, str]:
     """Return the fused detection of all methods, and the name of the colour set with the most confident result."""
-    looks = [(detect(frame, attitude, camera, pad, colours), colours.name) for colours in sets]
+    looks = [(detect(frame, attitude, tracker.camera, tracker.pad, colours), colours.name) for colours in sets]
     thesis, colours = max(looks, key=lambda pair: -1.0 if pair[0].selected is None else pair[0].selected.confidence)
-    registered, _ = track(TrackerConfig(camera, pad, TrackerOptions("registration")), TrackerMemory(), frame, attitude)
-    return together(thesis, registered.selected), colours
+    registered, _ = track(tracker, TrackerMemory(), frame, attitude)
+    return together(thesis, registered.selected, registered.opinions), colours
 
 
 def _record(image: _Image, seen: Detection, colours: str, elapsed_ms: float) -> dict[str, object]:
@@ -347,6 +357,7 @@ def _record(image: _Image, seen: Detection, colours: str, elapsed_ms: float) -> 
             name: None if (s := seen.methods.get(name)) is None else {"found": True, **_numbers(s), "method": name}
             for name in names
         },
+        "opinions": None if (o := seen.opinions) is None else {"verified": round(o.verified, 4), "learned": round(o.learned, 4)},
         "colours": colours if seen.selected is not None else None,
         "elapsed_ms": round(elapsed_ms, 3),
     }
@@ -369,17 +380,22 @@ _HEADER = (
 )
 
 
-def _line(image: _Image, seen: Detection, elapsed_ms: float) -> str:
+def _line(image: _Image, seen: Detection) -> str:
     name = Path(image.source).name
     name = name if image.index == 0 and Path(image.source).suffix.lower() not in VIDEOS | RECORDINGS else f"{name}#{image.index}"
     if seen.selected is None:
-        return f"{name:<28} {'nothing':<12} {'':>49} {'':>5} {elapsed_ms:6.1f}\n"
+        return f"{name:<28} {'nothing':<12} {'':>49} {'':>5}"
     s = seen.selected
     x, y, z = s.d_body_pad_level.tolist()
     sigma = math.sqrt(float(np.trace(s.cov[:3, :3])))
     yaw = "-" if s.yaw_rad is None else f"{math.degrees(s.yaw_rad):.1f}" + ("?" if s.yaw_ambiguous else "")
     place = f"{x:9.3f} {y:9.3f} {z:9.3f}   {sigma:7.3f}"
-    return f"{name:<28} {seen.chosen or '':<12} {place} {yaw:>9} {s.confidence:5.2f} {elapsed_ms:6.1f}\n"
+    return f"{name:<28} {seen.chosen or '':<12} {place} {yaw:>9} {s.confidence:5.2f}"
+
+
+def _opinions(seen: Detection) -> str:
+    o = seen.opinions
+    return "" if o is None else f"  verified {o.verified:.2f}, learned {o.learned:.2f}"
 
 
 def _album(folder: str | None) -> Path | None:
@@ -404,7 +420,7 @@ def _annotated(image: _Image, seen: Detection, camera: Camera) -> U8:
     h, w = camera.height * scale, camera.width * scale
     canvas = np.zeros((h + 44, w, 3), np.uint8)
     canvas[:h] = cv2.resize(image.px, (w, h), interpolation=cv2.INTER_NEAREST)
-    below = [_line(image, seen, 0.0).rsplit(None, 1)[0]]
+    below = [_line(image, seen).rstrip()]
     shift = 4
     for name, s in seen.methods.items():
         if s is None:

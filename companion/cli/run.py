@@ -61,6 +61,7 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
             f"camera: {settings.camera.file}, {c.width}x{c.height} px, {_source(settings)}\n"
             f"pad: {settings.pad.file}\n"
             f"colours: {settings.vision.colours}\n"
+            f"second opinion: {_second_opinion(settings)}\n"
             f"estimator: {settings.estimator.path} steers\n"
             f"start of the approach: {settings.guidance.start}\n"
             f"recorder: {'on, into ' + settings.recorder.folder if settings.recorder.enabled else 'off'}\n"
@@ -80,6 +81,11 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
     if outcome is not None:
         sys.stderr.write(f"flight ended: {outcome.value}\n")
     return 0 if not args.once or outcome in (FlightOutcome.LANDED, FlightOutcome.LANDED_BY_OTHERS) else 1
+
+
+def _second_opinion(settings: Settings) -> str:
+    vision = settings.vision
+    return "off" if vision.learned == "off" else vision.learned_file or "the shipped network"
 
 
 def _vehicle(settings: Settings) -> str:

@@ -1,4 +1,4 @@
-"""Check the files that settings name besides camera and pad: keys, passwords, certificates and the gamepad's mapping.
+"""Check the files that settings name besides camera and pad: keys, passwords, certificates, the gamepad's mapping, a network.
 
 `load` reads the camera and the pad. What is checked here would be read when a link is opened, which may be in flight.
 """
@@ -40,6 +40,15 @@ def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Call
         yield _signing("vehicle", settings.vehicle.signing_key_file)
     if settings.bridge.links and settings.bridge.signing_key_file:
         yield _signing("bridge", settings.bridge.signing_key_file)
+    vision = settings.vision
+    if vision.learned != "off":
+        from companion.config.learned_file import second_opinion
+
+        yield (
+            "vision.learned_file",
+            (vision.learned_file,),
+            lambda: second_opinion(vision.learned_file, "vision.learned_file"),
+        )
     m = settings.mqtt
     if m.transport != "off":
         from companion.mqtt import access

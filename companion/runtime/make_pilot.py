@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from msgspec import structs
 
+from companion.config.learned_file import second_opinion
 from companion.config.model import Settings
 from companion.config.settings import body_camera, camera_model, pad_model, response_model
 from companion.guidance.controller import Controller
@@ -107,9 +108,11 @@ def tracker(settings: Settings) -> TrackerConfig:
     """Return the configuration of the pad tracker.
 
     Raises:
-        BadInput: the camera or pad file is missing or has a fault.
+        BadInput: the camera or pad file, or the network for a second opinion, is missing or has a fault.
     """
-    return TrackerConfig(camera_model(settings), pad_model(settings), settings.vision, FRAME_WORK)
+    vision = settings.vision
+    asked = second_opinion(vision.learned_file, "vision.learned_file") if vision.learned == "second_opinion" else None
+    return TrackerConfig(camera_model(settings), pad_model(settings), vision, FRAME_WORK, second_opinion=asked)
 
 
 def estimator_options(settings: Settings) -> EstimatorOptions:

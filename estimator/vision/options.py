@@ -7,11 +7,13 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from estimator.contracts.keys import check_ranges, choice, number
+from estimator.contracts.keys import check_ranges, choice, number, text
 
 TrackerMethod = Literal["fused", "registration", "thesis"]
 """The methods that form the sighting: registration alone, all fused, or the thesis' three with its selection by priority."""
 ColourSetName = Literal["simulator", "indoor", "outdoor"]
+Learned = Literal["off", "second_opinion"]
+"""Whether a trained network gives a second opinion on what a search finds."""
 
 
 class TrackerOptions(Struct, frozen=True, forbid_unknown_fields=True):
@@ -32,6 +34,14 @@ class TrackerOptions(Struct, frozen=True, forbid_unknown_fields=True):
     deck_tilt_sigma_deg: Annotated[
         float, number("standard deviation of the deck's roll and pitch", "deg", 0.0, 30.0, "supply vessel in a slight sea")
     ] = 2.0
+    learned: Annotated[
+        Learned,
+        choice("whether a trained network is asked about what a search finds; it can only lower a confidence", "docs/vision.md"),
+    ] = "off"
+    learned_file: Annotated[
+        str,
+        text("network that is asked, an ONNX file relative to the settings file; empty for the shipped one", 4096, shortest=0),
+    ] = ""
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -26,6 +26,7 @@ from estimator.vision.detect.heading import heading
 from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.fusion import agree, fuse
+from estimator.vision.learned.second_opinion import WORTH_ASKING, SecondOpinion, lowered, probability
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
@@ -35,9 +36,9 @@ from estimator.vision.register.letter_alone import nearest_of_four
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import registered_sighting
 from estimator.vision.rolling import CameraMotion, at_one_instant
-from estimator.vision.thesis.detection import Detection, detect
+from estimator.vision.thesis.detection import Detection, Opinions, detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS, ColourSet
-from estimator.vision.verified import CLOSE, ROUGH, SURE, verified
+from estimator.vision.verified import CLOSE, ROUGH, SURE, Verified, verified
 
 _CLOSE_PX = 1.0
 """Largest standard deviation of the believed position in the frame at which registration starts directly from it."""
@@ -71,6 +72,8 @@ class TrackerConfig:
     """
     motion: CameraMotion | None = None
     """How the camera moves in this frame; None if that is not known, or if all rows are exposed at once."""
+    second_opinion: SecondOpinion | None = None
+    """The trained network that is asked about what a search finds; None to ask none."""
 
     @property
     def colours(self) -> ColourSet:
@@ -92,6 +95,7 @@ class TrackerMemory:
 class _Registered:
     sighting: Sighting
     paint: PaintMemory
+    opinions: Opinions | None = None
 
 
 def track(
@@ -116,13 +120,14 @@ def track(
     if tracker.options.method == "registration":
         found = None if best is None else best.sighting
         methods: dict[Method, Sighting | None] = {"registration": found}
-        seen = Detection(found, None if found is None else "registration", MappingProxyType(methods))
+        opinions = None if best is None else best.opinions
+        seen = Detection(found, None if found is None else "registration", MappingProxyType(methods), opinions)
     else:
         thesis = detect(
             frame, attitude, tracker.camera, tracker.pad, tracker.colours, sigma_deck_rad=tracker.options.deck_tilt_sigma_rad
         )
         thesis, best = _verify_cues(tracker, memory.paint, frame, pyramid, attitude, thesis, best)
-        seen = together(thesis, None if best is None else best.sighting)
+        seen = together(thesis, None if best is None else best.sighting, None if best is None else best.opinions)
     sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= SURE
     yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
     return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad)
@@ -140,13 +145,17 @@ def _of_one_instant(
     return frame if about is None else replace(frame, px=at_one_instant(frame.px, tracker.camera, about, tracker.motion))
 
 
-def together(thesis: Detection, registered: Sighting | None) -> Detection:
-    """Combine the thesis' methods and registration into one detection whose sighting is their fusion."""
+def together(thesis: Detection, registered: Sighting | None, opinions: Opinions | None = None) -> Detection:
+    """Combine the thesis' methods and registration into one detection whose sighting is their fusion.
+
+    Args:
+        opinions: on the registration.
+    """
     methods: dict[Method, Sighting | None] = {**thesis.methods, "registration": registered}
     fused = fuse(s for s in methods.values() if s is not None)
     if fused is None:
-        return Detection(None, None, MappingProxyType(methods))
-    return Detection(fused.sighting, "fused", MappingProxyType(methods))
+        return Detection(None, None, MappingProxyType(methods), opinions)
+    return Detection(fused.sighting, "fused", MappingProxyType(methods), opinions)
 
 
 def expected(belief: RelativeState, attitude: Attitude, camera: Camera, alike_yaw_rad: float | None = None) -> PadPose | None:
@@ -185,7 +194,8 @@ def _registered(
         start = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
         if start is not None and start.t_cam_pad[2] > 0.05:
             options = CLOSE if sigma_m * tracker.camera.fx < _CLOSE_PX * start.t_cam_pad[2] else ROUGH
-            best = _register_from(tracker, paint, frame, pyramid, start, orientation, options, verification.TRACKED_LOG_ODDS)
+            tracked = verification.TRACKED_LOG_ODDS
+            best = _register_from(tracker, paint, frame, pyramid, start, orientation, options, tracked, searched=False)
     if best is None or best.sighting.confidence < SURE:
         R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
         found = search(frame.px, tracker.camera, tracker.pad, R_level_body, paint, memory.search, budget=tracker.search_work)
@@ -264,13 +274,29 @@ def _register_from(
     options: RegistrationOptions,
     prior_log_odds: float = 0.0,
     cut: F64 | None = None,
+    *,
+    searched: bool = True,
 ) -> _Registered | None:
-    """Register from a start pose and verify the drawing at the result; arguments as for `verified`."""
+    """Register from a start pose and verify the drawing at the result; arguments as for `verified`.
+
+    Args:
+        searched: whether the start comes from a search or a cue and not from the belief: then the second opinion is asked.
+    """
     of = verified(pyramid, tracker.camera, tracker.pad, start, orientation, options, prior_log_odds, cut)
     if of is None:
         return None
-    sighting = replace(registered_sighting(frame, of.found, tracker.camera, orientation), confidence=of.confidence)
-    return _Registered(sighting, learn(paint, of.aligned, of.confidence) if of.confidence >= SURE else missed(paint))
+    opinions = _second_opinion(tracker, pyramid, of) if searched else None
+    sure = of.confidence if opinions is None else lowered(of.confidence, opinions.learned)
+    sighting = replace(registered_sighting(frame, of.found, tracker.camera, orientation), confidence=sure)
+    return _Registered(sighting, learn(paint, of.aligned, sure) if sure >= SURE else missed(paint), opinions)
+
+
+def _second_opinion(tracker: TrackerConfig, pyramid: Pyramid, of: Verified) -> Opinions | None:
+    """Return both opinions on a registration; None if the second is not asked or sees too little of the pad."""
+    if tracker.second_opinion is None or of.confidence < WORTH_ASKING:
+        return None
+    log_odds = tracker.second_opinion.log_odds(pyramid, tracker.camera, tracker.pad, of.found.pose, of.cut)
+    return None if log_odds is None else Opinions(of.confidence, probability(log_odds))
 
 
 def _near_enough(belief: RelativeState, sigma_m: float, pad: Pad, alike_yaw_rad: float | None) -> bool:

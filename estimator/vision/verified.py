@@ -37,6 +37,8 @@ class Verified:
     aligned: AlignedTemplate
     confidence: float
     """0..1."""
+    cut: F64 | None = None
+    """The line beyond which something covers the pad, (3,); see `alignment.UNCUT`."""
 
 
 def verified(
@@ -98,4 +100,4 @@ def _of_visible(
     elif pad.markings.is_letter_alone:
         shape = letter_log_odds(found, prior_log_odds > 0.0)
     sure = fit_verification.confidence(fit_verification.features(aligned, found, pad), prior_log_odds, shape)
-    return Verified(found, aligned, min(1.0, sure))
+    return Verified(found, aligned, min(1.0, sure), None if cut is UNCUT else cut)

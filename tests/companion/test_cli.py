@@ -180,6 +180,19 @@ def test_a_missing_secret_file_fails_the_check(key: str, tmp_path: Path, capsys:
         assert err.count("\n") == 1
 
 
+def test_a_second_opinion_is_read_before_a_flight(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig, text = tmp_path / "rig.toml", (ROOT / "configs/sim.toml").read_text()
+    asked = text.replace("[vision]", '[vision]\nlearned = "second_opinion"')
+    assert asked != text
+    rig.write_text(asked)
+    assert cli.main(["run", "--check", "--config", str(rig)]) == 0
+    assert "second opinion: the shipped network\n" in capsys.readouterr().out
+    rig.write_text(asked.replace("[vision]", '[vision]\nlearned_file = "absent.onnx"'))
+    for words in (["config", "check", str(rig)], ["run", "--check", "--config", str(rig)]):
+        assert cli.main(words) == 2
+        assert f"vision.learned_file: {tmp_path / 'absent.onnx'}: No such file" in capsys.readouterr().err
+
+
 def test_secret_files_of_links_that_are_off_are_not_missed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = tmp_path / "rig.toml"
     head = (ROOT / "configs/sim.toml").read_text().partition("\n[guidance]")[0]

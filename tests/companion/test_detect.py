@@ -194,6 +194,19 @@ def test_bad_input_is_one_line_and_exit_code_two(
     assert named in err
 
 
+def test_both_opinions_are_printed_where_a_second_one_is_asked(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = (album / "a.png", "--camera", "sim", "--colours", "simulator")
+    assert detect(*asked, "--json") == detect(*asked, "--second-opinion", "--json") == 0
+    alone, both = records(capsys)
+    assert alone["opinions"] is None
+    assert both["opinions"]["verified"] > 0.9  # type: ignore[index]
+    assert both["opinions"]["learned"] > 0.9  # type: ignore[index]
+    assert detect(*asked, "--second-opinion") == 0
+    assert "  verified 1.00, learned " in capsys.readouterr().out
+    assert detect(*asked, "--second-opinion", "none.onnx") == 2
+    assert capsys.readouterr().err.startswith("decklander: --second-opinion: none.onnx: No such file or directory: name a file")
+
+
 def test_the_printed_pad_ships(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pad: Pad = shipped_pad("printed")
     camera = shipped_camera("photos")

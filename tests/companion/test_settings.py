@@ -82,6 +82,7 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
         ({"vision__threads": 2.0}, "vision.threads must be a whole number from 1 to 64 threads, found 2.0"),
         ({"vehicle__at_port": 0}, "vehicle.at_port must be a whole number from 1 to 65535, found 0"),
         ({"vehicle__host": ""}, 'vehicle.host must be text of 1 to 253 characters, found ""'),
+        ({"vision__learned": "on"}, 'vision.learned must be one of "off", "second_opinion", found "on"'),
         ({"vision__colours": "sim"}, 'vision.colours must be one of "indoor", "outdoor", "simulator", found "sim"'),
         ({"vehicle__kind": "balloon"}, 'vehicle.kind must be one of "ardrone", "mavlink", found "balloon"'),
         ({"vehicle__hots": "x"}, "vehicle.hots is not a known key; did you mean vehicle.host?"),

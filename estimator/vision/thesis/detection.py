@@ -20,6 +20,15 @@ from estimator.vision.thesis.segmentation import ColourSet, segment
 from estimator.vision.thesis.select import choose, with_heading_of
 
 
+class Opinions(Struct, frozen=True):
+    """What was said of the candidate that a detection comes from, where a second opinion was asked."""
+
+    verified: float
+    """Confidence of the verification alone, 0..1."""
+    learned: float
+    """Confidence of the trained network, 0..1; it can lower the other one."""
+
+
 class Detection(Struct, frozen=True, eq=False):
     """The detection of the pad in one frame."""
 
@@ -30,6 +39,8 @@ class Detection(Struct, frozen=True, eq=False):
     chosen: Method | None
     methods: Mapping[Method, Sighting | None]
     """The sighting of every method that was tried."""
+    opinions: Opinions | None = None
+    """The two opinions on the best registration; None if the second was not asked."""
 
 
 def detect(

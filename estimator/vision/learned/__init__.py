@@ -1,0 +1,1 @@
+"""The learned second opinion on whether a candidate is the pad."""
