@@ -50,6 +50,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "error_m > math.sqrt(OUT) * radius_m(height_m, options)"
         "  ->  error_m >= math.sqrt(OUT) * radius_m(height_m, options)": _ROUNDED,
     },
+    "companion/guidance/law_records.py": {"0  ->  1": "one horizon is no course, as none is"},
     "companion/guidance/rendezvous.py": {
         "0.0 < along < way_m  ->  0.0 <= along < way_m": _ROUNDED,
         "abs(turn) <= _ROUND_RAD  ->  abs(turn) < _ROUND_RAD": _ROUNDED,

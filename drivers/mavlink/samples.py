@@ -33,6 +33,8 @@ _TURN_MAX_RAD_S, _FORCE_MAX_M_S2 = 100.0, 400.0
 """Beyond what a multicopter's inertial sensors can measure: 4,000 degrees/s and 32 g are the widest there are."""
 _RESTART_NS = NS_PER_S
 """A stamp that is this much older than the newest is that of an autopilot that has booted, as `BootClock` has it."""
+_LANDED_STATE_WITHIN_S = 3.0
+"""From the first heartbeat: every PX4 says EXTENDED_SYS_STATE by then, also over a slow link."""
 _SHIP_CLOCK = ClockMapOptions(resolution_s=0.001, floor_sigma_s=0.05, window_s=600.0, jump_s=5.0)
 """The ship's clock over a radio link. The window is long, so that a link that becomes slow is told as late reports."""
 _HAS_PLACE, _HAS_VELOCITY = 1 << 0, 1 << 1
@@ -76,6 +78,7 @@ class MavlinkSampler:
         self._newest: dict[tuple[str, int], tuple[int, bytes]] = {}
         """The newest message of each kind and sensor: its stamp since boot, ns, and its bytes."""
         self._landed_state = 0
+        self._first_heartbeat: MonoNs | None = None
         self._quaternions = False
         self._status_at: MonoNs | None = None
         self._vessel_clock = ClockMap(replace(_SHIP_CLOCK, wrap_ns=MS_WRAP_NS))
@@ -169,11 +172,18 @@ class MavlinkSampler:
 
     def _heartbeat(self, m: Message, received_at: MonoNs) -> list[Sample]:
         armed = bool(m.base_mode & ARMED)
+        if self._first_heartbeat is None:
+            self._first_heartbeat = received_at
+        flying = flying_of(self._landed_state, m.system_status, armed)
+        awaited = self._landed_state == 0 and seconds_between(self._first_heartbeat, received_at) < _LANDED_STATE_WITHIN_S
+        if flying and self._stack is Stack.PX4 and awaited:
+            # PX4 is active as soon as it is armed. One that stood on the deck would be taken for one that has come down there.
+            flying = None
         condition = replace(
             self.condition,
             mode=mode_name(self._stack, m.custom_mode),
             armed=armed,
-            flying=flying_of(self._landed_state, m.system_status, armed),
+            flying=flying,
             terminated=m.system_status == mav.MAV_STATE_FLIGHT_TERMINATION,
         )
         return self._status_samples(condition, received_at)

@@ -128,7 +128,7 @@ def test_status_follows_mode_motors_and_ground() -> None:
     s.samples(mav.MAVLink_sys_status_message(0, 0, 0, 0, 12000, -1, 61, 0, 0, 0, 0, 0, 0), NOW)
     first = status(s, mav.MAVLink_heartbeat_message(2, 12, 0x81, 6 << 16, 4, 3))
     assert first is not None
-    assert (first.mode, first.flying, first.battery_fraction, first.emergency) == ("offboard", True, 0.61, False)
+    assert (first.mode, first.flying, first.battery_fraction, first.emergency) == ("offboard", None, 0.61, False)
     assert status(s, mav.MAVLink_heartbeat_message(2, 12, 0x81, 6 << 16, 4, 3)) is None, "nothing new"
     landed = status(s, mav.MAVLink_extended_sys_state_message(0, 1))
     assert landed is not None
@@ -140,6 +140,24 @@ def test_status_follows_mode_motors_and_ground() -> None:
     cut = status(s, mav.MAVLink_heartbeat_message(2, 12, 0x81, 6 << 16, 8, 3))
     assert cut is not None
     assert cut.emergency
+
+
+@pytest.mark.parametrize("stack", [Stack.PX4, Stack.ARDUPILOT])
+def test_an_armed_px4_flies_only_when_it_says_so_or_says_nothing_for_long(stack: Stack) -> None:
+    """It is active as soon as it is armed, ArduPilot as soon as it flies."""
+    s = sampler(stack)
+    armed, apm = mav.MAVLink_heartbeat_message(2, 12 if stack is Stack.PX4 else 3, 0x81, 6 << 16, 4, 3), stack is Stack.ARDUPILOT
+    for after_ms, flying in ((0, apm), (2_999, apm), (3_000, True)):
+        s.samples(armed, MonoNs(NOW + after_ms * 1_000_000))
+        assert (s.condition.flying is True) is flying
+    again = sampler(stack)
+    again.samples(armed, NOW)
+    again.samples(mav.MAVLink_extended_sys_state_message(0, 2), NOW)
+    assert again.condition.flying is True
+    disarmed = mav.MAVLink_heartbeat_message(2, 12, 0x01, 6 << 16, 3, 3)
+    other = sampler(stack)
+    other.samples(disarmed, NOW)
+    assert other.condition.flying is False
 
 
 def test_the_vessel_reports_its_velocity_and_bow() -> None:
