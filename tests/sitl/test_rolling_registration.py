@@ -10,9 +10,11 @@ import pytest
 
 from companion.config.settings import load
 from companion.runtime.make_pilot import make_pilot
+from estimator import pipeline
 from estimator.camera_motion import camera_motion
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.motion import BodyMotion
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import Stamp
 from estimator.vision.camera import Camera
@@ -101,6 +103,36 @@ def test_the_camera_s_motion_is_that_of_the_attitude_and_the_belief() -> None:
     assert found.w_cam == pytest.approx(true.w_cam, abs=1e-3)
     assert found.v_pad_cam == pytest.approx(true.v_pad_cam, abs=5e-3)
     assert camera_motion(pilot._memory, Stamp.from_seconds(9.0, sigma_s=0.001), rolling, belief) is None
+
+
+def test_the_gyro_says_how_fast_the_camera_turns_where_the_filter_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Over 30 ms the difference of two reported attitudes is noise: 0.1 rad/s of 2 mrad each."""
+    w_body, at_s, rng = np.array([0.5, -0.3, 0.2]), 1.0, np.random.default_rng(4)
+    pilot = make_pilot(load("sim"))
+    for k in range(120):
+        noise = Rotation.from_rotvec(2e-3 * rng.standard_normal(3))
+        turned = Rotation.from_rotvec(w_body * 0.01 * k) @ noise
+        pilot.on_sample(Attitude(Stamp.from_seconds(1.0 + 0.01 * k, sigma_s=0.001), turned, 4e-6 * np.eye(3)))
+    stamp = Stamp.from_seconds(1.0 + at_s, sigma_s=0.001)
+    at = stamp.measured_at
+    moves = BodyMotion(at, 0.0, np.zeros(3), np.eye(3), w_body, Rotation.from_rotvec(w_body * at_s), np.eye(3))
+    belief = RelativeState(at, "ekf", np.array([0.1, 0.2, 1.5]), np.zeros(3), 0.0, 1e-4 * np.eye(7), at, True)
+    asked: list[int] = []
+
+    def motion(memory: object, now: int) -> tuple[BodyMotion, None]:
+        asked.append(now)
+        return moves, None
+
+    rolling = replace(PLAIN, readout_s=READOUT_S)
+    by_attitude = camera_motion(pilot._memory, stamp, rolling, belief)
+    monkeypatch.setattr(pipeline, "motion", motion)
+    by_gyro = camera_motion(pilot._memory, stamp, rolling, belief)
+    assert by_attitude is not None
+    assert by_gyro is not None
+    true = PLAIN.T_body_cam.R.inv @ w_body
+    assert by_gyro.w_cam == pytest.approx(true, abs=1e-9)
+    assert np.linalg.norm(by_attitude.w_cam - true) > 0.03
+    assert asked == [at], "of the exposure's instant, not of now"
 
 
 def test_a_camera_file_with_a_readout_time_changes_what_a_flight_sees() -> None:
