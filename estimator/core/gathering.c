@@ -98,6 +98,17 @@ static void inflate_along(double *P, const double g[N], double var)
     }
 }
 
+/* Body and vessel drift together: their common velocity becomes uncertain. */
+static void drift_together(double *P, const double *innov)
+{
+    const double var = innov[0] * innov[0] + innov[1] * innov[1];
+    for (int i = 0; i < 2; i++) {
+        double g[N] = {0.0};
+        g[VEL + i] = g[VESSEL_VEL + i] = 1.0;
+        inflate_along(P, g, var);
+    }
+}
+
 /* Make uncertain what a rejected sensor contradicts, in directions that leave the pad's position certain. */
 static void inflate(const belief *b, covariance *c, int kind, const double *innov)
 {
@@ -125,13 +136,7 @@ static void inflate(const belief *b, covariance *c, int kind, const double *inno
             AT(P, ATT_BIAS + i, ATT_BIAS + i) += size;
         }
     } else if (kind == VELOCITY) {
-        /* Body and vessel drift together. */
-        const double var = innov[0] * innov[0] + innov[1] * innov[1];
-        for (int i = 0; i < 2; i++) {
-            memset(g, 0, sizeof g);
-            g[VEL + i] = g[VESSEL_VEL + i] = 1.0;
-            inflate_along(P, g, var);
-        }
+        drift_together(P, innov);
         AT(P, VEL_SCALE, VEL_SCALE) += 0.01;
     } else if (kind == HEIGHT) {
         AT(P, BARO_OFFSET, BARO_OFFSET) += innov[0] * innov[0];
@@ -187,6 +192,11 @@ void gather(const filter_params *o, belief *b, covariance *c, int kind, const ai
         }
         a->refused = since;
         return;
+    }
+    if (kind == VELOCITY && a->refused >= 0) {
+        /* The uncertainty of coasting has grown to cover a leap, and would explain it by a tilt and a bias that do not exist. An
+         * autopilot that finds its first GNSS fix on a ship under way leaps. */
+        drift_together(changeable(c), innov);
     }
     const int64_t fused = a->fused;
     *a = *begun;
