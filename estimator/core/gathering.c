@@ -9,6 +9,9 @@
 /* Length of a rejection streak after which a kind of aiding is accepted again, with what it contradicts made uncertain. */
 static const double STUCK_S = 1.0;
 
+/* The bits of an axis mask for forward and right. */
+enum { HORIZONTAL = 3 };
+
 /* The states on which each kind of aiding depends; a row of a Jacobian holds their derivatives in this order. */
 static const int ATTITUDE_BY[] = {ATT_ERR, ATT_ERR + 1, ATT_ERR + 2, ATT_BIAS, ATT_BIAS + 1};
 static const int VELOCITY_BY[] = {ATT_ERR, ATT_ERR + 1, ATT_ERR + 2, VEL, VEL + 1, VEL + 2, VESSEL_VEL, VESSEL_VEL + 1, SURGING,
@@ -193,7 +196,7 @@ void gather(const filter_params *o, belief *b, covariance *c, int kind, const ai
         a->refused = since;
         return;
     }
-    if (kind == VELOCITY && a->refused >= 0) {
+    if (kind == VELOCITY && a->refused >= 0 && (begun->axes & HORIZONTAL) == HORIZONTAL) {
         /* The uncertainty of coasting has grown to cover a leap, and would explain it by a tilt and a bias that do not exist. An
          * autopilot that finds its first GNSS fix on a ship under way leaps. */
         drift_together(changeable(c), innov);

@@ -200,6 +200,8 @@ def gather(
             b = _inflated(b, kind, np.array(innov))
             since = -1
         return _with_aid(b, kind, aid._replace(refused=since)), Outcome(Verdict.GATED, innov, S, nis, nis_max, axes)
+    if kind == VELOCITY and aid.refused >= 0 and axes[:2] == (0, 1):
+        b = b._replace(P=_drifting(b.P, np.array(innov)))
     n, since, _, _, H, ambiguity, spread, innov_sum, R_sum = so_far
     innov_sum = tuple([total + one for total, one in zip(innov_sum, innov, strict=True)])
     so_far = Gathered(n + 1, since, axes, deck_weight, H, ambiguity, spread, innov_sum, R_sum + R)
@@ -279,6 +281,13 @@ def aided(b: Belief, params: FilterParams) -> Belief:
     return b if fix is None else corrected(b, fix.dx, fix.P)
 
 
+def _drifting(P: F64, innov: F64) -> F64:
+    """Inflate the common velocity of body and vessel: they drift together."""
+    g = np.zeros((N, 2))
+    g[VEL_NORTH, 0] = g[VESSEL_NORTH, 0] = g[VEL_EAST, 1] = g[VESSEL_EAST, 1] = 1.0
+    return np.asarray(P + g.dot(g.T) * float(innov[:2].dot(innov[:2])))
+
+
 def _inflated(b: Belief, kind: int, innov: F64) -> Belief:
     """Inflate the covariance of what a rejected sensor contradicts, in directions that leave the pad's position certain."""
     P = b.P.copy()
@@ -298,10 +307,7 @@ def _inflated(b: Belief, kind: int, innov: F64) -> Belief:
         P[ATT_ERR, ATT_ERR] += np.eye(3) * (0.1 * size)
         P[ATT_BIAS, ATT_BIAS] += size
     elif kind == VELOCITY:
-        # Body and vessel drift together.
-        g = np.zeros((N, 2))
-        g[VEL_NORTH, 0] = g[VESSEL_NORTH, 0] = g[VEL_EAST, 1] = g[VESSEL_EAST, 1] = 1.0
-        P += g.dot(g.T) * float(innov[:2].dot(innov[:2]))
+        P = _drifting(P, innov)
         P[VEL_SCALE, VEL_SCALE] += 0.01
     elif kind == HEIGHT:
         P[BARO_OFFSET, BARO_OFFSET] += float(innov[0]) ** 2
