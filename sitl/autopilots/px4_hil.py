@@ -21,6 +21,7 @@ import numpy as np
 from drivers.ardrone.samples import pressure_of_height_pa
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
+from estimator.contracts.errors import SetupImpossible
 from sitl.autopilots.body import Body, BodyState
 from sitl.autopilots.motors import Motors
 
@@ -194,7 +195,7 @@ async def serve_hil(
         nudge_s: interval, s, at which the world moves one step until PX4 sends its first actuator message.
 
     Raises:
-        OSError: the port is in use.
+        SetupImpossible: the port is in use.
     """
     open_writers: set[asyncio.StreamWriter] = set()
 
@@ -202,10 +203,18 @@ async def serve_hil(
         open_writers.add(writer)
         try:
             await _converse(backend, reader, writer, nudge_s, settle)
+        except asyncio.CancelledError:
+            # asyncio's streams write a traceback for a conversation that ends cancelled; this one ends with the flight.
+            writer.close()
         finally:
             open_writers.discard(writer)
 
-    server = await asyncio.start_server(met, host, port)
+    try:
+        server = await asyncio.start_server(met, host, port)
+    except OSError as why:
+        raise SetupImpossible(
+            f"PX4 looks for its simulator at {host}:{port}, which is taken: another flight or simulator runs there"
+        ) from why
     try:
         yield int(server.sockets[0].getsockname()[1])
     finally:

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav
+from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.geometry import Rotation
 from sitl.airframe import Airframe
 from sitl.autopilots.ardupilot_json import CURVE, JsonBackend, decode, encode, serve_json
@@ -199,6 +200,14 @@ def test_motors_rest_while_not_armed_or_not_a_number() -> None:
     assert motors_of(actuators((0.1, 0.2, 0.3, 0.4))) == pytest.approx((0.1, 0.2, 0.3, 0.4))
     assert motors_of(actuators((0.1, 0.2, 0.3, 0.4), armed=False)) == REST
     assert motors_of(actuators((math.nan, 2.0, -1.0, 0.4))) == (0.0, 1.0, 0.0, pytest.approx(0.4))
+
+
+async def test_a_second_flight_beside_px4_s_simulator_is_told_so() -> None:
+    backend = HilBackend(Body(on_the_pad(), 1, 0.004), seed=1)
+    async with serve_hil(backend, HOST, 0) as port:
+        with pytest.raises(SetupImpossible, match="another flight or simulator"):
+            async with serve_hil(backend, HOST, port):
+                pass
 
 
 async def test_px4_is_nudged_until_it_runs_and_then_goes_in_lock_step() -> None:
