@@ -39,7 +39,10 @@ _V, _DECK, _DECK_ACCEL, _UNKNOWN, _GUST, _SPEED, _ACCEL, _PUSHED, _UNDER_WAY = r
 
 
 class HeaveDisturbances(NamedTuple):
-    """What disturbs the climb at sea state 4, near the deck (`sea_state_4`, the pad's true motion; perception `truth`)."""
+    """What disturbs the climb at sea state 4, near the deck.
+
+    The deck's speed and frequency are the means of twelve flights of `sea_state_4`; its band, the gust and the rest are assumed.
+    """
 
     deck_m_s: float = 0.37
     """Standard deviation of the pad's vertical speed."""
