@@ -39,6 +39,9 @@ class ClimbContact(NamedTuple):
         return self.speed_m_s + 2.0 * self.spread_m_s
 
 
+_CONE = ConeOptions()
+
+
 class ClimbCost(NamedTuple):
     """Contacts by a file's climb beside those by the vehicle's own."""
 
@@ -56,9 +59,13 @@ class ClimbCost(NamedTuple):
         return math.sqrt(max(0.0, self.by_file.drift_cm**2 - self.own.drift_cm**2))
 
 
-def contact(assumed: ClimbResponse, vehicle: Response) -> ClimbContact:
-    """Return the contacts of a vehicle whose law is made for the climb `assumed`."""
-    loop, cone = climb_loop(assumed, vehicle), ConeOptions()
+def contact(assumed: ClimbResponse, vehicle: Response, cone: ConeOptions = _CONE) -> ClimbContact:
+    """Return the contacts of a vehicle whose law is made for the climb `assumed`.
+
+    Args:
+        cone: height of the gate, and rate from there to the contact.
+    """
+    loop = climb_loop(assumed, vehicle)
     if not loop.stable:
         return ClimbContact(math.inf, math.inf, math.inf)
     cov = stationary(loop.M, loop.Q)
