@@ -50,7 +50,10 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "error_m > math.sqrt(OUT) * radius_m(height_m, options)"
         "  ->  error_m >= math.sqrt(OUT) * radius_m(height_m, options)": _ROUNDED,
     },
-    "companion/guidance/law_records.py": {"0  ->  1": "one horizon is no course, as none is"},
+    "companion/guidance/law_records.py": {
+        "0  ->  1": "one horizon is no course, as none is",
+        "0.0  ->  1.0": "a flag beside it says that there is none, and the core reads none",
+    },
     "companion/guidance/rendezvous.py": {
         "0.0 < along < way_m  ->  0.0 <= along < way_m": _ROUNDED,
         "abs(turn) <= _ROUND_RAD  ->  abs(turn) < _ROUND_RAD": _ROUNDED,
