@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Sequence
 
 from drivers.ardrone.at import AtCommand
@@ -10,6 +11,7 @@ from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.sender_client import SenderClient
+from drivers.ardrone.sender_lock import mark
 from drivers.ardrone.sender_wire import SenderOptions, SenderStatus, as_text
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
@@ -30,6 +32,7 @@ class CommandChannel:
         self._sender: SenderClient | None = None
         self._flew = False
         """A sender of this service has run, and none was refused since, so no other service flies this drone."""
+        self._mark: socket.socket | None = None
 
     @property
     def sender_pid(self) -> int | None:
@@ -58,7 +61,7 @@ class CommandChannel:
             Recoverable: one of the two happened; the next run has a new sender, or a new socket with this host's present address.
         """
         if self._sender is None:
-            self._sender = SenderClient(self._options(), self._clock, self._on_status, self._hovered, replaces=self._flew)
+            self._sender = SenderClient(self._options(), self._clock, self._on_status, self._hovered)
             self._counters.at_senders += 1
         else:
             self._sender.reopen()
@@ -72,13 +75,16 @@ class CommandChannel:
                 due = max(after(due, self._o.command_period_s), now)
                 await self._clock.sleep(max(0.0, seconds_between(self._clock.now(), due)))
         except Recoverable:
-            self._flew = self._flew and not self._sender.busy
+            if self._sender.busy:
+                self._flew = False
+                self._unmark()
             self._sender = None
             raise
         raise Recoverable(f"no sign of the drone for {self._o.reopen_after_s} s")
 
     def close(self, *, hold: bool) -> None:
         """End the sender with the final command; with `hold`, leave it running to hold the drone until a successor takes over."""
+        self._unmark()
         if self._sender is None:
             return
         if hold:
@@ -91,10 +97,17 @@ class CommandChannel:
         o = self._o
         return SenderOptions(
             o.host, o.at_port, o.navdata_port, o.command_period_s, o.hold_s,
-            as_text(o.timeouts(o.hold_com_watchdog_s)), as_text(o.timeouts(o.com_watchdog_s)),
+            as_text(o.timeouts(o.hold_com_watchdog_s)), as_text(o.timeouts(o.com_watchdog_s)), self._flew,
         )  # fmt: skip
 
+    def _unmark(self) -> None:
+        if self._mark is not None:
+            self._mark.close()
+            self._mark = None
+
     def _on_status(self, before: SenderStatus, now: SenderStatus) -> None:
+        if self._mark is None and not before.datagrams:
+            self._mark = mark(self._options().marked)
         self._flew = True
         self._counters.at_datagrams += now.datagrams - before.datagrams
         self._counters.at_commands += max(0, now.sequence - before.sequence)

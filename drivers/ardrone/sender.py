@@ -288,7 +288,7 @@ def main(argv: Sequence[str]) -> int:
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     options = SenderOptions.of_json(argv[1])
     service = socket.socket(fileno=int(argv[0]))
-    claimed = claim(options.name)
+    claimed = claim(options.name, options.marked, replaces=options.replaces)
     if claimed is None:
         with suppress(OSError):
             service.sendall(BUSY + b"\n")

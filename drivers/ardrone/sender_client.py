@@ -56,7 +56,6 @@ class SenderClient:
     Args:
         on_status: is called with each status and the one before it.
         hovered: is called whenever hover was sent to the drone directly, because the sender is silent, gone or not up yet.
-        replaces: whether an earlier sender of this service flew the drone, which waits for commands while this one starts.
     """
 
     def __init__(
@@ -65,15 +64,12 @@ class SenderClient:
         clock: Clock,
         on_status: Callable[[SenderStatus, SenderStatus], None],
         hovered: Callable[[], None] = lambda: None,
-        *,
-        replaces: bool = False,
     ) -> None:
         self._o = options
         self._clock = clock
         self._on_status = on_status
         self._status = SenderStatus(0, 0, 0, 0)
         self._hovered = hovered
-        self._replaces = replaces
         self._silent_s = max(_SILENT_S, _SILENT_PERIODS * options.period_s)
         self._received_at: MonoNs | None = None
         self._began = clock.now()
@@ -119,7 +115,7 @@ class SenderClient:
     @property
     def _flew(self) -> bool:
         """Whether the drone was flown by this sender or by one that it replaces; otherwise another service may be flying it."""
-        return self.up or self._replaces
+        return self.up or self._o.replaces
 
     def update(self, command: TimedCommand) -> None:
         """Send the newest command; never blocks.

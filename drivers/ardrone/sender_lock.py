@@ -2,7 +2,9 @@
 
 A sender listens on an abstract Unix socket that is named after user, host and port. A newcomer asks the listener to yield: a
 sender whose service is gone answers with its sequence number and ends, so that the newcomer goes on counting; one whose service
-is alive refuses. One that does not answer at all is stuck, and is killed. Systems without abstract sockets have no such lock.
+is alive refuses. One that does not answer at all is stuck, and is killed. A service that flies a drone marks it as its own by a
+second socket, which the kernel closes when the service dies: a newcomer leaves it time to replace a lost sender before it takes
+the name. Systems without abstract sockets have no such lock.
 """
 
 from __future__ import annotations
@@ -17,13 +19,27 @@ import time
 _ASK, _BUSY = b"yield\n", b"busy\n"
 _ANSWER_S = 0.5
 _BIND_S = 1.0
+_REPLACED_S = 2.0
+"""A living service replaces a sender that is lost or stuck within this time, also on a busy machine."""
+_ASK_AGAIN_S = 0.01
 _RECEIVE_TIMEOUT_S = 0.05
 _CREDENTIALS = struct.Struct("3i")
 """The layout of struct ucred: process, user, group."""
 
 
-def claim(name: str) -> tuple[socket.socket | None, int] | None:
+def mark(name: str) -> socket.socket | None:
+    """Mark a drone as flown by this process until the socket is closed; None if another process has marked it, or none can."""
+    if sys.platform != "linux":
+        return None
+    return _listening(name)
+
+
+def claim(name: str, marked: str, *, replaces: bool) -> tuple[socket.socket | None, int] | None:
     """Become the sender of that name.
+
+    Args:
+        marked: the name of the mark of the service that flies the drone.
+        replaces: whether the sender is started by that service, which has lost the one before.
 
     Returns:
         The listening socket (None if none can be opened) and the sequence number of the predecessor's last command, 0 if
@@ -31,45 +47,62 @@ def claim(name: str) -> tuple[socket.socket | None, int] | None:
     """
     if sys.platform != "linux":
         return None, 0
-    sequence, deadline = 0, time.monotonic() + _BIND_S
+    sequence, began, yielded = 0, time.monotonic(), replaces
     while True:
-        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            listener.bind(name)
-            listener.listen(4)
-            listener.setblocking(False)
+        waits = not yielded and time.monotonic() - began < _REPLACED_S and _is_marked(marked)
+        if not waits and (listener := _listening(name)) is not None:
             return listener, sequence
-        except OSError:
-            listener.close()
-        answer = _ask(name)
-        if answer is None:
+        answer = _ask(name, may_kill=not waits)
+        if answer == _BUSY:
             return None
-        sequence = max(sequence, answer)
-        if time.monotonic() > deadline:
+        if answer.strip().isdigit():
+            sequence, yielded = max(sequence, int(answer)), True
+        if time.monotonic() - began > _REPLACED_S + _BIND_S:
             return None, sequence
-        time.sleep(0.001)
+        time.sleep(_ASK_AGAIN_S if waits else 0.001)
 
 
-def _ask(name: str) -> int | None:
-    """Ask the holder of the name to yield; return its sequence number, 0 if it sent none, None if it refuses."""
+def _listening(name: str) -> socket.socket | None:
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        listener.bind(name)
+        listener.listen(4)
+        listener.setblocking(False)
+    except OSError:
+        listener.close()
+        return None
+    return listener
+
+
+def _is_marked(marked: str) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as other:
+        other.setblocking(False)
+        try:
+            other.connect(marked)
+        except BlockingIOError:
+            return True  # nobody accepts, and the queue is full
+        except OSError:
+            return False
+    return True
+
+
+def _ask(name: str, *, may_kill: bool) -> bytes:
+    """Ask the holder of the name to yield, and return its answer, empty if there is none."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as other:
         other.settimeout(_ANSWER_S)
         try:
             other.connect(name)
             pid, user = _peer(other)
             if user != os.getuid():
-                return 0  # somebody else took the name and has no sequence number of ours
+                return b""  # somebody else took the name and has no sequence number of ours
             other.sendall(_ASK)
-            answer = other.recv(32)
+            return other.recv(32)
         except TimeoutError:
-            if pid > 1:  # 0 is a process of another container, out of our reach
+            if may_kill and pid > 1:  # 0 is a process of another container, out of our reach
                 os.kill(pid, signal.SIGKILL)
-            return 0
+            return b""
         except OSError:
-            return 0
-    if answer == _BUSY:
-        return None
-    return int(answer) if answer.strip().isdigit() else 0
+            return b""
 
 
 def yield_to(listener: socket.socket, sequence: int | None) -> bool:

@@ -38,6 +38,8 @@ class SenderOptions:
     """The commands that are sent once the service is gone or silent."""
     on_service_back: tuple[TextCommand, ...] = ()
     """The commands that undo `on_service_lost`; they are sent when the service is back, or the drone is on the ground."""
+    replaces: bool = False
+    """Whether an earlier sender of the same service flew the drone, which waits for commands while this one starts."""
 
     def as_json(self) -> str:
         """Return the text that `of_json` reads."""
@@ -55,6 +57,11 @@ class SenderOptions:
     def name(self) -> str:
         """The name of the abstract socket of the process that sends to this drone: one for each user, host and port."""
         return f"\0decklander-sender/{os.getuid()}/{self.host}:{self.at_port}"
+
+    @property
+    def marked(self) -> str:
+        """The name of the abstract socket by which a service marks this drone as the one that it flies."""
+        return f"\0decklander-service/{os.getuid()}/{self.host}:{self.at_port}"
 
 
 @dataclass(frozen=True, slots=True)
