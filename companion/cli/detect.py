@@ -25,7 +25,7 @@ from companion.config.learned_file import second_opinion
 from companion.config.settings import find_file, read_toml
 from companion.recorder.reading import RecordedFrame, open_recording
 from drivers.camera import images
-from drivers.camera.videos import open_video
+from drivers.camera.videos import open_video, predicts_frames
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method, Sighting
 from estimator.contracts.geometry import Rotation
@@ -68,6 +68,7 @@ class _Image:
     """(height, width, 3) BGR."""
     attitude: Attitude | None = None
     """Attitude at the exposure, where a recording holds it."""
+    coded: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
             camera, pad = models[file].camera, models[file].pad
             for image in _images(file, models[file]):
                 attitude = _attitude(tilts, image, math.radians(args.attitude_sigma_deg)) or image.attitude
-                frame = Frame(_STAMP, image.index, image.px)
+                frame = Frame(_STAMP, image.index, image.px, coded=image.coded)
                 began = time.perf_counter()
                 seen, colours = _best(frame, attitude, TrackerConfig(camera, pad, second_opinion=asked), sets)
                 elapsed_ms = (time.perf_counter() - began) * 1e3
@@ -250,7 +251,8 @@ def _images(file: Path, model: _Model) -> Iterator[_Image]:
             for frame in container.decode(video=0):
                 if (frame.width, frame.height) != size:
                     raise _wrong_size(str(file), (frame.width, frame.height), model)
-                yield _Image(str(file), index, np.asarray(frame.to_ndarray(format="bgr24"), np.uint8))
+                px = np.asarray(frame.to_ndarray(format="bgr24"), np.uint8)
+                yield _Image(str(file), index, px, coded=predicts_frames(container))
                 index += 1
     except images.ImageRefused as why:
         raise BadInput(f"{file}: {why} ({model.camera_source})") from why
@@ -271,7 +273,7 @@ def _recorded(file: Path, model: _Model) -> Iterator[_Image]:
         frame = event.frame(size)
         if frame is not None:
             kept += 1
-            yield _Image(str(file), index, frame.px, event.attitude)
+            yield _Image(str(file), index, frame.px, event.attitude, frame.coded)
         index += 1
     if not kept:
         raise _NoImageError(f"{file}: the recording holds {index} frames, but none of their images")

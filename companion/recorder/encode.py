@@ -104,6 +104,7 @@ def detection(of: ProcessedFrame) -> rec.DetectionRecord:
         times=None if of.times is None else rec.FrameTimesRecord(*(seconds for _, seconds in of.times.by_stage())),
         R_body_cam=None if of.camera is None else _flat(of.camera.T_body_cam.R.matrix),
         gain=of.frame.gain,
+        coded=of.frame.coded,
         **({} if processed is None else _methods(processed)),
     )
 

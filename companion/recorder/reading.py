@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 import msgspec
+import numpy as np
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from numpy.typing import NDArray
 
 from companion.config.settings import Settings, from_mapping
 from companion.recorder import channels, decode
@@ -93,12 +95,16 @@ class RecordedFrame:
             px = self.image.px()
             if px is None or px.shape[:2] != (size[1], size[0]):
                 return None
-            return Frame(self.stamp, self.record.seq, px, self.record.exposure_s, self.record.gain)
+            return self._of(px)
         try:
             px = images.decode(self.image, size)
         except images.ImageRefused:
             return None
-        return Frame(self.stamp, self.record.seq, px, self.record.exposure_s, self.record.gain)
+        return self._of(px)
+
+    def _of(self, px: NDArray[np.uint8]) -> Frame:
+        r = self.record
+        return Frame(self.stamp, r.seq, px, r.exposure_s, r.gain, r.coded or isinstance(self.image, VideoImage))
 
 
 Event = Sample | RecordedFrame | Decision | rec.FusionRecord | rec.TruthRecord | rec.LinkRecord | rec.HealthRecord

@@ -168,6 +168,8 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     """The rotation (9,) of a camera on the body as its gimbal held it; left out for one that is fixed, or if it is not known."""
     gain: float = 0.0
     """Amplification of a camera whose exposure is driven; left out if unknown."""
+    coded: bool = False
+    """Whether a codec predicted the frame from others before it came; left out if none did."""
 
 
 class NamedNumber(Struct, frozen=True):

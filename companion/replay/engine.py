@@ -227,4 +227,4 @@ class Replay:
 def _black(recorded: RecordedFrame) -> Frame:
     """Return a black frame of the right size that takes no memory."""
     px = np.broadcast_to(np.zeros(1, np.uint8), (recorded.record.height, recorded.record.width, 3))
-    return Frame(recorded.stamp, recorded.record.seq, px, recorded.record.exposure_s, recorded.record.gain)
+    return Frame(recorded.stamp, recorded.record.seq, px, recorded.record.exposure_s, recorded.record.gain, recorded.record.coded)

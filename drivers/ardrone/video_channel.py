@@ -95,7 +95,7 @@ class VideoChannel:
         if not self._selected(stamp.received_at):
             self._counters.frames_before_setup += 1
             return
-        frame = Frame(stamp, batch[image.index].header.frame_number, image.px, self._o.exposure_s)
+        frame = Frame(stamp, batch[image.index].header.frame_number, image.px, self._o.exposure_s, coded=True)
         self._counters.frames += 1
         self._counters.frames_replaced += self._frames.offer(frame) is not None
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import fcntl
 import os
+import re
 import select
 import subprocess
 import sys
@@ -37,6 +38,8 @@ _FIRST_S = 10.0
 _BEHIND_MOST = 8
 """Number of frames that may be skipped at a time to reach the newest."""
 _PIPE_BYTES = 1 << 20
+_PREDICTING = re.compile(r"h26[345]|x26[45]|hevc|vp[89]|av1|mpeg[24]|decodebin")
+"""What names the elements of codecs that predict frames from one another, or of any codec."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +62,7 @@ class GstreamerChannel:
         self._pythons = pythons
         self._seq = 0
         self._opened_before = False
+        self._coded = _PREDICTING.search(options.device) is not None
 
     async def run(self) -> None:
         """Read frames until the pipeline ends or is silent.
@@ -99,7 +103,7 @@ class GstreamerChannel:
         stamp, refused = stamp_of(stamped, 0.0, image.received_at, o, o.exposure_s)
         counters.stamps_refused += refused
         counters.frames += 1
-        frame = Frame(stamp, self._seq, image.px, o.exposure_s)
+        frame = Frame(stamp, self._seq, image.px, o.exposure_s, coded=self._coded)
         self._seq += 1
         counters.frames_replaced += self._camera.frames.offer(frame) is not None
 

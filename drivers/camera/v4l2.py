@@ -114,7 +114,7 @@ class V4l2Channel:
             stamp, refused = kernel_stamp(buffer, received_at, self._o, exposure_s, 0.5 * error_s)
             counters.stamps_refused += refused
             counters.frames += 1
-            frame = Frame(stamp, buffer.sequence, px, exposure_s, gain)
+            frame = Frame(stamp, buffer.sequence, px, exposure_s, gain, device.layout.format == "H264")
             counters.frames_replaced += self._camera.frames.offer(frame) is not None
 
     async def _readable(self, device: Device) -> MonoNs:

@@ -25,7 +25,7 @@ from drivers.camera.counters import CameraCounters
 from drivers.camera.images import ImageRefused
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
-from drivers.camera.videos import MOST_PACKET_BYTES, open_video
+from drivers.camera.videos import MOST_PACKET_BYTES, open_video, predicts_frames
 from drivers.clock_map import ClockMap, ClockMapOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
@@ -95,7 +95,7 @@ class StreamChannel:
                     await self._clock.sleep(ahead_s)
                 stamp = Stamp(after(measured_at, -o.latency_s), max(measured_at, self._clock.now()), o.latency_sigma_s, "arrival")
             counters.frames += 1
-            frame = Frame(stamp, self._seq, image.px, o.exposure_s)
+            frame = Frame(stamp, self._seq, image.px, o.exposure_s, coded=reader.coded)
             self._seq += 1
             counters.frames_replaced += self._camera.frames.offer(frame) is not None
 
@@ -119,6 +119,7 @@ class _Reader:
         self._ready: list[_Image] = []
         self._waiting = True
         self.rate_hz = 30.0
+        self.coded = False
 
     def open(self) -> None:
         o = self._o
@@ -143,6 +144,7 @@ class _Reader:
             raise BadInput(f"{o.device}: not a video that can be read ({why.strerror})") from why
         if not self._container.streams.video:
             raise BadInput(f"{o.device}: there is no video in it")
+        self.coded = predicts_frames(self._container)
         stream = self._container.streams.video[0]
         stream.thread_type = "SLICE" if o.is_address else "AUTO"
         rate = stream.average_rate

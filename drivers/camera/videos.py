@@ -20,6 +20,11 @@ def most_pixels(size: tuple[int, int] | None) -> int:
     return MOST_PIXELS if size is None else min(MOST_PIXELS, _MARGIN * size[0] * size[1])
 
 
+def predicts_frames(container: InputContainer) -> bool:
+    """Return whether the video's codec predicts frames from one another."""
+    return not container.streams.video[0].codec_context.codec.intra_only
+
+
 def open_video(
     source: str,
     size: tuple[int, int] | None = None,

@@ -38,7 +38,7 @@ def frames(path: Path) -> Iterator[Frame]:
         first_ms = unit.header.timestamp_ms if first_ms is None else first_ms
         given += 1
         at_ns = ((unit.header.timestamp_ms - first_ms) % (1 << 32)) * 1_000_000
-        yield Frame(stamp(at_ns, FRAME_DELAY_S), unit.header.frame_number, image.px)
+        yield Frame(stamp(at_ns, FRAME_DELAY_S), unit.header.frame_number, image.px, coded=True)
     if not given:
         raise BadInput(f"{path}: no frame in it decodes")
 

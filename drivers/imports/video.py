@@ -9,7 +9,7 @@ import numpy as np
 from av.error import FFmpegError
 
 from drivers.camera.images import ImageRefused
-from drivers.camera.videos import open_video
+from drivers.camera.videos import open_video, predicts_frames
 from drivers.imports.stamps import FRAME_DELAY_S, stamp
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame
@@ -32,7 +32,7 @@ def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
         if len(container.streams.video) == 0:
             raise BadInput(f"{path}: holds no video")
         first_s: float | None = None
-        number = 0
+        number, coded = 0, predicts_frames(container)
         try:
             for image in container.decode(video=0):
                 if image.pts is None:
@@ -41,7 +41,7 @@ def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
                 first_s = time_s if first_s is None else first_s
                 px = np.asarray(image.to_ndarray(format="bgr24"), dtype=np.uint8)
                 number += 1
-                yield Frame(stamp(round((time_s - first_s) * 1e9), FRAME_DELAY_S), number, px)
+                yield Frame(stamp(round((time_s - first_s) * 1e9), FRAME_DELAY_S), number, px, coded=coded)
         except FFmpegError as why:
             if number == 0:
                 raise BadInput(f"{path}: no frame of it decodes: {why}") from why

@@ -79,6 +79,8 @@ class Frame(Struct, frozen=True, eq=False):
     """Exposure time; 0 if unknown."""
     gain: float = 0.0
     """Amplification of the sensor's light against its least, of a camera whose exposure is driven; 0 if unknown."""
+    coded: bool = False
+    """Whether a codec predicted it from other frames, as H.264 does: that moves patches of it by fractions of a pixel."""
 
     def __post_init__(self) -> None:
         if self.px.ndim != 3 or self.px.shape[2] != 3 or self.px.dtype != np.uint8:

@@ -582,6 +582,7 @@ typedef struct {
     double edge_sigma_px;
     double dense_edge_sigma_px;
     double edge_sigma_m;
+    double coded_px;
     double cut[3];
 } fit_options;
 
@@ -1187,7 +1188,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 1426707945u
+#define INTERFACE_DIGEST 1229766748u
 #endif
 
 #endif

@@ -34,6 +34,8 @@ void heading_by_rotation(const double R[9], double row[3]);
 /* Rz(yaw) Ry(pitch) Rx(roll) (Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., eq. 2.31). */
 void from_rpy(double roll, double pitch, double yaw, double R[9]);
 double dot(const double a[3], const double b[3]);
+/* out = a x b; out may be neither. */
+void cross(const double a[3], const double b[3], double out[3]);
 /* A' */
 void transposed(const double A[9], double At[9]);
 /* AB = A B' */

@@ -10,13 +10,6 @@ static const double AFLOAT_M = 0.06;
 /* Below this cosine of the tilt the upper corners may touch too. */
 static const double ON_ITS_SIDE = 0.7;
 
-static void cross(const double a[3], const double b[3], double axb[3])
-{
-    axb[0] = a[1] * b[2] - a[2] * b[1];
-    axb[1] = a[2] * b[0] - a[0] * b[2];
-    axb[2] = a[0] * b[1] - a[1] * b[0];
-}
-
 void relative_to_deck(const deck *g, const double p[3], const double v[3], const double R[9], const double w[3], relative *r)
 {
     const double to[3] = {p[0] - g->p[0], p[1] - g->p[1], p[2] - g->p[2]};

@@ -75,13 +75,6 @@ static void body_rates(const vessel_motion *m, double w[3], double w_dot[3])
     w_dot[2] = -sr * p2 - cr * r1 * p1 + cp * cr * y2 - (cp * sr * r1 + sp * cr * p1) * y1;
 }
 
-static void cross(const double a[3], const double b[3], double out[3])
-{
-    double K[9];
-    skew(a, K);
-    rotated(K, b, out);
-}
-
 static void mount_one(const vessel_origin *origin, const vessel_motion *m, const mount *at, mounted *out)
 {
     double w[3], w_dot[3], R[9], arm[3], arm_v[3], arm_a[3], swung[3];

@@ -9,6 +9,7 @@ it fits, registration starts from it.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -38,7 +39,7 @@ from estimator.vision.register.sighting import registered_sighting
 from estimator.vision.rolling import CameraMotion, at_one_instant
 from estimator.vision.thesis.detection import Detection, Opinions, detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS, ColourSet
-from estimator.vision.verified import CLOSE, ROUGH, SURE, Verified, verified
+from estimator.vision.verified import CLOSE, CODED_PX, ROUGH, SURE, Verified, verified
 
 _CLOSE_PX = 1.0
 """Largest standard deviation of the believed position in the frame at which registration starts directly from it."""
@@ -282,6 +283,8 @@ def _register_from(
     Args:
         searched: whether the start comes from a search or a cue and not from the belief: then the second opinion is asked.
     """
+    if frame.coded:
+        options = dataclasses.replace(options, coded_px=CODED_PX)
     of = verified(pyramid, tracker.camera, tracker.pad, start, orientation, options, prior_log_odds, cut)
     if of is None:
         return None

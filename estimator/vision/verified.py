@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
@@ -21,6 +21,9 @@ from estimator.vision.register.registration import Registration, RegistrationOpt
 SURE = 0.5
 """Confidence from which on a pose is the pad's."""
 CLOSE, ROUGH = RegistrationOptions(coarse=False), RegistrationOptions(coarse=True)
+CODED_PX = 0.12
+"""Sigma of the place of a patch of a frame that a codec predicted. H.264 gives motion by quarters of a pixel: that leaves 0.07
+px; 1.6 times that, as what it leaves goes on from frame to frame while each frame counts as a measurement of its own."""
 _CERTAIN = 0.9
 """Confidence from which on it is not tried whether something covers a part of the pad."""
 _RINGLESS_LOG_ODDS = -4.0
@@ -73,7 +76,8 @@ def verified(
         if uncovered is None:
             return best
         start, cut = uncovered[0].pose, uncovered[1]
-    other = _of_visible(pyramid, camera, pad, start, orientation, CLOSE, prior_log_odds + COVERED_LOG_ODDS, cut)
+    near = replace(options, coarse=False)
+    other = _of_visible(pyramid, camera, pad, start, orientation, near, prior_log_odds + COVERED_LOG_ODDS, cut)
     return other if best is None or (other is not None and other.confidence > best.confidence) else best
 
 

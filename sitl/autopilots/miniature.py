@@ -73,6 +73,8 @@ class MiniatureAutopilot:
     rpy: Callable[[float], tuple[float, float, float]] = lambda t: (0.0, 0.0, 0.0)
     gyro_mrad_s: tuple[int, int, int] = (100, -200, 300)
     """Reading of its gyro, forward, right, down."""
+    f_body: tuple[float, float, float] = (0.1, -0.2, -9.8)
+    """Reading of its accelerometer, the same axes, m/s^2."""
     epoch_ns: int = EPOCH_NS
     clock: Clock = field(default_factory=SystemClock)
     messages: list[Message] = field(default_factory=list)
@@ -206,10 +208,10 @@ class MiniatureAutopilot:
             mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda: mav.MAVLink_extended_sys_state_message(0, self.landed_state),
             mav.MAVLINK_MSG_ID_SYS_STATUS: lambda: mav.MAVLink_sys_status_message(0, 0, 0, 0, 12000, -1, 83, 0, 0, 0, 0, 0, 0),
             mav.MAVLINK_MSG_ID_RAW_IMU: lambda: mav.MAVLink_raw_imu_message(
-                self.boot_ns // 1000, 10, -20, -1000 + least, *self.gyro_mrad_s, 0, 0, 0
+                self.boot_ns // 1000, *self._f_mg(least), *self.gyro_mrad_s, 0, 0, 0
             ),
             mav.MAVLINK_MSG_ID_HIGHRES_IMU: lambda: mav.MAVLink_highres_imu_message(
-                *(self.boot_ns // 1000, 0.1, -0.2, -9.8 + 1e-3 * least, *(1e-3 * w for w in self.gyro_mrad_s)),
+                *(self.boot_ns // 1000, *self.f_body[:2], self.f_body[2] + 1e-3 * least, *(1e-3 * w for w in self.gyro_mrad_s)),
                 *(0, 0, 0, 1000.0, 0, 0, 20.0, 0xFFFF),
             ),
         }
@@ -224,6 +226,10 @@ class MiniatureAutopilot:
                 self._next[number] = max(t, self._next.get(number, t) + interval)
                 out.append(maker())
         return out
+
+    def _f_mg(self, least: int) -> tuple[int, int, int]:
+        forward, right, down = (round(1e3 * f / 9.8) for f in self.f_body)
+        return forward, right, down + least
 
     async def _live(self) -> None:
         beat = 0.0

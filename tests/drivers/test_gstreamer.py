@@ -181,6 +181,7 @@ async def test_frames_of_a_real_pipeline_are_young_in_order_and_of_the_right_col
     assert frames[0].px.shape == (H, W, 3)
     assert (frames[0].px.reshape(-1, 3).mean(axis=0) > 200).tolist() == [True, False, False], "blue, as B G R"
     assert {f.stamp.source for f in frames} == {"kernel"}
+    assert not any(f.coded for f in frames), "no codec is in it"
     stamps = np.array([f.stamp.measured_at for f in frames])
     steps = np.diff(stamps) * 1e-9 / 0.02
     assert np.all(np.diff(stamps) > 0)

@@ -132,6 +132,7 @@ async def test_a_frame_is_heard_with_its_first_byte() -> None:
         fake.video_writers[-1].write(unit[900:])
         frame = await drone.frames.get()
         assert frame.stamp.received_at <= began
+        assert frame.coded
 
 
 async def test_take_off_velocity_hover_land() -> None:

@@ -68,6 +68,7 @@ async def test_a_file_is_played_at_its_own_speed_to_its_end(tmp_path: Path) -> N
     )
     assert abs(int(last.px.mean()) - (30 + 3 * 19)) <= 3
     assert camera.counters.restarts == {}
+    assert all(f.coded for f in frames), "its codec predicts frames"
 
 
 async def test_a_file_that_is_repeated_goes_on(tmp_path: Path) -> None:

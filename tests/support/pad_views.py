@@ -67,11 +67,20 @@ class Stage:
         rng = self.rng
         roll, pitch = rng.normal(0.0, tilt_rad, 2)
         yaw = rng.uniform(-math.pi, math.pi) if yaw_rad is None else yaw_rad
-        R_ned_body = Rotation.from_rpy(roll, pitch, yaw)
         R_ned_pad = Rotation.identity()
         if deck_rad > 0:
             R_ned_pad = Rotation.from_rpy(rng.normal(0.0, deck_rad), rng.normal(0.0, deck_rad), 0.0)
         aside = rng.uniform(-1.0, 1.0, 2) * min(lateral * height_m, 0.12 if height_m < 1.0 else math.inf)
+        return self.view_from(height_m, aside, (float(roll), float(pitch), yaw), R_ned_pad, v_body_ned)
+
+    def view_from(
+        self, height_m: float, aside: F64, rpy_rad: tuple[float, float, float], R_ned_pad: Rotation | None = None,
+        v_body_ned: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> RenderedView:  # fmt: skip
+        """The camera `height_m` over the pad and `aside`, (2,) m north and east; the deck is level unless a rotation is given."""
+        rng, (roll, pitch, yaw) = self.rng, rpy_rad
+        R_ned_body = Rotation.from_rpy(*rpy_rad)
+        R_ned_pad = Rotation.identity() if R_ned_pad is None else R_ned_pad
         p_pad = np.array([0.0, 0.0, -2.0])
         p_cam = p_pad + np.array([*aside, -height_m])
         mount = self.camera.T_body_cam

@@ -25,5 +25,7 @@ class RegistrationOptions:
     """The same where edges merge."""
     edge_sigma_m: float = 0.0
     """Sigma of the painted edges on the pad."""
+    coded_px: float = 0.0
+    """Sigma of the place of a patch of the frame that a video codec has moved; 0 of a frame that no codec has predicted."""
     gamma: bool = True
     """True if pixel values are sRGB; False if they are linear light."""

@@ -87,7 +87,7 @@ def packed_options(options: RegistrationOptions) -> F64:
     return record("fit_options", {
         "max_profiles": options.max_profiles, "dense_pixels": options.dense_pixels, "blur_px": options.blur_px,
         "edge_sigma_px": options.edge_sigma_px, "dense_edge_sigma_px": options.dense_edge_sigma_px,
-        "edge_sigma_m": options.edge_sigma_m,
+        "edge_sigma_m": options.edge_sigma_m, "coded_px": options.coded_px,
     })  # fmt: skip
 
 

@@ -187,7 +187,7 @@ static void registrations(int count)
         const double height_m = pad.disc_radius_m * camera.fx / (4.0 + draw() % (w / 2));
         uint8_t *frame = picture(&camera, &pad, height_m, kind);
         double *rays = camera.distorted ? rays_of(&camera) : NULL;
-        o.dense_edge_sigma_px = 0.01;
+        o.dense_edge_sigma_px = 0.01, o.coded_px = kind % 3 ? 0.0 : 0.12;
         some_start(start, &camera, height_m, kind % 7 == 0 ? 5.0 : 0.4, kind % 5 == 4);
         some_edges(&pad, edges, edge_of);
         if (kind % 4 == 3) {
