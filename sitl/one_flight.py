@@ -28,7 +28,7 @@ from sitl.perception.port import LEVELS, Level
 from sitl.render_worker import render_worker
 from sitl.safety import outside_commit
 from sitl.scenario import Scenario, vehicle_model
-from sitl.truth import Truth
+from sitl.truth import Touchdown, Truth
 
 Perception = Level
 """How the service perceives the pad: `pixels` renders frames for the real detectors, `model` draws detections from an error
@@ -134,21 +134,7 @@ def fly(
 
 def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cpu_s: float) -> Ending:
     """Return how a flight in virtual time ended, with the simulator's grade."""
-    contacts = tuple(
-        Contact(
-            t.at,
-            t.surface,
-            t.lateral_m,
-            t.yaw_rad,
-            t.vertical_speed_m_s,
-            t.lateral_speed_m_s,
-            t.phase.name.lower(),
-            t.motors,
-            t.guidance_phase,
-            (float(t.p_body_pad[0]), float(t.p_body_pad[1])),
-        )
-        for t in result.truth.contacts
-    )
+    contacts = tuple(contact_of(t) for t in result.truth.contacts)
     judged = FlightGrade(
         result.grade.value,
         result.because,
@@ -162,6 +148,22 @@ def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cp
         cpu_s,
     )
     return Ending(name, seed, result.outcome, contacts, result.duration_s, result.health.frames, judged=judged)
+
+
+def contact_of(t: Touchdown) -> Contact:
+    """Return a contact of the truth as a part of an ending."""
+    return Contact(
+        t.at,
+        t.surface,
+        t.lateral_m,
+        t.yaw_rad,
+        t.vertical_speed_m_s,
+        t.lateral_speed_m_s,
+        t.phase.name.lower(),
+        t.motors,
+        t.guidance_phase,
+        (float(t.p_body_pad[0]), float(t.p_body_pad[1])),
+    )
 
 
 def _cpu_s() -> float:

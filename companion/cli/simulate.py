@@ -8,25 +8,17 @@ import sys
 import time
 from pathlib import Path
 
-from companion.cli import perception_option, record_option, report_option
+from companion.cli import perception_option, record_option
+from companion.cli.kept_flight import keeping
 from companion.cli.progress import ProgressObserver
-from companion.config import reference
-from companion.config.settings import camera_model, find_file, pad_model, shipped
-from companion.report.flight_log import FlightLog, TruthSample
-from companion.report.log_observer import LogObserver
-from companion.report.page import PAGE, write_report
+from companion.config.settings import find_file, shipped
 from companion.runtime.observer import Observer
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
 from sitl.campaign.overrides import Overridable
 from sitl.one_flight import fly, perception_level, settings_for
 from sitl.scenario import FAULTS
 from sitl.scenario import load as load_scenario
-from sitl.truth import Truth
-
-SHADOWS: tuple[PathName, ...] = ("median_mean",)
-"""Estimator paths that run beside the steering one, for the comparison in the report."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -102,42 +94,14 @@ def run(args: argparse.Namespace) -> int:
         return simulate_autopilot.run(args, perception)
     if args.binary is not None or args.keep is not None or args.param:
         raise BadInput("--binary, --param and --keep go with --autopilot")
-    report_option.prepare_folder(args.report)
-    if perception != "pixels":
-        args.record_frames = "none"
     scenario = load_scenario(args.scenario, args.base)
     settings = settings_for(scenario, args.config)
     given = Overridable(scenario, settings)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
-    kept = args.report is not None or args.record is not None
     progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]
-    log = FlightLog(
-        scenario.title,
-        started=MonoNs(0),
-        pad=pad_model(settings),
-        camera=camera_model(settings),
-        steering=settings.estimator.path,
-        settings=reference.toml(settings),
-    )
-    if args.report is not None:
-        observers.append(LogObserver(log, keep_images=perception == "pixels"))
-    began = time.monotonic()
-    facts = {"kind": "simulate", "scenario": args.scenario, "seed": str(args.seed), "perception": perception}
-    with record_option.recording(args, settings, facts, live=False) as recorder:
-        if recorder is not None:
-            observers.append(recorder)
-
-        def on_truth(truth: Truth) -> None:
-            if recorder is not None:
-                recorder.on_truth(record_option.truth_record(truth))
-            if args.report is not None:
-                log.truth.append(
-                    TruthSample(
-                        truth.at, truth.d_body_pad_level, truth.v_pad_level, truth.yaw_rad, truth.p_pad_ned, truth.R_ned_pad
-                    )
-                )
-
+    with keeping(args, settings, scenario.title, perception, {"kind": "simulate"}, MonoNs(0)) as kept:
+        began = time.monotonic()
         ending = fly(
             args.scenario,
             scenario,
@@ -145,25 +109,20 @@ def run(args: argparse.Namespace) -> int:
             settings,
             perception,
             perception_model=args.perception_model,
-            observers=observers,
-            shadows=SHADOWS if kept else (),
-            on_start=None if recorder is None else recorder.watch,
-            on_truth=on_truth if kept else None,
+            observers=[*observers, *kept.observers],
+            shadows=kept.shadows,
+            on_start=kept.on_start,
+            on_truth=kept.on_truth,
             render_beside=True,
         )
     wall_s = time.monotonic() - began
     if progress is not None:
         progress.close()
-    if args.report is not None:
-        ending.write_into(log)
-        log.facts += [("scenario", args.scenario), ("seed", str(args.seed)), ("flown in", f"{wall_s:.1f} s, virtual time")]
-        log.facts += ending.facts()
-        write_report(log, args.report)
+    report = kept.write_report(ending, wall_s, "virtual time")
     if args.json:
         sys.stdout.write(json.dumps(ending.as_json()) + "\n")
     else:
         pace = ending.duration_s / max(1e-9, wall_s)
         sys.stdout.write(f"{ending.in_words()}\n{ending.duration_s:.1f} s flown in {wall_s:.1f} s ({pace:.1f} x real time)\n")
-        if args.report is not None:
-            sys.stdout.write(report_option.written(args.report / PAGE))
+        sys.stdout.write(report)
     return 0 if ending.good else 1

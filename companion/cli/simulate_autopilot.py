@@ -15,18 +15,17 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from companion.cli.kept_flight import keeping
 from companion.cli.progress import ProgressObserver
 from companion.runtime import event_loop
 from companion.runtime.observer import Observer
 from estimator.contracts.errors import BadInput
-from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
-from sitl.autopilots.follow import FollowEnd
 from sitl.autopilots.program import executable
 from sitl.campaign.overrides import Overridable
-from sitl.ending import Contact, Ending
+from sitl.ending import Ending
+from sitl.one_flight import contact_of, settings_for
 from sitl.one_flight import ending_of as graded_ending
-from sitl.one_flight import settings_for
 from sitl.perception.levels import perceive
 from sitl.perception.port import Level
 from sitl.scenario import Scenario
@@ -37,14 +36,14 @@ CARRIED = frozenset({*STREAMS, "link_lost", "light_falls"})
 """Kinds of faults that act on a flight with an autopilot program: those of its streams, and of the light on its camera."""
 
 
+COMPANION_PORT = 14540
+"""The companion's port in the settings that a recording keeps."""
 STAND_IN = "stand-in"
 """The word for --binary that flies the stand-in for a program instead of a program."""
 
 
 def run(args: argparse.Namespace, perception: Level) -> int:
     """Fly the scenario; return 0 if it landed on the pad, else 1."""
-    if args.report is not None or args.record is not None:
-        raise BadInput("--report and --record do not go with --autopilot; --keep DIR keeps the program's own logs")
     binary = None if args.binary == STAND_IN else executable(args.binary, args.autopilot)
     scenario = load_scenario(args.scenario, args.base)
     refuse_faults(args.scenario, scenario, CARRIED)
@@ -54,28 +53,33 @@ def run(args: argparse.Namespace, perception: Level) -> int:
     progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]
     autopilot = AutopilotProgram(args.autopilot, binary, parameters=parameters(args.param))
-    began = time.monotonic()
+    seen_by, began = perceive(perception, args.perception_model), time.monotonic()
     with _folder(args.keep) as folder:
-        flight = AutopilotFlight(
-            scenario, args.seed, settings, autopilot, folder, observers, perceive(perception, args.perception_model)
-        )
-        end = event_loop.run(flight.fly())
+        flight = AutopilotFlight(scenario, args.seed, settings, autopilot, folder, observers, seen_by)
+        facts = {"kind": "simulate", "autopilot": args.autopilot, "binary": STAND_IN if binary is None else binary.name}
+        flown = flight.service_settings(COMPANION_PORT)
+        with keeping(args, flown, scenario.title, perception, facts, flight.clock.started, from_truth=True) as kept:
+            flight.observers, flight.shadows = (*observers, *kept.observers), kept.shadows
+            flight.on_start, flight.on_truth = kept.on_start, kept.on_truth
+            end = event_loop.run(flight.fly())
         said = (folder / "texts.txt").open("w")
         with said:
             said.writelines(f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)
     if progress is not None:
         progress.close()
-    ending = ending_of(args.scenario, args.seed, end)
+    ending = Ending(
+        args.scenario, args.seed, end.outcome, tuple(map(contact_of, end.contacts)), end.duration_s, end.health.frames
+    )
     if end.result is not None:
-        cpu_s = time.process_time()
-        ending = replace(graded_ending(args.scenario, args.seed, scenario, end.result, cpu_s), started=flight.graded.started)
+        ending = graded_ending(args.scenario, args.seed, scenario, end.result, time.process_time())
+    ending = replace(ending, started=flight.graded.started)
+    wall_s = time.monotonic() - began
+    report = kept.write_report(ending, wall_s, f"in lock step with {facts['binary']}")
     if args.json:
         sys.stdout.write(json.dumps({**ending.as_json(), **_of_autopilot(args.autopilot, end)}) + "\n")
     else:
         sys.stdout.write(f"{end.failure or ending.in_words()}\n")
-        sys.stdout.write(
-            f"{ending.duration_s:.1f} s from the order to land; {time.monotonic() - began:.0f} s on the wall clock\n"
-        )
+        sys.stdout.write(f"{ending.duration_s:.1f} s from the order to land; {wall_s:.0f} s on the wall clock\n{report}")
     return 0 if ending.good else 1
 
 
@@ -119,16 +123,6 @@ def parameters(given: Sequence[str]) -> tuple[tuple[str, float], ...]:
             raise BadInput(f"--param {text!r}: write NAME=VALUE, a name in capitals and a number")
         out.append((found[1], value))
     return tuple(out)
-
-
-def ending_of(scenario: str, seed: int, end: FlightEnd | FollowEnd) -> Ending:
-    """Return how the flight ended, in the form that `simulate` prints."""
-    contacts: tuple[Contact, ...] = ()
-    if end.landing is not None:
-        t = end.landing
-        surface = "pad" if t.on_pad else "deck" if t.on_deck else "water"
-        contacts = (Contact(MonoNs(round(t.t_s * NS_PER_S)), surface, t.lateral_m, t.yaw_rad, t.speed_m_s, t.slide_m_s),)
-    return Ending(scenario, seed, end.outcome, contacts, end.duration_s, end.health.frames)
 
 
 @contextmanager

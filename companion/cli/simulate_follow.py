@@ -7,12 +7,14 @@ import json
 import sys
 
 from companion.cli.progress import ProgressObserver
-from companion.cli.simulate_autopilot import ending_of, refuse_faults
+from companion.cli.simulate_autopilot import refuse_faults
 from companion.runtime import event_loop
 from companion.runtime.observer import Observer
 from drivers.mavlink.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
-from sitl.autopilots.follow import follow
+from estimator.contracts.time import NS_PER_S, MonoNs
+from sitl.autopilots.follow import FollowEnd, follow
+from sitl.ending import Contact, Ending
 from sitl.one_flight import settings_for
 from sitl.scenario import load as load_scenario
 
@@ -30,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     end = event_loop.run(follow(scenario, args.seed, settings, args.follow, observers))
     if progress is not None:
         progress.close()
-    ending = ending_of(args.scenario, args.seed, end)
+    ending = _ending_of(args.scenario, args.seed, end)
     if args.json:
         more = {"follow": args.follow, "by_truth": end.by_truth, "failure": end.failure or None}
         sys.stdout.write(json.dumps({**ending.as_json(), **more}) + "\n")
@@ -38,3 +40,13 @@ def run(args: argparse.Namespace) -> int:
         source = "the simulator's own truth" if end.by_truth else "the autopilot's own estimate of its place"
         sys.stdout.write(f"{end.failure or ending.in_words()}\njudged by {source}\n")
     return 0 if ending.on_pad else 1
+
+
+def _ending_of(scenario: str, seed: int, end: FollowEnd) -> Ending:
+    """Return how the flight ended, in the form that `simulate` prints."""
+    contacts: tuple[Contact, ...] = ()
+    if end.landing is not None:
+        t = end.landing
+        surface = "pad" if t.on_pad else "deck" if t.on_deck else "water"
+        contacts = (Contact(MonoNs(round(t.t_s * NS_PER_S)), surface, t.lateral_m, t.yaw_rad, t.speed_m_s, t.slide_m_s),)
+    return Ending(scenario, seed, end.outcome, contacts, end.duration_s, end.health.frames)

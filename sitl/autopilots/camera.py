@@ -55,7 +55,7 @@ class LockStepCamera:
         expose: Callable[[Body], Callable[[], RenderedFrame]] = Body.expose,
     ) -> None:
         self.on = False
-        self.frames = 0
+        self.frames = self.exposures = 0
         self.waited_out = 0
         """Number of times that the world went on although a frame was not processed, because the service waits for the time."""
         self._clock, self._offer, self._pool = clock, offer, pool
@@ -76,6 +76,7 @@ class LockStepCamera:
         if not self.on or (self._due is not None and now < self._due):
             return
         self._due = after(self._due or now, self._timing.period_s)
+        self.exposures += 1
 
         def exposed() -> tuple[MonoNs, asyncio.Future[RenderedFrame]]:
             return now, asyncio.get_running_loop().run_in_executor(self._pool, self._expose(body))

@@ -32,8 +32,9 @@ from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation, wrap_pi
-from estimator.contracts.time import seconds_between
+from estimator.contracts.time import MonoNs, seconds_between
 from sitl.autopilots import arducopter, px4
 from sitl.autopilots.ardupilot_json import CURVE, STEP_S, JsonBackend, serve_json
 from sitl.autopilots.beside import FlightDaemon, beside_autopilot
@@ -56,7 +57,7 @@ from sitl.flight_grader import FlightResult
 from sitl.perception.pixels import Pixels
 from sitl.perception.port import Perception
 from sitl.scenario import Scenario
-from sitl.truth import RenderedFrame
+from sitl.truth import RenderedFrame, Touchdown, Truth
 
 Name = Literal["arducopter", "px4"]
 HOST = "127.0.0.1"
@@ -68,6 +69,7 @@ COM_WATCHDOG_S: dict[Name, float] = {
 _STATION_S = 0.05
 _AFTER_S = 1.5
 """Time that the flight continues after its end, so that a later contact is recorded."""
+_TRUTH_S = 0.02 - 1e-6
 _SILENT_S = 60.0
 """Wall time without a step of the physics after which the program counts as hung."""
 
@@ -100,6 +102,8 @@ class FlightEnd:
     upright: bool
     failure: str = ""
     """The reason why no landing took place."""
+    contacts: tuple[Touchdown, ...] = ()
+    """Every contact since the order to land."""
     result: FlightResult | None = None
     """The graded result of a scenario with faults; None without."""
     armed_after_contact_s: float | None = None
@@ -125,6 +129,12 @@ class AutopilotFlight:
     """The program's working directory."""
     observers: Sequence[Observer] = ()
     perception: Perception = field(default_factory=Pixels)
+    shadows: Sequence[PathName] = ()
+    """Estimator paths that run beside the steering one; they do not change the flight."""
+    on_start: Callable[[Health], None] | None = None
+    """Receives the counters of the service's health before it runs."""
+    on_truth: Callable[[Truth], None] | None = None
+    """Receives the true state after the first step of the physics, every 20 ms and at every exposure of a frame."""
     clock: LockStepClock = field(default_factory=LockStepClock)
     body: Body | None = None
     stand_in: StandIn | None = None
@@ -137,6 +147,9 @@ class AutopilotFlight:
     _stepped_at: float = 0.0
     _stopped_s: float | None = None
     """When the motors stopped, by the physics' time."""
+    _told: MonoNs | None = None
+    """Instant of the newest truth that `on_truth` got."""
+    _told_exposures: int = 0
 
     def __post_init__(self) -> None:
         if self.scenario.gimbal.given and (self.autopilot.binary is not None or self.perception.level != "pixels"):
@@ -146,6 +159,11 @@ class AutopilotFlight:
         watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
         self.graded = GradedBody(self.scenario, self.seed, self.settings, self.clock, watchdog_s)
         self.link = FaultyLink(self.graded.streams, self.clock)
+
+    def service_settings(self, port: int) -> Settings:
+        """Return the settings that the daemon flies with, which hears the autopilot at a UDP port of this machine."""
+        response = "px4" if self.autopilot.name == "px4" else None
+        return beside_autopilot(self.settings, f"udpin://{HOST}:{port}", response=response)
 
     @property
     def height_m(self) -> float:
@@ -163,14 +181,15 @@ class AutopilotFlight:
         fixed = self.autopilot.name == "px4" and self.autopilot.binary is not None
         from_program, to_station = px4.MAVLINK_PORTS if fixed else (free_udp_port(), free_udp_port())
         to_daemon = free_udp_port() if self.scenario.faults else from_program
-        response = "px4" if self.autopilot.name == "px4" else None
-        settings = beside_autopilot(self.settings, f"udpin://{HOST}:{to_daemon}", response=response)
-        pilot = self.perception.pilot(settings)
+        settings = self.service_settings(to_daemon)
+        pilot = self.perception.pilot(settings, self.shadows)
         # The world begins before the program does: at the level `truth` the pilot reads it from its first cycle on.
         copter = self.autopilot.name == "arducopter"
         step_s = in_process.STEP_S if self.autopilot.binary is None else STEP_S if copter else px4.STEP_S
         self._make(step_s, CURVE if copter else 0.0)
         side = FlightDaemon(settings, pilot, self.clock, (*self.observers, self.graded))
+        if self.on_start is not None:
+            self.on_start(side.daemon.health)
         link = LinkOptions(parse_endpoint(f"udpin://{HOST}:{to_station}"))
         failed: Recoverable | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
@@ -242,6 +261,7 @@ class AutopilotFlight:
             texts,
             self.body is not None and self.body.upright,
             station.failure,
+            self.graded.contacts,
             self.graded.result(pilot, side.daemon.health),
             stopped,
         )
@@ -299,6 +319,11 @@ class AutopilotFlight:
         self.link.deliver()
         assert self._camera is not None
         self._camera.stepped(body)
+        if self.on_truth is not None:
+            exposed = self._camera.exposures
+            if exposed > self._told_exposures or self._told is None or seconds_between(self._told, self.clock.now()) >= _TRUTH_S:
+                self._told, self._told_exposures = self.clock.now(), exposed
+                self.on_truth(self.graded.truth())
 
     async def _settle(self) -> None:
         assert self._camera is not None

@@ -57,6 +57,11 @@ class GradedBody(NullObserver):
 
     at = now
 
+    @property
+    def contacts(self) -> tuple[Touchdown, ...]:
+        """Every contact since the order to land."""
+        return tuple(self._contacts)
+
     def active(self, kind: str) -> bool:
         """Return whether a fault of this kind is active."""
         return self.faults.active(kind)
@@ -65,20 +70,21 @@ class GradedBody(NullObserver):
         """Note a step of the physics.
 
         Args:
-            began: instant of the order to land; nothing is wrong and nothing is graded before it.
+            began: instant of the order to land; nothing is wrong, graded or counted as a contact before it.
         """
-        if began is None or not self.faults:
+        self._body = body
+        if began is None:
             return
-        self._body, self.started = body, began
-        if self._grader is None:
-            self._grader = FlightGrader(self, self._settings, self._com_watchdog_s)
-        now, state = self._clock.now(), body.state()
-        height_m = float(body.R_ned_pad.matrix[:, 2] @ (body.p_pad_ned - state.p_ned))
-        self.faults.update(seconds_between(began, now), height_m, self.guidance_phase)
-        landing = body.landing()
+        self.started, now, landing = began, self._clock.now(), body.landing()
         if landing is not None and (self._newest is None or landing.t_s != self._newest.t_s):
             self._newest = landing
             self._contacts.append(self._contact(body, landing, now))
+        if not self.faults:
+            return
+        if self._grader is None:
+            self._grader = FlightGrader(self, self._settings, self._com_watchdog_s)
+        height_m = float(body.R_ned_pad.matrix[:, 2] @ (body.p_pad_ned - body.state().p_ned))
+        self.faults.update(seconds_between(began, now), height_m, self.guidance_phase)
         if self._watched is None or seconds_between(self._watched, now) >= _WATCH_EACH_S:
             self._watched = now
             self._grader.step()
@@ -95,7 +101,7 @@ class GradedBody(NullObserver):
         assert body is not None
         s = body.state()
         phase = VehiclePhase.FLYING if body.flying else VehiclePhase.LANDED if body.upright else VehiclePhase.EMERGENCY
-        contacts = tuple(self._contacts)
+        contacts = self.contacts
         return Truth(
             self._clock.now(), s.p_ned, s.v_ned, s.R_ned_body, body.p_pad_ned, body.v_pad_ned, body.R_ned_pad, phase,
             contacts[-1] if contacts else None, contacts, w_body=s.w_body,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -13,6 +14,8 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
+from companion.recorder.reading import open_recording
+from companion.recorder.records import TruthRecord
 from tests.sitl.near import NEAR
 from tests.support.processes import gone, started
 
@@ -77,6 +80,37 @@ def test_a_program_that_ends_is_told_with_its_last_words(tmp_path: Path, near: s
     assert "docs/sitl.md" in said
 
 
+def test_a_program_that_never_steps_leaves_no_recording(tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]) -> None:
+    kept = tmp_path / "flight.mcap"
+    for before in (None, b"an older one"):
+        if before is not None:
+            kept.write_bytes(before)
+        assert simulate(near, "--binary", program(tmp_path, "exit 1"), "--record", str(kept)) == 1
+        assert "ended with code 1" in capsys.readouterr().err
+        assert (kept.read_bytes() if kept.exists() else None) == before
+
+
+@pytest.mark.timeout(400)
+def test_a_recorded_flight_holds_the_truth_and_replays_to_the_bit(
+    tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept, page = tmp_path / "flight.mcap", tmp_path / "report"
+    words = ["--binary", "stand-in", "--perception", "model", "--record", str(kept), "--report", str(page), "--json"]
+    assert simulate(near, "--seed", "2", *words) == 0
+    told = json.loads(capsys.readouterr().out)
+    truths = [event for event in open_recording([kept]).events() if isinstance(event, TruthRecord)]
+    assert max(b.at_ns - a.at_ns for a, b in itertools.pairwise(truths)) <= 24_000_000
+    contact = truths[-1].touchdown
+    assert contact is not None
+    assert contact.lateral_m == pytest.approx(told["touchdown"]["lateral_m"], abs=1e-4)
+    assert truths[-1].phase == "landed"
+    assert main(["replay", str(kept), "--json"]) == 0
+    (ekf,) = (row for row in json.loads(capsys.readouterr().out)["against"]["the recording"] if row["path"] == "ekf")
+    assert ekf["both"] > 300
+    assert ekf["identical"] == ekf["both"]
+    assert "Touchdown and trajectory" in (page / "index.html").read_text()
+
+
 def test_sigterm_leaves_neither_program_nor_folder(tmp_path: Path, near: str) -> None:
     begun, folders = tmp_path / "begun", tmp_path / "folders"
     folders.mkdir()
@@ -99,7 +133,8 @@ def test_sigterm_leaves_neither_program_nor_folder(tmp_path: Path, near: str) ->
         ([], "needs --binary PATH"),
         (["--binary", "/no/such/program"], "is no program that can be run"),
         (["--binary", __file__], "is no program that can be run"),
-        (["--binary", "/bin/sh", "--report", "there"], "do not go with --autopilot"),
+        (["--binary", "/bin/sh", "--record", "/dev/null"], "--record /dev/null: is there already"),
+        (["--binary", "/bin/sh", "--report", "/dev/null"], "--report /dev/null: File exists"),
         (["--binary", "/bin/sh", "--follow", "udpin://127.0.0.1:0"], "does not go with"),
         (["--binary", "/bin/sh", "--keep", "/dev/null"], "not an empty folder"),
         (["--binary", "/bin/sh", "--param", "PLND_LAG"], "write NAME=VALUE"),
