@@ -45,12 +45,16 @@ async def steer(drone: ArDrone, fake: FakeArDrone) -> None:
     await until(steered)
 
 
-async def test_setup_brings_the_drone_out_of_bootstrap_key_by_key(monkeypatch: pytest.MonkeyPatch) -> None:
-    # On a busy machine the service would take a sender that waits for the processor for a silent one, and send hover itself.
+def be_patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine the service would take a sender that waits for the processor for a silent one, and send hover itself."""
     for limit in ("_SILENT_S", "_STUCK_S", "_READY_S"):
         monkeypatch.setattr(sender_client, limit, 60.0)
+
+
+async def test_setup_brings_the_drone_out_of_bootstrap_key_by_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    be_patient(monkeypatch)
     fake = FakeArDrone()
-    async with linked(fake, further_configuration="general:ardrone_name=test") as drone:
+    async with linked(fake, further_configuration="general:ardrone_name=test", config_timeout_s=30.0) as drone:
         await until(lambda: drone.ready)
         await until(lambda: bool(drone.configuration))
         assert fake.configured_in_order == [*ArDroneOptions(further_configuration="general:ardrone_name=test").configuration()]

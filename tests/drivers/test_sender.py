@@ -29,7 +29,7 @@ from drivers.clock import SystemClock
 from estimator.contracts.commands import TakeOff
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import MonoNs, after
-from tests.drivers.test_link import steer
+from tests.drivers.test_link import be_patient, steer
 from tests.support.fake_ardrone import HOST, FakeArDrone, until
 
 CLOCK = SystemClock()
@@ -154,7 +154,8 @@ async def test_a_service_that_is_killed_or_stopped_leaves_hover_and_the_drone_in
             assert fake.state & nd.NavdataState.FLYING, "given up after hold_s, to the drone's own rules"
 
 
-async def test_a_new_service_takes_over_from_the_sender_that_holds_the_drone() -> None:
+async def test_a_new_service_takes_over_from_the_sender_that_holds_the_drone(monkeypatch: pytest.MonkeyPatch) -> None:
+    be_patient(monkeypatch)
     fake = FakeArDrone()
     async with fake.on_loopback(command_timeout_s=0.12) as options, service(options, fake) as (child, orphan):
         child.kill()
