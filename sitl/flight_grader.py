@@ -14,7 +14,6 @@ from companion.runtime.pilot import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.fault_timer import FaultTimer
-from sitl.faulty_streams import VehicleStreams
 from sitl.safety import (
     BLIND_DESCENT_MAX_M,
     GO_AROUND_PHASES,
@@ -52,7 +51,9 @@ class GradedWorld(Protocol):
     def faults(self) -> FaultTimer: ...
 
     @property
-    def streams(self) -> VehicleStreams: ...
+    def reached(self) -> bool:
+        """Whether commands reach the vehicle."""
+        ...
 
     @property
     def guidance_phase(self) -> str | None: ...
@@ -114,7 +115,7 @@ class FlightGrader:
 
     def step(self) -> None:
         """Note the true state; call it in order of time."""
-        truth, reached = self._world.truth(), not self._world.streams.commands.silent
+        truth, reached = self._world.truth(), self._world.reached
         self._watch.step(truth, reached=reached)
         self._unreached.step(truth, reached=reached)
 
@@ -138,7 +139,7 @@ class FlightGrader:
         """
         world, truth, unreached_m = self._world, self._world.truth(), self._watch.unreached_m
         scenario, refused = world.scenario, self._refused(outcome)
-        self._unreached.step(truth, reached=not world.streams.commands.silent)
+        self._unreached.step(truth, reached=world.reached)
         unreached = self._unreached.at if scenario.unreached_contacts else ()
         unsafe = dangers(self._watch.worst, truth.contacts, self.died, unreached_m, self._unreached_max_m, unreached=unreached)
         worth, because = grade(

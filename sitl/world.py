@@ -161,6 +161,11 @@ class World:
         """Make the vehicle ready to take off again; do nothing unless it lies still on deck."""
         self._vehicle.leave_emergency()
 
+    @property
+    def reached(self) -> bool:
+        """Whether commands reach the vehicle."""
+        return not self.streams.commands.silent
+
     def active(self, kind: str) -> bool:
         """Return whether a fault of this kind is active."""
         return self.faults.active(kind)

@@ -32,8 +32,9 @@ from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
 from sitl.stream_faults import STREAMS
 
-CARRIED = frozenset({*STREAMS, "link_lost", "light_falls"})
-"""Kinds of faults that act on a flight with an autopilot program: those of its streams, and of the light on its camera."""
+CARRIED = frozenset({*STREAMS, "link_lost", "light_falls", "service_killed"})
+"""Kinds of faults that act on a flight with an autopilot program: those of its streams, of the light on its camera, and of the
+service itself."""
 
 
 COMPANION_PORT = 14540
@@ -78,6 +79,7 @@ def run(args: argparse.Namespace, perception: Level) -> int:
     if args.json:
         sys.stdout.write(json.dumps({**ending.as_json(), **_of_autopilot(args.autopilot, end)}) + "\n")
     else:
+        sys.stdout.write("".join(f"{silence.in_words()}\n" for silence in end.silences))
         sys.stdout.write(f"{end.failure or ending.in_words()}\n")
         sys.stdout.write(f"{ending.duration_s:.1f} s from the order to land; {wall_s:.0f} s on the wall clock\n{report}")
     return 0 if ending.good else 1
@@ -88,6 +90,7 @@ def _of_autopilot(name: str, end: FlightEnd) -> dict[str, object]:
     armed_s = None if end.armed_after_contact_s is None else round(end.armed_after_contact_s, 2)
     return {
         "autopilot": name, "failure": end.failure or None, "armed_after_contact_s": armed_s, "failsafes": list(end.failsafes),
+        "silences": [silence.as_json() for silence in end.silences],
     }  # fmt: skip
 
 

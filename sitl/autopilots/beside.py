@@ -31,6 +31,7 @@ class FlightDaemon:
 
     def __init__(self, settings: Settings, pilot: Pilot, clock: Clock, observers: Sequence[Observer] = ()) -> None:
         health = Health(clock)
+        self.pilot = pilot
         self._parts = vehicle_parts(settings, pilot, health, clock)
         self._opened: list[VehicleLink] = []
         options, observers = settings.camera.exposure, (*self._parts.observers, *observers)
@@ -62,6 +63,11 @@ class FlightDaemon:
                 yield link
             finally:
                 self._opened.remove(link)
+
+    @property
+    def open(self) -> bool:
+        """Whether its link to the vehicle is open."""
+        return bool(self._opened)
 
     @property
     def autopilot(self) -> Autopilot | None:

@@ -31,6 +31,8 @@ class FaultyLink:
         self._commands: InTransit[bytes] = InTransit(streams.commands)
         self._to_daemon: Callable[[bytes], None] | None = None
         self._to_program: Callable[[bytes], None] | None = None
+        self.cut = False
+        """Whether nothing passes because there is no service: what is under way arrives nowhere."""
         self.carried: Counter[str] = Counter()
         """Datagrams that came in and that went on: "samples in", "samples out", "commands in", "commands out"."""
 
@@ -42,8 +44,9 @@ class FaultyLink:
             ("commands out", self._commands, self._to_program),
         ):
             while send is not None and (packet := stream.arrived(now)) is not None:
-                self.carried[name] += 1
-                send(packet[1])
+                if not self.cut:
+                    self.carried[name] += 1
+                    send(packet[1])
 
     def from_program(self, data: bytes) -> None:
         """Take a datagram of the program."""
@@ -53,6 +56,8 @@ class FaultyLink:
 
     def from_daemon(self, data: bytes) -> None:
         """Take a datagram of the daemon."""
+        if self.cut:
+            return
         self.carried["commands in"] += 1
         self._commands.send(lambda: data, self._clock.now())
         self.deliver()

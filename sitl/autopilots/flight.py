@@ -8,7 +8,6 @@ daemon and the ground station by MAVLink over UDP.
 from __future__ import annotations
 
 import asyncio
-import math
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,12 +18,11 @@ from typing import Literal
 
 import cv2
 import msgspec
-import numpy as np
 
 from companion.config.model import Settings
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer
-from companion.runtime.pilot import FlightOutcome, Pilot
+from companion.runtime.pilot import FlightOutcome
 from drivers.camera.exposure_law import ExposureSetting
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import mav
@@ -33,7 +31,6 @@ from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
-from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.autopilots import arducopter, px4
 from sitl.autopilots.ardupilot_json import CURVE, STEP_S, JsonBackend, serve_json
@@ -43,15 +40,18 @@ from sitl.autopilots.camera import LockStepCamera
 from sitl.autopilots.faulty_link import FaultyLink
 from sitl.autopilots.graded_body import GradedBody
 from sitl.autopilots.lock_step import LockStepClock
+from sitl.autopilots.operator_view import view_of
 from sitl.autopilots.perceived_body import PerceivedBody
 from sitl.autopilots.program import Program, free_udp_port, running
 from sitl.autopilots.px4_hil import HilBackend, serve_hil
+from sitl.autopilots.service import KillableService
+from sitl.autopilots.silence import Silence
 from sitl.autopilots.stand_in import fly as in_process
 from sitl.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.autopilots.stand_in.base import StandIn
 from sitl.autopilots.stand_in.gimbal import GimbalLink
 from sitl.autopilots.stand_in.px4 import Px4StandIn
-from sitl.autopilots.station import STATION, GroundStation, OperatorView, Task
+from sitl.autopilots.station import STATION, GroundStation, Task
 from sitl.driven_exposure import SimulatedExposure
 from sitl.flight_grader import FlightResult
 from sitl.perception.pixels import Pixels
@@ -108,6 +108,8 @@ class FlightEnd:
     """The graded result of a scenario with faults; None without."""
     armed_after_contact_s: float | None = None
     """Time for which the motors turned after the newest contact; None if they never stopped, or there was none."""
+    silences: tuple[Silence, ...] = ()
+    """What the vehicle did while the service was killed."""
 
     @property
     def failsafes(self) -> tuple[str, ...]:
@@ -144,6 +146,8 @@ class AutopilotFlight:
     link: FaultyLink = field(init=False)
     _camera: LockStepCamera | None = None
     _world: PerceivedBody | None = None
+    _service: KillableService | None = None
+    _silences: list[Silence] = field(default_factory=list)
     _stepped_at: float = 0.0
     _stopped_s: float | None = None
     """When the motors stopped, by the physics' time."""
@@ -182,25 +186,19 @@ class AutopilotFlight:
         from_program, to_station = px4.MAVLINK_PORTS if fixed else (free_udp_port(), free_udp_port())
         to_daemon = free_udp_port() if self.scenario.faults else from_program
         settings = self.service_settings(to_daemon)
-        pilot = self.perception.pilot(settings, self.shadows)
+        service = self._service = KillableService(lambda: self._serving(settings))
         # The world begins before the program does: at the level `truth` the pilot reads it from its first cycle on.
         copter = self.autopilot.name == "arducopter"
         step_s = in_process.STEP_S if self.autopilot.binary is None else STEP_S if copter else px4.STEP_S
         self._make(step_s, CURVE if copter else 0.0)
-        side = FlightDaemon(settings, pilot, self.clock, (*self.observers, self.graded))
-        if self.on_start is not None:
-            self.on_start(side.daemon.health)
         link = LinkOptions(parse_endpoint(f"udpin://{HOST}:{to_station}"))
         failed: Recoverable | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
             frames = self.graded.streams.frames
             camera = self._camera = LockStepCamera(
-                self.clock, side.offer, side.concluded, side.looking, pool, frames, expose=self._expose
+                self.clock, service.offer, service.concluded, service.looking, pool, frames, expose=self._expose
             )
-            if side.exposure is not None and self.body is not None and self.perception.level == "pixels":
-                start = ExposureSetting(self.scenario.camera.exposure_s, 1.0)
-                white_k = settings.camera.exposure.white_balance_k
-                self.body.exposure = SimulatedExposure(side.exposure, start, camera.period_s, white_k, lambda: camera.frames)
+            self._expose_by(service.now, camera)
             async with AsyncExitStack() as stack:
                 links = await stack.enter_async_context(
                     open_links((link,), self.clock, STATION, access=NamedSenders(everybody=True))
@@ -216,10 +214,9 @@ class AutopilotFlight:
                             group.create_task(self._watch(program)),
                             group.create_task(self._listen(links)),
                         ]
-                        daemon = group.create_task(side.daemon.run())
-                        end = await self._conduct(links, side, pilot, daemon)
-                        side.daemon.stop()
-                        await daemon
+                        service.start(group)
+                        end = await self._conduct(links, service, group)
+                        await service.stop()
                         for task in others:
                             task.cancel()
                 except* Recoverable as why:
@@ -228,9 +225,23 @@ class AutopilotFlight:
             raise failed
         return end
 
-    async def _conduct(
-        self, links: Links, side: FlightDaemon, pilot: Pilot, daemon: asyncio.Task[FlightOutcome | None]
-    ) -> FlightEnd:
+    def _serving(self, settings: Settings) -> FlightDaemon:
+        """Return a daemon that knows nothing yet."""
+        pilot = self.perception.pilot(settings, self.shadows)
+        side = FlightDaemon(settings, pilot, self.clock, (*self.observers, self.graded))
+        if self.on_start is not None:
+            self.on_start(side.daemon.health)
+        return side
+
+    def _expose_by(self, side: FlightDaemon, camera: LockStepCamera) -> None:
+        """Let a daemon drive the camera's exposure, where its settings say so."""
+        if side.exposure is None or self.body is None or self.perception.level != "pixels":
+            return
+        start = ExposureSetting(self.scenario.camera.exposure_s, 1.0)
+        white_k = self.settings.camera.exposure.white_balance_k
+        self.body.exposure = SimulatedExposure(side.exposure, start, camera.period_s, white_k, lambda: camera.frames)
+
+    async def _conduct(self, links: Links, service: KillableService, group: asyncio.TaskGroup) -> FlightEnd:
         station, camera = self.station, self._camera
         assert camera is not None
         while station.task is not Task.FAILED:
@@ -238,14 +249,19 @@ class AutopilotFlight:
             if self.body is None:
                 continue
             camera.on = station.task not in (Task.MEET, Task.ARM)
-            for message in station.period(self.clock.now(), self._view(self.body)):
+            for message in station.period(self.clock.now(), view_of(self.body)):
                 links.send(message)
             lost = not self.body.upright
+            if service.gone and not self.graded.active("service_killed"):
+                await service.restart(group)
+                self._expose_by(service.now, camera)
+                self.link.cut = False
+                station.again(self.clock.now())
             if station.began is not None:
                 flown_s = seconds_between(station.began, self.clock.now())
-                if daemon.done() or flown_s > self.scenario.duration_limit_s or lost:
+                if service.ended or flown_s > self.scenario.duration_limit_s or lost:
                     break
-            elif lost or daemon.done():
+            elif lost or service.ended:
                 station.failure = "it turned over or fell into the water before the landing was ordered"
                 break
         await self.clock.sleep(_AFTER_S)
@@ -253,35 +269,19 @@ class AutopilotFlight:
         texts = tuple((seconds_between(self.clock.started, at), component, text) for at, component, text in station.texts)
         landing = None if self.body is None or station.began is None else self.body.landing()
         stopped = None if landing is None or self._stopped_s is None else max(self._stopped_s - landing.t_s, 0.0)
+        pilot, health = service.now.pilot, service.now.daemon.health
         return FlightEnd(
             pilot.outcome,
             landing,
             max(seconds_between(began, self.clock.now()) - _AFTER_S, 0.0),
-            side.daemon.health,
+            health,
             texts,
             self.body is not None and self.body.upright,
             station.failure,
             self.graded.contacts,
-            self.graded.result(pilot, side.daemon.health),
+            self.graded.result(pilot, health),
             stopped,
-        )
-
-    def _view(self, body: Body) -> OperatorView:
-        state, start = body.state(), self.scenario.start
-        yaw = state.R_ned_body.rpy_rad[2]
-        heading = body.R_ned_pad.rpy_rad[2] + math.radians(start.heading_deg)
-        to_pad = Rotation.from_rpy(0.0, 0.0, heading) @ np.array([start.pad_forward_m, start.pad_right_m, start.height_m])
-        level = Rotation.from_rpy(0.0, 0.0, yaw).inv
-        # The ship's steady velocity, without the motion of the pad on the waves.
-        v_start = body.vessel.way_at(body.t_s) if start.with_vessel else np.zeros(3)
-        return OperatorView(
-            level @ (body.p_pad_ned - to_pad - state.p_ned),
-            level @ v_start,
-            level @ (v_start - state.v_ned),
-            yaw,
-            wrap_pi(heading - yaw),
-            float(body.p_pad_ned[2] - state.p_ned[2]),
-            level @ body.v_pad_ned,
+            tuple(self._silences),
         )
 
     async def _listen(self, links: Links) -> None:
@@ -316,6 +316,7 @@ class AutopilotFlight:
             self._stopped_s = body.t_s
         self.clock.advance(body.step_s)
         self.graded.stepped(body, self.station.began)
+        self._leave_alone(body)
         self.link.deliver()
         assert self._camera is not None
         self._camera.stepped(body)
@@ -324,6 +325,18 @@ class AutopilotFlight:
             if exposed > self._told_exposures or self._told is None or seconds_between(self._told, self.clock.now()) >= _TRUTH_S:
                 self._told, self._told_exposures = self.clock.now(), exposed
                 self.on_truth(self.graded.truth())
+
+    def _leave_alone(self, body: Body) -> None:
+        """Kill the service when its time has come, and note what the vehicle does without one."""
+        if self._service is None or not self.graded.active("service_killed"):
+            return
+        now_s, height_m = seconds_between(self.graded.started, self.clock.now()), self.graded.height_m
+        if not self._service.gone:
+            self._service.kill()
+            self.link.cut = True
+            self._silences.append(Silence(now_s, self.graded.guidance_phase, height_m))
+        silence = self._silences[-1]
+        silence.step(now_s - silence.at_s, body.state(), height_m, self.station.mode, len(self.graded.contacts))
 
     async def _settle(self) -> None:
         assert self._camera is not None

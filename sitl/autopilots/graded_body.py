@@ -40,6 +40,8 @@ class GradedBody(NullObserver):
         self.streams = VehicleStreams(self.faults, seed)
         self.guidance_phase: str | None = None
         """Phase of guidance; None before its first decision."""
+        self.height_m = 0.0
+        """Height over the deck's plane at the newest step, where faults are watched."""
         self._settings, self._com_watchdog_s = settings, com_watchdog_s
         self._grader: FlightGrader | None = None
         self._clock = clock
@@ -62,6 +64,11 @@ class GradedBody(NullObserver):
         """Every contact since the order to land."""
         return tuple(self._contacts)
 
+    @property
+    def reached(self) -> bool:
+        """Whether a service's commands reach the vehicle."""
+        return not (self.streams.commands.silent or self.active("service_killed"))
+
     def active(self, kind: str) -> bool:
         """Return whether a fault of this kind is active."""
         return self.faults.active(kind)
@@ -76,6 +83,8 @@ class GradedBody(NullObserver):
         if began is None:
             return
         self.started, now, landing = began, self._clock.now(), body.landing()
+        if self.active("service_killed"):
+            self.guidance_phase = None
         if landing is not None and (self._newest is None or landing.t_s != self._newest.t_s):
             self._newest = landing
             self._contacts.append(self._contact(body, landing, now))
@@ -83,8 +92,8 @@ class GradedBody(NullObserver):
             return
         if self._grader is None:
             self._grader = FlightGrader(self, self._settings, self._com_watchdog_s)
-        height_m = float(body.R_ned_pad.matrix[:, 2] @ (body.p_pad_ned - body.state().p_ned))
-        self.faults.update(seconds_between(began, now), height_m, self.guidance_phase)
+        self.height_m = float(body.R_ned_pad.matrix[:, 2] @ (body.p_pad_ned - body.state().p_ned))
+        self.faults.update(seconds_between(began, now), self.height_m, self.guidance_phase)
         if self._watched is None or seconds_between(self._watched, now) >= _WATCH_EACH_S:
             self._watched = now
             self._grader.step()

@@ -92,7 +92,7 @@ class GroundStation:
         self.mode = ""
         self.armed = False
         self.began: MonoNs | None = None
-        """Instant at which the companion accepted the command to land."""
+        """Instant at which the companion first accepted the command to land."""
         self._joined = JoinedTexts()
         self.texts: deque[tuple[MonoNs, int, str]] = deque(maxlen=400)
         """The STATUSTEXTs as (time, component, text)."""
@@ -117,12 +117,19 @@ class GroundStation:
         elif kind == "COMMAND_ACK":
             self._answered(int(message.command), int(message.result), component, now)
 
+    def again(self, now: MonoNs) -> None:
+        """Bring the vehicle back to the start of the landing and order it once more, because a new companion runs."""
+        if self.armed:
+            self._next(Task.GO, now)
+        else:
+            self._fail("its motors had stopped before the companion was back")
+
     def _answered(self, command: int, result: int, component: int, now: MonoNs) -> None:
         if component == _AUTOPILOT and result != mav.MAV_RESULT_ACCEPTED:
             self.results.append((command, result))
         ordered = command == mav.MAV_CMD_NAV_LAND and component == COMPANION and self.task is Task.ORDER
         if ordered and result in (mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_IN_PROGRESS):
-            self.began = now
+            self.began = self.began or now
             self._next(Task.WATCH, now)
         elif ordered:
             self._fail(f"the companion refused the landing with result {result}")
@@ -176,7 +183,9 @@ class GroundStation:
         size = float(np.linalg.norm(pull))
         v_level = view.v_start_level + pull * min(1.0, 1.5 / max(size, 1e-9))
         rate = min(max(0.8 * wrap_pi(view.turn_rad), -0.5), 0.5)
-        return [velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v_level, rate), view.yaw_rad)]
+        mode = VELOCITY_MODE[self._stack]
+        takes = [set_mode(self._stack, self._autopilot, mode)] if self.mode != mode and self._due("mode", now) else []
+        return [*takes, velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v_level, rate), view.yaw_rad)]
 
     def _order(self, now: MonoNs, view: OperatorView) -> list[Message]:
         self._give_up_after(self._timeouts.order_s, now, "the companion did not answer the order to land")

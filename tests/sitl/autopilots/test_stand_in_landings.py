@@ -6,12 +6,15 @@ import math
 from pathlib import Path
 from typing import Literal
 
+import msgspec
 import pytest
 
 from companion.runtime.pilot import FlightOutcome
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram
+from sitl.faults import ServiceKilled
 from sitl.one_flight import settings_for
 from sitl.perception.levels import perceive
+from sitl.safety import Grade
 from sitl.scenario import load
 
 
@@ -36,3 +39,41 @@ async def test_it_lands_on_a_ship_under_way_and_stops_its_motors_at_once(
     assert end.failsafes == ()
     assert flight.stand_in is not None
     assert not flight.stand_in.armed
+
+
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize(("stack", "modes"), [("px4", ["offboard", "auto.loiter"]), ("arducopter", ["guided"])])
+async def test_it_holds_when_the_service_is_killed_and_a_new_one_lands_it(
+    stack: Literal["px4", "arducopter"], modes: list[str], tmp_path: Path
+) -> None:
+    killed = ServiceKilled(below_height_m=2.5, for_s=4.0)
+    scenario = msgspec.structs.replace(load("moderate"), faults=(killed,))
+    program = AutopilotProgram(stack, None, parameters=(("EKF2_REQ_GPS_H", 2.0),))
+    flight = AutopilotFlight(scenario, 12, settings_for(scenario, None), program, tmp_path, perception=perceive("truth"))
+    end = await flight.fly()
+    (silence,) = end.silences
+    assert silence.modes == modes, "nothing of the dying service came through"
+    assert silence.phase == "descend"
+    assert silence.lasted_s == pytest.approx(4.0, abs=0.01)
+    assert silence.height_m == pytest.approx(2.5, abs=0.02)
+    assert silence.sank_m < 1.0, "the time limit on setpoints at the rate of descent, and the braking"
+    assert silence.stopped_s is not None
+    assert 1.0 < silence.moved_m < 5.0, "the deck's way until it stopped over the ground"
+    assert not silence.touched
+    assert end.outcome is FlightOutcome.LANDED
+    assert end.landing is not None
+    assert end.landing.on_pad
+    assert end.result is not None
+    assert end.result.grade is Grade.ON_PAD
+
+
+async def test_killed_for_good_it_is_left_alone(tmp_path: Path) -> None:
+    killed = ServiceKilled(below_height_m=2.5)
+    scenario = msgspec.structs.replace(load("moderate"), faults=(killed,), duration_limit_s=25.0, expect="refuse")
+    program = AutopilotProgram("arducopter", None)
+    flight = AutopilotFlight(scenario, 12, settings_for(scenario, None), program, tmp_path, perception=perceive("truth"))
+    end = await flight.fly()
+    assert end.outcome is None
+    assert end.contacts == ()
+    assert end.result is not None
+    assert end.result.because.startswith("hovered without a service")

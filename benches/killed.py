@@ -1,0 +1,147 @@
+"""Kill the daemon beside an autopilot at each of five phases, and see what the autopilot does and whether a new daemon lands it.
+
+python -m benches.killed --autopilot {px4,arducopter} [--binary PATH] [--scenario NAME] [--phase NAME ...] [--first SEED]
+    [--seeds N] [--perception truth|model|pixels] [--for SECONDS] [--out FILE]
+
+Every flight is one of `decklander simulate --autopilot` with the fault `service_killed`, in lock step, one after the other.
+`--out` appends each flight as a line of JSON, and flights that such a file has are not flown again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import msgspec
+
+from companion.runtime import event_loop
+from companion.runtime.pilot import FlightOutcome
+from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
+from sitl.autopilots.program import executable
+from sitl.faults import ServiceKilled
+from sitl.one_flight import perception_level, settings_for
+from sitl.perception.levels import perceive
+from sitl.scenario import Scenario, load
+
+CASES = {
+    "intercept": ServiceKilled(in_phase="intercept"),
+    "descend": ServiceKilled(below_height_m=3.0),
+    "gate": ServiceKilled(in_phase="gate"),
+    "commit": ServiceKilled(in_phase="commit"),
+    "press": ServiceKilled(in_phase="press"),
+}
+"""Where it is killed. At the order to land the pad is in sight, so that `search` lasts for no cycle of guidance."""
+_BESIDE_M = 3.0
+"""How far to starboard of it the pad is at the start, so that there is an intercept."""
+
+
+def scenario_of(name: str, phase: str, for_s: float) -> Scenario:
+    """Return the shipped scenario with the daemon killed in a phase."""
+    scenario = load(name)
+    fault = msgspec.structs.replace(CASES[phase], for_s=for_s)
+    start = msgspec.structs.replace(scenario.start, pad_right_m=_BESIDE_M)
+    return msgspec.structs.replace(scenario, faults=(fault,), start=start, unreached_contacts=True)
+
+
+def fly(args: argparse.Namespace, phase: str, seed: int) -> dict[str, Any]:
+    """Fly once, and return what is told of it."""
+    scenario = scenario_of(args.scenario, phase, args.for_s)
+    binary = None if args.binary == "stand-in" else executable(args.binary, args.autopilot)
+    program = AutopilotProgram(args.autopilot, binary)
+    with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
+        flight = AutopilotFlight(
+            scenario, seed, settings_for(scenario, None), program, Path(folder), perception=perceive(args.perception)
+        )
+        end = event_loop.run(flight.fly())
+    return {"phase": phase, "seed": seed, **_told(end)}
+
+
+def _told(end: FlightEnd) -> dict[str, Any]:
+    silence = end.silences[0].as_json() if end.silences else None
+    contact = end.contacts[-1] if end.contacts else None
+    landed = end.outcome is FlightOutcome.LANDED and contact is not None
+    return {
+        "outcome": end.failure or ("time ran out" if end.outcome is None else end.outcome.value),
+        "upright": end.upright,
+        "on_pad": landed and contact is not None and contact.on_pad,
+        "lateral_m": None if contact is None or not landed else round(contact.lateral_m, 4),
+        "into_m_s": None if contact is None or not landed else round(contact.vertical_speed_m_s, 3),
+        "along_m_s": None if contact is None or not landed else round(contact.lateral_speed_m_s, 3),
+        "contacts": len(end.contacts),
+        "silence": silence,
+        "failsafes": list(end.failsafes),
+    }
+
+
+def table(flights: Sequence[dict[str, Any]]) -> str:
+    """Return a table with a row for each phase; ranges are from the least to the largest."""
+    head = (
+        "phase", "landed on the pad", "height at the kill, m", "lowest over the deck, m", "touched it", "sank, m",
+        "over the ground, m", "stopped after, s", "modes", "then error, cm", "into the deck, m/s",
+    )  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for phase in CASES:
+        flown = [f for f in flights if f["phase"] == phase]
+        killed = [f for f in flown if f["silence"] is not None]
+        if not killed:
+            continue
+        quiet, down = [f["silence"] for f in killed], [f for f in killed if f["on_pad"]]
+        cells = (
+            phase, f"{len(down)} of {len(killed)}", _range([q["height_m"] for q in quiet], 2),
+            _range([q["lowest_m"] for q in quiet], 2), f"{sum(q['touched'] for q in quiet)}",
+            _range([q["sank_m"] for q in quiet], 2), _range([q["moved_m"] for q in quiet], 1),
+            _range([q["stopped_s"] for q in quiet if q["stopped_s"] is not None], 1),
+            ", ".join(sorted({" to ".join(q["modes"]) for q in quiet})),
+            _median([100.0 * f["lateral_m"] for f in down], 1), _median([f["into_m_s"] for f in down], 2),
+        )  # fmt: skip
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _range(values: Sequence[float], digits: int) -> str:
+    return f"{min(values):.{digits}f} to {max(values):.{digits}f}" if values else "-"
+
+
+def _median(values: Sequence[float], digits: int) -> str:
+    return f"{median(values):.{digits}f}, {max(values):.{digits}f}" if values else "-"
+
+
+def main() -> int:
+    """Fly and print; return 0 if every flight in which the daemon was killed ended on the pad."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--autopilot", choices=("px4", "arducopter"), required=True)
+    parser.add_argument("--binary", default="stand-in")
+    parser.add_argument("--scenario", default="sea_state_4")
+    parser.add_argument("--phase", nargs="+", choices=tuple(CASES), default=tuple(CASES))
+    parser.add_argument("--first", type=int, default=21)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--perception", type=perception_level, default="pixels")
+    parser.add_argument("--for", dest="for_s", type=float, default=5.0)
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    flights: list[dict[str, Any]] = []
+    if args.out is not None and args.out.exists():
+        flights = [json.loads(line) for line in args.out.read_text().splitlines()]
+    have = {(f["phase"], f["seed"]) for f in flights}
+    for seed in range(args.first, args.first + args.seeds):
+        for phase in args.phase:
+            if (phase, seed) in have:
+                continue
+            flights.append(fly(args, phase, seed))
+            line = json.dumps(flights[-1])
+            sys.stderr.write(line + "\n")
+            if args.out is not None:
+                with args.out.open("a") as out:
+                    out.write(line + "\n")
+    sys.stdout.write(table(flights) + "\n")
+    return 0 if all(f["on_pad"] for f in flights if f["silence"] is not None) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

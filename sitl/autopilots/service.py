@@ -1,0 +1,73 @@
+"""The daemon of a flight as a process that can be killed and started again."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from estimator.contracts.samples import Frame
+from sitl.autopilots.beside import FlightDaemon
+
+
+class KillableService:
+    """One daemon after the other; a new one knows nothing of those before it.
+
+    What a killed daemon still sends while its tasks end must be kept from the vehicle: a killed process sends nothing.
+
+    Args:
+        make: makes a daemon with a pilot of its own.
+    """
+
+    def __init__(self, make: Callable[[], FlightDaemon]) -> None:
+        self._make = make
+        self.now = make()
+        """The newest daemon, be it killed."""
+        self.gone = False
+        """Whether it was killed and no new one runs."""
+        self._task: asyncio.Task[object] | None = None
+        self._offered = self._before = self._unheard = 0
+
+    @property
+    def ended(self) -> bool:
+        """Whether the newest daemon ended its flight by itself."""
+        return not self.gone and self._task is not None and self._task.done()
+
+    def start(self, group: asyncio.TaskGroup) -> None:
+        """Run the daemon in a group of tasks."""
+        self._task = group.create_task(self.now.daemon.run())
+
+    def kill(self) -> None:
+        """Let the daemon be gone from now on."""
+        self.gone = True
+        if self._task is not None:
+            self._task.cancel()
+
+    async def restart(self, group: asyncio.TaskGroup) -> None:
+        """Run a new daemon in the place of a killed one."""
+        if self._task is not None:
+            await asyncio.wait({self._task})
+        self.now, self.gone = self._make(), False
+        self._before, self._unheard = self._offered, 0
+        self.start(group)
+
+    async def stop(self) -> None:
+        """End the daemon and wait until it has ended."""
+        self.now.daemon.stop()
+        if self._task is not None:
+            await asyncio.wait({self._task})
+
+    def offer(self, frame: Frame) -> None:
+        """Give the daemon a frame that has arrived, if there is one that can take it."""
+        self._offered += 1
+        if self.gone or not self.now.open:
+            self._unheard += 1
+        else:
+            self.now.offer(frame)
+
+    def concluded(self) -> int:
+        """Return the number of offered frames that are done with."""
+        return self._offered if self.gone else self._before + self._unheard + self.now.concluded()
+
+    def looking(self) -> bool:
+        """Return whether vision is at work on its thread."""
+        return not self.gone and self.now.looking()
