@@ -18,9 +18,50 @@ void pad_axes(double pitch, double yaw, double by_roll[3], double by_pitch[3])
     by_pitch[0] = -sin(yaw), by_pitch[1] = cos(yaw), by_pitch[2] = 0.0;
 }
 
+/* P = T P T' where T adds A theta to the three states from `state` on. */
+static void add_attitude(double *P, int state, const double A[9])
+{
+    for (int k = 0; k < N; k++) {
+        const double column[3] = {AT(P, ATT_ERR, k), AT(P, ATT_ERR + 1, k), AT(P, ATT_ERR + 2, k)};
+        for (int i = 0; i < 3; i++) {
+            AT(P, state + i, k) += dot(A + 3 * i, column);
+        }
+    }
+    for (int k = 0; k < N; k++) {
+        const double row[3] = {AT(P, k, ATT_ERR), AT(P, k, ATT_ERR + 1), AT(P, k, ATT_ERR + 2)};
+        for (int i = 0; i < 3; i++) {
+            AT(P, k, state + i) += dot(A + 3 * i, row);
+        }
+    }
+}
+
+/* The pad was seen from the body: its corrected place leans as the body does, by whatever the attitude is off. Otherwise corrections
+ * to and fro would teach the filter a tilt that nothing shows (Barrau, Bonnabel, The invariant extended Kalman filter as a stable
+ * observer, IEEE Trans. Automatic Control 62(4), 2017; docs/decisions/056-a-place-leans-with-the-attitude.md). */
+static void lean(const double R[9], const double dx[N], double *P)
+{
+    const double back[3] = {-dx[POS_REL], -dx[POS_REL + 1], -dx[POS_REL + 2]};
+    double across[9], A[9];
+    skew(back, across);
+    product(across, R, A);
+    add_attitude(P, POS_REL, A);
+}
+
+/* The error is an error about the turned attitude, so its axes turn by half the step (Sola, Quaternion kinematics for the error-state
+ * Kalman filter, 2017, eq. 287). */
+static void turn_axes(const double dx[N], double *P)
+{
+    const double half[3] = {-0.5 * dx[ATT_ERR], -0.5 * dx[ATT_ERR + 1], -0.5 * dx[ATT_ERR + 2]};
+    double A[9];
+    skew(half, A);
+    add_attitude(P, ATT_ERR, A);
+}
+
 void correct_belief(belief *b, covariance *c, const double dx[N], double *P)
 {
-    double turn[9], R[9], half[3], G[9];
+    double turn[9], R[9];
+    lean(b->R, dx, P);
+    turn_axes(dx, P);
     for (int i = 0; i < N; i++) {
         b->x[i] += dx[i];
     }
@@ -31,27 +72,6 @@ void correct_belief(belief *b, covariance *c, const double dx[N], double *P)
     product(b->R, turn, R);
     memcpy(b->R, R, sizeof R);
     memcpy(b->R_cov, R, sizeof R);
-    /* The error is an error about the turned attitude, so its axes turn by half the step (Sola, Quaternion kinematics for the
-     * error-state Kalman filter, 2017, eq. 287). */
-    for (int i = 0; i < 3; i++) {
-        half[i] = -0.5 * dx[ATT_ERR + i];
-    }
-    skew(half, G);
-    for (int i = 0; i < 9; i++) {
-        G[i] += i % 4 == 0;
-    }
-    for (int k = 0; k < N; k++) {
-        const double column[3] = {AT(P, ATT_ERR, k), AT(P, ATT_ERR + 1, k), AT(P, ATT_ERR + 2, k)};
-        for (int i = 0; i < 3; i++) {
-            AT(P, ATT_ERR + i, k) = dot(G + 3 * i, column);
-        }
-    }
-    for (int k = 0; k < N; k++) {
-        const double row[3] = {AT(P, k, ATT_ERR), AT(P, k, ATT_ERR + 1), AT(P, k, ATT_ERR + 2)};
-        for (int i = 0; i < 3; i++) {
-            AT(P, k, ATT_ERR + i) = dot(G + 3 * i, row);
-        }
-    }
     c->P = P;
 }
 

@@ -9,7 +9,7 @@ from estimator.ekf.options import EkfOptions
 from estimator.ekf.packed_belief import WITH_AIDING, PackedBelief
 from estimator.ekf.propagate import FilterParams
 from estimator.ekf.so3 import wrap
-from estimator.ekf.state import ATT_ERR, PAD_YAW, VEL_SCALE, Belief, RejectionStreak
+from estimator.ekf.state import ATT_ERR, PAD_YAW, POS_REL, VEL_SCALE, Belief, N, RejectionStreak
 from tests.estimator.ekf.oracle import algebra, motion, so3
 from tests.estimator.ekf.oracle.algebra import Correction
 
@@ -77,9 +77,10 @@ def corrected(b: Belief, dx: F64, P: F64) -> Belief:
     x[VEL_SCALE] = min(max(float(x[VEL_SCALE]), 0.2), 3.0)
     turn = so3.exp(dx[ATT_ERR])
     R = b.R.dot(turn)
+    T = np.eye(N)
+    # The corrected place leans with the attitude (Barrau, Bonnabel 2017).
+    T[POS_REL, ATT_ERR] = -skew(dx[POS_REL]).dot(b.R)
     # The error is now an error about the new attitude, so its axes turn by half the step (Sola 2017, eq. 287).
-    G = np.eye(3) - 0.5 * skew(dx[ATT_ERR])
-    P = P.copy()
-    P[ATT_ERR, :] = G.dot(P[ATT_ERR, :])
-    P[:, ATT_ERR] = P[:, ATT_ERR].dot(G.T)
+    T[ATT_ERR, ATT_ERR] -= 0.5 * skew(dx[ATT_ERR])
+    P = T.dot(P).dot(T.T)
     return b.changed(x=x, P=P, R=R, R_cov=R)
