@@ -67,7 +67,7 @@ def _told(end: FlightEnd) -> dict[str, Any]:
     contact = end.contacts[-1] if end.contacts else None
     landed = end.outcome is FlightOutcome.LANDED and contact is not None
     return {
-        "outcome": end.failure or ("time ran out" if end.outcome is None else end.outcome.value),
+        "outcome": _outcome(end),
         "upright": end.upright,
         "on_pad": landed and contact is not None and contact.on_pad,
         "lateral_m": None if contact is None or not landed else round(contact.lateral_m, 4),
@@ -77,6 +77,14 @@ def _told(end: FlightEnd) -> dict[str, Any]:
         "silence": silence,
         "failsafes": list(end.failsafes),
     }
+
+
+def _outcome(end: FlightEnd) -> str:
+    if end.failure:
+        return end.failure
+    if not end.upright:
+        return "turned over or in the water"
+    return "time ran out" if end.outcome is None else end.outcome.value
 
 
 def table(flights: Sequence[dict[str, Any]]) -> str:

@@ -27,9 +27,12 @@ class FlightDaemon:
 
     Args:
         settings: the daemon's settings, as `beside_autopilot` returns them.
+        once: whether it ends with the first outcome; else it waits for the next flight.
     """
 
-    def __init__(self, settings: Settings, pilot: Pilot, clock: Clock, observers: Sequence[Observer] = ()) -> None:
+    def __init__(
+        self, settings: Settings, pilot: Pilot, clock: Clock, observers: Sequence[Observer] = (), *, once: bool = True
+    ) -> None:
         health = Health(clock)
         self.pilot = pilot
         self._parts = vehicle_parts(settings, pilot, health, clock)
@@ -50,7 +53,7 @@ class FlightDaemon:
             guidance_rate_hz=settings.guidance.rate_hz,
             threads=settings.vision.threads,
             observers=observers,
-            once=True,
+            once=once,
             health=health,
             extras=self._parts.extras,
         )

@@ -186,7 +186,7 @@ class AutopilotFlight:
         from_program, to_station = px4.MAVLINK_PORTS if fixed else (free_udp_port(), free_udp_port())
         to_daemon = free_udp_port() if self.scenario.faults else from_program
         settings = self.service_settings(to_daemon)
-        service = self._service = KillableService(lambda: self._serving(settings))
+        service = self._service = KillableService(lambda once: self._serving(settings, once))
         # The world begins before the program does: at the level `truth` the pilot reads it from its first cycle on.
         copter = self.autopilot.name == "arducopter"
         step_s = in_process.STEP_S if self.autopilot.binary is None else STEP_S if copter else px4.STEP_S
@@ -225,10 +225,10 @@ class AutopilotFlight:
             raise failed
         return end
 
-    def _serving(self, settings: Settings) -> FlightDaemon:
+    def _serving(self, settings: Settings, once: bool) -> FlightDaemon:
         """Return a daemon that knows nothing yet."""
         pilot = self.perception.pilot(settings, self.shadows)
-        side = FlightDaemon(settings, pilot, self.clock, (*self.observers, self.graded))
+        side = FlightDaemon(settings, pilot, self.clock, (*self.observers, self.graded), once=once)
         if self.on_start is not None:
             self.on_start(side.daemon.health)
         return side
@@ -256,12 +256,12 @@ class AutopilotFlight:
                 await service.restart(group)
                 self._expose_by(service.now, camera)
                 self.link.cut = False
-                station.again(self.clock.now())
+                station.again(self.clock.now(), self.graded.height_m)
             if station.began is not None:
                 flown_s = seconds_between(station.began, self.clock.now())
-                if service.ended or flown_s > self.scenario.duration_limit_s or lost:
+                if service.ended(station.task is Task.WATCH) or flown_s > self.scenario.duration_limit_s or lost:
                     break
-            elif lost or service.ended:
+            elif lost or service.ended(ordered=False):
                 station.failure = "it turned over or fell into the water before the landing was ordered"
                 break
         await self.clock.sleep(_AFTER_S)

@@ -15,22 +15,29 @@ class KillableService:
     What a killed daemon still sends while its tasks end must be kept from the vehicle: a killed process sends nothing.
 
     Args:
-        make: makes a daemon with a pilot of its own.
+        make: makes a daemon with a pilot of its own, that ends with the first outcome or, if False, waits for the next flight.
     """
 
-    def __init__(self, make: Callable[[], FlightDaemon]) -> None:
+    def __init__(self, make: Callable[[bool], FlightDaemon]) -> None:
         self._make = make
-        self.now = make()
+        self.now = make(True)
         """The newest daemon, be it killed."""
         self.gone = False
         """Whether it was killed and no new one runs."""
         self._task: asyncio.Task[object] | None = None
         self._offered = self._before = self._unheard = 0
 
-    @property
-    def ended(self) -> bool:
-        """Whether the newest daemon ended its flight by itself."""
-        return not self.gone and self._task is not None and self._task.done()
+    def ended(self, ordered: bool) -> bool:
+        """Return whether the newest daemon ended its flight by itself.
+
+        A new daemon may find a vehicle that stands on the deck, which is the end of a flight but not of the one it is to fly.
+
+        Args:
+            ordered: whether it was ordered to land.
+        """
+        if self.gone or self._task is None:
+            return False
+        return self._task.done() or (ordered and self.now.pilot.outcome is not None)
 
     def start(self, group: asyncio.TaskGroup) -> None:
         """Run the daemon in a group of tasks."""
@@ -46,7 +53,7 @@ class KillableService:
         """Run a new daemon in the place of a killed one."""
         if self._task is not None:
             await asyncio.wait({self._task})
-        self.now, self.gone = self._make(), False
+        self.now, self.gone = self._make(False), False
         self._before, self._unheard = self._offered, 0
         self.start(group)
 

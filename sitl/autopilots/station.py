@@ -27,6 +27,7 @@ _AUTOPILOT = int(mav.MAV_COMP_ID_AUTOPILOT1)
 _REPEAT_S = 1.0
 _HEAVE_M = 2.0
 _CLIMB_M_S = 1.0
+_ON_DECK_M = 0.15
 
 
 class Task(Enum):
@@ -117,12 +118,17 @@ class GroundStation:
         elif kind == "COMMAND_ACK":
             self._answered(int(message.command), int(message.result), component, now)
 
-    def again(self, now: MonoNs) -> None:
-        """Bring the vehicle back to the start of the landing and order it once more, because a new companion runs."""
-        if self.armed:
-            self._next(Task.GO, now)
-        else:
+    def again(self, now: MonoNs, height_m: float) -> None:
+        """Bring the vehicle back to the start of the landing and order it once more, because a new companion runs.
+
+        Args:
+            height_m: height over the pad. From the deck ArduCopter leaves by a take-off alone, PX4 by setpoints.
+        """
+        if not self.armed:
             self._fail("its motors had stopped before the companion was back")
+        else:
+            on_deck = height_m < _ON_DECK_M and self._stack is not Stack.PX4
+            self._next(Task.TAKE_OFF if on_deck else Task.GO, now)
 
     def _answered(self, command: int, result: int, component: int, now: MonoNs) -> None:
         if component == _AUTOPILOT and result != mav.MAV_RESULT_ACCEPTED:
