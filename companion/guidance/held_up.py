@@ -4,7 +4,8 @@ A vehicle that leans against the wind meets the deck with one foot. It turns abo
 tenths of a second, and no step of the accelerometer tells of it. A real PX4 stood on a deck like this for two seconds, with its
 thrust falling and its lean growing. What it does then no flight does: it goes up faster than any of the newest commands asks for,
 and goes on doing so. Commands are remembered for longer than a vehicle takes to answer them, and the least of them counts, so
-that neither a delay nor a step of the commands is a contact. It is for velocities over the ground, an autopilot's.
+that neither a delay nor a step of the commands is a contact. It is for velocities over the ground, an autopilot's, and for the
+same ones to the deck (`to_deck`): a deck that falls faster and faster carries a vehicle down past the least one over the ground.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 ANSWERED_S = 0.7
 """Time within which the slowest vehicle has answered a command, delay and twice the lag, s (configs/responses)."""
+ANSWERS_S = 0.3
+"""Time by which commands lead the deck that they follow: delay and lag of a vehicle, s."""
 LEAST_M_S = 0.3
 """How much faster upward than commanded, m/s. Ground effect close to a deck makes 0.15."""
 HELD_S = 0.25
@@ -42,6 +45,17 @@ def commanded(held: HeldUp, at: MonoNs, down_m_s: float | None) -> HeldUp:
     while len(kept) > 1 and seconds_between(kept[1][0], at) > ANSWERED_S:
         kept = kept[1:]
     return replace(held, commands=(*kept, (at, down_m_s)))
+
+
+def to_deck(held: HeldUp, at: MonoNs, deck_down_m_s: float | None) -> float | None:
+    """Return the speed towards the deck that the vehicle is to fly now, m/s down: by the command that it answers now.
+
+    Args:
+        held: the commands over the ground.
+        deck_down_m_s: the deck's velocity over the ground, m/s down; None if it is not known.
+    """
+    answered = [v for given, v in held.commands if seconds_between(given, at) >= ANSWERS_S]
+    return None if deck_down_m_s is None or not answered else answered[-1] - deck_down_m_s
 
 
 def measured(held: HeldUp, at: MonoNs, down_m_s: float) -> HeldUp:

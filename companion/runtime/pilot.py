@@ -175,7 +175,9 @@ class Pilot:
         self.engage: Callable[[], None] = lambda: None
         """Called when the operator begins, so that the driver may take back a vehicle that a person had taken over."""
         self._contact = ContactWatch()
-        self._held = HeldUp()
+        self._held, self._held_by_deck = HeldUp(), HeldUp()
+        self._deck_down_m_s: float | None = None
+        """The deck's vertical speed over the ground in the newest guidance cycle; None if it is not known."""
         self._impact: Impact | None = None
         self._forecast: Forecast | None = None
         self._lean: tuple[MonoNs, float, float] | None = None
@@ -311,6 +313,7 @@ class Pilot:
     def _knowledge(self, now: MonoNs, relative: RelativeState | None) -> Knowledge:
         """Return what guidance knows at an instant, with the steering path's estimate there."""
         body, deck = self.motion(now)
+        self._deck_down_m_s = None if deck is None else float(deck.v_level[2])
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
             self._forecast = self.forecast(now, HORIZONS_S)
@@ -368,10 +371,7 @@ class Pilot:
             elif type(sample) is VehicleStatus:
                 self._on_status(sample)
             elif type(sample) is BodyVelocity and self._over_ground and self.state not in GROUND:
-                before = self._held.newest
-                self._held = held_up.measured(self._held, sample.stamp.measured_at, float(sample.v_level[2]))
-                if self._held.newest is not before:
-                    self._impact = self._held.newest
+                self._feel_held(sample.stamp.measured_at, float(sample.v_level[2]))
             elif type(sample) is GeoFix or type(sample) is VesselReport:
                 self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
                 if of_ship(sample):
@@ -386,13 +386,24 @@ class Pilot:
         """Process one sample. Return its fusion results, path by path."""
         return self.on_samples((sample,))[0]
 
+    def _feel_held(self, at: MonoNs, down_m_s: float) -> None:
+        """Note the vehicle's vertical speed over the ground, m/s down, against the commands over the ground and to the deck."""
+        ground, deck = self._held, self._held_by_deck
+        self._held = held_up.measured(ground, at, down_m_s)
+        if self._deck_down_m_s is not None:
+            self._held_by_deck = held_up.measured(deck, at, down_m_s - self._deck_down_m_s)
+        for before, after in ((ground, self._held), (deck, self._held_by_deck)):
+            if after.newest is not before.newest:
+                self._impact = after.newest
+
     def _on_status(self, status: VehicleStatus) -> None:
         self._status = status
         if self.state not in GROUND and status.flying is False and (self._impact is None or self._impact.by != "vehicle"):
             self._impact = Impact(status.stamp.measured_at, "vehicle")
         self._mission, changes = reported(self._mission, status, self._guidance)
         if any(change.event is Event.TAKEN_OFF for change in changes):
-            self._contact, self._held, self._impact, self._forecast = ContactWatch(), HeldUp(), None, None
+            self._contact, self._impact, self._forecast = ContactWatch(), None, None
+            self._held, self._held_by_deck = HeldUp(), HeldUp()
             self._law_memory = self._law.start()
             self._response.on_take_off()
         self._changes += changes
@@ -511,6 +522,8 @@ class Pilot:
         if self._over_ground:
             down_m_s = float(chosen.command.v_level[2]) if isinstance(chosen.command, Lean) else None
             self._held = held_up.commanded(self._held, now, down_m_s)
+            to_deck_m_s = held_up.to_deck(self._held, now, self._deck_down_m_s)
+            self._held_by_deck = held_up.commanded(self._held_by_deck, now, to_deck_m_s)
         shadows = tuple(b for b in believed if b.path != steering)
         changes, self._changes = tuple(self._changes), []
         phase, why = chosen.phase or self.phase, chosen.limit or chosen.reason or self._why(belief)

@@ -9,7 +9,7 @@ import pytest
 from msgspec import structs
 
 from companion.guidance.controller import Impact, Knowledge
-from companion.guidance.held_up import HELD_S, HeldUp, commanded, measured
+from companion.guidance.held_up import ANSWERS_S, HELD_S, HeldUp, commanded, measured, to_deck
 from companion.guidance.mission import State
 from companion.guidance.mission_step import mission_step
 from companion.guidance.situation import GuidanceCycle
@@ -70,6 +70,51 @@ def test_a_vehicle_that_goes_with_the_deck_against_its_commands_stands_on_it(dec
     found = contacts(command, (1.0 - stood) * speed + stood * deck_m_s)
     assert found
     assert 3.0 + HELD_S < found[0] < 3.7
+
+
+def contacts_by_deck(command: F64, speed: F64, deck: F64) -> list[float]:
+    """When a contact is found by the speeds to the deck, s."""
+    held, by_deck, found = HeldUp(), HeldUp(), []
+    for k, (u, v, d) in enumerate(zip(command.tolist(), speed.tolist(), deck.tolist(), strict=True)):
+        at, before = MonoNs(round(k * STEP_S * 1e9)), by_deck.newest
+        held = commanded(held, at, u)
+        by_deck = measured(commanded(by_deck, at, to_deck(held, at, d)), at, v - d)
+        if by_deck.newest is not before:
+            found.append(k * STEP_S)
+    return found
+
+
+def test_a_deck_that_falls_faster_and_faster_is_felt_by_the_speeds_to_the_deck() -> None:
+    """The least of the commands over the ground is then that of 0.7 s ago, which the deck has passed."""
+    t = np.arange(0.0, 6.0, STEP_S)
+    deck = -0.5 + 0.4 * np.maximum(t - 2.0, 0.0)
+    command = deck + 0.4 * ANSWERS_S + 0.4
+    stood = np.clip((t - 3.5) / 0.3, 0.0, 1.0)
+    speed = (1.0 - stood) * flown(command, 0.14, 0.12) + stood * deck
+    assert contacts(command, speed) == []
+    found = contacts_by_deck(command, speed, deck)
+    assert found
+    assert 3.5 + HELD_S < found[0] < 4.2
+
+
+@pytest.mark.parametrize(("delay_s", "lag_s"), [(0.14, 0.12), (0.28, 0.2), (0.1, 0.1)])
+@pytest.mark.parametrize("seed", range(4))
+def test_no_flight_is_a_contact_by_the_speeds_to_the_deck(seed: int, delay_s: float, lag_s: float) -> None:
+    """Commands lead the deck by the vehicle's answer, as the law's do; ground effect holds up, the deck's speed is uncertain."""
+    whole = heave(seed)
+    deck = whole - 0.45 * (np.floor(np.arange(whole.size) * STEP_S / 3.0) % 2.0)
+    ahead = round((delay_s + lag_s) / STEP_S)
+    command = np.concatenate((deck[ahead:], np.full(ahead, deck[-1]))) + (whole - deck)
+    speed = flown(command, delay_s, lag_s, push_m_s=-0.1)
+    assert contacts_by_deck(command, speed, deck + 0.05) == contacts_by_deck(command, speed, deck - 0.05) == []
+
+
+def test_to_the_deck_counts_the_command_that_is_answered_now() -> None:
+    held = remembered((0, 0.1), (100, 0.2), (300, 0.5))
+    assert to_deck(held, at_ms(299.9), 0.3) is None
+    assert to_deck(held, at_ms(399.9), 0.3) == pytest.approx(-0.2)
+    assert to_deck(held, at_ms(400), 0.3) == pytest.approx(-0.1)
+    assert to_deck(held, at_ms(400), None) is None
 
 
 def test_nothing_is_found_before_a_command_had_its_time_to_be_flown() -> None:

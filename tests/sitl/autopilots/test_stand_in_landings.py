@@ -9,6 +9,7 @@ from typing import Literal
 import msgspec
 import pytest
 
+from companion.guidance import contact
 from companion.runtime.pilot import FlightOutcome
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram
 from sitl.faults import ServiceKilled
@@ -39,6 +40,22 @@ async def test_it_lands_on_a_ship_under_way_and_stops_its_motors_at_once(
     assert end.failsafes == ()
     assert flight.stand_in is not None
     assert not flight.stand_in.armed
+
+
+@pytest.mark.timeout(400)
+async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_falling_deck(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the speeds over the ground alone this one is not felt: it goes around after it."""
+    monkeypatch.setattr(contact, "LEAST_M_S2", math.inf)
+    scenario = load("sea_state_5")
+    program = AutopilotProgram("px4", None)
+    flight = AutopilotFlight(scenario, 3, settings_for(scenario, None), program, tmp_path, perception=perceive("model"))
+    end = await flight.fly()
+    assert end.outcome is FlightOutcome.LANDED
+    assert [c.surface for c in end.contacts] == ["pad"]
+    assert end.armed_after_contact_s is not None
+    assert end.armed_after_contact_s < 1.0
 
 
 @pytest.mark.timeout(400)
@@ -77,3 +94,21 @@ async def test_killed_for_good_it_is_left_alone(tmp_path: Path) -> None:
     assert end.contacts == ()
     assert end.result is not None
     assert end.result.because.startswith("hovered without a service")
+
+
+@pytest.mark.timeout(400)
+async def test_a_new_service_lands_a_vehicle_that_was_left_on_the_deck_with_its_motors_turning(tmp_path: Path) -> None:
+    killed = ServiceKilled(in_phase="press", for_s=2.0)
+    scenario = msgspec.structs.replace(load("moderate"), faults=(killed,), unreached_contacts=True)
+    program = AutopilotProgram("arducopter", None)
+    flight = AutopilotFlight(scenario, 12, settings_for(scenario, None), program, tmp_path, perception=perceive("truth"))
+    end = await flight.fly()
+    (silence,) = end.silences
+    assert silence.phase == "press"
+    assert silence.lowest_m < 0.06
+    assert end.failure == ""
+    assert end.outcome is FlightOutcome.LANDED
+    assert len(end.contacts) == 2
+    assert all(contact.on_pad for contact in end.contacts)
+    assert flight.stand_in is not None
+    assert not flight.stand_in.armed
