@@ -6,13 +6,14 @@ python -m benches.daemon_memory --minutes 10
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+
+from benches.processes import drone
 
 SETTINGS = """
 [vehicle]
@@ -42,22 +43,15 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--scenario", default="calm")
     args = parser.parse_args()
-    serve = [sys.executable, "-m", "sitl.ardrone.serve", args.scenario]
-    ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        subprocess.Popen([*serve, *ports], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as drone,
-    ):
-        assert drone.stdout is not None
+    with tempfile.TemporaryDirectory() as folder, drone(args.scenario) as ports:
         rig = Path(folder) / "rig.toml"
-        rig.write_text(SETTINGS.format(**json.loads(drone.stdout.readline())["ports"]))
+        rig.write_text(SETTINGS.format(**ports))
         run = [sys.executable, "-m", "companion.cli.main", "run", "--config", str(rig)]
         with subprocess.Popen(run, stderr=subprocess.PIPE, text=True) as daemon:
             watch(daemon.pid, args.minutes)
             daemon.terminate()
             said = daemon.communicate()[1].strip().splitlines()
         print("the daemon's last word:", said[-1] if said else "none")
-        drone.terminate()
 
 
 def watch(pid: int, minutes: float) -> None:

@@ -9,7 +9,6 @@ in 640x360 px, which holds no pad, so vision searches each frame, within its bud
 from __future__ import annotations
 
 import argparse
-import json
 import socket
 import subprocess
 import sys
@@ -17,11 +16,11 @@ import tempfile
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 from benches.daemon_memory import SETTINGS, cpu_s, rss_mb
+from benches.processes import drone
 
 RATES_HZ = (30, 60)
 SIZE = "width=640,height=360"
@@ -78,7 +77,7 @@ class Reading(NamedTuple):
 
 def measured(folder: Path, camera: str, seconds: float) -> Iterator[Reading]:
     """Run the daemon with a camera; yield what each of its processes takes."""
-    with drone() as ports:
+    with drone("calm") as ports:
         rig = folder / "rig.toml"
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
@@ -99,21 +98,6 @@ def measured(folder: Path, camera: str, seconds: float) -> Iterator[Reading]:
             for pid, was in before.items():
                 yield Reading(named(pid, daemon.pid), (cpu_s(pid) - was) / wall_s, rss_mb(pid), rate_hz)
             daemon.terminate()
-
-
-@contextmanager
-def drone() -> Iterator[dict[str, int]]:
-    """Run a simulated drone in its own process while the body runs; yield its ports."""
-    ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
-    serve = [sys.executable, "-m", "sitl.ardrone.serve", "calm", *ports]
-    with subprocess.Popen(serve, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
-        assert child.stdin is not None
-        assert child.stdout is not None
-        try:
-            yield json.loads(child.stdout.readline())["ports"]
-        finally:
-            child.stdin.close()
-            child.wait(20)
 
 
 def looked_at(port: int) -> float:

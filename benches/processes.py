@@ -61,10 +61,11 @@ class Wire:
 
 
 @contextmanager
-def drone(scenario: Path, seed: int, truth: Path) -> Iterator[dict[str, int]]:
+def drone(scenario: Path | str, seed: int = 0, truth: Path | None = None) -> Iterator[dict[str, int]]:
     """Run a simulated drone in its own process while the body runs; yield its ports."""
     ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
-    words = [sys.executable, "-m", "sitl.ardrone.serve", str(scenario), f"--seed={seed}", f"--truth={truth}", *ports]
+    log = [] if truth is None else [f"--truth={truth}"]
+    words = [sys.executable, "-m", "sitl.ardrone.serve", str(scenario), f"--seed={seed}", *log, *ports]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdin is not None
         assert child.stdout is not None
