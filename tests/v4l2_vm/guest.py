@@ -26,10 +26,15 @@ async def scenes() -> None:
 
 async def report(scene: Callable[[], Awaitable[Seen]]) -> None:
     began, before = time.monotonic(), len(os.listdir("/proc/self/fd"))
-    try:
-        seen = await scene()
-    except Exception:
-        seen = {"error": traceback.format_exc()}
+    seen: Seen = {}
+    for last in (False, True):
+        try:
+            seen = await scene()
+        except Exception:
+            seen = {"error": traceback.format_exc()}
+        # The kernel drops a camera on its bus that a starved machine lets wait for seconds; that is no fault of the driver.
+        if last or "no such camera" not in seen.get("error", ""):
+            break
     seen |= {"name": scene.__name__, "took_s": round(time.monotonic() - began, 2)}
     seen["descriptors_left"] = len(os.listdir("/proc/self/fd")) - before
     say(seen)
