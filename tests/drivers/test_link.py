@@ -29,6 +29,10 @@ def video() -> list[bytes]:
     return [u.header.pack() + u.payload for u in clip()[0]]
 
 
+PATIENT = {"navdata_silence_s": 3.0, "reopen_after_s": 30.0, "config_timeout_s": 30.0}
+"""Options of a link whose other channels are not to be lost on a busy machine."""
+
+
 @asynccontextmanager
 async def linked(fake: FakeArDrone, **options: Any) -> AsyncIterator[ArDrone]:
     async with fake.on_loopback(**options) as chosen, open_ardrone(chosen, SystemClock()) as drone:
@@ -45,14 +49,18 @@ async def steer(drone: ArDrone, fake: FakeArDrone) -> None:
     await until(steered)
 
 
+@pytest.fixture(autouse=True)
+def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    be_patient(monkeypatch)
+
+
 def be_patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy machine the service would take a sender that waits for the processor for a silent one, and send hover itself."""
     for limit in ("_SILENT_S", "_STUCK_S", "_READY_S"):
         monkeypatch.setattr(sender_client, limit, 60.0)
 
 
-async def test_setup_brings_the_drone_out_of_bootstrap_key_by_key(monkeypatch: pytest.MonkeyPatch) -> None:
-    be_patient(monkeypatch)
+async def test_setup_brings_the_drone_out_of_bootstrap_key_by_key() -> None:
     fake = FakeArDrone()
     async with linked(fake, further_configuration="general:ardrone_name=test", config_timeout_s=30.0) as drone:
         await until(lambda: drone.ready)
@@ -230,7 +238,7 @@ async def test_a_mistake_of_ours_ends_the_link_loudly(monkeypatch: pytest.Monkey
 async def test_video_lost_and_found_again_alone() -> None:
     fake = FakeArDrone()
     fake.clips = video()
-    async with linked(fake) as drone:
+    async with linked(fake, **PATIENT) as drone:
         await until(lambda: drone.ready)
         fake.drop(fake.video_writers)
         await until(lambda: fake.video_connections >= 2)
@@ -251,7 +259,7 @@ async def test_silent_video_is_opened_again() -> None:
 
 async def test_control_connection_lost_and_found_again_alone() -> None:
     fake = FakeArDrone()
-    async with linked(fake) as drone:
+    async with linked(fake, **PATIENT) as drone:
         await until(lambda: drone.counters.control_reads == 1)
         fake.drop(list(fake.control_writers))
         await until(lambda: drone.counters.control_reads == 2)
