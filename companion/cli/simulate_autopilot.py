@@ -36,7 +36,6 @@ CARRIED = frozenset({*STREAMS, "link_lost", "light_falls", "service_killed"})
 """Kinds of faults that act on a flight with an autopilot program: those of its streams, of the light on its camera, and of the
 service itself."""
 
-
 COMPANION_PORT = 14540
 """The companion's port in the settings that a recording keeps."""
 STAND_IN = "stand-in"

@@ -33,6 +33,7 @@ class CommandChannel:
         self._flew = False
         """A sender of this service has run, and none was refused since, so no other service flies this drone."""
         self._mark: socket.socket | None = None
+        """Tells other services on this machine that the drone is flown by this one."""
 
     @property
     def sender_pid(self) -> int | None:

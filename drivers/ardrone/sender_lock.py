@@ -21,7 +21,7 @@ _ANSWER_S = 0.5
 _BIND_S = 1.0
 _REPLACED_S = 2.0
 """A living service replaces a sender that is lost or stuck within this time, also on a busy machine."""
-_ASK_AGAIN_S = 0.01
+_ASK_AGAIN_S = 0.001
 _RECEIVE_TIMEOUT_S = 0.05
 _CREDENTIALS = struct.Struct("3i")
 """The layout of struct ucred: process, user, group."""
@@ -59,7 +59,7 @@ def claim(name: str, marked: str, *, replaces: bool) -> tuple[socket.socket | No
             sequence, yielded = max(sequence, int(answer)), True
         if time.monotonic() - began > _REPLACED_S + _BIND_S:
             return None, sequence
-        time.sleep(_ASK_AGAIN_S if waits else 0.001)
+        time.sleep(_ASK_AGAIN_S)
 
 
 def _listening(name: str) -> socket.socket | None:

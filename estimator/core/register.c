@@ -162,13 +162,26 @@ static int positive(const double cov[STATES * STATES])
     return 1;
 }
 
+/* Add to the covariance of a found pose what a codec may have moved in the frame, if one predicted it. */
+static void doubt_coded(const task *k, const fit_state *pose, const double H[STATES * STATES], registration *out)
+{
+    solver priors;
+    double of_fit[STATES * STATES], with_prior[POSE * POSE];
+    if (!(k->o->coded_px > 0.0)) {
+        return;
+    }
+    begin_solver(pose, &k->tilt, k->pad->disc_radius_m, &priors);
+    if (covariance_of(&priors, pose, H, of_fit)) {
+        in_camera_axes(pose->R, STATES, of_fit, with_prior);
+        add_coded(k->seen.camera, &k->edges, pose, k->o->coded_px, out->information, with_prior, out->cov);
+    }
+}
+
 /* Write what was found in the camera's axes; 0 if it is no pose in front of the camera, or nothing is known of its errors. */
 static int conclude(const task *k, const fit_solved *s, registration *out, double *outline)
 {
-    double information[POSE * POSE], of_fit[STATES * STATES], with_prior[POSE * POSE], sum = 0.0;
+    double information[POSE * POSE], sum = 0.0;
     fit_state pose = s->state;
-    solver priors;
-    begin_solver(&pose, &k->tilt, k->pad->disc_radius_m, &priors);
     for (int i = 0; i < STATES * STATES; i++) {
         sum += s->cov[i];
     }
@@ -182,10 +195,7 @@ static int conclude(const task *k, const fit_solved *s, registration *out, doubl
     memcpy(out->t, pose.t, sizeof out->t);
     in_camera_axes(pose.R, STATES, s->cov, out->cov);
     in_camera_axes(pose.R, POSE, information, out->information);
-    if (k->o->coded_px > 0.0 && covariance_of(&priors, &pose, s->H, of_fit)) {
-        in_camera_axes(pose.R, STATES, of_fit, with_prior);
-        add_coded(k->seen.camera, &k->edges, &pose, k->o->coded_px, out->information, with_prior, out->cov);
-    }
+    doubt_coded(k, &pose, s->H, out);
     blur_in_frame(&pose, pose.R, out->blur_px2);
     out->noise_light = s->noise_light, out->edge_rms_px = s->edge_rms_px, out->visible = s->visible;
     out->inliers = s->inliers, out->last_step_px = s->last_step_px;
