@@ -16,6 +16,7 @@ from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessLevel, NamedSenders, Source
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.dialect import Message, TimeSyncV2
+from drivers.mavlink.inertial_delay import PARAMETERS, inertial_delay_s
 from drivers.mavlink.joined_texts import JoinedTexts
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import AutopilotOptions
@@ -219,6 +220,8 @@ class Autopilot:
             self.events.append(int(message.id))
         known.streams.on_message(message, received.received_at)
         known.parameters.on_message(message)
+        if name == "PARAM_VALUE":
+            known.sampler.inertial_delay_s = inertial_delay_s(known.identity.stack, known.parameters.values)
         self._offer(known.sampler.samples(message, received.received_at))
         known.streamer.on_condition(known.sampler.condition)
         if name == "LOCAL_POSITION_NED" and known.sampler.positions:
@@ -251,7 +254,7 @@ class Autopilot:
             sync = TimeSync(self._o.timesync)
             clock = BootClock(sync)
             sampler = MavlinkSampler(stack, clock, self._o.samples)
-            parameters = Parameters(stack, self._wanted)
+            parameters = Parameters(stack, self._wanted_of(stack))
             streams, streamer = Streams(RATES_HZ[stack]), SetpointStreamer(identity, self._o)
             self._known = _Known(
                 identity, sync, clock, sampler, streams, parameters, streamer, received.source, received.received_at
@@ -266,10 +269,13 @@ class Autopilot:
             known.lost, known.source = False, received.source
             self._restart_requests(known)
 
+    def _wanted_of(self, stack: Stack) -> tuple[str, ...]:
+        return (*PARAMETERS.get(stack, ()), *self._wanted)
+
     def _restart_requests(self, known: _Known) -> None:
         self.connects += 1
         known.streams.restart()
-        known.parameters.request(self._wanted)
+        known.parameters.request(self._wanted_of(known.identity.stack))
         _log.info("autopilot: heard again, asking for its streams")
 
     async def _tick(self) -> None:

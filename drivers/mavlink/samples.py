@@ -66,6 +66,8 @@ class MavlinkSampler:
         self._clock = clock
         self._o = options or SampleOptions()
         self.ranges = ranges
+        self.inertial_delay_s = 0.0
+        """The time by which gyro and accelerometer are older than the stamps of their messages."""
         self.condition = Condition()
         self.attitude: Attitude | None = None
         """The newest attitude sample."""
@@ -239,7 +241,11 @@ class MavlinkSampler:
             return []
         f_body = np.array([m.xacc, m.yacc, m.zacc]) * (1e-3 * G_M_S2)
         w_body = np.array([m.xgyro, m.ygyro, m.zgyro]) * 1e-3
-        return [Imu(self._clock.stamp(boot_us(m.time_usec), received_at), w_body, f_body)]
+        return [Imu(self._inertial(self._clock.stamp(boot_us(m.time_usec), received_at)), w_body, f_body)]
+
+    def _inertial(self, stamp: Stamp) -> Stamp:
+        earlier = MonoNs(stamp.measured_at - round(self.inertial_delay_s * NS_PER_S))
+        return Stamp(earlier, stamp.received_at, stamp.sigma_s, stamp.source)
 
     def _highres_imu(self, m: Message, received_at: MonoNs) -> list[Sample]:
         moved = m.fields_updated & _ACC_AND_GYRO == _ACC_AND_GYRO
@@ -249,7 +255,7 @@ class MavlinkSampler:
         stamp = self._clock.stamp(boot_us(m.time_usec), received_at)
         out: list[Sample] = []
         if moved:
-            out.append(Imu(stamp, w_body, f_body))
+            out.append(Imu(self._inertial(stamp), w_body, f_body))
         if m.fields_updated & _PRESSURE and _PRESSURE_HPA[0] <= m.abs_pressure <= _PRESSURE_HPA[1]:
             out.append(Baro(stamp, height_of_pressure_m(100.0 * m.abs_pressure), self._o.sigma_baro_m))
         return out

@@ -37,7 +37,7 @@ class Stamp(Struct, frozen=True):
     received_at: MonoNs
     """Instant at which the first byte reached this process."""
     sigma_s: float
-    """One standard deviation of `taken`, seconds."""
+    """One standard deviation of `measured_at`, seconds."""
     source: StampSource
 
     def __post_init__(self) -> None:

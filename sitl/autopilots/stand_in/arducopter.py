@@ -24,10 +24,12 @@ from sitl.autopilots.body import BodyState
 from sitl.autopilots.motors import Motors
 from sitl.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
 from sitl.autopilots.stand_in.cascade import COPTER_GAINS, Cascade
+from sitl.autopilots.stand_in.low_pass import LowPass
 
 DEFAULTS: dict[str, float] = {
     "GUID_TIMEOUT": 3.0, "LAND_SPEED": 50.0, "WPNAV_ACCEL": 250.0, "WPNAV_ACCEL_Z": 100.0, "WPNAV_SPEED_DN": 150.0,
-    "WPNAV_SPEED_UP": 250.0, "PSC_JERK_XY": 5.0, "PSC_JERK_Z": 5.0, "INS_ACCEL_FILTER": 20.0, "PLND_XY_DIST_MAX": 2.5,
+    "WPNAV_SPEED_UP": 250.0, "PSC_JERK_XY": 5.0, "PSC_JERK_Z": 5.0, "INS_ACCEL_FILTER": 20.0, "INS_GYRO_FILTER": 20.0,
+    "PLND_XY_DIST_MAX": 2.5,
     "PLND_ALT_MAX": 8.0, "PLND_ORIENT": 25, "PLND_YAW_ALIGN": 0, "INS_GYR_CAL": 0, "EK3_SRC1_POSXY": 3, "EK3_SRC1_VELXY": 3,
     "EK3_SRC1_POSZ": 1, "EK3_SRC1_VELZ": 3, "EK3_SRC1_YAW": 1, "EK3_RNG_USE_HGT": -1,
     **{f"PLND_CAM_POS_{axis}": 0.0 for axis in "XYZ"},
@@ -62,7 +64,7 @@ class CopterStandIn(StandIn):
         self._take_off_to_m: float | None = None
         self._lift_s = self._idle_s = self._still_s = 0.0
         self._f_slow = np.array([0.0, 0.0, -G_M_S2])
-        self._f_fast = self._f_slow
+        self._f_filtered, self._w_filtered = LowPass(self._f_slow, step_s), LowPass(np.zeros(3), step_s)
         self._target: tuple[float, F64, F64] | None = None
 
     # What is asked of it
@@ -123,14 +125,14 @@ class CopterStandIn(StandIn):
     # What it does
 
     def imu(self, s: BodyState) -> Message:
-        """Return RAW_IMU: accelerations behind the filter of INS_ACCEL_FILTER."""
-        milli = [round(c) for c in (*(self._f_fast / G_M_S2 * 1e3), *(s.w_body * 1e3))]
+        """Return RAW_IMU: readings behind the filters of INS_ACCEL_FILTER and INS_GYRO_FILTER, stamped as they are sent."""
+        milli = [round(1e3 * c) for c in (*(self._f_filtered.value / G_M_S2), *self._w_filtered.value)]
         return mav.MAVLink_raw_imu_message(self.boot_ns // 1000, *milli, 0, 0, 0)
 
     def fly(self, s: BodyState) -> Motors:
         """Return the motors for the body's state."""
-        fast = 1.0 - math.exp(-self.step_s * math.tau * max(self.parameter("INS_ACCEL_FILTER"), 1.0))
-        self._f_fast = self._f_fast + fast * (s.f_body - self._f_fast)
+        self._f_filtered.step(s.f_body, self.parameter("INS_ACCEL_FILTER"))
+        self._w_filtered.step(s.w_body, self.parameter("INS_GYRO_FILTER"))
         self._f_slow = self._f_slow + (1.0 - math.exp(-self.step_s / _ACCEL_MEAN_S)) * (s.f_body - self._f_slow)
         if not self.armed:
             self.landed_state, self._take_off_to_m = ON_GROUND, None

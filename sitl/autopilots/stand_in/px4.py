@@ -31,7 +31,7 @@ DEFAULTS: dict[str, float] = {
     "MPC_Z_VEL_MAX_DN": 1.5, "MPC_Z_VEL_MAX_UP": 3.0, "MPC_THR_MIN": 0.12, "MPC_THR_HOVER": 0.48, "MPC_TILTMAX_LND": 12.0,
     "MIS_TAKEOFF_ALT": 2.5, "EKF2_GPS_CHECK": 1023, "EKF2_REQ_GPS_H": 10.0, "EKF2_REQ_HDRIFT": 0.1, "EKF2_REQ_VDRIFT": 0.2,
     "LNDMC_Z_VEL_MAX": 0.25, "LNDMC_XY_VEL_MAX": 1.5, "LNDMC_TRIG_TIME": 1.0, "MPC_LAND_CRWL": 0.3, "MPC_LAND_SPEED": 0.7,
-    "EKF2_HGT_REF": 1, "EKF2_EV_CTRL": 0,
+    "EKF2_HGT_REF": 1, "EKF2_EV_CTRL": 0, "IMU_INTEG_RATE": 250,
     "PLD_HACC_RAD": 0.2, "PLD_BTOUT": 5.0, "LTEST_MODE": 0, "RTL_PLD_MD": 0, "NAV_RCL_ACT": 2, "COM_RC_IN_MODE": 3,
 }  # fmt: skip
 """PX4's defaults of the parameters that the stand-in reads or that are asked for."""
