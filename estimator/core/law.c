@@ -13,6 +13,9 @@
 static const double LEAN_LEAST_M_S2 = 0.6;
 /* Below this height the pad leaves the picture anyway, and the lean is left alone. */
 static const double VIEW_FROM_M = 0.6;
+/* An estimate that leaps is another one, as when the pad is found again after a while. The observer would come after it for seconds
+ * and fly there; corrections of a pad in view stay below half of this. */
+static const double LEAP_M = 0.5;
 /* The tangent of a larger angle is not asked for. */
 static const double ANGLE_MOST_RAD = 1.2;
 
@@ -45,17 +48,27 @@ static void measure(nose n, const law_cycle *in, const deck_then *here, axis_mea
     }
 }
 
+/* Whether the pad is far from where the axes expect it after dt. */
+static int leapt(double dt, const law_axis was[2], const axis_measured z[2])
+{
+    return hypot(z[0].p - was[0].p - dt * was[0].w, z[1].p - was[1].p - dt * was[1].w) > LEAP_M;
+}
+
 static void observe_axes(const law_params *o, const law_gains *gains, const law_gains *gains_before, const double *observer,
                          const law_cycle *in, const axis_measured z[2], const law_memory *before, law_axis after[2])
 {
+    const int anew = leapt(in->dt, before->axes, z);
     for (int i = 0; i < 2; i++) {
-        const law_axis *was = &before->axes[i];
         if (!in->goes_on) {
-            axis_begin(o->remembered, &z[i], before->begun ? was : NULL, &after[i]);
+            axis_begin(o->remembered, &z[i], before->begun ? &before->axes[i] : NULL, &after[i]);
             continue;
         }
-        const double arrived = law_between(in, was->under_way[gains->tilt_delay - 1], was->under_way[gains_before->tilt_delay - 1]);
-        law_observe(o, observer, in->dt, arrived, was, &z[i], &after[i]);
+        law_axis was = before->axes[i];
+        if (anew) {
+            was.p = z[i].p - in->dt * z[i].w, was.w = z[i].w;
+        }
+        const double arrived = law_between(in, was.under_way[gains->tilt_delay - 1], was.under_way[gains_before->tilt_delay - 1]);
+        law_observe(o, observer, in->dt, arrived, &was, &z[i], &after[i]);
     }
 }
 

@@ -113,6 +113,28 @@ def test_forward_and_right_are_flown_alike(seed: int) -> None:
         np.testing.assert_allclose(one.v_level, other.v_level[[1, 0, 2]], atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("moved", "leapt"), [((3.0, -4.0), True), ((0.31, 0.41), True), ((0.29, 0.39), False), ((0.0, -0.51), True)]
+)
+def test_an_estimate_that_leaps_is_not_come_after_little_by_little(moved: tuple[float, float], leapt: bool) -> None:
+    memory = LAW.start()
+    for k in range(100):
+        memory, _ = stepped(memory, known(k * T, (2.0, 1.0, 1.0), lean=(0.5, -0.3), heading=0.7))
+    before = seen(memory).axes
+    assert before is not None
+    again = known(100 * T, (2.0 + moved[0], 1.0 + moved[1], 1.0), (0.1, -0.2, 0.0), lean=(0.5, -0.3), heading=0.7)
+    memory, _ = stepped(memory, again)
+    after = seen(memory).axes
+    assert after is not None
+    c, s = math.cos(0.7), math.sin(0.7)
+    there = c * (2.0 + moved[0]) - s * (1.0 + moved[1]), s * (2.0 + moved[0]) + c * (1.0 + moved[1])
+    assert (math.dist([axis.seen.p for axis in after], there) < 0.01) is leapt
+    if leapt:
+        assert math.dist([axis.seen.w for axis in after], (c * 0.1 + s * 0.2, s * 0.1 - c * 0.2)) < 0.02
+        assert [axis.seen.d for axis in after] == pytest.approx([axis.seen.d for axis in before], abs=0.01)
+    assert [axis.under_way[1:] for axis in after] == [axis.under_way[:-1] for axis in before]
+
+
 @pytest.mark.parametrize(("silent_s", "kept"), [(0.02, True), (0.5, True), (0.501, False), (0.0, False), (-0.1, False)])
 def test_after_half_a_second_of_silence_it_begins_again_and_keeps_the_wind(silent_s: float, kept: bool) -> None:
     memory = LAW.start()

@@ -30,6 +30,8 @@ from tests.companion.oracle.view import lean_in_view
 
 _GAP_MAX_S = 0.5
 """A silence longer than this makes the observer begin again at what is measured; what it has learned of the wind it keeps."""
+LEAP_M = 0.5
+"""An estimate that leaps by more is another one, and the observer begins there; what it has learned of the wind it keeps."""
 _TURN_MAX_RAD_S = 0.6
 _HEADING_GAIN_1_S = 0.8
 
@@ -178,7 +180,12 @@ class OracleLaw(FollowDeck):
         gains = disturbance.chosen(self.observers, _sigma_m(relative))
         tilt, newest = self.response.tilt, self._tuning(memory.tuning).under_way
 
+        off_m = (z.p - axis.seen.p - dt * axis.seen.w for axis, z in zip(memory.axes, (north, east), strict=True))
+        leapt = math.hypot(*off_m) > LEAP_M
+
         def after(axis: TiltAxis, z: AxisMeasured) -> TiltAxis:
+            if leapt:
+                axis = replace(axis, seen=replace(axis.seen, p=z.p - dt * z.w, w=z.w))
             arrived = axis.under_way[newest - 1]
             if memory.share < 1.0:
                 earlier = axis.under_way[self._tuning(memory.tuning_before).under_way - 1]

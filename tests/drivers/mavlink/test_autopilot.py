@@ -19,6 +19,7 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample, VehicleStatus
+from estimator.contracts.time import seconds_between
 from sitl.autopilots.miniature import EPOCH_NS, MiniatureAutopilot
 from tests.support.fake_ardrone import until
 
@@ -69,6 +70,24 @@ async def test_a_fresh_link_is_asked_for_streams_and_gives_samples(stack: Stack)
         assert abs(offset[0] - EPOCH_NS) < 3e6
         assert all(s.stamp.measured_at <= s.stamp.received_at for s in samples)
         assert autopilot.condition.battery_fraction == 0.83
+
+
+async def test_inertial_readings_are_older_than_their_stamps_by_the_autopilots_filter() -> None:
+    fake = MiniatureAutopilot()
+    fake.parameters["INS_GYRO_FILTER"] = 20.0
+    async with flown(fake) as autopilot:
+        await until(lambda: autopilot.parameters is not None and "INS_GYRO_FILTER" in autopilot.parameters.values)
+        drain(autopilot)
+        ages_s: list[float] = []
+
+        def heard() -> bool:
+            ages_s.extend(
+                seconds_between(s.stamp.measured_at, s.stamp.received_at) for s in drain(autopilot) if isinstance(s, Imu)
+            )
+            return len(ages_s) > 4
+
+        await until(heard)
+        assert min(ages_s) > 0.011
 
 
 async def test_an_autopilot_that_waits_to_be_spoken_to_is_found() -> None:

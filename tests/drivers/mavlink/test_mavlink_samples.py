@@ -11,6 +11,7 @@ import pytest
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.inertial_delay import inertial_delay_s
 from drivers.mavlink.samples import MavlinkSampler
 from drivers.mavlink.timesync import TimeSync
 from drivers.mavlink.vehicle import Stack
@@ -87,6 +88,38 @@ def test_imu_of_both_stacks() -> None:
     (baro,) = px4.samples(message, NOW)
     assert isinstance(baro, Baro)
     assert baro.height_m == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("stack", "values", "delay_ms"),
+    [
+        (Stack.ARDUPILOT, {"INS_GYRO_FILTER": 20.0}, 11.254),
+        (Stack.ARDUPILOT, {"INS_GYRO_FILTER": 40.0}, 5.627),
+        (Stack.ARDUPILOT, {"INS_GYRO_FILTER": 1.0}, 50.0),
+        (Stack.ARDUPILOT, {"INS_GYRO_FILTER": 0.0}, 0.0),
+        (Stack.ARDUPILOT, {"INS_GYRO_FILTER": -20.0}, 0.0),
+        (Stack.ARDUPILOT, {"IMU_INTEG_RATE": 200.0}, 0.0),
+        (Stack.PX4, {"IMU_INTEG_RATE": 200.0}, 2.5),
+        (Stack.PX4, {"INS_GYRO_FILTER": 20.0}, 0.0),
+        (Stack.OTHER, {"INS_GYRO_FILTER": 20.0, "IMU_INTEG_RATE": 200.0}, 0.0),
+    ],
+)
+def test_the_delay_of_inertial_readings_by_parameter(stack: Stack, values: dict[str, float], delay_ms: float) -> None:
+    assert 1e3 * inertial_delay_s(stack, values) == pytest.approx(delay_ms, abs=0.001)
+
+
+def test_a_delay_is_of_inertial_readings_alone() -> None:
+    for s, message in (
+        (sampler(), mav.MAVLink_raw_imu_message(4_000_000, 100, -200, -1000, 10, -20, 30, 0, 0, 0)),
+        (sampler(Stack.PX4), mav.MAVLink_highres_imu_message(4_000_000, 0, 0, -9.8, 0, 0, 0, 0, 0, 0, 1013, 0, 0, 20, 0x23F)),
+    ):
+        s.inertial_delay_s = 0.0125
+        (imu, *others) = s.samples(message, NOW)
+        others += s.samples(attitude(70.0), NOW)
+        assert isinstance(imu, Imu)
+        assert imu.stamp.received_at == NOW
+        assert {o.stamp.measured_at - imu.stamp.measured_at for o in others} <= {12_500_000, 13_000_000}
+        assert others
 
 
 def distance(cm: int, **fields: Any) -> Any:

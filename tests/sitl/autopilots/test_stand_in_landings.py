@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from companion.guidance import contact
+from companion.runtime.observer import Decision, NullObserver
 from companion.runtime.pilot import FlightOutcome
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram
 from sitl.faults import ServiceKilled
@@ -112,3 +113,23 @@ async def test_a_new_service_lands_a_vehicle_that_was_left_on_the_deck_with_its_
     assert all(contact.on_pad for contact in end.contacts)
     assert flight.stand_in is not None
     assert not flight.stand_in.armed
+
+
+class _CameraDelay(NullObserver):
+    """Keeps the camera's delay as the filter has learned it."""
+
+    learned_s = math.nan
+
+    def on_decision(self, decision: Decision) -> None:
+        if decision.belief is not None and decision.belief.sighted is not None:
+            self.learned_s = dict(decision.belief.details).get("camera_delay_s", math.nan)
+
+
+@pytest.mark.timeout(400)
+async def test_an_autopilots_filtered_gyro_is_not_taken_for_a_slow_camera(tmp_path: Path) -> None:
+    scenario, seen = load("moderate"), _CameraDelay()
+    program = AutopilotProgram("arducopter", None)
+    flight = AutopilotFlight(scenario, 24, settings_for(scenario, None), program, tmp_path, [seen], perceive("model"))
+    end = await flight.fly()
+    assert end.outcome is FlightOutcome.LANDED
+    assert abs(seen.learned_s) < 0.012, "as stamped they are 18 ms apart"
