@@ -4,8 +4,8 @@ ArduPilot's RAW_IMU has passed a low-pass filter, a Butterworth one of the secon
 HIGHRES_IMU is the mean over an interval, stamped at its end. Attitude and velocity are not late in either: a filter that is given
 both as they are stamped takes the difference for a camera that is slow.
 
-Sources: ArduPilot, LowPassFilter2p and the parameters INS_GYRO_FILTER and INS_ACCEL_FILTER, equal by default; PX4, HIGHRES_IMU.hpp
-and the parameter IMU_INTEG_RATE.
+Sources: ArduPilot, LowPassFilter2p and the parameters INS_GYRO_FILTER and INS_ACCEL_FILTER, equal by default; PX4,
+HIGHRES_IMU.hpp and the parameter IMU_INTEG_RATE.
 """
 
 from __future__ import annotations
