@@ -31,7 +31,7 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame
-from estimator.vision.thesis.detection import Detection
+from estimator.vision.detection import Detection
 from sitl.autopilots.body import Body
 from sitl.autopilots.miniature import MiniatureAutopilot
 from sitl.autopilots.program import free_udp_port

@@ -22,8 +22,9 @@ sys.path.insert(0, str(ROOT))
 
 from benches.acquisition import image_of, orientation_of, sheet  # noqa: E402
 from benches.search import sure_within  # noqa: E402
-from estimator.vision.detect.acquire import FRAME_WORK, acquire  # noqa: E402
+from estimator.vision.detect.acquire import acquire  # noqa: E402
 from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
+from estimator.vision.tracker_config import FRAME_WORK  # noqa: E402
 from estimator.vision.verified import SURE, verified  # noqa: E402
 from tests.support.pad_claims import keeps_claim  # noqa: E402
 from tests.support.pad_scenes import HALF_HIDDEN, PadScene, load_camera, load_pad, pad_scene  # noqa: E402

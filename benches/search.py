@@ -23,8 +23,9 @@ sys.path.insert(0, str(ROOT))
 
 from benches.acquisition import floor_ms, registered  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
-from estimator.vision.detect.acquire import FRAME_WORK, FRESH_SEARCH, acquire, search  # noqa: E402
+from estimator.vision.detect.acquire import FRESH_SEARCH, acquire, search  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
+from estimator.vision.tracker_config import FRAME_WORK  # noqa: E402
 from tests.support.hard_light import HARD, hard_scene  # noqa: E402
 from tests.support.pad_scenes import PadScene, empty_scene, load_camera  # noqa: E402
 

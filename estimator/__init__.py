@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from estimator.pad_tracker import PadTracker
     from estimator.relative_estimator import RelativeEstimator
     from estimator.vision.camera import Camera
+    from estimator.vision.detection import Detection
     from estimator.vision.pad import Pad
-    from estimator.vision.thesis.detection import Detection
 
 __all__ = [
     "Attitude",
@@ -58,7 +58,7 @@ _HOMES = {
     "relative_estimator": ("RelativeEstimator",),
     "vision.camera": ("Camera",),
     "vision.pad": ("Pad",),
-    "vision.thesis.detection": ("Detection",),
+    "vision.detection": ("Detection",),
 }
 _HOME_OF = {name: f"{__name__}.{home}" for home, names in _HOMES.items() for name in names}
 

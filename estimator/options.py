@@ -1,7 +1,5 @@
 """The estimator's options: which path steers, what is refused at the door, and the numbers of each path."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from msgspec import Struct

@@ -12,10 +12,10 @@ from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
+from estimator.vision.detection import Detection
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pose import SIGMA_DECK_RAD
-from estimator.vision.thesis.detection import Detection
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 
 _NO_STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")

@@ -18,8 +18,8 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
+from estimator.vision.detection import Detection
 from estimator.vision.options import TrackerMethod
-from estimator.vision.thesis.detection import Detection
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from fuzz.target import Choices, Target, block
 from sitl.ardrone.video import Encoder

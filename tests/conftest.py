@@ -43,6 +43,7 @@ SLOW = (
     "tests/companion/test_replay.py",
     "tests/estimator/core/test_library.py",
     "tests/companion/test_fault_domains.py",
+    "tests/companion/test_start.py",
     "tests/estimator/ekf/test_rough.py",
     "tests/companion/test_signals.py",
     "tests/companion/test_safety.py",

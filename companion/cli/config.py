@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 
-from companion.config import reference
-from companion.config.effect import without_effect
+from companion.config import reference, whole_file
 from companion.config.referenced_files import check_files
-from companion.config.settings import Settings, load, shipped
-from companion.config.ship_place import contradiction
+from companion.config.remarks import not_checked, remarks
+from companion.config.settings import load, shipped
 from companion.guidance import mission_page
 from estimator.contracts.errors import BadInput
 
@@ -64,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
             for line in remarks(settings):
                 sys.stdout.write(f"{file}: {line}\n")
     elif args.action == "show":
-        sys.stdout.write(reference.toml(load(args.file)))
+        sys.stdout.write(whole_file.toml(load(args.file)))
     elif args.action == "schema":
         sys.stdout.write(reference.schema())
     elif args.action == "mission":
@@ -72,14 +70,3 @@ def run(args: argparse.Namespace) -> int:
     else:
         sys.stdout.write(reference.reference())
     return 0
-
-
-def remarks(settings: Settings) -> tuple[str, ...]:
-    """Return a line for each thing in good settings that is hardly what their author meant."""
-    found = contradiction(settings)
-    return (*without_effect(settings), *(() if found is None else (f"{found.what}: {found.fix}",)))
-
-
-def not_checked(keys: Sequence[str]) -> str:
-    """Return a remark about settings that name systemd credentials, which exist only inside the unit; "" if there are none."""
-    return f" ({', '.join(keys)}: credentials of the systemd unit, not checked here)" if keys else ""

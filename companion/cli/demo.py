@@ -21,7 +21,7 @@ import numpy as np
 from companion.cli import foxglove_option, page_option, record_option, report_option
 from companion.cli.progress import ProgressObserver
 from companion.cli.version import version
-from companion.config import reference
+from companion.config import whole_file
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load, shipped
 from companion.report.flight_log import FlightLog, TruthSample
@@ -122,7 +122,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                 settings = msgspec.structs.replace(settings, video_stream=_video(args.video))
             pilot = make_pilot(settings, shadows=SHADOWS)
             log = FlightLog(scenario.title, clock.now(), pilot.pad, pilot.camera, steering=settings.estimator.path)
-            log.settings = reference.toml(settings)
+            log.settings = whole_file.toml(settings)
             progress = None if args.json else ProgressObserver()
             observers: list[Observer] = [LogObserver(log)] if progress is None else [LogObserver(log), progress]
             facts = {"kind": "demo", "scenario": args.scenario, "seed": str(args.seed)}

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from companion.cli import record_option, report_option
-from companion.config import reference
+from companion.config import whole_file
 from companion.config.model import Settings
 from companion.config.settings import camera_model, pad_model
 from companion.recorder.recorder import Recorder
@@ -117,5 +117,5 @@ def keeping(
 def _log(settings: Settings, title: str, started: MonoNs) -> FlightLog:
     return FlightLog(
         title, started=started, pad=pad_model(settings), camera=camera_model(settings), steering=settings.estimator.path,
-        settings=reference.toml(settings),
+        settings=whole_file.toml(settings),
     )  # fmt: skip

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import gc
 import importlib
 import os
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from types import ModuleType
 from typing import NoReturn
 
 from companion.runtime import signals
@@ -49,6 +51,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 """Module and one line of help for each command."""
 
+Load = Callable[[str], ModuleType]
 DONE, FAILED, WRONG, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
 
@@ -79,11 +82,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         SystemExit: help or the version was asked for, or the arguments are wrong.
     """
     if argv is not None:
-        return _run(list(argv))
+        return _run(list(argv), importlib.import_module)
     try:
         try:
             signals.install()
-            code = _run(sys.argv[1:])
+            code = _run(sys.argv[1:], _load_for_good)
         except (SystemExit, signals.Stopped):
             raise
         except BaseException as why:  # a bug of ours: told as Python tells it, but no thread that hangs may keep the process
@@ -97,9 +100,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return signals.leave(why.exit_code)
 
 
-def _run(argv: list[str]) -> int:
+def _run(argv: list[str], load: Load) -> int:
     try:
-        code = _dispatch(argv)
+        code = _dispatch(argv, load)
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -124,7 +127,7 @@ def _run(argv: list[str]) -> int:
     return code
 
 
-def _dispatch(argv: list[str]) -> int:
+def _dispatch(argv: list[str], load: Load) -> int:
     parser = Parser(prog="decklander", description="Land a quadcopter on a small helipad on a moving ship.", allow_abbrev=False)
     parser.add_argument("--version", action=_Version)
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
@@ -146,9 +149,22 @@ def _dispatch(argv: list[str]) -> int:
         )
     # No matrix here has more than some thirty rows, and the library would start a thread and set memory aside for each core.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    module = importlib.import_module(COMMANDS[asked][0])
+    module = load(COMMANDS[asked][0])
     module.add_parser(subparsers)
     return int(module.run(parser.parse_args(argv)))
+
+
+def _load_for_good(name: str) -> ModuleType:
+    """Import a module without garbage collections: what an import makes stays, and a collection would visit all of it.
+
+    No later collection of this process visits it either.
+    """
+    gc.disable()
+    try:
+        return importlib.import_module(name)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def _refuse(why: DecklanderError) -> int:

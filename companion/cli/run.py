@@ -7,8 +7,8 @@ import logging
 import sys
 from pathlib import Path
 
-from companion.cli.config import not_checked, remarks
 from companion.config.referenced_files import check_files
+from companion.config.remarks import not_checked, remarks
 from companion.config.settings import Settings, find_file, load, shipped
 from companion.mavlink.options import BridgeOptions
 from companion.runtime import event_loop, memory

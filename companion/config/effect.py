@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from msgspec import NODEFAULT, Struct
+
 from companion.config.model import Settings
-from companion.config.refusal import walk
 from companion.config.ship_place import sources
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput
@@ -160,9 +161,7 @@ _RULES = (
 
 def without_effect(settings: Settings) -> tuple[str, ...]:
     """Return a line for every cause that leaves keys without effect; keys at their default are omitted."""
-    kind = "ardrone" if isinstance(settings.vehicle, ArDroneOptions) else "mavlink"
-    changed = {path for path, field in walk(Settings, kind) if not field.required and _value(settings, path) != field.default}
-    changed.discard("vehicle.kind")
+    changed = set(_changed(settings))
     lines = []
     for rule in _RULES:
         if rule.keys.endswith("."):
@@ -233,10 +232,16 @@ def _without(data: Mapping[str, Any], path: str) -> dict[str, Any]:
     return kept
 
 
-def _value(settings: Settings, path: str) -> object:
-    value: object = settings
-    for name in path.split("."):
-        if name == "kind":
-            return None
-        value = getattr(value, name)
-    return value
+def _changed(table: Struct, prefix: str = "") -> Iterator[str]:
+    """Yield the dotted path of each key whose value is not its default; keys without a default are omitted.
+
+    The structs tell their defaults themselves; to describe the whole model first, as `refusal.walk` does, takes far longer.
+    """
+    names, defaults = table.__struct_fields__, table.__struct_defaults__
+    required = len(names) - len(defaults)
+    for i, name in enumerate(names):
+        value = getattr(table, name)
+        if isinstance(value, Struct):
+            yield from _changed(value, f"{prefix}{name}.")
+        elif i >= required and defaults[i - required] is not NODEFAULT and value != defaults[i - required]:
+            yield prefix + name

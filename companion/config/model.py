@@ -5,8 +5,6 @@ from a file (`companion.config.settings.load`); code that builds these structs i
 AR.Drone 2.0 indoors.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from msgspec import Struct

@@ -1,21 +1,16 @@
-"""Generate pages about the settings: a file with every key, a JSON Schema, and the reference page."""
+"""Generate pages about the settings: a JSON Schema and the reference page."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import msgspec
 from msgspec import inspect
 
 from companion.config.model import Settings
 from companion.config.refusal import described, fields, unit_of, variants
-
-
-def toml(settings: Settings) -> str:
-    """Return a settings file with every key in it, defaults included; reading it gives the same settings."""
-    return "\n".join(_tables(msgspec.to_builtins(settings), ())).lstrip("\n") + "\n"
+from companion.config.whole_file import value_text
 
 
 def schema() -> str:
@@ -36,7 +31,7 @@ def reference() -> str:
     ]
     for path, struct in _structs(described(Settings), ()):
         here = [f for f in fields(struct) if not variants(f.type)]
-        kind = f" with {struct.tag_field} = {_value(struct.tag)}" if struct.tag_field else ""
+        kind = f" with {struct.tag_field} = {value_text(struct.tag)}" if struct.tag_field else ""
         lines += ["", f"## [{'.'.join(path)}]{kind}", "", _meaning(struct), ""]
         if here:
             lines += ["| key | default | range | unit | meaning | source of the default |", "|---|---|---|---|---|---|"]
@@ -54,7 +49,7 @@ def _meaning(struct: inspect.StructType) -> str:
 def _row(name: str, field: inspect.Field) -> str:
     assert isinstance(field.type, inspect.Metadata)
     notes = field.type.extra_json_schema or {}
-    default = "**required**" if field.required else f"`{_value(field.default)}`"
+    default = "**required**" if field.required else f"`{value_text(field.default)}`"
     unit = unit_of(field.type)
     unit = "" if unit in ("1", "id") else unit
     cells = [
@@ -70,7 +65,7 @@ def _row(name: str, field: inspect.Field) -> str:
 
 def _range(node: inspect.Type) -> str:
     if isinstance(node, inspect.LiteralType):
-        return ", ".join(f"`{_value(v)}`" for v in node.values)
+        return ", ".join(f"`{value_text(v)}`" for v in node.values)
     if isinstance(node, inspect.FloatType | inspect.IntType):
         return f"{node.ge:g} to {node.le:g}"
     if isinstance(node, inspect.BoolType):
@@ -84,21 +79,3 @@ def _structs(node: inspect.Type, path: tuple[str, ...]) -> Iterator[tuple[tuple[
             yield path, struct
         for field in struct.fields:
             yield from _structs(field.type, (*path, field.encode_name))
-
-
-def _tables(data: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:
-    plain = {k: v for k, v in data.items() if not isinstance(v, Mapping)}
-    if plain:
-        yield f"\n[{'.'.join(path)}]"
-        yield from (f"{k} = {_value(v)}" for k, v in plain.items())
-    for k, v in data.items():
-        if isinstance(v, Mapping):
-            yield from _tables(v, (*path, k))
-
-
-def _value(value: object) -> str:
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return repr(value)

@@ -20,7 +20,6 @@ import msgspec
 import configs
 from companion.config.effect import refuse_moved, with_moved, without_retired
 from companion.config.model import PadSettings, Settings
-from companion.config.refusal import explain
 from companion.config.secret_files import CREDENTIAL
 from companion.guidance.response import Response, response_from_mapping
 from drivers.ardrone.options import ArDroneOptions
@@ -112,6 +111,8 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False)
     except BadInput as why:
         raise BadInput(f"{where}: {why}") from None
     except msgspec.ValidationError as why:
+        from companion.config.refusal import explain  # it describes the whole model
+
         raise BadInput(f"{where}: {explain(Settings, data, str(why))}") from why
 
 

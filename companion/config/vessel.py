@@ -1,7 +1,5 @@
 """The section [vessel] of the settings: who tells where the ship is, and what of it is believed."""
 
-from __future__ import annotations
-
 import ipaddress
 from typing import Annotated
 

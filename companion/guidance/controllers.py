@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from typing import Any
 
 from msgspec import structs
@@ -77,6 +76,8 @@ _OWN: dict[str, Callable[[ControllerSetup], Controller[Any]]] = {"follow_deck": 
 
 
 def _offered(name: str) -> Callable[[ControllerSetup], Controller[Any]]:
+    from importlib.metadata import entry_points  # it takes longer to load than a controller of ours to make
+
     offered = {entry.name: entry for entry in entry_points(group=GROUP)}
     if name not in offered:
         known = ", ".join(sorted({*_OWN, *offered}))

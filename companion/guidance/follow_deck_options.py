@@ -1,7 +1,5 @@
 """The options of the controller `follow_deck`: the vehicle's response, and the parts of the law that may be left out."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from msgspec import Struct

@@ -1,7 +1,5 @@
 """The mission's options: the cone, the limits of gate and commit, the tries, and the way points of the thesis."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """Guidance's options: when it begins, the position controller's gains and limits; the mission's are in `mission_options`."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal
 

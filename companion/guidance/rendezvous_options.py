@@ -1,7 +1,5 @@
 """The options of the rendezvous: what is believed of the ship's reports, and how the drone flies to her."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

@@ -5,8 +5,6 @@ A tilt command acts after `delay_s` through a lag (rotors) on a damped oscillato
 with u, f, a as accelerations g tan(tilt). A commanded vertical speed acts after its own delay through a first-order lag.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any
 

@@ -1,7 +1,5 @@
 """The options of this program's MAVLink output: the tables [landing_target] and [bridge] of the settings file."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from msgspec import Struct

@@ -1,7 +1,5 @@
 """The section [mqtt] of the settings."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from msgspec import Struct

@@ -1,7 +1,5 @@
 """The options of the limits: geofence, heights and battery."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from msgspec import Struct

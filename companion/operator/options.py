@@ -1,7 +1,5 @@
 """The options of people's commands: who may give them, and how fast manual flight is."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

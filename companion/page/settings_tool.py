@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from companion.config import reference
+from companion.config import whole_file
 from companion.config.address_masks import masked, unmasked
 from companion.config.draft import Draft, check_draft
 from companion.config.model import Settings
@@ -102,7 +102,7 @@ class SettingsTool:
         return self._saved(request, who) if isinstance(request, SaveSettingsRequest) else self._shown()
 
     def _shown(self) -> SettingsText:
-        in_force = masked(reference.toml(self._in_force))
+        in_force = masked(whole_file.toml(self._in_force))
         if self._file is None:
             return SettingsText(text=in_force, in_force=in_force, path="", revision="", refusal=NO_FILE)
         try:
@@ -142,7 +142,7 @@ class SettingsTool:
 
     def _draft(self, text: str) -> tuple[str, Draft]:
         """Return the text with its secrets, and what is to be said of it."""
-        whole = reference.toml(self._in_force)
+        whole = whole_file.toml(self._in_force)
         original = whole if self._file is None else self._file.read()[0]
         path = Path("settings.toml") if self._file is None else self._file.path
         restored = unmasked(text, original)

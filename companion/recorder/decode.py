@@ -33,7 +33,7 @@ from estimator.contracts.samples import (
     VesselReport,
 )
 from estimator.contracts.time import MonoNs, Stamp, StampSource
-from estimator.vision.thesis.detection import Detection
+from estimator.vision.detection import Detection
 
 
 def sample(of: rec.SampleRecord) -> Sample:

@@ -29,7 +29,7 @@ from estimator.contracts.samples import (
     VesselReport,
 )
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.thesis.detection import Detection
+from estimator.vision.detection import Detection
 
 COMMANDS: dict[type[Command], str] = {
     Velocity: "velocity", Lean: "lean", Hover: "hover", TakeOff: "take_off", Land: "land",

@@ -33,8 +33,8 @@ from estimator.contracts.samples import (
 )
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
+from estimator.vision.detection import Detection
 from estimator.vision.pad import Pad
-from estimator.vision.thesis.detection import Detection
 
 Message = tuple[str, int, Struct]
 _TF_PERIOD_S, _REPEAT_S, _ELLIPSOID_S = 0.02, 1.0, 0.1

@@ -1,7 +1,5 @@
 """The recorder's options: the table [recorder] of the settings file."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from msgspec import Struct

@@ -29,8 +29,8 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 from estimator.vision.camera import Camera
+from estimator.vision.detection import Detection
 from estimator.vision.pad import Pad
-from estimator.vision.thesis.detection import Detection
 
 SETTINGS, CAMERA, PAD = "settings.toml", "camera.toml", "pad.toml"
 NOT_UNDERSTOOD = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 
-from companion.config import reference
+from companion.config import whole_file
 from companion.config.model import Settings
 from companion.config.settings import body_camera, find_file, pad_model
 from companion.recorder.mcap_file import About, Attachment
@@ -29,7 +29,7 @@ def about(settings: Settings, flight: Mapping[str, str], offset_ns: int = 0) -> 
     Raises:
         BadInput: the camera or pad file is missing.
     """
-    files = [Attachment(SETTINGS, "application/toml", reference.toml(settings).encode())]
+    files = [Attachment(SETTINGS, "application/toml", whole_file.toml(settings).encode())]
     for name, text, folder in ((CAMERA, settings.camera.file, "cameras"), (PAD, settings.pad.file, "pads")):
         path = find_file(text, folder, Path(), name)
         files.append(Attachment(name, "application/toml", path.read_bytes()))

@@ -25,7 +25,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
-from estimator.vision.thesis.detection import Detection
+from estimator.vision.detection import Detection
 
 _GAP_S = 10.0
 """The longest gap in the recording that is replayed through guidance, s."""

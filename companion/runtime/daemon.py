@@ -16,8 +16,6 @@ from contextlib import AbstractAsyncContextManager
 from functools import partial
 from typing import Protocol
 
-import cv2
-
 from companion.guidance.mission import FAULTS
 from companion.guidance.response_watch import ResponseState
 from companion.operator.orders import HandledOrder
@@ -40,7 +38,7 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.gimbal_history import HeldCamera
-from estimator.vision.thesis.detection import Detection
+from estimator.vision.detection import Detection
 
 log = logging.getLogger(__name__)
 
@@ -115,6 +113,7 @@ class Daemon:
         self._ended = asyncio.Event()
         self._tracker: Worker | None = None
         self._prepare = prepare
+        self._loaded = False
         self._decided = asyncio.Event()
         """Set after the first guidance cycle, which nothing is to delay."""
         self._wrong_size_logged = False
@@ -134,7 +133,6 @@ class Daemon:
         Raises:
             ExceptionGroup: our code has a bug; the vehicle was left in its hover.
         """
-        cv2.setNumThreads(self._threads)
         vital: dict[str, Body] = {"vehicle": self._fly, "guidance": self._guide}
         beside = dict(self._extras)
         if self._health_period_s > 0:
@@ -193,10 +191,7 @@ class Daemon:
                 self._audience.on_fusion(sample.stamp.received_at, result)
 
     async def _read_frames(self, link: VehicleLink) -> None:
-        if self._prepare is not None and self._tracker is not None:
-            await self._decided.wait()
-            prepare, self._prepare = self._prepare, None
-            await self._tracker.run(prepare)
+        await self._load_vision()
         overtaken = 0
         async for frame in link.frames:
             for _ in range(link.frames.replaced - overtaken):
@@ -224,6 +219,20 @@ class Daemon:
             for result in processed.results:
                 self.health.fusion(result)
                 self._audience.on_fusion(processed.done, result)
+
+    async def _load_vision(self) -> None:
+        """Let the thread of vision load and prepare itself once, after the first guidance cycle."""
+        await self._decided.wait()
+        if self._tracker is not None and not self._loaded:
+            self._loaded = True
+            await self._tracker.run(self._prepare_vision)
+
+    def _prepare_vision(self) -> None:
+        import cv2  # a tenth of the service's start, which no guidance cycle waits for
+
+        cv2.setNumThreads(self._threads)
+        if self._prepare is not None:
+            self._prepare()
 
     def _judged(self, verdict: Verdict) -> None:
         self.health.frame(verdict)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from msgspec import structs
 
-from companion.config.learned_file import second_opinion
 from companion.config.model import Settings
 from companion.config.settings import body_camera, camera_model, pad_model, response_model
 from companion.guidance.controller import Controller
@@ -22,8 +21,10 @@ from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import PathName
 from estimator.options import EstimatorOptions
 from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import FRAME_WORK
-from estimator.vision.tracker import TrackerConfig
+from estimator.vision.tracker_config import FRAME_WORK, TrackerConfig
+
+if TYPE_CHECKING:
+    from estimator.vision.learned.second_opinion import SecondOpinion
 
 _MOUNT_LEAST_RAD = math.radians(0.1)
 """The least standard deviation of a calibrated mount: it bends by as much from flight to flight."""
@@ -111,7 +112,11 @@ def tracker(settings: Settings) -> TrackerConfig:
         BadInput: the camera or pad file, or the network for a second opinion, is missing or has a fault.
     """
     vision = settings.vision
-    asked = second_opinion(vision.learned_file, "vision.learned_file") if vision.learned == "second_opinion" else None
+    asked: SecondOpinion | None = None
+    if vision.learned == "second_opinion":
+        from companion.config.learned_file import second_opinion
+
+        asked = second_opinion(vision.learned_file, "vision.learned_file")
     return TrackerConfig(camera_model(settings), pad_model(settings), vision, FRAME_WORK, second_opinion=asked)
 
 

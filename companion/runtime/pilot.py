@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from msgspec import structs
 
@@ -38,7 +38,6 @@ from companion.operator.options import ManualOptions
 from companion.runtime.observer import Decision, DeckOutlook
 from companion.runtime.response_identifier import ResponseIdentifier
 from estimator import pipeline
-from estimator.camera_motion import camera_motion
 from estimator.contracts.commands import Command, Lean
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
@@ -60,10 +59,12 @@ from estimator.ekf import Forecast
 from estimator.gimbal_history import DOWN, HeldCamera
 from estimator.options import EstimatorOptions
 from estimator.vision.camera import Camera
+from estimator.vision.detection import Detection
 from estimator.vision.pad import Pad
-from estimator.vision.rehearsal import rehearse
-from estimator.vision.thesis.detection import Detection
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.tracker_config import TrackerConfig
+
+if TYPE_CHECKING:  # what looks at frames loads OpenCV, and the first guidance cycle does not wait for it
+    from estimator.vision.tracker import TrackerMemory
 
 
 class FlightOutcome(Enum):
@@ -153,7 +154,7 @@ class Pilot:
         self._tracker = tracker
         self._gimballed = gimballed
         self._camera = tracker.camera.held(DOWN) if gimballed else tracker.camera
-        self._tracker_memory = TrackerMemory()
+        self._tracker_memory: TrackerMemory | None = None
         self._memory = pipeline.start(options, shadows)
         self._waiting: list[Sample] = []
         """Samples that the estimator has not processed yet."""
@@ -464,6 +465,8 @@ class Pilot:
 
     def rehearse(self) -> None:
         """Look at a drawn frame, so that the first real one takes no longer than the others. This may run on another thread."""
+        from estimator.vision.rehearsal import rehearse
+
         rehearse(replace(self._tracker, camera=self._camera))
 
     def detect(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
@@ -474,15 +477,19 @@ class Pilot:
         Args:
             held: how the gimbal held the camera at the exposure; None of a camera that is fixed on the body.
         """
+        from estimator.vision.tracker import TrackerMemory, track
+
         believed = pipeline.belief(self._memory, frame.stamp.measured_at)
         tracker = self._tracker
         if held is not None:
             tracker = replace(tracker, camera=tracker.camera.held(held.R_body_gimbal))
             attitude = structs.replace(attitude, cov_body=attitude.cov_body + held.cov_body)
         if tracker.camera.readout_s and believed is not None:
+            from estimator.camera_motion import camera_motion
+
             motion = camera_motion(self._memory, frame.stamp, tracker.camera, believed, held)
             tracker = replace(tracker, motion=motion)
-        seen, self._tracker_memory = track(tracker, self._tracker_memory, frame, attitude, believed)
+        seen, self._tracker_memory = track(tracker, self._tracker_memory or TrackerMemory(), frame, attitude, believed)
         return seen
 
     def on_detection(self, seen: Detection) -> tuple[Verdict, tuple[FusionResult, ...]]:

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from companion.config import reference
+from companion.config import whole_file
 from companion.config.model import Settings
 from companion.runtime.observer import NullObserver, ProcessedFrame
 from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, in_words
@@ -35,7 +35,7 @@ class Proven(NullObserver):
     def __init__(self, settings: Settings, environment: Mapping[str, str] = os.environ) -> None:
         folder = environment.get("RUNTIME_DIRECTORY", "").split(":")[0]
         self._path = Path(folder) / "proven" if folder else None
-        self._digest = hashlib.sha256(reference.toml(settings).encode()).hexdigest()
+        self._digest = hashlib.sha256(whole_file.toml(settings).encode()).hexdigest()
         self._noted = False
 
     @property

@@ -1,7 +1,5 @@
 """The options of restarts, apart from the supervisor that takes them so that settings can be read without loading it."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from msgspec import Struct

@@ -11,7 +11,6 @@ from companion.config.settings import camera_model
 from companion.operator.orders import OrderSender, OrderSource
 from companion.operator.pilot_operator import PilotOperator
 from companion.runtime.daemon import OpenLink
-from companion.runtime.exposure_part import ExposurePart
 from companion.runtime.health import Health
 from companion.runtime.link_with_camera import with_camera
 from companion.runtime.observer import Observer
@@ -78,6 +77,8 @@ def vehicle_parts(
         raise BadInput(f"{settings.camera.file}: {why}") from why
     if not settings.camera.exposure.driven:
         return replace(parts, open_link=with_camera(parts.open_link, settings.camera, size, clock))
+    from companion.runtime.exposure_part import ExposurePart
+
     exposure = ExposurePart(settings.camera.exposure, pilot)
     health.counters("exposure", exposure.counted)
     open_link = with_camera(parts.open_link, settings.camera, size, clock, exposure.attach)

@@ -1,7 +1,5 @@
 """The section [video_stream] of the settings."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from msgspec import Struct

@@ -4,14 +4,13 @@ Floats travel as the signed decimal of the int32 with the same bits; text in dou
 `at_msgs_ids.h` and the developer guide, checked against a log of a real session.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct
-from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, get_type_hints
+from typing import Annotated, Any, ClassVar
+
+from msgspec import Struct
 
 from drivers.ardrone.refusal import Refusal
 
@@ -41,8 +40,7 @@ Text = Annotated[str, _TEXT]
 MaybeInt = Annotated[int | None, _MAYBE_INT]
 
 
-@dataclass(frozen=True, slots=True)
-class Ref:
+class Ref(Struct, frozen=True):
     """Command take-off, landing or emergency; `bits` is the whole word, see `REF_BASE`."""
 
     NAME: ClassVar[str] = "REF"
@@ -59,8 +57,7 @@ class Ref:
         return bool(self.bits & REF_EMERGENCY)
 
 
-@dataclass(frozen=True, slots=True)
-class Pcmd:
+class Pcmd(Struct, frozen=True):
     """Set the sticks, fractions of the configured limits: roll + right, pitch + backward, gaz + up, yaw + clockwise."""
 
     NAME: ClassVar[str] = "PCMD"
@@ -71,8 +68,7 @@ class Pcmd:
     yaw: Float
 
 
-@dataclass(frozen=True, slots=True)
-class PcmdMag:
+class PcmdMag(Struct, frozen=True):
     """`Pcmd` with the pilot's own heading (-1..1 is -180..180 degrees) and its accuracy."""
 
     NAME: ClassVar[str] = "PCMD_MAG"
@@ -85,23 +81,20 @@ class PcmdMag:
     psi_accuracy: Float
 
 
-@dataclass(frozen=True, slots=True)
-class Ftrim:
+class Ftrim(Struct, frozen=True):
     """Take the present attitude as level; it is sent only on the ground."""
 
     NAME: ClassVar[str] = "FTRIM"
 
 
-@dataclass(frozen=True, slots=True)
-class Calib:
+class Calib(Struct, frozen=True):
     """Calibrate a device (0 is the magnetometer: the drone turns in flight)."""
 
     NAME: ClassVar[str] = "CALIB"
     device: Int
 
 
-@dataclass(frozen=True, slots=True)
-class Config:
+class Config(Struct, frozen=True):
     """Set one configuration key."""
 
     NAME: ClassVar[str] = "CONFIG"
@@ -109,8 +102,7 @@ class Config:
     value: Text
 
 
-@dataclass(frozen=True, slots=True)
-class ConfigIds:
+class ConfigIds(Struct, frozen=True):
     """Name the session, user and application whose configuration the next `Config` sets; eight hexadecimal digits each."""
 
     NAME: ClassVar[str] = "CONFIG_IDS"
@@ -119,8 +111,7 @@ class ConfigIds:
     application: Text
 
 
-@dataclass(frozen=True, slots=True)
-class Ctrl:
+class Ctrl(Struct, frozen=True):
     """Make a request by its number; some clients leave the second number out (None)."""
 
     NAME: ClassVar[str] = "CTRL"
@@ -128,15 +119,13 @@ class Ctrl:
     misc: MaybeInt = 0
 
 
-@dataclass(frozen=True, slots=True)
-class ComWdg:
+class ComWdg(Struct, frozen=True):
     """Reset the communication watchdog."""
 
     NAME: ClassVar[str] = "COMWDG"
 
 
-@dataclass(frozen=True, slots=True)
-class Led:
+class Led(Struct, frozen=True):
     """Play a light animation."""
 
     NAME: ClassVar[str] = "LED"
@@ -145,8 +134,7 @@ class Led:
     duration_s: Int
 
 
-@dataclass(frozen=True, slots=True)
-class Anim:
+class Anim(Struct, frozen=True):
     """Play a flight animation."""
 
     NAME: ClassVar[str] = "ANIM"
@@ -154,16 +142,14 @@ class Anim:
     duration_ms: Int
 
 
-@dataclass(frozen=True, slots=True)
-class Pmode:
+class Pmode(Struct, frozen=True):
     """Send PMODE, which is undocumented; clients send 2 at start."""
 
     NAME: ClassVar[str] = "PMODE"
     mode: Int
 
 
-@dataclass(frozen=True, slots=True)
-class Misc:
+class Misc(Struct, frozen=True):
     """Send MISC, which is undocumented; clients send 2, 20, 2000, 3000 at start."""
 
     NAME: ClassVar[str] = "MISC"
@@ -177,8 +163,7 @@ AtCommand = Ref | Pcmd | PcmdMag | Ftrim | Calib | Config | ConfigIds | Ctrl | C
 
 _CLASSES: dict[str, type[Any]] = {cls.NAME: cls for cls in AtCommand.__args__}
 _KINDS: dict[type[Any], tuple[tuple[str, str], ...]] = {
-    cls: tuple((f.name, get_type_hints(cls, include_extras=True)[f.name].__metadata__[0]) for f in fields(cls))
-    for cls in _CLASSES.values()
+    cls: tuple((name, cls.__annotations__[name].__metadata__[0]) for name in cls.__struct_fields__) for cls in _CLASSES.values()
 }
 _NAMED: dict[bytes, tuple[type[Any], list[str]]] = {
     name.encode(): (cls, [kind for _, kind in _KINDS[cls]]) for name, cls in _CLASSES.items()

@@ -4,8 +4,6 @@ Source: Parrot SDK 2.0.1 `navdata_common.h`, checked against a datagram of firmw
 phi right side down, psi clockwise from above.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from msgspec import Struct
@@ -49,7 +47,7 @@ class NavdataTime(Struct, frozen=True):
     time: U32
 
     @staticmethod
-    def of_us(time_us: int) -> NavdataTime:
+    def of_us(time_us: int) -> "NavdataTime":
         """Return the option for a time of the drone's clock, microseconds, wrapped as the drone wraps it."""
         seconds, micros = divmod(time_us, 1_000_000)
         return NavdataTime((seconds % 2048) << 21 | micros)

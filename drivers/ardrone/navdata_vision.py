@@ -3,8 +3,6 @@
 Source: Parrot SDK 2.0.1 `navdata_common.h`, checked against a datagram of firmware 2.4.8.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from msgspec import Struct

@@ -1,7 +1,5 @@
 """Everything about an AR.Drone link that a person may choose."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal
 

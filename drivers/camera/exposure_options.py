@@ -1,7 +1,5 @@
 """The options of the exposure of a camera that we drive: what the table [camera.exposure] says."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from msgspec import Struct

@@ -1,7 +1,5 @@
 """The options of a camera that is not part of the vehicle: what the table [camera] says of a device, a stream or a file."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, get_args
 
 from msgspec import Struct

@@ -3,8 +3,6 @@
 This module imports nothing of the dialect, so that settings can be read without loading it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal
 

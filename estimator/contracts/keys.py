@@ -5,6 +5,9 @@
 
 The class is at once what the part takes and what the settings file may hold: the reader, `config check`, the reference page
 and the JSON Schema use the same declaration.
+
+Modules of options do not postpone the evaluation of their annotations: each reader would compile each of them from text again, a
+tenth of the service's start.
 """
 
 from __future__ import annotations
@@ -13,6 +16,9 @@ from functools import cache
 from typing import Annotated, Literal, get_args, get_origin, get_type_hints
 
 from msgspec import Meta, Struct
+
+_Range = tuple[str, float, float]
+_Choice = tuple[str, tuple[object, ...]]
 
 
 def number(meaning: str, unit: str, low: float, high: float, source: str = "") -> Meta:
@@ -48,28 +54,27 @@ def check_ranges(options: Struct) -> None:
         ValueError: a number outside its declared range or not finite, or a word that is not among the choices.
     """
     kind = type(options).__name__
-    for key, low, high in _ranges(type(options)):
+    ranges, choices = _limits(type(options))
+    for key, low, high in ranges:
         value = getattr(options, key)
         if not low <= value <= high:
             raise ValueError(f"{kind}.{key} must lie in {low:g} to {high:g}, got {value!r}")
-    for key, words in _choices(type(options)):
+    for key, words in choices:
         if getattr(options, key) not in words:
             raise ValueError(f"{kind}.{key} must be one of {', '.join(map(str, words))}, got {getattr(options, key)!r}")
 
 
 @cache
-def _ranges(kind: type[Struct]) -> tuple[tuple[str, float, float], ...]:
-    found: list[tuple[str, float, float]] = []
+def _limits(kind: type[Struct]) -> tuple[tuple[_Range, ...], tuple[_Choice, ...]]:
+    """Return the declared ranges of a class and the words of its choices, key by key."""
+    ranges: list[_Range] = []
+    choices: list[_Choice] = []
     for key, hint in get_type_hints(kind, include_extras=True).items():
-        for note in get_args(hint)[1:] if get_origin(hint) is Annotated else ():
-            if isinstance(note, Meta) and note.ge is not None and note.le is not None:
-                found.append((key, note.ge, note.le))
-    return tuple(found)
-
-
-@cache
-def _choices(kind: type[Struct]) -> tuple[tuple[str, tuple[object, ...]], ...]:
-    return tuple((key, get_args(hint)) for key, hint in get_type_hints(kind).items() if get_origin(hint) is Literal)
+        bare, *notes = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        ranges += [(key, n.ge, n.le) for n in notes if isinstance(n, Meta) and n.ge is not None and n.le is not None]
+        if get_origin(bare) is Literal:
+            choices.append((key, get_args(bare)))
+    return tuple(ranges), tuple(choices)
 
 
 def _notes(unit: str, source: str) -> dict[str, str] | None:

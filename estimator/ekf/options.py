@@ -1,7 +1,5 @@
 """The filter's options: noises, priors, gates, sizes. The defaults suit an AR.Drone 2.0 over a small vessel."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal
 

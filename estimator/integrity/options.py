@@ -1,7 +1,5 @@
 """Limits for plausible inputs. The defaults suit a quadcopter of a few kilograms and 30 frames a second."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The options of the pad tracker."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal
 

@@ -238,10 +238,10 @@ def rectangles_of(letters: Sequence[Lettering]) -> list[Rectangle]:
     sides = [sides_of(letter) for letter in letters]
     if not sides:
         return []
-    cuts = np.unique(np.concatenate([start[:, 1] for start, _ in sides]))
+    cuts = sorted({y_m for start, _ in sides for y_m in start[:, 1].tolist()})
     found: list[Rectangle] = []
     open_at: dict[tuple[float, float], Rectangle] = {}
-    for y0, y1 in pairwise(cuts.tolist()):
+    for y0, y1 in pairwise(cuts):
         merged: list[tuple[float, float]] = []
         for x0, x1 in sorted(span for start, end in sides for span in _spans(start, end, 0.5 * (y0 + y1))):
             if merged and x0 <= merged[-1][1]:

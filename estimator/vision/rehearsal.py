@@ -14,8 +14,8 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.detect.template import paints_at
+from estimator.vision.detection import Detection
 from estimator.vision.pad import Pad
-from estimator.vision.thesis.detection import Detection
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 
 _RADII = 5.0

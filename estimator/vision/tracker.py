@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -26,9 +26,9 @@ from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMe
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
 from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detection import Detection, Opinions
 from estimator.vision.fusion import agree, fuse
-from estimator.vision.learned.second_opinion import WORTH_ASKING, SecondOpinion, lowered, probability
-from estimator.vision.options import TrackerOptions
+from estimator.vision.learned.second_opinion import WORTH_ASKING, lowered, probability
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
@@ -36,9 +36,10 @@ from estimator.vision.pose import Orientation
 from estimator.vision.register.letter_alone import nearest_of_four
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import registered_sighting
-from estimator.vision.rolling import CameraMotion, at_one_instant
-from estimator.vision.thesis.detection import Detection, Opinions, detect
-from estimator.vision.thesis.segmentation import COLOUR_SETS, ColourSet
+from estimator.vision.rolling import at_one_instant
+from estimator.vision.thesis.detection import detect
+from estimator.vision.thesis.segmentation import COLOUR_SETS
+from estimator.vision.tracker_config import TrackerConfig as TrackerConfig
 from estimator.vision.verified import CLOSE, CODED_PX, ROUGH, SURE, Verified, verified
 
 _CLOSE_PX = 1.0
@@ -58,28 +59,6 @@ believed position lie within the sum.
 Much of the belief's uncertainty comes from the attitude and does not show in the frame. A start that is too far off only costs a
 search.
 """
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrackerConfig:
-    """The fixed inputs of vision."""
-
-    camera: Camera
-    pad: Pad
-    options: TrackerOptions = field(default_factory=TrackerOptions)
-    search_work: float = math.inf
-    """Work of a search in one frame; what is left goes on with the next frame (`acquire.FRAME_WORK`). By default each frame is
-    searched to the end.
-    """
-    motion: CameraMotion | None = None
-    """How the camera moves in this frame; None if that is not known, or if all rows are exposed at once."""
-    second_opinion: SecondOpinion | None = None
-    """The trained network that is asked about what a search finds; None to ask none."""
-
-    @property
-    def colours(self) -> ColourSet:
-        """The colour classes of the thesis' methods."""
-        return COLOUR_SETS[self.options.colours]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,9 +92,7 @@ def track(
     """
     frame = _of_one_instant(tracker, memory, frame, attitude, belief)
     if tracker.options.method == "thesis":
-        return detect(
-            frame, attitude, tracker.camera, tracker.pad, tracker.colours, sigma_deck_rad=tracker.options.deck_tilt_sigma_rad
-        ), memory
+        return _by_thesis(tracker, frame, attitude), memory
     pyramid = Pyramid(frame.px)
     best, left = _registered(tracker, memory, frame, pyramid, attitude, belief)
     if tracker.options.method == "registration":
@@ -124,14 +101,17 @@ def track(
         opinions = None if best is None else best.opinions
         seen = Detection(found, None if found is None else "registration", MappingProxyType(methods), opinions)
     else:
-        thesis = detect(
-            frame, attitude, tracker.camera, tracker.pad, tracker.colours, sigma_deck_rad=tracker.options.deck_tilt_sigma_rad
-        )
+        thesis = _by_thesis(tracker, frame, attitude)
         thesis, best = _verify_cues(tracker, memory.paint, frame, pyramid, attitude, thesis, best)
         seen = together(thesis, None if best is None else best.sighting, None if best is None else best.opinions)
     sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= SURE
     yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
     return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad)
+
+
+def _by_thesis(tracker: TrackerConfig, frame: Frame, attitude: Attitude | None) -> Detection:
+    o = tracker.options
+    return detect(frame, attitude, tracker.camera, tracker.pad, COLOUR_SETS[o.colours], sigma_deck_rad=o.deck_tilt_sigma_rad)
 
 
 def _of_one_instant(

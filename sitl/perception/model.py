@@ -28,10 +28,10 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.gimbal_history import HeldCamera
 from estimator.vision.camera import Camera
+from estimator.vision.detection import Detection
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.sighting import sighting_of
-from estimator.vision.thesis.detection import Detection
 from sitl.camera import Exposure
 from sitl.fault import Fault
 from sitl.perception.draw import Chance, detection_table

@@ -28,7 +28,7 @@ from estimator.contracts.samples import Attitude, Frame, Sample, known_attitude
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
 from estimator.gimbal_history import HeldCamera
-from estimator.vision.thesis.detection import Detection
+from estimator.vision.detection import Detection
 from sitl.fault import Fault
 from sitl.perception.draw import detection_table, root_of, symmetric
 from sitl.perception.model import Scenes, model_for

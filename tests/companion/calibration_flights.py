@@ -19,10 +19,10 @@ from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.contracts.samples import Attitude, Frame, Imu
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
+from estimator.vision.detection import Detection
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.sighting import sighting_of
-from estimator.vision.thesis.detection import Detection
 
 GYRO_HZ, VIEW_HZ = 100.0, 10.0
 LEVEL_SIGMA_RAD = math.radians(0.5)

@@ -13,7 +13,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from companion.config import reference
+from companion.config import whole_file
 from companion.config.settings import load
 from companion.recorder.reading import SETTINGS
 
@@ -29,7 +29,7 @@ def small(source: Path, messages: int = 150) -> list[Any]:
     A recording keeps the settings of the version that made it. One that stays for years is refused for a key of then, before
     any of its messages is read.
     """
-    settings = reference.toml(load("sim")).encode()
+    settings = whole_file.toml(load("sim")).encode()
     out: list[Any] = []
     with source.open("rb") as file:
         for record in StreamReader(file).records:

@@ -26,8 +26,8 @@ from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import Stamp, after, seconds_between
 from estimator.gimbal_history import HeldCamera
 from estimator.options import EstimatorOptions
+from estimator.vision.detection import Detection
 from estimator.vision.options import TrackerOptions
-from estimator.vision.thesis.detection import Detection
 from estimator.vision.tracker import TrackerConfig
 
 SIM = load("sim")

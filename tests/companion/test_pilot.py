@@ -22,8 +22,8 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, GeoFix, Imu, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
+from estimator.vision.detection import Detection
 from estimator.vision.options import TrackerOptions
-from estimator.vision.thesis.detection import Detection
 from estimator.vision.tracker import TrackerConfig
 
 SIM = load("sim")

@@ -25,8 +25,8 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
+from estimator.vision.detection import Detection
 from estimator.vision.options import TrackerOptions
-from estimator.vision.thesis.detection import Detection
 from estimator.vision.tracker import TrackerConfig
 
 SIM = load("sim")

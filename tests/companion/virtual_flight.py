@@ -22,7 +22,7 @@ from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Fra
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.gimbal_history import HeldCamera
 from estimator.options import EstimatorOptions
-from estimator.vision.thesis.detection import Detection
+from estimator.vision.detection import Detection
 from tests.companion.test_daemon import EYES
 
 TICK_S = 0.01

@@ -10,7 +10,7 @@ from companion.runtime.observer import ProcessedFrame
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.thesis.detection import Detection
+from estimator.vision.detection import Detection
 
 
 def seen(at: MonoNs, found: bool) -> ProcessedFrame:

@@ -34,9 +34,6 @@ U8 = NDArray[np.uint8]
 
 SURE, ENOUGH = 0.9, 0.5
 """Confidence at which no further hypotheses are tried, and confidence at which no further kinds of hypotheses are tried."""
-FRAME_WORK = 12.0
-"""Work that a search may do in one frame of a flight, in the time of one BGR to HSV conversion and one inRange of a frame of
-640x360."""
 _CLOSE_PX = 2.0
 """Largest error of the farthest edge in view at which registration may start from fiducials directly."""
 _MOST_ALIGNED = 16
@@ -143,7 +140,7 @@ def search(
         paint: learned paints. They only order the search: where the disc stood out by its colour, colour comes first.
         memory: what the search left in the frame before.
         sure: confidence at which no further hypotheses are tried; a value over 1 gives all candidates.
-        budget: work at which the search goes on with the next frame, as `FRAME_WORK`.
+        budget: work at which the search goes on with the next frame, as `tracker_config.FRAME_WORK`.
 
     Raises:
         ValueError: the frame is not of the camera's size.

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from types import MappingProxyType
 
-from msgspec import Struct
 from msgspec.structs import replace
 
 from estimator.contracts.estimates import Feature, Method, Sighting
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
+from estimator.vision.detection import Detection
 from estimator.vision.pad import Pad
 from estimator.vision.pose import SIGMA_DECK_RAD, Marks, Orientation, OrientedCamera, sighting, solve
 from estimator.vision.thesis.arrow import find_arrow
@@ -18,29 +17,6 @@ from estimator.vision.thesis.corners import find_corners
 from estimator.vision.thesis.ellipse import find_disc
 from estimator.vision.thesis.segmentation import ColourSet, segment
 from estimator.vision.thesis.select import choose, with_heading_of
-
-
-class Opinions(Struct, frozen=True):
-    """What was said of the candidate that a detection comes from, where a second opinion was asked."""
-
-    verified: float
-    """Confidence of the verification alone, 0..1."""
-    learned: float
-    """Confidence of the trained network, 0..1; it can lower the other one."""
-
-
-class Detection(Struct, frozen=True, eq=False):
-    """The detection of the pad in one frame."""
-
-    selected: Sighting | None
-    """The chosen method's sighting with `method` "selected"; None if there is none. If both show, the arrow resolves an ambiguous
-    heading.
-    """
-    chosen: Method | None
-    methods: Mapping[Method, Sighting | None]
-    """The sighting of every method that was tried."""
-    opinions: Opinions | None = None
-    """The two opinions on the best registration; None if the second was not asked."""
 
 
 def detect(

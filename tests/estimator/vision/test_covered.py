@@ -7,13 +7,14 @@ import pytest
 
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import FRAME_WORK, SearchMemory, acquire, search
+from estimator.vision.detect.acquire import SearchMemory, acquire, search
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, UNCUT, align, cover
 from estimator.vision.detect.covered import cut_at
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
 from estimator.vision.register.registration import register
+from estimator.vision.tracker_config import FRAME_WORK
 from estimator.vision.verified import CLOSE, SURE, verified
 from tests.support.pad_claims import keeps_claim
 from tests.support.pad_scenes import CONDITIONS, PadScene, pad_scene

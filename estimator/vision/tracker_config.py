@@ -1,0 +1,36 @@
+"""The fixed inputs of vision, apart from vision itself: the service reads them before it loads what looks at frames."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from estimator.vision.camera import Camera
+from estimator.vision.options import TrackerOptions
+from estimator.vision.pad import Pad
+
+if TYPE_CHECKING:
+    from estimator.vision.learned.second_opinion import SecondOpinion
+    from estimator.vision.rolling import CameraMotion
+
+FRAME_WORK = 12.0
+"""Work that a search may do in one frame of a flight, in the time of one BGR to HSV conversion and one inRange of a frame of
+640x360."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerConfig:
+    """The fixed inputs of vision."""
+
+    camera: Camera
+    pad: Pad
+    options: TrackerOptions = field(default_factory=TrackerOptions)
+    search_work: float = math.inf
+    """Work of a search in one frame; what is left goes on with the next frame (`FRAME_WORK`). By default each frame is searched
+    to the end.
+    """
+    motion: CameraMotion | None = None
+    """How the camera moves in this frame; None if that is not known, or if all rows are exposed at once."""
+    second_opinion: SecondOpinion | None = None
+    """The trained network that is asked about what a search finds; None to ask none."""

@@ -1,0 +1,133 @@
+"""The service's start: what the first guidance cycle does not need is loaded after it, and vision before the first frame."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+from msgspec import inspect
+
+from companion.config.model import Settings
+from companion.config.refusal import described
+from companion.guidance.options import GuidanceOptions
+from companion.runtime.daemon import Daemon
+from companion.runtime.observer import Decision
+from companion.runtime.pilot import Pilot
+from companion.runtime.restart_options import RestartOptions
+from estimator.options import EstimatorOptions
+from tests.companion.test_daemon import CLOCK, EYES, Diary, FakeVehicle, until
+
+LATER = ("av", "cv2", "email", "importlib.metadata", "msgspec.inspect", "numpy.ma", "estimator.vision.tracker")
+"""Modules that take long to load and that no guidance cycle needs."""
+PROBE = """
+import sys
+from companion.cli import main, run
+from companion.runtime.daemon import Daemon
+
+def first(self, decision):
+    print(*sorted(set(sys.argv[2].split(",")) & set(sys.modules)))
+    self.stop()
+
+Daemon._tell = first
+sys.exit(run.run(main.Parser().parse_args([], main.argparse.Namespace(config=sys.argv[1], check=False, once=False))))
+"""
+
+
+def ran(code: str, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_the_first_guidance_cycle_waits_for_nothing_that_it_does_not_need(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    ports = "navdata_port = 45654\nvideo_port = 45655\nat_port = 45656\ncontrol_port = 45659"
+    rig.write_text(
+        f'[vehicle]\nkind = "ardrone"\nhost = "127.0.0.1"\n{ports}\n[camera]\nfile = "sim"\n[pad]\nfile = "thesis"\n'
+        '[operator]\nsocket = "off"\n'
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", PROBE, str(rig), "", ",".join(LATER)], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "\n"
+
+
+def test_a_command_is_loaded_without_collections_and_out_of_their_sight() -> None:
+    probe = (
+        "import gc, sys\nfrom companion.cli import main\nstarted = []\n"
+        "gc.callbacks.append(lambda phase, info: started.append(phase))\n"
+        "main.signals.leave = lambda code: code\nsys.argv = ['decklander', 'run', '--config', 'sim', '--check']\n"
+        "load = main.importlib.import_module\n"
+        "def loaded(name):\n    started.clear()\n    module = load(name)\n    print(len(started))\n    return module\n"
+        "main.importlib.import_module = loaded\ncode = main.main()\nprint(gc.isenabled(), gc.get_freeze_count() > 10_000, code)\n"
+    )
+    done = ran(probe)
+    lines = done.stdout.splitlines()
+    assert (lines[0], lines[-1]) == ("0", "True True 0"), done
+
+
+class Order(Diary):
+    """Notes decisions into a list that the preparation of vision shares."""
+
+    def __init__(self, order: list[str]) -> None:
+        super().__init__()
+        self._order = order
+
+    def on_decision(self, decision: Decision) -> None:
+        super().on_decision(decision)
+        self._order.append("decided")
+
+
+async def test_vision_is_prepared_once_on_its_own_thread_between_the_first_cycle_and_the_first_frame() -> None:
+    vehicle, order = FakeVehicle(), list[str]()
+
+    class Looks(Pilot):
+        def detect(self, *args: object, **named: object) -> object:  # type: ignore[override]
+            order.append(f"looked with {cv2.getNumThreads()}")
+            return super().detect(*args, **named)  # type: ignore[arg-type]
+
+    daemon = Daemon(
+        vehicle.open,
+        Looks(EYES, EstimatorOptions(), GuidanceOptions()),
+        CLOCK,
+        restart=RestartOptions(0.01, 1.0, 0.01, 5.0),
+        guidance_rate_hz=50.0,
+        threads=1,
+        observers=[Order(order)],
+        prepare=lambda: order.append(threading.current_thread().name),
+    )
+    cv2.setNumThreads(2)
+    async with asyncio.TaskGroup() as group:
+        group.create_task(daemon.run())
+        await until(lambda: "vision" in order)
+        for seq in (1, 2):
+            for _ in range(2):  # the exposure lies between two attitudes
+                vehicle.say(flying=True)
+                await asyncio.sleep(0.04)
+            vehicle.film(seq, late_s=0.05)
+            await until(lambda n=seq: sum(entry.startswith("looked") for entry in order) == n)  # type: ignore[misc]
+        daemon.stop()
+    assert order[0] == "decided"
+    assert order.count("vision") == 1
+    assert order.index("vision") < order.index("looked with 1")
+    assert "looked with 2" not in order
+
+
+def option_classes(node: inspect.Type) -> set[type[Any]]:
+    if isinstance(node, inspect.Metadata):
+        return option_classes(node.type)
+    if isinstance(node, inspect.UnionType):
+        return set[type[Any]]().union(*(option_classes(one) for one in node.types))
+    if isinstance(node, inspect.StructType):
+        return {node.cls}.union(*(option_classes(field.type) for field in node.fields))
+    return set()
+
+
+@pytest.mark.parametrize("kind", sorted(option_classes(described(Settings)), key=str))
+def test_annotations_of_options_are_no_text_which_each_start_would_compile(kind: type) -> None:
+    assert [name for name, hint in kind.__annotations__.items() if isinstance(hint, str)] == []
