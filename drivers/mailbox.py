@@ -94,12 +94,16 @@ class Line(Generic[T]):
                 raise self._end
             self._ready.clear()
 
+    def waiting(self) -> list[T]:
+        """Take all items that wait, the oldest first, without waiting for one."""
+        items = list(self._items)
+        self._items.clear()
+        return items
+
     async def together(self) -> AsyncIterator[list[T]]:
         """Wait for items, and yield all that wait together, the oldest first."""
         while True:
-            items = [await self.get(), *self._items]
-            self._items.clear()
-            yield items
+            yield [await self.get(), *self.waiting()]
 
     async def __aiter__(self) -> AsyncIterator[T]:
         while True:

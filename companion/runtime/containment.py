@@ -98,9 +98,10 @@ class Audience:
         self._decisions = [(guard(o, "on_decision"), o.on_decision) for o in observers]
         self._orders = [(guard(o, "on_order"), o.on_order) for o in observers]
 
-    def on_sample(self, sample: Sample) -> None:
+    def on_samples(self, samples: Sequence[Sample]) -> None:
         for guard, method in self._samples:
-            guard.call(method, sample)
+            for sample in samples:
+                guard.call(method, sample)
 
     def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
         for guard, method in self._results:

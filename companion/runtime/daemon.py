@@ -167,19 +167,28 @@ class Daemon:
                 self._link = None
 
     async def _read_samples(self, link: VehicleLink) -> None:
+        """Take the samples that nobody asked for: guidance and vision take what waits just before they need it.
+
+        Most of the time that the loop spends on a datagram is spent on waking for it, hundreds of times a second.
+        """
         async for samples in link.samples.together():
             self._take(samples)
+            await self._clock.sleep(self._period_s)
+
+    def _take_waiting(self) -> None:
+        if self._link is not None and len(self._link.samples):
+            self._take(self._link.samples.waiting())
 
     async def _read_reports(self, reports: Line[Sample]) -> None:
         async for samples in reports.together():
             self._take(samples)
 
     def _take(self, samples: Sequence[Sample]) -> None:
-        waiting = self._pilot.take_samples(samples)
+        waiting, now = self._pilot.take_samples(samples), self._clock.now()
         for sample in samples:
-            place_of_ship = isinstance(sample, GeoFix) and sample.whose == "vessel"
-            self.health.beat(SHIP_PLACE if place_of_ship else type(sample).__name__)
-            self._audience.on_sample(sample)
+            place_of_ship = type(sample) is GeoFix and sample.whose == "vessel"
+            self.health.beat(SHIP_PLACE if place_of_ship else type(sample).__name__, now)
+        self._audience.on_samples(samples)
         if waiting >= WAITING_MOST:
             self._report_fused()
 
@@ -197,8 +206,9 @@ class Daemon:
             for _ in range(link.frames.replaced - overtaken):
                 self._judged(Verdict.REPLACED)
             overtaken = link.frames.replaced
-            self.health.beat("Frame")
-            if not self._share.admits(self._clock.now()):
+            now = self._clock.now()
+            self.health.beat("Frame", now)
+            if not self._share.admits(now):
                 self.health.frame(Verdict.SKIPPED)
                 continue
             try:
@@ -281,6 +291,7 @@ class Daemon:
         """
         attitude, held = None, None
         for _ in range(_ATTITUDE_TRIES):
+            self._take_waiting()
             attitude = self._pilot.attitude_at(frame.stamp)
             held = None if attitude is None else self._pilot.held_at(frame.stamp, attitude)
             if attitude is None:
@@ -307,8 +318,9 @@ class Daemon:
 
     async def _guide(self) -> None:
         while True:
+            self._take_waiting()
             began = self._clock.now()
-            self.health.beat("Decision")
+            self.health.beat("Decision", began)
             decision = self._pilot.decide(began)
             self._decided.set()
             decided = self._clock.now()

@@ -292,9 +292,12 @@ class Health:
         for stage, seconds in times.by_stage():
             self.delay(stage, seconds)
 
-    def beat(self, flow: str) -> None:
-        """Count one arrival of a kind of data."""
-        self.flows.setdefault(flow, Flow()).beat(self._clock.now())
+    def beat(self, name: str, now: MonoNs | None = None) -> None:
+        """Count one arrival of a kind of data, at this instant if none is given."""
+        flow = self.flows.get(name)
+        if flow is None:
+            flow = self.flows[name] = Flow()
+        flow.beat(self._clock.now() if now is None else now)
 
     def counters(self, part: str, read: Callable[[], Mapping[str, float]]) -> None:
         """Register `read`, which each snapshot calls to get the part's counters."""

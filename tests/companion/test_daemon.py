@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 
 import numpy as np
@@ -23,7 +23,7 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
-from estimator.contracts.time import Stamp, after, seconds_between
+from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from estimator.gimbal_history import HeldCamera
 from estimator.options import EstimatorOptions
 from estimator.vision.detection import Detection
@@ -161,6 +161,41 @@ async def test_a_frame_waits_for_an_attitude_that_is_still_in_a_socket() -> None
         await until(lambda: daemon.health.frames.total() == 1)
         daemon.stop()
     assert daemon.health.frames == {Verdict.NO_PAD: 1}
+
+
+class CountingPilot(Pilot):
+    """A pilot that counts how often it is given samples, and notes how many wait while it decides."""
+
+    vehicle_link: FakeVehicle
+    given = 0
+
+    def take_samples(self, samples: Sequence[Sample]) -> int:
+        self.given += 1
+        return super().take_samples(samples)
+
+    def decide(self, now: MonoNs) -> Decision:
+        self.waiting = max(getattr(self, "waiting", 0), len(self.vehicle_link.samples))
+        return super().decide(now)
+
+
+async def test_samples_are_taken_together_and_none_waits_while_guidance_decides() -> None:
+    vehicle, diary = FakeVehicle(), Diary()
+    pilot = CountingPilot(EYES, EstimatorOptions(), GuidanceOptions())
+    pilot.vehicle_link = vehicle
+    daemon = Daemon(vehicle.open, pilot, CLOCK, restart=RestartOptions(), guidance_rate_hz=50.0, observers=[diary])
+    async with asyncio.TaskGroup() as group:
+        group.create_task(daemon.run())
+        await until(lambda: vehicle.opened == 1)
+        for _ in range(200):
+            vehicle.say(flying=True)
+            await asyncio.sleep(0)
+        decided = len(diary.decisions)
+        await until(lambda: len(diary.decisions) >= decided + 2)
+        daemon.stop()
+    assert daemon.health.flows["Attitude"].count == 200
+    assert pilot.given <= 3 + 2 * len(diary.decisions), "or the loop wakes for each datagram"
+    assert pilot.given < 100
+    assert pilot.waiting == 0
 
 
 class SlowPilot(Pilot):

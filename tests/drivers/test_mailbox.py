@@ -146,3 +146,13 @@ def test_every_item_is_read_dropped_or_still_there(script, capacity):
         assert len(line) <= capacity
 
     asyncio.run(play())
+
+
+async def test_what_waits_is_taken_in_order_and_leaves_an_empty_line():
+    line = Line[int](3)
+    for i in range(5):
+        line.offer(i)
+    assert line.waiting() == [2, 3, 4]
+    assert line.waiting() == []
+    line.offer(5)
+    assert await line.get() == 5

@@ -192,3 +192,42 @@ def test_any_bodies_under_a_good_checksum_become_samples_or_nothing(bodies: list
     assert len(navdata.options) + len(navdata.skipped) == len(bodies)
     sampler = NavdataSampler()
     assert len(sampler.samples(navdata, STAMP)) >= len(sampler.samples(navdata, STAMP))
+
+
+def outcome(decoded: nd.Navdata | Refusal) -> object:
+    if isinstance(decoded, Refusal):
+        return decoded
+    return repr((decoded.state, decoded.sequence, decoded.vision_defined, decoded.skipped, list(decoded.options.items())))
+
+
+@settings(max_examples=300)
+@given(
+    st.lists(st.tuples(st.sampled_from([0, 1, 2, 3, 9, 27, 77]), st.binary(max_size=230)), max_size=6),
+    st.lists(st.tuples(st.integers(0, 2000), st.integers(1, 255)), max_size=3),
+)
+def test_a_datagram_of_a_known_outline_is_decoded_as_option_by_option(
+    bodies: list[tuple[int, bytes]], damage: list[tuple[int, int]]
+) -> None:
+    """The second of two datagrams of one size may be as the first, be damaged anywhere, or have other headers."""
+    raw = b"".join(struct.pack("<HH", tag, len(body) + 4) + body for tag, body in bodies)
+    head = struct.pack("<IIII", nd.MAGIC, 5, 7, 1) + raw
+    good = head + struct.pack("<HHI", nd.CHECKSUM_TAG, 8, sum(head))
+    damaged = bytearray(good)
+    for place, bits in damage:
+        damaged[place % len(damaged)] ^= bits
+    summed = bytes(damaged[:-8]) + struct.pack("<HHI", nd.CHECKSUM_TAG, 8, sum(damaged[:-8]))
+    expected = [outcome(nd._walked(one, len(one))) for one in (bytes(damaged), summed)]
+    nd._outlines.clear()
+    first = outcome(nd.decode(good))
+    assert list(nd._outlines) == [len(good)]
+    assert outcome(nd.decode(good)) == first
+    for one, as_walked in zip((bytes(damaged), summed), expected, strict=True):
+        nd.decode(good)
+        assert outcome(nd.decode(one)) == as_walked
+
+
+def test_no_more_outlines_are_kept_than_a_drone_has() -> None:
+    for size in range(100):
+        head = struct.pack("<IIIIHH", nd.MAGIC, 0, 1, 1, 999, 4 + size) + bytes(size)
+        assert isinstance(nd.decode(head + struct.pack("<HHI", nd.CHECKSUM_TAG, 8, sum(head))), nd.Navdata)
+    assert len(nd._outlines) <= nd._OUTLINES_MOST
