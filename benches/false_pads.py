@@ -14,6 +14,7 @@ import math
 import multiprocessing
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -31,6 +32,7 @@ from estimator.vision.detect.acquire import acquire  # noqa: E402
 from estimator.vision.options import TrackerOptions  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
+from tests.support.hard_light import HARD  # noqa: E402
 from tests.support.pad_scenes import DATA, PadScene, empty_scene, load_camera, load_pad  # noqa: E402
 
 CHUNK = 100
@@ -51,32 +53,34 @@ def sure_of(px: NDArray[np.uint8], camera: Camera, pad: Pad, R_level_body: Rotat
     return 0.0 if seen.selected is None else seen.selected.confidence
 
 
-def best_scores(chunk: int) -> tuple[list[float], float]:
+def best_scores(chunk: int, condition: str = "plain") -> tuple[list[float], float]:
     """Return the best score of each frame of a chunk, and the processor time per frame without rendering, ms."""
     cv2.setNumThreads(1)
-    camera, pad = load_camera("sim"), load_pad("thesis")
+    camera, hard = load_camera("sim"), HARD[condition]
     scores, took = [], 0
     for i in range(CHUNK):
         scene = scene_of(chunk, i)
+        px = hard.change(scene.px, np.random.default_rng([chunk, i, 0xC4A9]))
         began = time.process_time_ns()
-        scores.append(sure_of(scene.px, camera, pad, scene.R_level_body))
+        scores.append(sure_of(px, camera, hard.pad, scene.R_level_body))
         took += time.process_time_ns() - began
     return scores, took * 1e-6 / CHUNK
 
 
-def photographs() -> list[tuple[str, float]]:
+def photographs(condition: str) -> list[tuple[str, float]]:
     """Return (name, best score) of each photograph over several frame sizes."""
-    pad = load_pad("thesis")
+    hard = HARD[condition]
     mount = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.zeros(3))
     out = []
     for path in sorted([*(DATA / "sea").glob("*.jpg"), *(DATA / "not_pads").glob("*.jpg")]):
         whole = np.asarray(cv2.imread(str(path)), np.uint8)
         for width in (320, 640, 960):
             h = round(width * whole.shape[0] / whole.shape[1])
-            px = np.asarray(cv2.resize(whole, (width, h), interpolation=cv2.INTER_AREA), np.uint8)
+            small = np.asarray(cv2.resize(whole, (width, h), interpolation=cv2.INTER_AREA), np.uint8)
+            px = hard.change(small, np.random.default_rng([width, len(out)]))
             camera = Camera(width, h, 0.8 * width, 0.8 * width, (width - 1) / 2, (h - 1) / 2, np.zeros(5), mount)
             for R in (None, Rotation.identity()):
-                out.append((f"{path.parent.name}/{path.name} at {width} px", sure_of(px, camera, pad, R)))
+                out.append((f"{path.parent.name}/{path.name} at {width} px", sure_of(px, camera, hard.pad, R)))
     return out
 
 
@@ -85,13 +89,14 @@ def main() -> int:
     parser.add_argument("--frames", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0, help="chunk to begin with")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--condition", default="plain", choices=list(HARD), help="what happens to each frame, and which pad is looked for")
     parser.add_argument("--worst", type=Path, help="write the highest-scoring frames into this folder")
     args = parser.parse_args()
     chunks = range(args.first, args.first + max(1, args.frames // CHUNK))
     scores: list[float] = []
     took: list[float] = []
     with multiprocessing.Pool(args.workers) as pool:
-        for part, ms in pool.imap(best_scores, chunks):
+        for part, ms in pool.imap(partial(best_scores, condition=args.condition), chunks):
             scores += part
             took.append(ms)
             print(f"\r{len(scores)} frames, {sum(s >= 0.5 for s in scores)} at 0.5 or more", end="", file=sys.stderr, flush=True)
@@ -105,7 +110,7 @@ def main() -> int:
         print(f"  {level:.1f} or more: {int((all_ >= level).sum())}")
     order = np.argsort(-all_)[:24]
     print("  highest: " + ", ".join(f"{all_[k]:.2f} (chunk {chunks.start + k // CHUNK}, {k % CHUNK})" for k in order[:8]))
-    seen = photographs()
+    seen = photographs(args.condition)
     if seen:
         name, top = max(seen, key=lambda s: s[1])
         print(

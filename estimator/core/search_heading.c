@@ -12,6 +12,10 @@ static const double LEAST_PAINT = 1e-3;
 /* Fraction of the disc in view below which nothing is told, and the factor on a score whose paints are on the wrong sides. */
 static const double LEAST_IN_VIEW = 0.02, WRONG_SIDE = 0.25;
 
+/* Width of the disc's edge, px: what is nearer to it sees the surroundings, too, which no paint of the drawing explains. From afar
+ * they outweigh the H and the ring. The greatest share of the radius that is left out for it. */
+static const double RIM_PX = 1.2, WIDEST_RIM = 0.5;
+
 /* The weight of each cell, and with it its blue, green and red, 0..1. */
 typedef struct {
     float of[VALUES][CELLS];
@@ -36,6 +40,7 @@ static void look(const camera_lens *c, const polar_pad *pad, const pad_pose *pos
                  int32_t stride, const double *side, polar_view *out)
 {
     memset(out, 0, sizeof *out);
+    const double rim_m = RIM_PX * step * pose->t[2] / c->fx, within = pad->radius_m - fmin(rim_m, WIDEST_RIM * pad->radius_m);
     for (int k = 0; k < CELLS; k++) {
         const double x = pad->xy_m[2 * k], y = pad->xy_m[2 * k + 1], area = pad->area_inside[k / POLAR_ANGLES];
         double at[3], uv[2];
@@ -43,7 +48,7 @@ static void look(const camera_lens *c, const polar_pad *pad, const pad_pose *pos
         for (int i = 0; i < 3; i++) {
             at[i] = pose->R[3 * i] * x + pose->R[3 * i + 1] * y + pose->t[i];
         }
-        if (!(at[2] > 1e-3) || (side != NULL && x * side[0] + y * side[1] <= 0.0)) {
+        if (!(at[2] > 1e-3) || x * x + y * y > within * within || (side != NULL && x * side[0] + y * side[1] <= 0.0)) {
             continue;
         }
         camera_project(c, at, uv);

@@ -66,7 +66,7 @@ def verified(
     Raises:
         ValueError: the frame is not of the camera's size.
     """
-    best = None
+    best, pad = None, pyramid.as_seen(pad)
     if cut is None:
         best = _of_visible(pyramid, camera, pad, start, orientation, options, prior_log_odds, UNCUT)
         if (best is not None and best.confidence >= _CERTAIN) or not pad.markings.is_searched_by_parts:

@@ -147,7 +147,9 @@ def search(
     """
     if px.shape[:2] != (camera.height, camera.width):
         raise ValueError(f"the frame is {px.shape[1]}x{px.shape[0]} px, the camera's are {camera.width}x{camera.height}")
-    task, plane = _Task(Pyramid(px), camera, pad, sure, budget, memory.refused), Plane.of(camera, R_level_body)
+    pyramid, plane = Pyramid(px), Plane.of(camera, R_level_body)
+    pad = pyramid.as_seen(pad)
+    task = _Task(pyramid, camera, pad, sure, budget, memory.refused)
     if pad.markings.fiducials and (_search_fiducials(task, plane) or not pad.markings.is_searched_by_parts):
         return Found(_distinct(task.found), FRESH_SEARCH, task.work)
     of_all = kinds(task.pyramid, camera, pad, plane, paint)

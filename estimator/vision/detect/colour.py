@@ -6,6 +6,9 @@ colour temperature or white balance shifts it by the same amount all over the fr
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +28,10 @@ _NAT = 255.0 / float(np.log1p(1.0 / _FLOOR))
 """Steps for a factor e."""
 _COLOURED = 0.25 * _NAT
 """Range of the measure in a frame below which the frame has no colour: 99 of 100 discs stand out by 0.56 in any light."""
+_EVERY_PX = 8
+"""Distance between the pixels that are looked at for colour."""
+_MONOCHROME = 3
+"""Largest difference between the channels of a pixel in a frame of a grey camera."""
 _LOG = np.rint(np.log1p(LINEAR_LIGHT / _FLOOR) * _NAT).astype(np.uint8)
 
 
@@ -42,6 +49,24 @@ def is_coloured(measure: U8) -> bool:
     return high - low > _COLOURED
 
 
+def monochrome(px: U8) -> bool:
+    """Return whether a frame comes from a grey camera: its channels are equal, but for what a codec adds.
+
+    A painted pad in view of a colour camera, or anything else of some colour, makes it False.
+    """
+    few = px[::_EVERY_PX, ::_EVERY_PX].astype(np.int16)
+    return int(np.ptp(few, axis=2).max()) <= _MONOCHROME
+
+
+@lru_cache(maxsize=8)
+def in_grey(pad: Pad) -> Pad:
+    """Return a pad as a grey camera sees it: each paint by its luminance."""
+    rgb = np.array([[paint for _, paint in pad.paints]], np.uint8)
+    shades = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)[0].tolist()
+    return replace(pad, paints=tuple((name, (shade,) * 3) for (name, _), shade in zip(pad.paints, shades, strict=True)))
+
+
+@lru_cache(maxsize=8)
 def disc_has_colour(pad: Pad) -> bool:
     """Return whether there is a disc whose paint is no shade of grey."""
     if not pad.markings.field_radius_m:

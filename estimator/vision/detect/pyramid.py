@@ -6,6 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.vision.detect.colour import in_grey, monochrome
+from estimator.vision.pad import Pad
+
 U8 = NDArray[np.uint8]
 
 
@@ -14,6 +17,18 @@ class Pyramid:
 
     def __init__(self, px: U8) -> None:
         self._levels = [px]
+        self._monochrome: bool | None = None
+
+    @property
+    def monochrome(self) -> bool:
+        """Whether the frame comes from a grey camera."""
+        if self._monochrome is None:
+            self._monochrome = monochrome(self._levels[0])
+        return self._monochrome
+
+    def as_seen(self, pad: Pad) -> Pad:
+        """Return a pad in the paints that the frame's camera sees."""
+        return in_grey(pad) if self.monochrome else pad
 
     def __getitem__(self, level: int) -> U8:
         while len(self._levels) <= level:

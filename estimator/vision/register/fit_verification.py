@@ -14,6 +14,7 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from estimator.vision.detect import verification
 from estimator.vision.detect.alignment import AlignedTemplate
+from estimator.vision.detect.colour import disc_has_colour
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
 from estimator.vision.register.pixels import light_table
@@ -39,6 +40,8 @@ ring if a quarter of it agrees.
 """
 _PLAIN_DISC = 0.1
 """Contrast of the disc to its surroundings over the H's to the disc: 0.15 on a grey deck, less on a dark one."""
+_SNR_GREY = (10.0, 20.0)
+"""Contrast of a disc without colour over its standard deviation up to which it counts as none, and from which as one."""
 _H_OVER_RING = (0.6, 3.0)
 """Contrast of the H over the ring's: 1 to 2.4 on pads in nearly all lights. Glare on green that resembles an H has a tenth of it,
 or four times as much.
@@ -84,7 +87,7 @@ def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
         dense, dense * found.inliers, -min(1.0, found.edge_rms_px), found.visible,
         dense * max(-8.0, min(8.0, template_score)), dense * _clear(found, EdgeKind.DISC) * has_field, -orange_off,
         _no_ring(values, found) * has_ring, (1.0 - dense) * shown[EdgeKind.DISC] * faint_disc,
-        dense * _painted(found, orange_off) * has_both, dense * _faint(found) * bool(has_field and marks.letters),
+        dense * _painted(found, orange_off) * has_both, dense * _faint(found, pad) * bool(has_field and marks.letters),
         dense * _h_contrast_odd(found) * has_both,
     ])  # fmt: skip
 
@@ -141,8 +144,19 @@ def _painted(found: Registration, orange_off: float) -> float:
     return max(0.0, 1.0 - 2.0 * orange_off)
 
 
-def _faint(found: Registration) -> float:
-    """Return 0..1: how surely the disc's contrast is less than a third of that of its kind of paint."""
+def _faint(found: Registration, pad: Pad) -> float:
+    """Return 0..1: how surely the disc's contrast is less than a third of that of its kind of paint.
+
+    A grey disc may be as bright as any deck: there a faint disc is a disc as long as its edge shows.
+    """
+    if not disc_has_colour(pad):
+        hidden, shown = _SNR_GREY
+        edge = found.edges[EdgeKind.DISC].snr
+        return min(1.0, max(0.0, (shown - edge) / (shown - hidden))) * _less_than_paint(found)
+    return _less_than_paint(found)
+
+
+def _less_than_paint(found: Registration) -> float:
     disc, h_marking = (math.hypot(*found.edges[kind].contrast_bgr.tolist()) for kind in (EdgeKind.DISC, EdgeKind.H))
     less = math.log(_PLAIN_DISC * max(h_marking, 1e-3) / max(disc, 1e-6))
     return min(1.0, max(0.0, 2.0 * (less - 0.5)))
