@@ -133,7 +133,8 @@ int align_solve(int n, int m, double *A, double *B);
 
 /* Support for the arrowhead at both of its places: found, seen, clear. */
 void align_arrow(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *root, const frame_part *part,
-                 const uint8_t *px, int32_t stride, const pad_pose *pose, const float paints[4][3], double out[6]);
+                 const uint8_t *px, int32_t stride, const pad_pose *pose, const float paints[4][3], double noise,
+                 double out[6]);
 
 /* The features of the verification. */
 void align_features(const pad_template *p, const samples *s, const painted *local, aligned_pad *out);

@@ -9,6 +9,8 @@
 /* Residual variance of the projected light (disc 0, ring 1) that halves, roughly, the trust that nothing else lies there. */
 static const double CLEAR_VAR = 0.05;
 static const double LENS_BLUR_PX = 0.7, PIXEL_SIGMA = 0.29, LEAST_CONTRAST = 1e-4, LEAST_SEEN = 0.6, LEAST_DEPTH_M = 1e-3;
+/* Strength of a whole arrowhead, in deviations of the noise, up to which it is hidden, and from which it is plain. */
+static const double HIDDEN = 2.0, PLAIN = 5.0;
 /* The regressors: constant, two slopes, ring; then the arrowhead; then the light. */
 enum { OTHERS = 4, ARROW = 4, LIGHT = 5, TERMS = 6 };
 
@@ -86,20 +88,27 @@ static void add(const camera_lens *c, const picture *of, const pad_pose *pose, d
     }
 }
 
-/* Found, seen, clear. */
-static void support(place *from, double energy, double fine, double out[3])
+/* 0..1: how surely a whole arrowhead would show in noise of this variance. */
+static double shows(double energy, double var)
+{
+    const double deviations = sqrt(energy / fmax(var, 1e-12));
+    return fmin(1.0, fmax(0.0, (deviations - HIDDEN) / (PLAIN - HIDDEN)));
+}
+
+/* Found, seen, clear; `var` is the variance of the noise in the projected light, which is no sign of anything else. */
+static void support(place *from, double energy, double fine, double var, double out[3])
 {
     const double seen = from->energy / energy;
     if (!(seen >= LEAST_SEEN)) {
         return;
     }
     eliminate(from->sums);
-    const double total = from->sums[ARROW][ARROW], square = fmax(0.0, from->sums[LIGHT][LIGHT]);
+    const double total = from->sums[ARROW][ARROW], square = fmax(0.0, from->sums[LIGHT][LIGHT] - var * from->n);
     const double strength = total > 1e-9 ? from->sums[ARROW][LIGHT] / total : 0.0;
     const double explained = strength > 0.0 ? strength * strength * total / fmax(square, 1e-9) : 0.0;
     out[0] = fmin(1.0, fmax(0.0, strength)) * fmin(1.0, explained);
     out[1] = seen * fmax(0.0, fine);
-    out[2] = exp(-(square - strength * strength * total) / from->n / CLEAR_VAR);
+    out[2] = exp(-fmax(0.0, square - strength * strength * total) / from->n / CLEAR_VAR);
 }
 
 /* Sample both places. */
@@ -123,7 +132,8 @@ static double sample(const camera_lens *c, const pad_template *p, const int16_t 
 }
 
 void align_arrow(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *root, const frame_part *part,
-                 const uint8_t *px, int32_t stride, const pad_pose *pose, const float paints[4][3], double out[6])
+                 const uint8_t *px, int32_t stride, const pad_pose *pose, const float paints[4][3], double noise,
+                 double out[6])
 {
     picture of = {part, px, stride, root, {0.0, 0.0, 0.0}};
     double length = 0.0;
@@ -144,6 +154,8 @@ void align_arrow(const camera_lens *c, const pad_template *p, const int16_t *map
     place places[2];
     memset(places, 0, sizeof places);
     const double energy = sample(c, p, map, &of, pose, places);
-    support(&places[0], energy, fine, out);
-    support(&places[1], energy, fine, out + 3);
+    const double value = noise / step, var = value * value / length, coarse = fmax(1.0, pixel_m / p->arrow_pitch_m);
+    const double shown = shows(energy / (coarse * coarse), var);
+    support(&places[0], energy, fine * shown, var, out);
+    support(&places[1], energy, fine * shown, var, out + 3);
 }

@@ -6,6 +6,8 @@
 enum { SECTORS = 8, FEWEST = 6, PARTS = 3 };
 /* Residual in the square root of light, full scale 1, that a right drawing leaves anyway (noise, wear, ripples). */
 static const double NOISE = 0.012;
+/* Deviations of the noise's sum that may be left of it by chance. */
+static const double CHANCE = 1.0;
 /* Largest gain that counts: a larger one depends more on the blur than on the pad. */
 static const double ENOUGH = 4.0;
 /* Factor on the visible fraction of a part: a part of which a fifth is in view and that does not show counts as missing. */
@@ -72,9 +74,18 @@ static void ordered(int n, double *values)
     }
 }
 
-/* The gain of a part from sums by direction: the logarithm of the squared residuals without it over those with it. */
+/* Squared residuals of n samples without what noise of a variance adds to them, and what is left of it for chance, with that of a
+ * right drawing. */
+static double above_noise(double n, double squared, double var)
+{
+    const double count = 3.0 * n;
+    return fmax(0.0, squared - var * count) + CHANCE * var * sqrt(2.0 * count) + NOISE * NOISE * count;
+}
+
+/* The gain of a part from sums by direction: the logarithm of the squared residuals without it over those with it. What the frame's
+ * noise adds to both does not count: it hides a part that is there from each sample, and not from all of them. */
 static void gains_of(const int n[SECTORS], const double squared[SECTORS], const double change[SECTORS], const double along[SECTORS],
-                     part_gain *out)
+                     double var, part_gain *out)
 {
     double gains[SECTORS], most = 0.0;
     int count = 0;
@@ -83,7 +94,7 @@ static void gains_of(const int n[SECTORS], const double squared[SECTORS], const 
     }
     for (int k = 0; k < SECTORS; k++) {
         if (change[k] > 0.2 * most + 1e-9) {
-            const double floor = NOISE * NOISE * 3.0 * n[k] + 1e-9, with_it = squared[k] + floor;
+            const double floor = NOISE * NOISE * 3.0 * n[k] + 1e-9, with_it = above_noise(n[k], squared[k], var) + 1e-9;
             gains[count++] = clipped(log(fmax(change[k] - 2.0 * along[k] + with_it, floor) / with_it), -1.0, ENOUGH);
         }
     }
@@ -99,7 +110,7 @@ static int within(const zone *z, float x, float y, double r)
     return fabs((double)x) < z->half_length && fabs((double)y) < z->half_width && r > z->inner && r < z->outer;
 }
 
-static part_gain gain_of_part(const samples *s, const painted *local, const zone *z, double side_m)
+static part_gain gain_of_part(const samples *s, const painted *local, const zone *z, double side_m, double var)
 {
     int n[SECTORS] = {0}, all = 0;
     double squared[SECTORS] = {0.0}, change[SECTORS] = {0.0}, along[SECTORS] = {0.0};
@@ -119,13 +130,13 @@ static part_gain gain_of_part(const samples *s, const painted *local, const zone
     }
     out.shown = fmin(1.0, all * side_m * side_m / z->area_m2);
     if (all >= FEWEST) {
-        gains_of(n, squared, change, along, &out);
+        gains_of(n, squared, change, along, var, &out);
     }
     return out;
 }
 
 /* The drawing's gain: the logarithm of the squared residuals without it over those with it. */
-static double gain_of_all(const samples *s)
+static double gain_of_all(const samples *s, double var)
 {
     double nothing = 0.0, squared = 0.0, weight = 0.0;
     for (int i = 0; i < s->n; i++) {
@@ -136,8 +147,8 @@ static double gain_of_all(const samples *s)
             nothing += w * (double)s->light[c][i] * (double)s->light[c][i];
         }
     }
-    const double floor = NOISE * NOISE * 3.0 * weight;
-    return s->n < FEWEST ? 0.0 : clipped(log((nothing + floor) / (squared + floor)), 0.0, ENOUGH);
+    const double least = above_noise(weight, 0.0, var), left = above_noise(weight, squared, var);
+    return s->n < FEWEST ? 0.0 : clipped(log((fmax(0.0, nothing - 3.0 * var * weight) + least) / left), 0.0, ENOUGH);
 }
 
 /* 0..1: the excess of ring paint just inside or outside of the ring, which indicates a ring that is too wide. A ring that is merely
@@ -213,12 +224,13 @@ static double missing(const part_gain *part)
 }
 
 /* The gains of the parts. One that the pad does not have says what the weakest of the others says, and is not missed. */
-static void gains_of_parts(const samples *s, const painted *local, const zone zones[PARTS], double side_m, part_gain parts[PARTS])
+static void gains_of_parts(const samples *s, const painted *local, const zone zones[PARTS], double side_m, double var,
+                           part_gain parts[PARTS])
 {
     part_gain least = {ENOUGH, ENOUGH, 0.0};
     for (int k = 0; k < PARTS; k++) {
         if (zones[k].drawn) {
-            parts[k] = gain_of_part(s, local, &zones[k], side_m);
+            parts[k] = gain_of_part(s, local, &zones[k], side_m, var);
             least.gain = fmin(least.gain, parts[k].gain);
             least.all = fmin(least.all, parts[k].all);
         }
@@ -232,9 +244,10 @@ void align_features(const pad_template *p, const samples *s, const painted *loca
 {
     zone zones[PARTS];
     part_gain parts[PARTS];
+    const double var = out->noise * out->noise;
     double *f = out->features, gains[PARTS];
     zones_of(p, out->sample_m, zones);
-    gains_of_parts(s, local, zones, out->sample_m, parts);
+    gains_of_parts(s, local, zones, out->sample_m, var, parts);
     for (int k = 0; k < PARTS; k++) {
         gains[k] = parts[k].gain;
     }
@@ -257,7 +270,7 @@ void align_features(const pad_template *p, const samples *s, const painted *loca
     f[FEATURE_FLANKS] = -flanks(p, s, local);
     f[FEATURE_ARROW] = fabs(out->arrow[0] * out->arrow[1] - out->arrow[3] * out->arrow[4]);
     f[FEATURE_NO_ARROW] = -empty(out->arrow);
-    f[FEATURE_TEMPLATE_GAIN] = gain_of_all(s);
+    f[FEATURE_TEMPLATE_GAIN] = gain_of_all(s, var);
     f[FEATURE_INLIERS] = weight / s->n;
     f[FEATURE_WHITE] = clipped(log(fmax(1e-3, contrast(local)) / 0.2), -3.0, 1.5);
     f[FEATURE_ORANGE_PLACE] = -off, f[FEATURE_ORANGE_ODD] = -fmax(0.0, off - 0.5);

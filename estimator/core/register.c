@@ -215,7 +215,7 @@ int32_t register_pad(const camera_lens *camera, const double *rays, const uint8_
                      int32_t points, const double *edges, const int32_t *edge_of, const tilt_prior *prior, const fit_options *o,
                      const double *start, int32_t room, float *scratch, registration *out, double *outline)
 {
-    task k = {{camera, rays, frame, light, o->cut}, pad, {points, edges, edge_of}, o, {.given = 0}, {scratch, FIT_ROWS * room, room - room % LANES}};
+    task k = {{camera, rays, frame, light, o->cut, o->noise}, pad, {points, edges, edge_of}, o, {.given = 0}, {scratch, FIT_ROWS * room, room - room % LANES}};
     fit_state s;
     fit_solved solved;
     if (o->dense_pixels > k.free.length) {

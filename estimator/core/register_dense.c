@@ -192,7 +192,7 @@ static int look_for_glare(const pad_shape *pad, const patch *cut, dense_rows *d,
             left += (double)d->w[c][i] * d->residual[c][i] * d->residual[c][i];
         }
     }
-    if (left / (CHANNELS * cut->n) > GLARE_DOUBTED) {
+    if (left / (CHANNELS * cut->n) > GLARE_DOUBTED + NOISE_DOUBT * cut->noise) {
         *found = glare_found(&d->f, d->residual, d->w, s->k, d->values, pad->disc_radius_m, d->spare);
     }
     return 1;

@@ -13,6 +13,9 @@
 /* Coefficients before those of the regions: the surroundings' light and its change across the patch. */
 enum { FIRST_REGION = 3, DENSE_SPARE = 20 };
 
+/* Times the noise expected from the frame that residuals may have more: what is known of it is an estimate. */
+#define NOISE_DOUBT 1.5
+
 /* The rows of a dense fit. */
 typedef struct {
     footprint f;

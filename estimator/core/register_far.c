@@ -9,7 +9,7 @@ enum { ROUNDS = 12, EDGE_SECTORS = 8, STROKES = 4 };
  * while the blur still changes. */
 static const double STEP_PX = 1.5, AT_REST_PX = 0.05, BLUR_AT_REST_PX = 0.1;
 /* Limit on the variance of smoothed light over light: four times that of worn paint on a patchy deck. More means an object on the
- * pad. */
+ * pad, unless the frame's own noise is that large. */
 static const double NOISE_DOUBTED = 5e-4;
 /* Sigma of the distant disc's edges in that case, px: hiding half of the disc moves it this far. */
 static const double EDGE_DOUBTED_PX = 2.0;
@@ -259,7 +259,7 @@ int register_far(const view *v, const pad_shape *pad, const fit_options *o, cons
         !covariance_of(&priors, &s, out->H, out->cov)) {
         return 0;
     }
-    out->dense = 1, out->doubted = fit.noise > NOISE_DOUBTED;
+    out->dense = 1, out->doubted = fit.noise > NOISE_DOUBTED + NOISE_DOUBT * cut.noise;
     add_edges_off(&s, pad, o, out->doubted ? EDGE_DOUBTED_PX : 0.0, out->cov);
     const int in_view = find_pointer(pad, &cut, &s, &fit, &d, &seen);
     find_support(pad, &cut, &fit, &d, in_view ? &seen : NULL, out);

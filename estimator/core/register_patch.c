@@ -12,6 +12,11 @@ static const double IN_FRONT_M = 0.02;
 /* Reach of the smoothing and of a cut's own blur, px of the reduced grid. */
 static const double SMOOTHED_PX = 2.0;
 
+/* Every so many pixels tell the noise, by the light's slope over so many values to either side; the light that a dark sensor's noise
+ * amounts to. */
+enum { NOISE_EVERY = 4, NOISE_REACH = 8 };
+static const double DARK = 0.01;
+
 /* Part of the frame: px, upper limits excluded. */
 typedef struct {
     int x0, y0, x1, y1;
@@ -162,6 +167,25 @@ static void fill_up(patch *p)
     }
 }
 
+/* The variance over light that the frame's noise leaves in smoothed light, mean of some pixels; the light's slope over their values
+ * turns one into the other. */
+static double expected_noise(const view *v, const part *p, const patch *cut)
+{
+    const double value = 255.0 * v->noise, left = value * value * NOISE_LEFT / (cut->reduced * cut->reduced);
+    double sum = 0.0;
+    int count = 0;
+    for (int i = 0; i < cut->n && value > 0.0; i += NOISE_EVERY) {
+        const int k = cut->reduced, row = p->y0 + k * (cut->at[i] / cut->columns), column = p->x0 + k * (cut->at[i] % cut->columns);
+        const uint8_t *px = v->pixels + 3 * (row * v->camera->width + column);
+        for (int c = 0; c < CHANNELS; c++, count++) {
+            const int low = px[c] > NOISE_REACH ? px[c] - NOISE_REACH : 0, high = px[c] < 255 - NOISE_REACH ? px[c] + NOISE_REACH : 255;
+            const double slope = (double)(v->light[high] - v->light[low]) / (high - low);
+            sum += slope * slope / ((double)v->light[px[c]] + DARK);
+        }
+    }
+    return count ? left * sum / count : 0.0;
+}
+
 int cut_patch(const view *v, const pad_shape *pad, const fit_state *s, double margin_px, int most, rows *r, float *scratch,
               footprint *f, patch *out, fit_state *coarse)
 {
@@ -187,5 +211,6 @@ int cut_patch(const view *v, const pad_shape *pad, const fit_state *s, double ma
         return 0;
     }
     fill_up(out);
+    out->noise = expected_noise(v, &p, out);
     return 1;
 }

@@ -21,6 +21,8 @@ typedef struct {
     float *slope[2];
     /* Indices of the pixels in the grid. Those far outside the disc are left out. */
     int32_t *at;
+    /* The variance, over light, that the frame's noise beyond the usual leaves. */
+    double noise;
 } patch;
 
 /* The frame and how it was taken. */
@@ -33,6 +35,8 @@ typedef struct {
     const float *light;
     /* The line beyond which rays do not count, as in `fit_options`. */
     const double *cut;
+    /* The deviation of the frame's noise beyond the usual, as a fraction of a pixel's full scale. */
+    double noise;
 } view;
 
 /* Cut out the part of the frame that holds the pad, `margin_px` reduced pixels beyond it, with at most `most` pixels; `coarse` takes

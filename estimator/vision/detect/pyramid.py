@@ -6,10 +6,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.core.library import CORE
 from estimator.vision.detect.colour import in_grey, monochrome
+from estimator.vision.native import pixels
 from estimator.vision.pad import Pad
 
 U8 = NDArray[np.uint8]
+_NOISE = CORE.function("frame_noise")
 
 
 class Pyramid:
@@ -18,6 +21,7 @@ class Pyramid:
     def __init__(self, px: U8) -> None:
         self._levels = [px]
         self._monochrome: bool | None = None
+        self._noise: float | None = None
 
     @property
     def monochrome(self) -> bool:
@@ -25,6 +29,14 @@ class Pyramid:
         if self._monochrome is None:
             self._monochrome = monochrome(self._levels[0])
         return self._monochrome
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the frame's noise beyond what a camera usually has, 3 values of a pixel; 1 is full scale."""
+        if self._noise is None:
+            px = self._levels[0]
+            self._noise = float(_NOISE(*pixels(px), px.shape[1], px.shape[0]))
+        return self._noise
 
     def as_seen(self, pad: Pad) -> Pad:
         """Return a pad in the paints that the frame's camera sees."""

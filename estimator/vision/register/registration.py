@@ -34,7 +34,7 @@ from estimator.vision.register.pixels import U8
 from estimator.vision.register.shape import pad_shape
 
 _REGISTER = CORE.function("register_pad")
-_CUT = places_of("fit_options")["cut"]
+_CUT, _NOISE = (places_of("fit_options")[name] for name in ("cut", "noise"))
 _AT, _SUPPORT = places_of("registration"), size_of("edge_support")
 
 
@@ -102,18 +102,18 @@ def register(
     if px.shape != (camera.height, camera.width, 3):
         raise ValueError(f"want a frame of shape {(camera.height, camera.width, 3)}, got {px.shape}")
     options = options if options is not None else RegistrationOptions()
-    pose = start
+    px = np.ascontiguousarray(px, np.uint8)
+    pyramid, pose = pyramid or Pyramid(px), start
     if options.coarse:
         sigma = SIGMA_TILT_RAD if prior is not None and prior.measured else SIGMA_TILT_FREE_RAD
-        pose = approach(pyramid or Pyramid(px), camera, pad, start, sigma) or start
+        pose = approach(pyramid, camera, pad, start, sigma) or start
     edges, out = edge_points(pad), np.empty(size_of("registration"))
     outline = np.empty((edges.shown[-1].stop, 2))
     with_prior, of_options = packed_prior(prior), packed_options(options)
-    if cut is not UNCUT:
+    if cut is not UNCUT or pyramid.noise > 0.0:
         of_options = of_options.copy()
-        of_options[_CUT] = cut
+        of_options[_CUT], of_options[_NOISE] = cut, pyramid.noise
     from_pose = np.concatenate([pose.R_cam_pad.matrix.ravel(), pose.t_cam_pad])
-    px = np.ascontiguousarray(px, np.uint8)
     room = scratch_room(options, edges)
     scratch = np.empty(FIT_ROWS * room, np.float32)
     if not _REGISTER(
