@@ -97,8 +97,8 @@ int align_paint(samples *s, int final, painted *out);
 
 double align_sum(const float8 *lanes);
 
-/* The fraction of the light's weighted variance that the model explains. */
-double align_explained(const samples *s);
+/* The fraction of the light's weighted variance that the model explains, without what noise of a variance adds to it. */
+double align_explained(const samples *s, double noise_var);
 
 /* Add the fit_sums of a sample's numbers, coverage (4), light (3) and one, to their sums. */
 static inline void align_add(const samples *s, int i, fit_sums to)

@@ -167,7 +167,7 @@ int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *m
     pixels from;
     samples s;
     painted fit;
-    const double depth_m = pose->t[2];
+    const double depth_m = pose->t[2], noise = how->noise / (double)(1 << part->level);
     double tilt[2] = {0.0, 0.0}, step[POSE];
     align_rows((int)(part->width * part->height), scratch, &from, &s);
     align_light(c, p, part, px, stride, light, depth_m, how->local, s.squared, &from);
@@ -182,7 +182,7 @@ int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *m
         if (!fit_at(p, align_map(p, maps, i < steps / 2 ? soft : sharp), of, pose, &from, &s, &fit)) {
             return 0;
         }
-        if (how->local && align_explained(&s) < least_explained(far, i, steps)) {
+        if (how->local && align_explained(&s, noise * noise) < least_explained(far, i, steps)) {
             return 0;
         }
         if (!step_of(&s, &fit, tilt, how->sigma_tilt_rad, depth_m, step)) {
@@ -198,7 +198,7 @@ int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *m
             break;
         }
     }
-    if (how->local && align_explained(&s) < (far ? LEAST_FAR_AT_END : LEAST_AT_END)) {
+    if (how->local && align_explained(&s, noise * noise) < (far ? LEAST_FAR_AT_END : LEAST_AT_END)) {
         return 0;
     }
     orthonormalise(pose->R);

@@ -12,6 +12,8 @@ static const double NOISE = 0.02;
 static const double SOUND = 0.25, SPREAD = 2.0, SPREAD_SHARP = 1.6;
 /* Weight of a paint of no light, per sample: a paint that is not in view is dark. */
 static const double RIDGE = 1e-4;
+/* Deviations of the noise's sum below which nothing is left to explain. */
+static const double CHANCE = 4.0;
 /* Products of four coverages with each other and with three channels of light. */
 enum { PRODUCTS = 22, BINS = 2048, BIN_SHIFT = 20 };
 
@@ -211,7 +213,7 @@ int align_paint(samples *s, int final, painted *out)
 }
 
 WIDE
-double align_explained(const samples *s)
+double align_explained(const samples *s, double noise_var)
 {
     float8 weight = {0.0f}, left = {0.0f}, mean[3], square[3];
     memset(mean, 0, sizeof mean), memset(square, 0, sizeof square);
@@ -230,5 +232,6 @@ double align_explained(const samples *s)
         const double sum = align_sum(&mean[c]);
         total += align_sum(&square[c]) - sum * sum / align_sum(&weight);
     }
-    return 1.0 - align_sum(&left) / fmax(total, 1e-12);
+    const double count = 3.0 * align_sum(&weight), by_chance = CHANCE * noise_var * sqrt(2.0 * count);
+    return (total - align_sum(&left)) / fmax(fmax(total - noise_var * count, by_chance), 1e-12);
 }

@@ -699,6 +699,7 @@ typedef struct {
     double sigma_tilt_rad;
     double side[2];
     double cut[3];
+    double noise;
 } alignment;
 
 typedef struct {
@@ -1193,7 +1194,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 1186897795u
+#define INTERFACE_DIGEST 150127070u
 #endif
 
 #endif

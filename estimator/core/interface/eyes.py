@@ -42,7 +42,7 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
             arrow_tip_m=1, arrow_depth_m=1, arrow_half_base_m=1, arrow_margin_m=1, arrow_pitch_m=1, orange_place=3, h_side=3,
         ),
     ),
-    "alignment": (*integers("steps", "local", "one_side"), *doubles(sigma_tilt_rad=1, side=2, cut=3)),
+    "alignment": (*integers("steps", "local", "one_side"), *doubles(sigma_tilt_rad=1, side=2, cut=3, noise=1)),
     "cover_line": doubles(cut=3, gain=1, left=1),
     "aligned_pad": doubles(
         paints=12, local_paints=12, sample_m=1, in_view=1, tilt_sigmas=1, noise=1, arrow=6, features=len(FEATURES),
@@ -90,5 +90,5 @@ FUNCTIONS = (
         "align_cover.c",
     ),
 )
-"""Functions of alignment. `frame_noise` is the deviation of a frame's noise beyond the usual, as a fraction of full scale, and so is
-the `noise` of `align_fit`."""
+"""Functions of alignment. `frame_noise` is the deviation of a frame's noise beyond the usual, as a fraction of full scale, and so are
+`noise` of an `alignment` and of `align_fit`."""

@@ -221,7 +221,7 @@ def _moved(
     tilt_sigmas, how = np.empty(1), np.zeros(_HOW_WORDS)
     integers = how.view(np.int64)
     integers[_HOW["steps"]], integers[_HOW["local"]], integers[_HOW["one_side"]] = steps, local, side is not None
-    how[_HOW["sigma_tilt_rad"]], how[_HOW["cut"]] = sigma_tilt_rad, cut
+    how[_HOW["sigma_tilt_rad"]], how[_HOW["cut"]], how[_HOW["noise"]] = sigma_tilt_rad, cut, pyramid.noise
     if side is not None:
         how[_HOW["side"]] = side
     found = _MOVE(
