@@ -26,8 +26,10 @@ _MIDDLE = 80
 """Value where the channels are equal."""
 _NAT = 255.0 / float(np.log1p(1.0 / _FLOOR))
 """Steps for a factor e."""
-_COLOURED = 0.25 * _NAT
-"""Range of the measure in a frame below which the frame has no colour: 99 of 100 discs stand out by 0.56 in any light."""
+_COLOURED, _HAZY = 0.25 * _NAT, 0.06 * _NAT
+"""Measure from which on a disc's paint is no shade of grey, and range of the measure in a frame below which the frame has no colour:
+99 of 100 discs stand out by 0.56 in any light, and by a seventh of that in haze.
+"""
 _EVERY_PX = 8
 """Distance between the pixels that are looked at for colour."""
 _MONOCHROME = 3
@@ -46,7 +48,7 @@ def disc_colour(px: U8, pad: Pad) -> U8:
 def is_coloured(measure: U8) -> bool:
     """Return whether the measure of a frame, at reduced size, varies more than a frame's without colour."""
     low, high, _, _ = cv2.minMaxLoc(measure)
-    return high - low > _COLOURED
+    return high - low > _HAZY
 
 
 def monochrome(px: U8) -> bool:
