@@ -4,8 +4,10 @@
 #include "align.h"
 
 enum { SECTORS = 8, FEWEST = 6, PARTS = 3 };
-/* Residual in the square root of light, full scale 1, that a right drawing leaves anyway (noise, wear, ripples). */
+/* Residual in the square root of light, full scale 1, that a right drawing leaves anyway (noise, wear, ripples) in a clear frame. */
 static const double NOISE = 0.012;
+/* Least difference of H and disc that the orange is placed between. */
+static const double LEAST_SPAN = 0.04;
 /* Deviations of the noise's sum that may be left of it by chance. */
 static const double CHANCE = 1.0;
 /* Largest gain that counts: a larger one depends more on the blur than on the pad. */
@@ -22,6 +24,11 @@ typedef struct {
     int paint, drawn;
     double half_length, half_width, inner, outer, area_m2;
 } zone;
+
+/* Variances of a sample's residuals under a right drawing: of wear, ripples and a camera's usual noise, and of its noise beyond. */
+typedef struct {
+    double usual_var, noise_var;
+} allowed;
 
 /* How well a part shows: by the better half of the directions in view, by all of them, and how much of it is in view. */
 typedef struct {
@@ -76,16 +83,16 @@ static void ordered(int n, double *values)
 
 /* Squared residuals of n samples without what noise of a variance adds to them, and what is left of it for chance, with that of a
  * right drawing. */
-static double above_noise(double n, double squared, double var)
+static double above_noise(double n, double squared, const allowed *of)
 {
     const double count = 3.0 * n;
-    return fmax(0.0, squared - var * count) + CHANCE * var * sqrt(2.0 * count) + NOISE * NOISE * count;
+    return fmax(0.0, squared - of->noise_var * count) + CHANCE * of->noise_var * sqrt(2.0 * count) + of->usual_var * count;
 }
 
 /* The gain of a part from sums by direction: the logarithm of the squared residuals without it over those with it. What the frame's
  * noise adds to both does not count: it hides a part that is there from each sample, and not from all of them. */
 static void gains_of(const int n[SECTORS], const double squared[SECTORS], const double change[SECTORS], const double along[SECTORS],
-                     double var, part_gain *out)
+                     const allowed *of, part_gain *out)
 {
     double gains[SECTORS], most = 0.0;
     int count = 0;
@@ -94,7 +101,7 @@ static void gains_of(const int n[SECTORS], const double squared[SECTORS], const 
     }
     for (int k = 0; k < SECTORS; k++) {
         if (change[k] > 0.2 * most + 1e-9) {
-            const double floor = NOISE * NOISE * 3.0 * n[k] + 1e-9, with_it = above_noise(n[k], squared[k], var) + 1e-9;
+            const double floor = of->usual_var * 3.0 * n[k] + 1e-9, with_it = above_noise(n[k], squared[k], of) + 1e-9;
             gains[count++] = clipped(log(fmax(change[k] - 2.0 * along[k] + with_it, floor) / with_it), -1.0, ENOUGH);
         }
     }
@@ -110,7 +117,7 @@ static int within(const zone *z, float x, float y, double r)
     return fabs((double)x) < z->half_length && fabs((double)y) < z->half_width && r > z->inner && r < z->outer;
 }
 
-static part_gain gain_of_part(const samples *s, const painted *local, const zone *z, double side_m, double var)
+static part_gain gain_of_part(const samples *s, const painted *local, const zone *z, double side_m, const allowed *of)
 {
     int n[SECTORS] = {0}, all = 0;
     double squared[SECTORS] = {0.0}, change[SECTORS] = {0.0}, along[SECTORS] = {0.0};
@@ -130,13 +137,13 @@ static part_gain gain_of_part(const samples *s, const painted *local, const zone
     }
     out.shown = fmin(1.0, all * side_m * side_m / z->area_m2);
     if (all >= FEWEST) {
-        gains_of(n, squared, change, along, var, &out);
+        gains_of(n, squared, change, along, of, &out);
     }
     return out;
 }
 
 /* The drawing's gain: the logarithm of the squared residuals without it over those with it. */
-static double gain_of_all(const samples *s, double var)
+static double gain_of_all(const samples *s, const allowed *of)
 {
     double nothing = 0.0, squared = 0.0, weight = 0.0;
     for (int i = 0; i < s->n; i++) {
@@ -147,8 +154,8 @@ static double gain_of_all(const samples *s, double var)
             nothing += w * (double)s->light[c][i] * (double)s->light[c][i];
         }
     }
-    const double least = above_noise(weight, 0.0, var), left = above_noise(weight, squared, var);
-    return s->n < FEWEST ? 0.0 : clipped(log((fmax(0.0, nothing - 3.0 * var * weight) + least) / left), 0.0, ENOUGH);
+    const double least = above_noise(weight, 0.0, of), left = above_noise(weight, squared, of);
+    return s->n < FEWEST ? 0.0 : clipped(log((fmax(0.0, nothing - 3.0 * of->noise_var * weight) + least) / left), 0.0, ENOUGH);
 }
 
 /* 0..1: the excess of ring paint just inside or outside of the ring, which indicates a ring that is too wide. A ring that is merely
@@ -178,12 +185,12 @@ static double flanks(const pad_template *p, const samples *s, const painted *loc
 }
 
 /* The distance of the orange from its nominal place between disc and H, mean over the channels; 0 is nominal. */
-static double orange_off(const pad_template *p, const painted *local)
+static double orange_off(const pad_template *p, const painted *local, double contrast)
 {
     double off = 0.0;
     for (int c = 0; c < 3; c++) {
         const double green = (double)local->paints[PAINT_DISC][c];
-        const double span = fmax(p->h_side[c] * ((double)local->paints[PAINT_H][c] - green), 0.04);
+        const double span = fmax(p->h_side[c] * ((double)local->paints[PAINT_H][c] - green), LEAST_SPAN * contrast);
         const double place = p->h_side[c] * ((double)local->paints[PAINT_ORANGE][c] - green) / span;
         off += fabs(clipped(place, -0.5, 1.5) - p->orange_place[c]) / 3.0;
     }
@@ -224,13 +231,13 @@ static double missing(const part_gain *part)
 }
 
 /* The gains of the parts. One that the pad does not have says what the weakest of the others says, and is not missed. */
-static void gains_of_parts(const samples *s, const painted *local, const zone zones[PARTS], double side_m, double var,
+static void gains_of_parts(const samples *s, const painted *local, const zone zones[PARTS], double side_m, const allowed *of,
                            part_gain parts[PARTS])
 {
     part_gain least = {ENOUGH, ENOUGH, 0.0};
     for (int k = 0; k < PARTS; k++) {
         if (zones[k].drawn) {
-            parts[k] = gain_of_part(s, local, &zones[k], side_m, var);
+            parts[k] = gain_of_part(s, local, &zones[k], side_m, of);
             least.gain = fmin(least.gain, parts[k].gain);
             least.all = fmin(least.all, parts[k].all);
         }
@@ -240,20 +247,21 @@ static void gains_of_parts(const samples *s, const painted *local, const zone zo
     }
 }
 
-void align_features(const pad_template *p, const samples *s, const painted *local, aligned_pad *out)
+void align_features(const pad_template *p, const samples *s, const painted *local, const frame_quality *of, aligned_pad *out)
 {
     zone zones[PARTS];
     part_gain parts[PARTS];
-    const double var = out->noise * out->noise;
     double *f = out->features, gains[PARTS];
+    const double usual = NOISE * of->contrast;
+    const allowed residual = {usual * usual, of->noise * of->noise};
     zones_of(p, out->sample_m, zones);
-    gains_of_parts(s, local, zones, out->sample_m, var, parts);
+    gains_of_parts(s, local, zones, out->sample_m, &residual, parts);
     for (int k = 0; k < PARTS; k++) {
         gains[k] = parts[k].gain;
     }
     const double h = gains[0], ring = gains[1], edge = gains[2];
     ordered(PARTS, gains);
-    const double off = fmin(1.0, TELLING * parts[1].shown) * orange_off(p, local);
+    const double off = fmin(1.0, TELLING * parts[1].shown) * orange_off(p, local, of->contrast);
     double weight = 0.0;
     for (int i = 0; i < s->n; i++) {
         weight += (double)s->weight[i];
@@ -270,7 +278,7 @@ void align_features(const pad_template *p, const samples *s, const painted *loca
     f[FEATURE_FLANKS] = -flanks(p, s, local);
     f[FEATURE_ARROW] = fabs(out->arrow[0] * out->arrow[1] - out->arrow[3] * out->arrow[4]);
     f[FEATURE_NO_ARROW] = -empty(out->arrow);
-    f[FEATURE_TEMPLATE_GAIN] = gain_of_all(s, var);
+    f[FEATURE_TEMPLATE_GAIN] = gain_of_all(s, &residual);
     f[FEATURE_INLIERS] = weight / s->n;
     f[FEATURE_WHITE] = clipped(log(fmax(1e-3, contrast(local)) / 0.2), -3.0, 1.5);
     f[FEATURE_ORANGE_PLACE] = -off, f[FEATURE_ORANGE_ODD] = -fmax(0.0, off - 0.5);

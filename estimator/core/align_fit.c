@@ -52,7 +52,7 @@ static void keep_paints(const painted *fit, double out[12])
 
 int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, const float *light,
                   const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part, const uint8_t *arrow_px,
-                  int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, const double *cut, double noise,
+                  int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, const double *cut, const frame_quality *of,
                   float *scratch, aligned_pad *out)
 {
     pixels from;
@@ -69,8 +69,6 @@ int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *ma
     out->sample_m = from.side_m;
     out->tilt_sigmas = tilt_sigmas;
     out->in_view = in_view(p, &s, pose, from.side_m);
-    /* The root of light is a pixel's value but for a few per cent, and a sample of a higher level the mean of four of the one below. */
-    out->noise = noise / (double)(1 << part->level);
     align_take(from.light, &s);
     for (int i = 0; i < s.n; i++) {
         s.weight[i] = 1.0f;
@@ -87,7 +85,9 @@ int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *ma
         return 0;
     }
     keep_paints(&fit, out->local_paints);
-    align_arrow(c, p, maps, light + 256, arrow_part, arrow_px, arrow_stride, pose, fit.paints, noise, out->arrow);
-    align_features(p, &s, &fit, out);
+    align_arrow(c, p, maps, light + 256, arrow_part, arrow_px, arrow_stride, pose, fit.paints, of->noise, out->arrow);
+    /* The root of light is a pixel's value but for a few per cent, and a sample of a higher level the mean of four of the one below. */
+    const frame_quality of_samples = {of->noise / (double)(1 << part->level), of->contrast};
+    align_features(p, &s, &fit, &of_samples, out);
     return 1;
 }

@@ -11,8 +11,10 @@
 enum { CHANNELS = 3, LARGEST = 16 * 255, EVERY_ROW = 12, EVERY_COLUMN = 5 };
 /* The lower quartile of the absolute of a standard normal number, and the deviation of the differences of such numbers. */
 static const double QUARTILE = 0.3186, OF_DIFFERENCES = 6.0;
-/* Noise, in values of a pixel, that what reads a frame allows for anyway. */
+/* Noise, in values of a pixel, that what reads a clear frame allows for anyway. */
 static const double USUAL = 3.0;
+/* Range of a frame's values from which on it is clear, without the outermost of them: airlight narrows it. The least contrast. */
+static const double CLEAR_RANGE = 90.0, OUTERMOST = 0.005, LEAST_CONTRAST = 0.15;
 
 static int second_differences(const uint8_t *at, ptrdiff_t stride)
 {
@@ -22,23 +24,30 @@ static int second_differences(const uint8_t *at, ptrdiff_t stride)
     return abs(4 * at[0] - 2 * sides + corners);
 }
 
-double frame_noise(const uint8_t *px, int32_t stride, int32_t width, int32_t height)
+/* The value, between whole numbers, below which a share of counted values is. */
+static double quantile(const int32_t *counts, int largest, double share, int places)
 {
-    int32_t counts[LARGEST + 1], places = 0, below = 0;
-    memset(counts, 0, sizeof counts);
-    for (int row = 1; row < height - 1; row += EVERY_ROW) {
-        const uint8_t *line = px + (ptrdiff_t)row * stride;
-        for (int k = CHANNELS; k < CHANNELS * (width - 1); k += EVERY_COLUMN) {
-            counts[second_differences(line + k, stride)]++;
-            places++;
-        }
-    }
+    double below = 0.0;
     int value = 0;
-    while (value < LARGEST && 4 * (below + counts[value]) < places) {
+    while (value < largest && below + counts[value] < share * places) {
         below += counts[value++];
     }
-    /* Differences are whole numbers: the quartile lies within those of this value. */
-    const double share = counts[value] > 0 ? (0.25 * places - below) / counts[value] : 0.0;
-    const double sigma = fmax(0.0, value - 0.5 + share) / (QUARTILE * OF_DIFFERENCES);
-    return sigma > USUAL ? sqrt(sigma * sigma - USUAL * USUAL) / 255.0 : 0.0;
+    return value - 0.5 + (counts[value] > 0 ? (share * places - below) / counts[value] : 0.0);
+}
+
+void frame_noise(const uint8_t *px, int32_t stride, int32_t width, int32_t height, frame_quality *out)
+{
+    int32_t counts[LARGEST + 1], values[256], places = 0;
+    memset(counts, 0, sizeof counts), memset(values, 0, sizeof values);
+    for (int row = 1; row < height - 1; row += EVERY_ROW) {
+        const uint8_t *line = px + (ptrdiff_t)row * stride;
+        for (int k = CHANNELS; k < CHANNELS * (width - 1); k += EVERY_COLUMN, places++) {
+            counts[second_differences(line + k, stride)]++;
+            values[line[k]]++;
+        }
+    }
+    const double range = quantile(values, 255, 1.0 - OUTERMOST, places) - quantile(values, 255, OUTERMOST, places);
+    out->contrast = fmin(1.0, fmax(LEAST_CONTRAST, range / CLEAR_RANGE));
+    const double sigma = quantile(counts, LARGEST, 0.25, places) / (QUARTILE * OF_DIFFERENCES), usual = USUAL * out->contrast;
+    out->noise = sigma > usual ? sqrt(sigma * sigma - usual * usual) / 255.0 : 0.0;
 }

@@ -703,6 +703,11 @@ typedef struct {
 } alignment;
 
 typedef struct {
+    double noise;
+    double contrast;
+} frame_quality;
+
+typedef struct {
     double cut[3];
     double gain;
     double left;
@@ -714,7 +719,6 @@ typedef struct {
     double sample_m;
     double in_view;
     double tilt_sigmas;
-    double noise;
     double arrow[6];
     double features[31];
     double light_n[4];
@@ -1069,7 +1073,7 @@ typedef struct {
 int32_t align_cover(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const pad_pose *pose, float *scratch, cover_line *out);
 
 /* align_fit.c */
-int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part, const uint8_t *arrow_px, int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, const double *cut, double noise, float *scratch, aligned_pad *out);
+int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part, const uint8_t *arrow_px, int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, const double *cut, const frame_quality *of, float *scratch, aligned_pad *out);
 
 /* align_move.c */
 int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const alignment *how, pad_pose *pose, double *tilt_sigmas, float *scratch);
@@ -1099,7 +1103,7 @@ void filter_settle(const filter_params *o, const belief *before, belief *after, 
 int32_t filter_forecast(const filter_params *o, int64_t t, const belief *before, const double *P_before, const sea *bank, int32_t n, const double *horizons_s, const horizon_reach *reach, deck_ahead *out);
 
 /* frame_noise.c */
-double frame_noise(const uint8_t *px, int32_t stride, int32_t width, int32_t height);
+void frame_noise(const uint8_t *px, int32_t stride, int32_t width, int32_t height, frame_quality *out);
 
 /* kalman.c */
 int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis);
@@ -1194,7 +1198,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 150127070u
+#define INTERFACE_DIGEST 2182391036u
 #endif
 
 #endif

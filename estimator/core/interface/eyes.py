@@ -43,16 +43,17 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
         ),
     ),
     "alignment": (*integers("steps", "local", "one_side"), *doubles(sigma_tilt_rad=1, side=2, cut=3, noise=1)),
+    "frame_quality": doubles(noise=1, contrast=1),
     "cover_line": doubles(cut=3, gain=1, left=1),
     "aligned_pad": doubles(
-        paints=12, local_paints=12, sample_m=1, in_view=1, tilt_sigmas=1, noise=1, arrow=6, features=len(FEATURES),
+        paints=12, local_paints=12, sample_m=1, in_view=1, tilt_sigmas=1, arrow=6, features=len(FEATURES),
         light_n=4, light_mean=12, light_var=12,
     ),
 }  # fmt: skip
 """The structures. A `frame_part` is a part of one level of a pyramid, px of that level. A `pad_pose` takes the pad's axes to
 the camera's. In `pad_template`, a map has n rows along x and n columns along y, and the centre in its middle; `log_blur` are
 the logarithms of the maps' standard deviations, m; `h_side` is -1 in a channel in which the H is darker than the disc, else 1.
-In `aligned_pad`, paints are (4, 3); `noise` is that of a sample's square root of light beyond the usual; `arrow` has found, seen and clear at its place and at the opposite one; `light_*` are
+In `aligned_pad`, paints are (4, 3); `arrow` has found, seen and clear at its place and at the opposite one; `light_*` are
 number, mean and variance of the light's logarithm where one paint shows alone. A `cut` is a line across the frame: rays (x, y)
 with `cut[0] x + cut[1] y + cut[2] < 0` do not count, so that zeros cut nothing off; the first two are a unit vector. In
 `cover_line`, `gain` is by how much the logarithm of the residuals' variance falls, on average, if what lies beyond the cut is
@@ -78,10 +79,15 @@ FUNCTIONS = (
         "int32_t",
         f"const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, {_FROM}"
         "const frame_part *arrow_part, const uint8_t *arrow_px, int32_t arrow_stride, const pad_pose *pose, "
-        "double tilt_sigmas, const double *cut, double noise, float *scratch, aligned_pad *out",
+        "double tilt_sigmas, const double *cut, const frame_quality *of, float *scratch, aligned_pad *out",
         "align_fit.c",
     ),
-    Function("frame_noise", "double", "const uint8_t *px, int32_t stride, int32_t width, int32_t height", "frame_noise.c"),
+    Function(
+        "frame_noise",
+        "void",
+        "const uint8_t *px, int32_t stride, int32_t width, int32_t height, frame_quality *out",
+        "frame_noise.c",
+    ),
     Function(
         "align_cover",
         "int32_t",
@@ -90,5 +96,4 @@ FUNCTIONS = (
         "align_cover.c",
     ),
 )
-"""Functions of alignment. `frame_noise` is the deviation of a frame's noise beyond the usual, as a fraction of full scale, and so are
-`noise` of an `alignment` and of `align_fit`."""
+"""Functions of alignment."""

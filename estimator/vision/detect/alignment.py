@@ -171,7 +171,7 @@ def align(
     found = _FIT(
         fixed.camera, fixed.template, fixed.coverage, fixed.local, fixed.light,
         address(part.words, np.int64), *pixels(part.px), address(arrow_part, np.int64),
-        *pixels(arrow_image), start_of(words), tilt_sigmas, address(cut), pyramid.noise,
+        *pixels(arrow_image), start_of(words), tilt_sigmas, address(cut), start_of(pyramid.quality),
         address(part.scratch, np.float32), start_of(out),
     )  # fmt: skip
     return _aligned(pose, out) if found else None

@@ -6,13 +6,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.core.library import CORE
+from estimator.contracts.geometry import F64
+from estimator.core.interface import places_of, size_of
+from estimator.core.library import CORE, start_of
 from estimator.vision.detect.colour import in_grey, monochrome
 from estimator.vision.native import pixels
 from estimator.vision.pad import Pad
 
 U8 = NDArray[np.uint8]
-_NOISE = CORE.function("frame_noise")
+_QUALITY, _QUALITY_WORDS = CORE.function("frame_noise"), size_of("frame_quality")
+_NOISE = places_of("frame_quality")["noise"].start
 
 
 class Pyramid:
@@ -21,7 +24,7 @@ class Pyramid:
     def __init__(self, px: U8) -> None:
         self._levels = [px]
         self._monochrome: bool | None = None
-        self._noise: float | None = None
+        self._quality: F64 | None = None
 
     @property
     def monochrome(self) -> bool:
@@ -31,12 +34,17 @@ class Pyramid:
         return self._monochrome
 
     @property
+    def quality(self) -> F64:
+        """The structure `frame_quality` of the core: noise beyond a camera's usual, and contrast."""
+        if self._quality is None:
+            px, self._quality = self._levels[0], np.empty(_QUALITY_WORDS)
+            _QUALITY(*pixels(px), px.shape[1], px.shape[0], start_of(self._quality))
+        return self._quality
+
+    @property
     def noise(self) -> float:
         """Standard deviation of the frame's noise beyond what a camera usually has, 3 values of a pixel; 1 is full scale."""
-        if self._noise is None:
-            px = self._levels[0]
-            self._noise = float(_NOISE(*pixels(px), px.shape[1], px.shape[0]))
-        return self._noise
+        return float(self.quality[_NOISE])
 
     def as_seen(self, pad: Pad) -> Pad:
         """Return a pad in the paints that the frame's camera sees."""
