@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -21,6 +22,7 @@ from estimator.vision.pad_pose import PadPose
 from tests.estimator.vision.oracle import alignment as oracle
 from tests.estimator.vision.oracle import paint as paint_oracle
 from tests.estimator.vision.oracle import verification as verification_oracle
+from tests.support.hard_light import U8, dusk, haze
 from tests.support.pad_scenes import CONDITIONS, pad_scene
 
 SIGMA = alignment.SIGMA_TILT_RAD
@@ -72,6 +74,16 @@ def compare(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose) -> alignm
 def test_features_and_paints_are_the_oracles(camera: Camera, pad: Pad, index: int, seed: int) -> None:
     pyramid, truth = scene(camera, pad, index)
     compare(pyramid, camera, pad, beside(truth, seed))
+
+
+@given(index=INDEX, seed=SEED, change=st.sampled_from((dusk(0.1, 20.0), dusk(0.3, 8.0), haze(0.15), haze(0.4))))
+@settings(max_examples=20)
+def test_features_in_noise_and_haze_are_the_oracles(
+    camera: Camera, pad: Pad, index: int, seed: int, change: Callable[[U8, np.random.Generator], U8]
+) -> None:
+    pyramid, truth = scene(camera, pad, index)
+    rng = np.random.default_rng(seed)
+    compare(Pyramid(change(pyramid[0], rng)), camera, pad, beside(truth, seed))
 
 
 @given(at=st.tuples(st.floats(-0.9, 0.9), st.floats(-0.6, 0.6), st.floats(0.3, 20.0)), seed=SEED)

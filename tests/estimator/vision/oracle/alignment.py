@@ -47,6 +47,8 @@ _AT_REST = 0.12
 _NOISE = 0.02
 """Residual, as a fraction of full scale, that the model leaves even where it is right (wear, noise, ripples)."""
 _LENS_BLUR_PX = 0.7
+_CHANCE = 4.0
+"""Deviations of the noise's sum below which nothing is left to explain."""
 _LEAST_AT_START, _LEAST_HALFWAY, _LEAST_AT_END = 0.10, 0.15, 0.40
 """Fractions of the variation about the pad that the drawing must explain at the start of a search, after half of the steps, and
 at the end. Of 290 pads that were found 2 % had less than 0.12 at the start and 0.55 at the end; of 2200 false candidates 40 % and
@@ -88,6 +90,10 @@ class Aligned:
     local: Local
     arrow: tuple[ArrowPlace, ArrowPlace]
     """Support for the arrowhead at its place, and at the place where it would be with the drawing turned by 180 degrees."""
+    noise: float
+    """Standard deviation of the samples' noise beyond the usual, as a fraction of full scale."""
+    contrast: float
+    """Contrast of the frame: 1 if it is clear, less in haze."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,14 +162,16 @@ def align(
     own_light, own_coverage = samples.local.take(model.used, axis=1), _sampled(drawing.coverage, drawing, model.xy)
     start = uncovered(own_light.T, own_coverage.T, model.xy.T)
     own_paints, own_weight, _, _ = _paint(own_light, own_coverage, start, final=True)
+    noise, contrast = pyramid.quality.tolist()
     level = min(_LEVELS, math.floor(math.log2(max(1.0, camera.fx * pad.markings.arrow_depth_m / (_ARROW_SAMPLES * t[2])))))
-    arrow = arrow_places(pyramid[level], 1 << level, _ROOT, camera, pad, pose, own_paints.astype(float))
+    arrow = arrow_places(pyramid[level], 1 << level, _ROOT, camera, pad, pose, own_paints.astype(float), noise)
     r2 = model.xy * model.xy
     inside = float(np.count_nonzero(r2[0] + r2[1] < pad.disc_radius_m**2)) * samples.side_m**2
     return Aligned(
         pose, paints.astype(float), model.light.T, model.coverage.T, model.xy.T, weight, samples.side_m,
         min(1.0, inside / (math.pi * pad.disc_radius_m**2 * abs(float(R[2, 2])))), tilt_sigmas,
         Local(own_paints.astype(float), own_light.T, own_coverage.T, own_weight), arrow,
+        noise / _times_smaller(samples, t, camera), contrast,
     )  # fmt: skip
 
 
@@ -202,6 +210,7 @@ def _move(
     tilt = np.zeros(2)
     n = samples.rays.shape[1]
     trust = np.ones(n, np.float32)
+    noise = pyramid.noise / _times_smaller(samples, t, camera)
     if n < _FEW:
         steps *= 2
     far = camera.fx * pad.disc_radius_m < _FAR_PX * depth
@@ -215,7 +224,7 @@ def _move(
         if model is None:
             return None
         paints, weight, residual, spread = _paint(model.light, model.coverage, trust[model.used])
-        if local and i in least and _explained(model.light, residual, weight) < least[i]:
+        if local and i in least and _explained(model.light, residual, weight, noise) < least[i]:
             return None
         trust[model.used] = weight
         N, g = _normal(paints, weight, residual, spread, model)
@@ -230,9 +239,14 @@ def _move(
         moved = (math.hypot(step[0], step[1]) + pad.disc_radius_m * (abs(step[2]) / depth + abs(step[5]))) / samples.side_m
         if i >= steps // 2 and moved < _AT_REST:
             break
-    if local and model is not None and _explained(model.light, residual, weight) < at_end:
+    if local and model is not None and _explained(model.light, residual, weight, noise) < at_end:
         return None
     return PadPose(Rotation(R @ (1.5 * np.eye(3) - 0.5 * R.T @ R)), t), math.hypot(tilt[0], tilt[1]) / sigma_tilt_rad
+
+
+def _times_smaller(samples: _Samples, t: F64, camera: Camera) -> float:
+    """Return the factor by which the samples' level of the pyramid is smaller than the frame."""
+    return samples.side_m * camera.fx / float(t[2])
 
 
 def _blur_of(samples: _Samples, t: F64, camera: Camera) -> int:
@@ -367,11 +381,13 @@ def _paint(light: F32, coverage: F32, weight: F32, final: bool = False) -> tuple
     return np.asarray(paints, np.float32), weight, residual, spread
 
 
-def _explained(light: F32, residual: F32, weight: F32) -> float:
-    """Return the fraction of the light's weighted variance that the model explains."""
+def _explained(light: F32, residual: F32, weight: F32, noise: float) -> float:
+    """Return the fraction of the light's weighted variance that the model explains, without what noise adds to it."""
     apart = light - (light @ weight / float(weight.sum()))[:, None]
     total = float((apart * apart @ weight).sum())
-    return 1.0 - float((residual * residual @ weight).sum()) / max(total, 1e-12)
+    count = 3.0 * float(weight.sum())
+    above = max(total - noise**2 * count, _CHANCE * noise**2 * math.sqrt(2.0 * count), 1e-12)
+    return (total - float((residual * residual @ weight).sum())) / above
 
 
 def _normal(paints: F32, weight: F32, residual: F32, spread: float, model: _Model) -> tuple[F64, F64]:

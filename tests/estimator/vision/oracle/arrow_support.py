@@ -30,6 +30,9 @@ _MARGIN_M = 0.02
 _CLEAR_VAR = 0.05
 """Residual variance of the projected light (disc 0, ring 1) that halves, roughly, the trust that nothing else lies there."""
 
+_HIDDEN, _PLAIN = 2.0, 5.0
+"""Strength of a whole arrowhead, in deviations of the noise, up to which it is hidden, and from which it is plain."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Design:
@@ -69,13 +72,14 @@ def _left(others: F64, arrow: F64) -> tuple[F64, F64]:
 
 
 def arrow_places(
-    image: NDArray[np.uint8], step: int, lut: F32, camera: Camera, pad: Pad, pose: PadPose, root_paints: F64
+    image: NDArray[np.uint8], step: int, lut: F32, camera: Camera, pad: Pad, pose: PadPose, root_paints: F64, noise: float
 ) -> tuple[ArrowPlace, ArrowPlace]:
     """Return the support at the fore place and at the aft place.
 
     Args:
         image: the frame, `step` times smaller than the camera's.
         lut: (256,) square root of light of a pixel's value.
+        noise: standard deviation of the frame's noise beyond the usual, as a fraction of full scale.
         root_paints: (4, 3) paints of the aligned drawing, square root of light, known up to a value common to all four.
     """
     nothing = ArrowPlace(0.0, 0.0, 0.0)
@@ -89,6 +93,9 @@ def arrow_places(
     h, w = image.shape[:2]
     R, t = pose.R_cam_pad.matrix[:, :2], pose.t_cam_pad
     energy = design.arrow.astype(float) ** 2
+    var = (noise / step) ** 2 / length
+    deviations = math.sqrt(float(energy.sum()) / max(1.0, pixel_m / _PITCH_M) ** 2 / max(var, 1e-12))
+    shown = min(1.0, max(0.0, (deviations - _HIDDEN) / (_PLAIN - _HIDDEN)))
     out = []
     for sign in (1.0, -1.0):
         uv = (camera.project(sign * design.xy_m @ R.T + t) + 0.5) / step - 0.5
@@ -108,12 +115,12 @@ def arrow_places(
             v = v[inside]
             Q, T = _left(design.others[inside], design.arrow[inside].astype(float))
         rest = v - Q @ (Q.T @ v)
-        total, square = float(T @ T), float(rest @ rest)
+        total, square = float(T @ T), max(0.0, float(rest @ rest) - var * len(v))
         strength = float(T @ rest) / total if total > 1e-9 else 0.0
         explained = strength**2 * total / max(square, 1e-9) if strength > 0.0 else 0.0
-        left = (square - strength**2 * total) / len(v)
+        left = max(0.0, square - strength**2 * total) / len(v)
         fine = min(1.0, 2.0 * pad.markings.arrow_depth_m / pixel_m - 1.0) if pixel_m > pad.markings.arrow_depth_m / 2 else 1.0
         out.append(
-            ArrowPlace(min(1.0, max(0.0, strength)) * min(1.0, explained), seen * max(0.0, fine), math.exp(-left / _CLEAR_VAR))
+            ArrowPlace(min(1.0, max(0.0, strength)) * min(1.0, explained), seen * max(0.0, fine * shown), math.exp(-left / _CLEAR_VAR))
         )
     return out[0], out[1]

@@ -20,6 +20,8 @@ U8 = NDArray[np.uint8]
 
 _NO_SECOND_MAP = np.empty(0, np.float32)
 _LEAST = 1e-3
+_RIM_PX, _WIDEST_RIM = 1.2, 0.5
+"""Width of the disc's edge, px, that is left out, and the greatest share of the radius."""
 
 
 def searched_heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F64 | None = None) -> Heading | None:
@@ -36,6 +38,9 @@ def searched_heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose,
     u, v = uv[:, 0], uv[:, 1]
     seen = ((u > -0.5) & (u < w - 0.5) & (v > -0.5) & (v < h - 0.5)).reshape(shape)
     weight = seen * drawing.area_inside
+    # The disc's edge sees the surroundings, too.
+    rim_m = min(_RIM_PX * step * float(pose.t_cam_pad[2]) / camera.fx, _WIDEST_RIM * pad.disc_radius_m)
+    weight = weight * (np.hypot(*drawing.xy_m.T) <= pad.disc_radius_m - rim_m).reshape(shape)
     if side is not None:
         weight = weight * (drawing.xy_m @ side > 0.0).reshape(shape)
     total = float(drawing.area_inside.sum()) * POLAR_ANGLES

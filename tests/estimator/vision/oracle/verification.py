@@ -54,13 +54,13 @@ def features(aligned: Aligned, pad: Pad) -> F64:
     for zone, paint, area in zip(zones, (H, ORANGE, AROUND), areas, strict=True):
         at = zone.nonzero()[0]
         way = (local.paints[DISC] - local.paints[paint]).astype(np.float32)
-        gains.append(_gains(squared.take(at), way @ residual.take(at, axis=1), coverage[paint].take(at), way, around.take(at)))
+        gains.append(_gains(squared.take(at), way @ residual.take(at, axis=1), coverage[paint].take(at), way, around.take(at), aligned))
         shown.append(min(1.0, len(at) * aligned.sample_m**2 / area))
     (h_marking, h_marking_all), (ring, ring_all), (edge, edge_all) = gains
     two = sorted((h_marking, ring, edge))[1]
-    everything = _gain(squared, (light * light).sum(axis=0), local.weight)
+    everything = _gain(squared, (light * light).sum(axis=0), local.weight, aligned)
     white, orange, green = (local.paints[k] for k in (H, ORANGE, DISC))
-    off = min(1.0, _TELLING * shown[1]) * _orange_place(white, orange, green, pad)
+    off = min(1.0, _TELLING * shown[1]) * _orange_place(white, orange, green, pad, aligned.contrast)
     size_px = pad.disc_radius_m / aligned.sample_m
     return np.array([
         1.0,
@@ -124,7 +124,7 @@ def _some(gain: float) -> float:
     return max(0.0, gain) / (max(0.0, gain) + 0.4)
 
 
-def _gains(squared: F32, along: F32, coverage: F32, way: F32, sector: NDArray[np.intp]) -> tuple[float, float]:
+def _gains(squared: F32, along: F32, coverage: F32, way: F32, sector: NDArray[np.intp], of: Aligned) -> tuple[float, float]:
     """Return `_gain` by direction from the centre: the mean of the better half of the directions in view, and of all of them.
 
     Args:
@@ -136,11 +136,11 @@ def _gains(squared: F32, along: F32, coverage: F32, way: F32, sector: NDArray[np
     if len(squared) < 6:
         return 0.0, 0.0
     n = np.bincount(sector, minlength=_SECTORS)
-    floor = _NOISE**2 * 3.0 * n + 1e-9
+    floor = (_NOISE * of.contrast) ** 2 * 3.0 * n + 1e-9
     without = coverage * coverage
     without *= float(way @ way)
     change = np.bincount(sector, without, _SECTORS)
-    with_it = np.bincount(sector, squared, _SECTORS) + floor
+    with_it = _above_noise(n, np.bincount(sector, squared, _SECTORS), of) + 1e-9
     without -= 2.0 * coverage * along
     without_it = np.maximum(np.bincount(sector, without, _SECTORS) + with_it, floor)
     gain = np.log(without_it / with_it)[change > 0.2 * float(change.max()) + 1e-9]
@@ -151,7 +151,14 @@ def _gains(squared: F32, along: F32, coverage: F32, way: F32, sector: NDArray[np
     return sum(best) / len(best) * min(1.0, len(each) / 3.0), sum(each) / len(each)
 
 
-def _gain(squared: F32, nothing: F32, weight: F32) -> float:
+def _above_noise(n: F64, squared: F64, of: Aligned) -> F64:
+    """Return squared residuals of n samples without what noise adds to them, and what is left for chance and for wear."""
+    count = 3.0 * n
+    left = np.maximum(0.0, squared - of.noise**2 * count)
+    return np.asarray(left + of.noise**2 * np.sqrt(2.0 * count) + (_NOISE * of.contrast) ** 2 * count)
+
+
+def _gain(squared: F32, nothing: F32, weight: F32, of: Aligned) -> float:
     """Return the drawing's gain: the logarithm of the squared residuals without it over those with it.
 
     Args:
@@ -161,14 +168,15 @@ def _gain(squared: F32, nothing: F32, weight: F32) -> float:
     """
     if len(squared) < 6:
         return 0.0
-    floor = _NOISE**2 * 3.0 * float(weight.sum())
-    return _clip(math.log((float(weight @ nothing) + floor) / (float(weight @ squared) + floor)), 0.0, _ENOUGH)
+    sums = np.array([weight @ nothing, weight @ squared], float)
+    without, with_it = _above_noise(np.full(2, float(weight.sum())), sums, of)
+    return _clip(math.log(without / with_it), 0.0, _ENOUGH)
 
 
-def _orange_place(white: F64, orange: F64, green: F64, pad: Pad) -> float:
+def _orange_place(white: F64, orange: F64, green: F64, pad: Pad, contrast: float) -> float:
     """Return the distance of the orange from its nominal place between disc and white, mean over the channels; 0 is nominal."""
     side = np.where(_nominal_span(pad) < 0.0, -1.0, 1.0)
-    span = np.maximum(side * (white - green), 0.04)
+    span = np.maximum(side * (white - green), 0.04 * contrast)
     place = np.clip(side * (orange - green) / span, -0.5, 1.5)
     return float(np.abs(place - _nominal_place(pad)).mean())
 
