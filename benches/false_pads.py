@@ -71,7 +71,7 @@ def photographs(condition: str) -> list[tuple[str, float]]:
     """Return (name, best score) of each photograph over several frame sizes."""
     hard = HARD[condition]
     mount = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.zeros(3))
-    out = []
+    out: list[tuple[str, float]] = []
     for path in sorted([*(DATA / "sea").glob("*.jpg"), *(DATA / "not_pads").glob("*.jpg")]):
         whole = np.asarray(cv2.imread(str(path)), np.uint8)
         for width in (320, 640, 960):
@@ -89,7 +89,9 @@ def main() -> int:
     parser.add_argument("--frames", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0, help="chunk to begin with")
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--condition", default="plain", choices=list(HARD), help="what happens to each frame, and which pad is looked for")
+    parser.add_argument(
+        "--condition", default="plain", choices=list(HARD), help="what happens to each frame, and which pad is looked for"
+    )
     parser.add_argument("--worst", type=Path, help="write the highest-scoring frames into this folder")
     args = parser.parse_args()
     chunks = range(args.first, args.first + max(1, args.frames // CHUNK))

@@ -154,8 +154,7 @@ static double gain_of_all(const samples *s, const allowed *of)
             nothing += w * (double)s->light[c][i] * (double)s->light[c][i];
         }
     }
-    const double least = above_noise(weight, 0.0, of), left = above_noise(weight, squared, of);
-    return s->n < FEWEST ? 0.0 : clipped(log((fmax(0.0, nothing - 3.0 * of->noise_var * weight) + least) / left), 0.0, ENOUGH);
+    return s->n < FEWEST ? 0.0 : clipped(log(above_noise(weight, nothing, of) / above_noise(weight, squared, of)), 0.0, ENOUGH);
 }
 
 /* 0..1: the excess of ring paint just inside or outside of the ring, which indicates a ring that is too wide. A ring that is merely

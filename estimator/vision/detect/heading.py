@@ -40,7 +40,7 @@ class Heading:
     arrow: float
     """Advantage over the heading 180 degrees away, as a fraction of the variance."""
     in_view: float
-    """Fraction of the disc's area inside the frame."""
+    """Fraction of the disc's area that is inside the frame and not at the disc's edge."""
 
 
 def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F64 | None = None) -> Heading | None:

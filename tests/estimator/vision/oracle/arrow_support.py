@@ -120,7 +120,6 @@ def arrow_places(
         explained = strength**2 * total / max(square, 1e-9) if strength > 0.0 else 0.0
         left = max(0.0, square - strength**2 * total) / len(v)
         fine = min(1.0, 2.0 * pad.markings.arrow_depth_m / pixel_m - 1.0) if pixel_m > pad.markings.arrow_depth_m / 2 else 1.0
-        out.append(
-            ArrowPlace(min(1.0, max(0.0, strength)) * min(1.0, explained), seen * max(0.0, fine * shown), math.exp(-left / _CLEAR_VAR))
-        )
+        found = min(1.0, max(0.0, strength)) * min(1.0, explained)
+        out.append(ArrowPlace(found, seen * max(0.0, fine * shown), math.exp(-left / _CLEAR_VAR)))
     return out[0], out[1]

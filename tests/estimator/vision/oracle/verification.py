@@ -54,7 +54,8 @@ def features(aligned: Aligned, pad: Pad) -> F64:
     for zone, paint, area in zip(zones, (H, ORANGE, AROUND), areas, strict=True):
         at = zone.nonzero()[0]
         way = (local.paints[DISC] - local.paints[paint]).astype(np.float32)
-        gains.append(_gains(squared.take(at), way @ residual.take(at, axis=1), coverage[paint].take(at), way, around.take(at), aligned))
+        along, covered = way @ residual.take(at, axis=1), coverage[paint].take(at)
+        gains.append(_gains(squared.take(at), along, covered, way, around.take(at), aligned))
         shown.append(min(1.0, len(at) * aligned.sample_m**2 / area))
     (h_marking, h_marking_all), (ring, ring_all), (edge, edge_all) = gains
     two = sorted((h_marking, ring, edge))[1]
