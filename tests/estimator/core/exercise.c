@@ -374,7 +374,7 @@ int main(int count, char **files)
     registrations(60);
     report("register_pad sighting_in_level");
     alignments(40);
-    report("align_view align_move align_fit align_cover");
+    report("align_view align_move align_fit align_cover frame_noise");
     searches(40);
     report("search_room search_circles search_heading search_guesses search_strokes_room search_strokes");
     video(40);

@@ -47,7 +47,7 @@ static float *scratch_for(const frame_part *part)
 static void lay(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local, const float *light, int kind)
 {
     pad_pose pose = {{1.0, 0.02, 0.01, -0.02, 1.0, 0.03, -0.01, -0.03, 1.0}, {0.1 * uniform(), 0.1 * uniform(), 0.0}};
-    alignment how = {1 + kind % 5, kind % 2, kind % 3 == 0, 0.05, {0.6, 0.8}, {0.8, -0.6, uniform()}};
+    alignment how = {1 + kind % 5, kind % 2, kind % 3 == 0, 0.05, {0.6, 0.8}, {0.8, -0.6, uniform()}, kind % 4 ? 0.0 : 0.08};
     cover_line line;
     aligned_pad out;
     frame_part part, all = {kind % 3, 0, 0, c->width >> kind % 3, c->height >> kind % 3};
@@ -60,11 +60,14 @@ static void lay(const camera_lens *c, const pad_template *p, const int16_t *maps
     int32_t stride, arrow_stride;
     uint8_t *px = part_pixels(&part, &stride), *arrow_px = part_pixels(&all, &arrow_stride);
     float *scratch = scratch_for(&part);
-    poisoned(&how.sigma_tilt_rad, 6), poisoned(pose.R, 12);
+    frame_quality of;
+    frame_noise(arrow_px, arrow_stride, (int32_t)all.width, (int32_t)all.height, &of);
+    fold(&of.noise, 2);
+    poisoned(&how.sigma_tilt_rad, 7), poisoned(pose.R, 12), poisoned(&of.noise, 2);
     if (align_cover(c, p, maps, light, &part, px, stride, &pose, scratch, &line)) {
         fold(line.cut, 5);
     }
-    if (align_fit(c, p, maps, local, light, &part, px, stride, &all, arrow_px, arrow_stride, &pose, 0.5, how.cut, scratch, &out)) {
+    if (align_fit(c, p, maps, local, light, &part, px, stride, &all, arrow_px, arrow_stride, &pose, 0.5, how.cut, &of, scratch, &out)) {
         fold(out.paints, (int)(sizeof out / sizeof(double)));
     }
     found += align_move(c, p, how.local ? local : maps, light, &part, px, stride, &how, &pose, &tilt, scratch);

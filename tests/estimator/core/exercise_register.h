@@ -187,13 +187,13 @@ static void registrations(int count)
         const double height_m = pad.disc_radius_m * camera.fx / (4.0 + draw() % (w / 2));
         uint8_t *frame = picture(&camera, &pad, height_m, kind);
         double *rays = camera.distorted ? rays_of(&camera) : NULL;
-        o.dense_edge_sigma_px = 0.01, o.coded_px = kind % 3 ? 0.0 : 0.12;
+        o.dense_edge_sigma_px = 0.01, o.coded_px = kind % 3 ? 0.0 : 0.12, o.noise = kind % 5 < 3 ? 0.0 : 0.05;
         some_start(start, &camera, height_m, kind % 7 == 0 ? 5.0 : 0.4, kind % 5 == 4);
         some_edges(&pad, edges, edge_of);
         if (kind % 4 == 3) {
             o.cut[0] = 0.6, o.cut[1] = -0.8, o.cut[2] = 0.1 * uniform();
         }
-        poisoned(&prior.roll_rad, 1), poisoned(prior.cov_tilt, 4), poisoned(o.cut, 3);
+        poisoned(&prior.roll_rad, 1), poisoned(prior.cov_tilt, 4), poisoned(&o.noise, 1), poisoned(o.cut, 3);
         if (register_pad(&camera, rays, frame, light, &pad, EDGE_POINTS, edges, edge_of, &prior, &o, start, room, scratch, found, outline)) {
             fold(found->t, 3), fold(found->R, 9), fold(&found->noise_light, 4), fold(found->edges[1].contrast_bgr, 7), fold(outline, 200);
         }
