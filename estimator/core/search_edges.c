@@ -6,7 +6,7 @@
 #include "wide.h"
 
 /* Least strength of an edge, in Sobel's sums of bytes, and relative to the mean of the blocks around it. */
-static const float LEAST_STRENGTH = 6.0f, LEAST_RELATIVE = 1.9f;
+static const float LEAST_STRENGTH = 14.0f, LEAST_RELATIVE = 1.9f;
 /* Least cosine between a ray and the plane's normal. */
 static const double LEAST_FACING = 0.15;
 /* Tangent of 67.5 degrees. */
