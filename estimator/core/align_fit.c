@@ -87,7 +87,7 @@ int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *ma
     keep_paints(&fit, out->local_paints);
     align_arrow(c, p, maps, light + 256, arrow_part, arrow_px, arrow_stride, pose, fit.paints, of->noise, out->arrow);
     /* The root of light is a pixel's value but for a few per cent, and a sample of a higher level the mean of four of the one below. */
-    const frame_quality of_samples = {of->noise / (double)(1 << part->level), of->contrast};
+    const frame_quality of_samples = {of->noise / (double)(1 << part->level), of->contrast, of->chroma};
     align_features(p, &s, &fit, &of_samples, out);
     return 1;
 }

@@ -24,6 +24,13 @@ static int second_differences(const uint8_t *at, ptrdiff_t stride)
     return abs(4 * at[0] - 2 * sides + corners);
 }
 
+/* The largest difference between the channels of a pixel. */
+static int spread_of(const uint8_t *px)
+{
+    const int low = px[0] < px[1] ? px[0] : px[1], high = px[0] < px[1] ? px[1] : px[0];
+    return (px[2] > high ? px[2] : high) - (px[2] < low ? px[2] : low);
+}
+
 /* The value, between whole numbers, below which a share of counted values is. */
 static double quantile(const int32_t *counts, int largest, double share, int places)
 {
@@ -37,15 +44,18 @@ static double quantile(const int32_t *counts, int largest, double share, int pla
 
 void frame_noise(const uint8_t *px, int32_t stride, int32_t width, int32_t height, frame_quality *out)
 {
-    int32_t counts[LARGEST + 1], values[256], places = 0;
+    int32_t counts[LARGEST + 1], values[256], places = 0, chroma = 0;
     memset(counts, 0, sizeof counts), memset(values, 0, sizeof values);
     for (int row = 1; row < height - 1; row += EVERY_ROW) {
         const uint8_t *line = px + (ptrdiff_t)row * stride;
         for (int k = CHANNELS; k < CHANNELS * (width - 1); k += EVERY_COLUMN, places++) {
             counts[second_differences(line + k, stride)]++;
             values[line[k]]++;
+            const int spread = spread_of(line + k / CHANNELS * CHANNELS);
+            chroma = spread > chroma ? spread : chroma;
         }
     }
+    out->chroma = chroma;
     const double range = quantile(values, 255, 1.0 - OUTERMOST, places) - quantile(values, 255, OUTERMOST, places);
     out->contrast = fmin(1.0, fmax(LEAST_CONTRAST, range / CLEAR_RANGE));
     const double sigma = quantile(counts, LARGEST, 0.25, places) / (QUARTILE * OF_DIFFERENCES), usual = USUAL * out->contrast;

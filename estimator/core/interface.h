@@ -705,6 +705,7 @@ typedef struct {
 typedef struct {
     double noise;
     double contrast;
+    double chroma;
 } frame_quality;
 
 typedef struct {
@@ -1198,7 +1199,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 2182391036u
+#define INTERFACE_DIGEST 92685206u
 #endif
 
 #endif

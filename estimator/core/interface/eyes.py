@@ -43,7 +43,7 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
         ),
     ),
     "alignment": (*integers("steps", "local", "one_side"), *doubles(sigma_tilt_rad=1, side=2, cut=3, noise=1)),
-    "frame_quality": doubles(noise=1, contrast=1),
+    "frame_quality": doubles(noise=1, contrast=1, chroma=1),
     "cover_line": doubles(cut=3, gain=1, left=1),
     "aligned_pad": doubles(
         paints=12, local_paints=12, sample_m=1, in_view=1, tilt_sigmas=1, arrow=6, features=len(FEATURES),

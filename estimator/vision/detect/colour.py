@@ -30,10 +30,6 @@ _COLOURED, _HAZY = 0.25 * _NAT, 0.06 * _NAT
 """Measure from which on a disc's paint is no shade of grey, and range of the measure in a frame below which the frame has no
 colour: 99 of 100 discs stand out by 0.56 in any light, and by a seventh of that in haze.
 """
-_EVERY_PX = 8
-"""Distance between the pixels that are looked at for colour."""
-_MONOCHROME = 3
-"""Largest difference between the channels of a pixel in a frame of a grey camera."""
 _LOG = np.rint(np.log1p(LINEAR_LIGHT / _FLOOR) * _NAT).astype(np.uint8)
 
 
@@ -49,15 +45,6 @@ def is_coloured(measure: U8) -> bool:
     """Return whether the measure of a frame, at reduced size, varies more than a frame's without colour."""
     low, high, _, _ = cv2.minMaxLoc(measure)
     return high - low > _HAZY
-
-
-def monochrome(px: U8) -> bool:
-    """Return whether a frame comes from a grey camera: its channels are equal, but for what a codec adds.
-
-    A painted pad in view of a colour camera, or anything else of some colour, makes it False.
-    """
-    few = px[::_EVERY_PX, ::_EVERY_PX].astype(np.int16)
-    return int(np.ptp(few, axis=2).max()) <= _MONOCHROME
 
 
 @lru_cache(maxsize=8)

@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.core.interface import places_of, size_of
 from estimator.core.library import CORE, start_of
-from estimator.vision.detect.colour import in_grey, monochrome
+from estimator.vision.detect.colour import in_grey
 from estimator.vision.native import pixels
 from estimator.vision.pad import Pad
 
 U8 = NDArray[np.uint8]
 _QUALITY, _QUALITY_WORDS = CORE.function("frame_noise"), size_of("frame_quality")
-_NOISE = places_of("frame_quality")["noise"].start
+_NOISE, _CHROMA = (places_of("frame_quality")[name].start for name in ("noise", "chroma"))
+_MONOCHROME = 3.0
+"""Largest difference between the channels of a pixel in a frame of a grey camera."""
 
 
 class Pyramid:
@@ -23,19 +25,19 @@ class Pyramid:
 
     def __init__(self, px: U8) -> None:
         self._levels = [px]
-        self._monochrome: bool | None = None
         self._quality: F64 | None = None
 
     @property
     def monochrome(self) -> bool:
-        """Whether the frame comes from a grey camera."""
-        if self._monochrome is None:
-            self._monochrome = monochrome(self._levels[0])
-        return self._monochrome
+        """Whether the frame comes from a grey camera: its channels are equal, but for what a codec adds.
+
+        A painted pad in view of a colour camera, or anything else of some colour, makes it False.
+        """
+        return float(self.quality[_CHROMA]) <= _MONOCHROME
 
     @property
     def quality(self) -> F64:
-        """The structure `frame_quality` of the core: noise beyond a camera's usual, and contrast."""
+        """The structure `frame_quality` of the core: noise beyond a camera's usual, contrast and colour."""
         if self._quality is None:
             px, self._quality = self._levels[0], np.empty(_QUALITY_WORDS)
             _QUALITY(*pixels(px), px.shape[1], px.shape[0], start_of(self._quality))

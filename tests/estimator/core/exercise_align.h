@@ -62,8 +62,8 @@ static void lay(const camera_lens *c, const pad_template *p, const int16_t *maps
     float *scratch = scratch_for(&part);
     frame_quality of;
     frame_noise(arrow_px, arrow_stride, (int32_t)all.width, (int32_t)all.height, &of);
-    fold(&of.noise, 2);
-    poisoned(&how.sigma_tilt_rad, 7), poisoned(pose.R, 12), poisoned(&of.noise, 2);
+    fold(&of.noise, 3);
+    poisoned(&how.sigma_tilt_rad, 7), poisoned(pose.R, 12), poisoned(&of.noise, 3);
     if (align_cover(c, p, maps, light, &part, px, stride, &pose, scratch, &line)) {
         fold(line.cut, 5);
     }

@@ -162,7 +162,7 @@ def align(
     own_light, own_coverage = samples.local.take(model.used, axis=1), _sampled(drawing.coverage, drawing, model.xy)
     start = uncovered(own_light.T, own_coverage.T, model.xy.T)
     own_paints, own_weight, _, _ = _paint(own_light, own_coverage, start, final=True)
-    noise, contrast = pyramid.quality.tolist()
+    noise, contrast, _ = pyramid.quality.tolist()
     level = min(_LEVELS, math.floor(math.log2(max(1.0, camera.fx * pad.markings.arrow_depth_m / (_ARROW_SAMPLES * t[2])))))
     arrow = arrow_places(pyramid[level], 1 << level, _ROOT, camera, pad, pose, own_paints.astype(float), noise)
     r2 = model.xy * model.xy
