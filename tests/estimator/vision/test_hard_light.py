@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from benches.search import sure_within
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import FRAME_WORK
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
@@ -14,7 +15,9 @@ from estimator.vision.detect.colour import in_grey
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.verification import FEATURES
+from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from tests.support.hard_light import HARD, U8, dusk, grey, hard_scene, haze
 from tests.support.pad_scenes import PadScene, empty_scene, pad_scene
 
@@ -38,7 +41,17 @@ def scene(camera: Camera, name: str, height_m: float, k: int) -> PadScene:
     ],
 )
 def test_found_from_afar_and_sure(camera: Camera, name: str, height_m: float, k: int) -> None:
-    assert sure_within(scene(camera, name, height_m, k), camera, HARD[name].pad, FRAME_WORK, 3)[:2] == (True, True)
+    seen, stamp = scene(camera, name, height_m, k), Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
+    attitude = None if seen.R_level_body is None else Attitude(stamp, seen.R_level_body, np.eye(3) * 3e-4)
+    tracker = TrackerConfig(camera, HARD[name].pad, TrackerOptions("registration", "simulator"), FRAME_WORK)
+    memory, sure = TrackerMemory(), 0.0
+    for _ in range(3):
+        found, memory = track(tracker, memory, Frame(stamp, 0, seen.px), attitude)
+        sure = max(sure, 0.0 if found.selected is None else found.selected.confidence)
+    assert seen.truth is not None
+    assert found.selected is not None
+    assert sure > 0.5
+    assert float(np.linalg.norm(found.selected.d_body_pad_level)) == pytest.approx(seen.truth.range_m, rel=0.1)
 
 
 @pytest.mark.parametrize("sigma", [6.0, 12.0, 20.0])
