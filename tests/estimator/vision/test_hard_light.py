@@ -9,7 +9,6 @@ import pytest
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import FRAME_WORK
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.colour import in_grey
 from estimator.vision.detect.heading import heading
@@ -18,6 +17,7 @@ from estimator.vision.detect.verification import FEATURES
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.tracker_config import FRAME_WORK
 from tests.support.hard_light import HARD, U8, dusk, grey, hard_scene, haze
 from tests.support.pad_scenes import PadScene, empty_scene, pad_scene
 
