@@ -42,6 +42,11 @@ _GAP_MAX_S = 0.5
 """A silence longer than this makes the observer begin again at what is measured; what it has learned of the wind it keeps."""
 _BLEND_S = 1.0
 """Time in which the command goes over from one set of gains to another, s."""
+_SOFT_BEYOND_M, _SOFT_UNTIL_M = 0.1, 0.05
+"""Distance beside the wanted place beyond which a vehicle with a velocity loop of its own is flown by soft gains, and up to which
+again. Such a vehicle limits the jerk of what it is asked for, ArduCopter to 5 m/s^3: from a quarter of a metre the full gains
+asked for four times as much, and the loop swung wider and wider.
+"""
 _STEP = CORE.function("law_step")
 
 
@@ -97,7 +102,7 @@ class FollowDeck:
         fallback: PidController | None = None,
         over_ground: bool = False,
     ) -> None:
-        self._fallback = fallback
+        self._fallback, self._over_ground = fallback, over_ground
         self.response, self.period_s = response, period_s
         self._weights, self._delay_line = weights or TiltWeights(), delay_line
         self._tunings: dict[TuningChoice, TiltTuning] = {}
@@ -149,6 +154,15 @@ class FollowDeck:
             )
         return self._packed[key]
 
+    def _wanted(self, memory: FollowDeckMemory, knowledge: Knowledge, target: Target | None) -> TuningChoice:
+        """Return the gains to fly by."""
+        wanted, relative = chosen_tuning(knowledge.response), knowledge.relative
+        if not self._over_ground or target is None or relative is None:
+            return wanted
+        beside_m = math.dist(relative.d_body_pad_level.tolist()[:2], target.d_body_pad_level.tolist()[:2])
+        far = beside_m > (_SOFT_UNTIL_M if memory.tuning.soft else _SOFT_BEYOND_M)
+        return wanted._replace(soft=wanted.soft or far)
+
     def _retuned(self, memory: FollowDeckMemory, now: MonoNs, wanted: TuningChoice) -> FollowDeckMemory:
         """Return the memory with the gains that are wanted: at once before the first cycle, otherwise little by little."""
         if memory.at is None:
@@ -169,7 +183,7 @@ class FollowDeck:
             assert self._fallback is not None
             plain, given = self._fallback.step(memory.plain, now, knowledge, target)
             return replace(memory, plain=plain), given
-        memory = self._retuned(memory, now, chosen_tuning(knowledge.response))
+        memory = self._retuned(memory, now, self._wanted(memory, knowledge, target))
         sigma_m, share = _sigma_m(relative), memory.share
         gains = self._gains(memory.tuning, sigma_m)
         before = gains if share == 1.0 else self._gains(memory.tuning_before, sigma_m)

@@ -382,3 +382,48 @@ def test_a_velocity_loops_own_lean_is_followed_axis_by_axis_and_told_as_trim() -
         if isinstance(command, Lean):
             north, east = after.own[0].own, after.own[1].own
             assert command.trim_level == pytest.approx([c * north + s * east, c * east - s * north])
+
+
+def come_from(beside_m: float, jerk_m_s3: float, *, over_ground: bool) -> tuple[list[float], list[TuningChoice]]:
+    """Fly a vehicle of the shipped response to the pad, through a limit of the jerk; return its places and the gains flown by."""
+    response = shipped_response("autopilot")
+    tilt, law = response.tilt, FollowDeck(response, T, over_ground=over_ground)
+    memory, places, gains = law.start(), list[float](), list[TuningChoice]()
+    p, v, lean, rate, lag, shaped = beside_m, 0.0, 0.0, 0.0, 0.0, 0.0
+    waiting = [0.0] * round(tilt.delay_s / T)
+    in_use = ResponseInUse(ResponseState.KNOWN, tilt.delay_s, 0.005, 0.0)
+    for k in range(400):
+        now = known(
+            k * T, (p, 0.0, 1.5), (v, 0.0, 0.0), a=(lean, 0.0), lean=(lean, 0.0), rates=(0.0, -rate / G_M_S2, 0.0),
+            v_deck=(0.0, 0.0, 0.0), response=in_use,
+        )  # fmt: skip
+        memory, command = stepped(memory, now, Target(np.array([0.0, 0.0, 1.5])), law)
+        shaped += float(np.clip(asked(command)[0] - shaped, -jerk_m_s3 * T, jerk_m_s3 * T))
+        waiting.append(shaped)
+        arrived = waiting.pop(0)
+        for _ in range(10):
+            dt = 0.1 * T
+            lag += dt / tilt.lag_s * (arrived - lag)
+            rate += dt * (tilt.frequency_rad_s**2 * (lag - lean) - 2.0 * tilt.damping * tilt.frequency_rad_s * rate)
+            lean += dt * rate
+            v -= dt * lean
+            p += dt * v
+        places.append(p)
+        gains.append(memory.tuning)
+    return places, gains
+
+
+def test_a_vehicle_that_limits_jerk_comes_to_the_pad_from_aside() -> None:
+    places, gains = come_from(0.25, 5.0, over_ground=True)
+    assert max(map(abs, places[100:])) < 0.1
+    assert max(map(abs, places[250:])) < 0.01
+    assert gains[0].soft
+    assert not gains[-1].soft
+    places, gains = come_from(0.25, 5.0, over_ground=False)
+    assert max(map(abs, places[100:])) > 0.25, "full gains ask for more than it can follow"
+    assert not any(choice.soft for choice in gains)
+
+
+@pytest.mark.parametrize(("from_m", "soft"), [(0.099, False), (0.101, True)])
+def test_near_the_pad_the_full_gains_are_flown_at_once(from_m: float, soft: bool) -> None:
+    assert come_from(from_m, 1e9, over_ground=True)[1][0].soft is soft

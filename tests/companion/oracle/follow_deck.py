@@ -14,7 +14,7 @@ from companion.guidance.disturbance import ObserverNoise
 from companion.guidance.follow_deck import FollowDeck
 from companion.guidance.response import Response
 from companion.guidance.tilt_law import TiltGains
-from companion.guidance.tuning import AS_GIVEN, TuningChoice, chosen_tuning
+from companion.guidance.tuning import AS_GIVEN, TuningChoice
 from companion.guidance.view import FieldOfView
 from estimator.contracts.commands import Command, Hover, Lean
 from estimator.contracts.estimates import RelativeState
@@ -84,7 +84,7 @@ class OracleLaw(FollowDeck):
         over_ground: bool = False,
     ) -> None:
         super().__init__(response, period_s, view, noise=noise, forecast=forecast, over_ground=over_ground)
-        self.view, self._over_ground, self._forecast = view, over_ground, forecast
+        self.view, self._forecast = view, forecast
         self.observers = disturbance.observer_gains(noise or ObserverNoise(), period_s)
 
     def start(self) -> OracleMemory:  # type: ignore[override]
@@ -111,7 +111,8 @@ class OracleLaw(FollowDeck):
         assert body is not None
         assert relative is not None
         frame = _Frame(math.cos(body.heading_rad), math.sin(body.heading_rad))
-        memory = self._retuned(memory, now, chosen_tuning(knowledge.response))  # type: ignore[arg-type,assignment]
+        wanted = self._wanted(memory, knowledge, target)  # type: ignore[arg-type]
+        memory = self._retuned(memory, now, wanted)  # type: ignore[arg-type,assignment]
         here = self._deck_ahead(deck, knowledge, 0.0)
         axes = self._axes(memory, now, relative, body, here, frame)
         v_down = (0.0 if deck is None else deck.v_level.item(2)) - relative.v_pad_level.item(2)
