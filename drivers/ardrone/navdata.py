@@ -7,11 +7,11 @@ all bytes before it, modulo 2^32. Source: Parrot SDK 2.0.1; checked against a da
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from enum import IntEnum
 from typing import Any, NamedTuple, TypeVar
 
-import numpy as np
 from msgspec import Struct
 
 from drivers.ardrone.navdata_flight import (
@@ -310,8 +310,9 @@ def _walked(datagram: bytes, end: int) -> Navdata | Refusal:
 
 
 def _sum_before_checksum(datagram: bytes) -> int:
-    octets = np.frombuffer(datagram, np.uint8, len(datagram) - _CHECKSUM.size)
-    return int(np.add.reduce(octets, dtype=np.uint32))
+    """Return the sum of all bytes before the checksum: the low half of Adler-32 is one more than that of up to 256 (RFC 1950)."""
+    end = len(datagram) - _CHECKSUM.size
+    return sum([(zlib.adler32(datagram[at : min(at + 256, end)]) & 0xFFFF) - 1 for at in range(0, end, 256)])
 
 
 def encode(navdata: Navdata) -> bytes:

@@ -394,7 +394,7 @@ WHILE_A_CLASS_IS_MADE = """
 class Named:
     def __set_name__(self, owner, name):
         os.kill(os.getpid(), signal.SIGTERM)
-def run(argv):
+def run(argv, load):
     class Owner:
         field = Named()
     return 0
