@@ -80,11 +80,7 @@ def _told(end: FlightEnd) -> dict[str, Any]:
 
 
 def _outcome(end: FlightEnd) -> str:
-    if end.failure:
-        return end.failure
-    if not end.upright:
-        return "turned over or in the water"
-    return "time ran out" if end.outcome is None else end.outcome.value
+    return end.failure or (end.without_outcome if end.outcome is None else end.outcome.value)
 
 
 def table(flights: Sequence[dict[str, Any]]) -> str:

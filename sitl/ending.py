@@ -71,7 +71,7 @@ class Ending:
     scenario: str
     seed: int
     outcome: FlightOutcome | None
-    """Outcome in the pilot's eyes; None if time ran out."""
+    """Outcome in the pilot's eyes; None if the flight ended without one, as `without_outcome` says."""
     contacts: tuple[Contact, ...]
     duration_s: float
     frames: Counter[Verdict]
@@ -79,6 +79,7 @@ class Ending:
     judged: FlightGrade | None = None
     load: Load | None = None
     """The load of the machine; None for a flight in virtual time."""
+    without_outcome: str = "time ran out"
 
     @property
     def contact(self) -> Contact | None:
@@ -97,8 +98,8 @@ class Ending:
 
     @property
     def word(self) -> str:
-        """The outcome in words, or that time ran out."""
-        return "time ran out" if self.outcome is None else self.outcome.value
+        """The outcome in words, or why there is none."""
+        return self.without_outcome if self.outcome is None else self.outcome.value
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values; lengths in m, speeds in m/s, angles in degrees, times in s; None for what nobody judged."""

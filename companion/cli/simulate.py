@@ -66,7 +66,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     beside.add_argument(
         "--param", action="append", default=[], metavar="NAME=VALUE", help="set a parameter of the autopilot; may be repeated"
     )
+    beside.add_argument(
+        "--unaided",
+        action="store_true",
+        help="let the autopilot land by its own landing mode, and nothing of ours reach it, to compare",
+    )
     beside.add_argument("--keep", type=Path, metavar="DIR", help="keep the logs and output of the autopilot in this folder")
+
+
+def _with_program(args: argparse.Namespace) -> bool:
+    """Return whether an option is given that only a flight with an autopilot program has."""
+    return args.binary is not None or args.keep is not None or bool(args.param) or args.unaided
 
 
 def run(args: argparse.Namespace) -> int:
@@ -85,15 +95,15 @@ def run(args: argparse.Namespace) -> int:
     if args.follow is not None:
         from companion.cli import simulate_follow
 
-        if args.autopilot is not None or args.binary is not None or args.keep is not None or args.param:
-            raise BadInput("--follow does not go with --autopilot, --binary, --param or --keep")
+        if args.autopilot is not None or _with_program(args):
+            raise BadInput("--follow does not go with --autopilot, --binary, --param, --unaided or --keep")
         return simulate_follow.run(args)
     if args.autopilot is not None:
         from companion.cli import simulate_autopilot
 
         return simulate_autopilot.run(args, perception)
-    if args.binary is not None or args.keep is not None or args.param:
-        raise BadInput("--binary, --param and --keep go with --autopilot")
+    if _with_program(args):
+        raise BadInput("--binary, --param, --unaided and --keep go with --autopilot")
     scenario = load_scenario(args.scenario, args.base)
     settings = settings_for(scenario, args.config)
     given = Overridable(scenario, settings)

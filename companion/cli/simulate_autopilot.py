@@ -52,7 +52,7 @@ def run(args: argparse.Namespace, perception: Level) -> int:
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
     progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]
-    autopilot = AutopilotProgram(args.autopilot, binary, parameters=parameters(args.param))
+    autopilot = AutopilotProgram(args.autopilot, binary, parameters=parameters(args.param), unaided=args.unaided)
     seen_by, began = perceive(perception, args.perception_model), time.monotonic()
     with _folder(args.keep) as folder:
         flight = AutopilotFlight(scenario, args.seed, settings, autopilot, folder, observers, seen_by)
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace, perception: Level) -> int:
     )
     if end.result is not None:
         ending = graded_ending(args.scenario, args.seed, scenario, end.result, time.process_time())
-    ending = replace(ending, started=flight.graded.started)
+    ending = replace(ending, started=flight.graded.started, without_outcome=end.without_outcome)
     wall_s = time.monotonic() - began
     report = kept.write_report(ending, wall_s, f"in lock step with {facts['binary']}")
     if args.json:

@@ -33,6 +33,8 @@ class FaultyLink:
         self._to_program: Callable[[bytes], None] | None = None
         self.cut = False
         """Whether nothing passes because there is no service: what is under way arrives nowhere."""
+        self.muted = False
+        """Whether nothing of the daemon's passes, while it hears the program."""
         self.carried: Counter[str] = Counter()
         """Datagrams that came in and that went on: "samples in", "samples out", "commands in", "commands out"."""
 
@@ -56,7 +58,7 @@ class FaultyLink:
 
     def from_daemon(self, data: bytes) -> None:
         """Take a datagram of the daemon."""
-        if self.cut:
+        if self.cut or self.muted:
             return
         self.carried["commands in"] += 1
         self._commands.send(lambda: data, self._clock.now())

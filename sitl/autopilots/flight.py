@@ -85,6 +85,8 @@ class AutopilotProgram:
     """Largest speed of the program in multiples of real time; the lock step limits it to what the machine can do."""
     parameters: tuple[tuple[str, float], ...] = ()
     """Parameters of the program, in addition to those with which it is always started."""
+    unaided: bool = False
+    """Whether it lands by its own landing mode, and nothing of the daemon's reaches it: the control flight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +94,7 @@ class FlightEnd:
     """The result of the flight."""
 
     outcome: FlightOutcome | None
-    """The pilot's outcome; None if the time ran out."""
+    """The pilot's outcome, and of an unaided flight a landing where the motors stopped; None if the flight ended otherwise."""
     landing: Landing | None
     duration_s: float
     """Time since the landing was commanded."""
@@ -110,6 +112,11 @@ class FlightEnd:
     """Time for which the motors turned after the newest contact; None if they never stopped, or there was none."""
     silences: tuple[Silence, ...] = ()
     """What the vehicle did while the service was killed."""
+
+    @property
+    def without_outcome(self) -> str:
+        """Why a flight without an outcome ended."""
+        return "time ran out" if self.upright else "turned over or fell into the water"
 
     @property
     def failsafes(self) -> tuple[str, ...]:
@@ -159,7 +166,7 @@ class AutopilotFlight:
         if self.scenario.gimbal.given and (self.autopilot.binary is not None or self.perception.level != "pixels"):
             raise BadInput("gimbal: only the stand-in (--binary stand-in) with rendered frames (--perception pixels) has one")
         stack = Stack.PX4 if self.autopilot.name == "px4" else Stack.ARDUPILOT
-        self.station = GroundStation(stack, height_m=self.height_m)
+        self.station = GroundStation(stack, height_m=self.height_m, unaided=self.autopilot.unaided)
         watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
         self.graded = GradedBody(self.scenario, self.seed, self.settings, self.clock, watchdog_s)
         self.link = FaultyLink(self.graded.streams, self.clock)
@@ -184,7 +191,8 @@ class AutopilotFlight:
         cv2.setNumThreads(1)
         fixed = self.autopilot.name == "px4" and self.autopilot.binary is not None
         from_program, to_station = px4.MAVLINK_PORTS if fixed else (free_udp_port(), free_udp_port())
-        to_daemon = free_udp_port() if self.scenario.faults else from_program
+        relayed = self.autopilot.unaided or bool(self.scenario.faults)
+        to_daemon = free_udp_port() if relayed else from_program
         settings = self.service_settings(to_daemon)
         service = self._service = KillableService(lambda once: self._serving(settings, once))
         # The world begins before the program does: at the level `truth` the pilot reads it from its first cycle on.
@@ -203,7 +211,7 @@ class AutopilotFlight:
                 links = await stack.enter_async_context(
                     open_links((link,), self.clock, STATION, access=NamedSenders(everybody=True))
                 )
-                if self.scenario.faults:
+                if relayed:
                     await stack.enter_async_context(self.link.relaying(HOST, from_program, to_daemon))
                 program = await stack.enter_async_context(self._program((from_program, to_station)))
                 self._stepped_at = time.monotonic()
@@ -252,6 +260,8 @@ class AutopilotFlight:
             for message in station.period(self.clock.now(), view_of(self.body)):
                 links.send(message)
             lost = not self.body.upright
+            if self.autopilot.unaided and station.task is Task.ORDER:
+                self.link.muted = True
             if service.gone and not self.graded.active("service_killed"):
                 await service.restart(group)
                 self._expose_by(service.now, camera)
@@ -259,7 +269,7 @@ class AutopilotFlight:
                 station.again(self.clock.now(), self.graded.height_m)
             if station.began is not None:
                 flown_s = seconds_between(station.began, self.clock.now())
-                if service.ended(station.task is Task.WATCH) or flown_s > self.scenario.duration_limit_s or lost:
+                if self._flown(service) or flown_s > self.scenario.duration_limit_s or lost:
                     break
             elif lost or service.ended(ordered=False):
                 station.failure = "it turned over or fell into the water before the landing was ordered"
@@ -270,8 +280,11 @@ class AutopilotFlight:
         landing = None if self.body is None or station.began is None else self.body.landing()
         stopped = None if landing is None or self._stopped_s is None else max(self._stopped_s - landing.t_s, 0.0)
         pilot, health = service.now.pilot, service.now.daemon.health
+        outcome = pilot.outcome
+        if self.autopilot.unaided:
+            outcome = FlightOutcome.LANDED if stopped is not None and self.body is not None and self.body.upright else None
         return FlightEnd(
-            pilot.outcome,
+            outcome,
             landing,
             max(seconds_between(began, self.clock.now()) - _AFTER_S, 0.0),
             health,
@@ -283,6 +296,12 @@ class AutopilotFlight:
             stopped,
             tuple(self._silences),
         )
+
+    def _flown(self, service: KillableService) -> bool:
+        """Return whether the landing that was ordered has ended by itself."""
+        if self.autopilot.unaided:
+            return self.body is not None and not self.body.flying
+        return service.ended(self.station.task is Task.WATCH)
 
     async def _listen(self, links: Links) -> None:
         async for received in links.received:

@@ -16,7 +16,7 @@ import numpy as np
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.joined_texts import JoinedTexts
 from drivers.mavlink.setpoint import velocity_setpoint
-from drivers.mavlink.vehicle import ARMED, VELOCITY_MODE, Stack, mode_name, set_mode
+from drivers.mavlink.vehicle import ARMED, LAND_MODE, VELOCITY_MODE, Stack, mode_name, set_mode
 from estimator.contracts.commands import Velocity
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between
@@ -78,10 +78,19 @@ class GroundStation:
 
     Args:
         height_m: height of the take-off, before going to the start.
+        unaided: whether the autopilot is ordered to land by its own landing mode, and the companion is not.
     """
 
-    def __init__(self, stack: Stack, *, height_m: float, system: int = 1, timeouts: StationTimeouts | None = None) -> None:
-        self._stack, self._height_m = stack, height_m
+    def __init__(
+        self,
+        stack: Stack,
+        *,
+        height_m: float,
+        system: int = 1,
+        timeouts: StationTimeouts | None = None,
+        unaided: bool = False,
+    ) -> None:
+        self._stack, self._height_m, self._unaided = stack, height_m, unaided
         self._autopilot, self._companion = (system, _AUTOPILOT), (system, COMPANION)
         self._timeouts = timeouts or StationTimeouts()
         self._since: MonoNs | None = None
@@ -93,7 +102,7 @@ class GroundStation:
         self.mode = ""
         self.armed = False
         self.began: MonoNs | None = None
-        """Instant at which the companion first accepted the command to land."""
+        """Instant at which the companion first accepted the command to land, or the autopilot's landing mode was first seen."""
         self._joined = JoinedTexts()
         self.texts: deque[tuple[MonoNs, int, str]] = deque(maxlen=400)
         """The STATUSTEXTs as (time, component, text)."""
@@ -115,6 +124,8 @@ class GroundStation:
                 self._next(Task.ARM, now)
             elif self.task is Task.ARM and self.armed:
                 self._next(Task.TAKE_OFF, now)
+            elif self.task is Task.ORDER and self._unaided and self.mode == LAND_MODE[self._stack]:
+                self._watch(now)
         elif kind == "COMMAND_ACK":
             self._answered(int(message.command), int(message.result), component, now)
 
@@ -133,10 +144,10 @@ class GroundStation:
     def _answered(self, command: int, result: int, component: int, now: MonoNs) -> None:
         if component == _AUTOPILOT and result != mav.MAV_RESULT_ACCEPTED:
             self.results.append((command, result))
-        ordered = command == mav.MAV_CMD_NAV_LAND and component == COMPANION and self.task is Task.ORDER
+        asked = self.task is Task.ORDER and not self._unaided
+        ordered = asked and command == mav.MAV_CMD_NAV_LAND and component == COMPANION
         if ordered and result in (mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_IN_PROGRESS):
-            self.began = self.began or now
-            self._next(Task.WATCH, now)
+            self._watch(now)
         elif ordered:
             self._fail(f"the companion refused the landing with result {result}")
 
@@ -194,10 +205,20 @@ class GroundStation:
         return [*takes, velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v_level, rate), view.yaw_rad)]
 
     def _order(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        self._give_up_after(self._timeouts.order_s, now, "the companion did not answer the order to land")
-        order = [self._command(mav.MAV_CMD_NAV_LAND, to=self._companion)] if self._due("order", now) else []
+        whom = "autopilot" if self._unaided else "companion"
+        self._give_up_after(self._timeouts.order_s, now, f"the {whom} did not answer the order to land")
+        order = [self._order_to_land()] if self._due("order", now) else []
         # Until somebody else steers, its setpoints must not end.
         return [*order, velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(view.v_start_level, 0.0), view.yaw_rad)]
+
+    def _order_to_land(self) -> Message:
+        if self._unaided:
+            return set_mode(self._stack, self._autopilot, LAND_MODE[self._stack])
+        return self._command(mav.MAV_CMD_NAV_LAND, to=self._companion)
+
+    def _watch(self, now: MonoNs) -> None:
+        self.began = self.began or now
+        self._next(Task.WATCH, now)
 
     def _nothing(self, now: MonoNs, view: OperatorView) -> list[Message]:
         return []

@@ -58,6 +58,8 @@ class Clock {
     this.playing = on;
     if (on && this.t >= this.end - 0.01) this.seek(this.begin);
     for (const video of this.videos) video.play(on, this.t, this.rate);
+    // Each stops where it is; paused, all show the cursor's instant.
+    if (!on) this.seek(this.t);
     this.tell("play");
     this.last = performance.now();
     if (on) requestAnimationFrame((now) => this.step(now));

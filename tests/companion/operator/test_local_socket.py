@@ -45,6 +45,15 @@ def folder() -> Iterator[Path]:
         yield Path(path)
 
 
+@pytest.fixture
+def alone(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let sockets be in the folder alone, whatever else runs on this computer."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+
+
 class Service:
     """The parts of a service that orders meet: the socket, the pilot and guidance cycles, without a vehicle."""
 
@@ -166,8 +175,8 @@ async def test_the_client_says_that_the_service_is_gone(folder: Path) -> None:
             await client.order(OperatorOrder.HOLD)
 
 
-def test_the_path_follows_the_settings(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+@pytest.mark.usefixtures("alone")
+def test_the_path_follows_the_settings(folder: Path) -> None:
     shipped = load("sim")
     assert socket_path(shipped) == folder / "decklander" / "127.0.0.1-5556.sock"
 
@@ -183,10 +192,10 @@ def test_the_path_follows_the_settings(folder: Path, monkeypatch: pytest.MonkeyP
         running(shipped)
 
 
+@pytest.mark.usefixtures("alone")
 def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
     path = socket_path(load("sim"))
     assert path is not None
     assert main(["fly", "hold"]) == 1

@@ -85,6 +85,22 @@ async def test_it_holds_when_the_service_is_killed_and_a_new_one_lands_it(
     assert end.result.grade is Grade.ON_PAD
 
 
+@pytest.mark.timeout(400)
+async def test_unaided_it_lands_over_the_ground_while_the_ship_goes_on(tmp_path: Path) -> None:
+    """The control flight: the daemon sees the pad and none of its words reaches the vehicle."""
+    scenario = load("moderate")
+    program = AutopilotProgram("arducopter", None, unaided=True)
+    flight = AutopilotFlight(scenario, 12, settings_for(scenario, None), program, tmp_path, perception=perceive("truth"))
+    end = await flight.fly()
+    assert flight.link.carried["samples out"] > 1000
+    assert flight.link.muted
+    assert end.outcome is FlightOutcome.LANDED
+    assert end.landing is not None
+    assert not end.landing.on_pad
+    assert end.landing.lateral_m > 5.0, "the ship's way in the time of the descent"
+    assert end.landing.slide_m_s > 1.0, "the ship's speed"
+
+
 async def test_killed_for_good_it_is_left_alone(tmp_path: Path) -> None:
     killed = ServiceKilled(below_height_m=2.5)
     scenario = msgspec.structs.replace(load("moderate"), faults=(killed,), duration_limit_s=25.0, expect="refuse")

@@ -34,8 +34,8 @@ def ack(command: int, result: int, component: int = 1) -> Message:
 class CommandHandler:
     """The station and its clock."""
 
-    def __init__(self, stack: Stack = Stack.ARDUPILOT) -> None:
-        self.station = GroundStation(stack, height_m=4.0)
+    def __init__(self, stack: Stack = Stack.ARDUPILOT, *, unaided: bool = False) -> None:
+        self.station = GroundStation(stack, height_m=4.0, unaided=unaided)
         self.t_s = 10.0
         self.view = FAR
 
@@ -87,6 +87,33 @@ def test_from_the_first_heartbeat_to_the_order() -> None:
     assert command_handler.station.task is Task.WATCH
     assert command_handler.station.began == command_handler.now
     assert {m.get_type() for m in command_handler.wait(2.0)} == {"HEARTBEAT"}, "the companion has it"
+
+
+def test_an_unaided_autopilot_is_ordered_into_its_own_landing_mode_and_the_companion_is_not() -> None:
+    command_handler = CommandHandler(unaided=True)
+    for mode, armed in (("stabilize", False), ("guided", False), ("guided", True)):
+        command_handler.on_message(beat(mode, armed))
+        command_handler.wait(1.0)
+    command_handler.view = replace(FAR, height_m=4.0, to_start_level=np.zeros(3), v_rel_level=np.zeros(3), turn_rad=0.0)
+    ordered = [m for m in command_handler.wait(3.0) if m.get_type() == "COMMAND_LONG"]
+    assert {(m.command, m.target_component, m.param2) for m in ordered} == {(mav.MAV_CMD_DO_SET_MODE, 1, 9.0)}
+    command_handler.on_message(ack(mav.MAV_CMD_NAV_LAND, mav.MAV_RESULT_ACCEPTED, 191))
+    assert command_handler.station.task is Task.ORDER, "nobody asked the companion"
+    command_handler.on_message(beat("land", True))
+    assert command_handler.station.task is Task.WATCH
+    assert command_handler.station.began == command_handler.now
+    assert {m.get_type() for m in command_handler.wait(2.0)} == {"HEARTBEAT"}, "the autopilot has it"
+
+
+def test_an_unaided_autopilot_that_does_not_land_ends_the_flight() -> None:
+    command_handler = CommandHandler(unaided=True)
+    for mode, armed in (("stabilize", False), ("guided", False), ("guided", True)):
+        command_handler.on_message(beat(mode, armed))
+        command_handler.wait(1.0)
+    command_handler.view = replace(FAR, height_m=4.0, to_start_level=np.zeros(3), v_rel_level=np.zeros(3), turn_rad=0.0)
+    command_handler.wait(14.0)
+    assert command_handler.station.task is Task.FAILED
+    assert command_handler.station.failure == "the autopilot did not answer the order to land"
 
 
 def test_px4_is_armed_and_climbs_in_offboard_with_the_decks_velocity() -> None:
