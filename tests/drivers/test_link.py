@@ -288,10 +288,11 @@ async def test_silent_navdata_is_asked_for_again_and_commands_go_on() -> None:
         await until(lambda: fake.openings > asked)
         await until(lambda: drone.counters.restarts["navdata"] >= 1)
         assert drone.counters.navdata_silences >= 2
-        assert len(fake.commands) > sent + 20, "the keep-alive does not wait for navdata"
+        received = drone.counters.samples
+        await until(lambda: len(fake.commands) > sent + 20)
+        assert drone.counters.samples == received, "the keep-alive does not wait for navdata"
         fake.silent = False
-        received_at = drone.counters.samples
-        await until(lambda: drone.counters.samples > received_at)
+        await until(lambda: drone.counters.samples > received)
 
 
 async def test_order_loss_and_damage_of_navdata_are_counted() -> None:
