@@ -3,7 +3,9 @@
 #include <math.h>
 #include <string.h>
 
+#include "kalman.h"
 #include "propagate.h"
+#include "sighting.h"
 
 /* Rate at which two sightings of the same object may come to differ because the belief drifts between them, and the most that it
  * may. A deck whose heave is not learned yet moves away from the belief at 1 to 2 m/s. */
@@ -16,6 +18,8 @@ static const double PAUSE_S = 2.0;
 enum { MANY = 3 };
 /* Fraction by which one sighting renews the mean, and the most that one counts for. */
 static const double RENEWED = 0.05, COUNTED_MAX = 20.0;
+/* Differences of place, m, and of angle, rad, that a landing does not notice. */
+static const double SLIGHT_M = 0.008, SLIGHT_RAD = 0.01;
 
 static double length(const double v[3])
 {
@@ -55,7 +59,15 @@ int streak_resets(const filter_params *o, const belief *b)
     return b->rejected_n >= o->reopen_count && seconds(b->rejected_since, b->rejected_last) >= o->reopen_s;
 }
 
-double nis_mean_of(double nis_mean, double nis, int dof)
+double nis_mean_of(double nis_mean, const double *innov, const double *S, int m)
 {
-    return nis_mean + RENEWED * (fmin(nis / dof, COUNTED_MAX) - nis_mean);
+    double widened[SEEN_MAX * SEEN_MAX], nis;
+    for (int i = 0; i < m; i++) {
+        const double slight = i < 3 ? SLIGHT_M : SLIGHT_RAD;
+        for (int j = 0; j < m; j++) {
+            widened[i * m + j] = S[i * m + j] + (i == j ? slight * slight : 0.0);
+        }
+    }
+    const double ratio = nis_of(m, innov, widened, &nis) == DONE ? nis / m : COUNTED_MAX;
+    return nis_mean + RENEWED * (fmin(ratio, COUNTED_MAX) - nis_mean);
 }

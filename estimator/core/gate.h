@@ -12,7 +12,9 @@ void streak_end(belief *b);
 void streak_extend(belief *b, int64_t t, const double offset_ned[3], double var_m2);
 /* Whether the streak outweighs the belief. A belief made by few sightings is reset by few. */
 int streak_resets(const filter_params *o, const belief *b);
-/* The recent mean of NIS over degrees of freedom after one more. Some fourteen sightings renew half of it. */
-double nis_mean_of(double nis_mean, double nis, int dof);
+/* The recent mean of NIS over degrees of freedom after one more innovation (m), with S (m, m) widened by what a landing does not
+ * notice: close to the deck a sighting claims a millimetre, and whether it is off by five tells nothing against the estimate.
+ * Some fourteen sightings renew half of it. */
+double nis_mean_of(double nis_mean, const double *innov, const double *S, int m);
 
 #endif

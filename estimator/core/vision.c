@@ -330,7 +330,7 @@ void take_sighting(const filter_params *o, belief *b, covariance *c, sea_ref *ba
     }
     const int dof = row->m;
     if (!fresh) {
-        b->nis_mean = nis_mean_of(b->nis_mean, row->nis, dof);
+        b->nis_mean = nis_mean_of(b->nis_mean, row->innov, row->S, dof);
     }
     if (row->nis > o->nis_max[dof - 1]) {
         reject(b, row);

@@ -37,14 +37,31 @@ def test_a_mean_nis_of_two_is_no_longer_consistent() -> None:
 
 
 def test_the_recent_mean_forgets_a_twentieth_at_a_time_and_no_outlier_counts_for_more_than_twenty() -> None:
-    assert oracle.mean_of(1.0, 6.0, 2) == pytest.approx(1.1)
-    assert oracle.mean_of(2.0, 0.0, 3) == pytest.approx(1.9)
-    assert oracle.mean_of(1.0, 60.0, 3) == pytest.approx(1.95)
-    assert oracle.mean_of(1.0, 1e9, 3) == pytest.approx(1.95)
+    def after(mean: float, ratio: float) -> float:
+        """Return the mean after a sighting whose NIS is `ratio` times the three numbers that it compares."""
+        return oracle.mean_of(mean, np.full(3, math.sqrt(ratio)), np.eye(3))
+
+    assert after(1.0, 3.0) == pytest.approx(1.1, abs=1e-5)
+    assert after(2.0, 0.0) == pytest.approx(1.9)
+    assert after(1.0, 20.1) == pytest.approx(1.95)
+    assert after(1.0, 1e9) == pytest.approx(1.95)
     mean = 5.0
     for _ in range(14):
-        mean = oracle.mean_of(mean, 3.0, 3)
+        mean = after(mean, 1.0)
     assert (mean - 1.0) / 4.0 == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize(("off_m", "wanted"), [(0.006, True), (0.03, False)])
+def test_close_to_the_deck_no_sighting_contradicts_by_less_than_a_landing_notices(off_m: float, wanted: bool) -> None:
+    """Of sightings that claim a millimetre, six millimetres are six sigmas, and would end a commit within some cycles."""
+    b = belief(x=under(), P=diagonal(d=1e-6), agreed=10, nis_mean=1.0)
+    for n in range(8):
+        seen = sighting(b.x[POS_REL] + [off_m if n % 2 else -off_m, 0.0, 0.0], t=b.t, var=1e-6)
+        after, outcome = flown.fuse_sighting(b, seen, params(reopen_count=1000))
+        assert outcome.nis is not None
+        assert outcome.nis / 3 > 2.0, "by what they claim each of them contradicts"
+        b = b._replace(nis_mean=after.nis_mean)
+    assert gate.consistent(b.nis_mean) is wanted
 
 
 def test_the_sigma_of_a_covariance_is_the_root_of_its_mean_variance_and_never_imaginary() -> None:

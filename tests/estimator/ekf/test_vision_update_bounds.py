@@ -91,7 +91,7 @@ def test_a_place_is_fused_by_how_sure_each_side_is() -> None:
     np.testing.assert_allclose(outcome.innovation, [0.1, -0.2, 0.1], atol=1e-9)
     np.testing.assert_allclose(outcome.innovation_cov, np.eye(3) * 0.04, atol=1e-5)
     assert (after.agreed, after.sighted) == (11, T)
-    assert after.nis_mean == pytest.approx(gate.mean_of(1.2, outcome.nis, 3))
+    assert after.nis_mean == pytest.approx(gate.mean_of(1.2, outcome.innovation, outcome.innovation_cov))
 
 
 @pytest.mark.parametrize(("var", "agreed"), [(0.0899, 11), (0.0901, 1)])
@@ -171,7 +171,7 @@ def test_a_refused_one_is_remembered_by_where_it_showed_the_pad_and_how_well() -
     assert outcome.innovation is not None
     assert outcome.innovation_cov is not None
     assert outcome.nis == pytest.approx(float(outcome.innovation @ np.linalg.inv(outcome.innovation_cov) @ outcome.innovation))
-    assert after.nis_mean == pytest.approx(gate.mean_of(b.nis_mean, outcome.nis, 3))
+    assert after.nis_mean == pytest.approx(gate.mean_of(b.nis_mean, outcome.innovation, outcome.innovation_cov))
 
 
 def test_a_place_shown_often_enough_is_believed_and_begins_with_a_clean_record() -> None:
@@ -254,7 +254,7 @@ def test_a_heading_that_is_contradicted_is_held_as_long_as_it_was_agreed_with_an
     assert after.heading_held_s == pytest.approx(0.4)
     assert after.x[PAD_YAW] == pytest.approx(0.0, abs=1e-6)
     assert after.P[PAD_YAW, PAD_YAW] == pytest.approx(b.P[PAD_YAW, PAD_YAW], rel=1e-3)
-    assert after.nis_mean == pytest.approx(gate.mean_of(b.nis_mean, outcome.nis, 3))
+    assert after.nis_mean == pytest.approx(gate.mean_of(b.nis_mean, outcome.innovation, outcome.innovation_cov))
     assert outcome.nis == pytest.approx(0.01 / 0.0101, rel=1e-3)
 
 
@@ -269,7 +269,7 @@ def test_a_heading_contradicted_for_too_long_gives_way(held_s: float) -> None:
     assert wrap(float(after.x[PAD_YAW]) + 3.0) == pytest.approx(0.0, abs=1e-6)
     assert after.P[PAD_YAW, PAD_YAW] == pytest.approx(1e-3, rel=0.01)
     assert after.heading_held_s == 0.0
-    assert after.nis_mean == pytest.approx(gate.mean_of(b.nis_mean, 0.01 / 0.0101, 4), rel=1e-3)
+    assert after.nis_mean == pytest.approx(gate.mean_of(b.nis_mean, outcome.innovation, np.eye(4) * 0.0101), rel=1e-3)
     assert after.agreed == 11, "the place was never in doubt"
 
 

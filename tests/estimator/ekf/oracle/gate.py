@@ -43,9 +43,11 @@ def should_reset(streak: RejectionStreak, agreed: int, options: EkfOptions) -> b
     return streak.n >= options.reopen_count and (streak.last - streak.since) * 1e-9 >= options.reopen_s
 
 
-def mean_of(nis_mean: float, nis: float, dof: int) -> float:
-    """Return the recent mean after one more NIS. Some fourteen sightings renew half of it."""
-    return nis_mean + 0.05 * (min(nis / dof, 20.0) - nis_mean)
+def mean_of(nis_mean: float, innov: F64, S: F64) -> float:
+    """Return the recent mean after one more innovation (m,), S (m, m) widened by what a landing does not notice."""
+    slight = np.where(np.arange(innov.size) < 3, 0.008, 0.01)
+    nis = float(innov @ np.linalg.solve(S + np.diag(slight**2), innov))
+    return nis_mean + 0.05 * (min(nis / innov.size, 20.0) - nis_mean)
 
 
 def sigma_of(cov: F64) -> float:

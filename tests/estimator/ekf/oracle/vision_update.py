@@ -79,7 +79,7 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
                 return b, Outcome(Verdict.SINGULAR, row.innov)
             nis, dof = fix.nis, row.innov.size
     if not fresh:
-        b = b._replace(nis_mean=gate.mean_of(b.nis_mean, nis, dof))
+        b = b._replace(nis_mean=gate.mean_of(b.nis_mean, row.innov, fix.S))
     if nis > nis_max(o.gate_probability, dof):
         offset = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]).dot(row.innov[:3]))
         streak = gate.extended(b.rejections, t, offset, float(np.trace(row.R[:3, :3])) / 3.0)
