@@ -30,6 +30,7 @@ LINGER_S = 1.0
 """Time that a program which ends by itself waits for remaining tasks and threads."""
 _ECHO_S = 0.1
 """A second signal within this time counts as a copy: shells and launchers pass on what the terminal has already sent."""
+_WATCHER = "signals"
 _WORDS_S = 0.1
 """Time for writing the last log lines, s: standard error may be a pipe that nobody reads."""
 ENDING = (signal.SIGTERM, signal.SIGINT)
@@ -103,7 +104,7 @@ def install() -> None:
             signal.signal(number, PROCESS.heed)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     os.register_at_fork(before=_hold, after_in_parent=_release, after_in_child=_release_child)
-    threading.Thread(target=_watch, args=(reading,), name="signals", daemon=True).start()
+    threading.Thread(target=_watch, args=(reading,), name=_WATCHER, daemon=True).start()
 
 
 def ending_signal() -> int | None:
@@ -122,18 +123,20 @@ def check() -> None:
 
 
 def leave(code: int) -> int:
-    """Return the interpreter's exit code, or end the process here if a thread would block the exit.
+    """Return the interpreter's exit code, or end the process here if a thread is left.
 
     After a signal the process always ends here: Python joins threads at exit, and one inside a library call may take long.
+    A daemon thread is not joined but taken down when it asks for the interpreter's lock, and inside a C++ library (vision that is
+    still being loaded) that aborts the process.
     """
     deadline_s = time.monotonic() + (LINGER_S if PROCESS.number is None else 0.0)
     for thread in _holding():
         thread.join(max(0.0, deadline_s - time.monotonic()))
     left = _holding()
-    if PROCESS.number is not None:
-        _end(code, "")
-    if left:
+    if left and PROCESS.number is None:
         _end(code, f"threads that did not end: {', '.join(thread.name for thread in left)}; going without")
+    if PROCESS.number is not None or _daemons():
+        _end(code, "")
     return code
 
 
@@ -183,6 +186,10 @@ def _unfinished() -> str:
 def _holding() -> list[threading.Thread]:
     main = threading.main_thread()
     return [thread for thread in threading.enumerate() if thread is not main and not thread.daemon]
+
+
+def _daemons() -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.daemon and thread.name != _WATCHER]
 
 
 def _end(code: int, words: str) -> NoReturn:

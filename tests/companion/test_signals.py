@@ -333,6 +333,19 @@ def test_a_program_that_ends_by_itself_is_not_held_by_a_thread(tmp_path: Path) -
     assert err == "decklander: threads that did not end: slow; going without\n"
 
 
+@pytest.mark.parametrize(
+    ("daemon", "shut_down"), [("", "shut down\n"), ("threading.Thread(target=time.sleep, args=(9,), daemon=True)", "")]
+)
+def test_the_interpreter_is_not_shut_down_under_a_thread_that_runs(daemon: str, shut_down: str) -> None:
+    """Inside a C++ library it would abort the process."""
+    start = f"{daemon}.start()" if daemon else "pass"
+    source = f"import atexit\ndef work():\n    atexit.register(print, 'shut down')\n    {start}\n    return 3\nprogram(work)\n"
+    with python(HEAD + source) as process:
+        out, _ = process.communicate(timeout=60)
+    assert process.returncode == 3
+    assert out == shut_down
+
+
 # The commands themselves, at any moment
 
 

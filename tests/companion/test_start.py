@@ -28,6 +28,7 @@ LATER = ("av", "cv2", "email", "importlib.metadata", "msgspec.inspect", "numpy.m
 PROBE = """
 import sys
 from companion.cli import main, run
+from companion.runtime import signals
 from companion.runtime.daemon import Daemon
 
 def first(self, decision):
@@ -35,7 +36,8 @@ def first(self, decision):
     self.stop()
 
 Daemon._tell = first
-sys.exit(run.run(main.Parser().parse_args([], main.argparse.Namespace(config=sys.argv[1], check=False, once=False))))
+arguments = main.argparse.Namespace(config=sys.argv[1], check=False, once=False)
+sys.exit(signals.leave(run.run(main.Parser().parse_args([], arguments))))
 """
 
 
