@@ -7,6 +7,7 @@ physics instead of estimating it; the child that is started only keeps its place
 from __future__ import annotations
 
 import asyncio
+import os
 import stat
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
@@ -25,10 +26,12 @@ from estimator.contracts.errors import BadInput
 from sitl.autopilots import px4
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram
 from sitl.autopilots.stand_in.px4 import Px4StandIn
+from sitl.one_flight import settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario import load
 
 HOST = "127.0.0.1"
+REAL = os.environ.get("DECKLANDER_PX4", "")
 
 
 class Px4(Px4StandIn):
@@ -115,6 +118,20 @@ async def test_armed_taken_off_and_landed_on_the_pad_by_offboard_velocities(tmp_
     assert "PX4_PARAM_MPC_XY_VEL_MAX=3" in environment
     assert "PX4_PARAM_MIS_TAKEOFF_ALT=2" in environment
     assert str(tmp_path / "etc") in (folder / "arguments").read_text()
+
+
+@pytest.mark.skipif(not REAL, reason="DECKLANDER_PX4 does not name a PX4 program")
+@pytest.mark.timeout(600)
+async def test_a_real_program_is_landed_on_the_pad_of_a_ship_under_way(tmp_path: Path) -> None:
+    scenario = load("moderate")
+    autopilot = AutopilotProgram("px4", Path(REAL))
+    flight = AutopilotFlight(scenario, 21, settings_for(scenario, None), autopilot, tmp_path, perception=perceive("pixels"))
+    end = await flight.fly()
+    assert end.failure == ""
+    assert end.outcome is FlightOutcome.LANDED
+    assert end.landing is not None
+    assert end.landing.on_pad
+    assert end.failsafes == ()
 
 
 def test_a_build_without_its_start_up_files_is_refused(tmp_path: Path) -> None:
