@@ -47,7 +47,8 @@ async def program(stack: str, parameters: Mapping[str, float], folder: Path) -> 
         ports = (free_udp_port(), free_udp_port())
         words = arducopter.argv(binary, folder, physics_port=1, mavlink_ports=ports, parameters=asked)
         words[words.index("--model") + 1] = "quad"
-        environment, port = {}, ports[0]
+        environment: dict[str, str] = {}
+        port = ports[0]
     else:
         words, environment = px4.start(binary, height_m=4.0, parameters=asked)
         environment |= {"PX4_SIM_MODEL": "sihsim_quadx", "PX4_SYS_AUTOSTART": "10040"}
