@@ -801,6 +801,19 @@ typedef struct {
 } strokes_image;
 
 typedef struct {
+    int64_t width;
+    int64_t height;
+    int64_t stride;
+    int64_t full_width;
+    int64_t full_height;
+    int64_t full_stride;
+    int64_t grey;
+    int64_t most;
+    double noise;
+    double R_cam_plane[9];
+} blob_image;
+
+typedef struct {
     int64_t known;
     int64_t one_sided;
     double R[9];
@@ -1154,6 +1167,10 @@ void render_average(int32_t h, int32_t w, const uint16_t *scene, const int32_t *
 /* render_swell.c */
 void render_swell(int32_t rows, int32_t columns, const float *rays, const double *R_ned_cam, const double *plane_from_ray, const double *to_sun, double t_s, int32_t harmonics, const wave *waves, float *light);
 
+/* search_blobs.c */
+int64_t search_blobs_room(const blob_image *image);
+int32_t search_blobs(const camera_lens *c, const blob_image *image, const uint8_t *half, const uint8_t *full, float *scratch, search_circle *out);
+
 /* search_circles.c */
 int64_t search_room(const search_image *image);
 int32_t search_circles(const search_image *image, const uint8_t *grey, const float *rays, const search_radii *radii, float *scratch, search_circle *out);
@@ -1199,7 +1216,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 92685206u
+#define INTERFACE_DIGEST 3640058331u
 #endif
 
 #endif

@@ -41,6 +41,10 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
     ),
     "pad_strokes": doubles(length_m=1, width_m=1, leg_m=1, bar_m=1, margin_m=1),
     "strokes_image": (*integers("width", "height", "stride", "step", "bright", "plane_known"), *doubles(R_cam_plane=9)),
+    "blob_image": (
+        *integers("width", "height", "stride", "full_width", "full_height", "full_stride", "grey", "most"),
+        *doubles(noise=1, R_cam_plane=9),
+    ),
     "search_guess": (*integers("known", "one_sided"), *doubles(R=9, t=3, turn_rad=1, drawing=1, support=1, side=2)),
 }  # fmt: skip
 """The structures.
@@ -59,6 +63,9 @@ only one does.
 
 `pad_strokes` are the sizes of the H and the width of the disc around it that counts, and a `strokes_image` is a BGR image
 `step` times smaller than the frame, in which the marks may be bright or dark.
+
+A `blob_image` is a BGR image of half the frame's size and the frame itself; whether all channels are equal; the largest number of
+blobs; the noise's standard deviation in the half-size image, values of a pixel; and the plane that the pad is taken to lie in.
 """
 
 FUNCTIONS = (
@@ -102,8 +109,22 @@ FUNCTIONS = (
         "int32_t most, search_guess *out",
         "search_strokes.c",
     ),
+    Function(
+        "search_blobs_room",
+        "int64_t",
+        "const blob_image *image",
+        "search_blobs.c",
+    ),
+    Function(
+        "search_blobs",
+        "int32_t",
+        "const camera_lens *c, const blob_image *image, const uint8_t *half, const uint8_t *full, float *scratch, "
+        "search_circle *out",
+        "search_blobs.c",
+    ),
 )
 """Functions of the search. `rays` are those of the corners of the blocks, (rows + 1, columns + 1, 2); `scratch` has the floats
-that `search_room` or `search_strokes_room` asks for. `side` is null, or the direction on the pad of the half of the disc that
-counts. `levels` are the pixels of the frame at full, half, quarter ... size.
+that `search_room`, `search_strokes_room` or `search_blobs_room` asks for. `side` is null, or the direction on the pad of the half
+of the disc that counts. `levels` are the pixels of the frame at full, half, quarter ... size, `half` and `full` those of a
+`blob_image`.
 """

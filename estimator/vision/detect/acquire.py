@@ -1,7 +1,8 @@
 """Find the pad in a whole frame without a prior: hypotheses, best first, each verified with the whole drawing.
 
 Hypotheses come from the fiducials of a pad that has some, from circles of edges in luminance, at several sizes of the frame, from
-the strokes of the H, and from circles in the measure of the disc's colour where there is colour. A pad that has fiducials and not
+the outlines of small areas that stand out, from the strokes of the H, and from circles in the measure of the disc's colour where
+there is colour. A pad that has fiducials and not
 disc, ring and lettering besides is searched by its fiducials alone, as nothing else tells it from other markings.
 
 A search may be given a budget of work; what is left goes on with the next frame. The budget counts work and not time, so that the
@@ -40,8 +41,6 @@ _MOST_ALIGNED = 16
 """Largest number of hypotheses of one frame that the drawing is aligned at before the search is given up."""
 _ALIGNED = 3
 """Number of the best hypotheses of one kind that the drawing is aligned at."""
-_LEAST_DRAWING = 0.04
-"""Smallest fraction of the variance that a guess must explain. No guess with less was the pad in 900 frames."""
 _TRIES = 2
 """Guesses tried for each candidate that may be kept. Most false candidates are refused at the first step and cost little."""
 _STEPS, _STEPS_FREE = 4, 8
@@ -221,7 +220,7 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
     task.work += kind.work + WORK_GUESS * len(guesses)
     aligned = kept = 0
     for guess in sorted(guesses, key=lambda g: (_is_refused(g.flat, task), -g.score)):
-        if guess.drawing < _LEAST_DRAWING or any(_near(guess.flat, c.pose) for c in task.found):
+        if guess.drawing < kind.least_drawing or any(_near(guess.flat, c.pose) for c in _settled(kind, task)):
             continue
         if aligned == _TRIES * _ALIGNED or kept == _ALIGNED:
             break
@@ -244,6 +243,11 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
             task.refused.append(_place(guess.flat, task.camera))
     enough = task.sure <= 1.0 and any(c.score >= min(task.sure, ENOUGH) for c in task.found)
     return enough or len(task.found) >= _MOST_ALIGNED
+
+
+def _settled(kind: Kind, task: _Task) -> list[PadCandidate]:
+    """Return the candidates beside which a kind's guesses are not tried: all of them, or the confident ones."""
+    return [c for c in task.found if c.score >= ENOUGH] if kind.exact else task.found
 
 
 def align_at(

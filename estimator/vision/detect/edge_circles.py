@@ -77,10 +77,11 @@ def edge_circles(
         address(scratch, np.float32),
         start_of(out),
     )
-    return [_circle(words) for words in out[:found]]
+    return [circle_of(words) for words in out[:found]]
 
 
-def _circle(words: F64) -> EdgeCircle:
+def circle_of(words: F64) -> EdgeCircle:
+    """Return the circle in a structure `search_circle` of the core."""
     bright_inside = bool(words.view(np.int64)[_AT["bright_inside"].start])
     return EdgeCircle(
         words[_AT["centre"]], float(words[_AT["radius"].start]), float(words[_AT["support"].start]), bright_inside, words

@@ -51,6 +51,8 @@ class Guess:
     score: float
     """What guesses are ordered by."""
     tilt_known: bool
+    support: float = 0.0
+    """Support of the circle that it comes from, 0..1."""
     side: F64 | None = None
     """Unit direction, (2,), in x and y of the turned pad: only the half of the disc on this side is used, as the other is
     covered.
@@ -105,7 +107,9 @@ def guess_of(words: F64) -> Guess:
     known, one_sided = words[:2].view(np.int64).tolist()
     turn, drawing, support = (float(words[_AT[name].start]) for name in ("turn_rad", "drawing", "support"))
     pose = PadPose(Rotation(words[_AT["R"]].reshape(3, 3)), words[_AT["t"]])
-    return Guess(pose, turn, drawing, drawing + _BY_SUPPORT * support, bool(known), words[_AT["side"]] if one_sided else None)
+    return Guess(
+        pose, turn, drawing, drawing + _BY_SUPPORT * support, bool(known), support, words[_AT["side"]] if one_sided else None
+    )
 
 
 @lru_cache(maxsize=16)

@@ -1,4 +1,4 @@
-"""The kinds of hypotheses of a search, quick and likely kinds first: circles of edges, and the strokes of the H."""
+"""The kinds of hypotheses of a search, quick and likely kinds first: circles of edges, outlines of areas, strokes of the H."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.vision.camera import Camera
+from estimator.vision.detect.blob_circles import blob_circles
 from estimator.vision.detect.blobs import lettering_blobs
 from estimator.vision.detect.colour import disc_colour, disc_has_colour, is_coloured
 from estimator.vision.detect.edge_circles import EdgeCircle, Radii, edge_circles
@@ -26,6 +27,12 @@ U8 = NDArray[np.uint8]
 
 STROKES_WIDTH_PX = 160
 """Approximate width of the frame in which the H's strokes are searched."""
+LEAST_DRAWING, _LEAST_ROUND = 0.04, 0.015
+"""Smallest fraction of the variance that a guess must explain, and that of one from an area with an ellipse for its outline: of
+a pale pad from afar the drawing shows little more than the disc. No guess of another kind with less was the pad in 900 frames.
+"""
+_ROUND = 0.8
+"""Support at which an area's outline is an ellipse."""
 WORK_GUESS = 0.1
 """Work of a guess; see `Kind`."""
 _CIRCLES = 12
@@ -39,7 +46,8 @@ _FULL_SIZE, _REDUCED, _LEAST_SIZE = Radii(4.5, 1.22, 5), Radii(5.0, 1.2, 7), Rad
 """Radii searched at full size, at half and a quarter of it, and at an eighth."""
 _BEYOND = 0.4
 """How far beyond the edge of the smallest image centres are looked for, in its widths."""
-_WORK_REDUCED, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_COLOUR, _WORK_BLOBS = 4.0, 4.0, 3.0, 1.0, 3.0
+_WORK_REDUCED, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_COLOUR = 4.0, 4.0, 3.0, 1.0
+_WORK_LETTERING, _WORK_OUTLINES = 3.0, 2.5
 FULL_PIXELS = 640 * 360
 """Pixels of the frame that work is counted for."""
 
@@ -53,6 +61,10 @@ class Kind:
     guesses: Callable[[], list[Guess]]
     covered: bool = False
     """Whether guesses are of a pad of which a part may be covered."""
+    exact: bool = False
+    """Whether guesses are so near to a pose that they are tried beside a candidate without confidence, too."""
+    least_drawing: float = LEAST_DRAWING
+    """Smallest fraction of the variance that a guess must explain to be tried."""
 
 
 def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: PaintMemory) -> list[Kind]:
@@ -71,13 +83,14 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
         return guesses_from(frame.circles(colour, levels), True, pyramid, camera, pad, plane, most, of_ring)
 
     if pad.markings.is_letter_alone:
-        alone = [Kind(_WORK_BLOBS * size, lambda: lettering_blobs(pyramid, camera, pad, plane))]
+        alone = [Kind(_WORK_LETTERING * size, lambda: lettering_blobs(pyramid, camera, pad, plane))]
         return [*alone, Kind(_WORK_STROKES, frame.strokes)] if pad.markings.is_h else alone
     out = [
         Kind(
             _WORK_REDUCED * size,
             lambda: guesses_from(frame.circles(luminance, _REDUCED_LEVELS), False, pyramid, camera, pad, plane),
         ),
+        Kind(_WORK_OUTLINES * size, frame.blobs, exact=True, least_drawing=_LEAST_ROUND),
         Kind(_WORK_STROKES, frame.strokes),
         Kind(_WORK_FULL_SIZE * size, lambda: guesses_from(frame.circles(luminance, (0,)), False, pyramid, camera, pad, plane)),
     ]
@@ -121,6 +134,12 @@ class _Searched:
         """Return guesses from the circles at full size behind those that are looked at first: half a circle is one of them."""
         rest = self.circles(images, (0,), _MORE_CIRCLES)[_LOOKED_AT:]
         return guesses_from(rest, False, self.pyramid, self.camera, self.pad, self.plane, _MORE_GUESSES)
+
+    def blobs(self) -> list[Guess]:
+        """Return guesses from the outlines of what stands out from its surroundings."""
+        circles = blob_circles(self.pyramid, self.camera, self.plane)
+        guesses = guesses_from(circles, False, self.pyramid, self.camera, self.pad, self.plane, _MORE_GUESSES)
+        return [g for g in guesses if g.drawing >= (_LEAST_ROUND if g.support >= _ROUND else LEAST_DRAWING)]
 
     def strokes(self) -> list[Guess]:
         """Return guesses from the strokes of the H."""

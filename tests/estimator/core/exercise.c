@@ -376,7 +376,8 @@ int main(int count, char **files)
     alignments(40);
     report("align_view align_move align_fit align_cover frame_noise");
     searches(40);
-    report("search_room search_circles search_heading search_guesses search_strokes_room search_strokes");
+    report("search_room search_circles search_heading search_guesses search_strokes_room search_strokes search_blobs_room "
+           "search_blobs");
     video(40);
     report("uvlc_header uvlc_decode uvlc_encode");
     for (int k = 0; k < 40; k++) {

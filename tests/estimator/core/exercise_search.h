@@ -140,6 +140,40 @@ static void look_for_strokes(int kind)
     free(px), free(scratch), free(out);
 }
 
+/* Ovals of another shade, some of them with an end beyond the image, among noise. */
+static void look_for_blobs(int kind)
+{
+    const camera_lens c = random_camera(kind % 2);
+    blob_image image = {1 + draw() % 90, 1 + draw() % 60, 0, 0, 0, 0, kind % 3 == 0, 1 + draw() % 80,
+                        kind % 4 ? 1.0 : 6.0, {1.0, 0.02, 0.01, -0.02, 1.0, 0.03, -0.01, -0.03, 1.0}};
+    image.full_width = 2 * image.width + draw() % 2;
+    image.full_height = 2 * image.height + draw() % 2;
+    image.stride = 3 * image.width + draw() % 5;
+    image.full_stride = 3 * image.full_width + draw() % 5;
+    poisoned(&image.noise, 1), poisoned(image.R_cam_plane, 9);
+    const size_t halves = (size_t)(image.stride * (image.height - 1) + 3 * image.width);
+    const size_t all = (size_t)(image.full_stride * (image.full_height - 1) + 3 * image.full_width);
+    uint8_t *half = malloc(halves), *full = malloc(all);
+    float *scratch = malloc((size_t)search_blobs_room(&image) * sizeof *scratch);
+    search_circle *out = malloc((size_t)image.most * sizeof *out);
+    const double u = 0.5 * (double)image.full_width + 20.0 * uniform(), v = 0.5 * (double)image.full_height, r = 9.0 + 5.0 * uniform();
+    for (size_t i = 0; i < all; i++) {
+        const double x = (double)((int64_t)i % image.full_stride / 3) - u, y = (double)((int64_t)i / image.full_stride) - v;
+        full[i] = (uint8_t)(90 + next_random() % (kind % 5 ? 6 : 120) + (x * x + 2.0 * y * y < r * r ? 40 : 0));
+    }
+    for (size_t i = 0; i < halves; i++) {
+        const int64_t x = (int64_t)i % image.stride, y = (int64_t)i / image.stride;
+        const size_t from = (size_t)(2 * y * image.full_stride + (x < 3 * image.width ? 6 * (x / 3) + x % 3 : 0));
+        half[i] = full[from];
+    }
+    const int n = search_blobs(&c, &image, half, full, scratch, out);
+    for (int i = 0; i < n; i++) {
+        found += (double)out[i].points;
+        fold(out[i].centre, 3);
+    }
+    free(half), free(full), free(scratch), free(out);
+}
+
 static void searches(int count)
 {
     for (int i = 0; i < count; i++) {
@@ -148,5 +182,6 @@ static void searches(int count)
         turn_drawing(kind);
         guess_poses(kind);
         look_for_strokes(kind);
+        look_for_blobs(kind);
     }
 }

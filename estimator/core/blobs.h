@@ -1,0 +1,32 @@
+/* The parts of a search for blobs that stand out from what is around them. */
+#ifndef DECKLANDER_BLOBS_H
+#define DECKLANDER_BLOBS_H
+
+#include "interface.h"
+
+/* Sizes that blobs are looked for at: half the sides of their boxes, px of the image at half size, all even. */
+enum { BLOB_SIZES = 3 };
+extern const int BLOB_HALF[BLOB_SIZES];
+
+/* A place that differs from what is around it, px of the image at half size. */
+typedef struct {
+    float score;
+    int x, y, size;
+} blob_peak;
+
+/* The ellipse with the area's second moments: its centre and M with (x - c)' M^-1 (x - c) = 1 on its outline, px of the frame. */
+typedef struct {
+    double centre[2], M[3], filled;
+    int bright;
+} blob_ellipse;
+
+/* Numbers of the scratch that `blob_peaks` needs. */
+int64_t blob_room(const blob_image *image);
+
+/* Find the places that differ most from what is around them, best first; returns how many, at most `image->most`. */
+int blob_peaks(const blob_image *image, const uint8_t *half, float *scratch, blob_peak *out);
+
+/* Find the outline of the area about a peak that differs from what is around it; returns whether there is one that is closed. */
+int blob_outline(const blob_image *image, const uint8_t *half, const uint8_t *full, const blob_peak *peak, blob_ellipse *out);
+
+#endif
