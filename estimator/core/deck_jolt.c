@@ -5,7 +5,7 @@
 
 #include "correction.h"
 
-/* Median squared innovation over its variance above which the covariance grows; of five honest ones it is above this once in
+/* Squared innovation over its variance above which the covariance grows; the median of five honest ones is above this once in
  * seventy times. */
 static const double RATIO_MAX = 2.5;
 /* A sighting farther off than this is not counted: it is another pad or none, and the gate decides about it. */
@@ -18,39 +18,40 @@ static const int64_t NEEDED = 3, SPAN_NS = 120000000;
 static const double ACTED_S = 0.3;
 
 /* Drop the sightings that are too old, and at least one if there is no room for another. */
-static void drop_old(innovation_ratios *ratios, int64_t t)
+static void drop_old(innovation_excesses *excesses, int64_t t)
 {
-    int gone = ratios->n == RATIOS_MAX;
-    while (gone < ratios->n && ratios->t[gone] < t - MEMORY_NS) {
+    int gone = excesses->n == EXCESSES_MAX;
+    while (gone < excesses->n && excesses->t[gone] < t - MEMORY_NS) {
         gone++;
     }
-    ratios->n -= gone;
-    memmove(ratios->t, ratios->t + gone, (size_t)ratios->n * sizeof *ratios->t);
-    memmove(ratios->values, ratios->values + 3 * gone, (size_t)ratios->n * 3 * sizeof *ratios->values);
+    excesses->n -= gone;
+    memmove(excesses->t, excesses->t + gone, (size_t)excesses->n * sizeof *excesses->t);
+    memmove(excesses->values, excesses->values + 3 * gone, (size_t)excesses->n * 3 * sizeof *excesses->values);
 }
 
-void jolt_extend(innovation_ratios *ratios, int64_t t, const double innov_ned[3], const double cov_ned[9])
+void jolt_extend(innovation_excesses *excesses, int64_t t, const double innov_ned[3], const double cov_ned[9])
 {
-    double ratio[3];
+    double excess[3];
     for (int i = 0; i < 3; i++) {
-        ratio[i] = innov_ned[i] * innov_ned[i] / cov_ned[4 * i];
+        const double square = innov_ned[i] * innov_ned[i], var = cov_ned[4 * i];
+        if (square > RATIO_COUNTED * var) {
+            return;
+        }
+        excess[i] = square - RATIO_MAX * var;
     }
-    if (fmax(ratio[0], fmax(ratio[1], ratio[2])) > RATIO_COUNTED) {
-        return;
-    }
-    drop_old(ratios, t);
-    ratios->t[ratios->n] = t;
-    memcpy(ratios->values + 3 * ratios->n, ratio, sizeof ratio);
-    ratios->n += 1;
+    drop_old(excesses, t);
+    excesses->t[excesses->n] = t;
+    memcpy(excesses->values + 3 * excesses->n, excess, sizeof excess);
+    excesses->n += 1;
 }
 
 /* The median along an axis, by insertion. */
-static double median(const innovation_ratios *ratios, int axis)
+static double median(const innovation_excesses *excesses, int axis)
 {
-    double ordered[RATIOS_MAX];
-    const int n = (int)ratios->n, half = n / 2;
+    double ordered[EXCESSES_MAX];
+    const int n = (int)excesses->n, half = n / 2;
     for (int i = 0; i < n; i++) {
-        const double value = ratios->values[3 * i + axis];
+        const double value = excesses->values[3 * i + axis];
         int at = i;
         while (at > 0 && ordered[at - 1] > value) {
             ordered[at] = ordered[at - 1];
@@ -61,16 +62,15 @@ static double median(const innovation_ratios *ratios, int axis)
     return n % 2 == 1 ? ordered[half] : 0.5 * (ordered[half - 1] + ordered[half]);
 }
 
-int jolt_missing(const innovation_ratios *ratios, const double cov_ned[9], double missing[3])
+int jolt_missing(const innovation_excesses *excesses, double missing[3])
 {
     int some = 0;
-    if (ratios->n < NEEDED || ratios->t[ratios->n - 1] - ratios->t[0] < SPAN_NS) {
+    if (excesses->n < NEEDED || excesses->t[excesses->n - 1] - excesses->t[0] < SPAN_NS) {
         return 0;
     }
     for (int i = 0; i < 3; i++) {
-        const double excess = median(ratios, i) - RATIO_MAX;
-        some |= excess > 0.0;
-        missing[i] = fmax(excess, 0.0) * cov_ned[4 * i];
+        missing[i] = fmax(median(excesses, i), 0.0);
+        some |= missing[i] > 0.0;
     }
     return some;
 }

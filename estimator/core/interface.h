@@ -37,7 +37,7 @@
 #define MEMBER_PAIRS 28
 #define SKILL_HORIZONS 3
 #define ISSUED_MAX 9
-#define RATIOS_MAX 24
+#define EXCESSES_MAX 24
 #define ATTITUDE 0
 #define VELOCITY 1
 #define RANGE 2
@@ -267,7 +267,7 @@ typedef struct {
     int64_t n;
     int64_t t[24];
     double values[72];
-} innovation_ratios;
+} innovation_excesses;
 
 typedef struct {
     int64_t t;
@@ -309,7 +309,7 @@ typedef struct {
     double nis_mean;
     double heading_held_s;
     aid aids[4];
-    innovation_ratios ratios;
+    innovation_excesses excesses;
 } belief;
 
 typedef struct {
@@ -1216,7 +1216,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 3640058331u
+#define INTERFACE_DIGEST 1102403780u
 #endif
 
 #endif

@@ -155,8 +155,8 @@ static comparison *compare_jolted(const filter_params *o, belief *b, covariance 
     }
     product(back, cov, half);
     product_by_transposed(half, back, cov_ned);
-    jolt_extend(&b->ratios, b->t, innov_ned, cov_ned);
-    if (!jolt_missing(&b->ratios, cov_ned, missing)) {
+    jolt_extend(&b->excesses, b->t, innov_ned, cov_ned);
+    if (!jolt_missing(&b->excesses, missing)) {
         return first;
     }
     const double *before = c->P;
@@ -166,7 +166,7 @@ static comparison *compare_jolted(const filter_params *o, belief *b, covariance 
         c->P = before;
         return first;
     }
-    b->ratios.n = 0;
+    b->excesses.n = 0;
     return second;
 }
 

@@ -15,12 +15,12 @@ from msgspec import Struct
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
 from estimator.core.interface import CONSTANTS, places_of, size_of
-from estimator.core.interface.filter import COLUMNS_MAX, KINDS, RATIOS_MAX
+from estimator.core.interface.filter import COLUMNS_MAX, EXCESSES_MAX, KINDS
 from estimator.core.library import CORE, address, start_of
 from estimator.ekf.deck_motion_bank import SEA_SIZE, PackedSea
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.packed_event import PackedEvent
-from estimator.ekf.state import SAMPLE_COLUMNS, Aid, Belief, Gathered, InnovationRatios, N, RejectionStreak
+from estimator.ekf.state import SAMPLE_COLUMNS, Aid, Belief, Gathered, InnovationExcesses, N, RejectionStreak
 
 if TYPE_CHECKING:
     from estimator.ekf.motion import ProcessNoise
@@ -52,7 +52,7 @@ _NONE_GATHERED = (0, 0, 0, 0)
 _HEAD = 4
 """Number of integers with which the core's `outcome` begins."""
 _INNOV_AT, _COV_AT, _NIS_AT = (_OUTCOME[name].start for name in ("innov", "S", "nis"))
-_RATIOS = places_of("innovation_ratios")
+_EXCESSES = places_of("innovation_excesses")
 _UNCOMPARED = {number: Outcome(verdict) for number, verdict in _VERDICTS.items()}
 """The outcomes of measurements that were compared with nothing, by the core's number of the verdict."""
 
@@ -261,7 +261,7 @@ def _write(words: F64, b: Belief) -> None:
         if aid.gathered is not None:
             at = _BELIEF["aids"].start + kind * _AID_SIZE
             _write_gathered(words[at : at + _AID_SIZE], kind, aid.gathered)
-    _write_ratios(words[_BELIEF["ratios"]], b.ratios)
+    _write_excesses(words[_BELIEF["excesses"]], b.excesses)
 
 
 def _gathered_integers(some: Gathered | None) -> tuple[int, int, int, int]:
@@ -280,11 +280,11 @@ def _write_gathered(words: F64, kind: int, some: Gathered) -> None:
     words[_AID["H"]].reshape(3, COLUMNS_MAX)[:m, : len(columns)] = some.H[:, columns]
 
 
-def _write_ratios(words: F64, ratios: InnovationRatios) -> None:
-    n = min(len(ratios.t), RATIOS_MAX)
-    words.view(np.int64)[_RATIOS["n"]] = n
-    words[_RATIOS["t"]].view(np.int64)[:n] = ratios.t[len(ratios.t) - n :]
-    words[_RATIOS["values"]].reshape(-1, 3)[:n] = np.reshape(ratios.values[len(ratios.t) - n :], (-1, 3))
+def _write_excesses(words: F64, excesses: InnovationExcesses) -> None:
+    n = min(len(excesses.t), EXCESSES_MAX)
+    words.view(np.int64)[_EXCESSES["n"]] = n
+    words[_EXCESSES["t"]].view(np.int64)[:n] = excesses.t[len(excesses.t) - n :]
+    words[_EXCESSES["values"]].reshape(-1, 3)[:n] = np.reshape(excesses.values[len(excesses.t) - n :], (-1, 3))
 
 
 def _read(words: F64, P: F64, sea: PackedSea) -> Belief:
@@ -305,7 +305,7 @@ def _read(words: F64, P: F64, sea: PackedSea) -> Belief:
         levelled_by=words[_BELIEF["levelled_by"]].reshape(3, 3) if integers.item(_BELIEF["is_levelled"].start) else None,
         sea=sea.bank,
         rejections=RejectionStreak(n, since, last, (x, y, z), words.item(_BELIEF["rejected_var_m2"].start)),
-        ratios=_read_ratios(words[_BELIEF["ratios"]]),
+        excesses=_read_excesses(words[_BELIEF["excesses"]]),
         aids=tuple(
             [
                 Aid(_read_gathered(words[start + k * _AID_SIZE :], k, *gathered) if gathered[0] else None, fused, refused)
@@ -315,10 +315,10 @@ def _read(words: F64, P: F64, sea: PackedSea) -> Belief:
     )
 
 
-def _read_ratios(words: F64) -> InnovationRatios:
-    n = words[_RATIOS["n"]].view(np.int64).item()
-    values = words[_RATIOS["values"]].reshape(-1, 3)[:n].tolist()
-    return InnovationRatios(tuple(words[_RATIOS["t"]].view(np.int64)[:n].tolist()), tuple([(x, y, z) for x, y, z in values]))
+def _read_excesses(words: F64) -> InnovationExcesses:
+    n = words[_EXCESSES["n"]].view(np.int64).item()
+    values = words[_EXCESSES["values"]].reshape(-1, 3)[:n].tolist()
+    return InnovationExcesses(tuple(words[_EXCESSES["t"]].view(np.int64)[:n].tolist()), tuple([(x, y, z) for x, y, z in values]))
 
 
 def _read_gathered(words: F64, kind: int, n: int, since: int, m: int, axes: int) -> Gathered:

@@ -137,13 +137,13 @@ class RejectionStreak(NamedTuple):
     var_m2: float = 0.0
 
 
-class InnovationRatios(NamedTuple):
-    """The squared innovations of the newest sightings over their claimed variances, oldest first."""
+class InnovationExcesses(NamedTuple):
+    """By how much the squared innovations of the newest sightings exceed what is expected of them at most, oldest first."""
 
     t: tuple[int, ...] = ()
     """Instants of the sightings, ns."""
     values: tuple[tuple[float, float, float], ...] = ()
-    """Ratios of each sighting along north, east, down."""
+    """Of each sighting along north, east, down, m^2 (`estimator/core/deck_jolt.h`)."""
 
 
 class Belief(NamedTuple):
@@ -208,7 +208,7 @@ class Belief(NamedTuple):
     """Number of sightings fused since the belief was last initialized or reset."""
     nis_mean: float
     """Recent mean of the sightings' NIS over their degrees of freedom; rejected sightings count."""
-    ratios: InnovationRatios
+    excesses: InnovationExcesses
     """How far the last sightings missed the deck, against what the filter claimed."""
     heading_known: bool
     """Whether a sighting or a vessel report has given the heading of the pad's arrow."""
@@ -266,5 +266,6 @@ def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_he
         t_imu=-1, w=NO_VEC3, w_smooth=NO_VEC3, f=NO_VEC3, levelled_by=None, cov_levelled_by=np.zeros((3, 3)),
         heading_is_given=False, ins_p=z3, ins_v=z3, ins_var_m2_s2=0.0, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
         aids=(Aid(),) * 4, over_pad=0.0, t_velocity=-1, sea=sea, rejections=RejectionStreak(),
-        sighted=-1, agreed=0, nis_mean=1.0, ratios=InnovationRatios(), heading_known=False, heading_held_s=0.0, heading_seen=-1,
+        sighted=-1, agreed=0, nis_mean=1.0, excesses=InnovationExcesses(), heading_known=False, heading_held_s=0.0,
+        heading_seen=-1,
     )  # fmt: skip

@@ -42,7 +42,7 @@ MEMBER_PAIRS = MEMBER_STATES * (MEMBER_STATES + 1) // 2
 """Numbers of a member's covariance, which is symmetric: its upper triangle in rows."""
 SKILL_HORIZONS = 3
 """Number of horizons at which past forecasts are compared with what happened."""
-RATIOS_MAX = 24
+EXCESSES_MAX = 24
 """The largest number of recent sightings whose innovations are compared with what the filter claimed."""
 ISSUED_MAX = 9
 """The largest number of forecasts whose comparison is not over."""
@@ -52,7 +52,7 @@ CONSTANTS = {
     "DIRECTIONS": DIRECTIONS, "OSCILLATORS": OSCILLATORS, "MEMBER_SIZES": MEMBER_SIZES, "WAVE_PAIRS": WAVE_PAIRS,
     "MEMBERS": MEMBERS, "MEMBER_STATES": MEMBER_STATES, "MEMBER_PAIRS": MEMBER_PAIRS,
     "SKILL_HORIZONS": SKILL_HORIZONS, "ISSUED_MAX": ISSUED_MAX,
-    "RATIOS_MAX": RATIOS_MAX,
+    "EXCESSES_MAX": EXCESSES_MAX,
     "ATTITUDE": 0, "VELOCITY": 1, "RANGE": 2, "HEIGHT": 3, "IMU": 4, "VESSEL": 5, "SIGHTING": 6,
     "FUSED": 0, "GATED": 1, "SINGULAR": 2,
     "OVER_GROUND": 0, "OVER_PAD": 1, "OVER_EITHER": 2,
@@ -94,8 +94,8 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
         *integers("fused", "refused", "n", "since", "m", "axes"),
         *doubles(deck_weight=1, innov=3, R=9, ambiguity=9, spread=9, H=3 * COLUMNS_MAX),
     ),
-    "innovation_ratios": (
-        *integers("n"), Field("t", "int64_t", RATIOS_MAX), *doubles(values=3 * RATIOS_MAX),
+    "innovation_excesses": (
+        *integers("n"), Field("t", "int64_t", EXCESSES_MAX), *doubles(values=3 * EXCESSES_MAX),
     ),
     "belief": (
         *integers(
@@ -109,7 +109,7 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
             wave_w=5, wave_zeta=5, wave_sigma=5, nis_mean=1, heading_held_s=1,
         ),
         Field("aids", "aid", KINDS),
-        Field("ratios", "innovation_ratios"),
+        Field("excesses", "innovation_excesses"),
     ),
     "event": (*integers("kind", "t"), *doubles(value=18)),
     "sighting": (

@@ -56,7 +56,7 @@ def same(ours: Belief, oracle: Belief) -> None:
         elif name == "rejections":
             assert one[:3] == two[:3]
             close((*one.offset_ned, one.var_m2), (*two.offset_ned, two.var_m2), name)
-        elif name == "ratios":
+        elif name == "excesses":
             assert one.t == two.t
             close(one.values, two.values, name)
         else:

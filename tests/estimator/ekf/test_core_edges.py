@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation, rpy_matrix
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
-from estimator.core.interface.filter import RATIOS_MAX
+from estimator.core.interface.filter import EXCESSES_MAX
 from estimator.ekf.packed_belief import WITH_COVARIANCE, PackedBelief
 from estimator.ekf.packed_event import PackedEvent, packed_event
 from estimator.ekf.so3 import about_down, wrap
@@ -32,7 +32,7 @@ from estimator.ekf.state import (
     VESSEL_VEL,
     WAVES,
     Belief,
-    InnovationRatios,
+    InnovationExcesses,
 )  # fmt: skip
 from tests.estimator.ekf import flown
 from tests.estimator.ekf.flown import fuse_sighting
@@ -55,6 +55,7 @@ from tests.estimator.ekf.hand import (
     whole,
 )  # fmt: skip
 from tests.estimator.ekf.oracle import so3
+from tests.estimator.ekf.oracle.deck_jolt import RATIO_MAX
 from tests.estimator.ekf.oracle.propagate import propagated_with_covariance
 from tests.estimator.ekf.oracle.samples import process_sample
 from tests.estimator.ekf.oracle.sighting import levelling
@@ -68,17 +69,17 @@ def missed(ages_ns: tuple[int, ...], ratios: tuple[float, ...], off_sigmas: floa
     """Return the belief after a sighting that followed others of these ages and ratios, off down by so many sigmas."""
     P = diagonal(d=0.01)
     P[WAVES[2, 0], WAVES[2, 0]] = 0.003
-    values = tuple((0.1 * ratio, 0.3, ratio) for ratio in ratios)
+    values = tuple((*(0.0101 * (r - RATIO_MAX) for r in (0.1 * ratio, 0.3, ratio)),) for ratio in ratios)
     x = under()
     x[SWAY_PER_HEAVE] = 0.3, -0.2
-    b = belief(x=x, P=P, ratios=InnovationRatios(tuple(T - age for age in ages_ns), values))
+    b = belief(x=x, P=P, excesses=InnovationExcesses(tuple(T - age for age in ages_ns), values))
     after, _ = agrees(b, sighting((0.0, 0.0, 2.0 + off_sigmas * math.sqrt(0.0101))), TOOLS)
     return after
 
 
 @pytest.mark.parametrize(("age_ns", "kept"), [(350_000_000, 2), (350_000_001, 1)])
 def test_a_sighting_counts_for_a_third_of_a_second_to_the_nanosecond(age_ns: int, kept: int) -> None:
-    assert len(missed((age_ns,), (1.0,)).ratios.t) == kept
+    assert len(missed((age_ns,), (1.0,)).excesses.t) == kept
 
 
 @pytest.mark.parametrize(
@@ -92,24 +93,24 @@ def test_a_sighting_counts_for_a_third_of_a_second_to_the_nanosecond(age_ns: int
 )
 def test_three_sightings_over_a_span_widen_the_deck(ages_ns: tuple[int, ...], widens: bool) -> None:
     after = missed(ages_ns, (9.0,) * len(ages_ns), 3.0)
-    assert (not after.ratios.t) is widens
+    assert (not after.excesses.t) is widens
 
 
 @pytest.mark.parametrize(("ratio", "widens"), [(2.49, False), (2.5, False), (2.51, True), (4.9, True)])
 def test_the_median_ratio_that_widens_the_deck(ratio: float, widens: bool) -> None:
     after = missed((200 * MS, 100 * MS), (ratio, ratio), 0.0)
-    assert (not after.ratios.t) is widens
+    assert (not after.excesses.t) is widens
 
 
 @pytest.mark.parametrize(("sigmas", "counted"), [(6.9, True), (7.1, False), (9.5, False)])
 def test_a_sighting_seven_sigmas_off_is_of_something_else(sigmas: float, counted: bool) -> None:
-    assert len(missed((60 * MS,), (1.0,), sigmas).ratios.t) == 1 + counted
+    assert len(missed((60 * MS,), (1.0,), sigmas).excesses.t) == 1 + counted
 
 
 def test_as_many_sightings_are_kept_as_there_is_room_for() -> None:
-    for used in (RATIOS_MAX - 1, RATIOS_MAX):
+    for used in (EXCESSES_MAX - 1, EXCESSES_MAX):
         after = missed(tuple((used - k) * 5 * MS for k in range(used)), tuple(0.01 * k for k in range(used)))
-        assert len(after.ratios.t) == RATIOS_MAX, "the oldest makes room"
+        assert len(after.excesses.t) == EXCESSES_MAX, "the oldest makes room"
 
 
 # When the camera's delay is corrected, and the sea looked at

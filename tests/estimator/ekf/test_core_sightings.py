@@ -27,7 +27,7 @@ from estimator.ekf.state import (
     PAD_YAW,
     POS_REL,
     Belief,
-    InnovationRatios,
+    InnovationExcesses,
     RejectionStreak,
 )  # fmt: skip
 from tests.estimator.ekf import flown
@@ -66,13 +66,13 @@ def sighted_belief(seed: int) -> Belief:
     rng = np.random.default_rng(seed + 7)
     b = beginning(seed)
     n = int(rng.integers(0, 7))
-    ratios = InnovationRatios(
-        tuple(T - (n - k) * 60 * MS for k in range(n)), tuple((*rng.uniform(0.0, 9.0, 3).tolist(),) for _ in range(n))
+    excesses = InnovationExcesses(
+        tuple(T - (n - k) * 60 * MS for k in range(n)), tuple((*(rng.uniform(-2.5, 6.5, 3) * 1e-3).tolist(),) for _ in range(n))
     )
     streak = RejectionStreak(int(rng.integers(0, 6)), T - 800 * MS, T - 60 * MS, (*rng.normal(size=3).tolist(),), 1e-4)
     sea = learned_sea(seed, int(rng.integers(0, 4)), T)
     return b._replace(
-        sea=sea, ratios=ratios, rejections=streak if streak.n else RejectionStreak(), agreed=int(rng.integers(0, 8)),
+        sea=sea, excesses=excesses, rejections=streak if streak.n else RejectionStreak(), agreed=int(rng.integers(0, 8)),
         heading_known=bool(rng.random() < 0.8), heading_held_s=float(rng.uniform(-0.1, 0.4)),
         nis_mean=float(rng.uniform(0.5, 3.0)), heading_seen=int(rng.choice([-1, T - 100 * MS])),
         ins_var_m2_s2=float(rng.choice([0.0, 0.05])),
@@ -143,7 +143,7 @@ def test_the_sightings_above_are_fused_refused_reset_to_and_weighed_by_their_hea
         refused += outcome.verdict is Verdict.GATED
         reset += outcome.verdict is Verdict.FUSED and b.sighted >= 0 and after.agreed == 1
         placed += outcome.innovation is not None and len(outcome.innovation) == 3 and seen.pose6 is not None
-        jolted += len(b.ratios.t) >= 3 and not after.ratios.t
+        jolted += len(b.excesses.t) >= 3 and not after.excesses.t
     assert min(fused, refused, reset, placed, jolted) >= 2, (fused, refused, reset, placed, jolted)
 
 

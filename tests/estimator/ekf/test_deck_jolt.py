@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.ekf.state import POS_DOWN, POS_EAST, POS_NORTH, SWAY_PER_HEAVE, WAVES, InnovationRatios, N
+from estimator.ekf.state import POS_DOWN, POS_EAST, POS_NORTH, SWAY_PER_HEAVE, WAVES, InnovationExcesses, N
 from tests.estimator.ekf.oracle import deck_jolt
 from tests.support.voyage_score import fly
 from tests.support.voyage_truth import VoyageScene
@@ -13,21 +13,22 @@ from tests.support.voyage_truth import VoyageScene
 COV = np.diag([0.01, 0.02, 0.03]) ** 2
 
 
-def seen(*sigmas: tuple[float, float, float], every_ns: int = 66_000_000) -> InnovationRatios:
-    ratios = InnovationRatios()
+def seen(*sigmas: tuple[float, float, float], every_ns: int = 66_000_000) -> InnovationExcesses:
+    excesses = InnovationExcesses()
     for k, one in enumerate(sigmas):
-        ratios = deck_jolt.extended(ratios, k * every_ns, np.array(one) * [0.01, 0.02, 0.03], COV)
-    return ratios
+        excesses = deck_jolt.extended(excesses, k * every_ns, np.array(one) * [0.01, 0.02, 0.03], COV)
+    return excesses
 
 
 def test_the_sightings_of_the_last_third_of_a_second_count() -> None:
-    ratios = seen(*[(0.5 * k, 0.5, -1.0) for k in range(8)])
-    np.testing.assert_allclose(ratios.values, [(k * k, 0.25, 1.0) for k in (1.0, 1.5, 2.0, 2.5, 3.0, 3.5)])
-    assert ratios.t == tuple(k * 66_000_000 for k in range(2, 8))
+    excesses = seen(*[(0.5 * k, 0.5, -1.0) for k in range(8)])
+    ratios = [(k * k, 0.25, 1.0) for k in (1.0, 1.5, 2.0, 2.5, 3.0, 3.5)]
+    np.testing.assert_allclose(excesses.values, (np.array(ratios) - deck_jolt.RATIO_MAX) * np.diagonal(COV))
+    assert excesses.t == tuple(k * 66_000_000 for k in range(2, 8))
 
 
 def test_only_the_axis_that_keeps_missing_falls_short_and_by_the_median() -> None:
-    missing = deck_jolt.missing(seen((1.0, 0.5, 3.0), (0.0, 1.0, -4.0), (0.5, 1.0, 5.0)), COV)
+    missing = deck_jolt.missing(seen((1.0, 0.5, 3.0), (0.0, 1.0, -4.0), (0.5, 1.0, 5.0)))
     assert missing is not None
     np.testing.assert_allclose(missing, [0.0, 0.0, (16.0 - deck_jolt.RATIO_MAX) * 0.03**2])
 
@@ -42,12 +43,20 @@ def test_only_the_axis_that_keeps_missing_falls_short_and_by_the_median() -> Non
     ids=["too few", "honest", "two wrong ones among five"],
 )
 def test_nothing_falls_short(sigmas: list[tuple[float, float, float]]) -> None:
-    assert deck_jolt.missing(seen(*sigmas), COV) is None
+    assert deck_jolt.missing(seen(*sigmas)) is None
 
 
 def test_three_sightings_within_a_tenth_of_a_second_are_too_short_a_time() -> None:
-    assert deck_jolt.missing(seen(*[(3.0, 3.0, 3.0)] * 3, every_ns=33_000_000), COV) is None
-    assert deck_jolt.missing(seen(*[(3.0, 3.0, 3.0)] * 5, every_ns=33_000_000), COV) is not None
+    assert deck_jolt.missing(seen(*[(3.0, 3.0, 3.0)] * 3, every_ns=33_000_000)) is None
+    assert deck_jolt.missing(seen(*[(3.0, 3.0, 3.0)] * 5, every_ns=33_000_000)) is not None
+
+
+def test_a_sighting_that_tells_little_of_an_axis_does_not_scale_what_others_missed() -> None:
+    excesses = seen((3.0, 1.0, 1.0), (-3.0, 1.0, 1.0), (3.0, 1.0, 1.0))
+    blind = deck_jolt.extended(excesses, 200_000_000, np.array([0.01, 0.0, 0.0]), np.diag([0.6, 0.02, 0.03]) ** 2)
+    missing = deck_jolt.missing(blind)
+    assert missing is not None
+    assert missing[0] <= (9.0 - deck_jolt.RATIO_MAX) * 0.01**2
 
 
 def test_a_sighting_of_something_else_is_not_counted() -> None:

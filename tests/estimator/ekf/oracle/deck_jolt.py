@@ -2,10 +2,11 @@
 
 The oscillators of the main filter have the size and period that the bank has learned. A wave that nothing announced, such as
 another ship's wake after a calm, is neither, and until the bank has learned it the filter takes the deck's motion for its own.
-The innovations say so at once. Along each axis of `ned` the filter keeps the newest squared innovations over their claimed
-variance. If their median is too large, the wave along that axis has received an acceleration that the model does not have, and
-the covariance gains as much as makes the claimed variance equal to the median (covariance matching: Mehra, Approaches to adaptive
-filtering, IEEE Trans. Automatic Control 17(5), 1972). The median ignores single wrong sightings.
+The innovations say so at once. Along each axis of `ned` the filter keeps by how much the newest squared innovations exceed the
+largest that their claimed variances let expect. If the median is positive, the wave along that axis has received an acceleration
+that the model does not have, and the covariance gains the median (covariance matching: Mehra, Approaches to adaptive filtering,
+IEEE Trans. Automatic Control 17(5), 1972). The median ignores single wrong sightings, and a sighting that itself tells little of
+an axis neither adds to it nor scales it.
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.filter import RATIOS_MAX
-from estimator.ekf.state import POS_AXES, POS_EAST, POS_NORTH, SWAY_PER_HEAVE, WAVES, InnovationRatios, N
+from estimator.core.interface.filter import EXCESSES_MAX
+from estimator.ekf.state import POS_AXES, POS_EAST, POS_NORTH, SWAY_PER_HEAVE, WAVES, InnovationExcesses, N
 
 RATIO_MAX = 2.5
-"""Median squared innovation over its variance above which the covariance grows; of five honest ones it is above this once
-in seventy times."""
+"""Squared innovation over its variance above which the covariance grows; the median of five honest ones is above this once in
+seventy times."""
 _RATIO_COUNTED = 49.0
 """A sighting farther off than this is not counted: it is another pad or none, and the gate decides about it."""
 _MEMORY_NS = 350_000_000
@@ -29,30 +30,29 @@ _ACTED_S = 0.3
 """Time for which the unknown acceleration is assumed to have acted, s."""
 
 
-def extended(ratios: InnovationRatios, t: int, innov_ned: F64, cov_ned: F64) -> InnovationRatios:
-    """Return the ratios after one more sighting.
+def extended(excesses: InnovationExcesses, t: int, innov_ned: F64, cov_ned: F64) -> InnovationExcesses:
+    """Return the excesses after one more sighting.
 
     Args:
-        ratios: those of the sightings before it.
+        excesses: those of the sightings before it.
         t: its instant, ns.
         innov_ned: (3,) m.
         cov_ned: (3, 3) m^2, its covariance as the filter claims it.
     """
-    north, east, down = (innov_ned * innov_ned / np.diagonal(cov_ned)).tolist()
-    if max(north, east, down) > _RATIO_COUNTED:
-        return ratios
-    first = max(sum(one < t - _MEMORY_NS for one in ratios.t), len(ratios.t) + 1 - RATIOS_MAX)
-    return InnovationRatios((*ratios.t[first:], t), (*ratios.values[first:], (north, east, down)))
+    squares, var = innov_ned * innov_ned, np.diagonal(cov_ned)
+    if (squares > _RATIO_COUNTED * var).any():
+        return excesses
+    north, east, down = (squares - RATIO_MAX * var).tolist()
+    first = max(sum(one < t - _MEMORY_NS for one in excesses.t), len(excesses.t) + 1 - EXCESSES_MAX)
+    return InnovationExcesses((*excesses.t[first:], t), (*excesses.values[first:], (north, east, down)))
 
 
-def missing(ratios: InnovationRatios, cov_ned: F64) -> F64 | None:
+def missing(excesses: InnovationExcesses) -> F64 | None:
     """Return the (3,) variance, m^2, by which the claimed one falls short along north, east, down; None if it does nowhere."""
-    if len(ratios.t) < _NEEDED or ratios.t[-1] - ratios.t[0] < _SPAN_NS:
+    if len(excesses.t) < _NEEDED or excesses.t[-1] - excesses.t[0] < _SPAN_NS:
         return None
-    excess = np.array([_median(axis) for axis in zip(*ratios.values, strict=True)]) - RATIO_MAX
-    if float(excess.max()) <= 0.0:
-        return None
-    return np.asarray(np.maximum(excess, 0.0) * np.diagonal(cov_ned))
+    excess = np.array([_median(axis) for axis in zip(*excesses.values, strict=True)])
+    return None if float(excess.max()) <= 0.0 else np.asarray(np.maximum(excess, 0.0))
 
 
 def _median(values: tuple[float, ...]) -> float:

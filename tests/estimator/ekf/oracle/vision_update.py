@@ -27,7 +27,7 @@ from estimator.ekf.state import (
     WAVES,
     YAW_RATE,
     Belief,
-    InnovationRatios,
+    InnovationExcesses,
     N,
     RejectionStreak,
     waves_unknown,
@@ -108,13 +108,13 @@ def _jolted(
     """Compare again with a wider belief if the last sightings missed the deck by more than the filter claims."""
     back = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]))
     cov_ned = back.dot(fix.S[:3, :3]).dot(back.T)
-    ratios = deck_jolt.extended(b.ratios, b.t, back.dot(row.innov[:3]), cov_ned)
-    missing = deck_jolt.missing(ratios, cov_ned)
+    excesses = deck_jolt.extended(b.excesses, b.t, back.dot(row.innov[:3]), cov_ned)
+    missing = deck_jolt.missing(excesses)
     if missing is None:
-        return b._replace(ratios=ratios), row, fix
-    wider = b._replace(P=deck_jolt.widened(b.P, b.x, missing), ratios=InnovationRatios())
+        return b._replace(excesses=excesses), row, fix
+    wider = b._replace(P=deck_jolt.widened(b.P, b.x, missing), excesses=InnovationExcesses())
     row, again = _compared(wider, event, params)
-    return (b._replace(ratios=ratios), row, fix) if again is None else (wider, row, again)
+    return (b._replace(excesses=excesses), row, fix) if again is None else (wider, row, again)
 
 
 def _withheld(b: Belief) -> tuple[F64, F64]:
