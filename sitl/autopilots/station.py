@@ -96,6 +96,7 @@ class GroundStation:
         self._since: MonoNs | None = None
         self._asked: dict[str, MonoNs] = {}
         self._there_since: MonoNs | None = None
+        self._brought_back = False
         self.task = Task.MEET
         self.failure = ""
         """Reason why no landing took place; empty if none."""
@@ -133,17 +134,21 @@ class GroundStation:
         """Bring the vehicle back to the start of the landing and order it once more, because a new companion runs.
 
         Args:
-            height_m: height over the pad. From the deck ArduCopter leaves by a take-off alone, PX4 by setpoints.
+            height_m: height over the pad. From the deck PX4 leaves by setpoints. ArduCopter leaves by a take-off alone if it
+                has noticed that it stands, and refuses it and leaves by setpoints if it has not.
         """
         if not self.armed:
             self._fail("its motors had stopped before the companion was back")
         else:
+            self._brought_back = True
             on_deck = height_m < _ON_DECK_M and self._stack is not Stack.PX4
             self._next(Task.TAKE_OFF if on_deck else Task.GO, now)
 
     def _answered(self, command: int, result: int, component: int, now: MonoNs) -> None:
         if component == _AUTOPILOT and result != mav.MAV_RESULT_ACCEPTED:
             self.results.append((command, result))
+            if self._brought_back and self.task is Task.TAKE_OFF and command == mav.MAV_CMD_NAV_TAKEOFF:
+                self._next(Task.GO, now)
         asked = self.task is Task.ORDER and not self._unaided
         ordered = asked and command == mav.MAV_CMD_NAV_LAND and component == COMPANION
         if ordered and result in (mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_IN_PROGRESS):

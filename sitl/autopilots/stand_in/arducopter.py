@@ -141,9 +141,10 @@ class CopterStandIn(StandIn):
             return STILL
         if self.landed_state == ON_GROUND and not self._lifts(s):
             return (0.1, 0.1, 0.1, 0.1)
-        v, a = self._shaped(s, *self._wanted(s))
+        v_wanted, a_wanted = self._wanted(s)
+        v, a = self._shaped(s, v_wanted, a_wanted)
         motors = self._cascade.motors(s, self._cascade.accelerations(s, v, a), self._yaw_rate if self.mode == "guided" else 0.0)
-        self._detect_landing(s)
+        self._detect_landing(s, descends=v_wanted[2] > 0.0)
         return motors
 
     def _lifts(self, s: BodyState) -> bool:
@@ -191,11 +192,15 @@ class CopterStandIn(StandIn):
         self._v_shaped = s.v_ned + np.clip(self._v_shaped - s.v_ned, -1.0, 1.0)
         return self._v_shaped, self._a_shaped
 
-    def _detect_landing(self, s: BodyState) -> None:
-        """Detect the ground by the least thrust and a small acceleration; only LAND disarms on it, other modes stay armed."""
+    def _detect_landing(self, s: BodyState, *, descends: bool) -> None:
+        """Detect the ground by the least thrust and a small acceleration while a descent is wanted.
+
+        Whoever stands on a deck and holds has not landed, so that setpoints lift it and a take-off is refused
+        (`Copter::update_throttle_mix`, descent_not_demanded). Only LAND disarms on the ground, other modes stay armed.
+        """
         least = self._cascade.thrust_fraction < _LOW_THRUST
         shaken = float(np.linalg.norm(self._f_slow)) - G_M_S2
-        still = least and abs(shaken) < _STILL_M_S2 and (s.range_m is None or s.range_m < 2.0)
+        still = descends and least and abs(shaken) < _STILL_M_S2 and (s.range_m is None or s.range_m < 2.0)
         self._still_s = self._still_s + self.step_s if still else 0.0
         if self._still_s < _DETECT_S:
             return

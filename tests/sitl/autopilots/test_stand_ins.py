@@ -260,6 +260,24 @@ def test_arducopter_stays_armed_on_a_deck_in_loiter_and_disarms_in_land() -> Non
         assert deck.pilot.armed is ends_armed, mode
 
 
+@pytest.mark.parametrize(("down_m_s", "notices"), [(None, False), (0.4, True)])
+def test_arducopter_notices_that_it_stands_while_it_wants_to_descend_and_else_leaves_by_a_velocity(
+    down_m_s: float | None, notices: bool
+) -> None:
+    deck = Deck("calm", Stack.ARDUPILOT)
+    deck.up(0.6)
+    while deck.height_m > 0.06:
+        deck.fly(0.1, 0.4)
+    deck.fly(6.0, down_m_s)
+    assert deck.pilot.armed
+    accepted = deck.order(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 3.0) == mav.MAV_RESULT_ACCEPTED
+    assert accepted is notices
+    deck.fly(0.5, -1.0)
+    if not notices:
+        deck.fly(2.0, -1.0)
+        assert deck.height_m > 1.0
+
+
 def test_arducopter_follows_a_target_with_the_ship_only_where_it_is_told_that_it_moves() -> None:
     aside = {}
     for options in (0.0, 1.0):

@@ -189,3 +189,20 @@ def test_another_system_is_not_listened_to() -> None:
     ship = mav.MAVLink_heartbeat_message(2, 3, ARMED, 0, 4, 3)
     command_handler.on_message(spoken(ship, system=17))
     assert command_handler.station.task is Task.MEET
+
+
+@pytest.mark.parametrize("stands", [True, False])
+def test_brought_back_from_the_deck_it_leaves_by_a_take_off_or_where_that_is_refused_by_setpoints(stands: bool) -> None:
+    command_handler = CommandHandler()
+    for mode, armed in (("stabilize", False), ("guided", False), ("guided", True)):
+        command_handler.on_message(beat(mode, armed))
+        command_handler.wait(1.0)
+    command_handler.on_message(ack(mav.MAV_CMD_NAV_TAKEOFF, mav.MAV_RESULT_FAILED))
+    assert command_handler.station.task is Task.TAKE_OFF, "on the first time it is asked again"
+    command_handler.station.again(command_handler.now, 0.05)
+    assert (mav.MAV_CMD_NAV_TAKEOFF, 1) in commands(command_handler.wait(1.0))
+    result = mav.MAV_RESULT_ACCEPTED if stands else mav.MAV_RESULT_FAILED
+    command_handler.on_message(ack(mav.MAV_CMD_NAV_TAKEOFF, result))
+    assert command_handler.station.task is (Task.TAKE_OFF if stands else Task.GO)
+    sent = {m.get_type() for m in command_handler.wait(0.5)}
+    assert ("SET_POSITION_TARGET_LOCAL_NED" in sent) is not stands
