@@ -38,6 +38,10 @@ DANGEROUS = {
 CASES = [(stack, name) for stack, names in DANGEROUS.items() for name in names]
 
 
+OWN = {"ArduPilot": (), "PX4": ("px4-battery-action",)}
+"""What a program's own start-up for simulations sets wrongly: PX4's makes 3 of COM_LOW_BAT_ACT, whatever it was told."""
+
+
 @asynccontextmanager
 async def program(stack: str, parameters: Mapping[str, float], folder: Path) -> AsyncIterator[tuple[Program, str]]:
     """Run the program with parameters over the doctor's good ones; yield it and the URL at which it is heard."""
@@ -89,9 +93,10 @@ async def test_a_real_program_is_mended_and_the_change_undone(
     name = "cannot flee a rising deck"
     one, undo = DATA[stack]["broken"][name], tmp_path / "undo.json"
     every = {rule for other in DATA[stack]["broken"].values() for rule in other["rules"]}
+    wrong = {*one["rules"], *OWN[stack]}
     async with program(stack, one["set"], tmp_path) as (_, url):
-        assert await asyncio.to_thread(examined, capsys, "--link", url) & every == set(one["rules"]), "and nothing else"
+        assert await asyncio.to_thread(examined, capsys, "--link", url) & every == wrong
         assert await asyncio.to_thread(main, ["doctor", "--link", url, "--fix", "--yes", "--undo-file", str(undo)]) in (0, 1)
         assert not await asyncio.to_thread(examined, capsys, "--link", url) & every
         assert await asyncio.to_thread(main, ["doctor", "--link", url, "--undo", str(undo), "--yes"]) == 0
-        assert await asyncio.to_thread(examined, capsys, "--link", url) & every == set(one["rules"])
+        assert await asyncio.to_thread(examined, capsys, "--link", url) & every == wrong
