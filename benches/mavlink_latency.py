@@ -11,25 +11,23 @@ from __future__ import annotations
 import argparse
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Callable
 from itertools import cycle
 
 import numpy as np
 
 import companion.config.settings as settings_of
+from benches.service_loop import Vehicle
 from companion.mavlink.component import Component, ComponentOptions, speaking
 from companion.mavlink.pilot_operator import PilotTower
-from companion.runtime.daemon import Daemon, VehicleLink
+from companion.runtime.daemon import Daemon
 from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.restart_options import RestartOptions
 from drivers.clock import SystemClock
-from drivers.mailbox import Latest
-from drivers.mavlink.autopilot import Autopilot, open_autopilot
+from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
-from estimator.contracts.commands import Command
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame, Sample
@@ -43,24 +41,6 @@ HOST = "127.0.0.1"
 
 TURNS = (100, -200, 300)
 """A gyro, mrad/s, that contradicts the pictures: the belief never leads to the pad, and each frame is searched."""
-
-
-class Link:
-    """An autopilot with a camera whose frames the bench puts in."""
-
-    def __init__(self, autopilot: Autopilot) -> None:
-        self.frames: Latest[Frame] = Latest()
-        self.samples = autopilot.samples
-
-    def command(self, command: Command) -> None:
-        pass
-
-    def release(self) -> None:
-        pass
-
-    @asynccontextmanager
-    async def open(self) -> AsyncIterator[VehicleLink]:
-        yield self
 
 
 class Timed(NullObserver):
@@ -115,7 +95,7 @@ async def measure(rate_hz: float, gyro_mrad_s: tuple[int, int, int], seconds: fl
     async with open_autopilot(options, clock) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)
         host, port = autopilot.links.all[0].local or ("", 0)
-        link, timed = Link(autopilot), Timed(component, clock, lambda: autopilot.links.all[0].counters.bytes_out)
+        link, timed = Vehicle(autopilot.samples), Timed(component, clock, lambda: autopilot.links.all[0].counters.bytes_out)
         daemon = Daemon(link.open, pilot, clock, restart=RestartOptions(), guidance_rate_hz=50.0, observers=[timed])
         async with (
             fake.talking_to(f"udpout://{host}:{port}"),

@@ -59,11 +59,11 @@ class VirtualTime(selectors.DefaultSelector):
 
 
 class Vehicle:
-    """A link that takes commands and holds samples."""
+    """A link that takes commands, holds samples, and has the frames that are put in."""
 
-    def __init__(self) -> None:
+    def __init__(self, samples: Line[Sample]) -> None:
         self.frames: Latest[Frame] = Latest()
-        self.samples: Line[Sample] = Line(1000)
+        self.samples = samples
 
     def command(self, command: Command) -> None:
         pass
@@ -101,7 +101,7 @@ def datagrams(n: int) -> list[bytes]:
 
 async def measured(clock: VirtualTime, seconds: int) -> float:
     """Return the CPU time of the loop's thread for each second of the flight, s."""
-    vehicle, settings = Vehicle(), load("sim")
+    vehicle, settings = Vehicle(Line(1000)), load("sim")
     daemon = Daemon(vehicle.open, make_pilot(settings), clock, restart=RestartOptions(), guidance_rate_hz=50.0)
 
     def received(navdata: nd.Navdata, samples: list[Sample], at: MonoNs) -> None:

@@ -46,6 +46,12 @@ class CommandHandler:
             out += self.station.period(self.now, self.view)
         return out
 
+    def arm(self) -> None:
+        """As the autopilot tells it."""
+        for mode, armed in (("stabilize", False), ("guided", False), ("guided", True)):
+            self.on_message(beat(mode, armed))
+            self.wait(1.0)
+
     @property
     def now(self) -> MonoNs:
         return MonoNs(round(self.t_s * NS_PER_S))
@@ -91,9 +97,7 @@ def test_from_the_first_heartbeat_to_the_order() -> None:
 
 def test_an_unaided_autopilot_is_ordered_into_its_own_landing_mode_and_the_companion_is_not() -> None:
     command_handler = CommandHandler(unaided=True)
-    for mode, armed in (("stabilize", False), ("guided", False), ("guided", True)):
-        command_handler.on_message(beat(mode, armed))
-        command_handler.wait(1.0)
+    command_handler.arm()
     command_handler.view = replace(FAR, height_m=4.0, to_start_level=np.zeros(3), v_rel_level=np.zeros(3), turn_rad=0.0)
     ordered = [m for m in command_handler.wait(3.0) if m.get_type() == "COMMAND_LONG"]
     assert {(m.command, m.target_component, m.param2) for m in ordered} == {(mav.MAV_CMD_DO_SET_MODE, 1, 9.0)}
@@ -107,9 +111,7 @@ def test_an_unaided_autopilot_is_ordered_into_its_own_landing_mode_and_the_compa
 
 def test_an_unaided_autopilot_that_does_not_land_ends_the_flight() -> None:
     command_handler = CommandHandler(unaided=True)
-    for mode, armed in (("stabilize", False), ("guided", False), ("guided", True)):
-        command_handler.on_message(beat(mode, armed))
-        command_handler.wait(1.0)
+    command_handler.arm()
     command_handler.view = replace(FAR, height_m=4.0, to_start_level=np.zeros(3), v_rel_level=np.zeros(3), turn_rad=0.0)
     command_handler.wait(14.0)
     assert command_handler.station.task is Task.FAILED
@@ -194,9 +196,7 @@ def test_another_system_is_not_listened_to() -> None:
 @pytest.mark.parametrize("stands", [True, False])
 def test_brought_back_from_the_deck_it_leaves_by_a_take_off_or_where_that_is_refused_by_setpoints(stands: bool) -> None:
     command_handler = CommandHandler()
-    for mode, armed in (("stabilize", False), ("guided", False), ("guided", True)):
-        command_handler.on_message(beat(mode, armed))
-        command_handler.wait(1.0)
+    command_handler.arm()
     command_handler.on_message(ack(mav.MAV_CMD_NAV_TAKEOFF, mav.MAV_RESULT_FAILED))
     assert command_handler.station.task is Task.TAKE_OFF, "on the first time it is asked again"
     command_handler.station.again(command_handler.now, 0.05)
