@@ -272,9 +272,8 @@ def test_arducopter_notices_that_it_stands_while_it_wants_to_descend_and_else_le
     assert deck.pilot.armed
     accepted = deck.order(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 3.0) == mav.MAV_RESULT_ACCEPTED
     assert accepted is notices
-    deck.fly(0.5, -1.0)
     if not notices:
-        deck.fly(2.0, -1.0)
+        deck.fly(2.5, -1.0)
         assert deck.height_m > 1.0
 
 
