@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import shlex
 import sys
 import time
 from collections import Counter
@@ -36,6 +37,7 @@ from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
 from sitl.ardrone.repeated_flights import faulty
 from sitl.one_flight import PERCEPTIONS, Perception, fly, perception_level, settings_for
+from sitl.perception.levels import perceive, represents
 from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
 
@@ -164,7 +166,7 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--perception needs --virtual; in real time the drone sends images")
     scenario = load_scenario(args.scenario)
     if args.fault is not None:
-        faulty(scenario, args.seed, virtual=True, name=args.fault)
+        perceive(perception).refuse(faulty(scenario, args.seed, possible=lambda _: True, name=args.fault).faults)
     settings = flown_settings(scenario, args.config)
     if args.plot is not None:
         require_drawing("--plot")
@@ -226,8 +228,13 @@ def overtime_s(tries: TryOptions) -> float:
 
 def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings, perception: Perception, tally: Tally) -> None:
     seed = args.seed
+    level = perceive(perception)
     while tally.flights < args.flights if args.flights is not None else tally.flown_s < 3600.0 * args.hours:
-        wanted = scenario if args.no_faults else faulty(scenario, seed, virtual=True, name=args.fault)
+        wanted = (
+            scenario
+            if args.no_faults
+            else faulty(scenario, seed, possible=lambda s: represents(level, s.faults), name=args.fault)
+        )
         # A fault costs tries, and the scenario's time was chosen without it.
         longer_s = 0.0 if args.no_faults else overtime_s(settings.guidance.tries)
         ending = fly(args.scenario, wanted, seed, settings, perception, overtime_s=longer_s)
@@ -314,6 +321,13 @@ def _opened(path: Path) -> FileIO:
         raise BadInput(f"--readings: {path}: {why.strerror or why}") from why
 
 
+def _flown_with(args: argparse.Namespace) -> str:
+    """Return the options beside fault and seed that a flight needs to be flown again."""
+    given = {"--scenario": args.scenario, "--perception": args.perception, "--config": args.config}
+    usual = {"--scenario": "demo", "--perception": "pixels", "--config": None}
+    return shlex.join([word for name, value in given.items() if value != usual[name] for word in (name, str(value))])
+
+
 def _say(args: argparse.Namespace, tally: Tally, found: Findings | None, extra: dict[str, Any]) -> None:
     if args.json:
         said = {"flights": tally.flights, "on_pad": tally.on_pad, "endings": dict(tally.endings), "flown_s": tally.flown_s}
@@ -321,7 +335,7 @@ def _say(args: argparse.Namespace, tally: Tally, found: Findings | None, extra: 
         sys.stdout.write(json.dumps({**said, "findings": None if found is None else found.as_json(), **extra}) + "\n")
         return
     endings = ", ".join(f"{n} {name}" for name, n in sorted(tally.endings.items()))
-    lines = [f"{tally.flights} flights in {tally.flown_s / 3600:.2f} h: {endings}", *tally.outcomes.in_words()]
+    lines = [f"{tally.flights} flights in {tally.flown_s / 3600:.2f} h: {endings}", *tally.outcomes.in_words(_flown_with(args))]
     if found is None:
         lines.append("too short to measure growth")
     else:

@@ -102,8 +102,12 @@ class Outcomes:
         counts = {worth.name.lower(): self.count(worth) for worth in Class}
         return {"classes": counts, "outcomes": [flight.as_json() for flight in self.flights]}
 
-    def in_words(self) -> list[str]:
-        """Return a line of counts, and a line for each flight that failed or was not judged."""
+    def in_words(self, flown_with: str = "") -> list[str]:
+        """Return a line of counts, and a line for each flight that failed or was not judged.
+
+        Args:
+            flown_with: the options of `decklander soak`, beside fault and seed, that the first failed one needs to fail again.
+        """
         counts = ", ".join(f"{n} {worth.value}" for worth in Class if (n := self.count(worth)))
         lines = [f"outcomes   {counts or 'none'}"]
         for flight in self.flights:
@@ -112,7 +116,7 @@ class Outcomes:
         failed = next((flight for flight in self.flights if flight.worth is Class.FAILED and "; " in flight.title), None)
         if failed is not None:
             again = f"decklander soak --virtual --flights 1 --seed {failed.seed} --fault {fault_of(failed.title)} --no-cpu"
-            lines.append(f"  to fly the first failed one again: {again}")
+            lines.append(f"  to fly the first failed one again: {again} {flown_with}".rstrip())
         return lines
 
 

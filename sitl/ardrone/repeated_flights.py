@@ -47,13 +47,20 @@ class PauseBetweenFlights:
     commands the motors off."""
 
 
-def faulty(scenario: Scenario, seed: int, *, virtual: bool = False, name: str | None = None) -> Scenario:
+def real_time(scenario: Scenario) -> bool:
+    """Return whether a drone behind sockets can have all faults of the scenario."""
+    return all(fault.in_phase is None and not isinstance(fault, VIRTUAL_ONLY) for fault in scenario.faults)
+
+
+def faulty(
+    scenario: Scenario, seed: int, *, possible: Callable[[Scenario], bool] = real_time, name: str | None = None
+) -> Scenario:
     """Return the scenario with the faults and the expectation of a shipped fault scenario, selected by the seed.
 
     Args:
         scenario: the scenario to which the faults are added.
         seed: selects the fault scenario.
-        virtual: also select faults that only a flight in virtual time can have.
+        possible: tells whether a flight can have all faults of a scenario; only such ones are selected.
         name: the fault scenario to take instead; a seed selects another one when fault scenarios are added.
 
     Raises:
@@ -62,7 +69,9 @@ def faulty(scenario: Scenario, seed: int, *, virtual: bool = False, name: str | 
     start = scenario.start
     highest_m = math.inf if start.where == "pad" else start.height_m
     choices = [
-        (name, other) for name, other in _choices(virtual) if all((f.below_height_m or 0.0) <= highest_m for f in other.faults)
+        (name, other)
+        for name, other in _choices()
+        if possible(other) and all((f.below_height_m or 0.0) <= highest_m for f in other.faults)
     ]
     if name is not None:
         choices = [choice for choice in choices if choice[0] == name.removeprefix(f"{FAULTS}/")]
@@ -75,18 +84,12 @@ def faulty(scenario: Scenario, seed: int, *, virtual: bool = False, name: str | 
     return msgspec.structs.replace(scenario, title=title, faults=faults, **right)
 
 
-def real_time(scenario: Scenario) -> bool:
-    """Return whether a drone behind sockets can have all faults of the scenario."""
-    return all(fault.in_phase is None and not isinstance(fault, VIRTUAL_ONLY) for fault in scenario.faults)
-
-
 @cache
-def _choices(virtual: bool) -> list[tuple[str, Scenario]]:
+def _choices() -> list[tuple[str, Scenario]]:
     every = [(name, load(f"{FAULTS}/{name}")) for name in shipped(f"scenarios/{FAULTS}")]
     # A fault that has a vessel or a vehicle of its own needs it: a ship at anchor does not stop.
     usual = load("demo")
-    every = [(name, other) for name, other in every if other.vessel == usual.vessel and other.vehicle == usual.vehicle]
-    return [(name, other) for name, other in every if virtual or real_time(other)]
+    return [(name, other) for name, other in every if other.vessel == usual.vessel and other.vehicle == usual.vehicle]
 
 
 async def fly_repeatedly(

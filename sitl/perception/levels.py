@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from estimator.contracts.errors import BadInput
+from sitl.fault import Fault
 from sitl.perception.model import Model
 from sitl.perception.pixels import Pixels
 from sitl.perception.port import LEVELS, Level, Perception
@@ -25,3 +28,12 @@ def perceive(level: Level, model: str | None = None) -> Perception:
     if level == "pixels":
         return Pixels()
     raise BadInput(f"there is no perception {level!r}; known are {', '.join(LEVELS)}")
+
+
+def represents(level: Perception, faults: Sequence[Fault]) -> bool:
+    """Return whether a level of perception represents all of these faults."""
+    try:
+        level.refuse(faults)
+    except BadInput:
+        return False
+    return True

@@ -114,12 +114,14 @@ def test_a_flight_that_failed_is_flown_again_by_its_fault_and_seed(capsys: pytes
     assert outcomes.in_words()[-1].endswith(
         "decklander soak --virtual --flights 1 --seed 7 --fault faults/link_lost_4_s --no-cpu"
     )
-    named = faulty(load("demo"), 7, virtual=True, name="faults/link_lost_4_s")
+    assert outcomes.in_words("--perception model")[-1].endswith("--no-cpu --perception model")
+    named = faulty(load("demo"), 7, possible=lambda _: True, name="faults/link_lost_4_s")
     assert named.faults == load("faults/link_lost_4_s").faults
     assert named.unreached_contacts
     for words, why in (
         (["--virtual", "--fault", "none"], "not a fault scenario"),
         (["--fault", "link_lost_4_s"], "needs --virtual"),
+        (["--virtual", "--fault", "wrong_pad", "--perception", "model"], "seen in rendered frames only"),
     ):
         assert cli.main(["soak", *words]) == 2
         assert why in capsys.readouterr().err

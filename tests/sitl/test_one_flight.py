@@ -92,7 +92,7 @@ def test_a_flight_whose_guidance_still_tries_goes_on_in_overtime_and_no_other() 
 
 def test_a_link_lost_in_the_descent_ends_on_the_pad_and_what_touched_meanwhile_is_told() -> None:
     """WHY: it landed by itself up to 1.8 m beside the pad, while guidance took itself to be two metres up."""
-    scenario = faulty(load("demo"), 5069, virtual=True, name="link_lost_4_s")
+    scenario = faulty(load("demo"), 5069, possible=lambda _: True, name="link_lost_4_s")
     ending = fly("demo", scenario, 5069, settings_for(scenario, None), "truth")
     assert ending.judged is not None
     assert ending.outcome is FlightOutcome.LANDED

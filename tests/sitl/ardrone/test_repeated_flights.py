@@ -15,6 +15,8 @@ from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.repeated_flights import PauseBetweenFlights, faulty, fly_repeatedly, real_time
 from sitl.ardrone.server import ArDroneServer, Ports
+from sitl.perception.levels import perceive, represents
+from sitl.perception.port import Perception
 from sitl.scenario import Start
 from sitl.scenario import load as load_scenario
 from sitl.world import World
@@ -79,8 +81,25 @@ def test_faults_are_the_seeds_own_and_fit_the_flight() -> None:
     assert len({scenario.title for scenario in drawn}) >= 20
     assert all(scenario.faults and scenario.because for scenario in drawn)
     assert all(real_time(scenario) for scenario in drawn)
-    every = [faulty(high, seed, virtual=True) for seed in range(300)]
+    every = [faulty(high, seed, possible=lambda _: True) for seed in range(300)]
     assert not all(real_time(scenario) for scenario in every)
     assert not {"ship_speed", "ship_turn", "vessel_reports"} & {fault.kind for one in every for fault in one.faults}, "at anchor"
     low = [fault for seed in range(40) for fault in faulty(NEAR, seed).faults]
     assert all(fault.below_height_m is None or fault.below_height_m <= NEAR.start.height_m for fault in low)
+
+
+def test_a_seed_selects_only_faults_that_the_level_of_perception_represents() -> None:
+    """WHY: a soak of modelled perception ended at the first seed whose fault only rendered frames show."""
+    seen = {level: kinds_of(perceive(level)) for level in ("pixels", "model", "truth")}
+    assert "other_pad" in seen["pixels"]
+    assert "other_pad" not in seen["model"] | seen["truth"]
+    assert len(seen["truth"]) >= 10
+    assert seen["truth"] < seen["model"] < seen["pixels"]
+
+
+def kinds_of(level: Perception) -> set[str]:
+    return {
+        fault.kind
+        for seed in range(500)
+        for fault in faulty(load_scenario("demo"), seed, possible=lambda s: represents(level, s.faults)).faults
+    }
