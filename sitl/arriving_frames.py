@@ -23,10 +23,17 @@ def synced(measured_at: MonoNs, received: MonoNs) -> Stamp:
 
 
 class ArrivingFrames:
-    """Makes the service's frames of what the camera saw."""
+    """Makes the service's frames of what the camera saw.
 
-    def __init__(self, generation: Generation, options: ArDroneOptions) -> None:
-        self._first = generation is FIRST
+    Args:
+        generation: the drone's.
+        options: the driver's.
+        rendered: whether the images are renderings: one that stands for a drawn detection is told apart by its pixels, and no
+            codec may change it.
+    """
+
+    def __init__(self, generation: Generation, options: ArDroneOptions, *, rendered: bool) -> None:
+        self._first, self._coded = generation is FIRST, generation is FIRST and rendered
         self._decoder = UvlcDecoder()
         self._delay_s = options.video_delay_s
         self._sigma_s = min(0.999, math.hypot(options.video_delay_sigma_s, options.arrival_sigma_s))
@@ -36,7 +43,7 @@ class ArrivingFrames:
         if not self._first:
             return Frame(synced(after(image.exposed_at, image.stamp_error_s), received_at), number, image.px, image.exposure_s)
         px = image.px
-        if px.size:
+        if self._coded and px.size:
             datagram = uvlc_encoder.encode(px, number)
             header = self._decoder.header(datagram)
             assert not isinstance(header, PictureRefusal)

@@ -136,7 +136,7 @@ class Flight:
         self._arbiter = CommandArbiter(self._options.hold_s)
         self._generation = GENERATIONS[scenario.vehicle.generation]
         self._generation.check_camera(camera_model(scenario))
-        self._arriving = ArrivingFrames(self._generation, self._options)
+        self._arriving = ArrivingFrames(self._generation, self._options, rendered=self._perception.level == "pixels")
         self._sequence = self._ticks = 0
         start = self.world.now
         self._clock = _VirtualClock(start)

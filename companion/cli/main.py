@@ -13,6 +13,7 @@ import difflib
 import gc
 import importlib
 import os
+import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -151,7 +152,17 @@ def _dispatch(argv: list[str], load: Load) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     module = load(COMMANDS[asked][0])
     module.add_parser(subparsers)
-    return int(module.run(parser.parse_args(argv)))
+    args, unknown = parser.parse_known_args(argv)
+    if unknown:
+        _refuse_words(subparsers.choices[asked], unknown)
+    return int(module.run(args))
+
+
+def _refuse_words(parser: argparse.ArgumentParser, unknown: list[str]) -> NoReturn:
+    """End because of words that a command does not know, with the option that was meant if one is alike."""
+    option = unknown[0].partition("=")[0]
+    near = difflib.get_close_matches(option, re.findall(r"--[a-z][a-z-]*", parser.format_help()), n=1, cutoff=0.75)
+    parser.error(f"unrecognized arguments: {' '.join(unknown)}" + (f"; did you mean {near[0]!r}?" if near else ""))
 
 
 def _load_for_good(name: str) -> ModuleType:

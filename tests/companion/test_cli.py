@@ -130,6 +130,8 @@ def test_a_bug_of_ours_is_not_hidden(command: SimpleNamespace) -> None:
         (["config"], "ACTION"),
         (["config", "chekc", "x"], "chekc"),
         (["config", "check"], "FILE"),
+        (["simulate", "calm", "--recrod", "x"], "did you mean '--record'? (see decklander simulate --help)"),
+        (["simulate", "calm", "--video", "x"], "unrecognized arguments: --video x (see decklander simulate --help)"),
     ],
 )
 def test_wrong_use_ends_with_two_and_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
