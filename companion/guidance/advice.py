@@ -81,7 +81,7 @@ _BY_FRAMES: dict[Verdict, str] = {
     _V.SINGULAR: _MOUNT,
     _V.REPLACED: _SLOW,
     _V.SKIPPED: _SLOW,
-    _V.NO_ATTITUDE: _SLOW,
+    _V.NO_ATTITUDE: "Compare the stamps of frames and samples (decklander doctor); end other programs if the computer is busy.",
     _V.NO_GIMBAL: "Point the gimbal down; see that it reports its attitude (decklander doctor).",
     _V.FAILED: "Read the log: the frames have another size than the camera's file says, or are damaged.",
     _V.REPEATED: "Restart the camera: its picture is dead.",

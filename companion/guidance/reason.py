@@ -103,7 +103,7 @@ _FRAME_WORDS = {
     Verdict.SINGULAR: "gave no measurement",
     Verdict.REPLACED: "were replaced by newer ones: this machine is too slow",
     Verdict.SKIPPED: "were left out: this machine is too slow",
-    Verdict.NO_ATTITUDE: "without attitude: this machine is too slow",
+    Verdict.NO_ATTITUDE: "have no attitude of their time",
     Verdict.NO_GIMBAL: "came while the gimbal did not tell where it points, or not down",
     Verdict.FAILED: "could not be processed",
     Verdict.REPEATED: "repeat the one before",

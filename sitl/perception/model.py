@@ -107,6 +107,17 @@ class Scenes:
         return self._scenes[frame.px[0, :_TOKEN, 0].tobytes()]
 
 
+def refuse_pictures(faults: Sequence[Fault]) -> None:
+    """Refuse a fault that only a rendered frame shows.
+
+    Raises:
+        BadInput: there is one; the text names it.
+    """
+    for fault in faults:
+        if isinstance(fault, PictureFault) and not isinstance(fault, MODELLED):
+            raise BadInput(f"the fault {fault.kind} is seen in rendered frames only; use --perception pixels")
+
+
 class Model:
     """Detections are drawn from an error model.
 
@@ -135,9 +146,7 @@ class Model:
         Raises:
             BadInput: there is one; the text names it.
         """
-        for fault in faults:
-            if isinstance(fault, PictureFault) and not isinstance(fault, MODELLED):
-                raise BadInput(f"the fault {fault.kind} is seen in rendered frames only; use --perception pixels")
+        refuse_pictures(faults)
 
     def begin(self, world: PerceivedWorld) -> None:
         """Begin a flight.

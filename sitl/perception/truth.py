@@ -31,7 +31,7 @@ from estimator.gimbal_history import HeldCamera
 from estimator.vision.detection import Detection
 from sitl.fault import Fault
 from sitl.perception.draw import detection_table, root_of, symmetric
-from sitl.perception.model import Scenes, model_for
+from sitl.perception.model import Scenes, model_for, refuse_pictures
 from sitl.perception.parameters import EstimateModel, PerceptionModel, load
 from sitl.perception.port import Level, PerceivedWorld
 from sitl.perception.true_motion import TrueMotion
@@ -125,6 +125,7 @@ class TruthLevel:
         Raises:
             BadInput: there is one; the text names it.
         """
+        refuse_pictures(faults)
         for fault in faults:
             only_order = isinstance(fault, FrameStream) and not fault.delay_s and not fault.dropped_fraction
             of_filter = isinstance(fault, VesselReports) and any(
@@ -132,7 +133,8 @@ class TruthLevel:
             )
             if fault.kind not in REPRESENTED or only_order or of_filter:
                 raise BadInput(
-                    f"the fault {fault.kind} acts on vision or the filter, which --perception truth leaves out; use model"
+                    f"the fault {fault.kind} acts on vision or the filter, which --perception truth leaves out; "
+                    "use --perception model"
                 )
 
     def begin(self, world: PerceivedWorld) -> None:

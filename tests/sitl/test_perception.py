@@ -31,9 +31,9 @@ from sitl.perception import parameters
 from sitl.perception.draw import Chance, DetectionTable, root_of, symmetric
 from sitl.perception.estimates import Errors, fit_estimates
 from sitl.perception.fit import Source, fit_detections
-from sitl.perception.levels import perceive
+from sitl.perception.levels import perceive, represents
 from sitl.perception.model import KEPT_SCENES, Scenes, _turned
-from sitl.perception.port import Level
+from sitl.perception.port import LEVELS, Level
 from sitl.perception.truth import REPRESENTED
 from sitl.perception.view import View, Viewer
 from sitl.scenario import Scenario
@@ -140,10 +140,13 @@ def test_a_shifted_pad_is_elsewhere_while_the_picture_holds_it(level: Level) -> 
 
 
 @pytest.mark.parametrize("kind", sorted(set(KINDS) - REPRESENTED))
-def test_truth_refuses_a_fault_that_it_cannot_represent_and_names_it(kind: str) -> None:
+def test_truth_refuses_a_fault_that_it_cannot_represent_and_names_a_level_that_can(kind: str) -> None:
     own = {key: value for key, value in EFFECTS.items() if key in KINDS[kind].__struct_fields__}
-    with pytest.raises(BadInput, match=kind):
-        perceive("truth").refuse([KINDS[kind](at_s=0.5, for_s=1.0, **own)])
+    fault = KINDS[kind](at_s=0.5, for_s=1.0, **own)
+    with pytest.raises(BadInput, match=kind) as refused:
+        perceive("truth").refuse([fault])
+    named = next(level for level in LEVELS if str(refused.value).endswith(f"use --perception {level}"))
+    assert represents(perceive(named), [fault])
 
 
 def test_the_true_pose_comes_through_vision_and_back() -> None:
