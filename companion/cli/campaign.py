@@ -19,9 +19,11 @@ from companion.runtime.signals import Stopped
 from estimator.contracts.errors import BadInput
 from sitl.campaign import parquet
 from sitl.campaign.by_scenario import by_scenario, in_columns
+from sitl.campaign.by_value import as_json, by_value, in_rows
 from sitl.campaign.cluster import ClusterWorkers
 from sitl.campaign.code import code_version
 from sitl.campaign.design import SAMPLED, described, factorial, parse_axis, refuse_repeated, sampled
+from sitl.campaign.figures import VariedPoint, varied_point
 from sitl.campaign.lab import missing_from_lab, require_lab
 from sitl.campaign.local import LocalWorkers
 from sitl.campaign.object_store import ObjectStore
@@ -306,19 +308,23 @@ def _conclude(
     args: argparse.Namespace, plan: AnyPlan, store: ResultStore, asked: set[str], more: dict[str, Any] | None = None
 ) -> int:
     counted = CampaignTally()
-    varied: dict[str, Any] = {}
+    points: list[VariedPoint] = []
     for flight in _asked(store, asked):
         counted.take(flight)
-        varied = flight.get("varied", varied)
+        if "varied" in flight:
+            points.append(varied_point(flight))
+    effects = [] if more else by_value(points)  # a search looks for one flight, and not for shares
     summary = {**counted.summary(plan.name, plan.perception, store.wall_s()), "out": store.place, **(more or {})}
     each = by_scenario(plan.identity()["members"], _asked(store, asked)) if isinstance(plan, SetPlan) else []
     if each:
         summary["scenarios"] = [one.as_json() for one in each]
+    if effects:
+        summary["varied"] = {effect.key: as_json(effect) for effect in effects}
     files = []
     if missing := missing_from_lab("pyarrow"):
         sys.stderr.write(f"{parquet.TABLE} is not written: it needs {missing[0]} (requirements/lab.txt, decklander[lab])\n")
     else:
-        files.append(store.put(parquet.TABLE, parquet.table_bytes(_asked(store, asked), varied)))
+        files.append(store.put(parquet.TABLE, parquet.table_bytes(_asked(store, asked), points[-1][0] if points else {})))
     if args.report:
         manifest = manifest_of_plan(plan, range(args.seed, args.seed + args.runs), None)
         page = render_report(manifest, _asked(store, asked), store.wall_s(), compared_with(args.against))
@@ -327,6 +333,7 @@ def _conclude(
         sys.stdout.write(json.dumps({"summary": summary}) + "\n")
     else:
         sys.stdout.write(f"{in_columns(each)}\n" if each else "")
+        sys.stdout.write(f"{in_rows(effects)}\n" if effects else "")
         sys.stdout.write(f"{in_words(summary)}\nresults: {', '.join([store.place, *files])}\n")
     return 0 if counted.failed == 0 else 1
 

@@ -105,7 +105,7 @@ def refuse_faults(name: str, scenario: Scenario, carried: frozenset[str] = froze
     others = [f.kind for f in scenario.faults if f.kind not in carried]
     if others:
         can = f"; here only {', '.join(sorted(carried))} act" if carried else ""
-        raise BadInput(f"{name}: its faults ({', '.join(others)}) are for the simulated AR.Drone alone{can}")
+        raise BadInput(f"{name}: its faults ({', '.join(dict.fromkeys(others))}) are for the simulated AR.Drone alone{can}")
 
 
 def parameters(given: Sequence[str]) -> tuple[tuple[str, float], ...]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sitl.campaign.causes import cause_of
+from sitl.campaign.columns import columns
 from sitl.campaign.task import Flight
 
 
@@ -86,12 +87,4 @@ def row(t: ScenarioTally) -> tuple[str, ...]:
 
 def in_columns(tallies: Iterable[ScenarioTally]) -> str:
     """Return a table for a terminal, a line for each scenario."""
-    lines = [HEADINGS, *map(row, tallies)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(HEADINGS) - 1)]
-    texts = (0, 1, 2)
-    return "\n".join(
-        "  ".join(
-            [c.ljust(w) if i in texts else c.rjust(w) for i, (c, w) in enumerate(zip(line, widths, strict=False))] + [line[-1]]
-        ).rstrip()
-        for line in lines
-    )
+    return columns([HEADINGS, *map(row, tallies)], texts=(0, 1, 2, len(HEADINGS) - 1))

@@ -18,6 +18,16 @@ _CELLS = 8
 """Cells to a side of a map whose points lie on no grid."""
 
 
+VariedPoint = tuple[dict[str, Any], bool, float]
+"""Varied values of a flight, whether it was good, and its touchdown error in m (nan without a landing on the pad)."""
+
+
+def varied_point(flight: Flight) -> VariedPoint:
+    """Return what the figures of varied keys need of a flight."""
+    error_m = flight["touchdown"]["lateral_m"] if flight["landed_on_pad"] else float("nan")
+    return flight["varied"], flight["grade"] != "failed", error_m
+
+
 @dataclass(slots=True)
 class CampaignFigures:
     """What a report shows of a campaign's flights."""
@@ -32,8 +42,7 @@ class CampaignFigures:
     vertical_m_s: list[float] = field(default_factory=list)
     sliding_m_s: list[float] = field(default_factory=list)
     duration_s: list[float] = field(default_factory=list)
-    points: list[tuple[dict[str, Any], bool, float]] = field(default_factory=list)
-    """Varied values of each flight, whether it was good, and its touchdown error in m (nan without a landing on the pad)."""
+    points: list[VariedPoint] = field(default_factory=list)
 
     def take(self, flight: Flight) -> None:
         """Add a flight."""
@@ -52,7 +61,7 @@ class CampaignFigures:
             self.lateral_m.append(touch["lateral_m"])
             self.duration_s.append(flight["duration_s"])
         if "varied" in flight:
-            self.points.append((flight["varied"], good, touch["lateral_m"] if flight["landed_on_pad"] else float("nan")))
+            self.points.append(varied_point(flight))
         self.worst.append(flight)
         if len(self.worst) >= 20 * WORST:
             self.trim()
@@ -84,7 +93,10 @@ class Effect:
 
     key: str
     values: list[Any]
+    counts: list[int]
+    """Number of flights at each value."""
     shares: F64
+    """The share of good flights at each value, with its 95 % interval from `low` to `high`."""
     low: F64
     high: F64
     lateral_m: F64
@@ -104,7 +116,7 @@ class SuccessMap:
     counts: F64
 
 
-def effect_of(points: Sequence[tuple[dict[str, Any], bool, float]], key: str) -> Effect:
+def effect_of(points: Sequence[VariedPoint], key: str) -> Effect:
     """Return how success depends on one key, over all values of the others."""
     labels, place = _cells([point[key] for point, _, _ in points])
     good = np.array([ok for _, ok, _ in points])
@@ -114,10 +126,10 @@ def effect_of(points: Sequence[tuple[dict[str, Any], bool, float]], key: str) ->
     bands = np.array([wilson(h, c) for h, c in zip(hits, counts, strict=True)])
     landed = [lateral[(place == n) & np.isfinite(lateral)] for n in range(len(labels))]
     medians = np.array([np.median(some) if len(some) else np.nan for some in landed])
-    return Effect(key, labels, np.array(hits) / np.maximum(1, counts), bands[:, 0], bands[:, 1], medians)
+    return Effect(key, labels, counts, np.array(hits) / np.maximum(1, counts), bands[:, 0], bands[:, 1], medians)
 
 
-def map_of(points: Sequence[tuple[dict[str, Any], bool, float]], x_key: str, y_key: str) -> SuccessMap:
+def map_of(points: Sequence[VariedPoint], x_key: str, y_key: str) -> SuccessMap:
     """Return how success depends on two keys, over all values of the others."""
     x, i = _cells([point[x_key] for point, _, _ in points])
     y, j = _cells([point[y_key] for point, _, _ in points])

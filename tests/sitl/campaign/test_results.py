@@ -16,11 +16,12 @@ import pytest
 
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput
+from sitl.campaign.by_value import as_json, by_value, in_rows
 from sitl.campaign.causes import RULES, cause_of, severity
 from sitl.campaign.code import code_version
 from sitl.campaign.compare import bootstrap_interval, differences_of
 from sitl.campaign.design import described, factorial, parse_axis, sampled
-from sitl.campaign.figures import effect_of, figures_of, map_of
+from sitl.campaign.figures import effect_of, figures_of, map_of, varied_point
 from sitl.campaign.object_store import ObjectStore
 from sitl.campaign.overrides import Overridable
 from sitl.campaign.parquet import table_bytes
@@ -215,6 +216,21 @@ def test_success_against_one_and_two_keys() -> None:
     scattered = [({"a": x, "b": 1.0 - x}, x < 0.5, math.nan) for x in np.linspace(0.0, 1.0, 81)]
     assert effect_of(scattered, "a").shares.tolist() == [1, 1, 1, 1, 0, 0, 0, 0]
     assert np.isnan(map_of(scattered, "a", "b").shares[0, 0]), "no flight was there"
+
+
+def test_success_by_value_is_a_table_and_plain_values() -> None:
+    flights = [flown(seed, (("wind.speed_m_s", speed), ("vessel.moored", True))) for seed in range(4) for speed in (0.0, 7.0)]
+    wind, moored = by_value([varied_point(flight) for flight in flights])
+    assert in_rows([wind, moored]).splitlines() == [
+        "wind.speed_m_s  flights   good  95 % interval  error, median",
+        "             0        4  100 %    51 to 100 %         2.5 cm",
+        "             7        4    0 %      0 to 49 %              -",
+        "vessel.moored  flights  good  95 % interval  error, median",
+        "         True        8  50 %     22 to 78 %         2.5 cm",
+    ]
+    assert [(row["value"], row["runs"], row["good"]) for row in as_json(wind)] == [(0.0, 4, 1.0), (7.0, 4, 0.0)]
+    assert as_json(wind)[1]["lateral_median_m"] is None
+    assert by_value([]) == []
 
 
 def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
