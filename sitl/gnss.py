@@ -14,7 +14,9 @@ from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 
-ORIGIN = GeoPoint.of_degrees(54.40, 10.20, 0.0)
+ORIGIN_DEG = (63.44, 10.40)
+"""Latitude and longitude of the world's origin: off Trondheim."""
+ORIGIN = GeoPoint.of_degrees(*ORIGIN_DEG, 0.0)
 """The place of the world's origin, on the still water."""
 SIGMA_M = 1.5
 """Standard deviation on each horizontal axis; upward it is twice that."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Protocol
 
 import numpy as np
 
@@ -11,9 +12,11 @@ from estimator.contracts.geodesy import moved
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after
+from sitl.fault_timer import FaultTimer
 from sitl.gnss import SIGMA_M, GnssErrors
 from sitl.report_faults import VesselReports
-from sitl.world import World
+from sitl.scenario import Scenario
+from sitl.truth import Truth
 
 _DELAY_S = 0.2
 """From the ship's receiver to the service (assumed)."""
@@ -23,10 +26,36 @@ _SIGMA_M_S, _SIGMA_HEADING_RAD = 0.1, math.radians(1.0)
 Reports = tuple[VesselReport | GeoFix, ...]
 
 
+class ReportedWorld(Protocol):
+    """What the reports of the ship are made of."""
+
+    @property
+    def scenario(self) -> Scenario: ...
+
+    @property
+    def seed(self) -> int: ...
+
+    @property
+    def faults(self) -> FaultTimer: ...
+
+    @property
+    def started(self) -> MonoNs: ...
+
+    @property
+    def now(self) -> MonoNs: ...
+
+    @property
+    def at(self) -> MonoNs: ...
+
+    def truth(self) -> Truth:
+        """Return the true state at the newest step."""
+        ...
+
+
 class VesselReporter:
     """Makes the reports that reach the service; none where the scenario's ship sends none."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: ReportedWorld) -> None:
         self._world = world
         self._period_s = 1.0 / world.scenario.vessel.reports_hz if world.scenario.vessel.reports_hz > 0.0 else None
         self._rng = np.random.default_rng([world.seed, 0x6E55])

@@ -32,7 +32,7 @@ from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
 from sitl.stream_faults import STREAMS
 
-CARRIED = frozenset({*STREAMS, "link_lost", "light_falls", "service_killed"})
+CARRIED = frozenset({*STREAMS, "link_lost", "light_falls", "service_killed", "vessel_reports"})
 """Kinds of faults that act on a flight with an autopilot program: those of its streams, of the light on its camera, and of the
 service itself."""
 

@@ -19,7 +19,7 @@ from drivers.camera.exposure_drive import ExposureDrive
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.ports import Clock
-from estimator.contracts.samples import Frame
+from estimator.contracts.samples import Frame, GeoFix, VesselReport
 
 
 class FlightDaemon:
@@ -82,6 +82,11 @@ class FlightDaemon:
         """Give the daemon a frame that has arrived."""
         for link in self._opened:
             link.frames.offer(frame)
+
+    def report(self, sample: VesselReport | GeoFix) -> None:
+        """Give the daemon a report of the ship that has arrived."""
+        for link in self._opened:
+            link.samples.offer(sample)
 
     def concluded(self) -> int:
         """Return the number of frames that were processed."""

@@ -58,6 +58,7 @@ from sitl.perception.pixels import Pixels
 from sitl.perception.port import Perception
 from sitl.scenario import Scenario
 from sitl.truth import RenderedFrame, Touchdown, Truth
+from sitl.vessel_reports import VesselReporter
 
 Name = Literal["arducopter", "px4"]
 HOST = "127.0.0.1"
@@ -152,6 +153,7 @@ class AutopilotFlight:
     graded: GradedBody = field(init=False)
     link: FaultyLink = field(init=False)
     _camera: LockStepCamera | None = None
+    _reporter: VesselReporter = field(init=False)
     _world: PerceivedBody | None = None
     _service: KillableService | None = None
     _silences: list[Silence] = field(default_factory=list)
@@ -170,6 +172,7 @@ class AutopilotFlight:
         watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
         self.graded = GradedBody(self.scenario, self.seed, self.settings, self.clock, watchdog_s)
         self.link = FaultyLink(self.graded.streams, self.clock)
+        self._reporter = VesselReporter(self.graded)
 
     def service_settings(self, port: int) -> Settings:
         """Return the settings that the daemon flies with, which hears the autopilot at a UDP port of this machine."""
@@ -336,6 +339,7 @@ class AutopilotFlight:
         self.clock.advance(body.step_s)
         self.graded.stepped(body, self.station.began)
         self._leave_alone(body)
+        self._report()
         self.link.deliver()
         assert self._camera is not None
         self._camera.stepped(body)
@@ -344,6 +348,12 @@ class AutopilotFlight:
             if exposed > self._told_exposures or self._told is None or seconds_between(self._told, self.clock.now()) >= _TRUTH_S:
                 self._told, self._told_exposures = self.clock.now(), exposed
                 self.on_truth(self.graded.truth())
+
+    def _report(self) -> None:
+        """Give the service what the ship reports."""
+        if self._service is not None:
+            for report in self._reporter.reports(self.clock.now()):
+                self._service.report(report)
 
     def _leave_alone(self, body: Body) -> None:
         """Kill the service when its time has come, and note what the vehicle does without one."""

@@ -35,7 +35,7 @@ class GradedBody(NullObserver):
     """
 
     def __init__(self, scenario: Scenario, seed: int, settings: Settings, clock: Clock, com_watchdog_s: float) -> None:
-        self.scenario = scenario
+        self.scenario, self.seed = scenario, seed
         self.faults = FaultTimer(scenario.faults, seed)
         self.streams = VehicleStreams(self.faults, seed)
         self.guidance_phase: str | None = None

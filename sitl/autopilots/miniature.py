@@ -99,6 +99,11 @@ class MiniatureAutopilot:
         return self.clock.now() * 1e-9
 
     @property
+    def p_world_ned(self) -> F64:
+        """Position (3,) from the world's origin, m: that of its GNSS."""
+        return self.p_ned
+
+    @property
     def boot_ns(self) -> int:
         return self.clock.now() + self.epoch_ns
 
@@ -204,7 +209,7 @@ class MiniatureAutopilot:
             mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: lambda: mav.MAVLink_local_position_ned_message(
                 self.boot_ms, *self.p_ned, *self.v_ned
             ),
-            mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: lambda: global_position(self.boot_ms, self.p_ned, self.v_ned),
+            mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: lambda: global_position(self.boot_ms, self.p_world_ned, self.v_ned),
             mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda: mav.MAVLink_extended_sys_state_message(0, self.landed_state),
             mav.MAVLINK_MSG_ID_SYS_STATUS: lambda: mav.MAVLink_sys_status_message(0, 0, 0, 0, 12000, -1, 83, 0, 0, 0, 0, 0, 0),
             mav.MAVLINK_MSG_ID_RAW_IMU: lambda: mav.MAVLink_raw_imu_message(

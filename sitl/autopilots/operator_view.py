@@ -19,7 +19,7 @@ def view_of(body: Body) -> OperatorView:
     to_pad = Rotation.from_rpy(0.0, 0.0, heading) @ np.array([start.pad_forward_m, start.pad_right_m, start.height_m])
     level = Rotation.from_rpy(0.0, 0.0, yaw).inv
     # The ship's steady velocity, without the motion of the pad on the waves.
-    v_start = body.vessel.way_at(body.t_s) if start.with_vessel else np.zeros(3)
+    v_start = body.vessel.way_at(body.t_s)
     return OperatorView(
         level @ (body.p_pad_ned - to_pad - state.p_ned),
         level @ v_start,

@@ -22,21 +22,22 @@ from drivers.ardrone.samples import pressure_of_height_pa
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import SetupImpossible
+from estimator.contracts.geodesy import GeoPoint, moved
 from sitl.autopilots.body import Body, BodyState
 from sitl.autopilots.motors import Motors
+from sitl.gnss import ORIGIN_DEG
 
 PORT = 4560
 _ALL_SENSORS = 0x1FFF
 _ARMED = 128
-_EARTH_M = 6_371_000.0
 
 
 @dataclass(frozen=True, slots=True)
 class Home:
     """The position on earth of the world's origin, and the magnetic field there."""
 
-    latitude_deg: float = 63.44
-    longitude_deg: float = 10.40
+    latitude_deg: float = ORIGIN_DEG[0]
+    longitude_deg: float = ORIGIN_DEG[1]
     altitude_m: float = 0.0
     field_ned_gauss: tuple[float, float, float] = (0.136, 0.008, 0.497)
     """The magnetic field at Trondheim by the World Magnetic Model, rounded."""
@@ -67,13 +68,13 @@ def sensors(state: BodyState, home: Home, noise: SensorNoise, rng: np.random.Gen
 
 def gnss(state: BodyState, home: Home, noise: SensorNoise, rng: np.random.Generator) -> Message:
     """Return the HIL_GPS message for a state."""
-    north, east, down = (float(v) for v in state.p_ned + rng.normal(0.0, noise.gnss_m, 3))
-    latitude = home.latitude_deg + math.degrees(north / _EARTH_M)
-    longitude = home.longitude_deg + math.degrees(east / (_EARTH_M * math.cos(math.radians(home.latitude_deg))))
+    p_ned = state.p_ned + rng.normal(0.0, noise.gnss_m, 3)
+    place = moved(GeoPoint.of_degrees(home.latitude_deg, home.longitude_deg, home.altitude_m), p_ned)
+    latitude, longitude = math.degrees(place.latitude_rad), math.degrees(place.longitude_rad)
     vn, ve, vd = (round(100.0 * float(v)) for v in state.v_ned)
     speed, course = round(math.hypot(vn, ve)), math.degrees(math.atan2(ve, vn)) % 360.0
     return mav.MAVLink_hil_gps_message(
-        _us(state), 3, round(latitude * 1e7), round(longitude * 1e7), round(1000.0 * (home.altitude_m - down)), 30, 40,
+        _us(state), 3, round(latitude * 1e7), round(longitude * 1e7), round(1000.0 * (home.altitude_m - float(p_ned[2]))), 30, 40,
         min(speed, 65535), vn, ve, vd, round(100.0 * course) % 36000, 14,
     )  # fmt: skip
 

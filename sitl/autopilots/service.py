@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from estimator.contracts.samples import Frame
+from estimator.contracts.samples import Frame, GeoFix, VesselReport
 from sitl.autopilots.beside import FlightDaemon
 
 
@@ -70,6 +70,11 @@ class KillableService:
             self._unheard += 1
         else:
             self.now.offer(frame)
+
+    def report(self, sample: VesselReport | GeoFix) -> None:
+        """Give the daemon a report of the ship that has arrived, if there is one that can take it."""
+        if not self.gone:
+            self.now.report(sample)
 
     def concluded(self) -> int:
         """Return the number of offered frames that are done with."""

@@ -50,6 +50,11 @@ class StandIn(MiniatureAutopilot, ABC):
         """The gimbal whose manager it is; None if it has none."""
         self.rpy = lambda t: (0.0, 0.0, 0.0) if self.state is None else self.state.R_ned_body.rpy_rad
 
+    @property
+    def p_world_ned(self) -> F64:
+        """Position (3,) from the world's origin, m: that of its GNSS."""
+        return self.p_ned if self.state is None else self.state.p_ned
+
     def parameter(self, name: str) -> float:
         """Return the value of a parameter."""
         return float(self.parameters[name])

@@ -43,6 +43,32 @@ async def test_it_lands_on_a_ship_under_way_and_stops_its_motors_at_once(
     assert not flight.stand_in.armed
 
 
+class Phases(NullObserver):
+    """The phases of guidance in their order."""
+
+    def __init__(self) -> None:
+        self.seen: list[str] = []
+
+    def on_decision(self, decision: Decision) -> None:
+        if self.seen[-1:] != [decision.phase]:
+            self.seen.append(decision.phase)
+
+
+@pytest.mark.timeout(400)
+async def test_it_finds_the_ship_by_her_reports_and_lands(tmp_path: Path) -> None:
+    """The place of the ship comes from her reports, the vehicle's own from its GLOBAL_POSITION_INT."""
+    far = load("rendezvous")
+    start = msgspec.structs.replace(far.start, height_m=6.0, pad_forward_m=22.0, pad_right_m=-8.0)
+    scenario, phases = msgspec.structs.replace(far, start=start), Phases()
+    program, settings = AutopilotProgram("px4", None), settings_for(scenario, None)
+    flight = AutopilotFlight(scenario, 12, settings, program, tmp_path, observers=(phases,), perception=perceive("truth"))
+    end = await flight.fly()
+    assert phases.seen.index("rendezvous") < phases.seen.index("descend")
+    assert end.outcome is FlightOutcome.LANDED
+    assert end.landing is not None
+    assert end.landing.on_pad
+
+
 @pytest.mark.timeout(400)
 async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_falling_deck(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
