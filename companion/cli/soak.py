@@ -22,6 +22,7 @@ from companion.cli.soak_flights import Class, Flown, Outcomes, real, virtual
 from companion.cli.soak_judge import Findings, Reading, findings, give_back, read
 from companion.cli.soak_parts import cpu_at, start_time_s
 from companion.cli.soak_plot import plot
+from companion.cli.soak_records import Records
 from companion.config.model import Settings
 from companion.config.settings import shipped
 from companion.guidance.mission_options import TryOptions
@@ -105,9 +106,9 @@ class Tally:
 
     began: float = field(default_factory=time.monotonic)
     endings: Counter[str] = field(default_factory=Counter)
-    outcomes: Outcomes = field(default_factory=Outcomes)
+    outcomes: Outcomes = field(default_factory=lambda: Outcomes(Records(Flown)))
     flown_s: float = 0.0
-    readings: list[Reading] = field(default_factory=list)
+    readings: Records[Reading] = field(default_factory=lambda: Records(Reading))
     file: FileIO | None = None
     """File for the readings, written without a buffer: a run that is killed keeps its readings."""
     _said: float = 0.0
@@ -182,15 +183,16 @@ def run(args: argparse.Namespace) -> int:
         except Stopped as why:
             interrupted = why
     found = None
-    if tally.readings:
-        found = findings(tally.readings, warm_up_s(tally.readings))
+    readings = list(tally.readings)
+    if readings:
+        found = findings(readings, warm_up_s(readings))
     extra: dict[str, Any] = {}
     if not args.no_cpu and interrupted is None:
         extra["start_s"] = start_time_s(args.config or "sim")
         extra["cpu_share"] = {str(rate): asdict(event_loop.run(cpu_at(rate, scenario, settings))) for rate in FRAME_RATES_HZ}
     _say(args, tally, found, extra)
     if args.plot is not None:
-        plot(args.plot, tally.readings, tally.outcomes.flights)
+        plot(args.plot, readings, list(tally.outcomes.flights))
     if interrupted is not None:
         raise interrupted
     return 0 if found is not None and not found.faults and not tally.outcomes.faults(args.failed_max) else 1

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import Any
 
+from companion.cli.soak_records import Records
 from companion.runtime.pilot import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
 from sitl.ending import Ending
@@ -81,7 +82,7 @@ def real(
 class Outcomes:
     """All flights of a soak."""
 
-    flights: list[Flown] = field(default_factory=list)
+    flights: list[Flown] | Records[Flown] = field(default_factory=list)
 
     def count(self, worth: Class) -> int:
         """Return the number of flights of one class."""
