@@ -97,7 +97,7 @@ CONDITIONS = frozenset(
 
 _FRAME_WORDS = {
     Verdict.NO_PAD: "show no pad",
-    Verdict.GATED: "contradict the estimate",
+    Verdict.GATED: "show a doubtful pad or contradict the estimate",
     Verdict.TOO_OLD: "came too late",
     Verdict.TOO_NEW: "have stamps ahead of time",
     Verdict.SINGULAR: "gave no measurement",

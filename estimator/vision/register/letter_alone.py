@@ -17,6 +17,10 @@ right poses.
 """
 _INLIERS_TRACKED = (0.5, 0.3)
 """The same where a belief led to the place: the drone's own shadow crosses most edges of a near letter."""
+_INLIERS_FAR, _SNR_FAR = (0.95, 0.85), (100.0, 50.0)
+"""The same of the pixels of a distant letter, and of its contrast: 0.97 and 420 or more at right poses from 3 to 14 m in plain
+light. A fit that has taken the bare deck for a letter of another size has fewer that agree, or no contrast (68 and less).
+"""
 _OFF_PX = (0.15, 0.3)
 """The same for the displacement of edges that nothing explains: 0.01 at right poses, 0.27 and more at other markings."""
 _SNR = (20.0, 8.0)
@@ -35,11 +39,12 @@ def letter_log_odds(found: Registration, tracked: bool) -> float:
     Args:
         tracked: whether a belief led to this place.
     """
+    clear = found.edges[EdgeKind.H].snr
     if tracked:
-        return _REFUTED * _between(-found.inliers, _INLIERS_TRACKED, -1.0)
+        inliers, least_snr = (_INLIERS_FAR, _SNR_FAR) if found.dense else (_INLIERS_TRACKED, _SNR)
+        return _REFUTED * max(_between(-found.inliers, inliers, -1.0), _between(-clear, least_snr, -1.0))
     if found.dense:
         return _REFUTED
-    clear = found.edges[EdgeKind.H].snr
     doubts = (
         (found.inliers, _INLIERS, -1.0),
         (found.edge_rms_px, _OFF_PX, 1.0),
