@@ -137,7 +137,8 @@ void align_arrow(const camera_lens *c, const pad_template *p, const int16_t *map
                  double out[6]);
 
 /* The features of the verification. */
-void align_features(const pad_template *p, const samples *s, const painted *local, const frame_quality *of, aligned_pad *out);
+void align_features(const pad_template *p, const samples *s, const painted *local, const double brightest_h[3], const frame_quality *of,
+                    aligned_pad *out);
 
 /* The rows of the scratch: of the pixels, then of the samples. */
 void align_rows(int n, float *scratch, pixels *from, samples *s);

@@ -8,6 +8,8 @@ enum { SECTORS = 8, FEWEST = 6, PARTS = 3 };
 static const double NOISE = 0.012;
 /* Least difference of H and disc that the orange is placed between. */
 static const double LEAST_SPAN = 0.04;
+/* Linear light of a sample from which on a frame clips it. */
+static const double CLIPPED = 0.98;
 /* Deviations of the noise's sum that may be left of it by chance. */
 static const double CHANCE = 1.0;
 /* Largest gain that counts: a larger one depends more on the blur than on the pad. */
@@ -183,15 +185,18 @@ static double flanks(const pad_template *p, const samples *s, const painted *loc
     return clipped(fmax(much[0], much[1]) + fmin(0.0, fmin(much[0], much[1])), 0.0, 1.0);
 }
 
-/* The distance of the orange from its nominal place between disc and H, mean over the channels; 0 is nominal. */
-static double orange_off(const pad_template *p, const painted *local, double contrast)
+/* The distance of the orange from its nominal place between disc and H, mean over the channels; 0 is nominal. A bright H that the
+ * frame clips may be any brighter, and the orange's place any lower than it seems. */
+static double orange_off(const pad_template *p, const painted *local, const double brightest_h[3], double contrast)
 {
     double off = 0.0;
     for (int c = 0; c < 3; c++) {
         const double green = (double)local->paints[PAINT_DISC][c];
         const double span = fmax(p->h_side[c] * ((double)local->paints[PAINT_H][c] - green), LEAST_SPAN * contrast);
         const double place = p->h_side[c] * ((double)local->paints[PAINT_ORANGE][c] - green) / span;
-        off += fabs(clipped(place, -0.5, 1.5) - p->orange_place[c]) / 3.0;
+        const double above = clipped(place, -0.5, 1.5) - p->orange_place[c];
+        const int hidden = p->h_side[c] > 0.0 && brightest_h[c] >= CLIPPED && above > 0.0;
+        off += hidden ? 0.0 : fabs(above) / 3.0;
     }
     return off;
 }
@@ -246,7 +251,8 @@ static void gains_of_parts(const samples *s, const painted *local, const zone zo
     }
 }
 
-void align_features(const pad_template *p, const samples *s, const painted *local, const frame_quality *of, aligned_pad *out)
+void align_features(const pad_template *p, const samples *s, const painted *local, const double brightest_h[3], const frame_quality *of,
+                    aligned_pad *out)
 {
     zone zones[PARTS];
     part_gain parts[PARTS];
@@ -260,7 +266,7 @@ void align_features(const pad_template *p, const samples *s, const painted *loca
     }
     const double h = gains[0], ring = gains[1], edge = gains[2];
     ordered(PARTS, gains);
-    const double off = fmin(1.0, TELLING * parts[1].shown) * orange_off(p, local, of->contrast);
+    const double off = fmin(1.0, TELLING * parts[1].shown) * orange_off(p, local, brightest_h, of->contrast);
     double weight = 0.0;
     for (int i = 0; i < s->n; i++) {
         weight += (double)s->weight[i];

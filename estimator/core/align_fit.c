@@ -5,6 +5,8 @@
 
 /* Coverage above which a sample shows one paint alone. */
 static const float PURE = 0.85f, TRUSTED = 0.5f;
+/* Coverage by the H from which on a sample's light may be clipped because of it. */
+static const float SOME_H = 0.25f;
 
 /* The fraction of the disc's area inside the frame. */
 static double in_view(const pad_template *p, const samples *s, const pad_pose *pose, double side_m)
@@ -50,6 +52,17 @@ static void keep_paints(const painted *fit, double out[12])
     }
 }
 
+/* The brightest light of the samples that are some of the H, by channel. */
+static void brightest_h(const samples *s, double out[3])
+{
+    out[0] = out[1] = out[2] = 0.0;
+    for (int i = 0; i < s->n; i++) {
+        for (int c = 0; c < 3 && s->coverage[PAINT_H][i] >= SOME_H; c++) {
+            out[c] = fmax(out[c], (double)s->light[c][i]);
+        }
+    }
+}
+
 int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, const float *light,
                   const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part, const uint8_t *arrow_px,
                   int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, const double *cut, const frame_quality *of,
@@ -58,6 +71,7 @@ int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *ma
     pixels from;
     samples s;
     painted fit;
+    double brightest[3];
     align_rows((int)(part->width * part->height), scratch, &from, &s);
     align_light(c, p, part, px, stride, light, pose->t[2], 1, s.squared, &from);
     align_trust(cut, &from);
@@ -77,6 +91,7 @@ int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *ma
         return 0;
     }
     keep_paints(&fit, out->paints);
+    brightest_h(&s, brightest);
     measure_paints(&s, light + 2 * 256, part, px, stride, out);
     align_coverage(p, align_map(p, local_maps, blur), &s);
     align_take(from.local, &s);
@@ -88,6 +103,6 @@ int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *ma
     align_arrow(c, p, maps, light + 256, arrow_part, arrow_px, arrow_stride, pose, fit.paints, of->noise, out->arrow);
     /* The root of light is a pixel's value but for a few per cent, and a sample of a higher level the mean of four of the one below. */
     const frame_quality of_samples = {of->noise / (double)(1 << part->level), of->contrast, of->chroma};
-    align_features(p, &s, &fit, &of_samples, out);
+    align_features(p, &s, &fit, brightest, &of_samples, out);
     return 1;
 }

@@ -778,8 +778,8 @@ typedef struct {
     int64_t height[5];
     int64_t stride[5];
     double R_cam_plane[9];
-    double radius_m[3];
-    double sign[3];
+    double radius_m[4];
+    double sign[4];
 } search_frame;
 
 typedef struct {
@@ -1216,7 +1216,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 1102403780u
+#define INTERFACE_DIGEST 3308396769u
 #endif
 
 #endif

@@ -18,7 +18,7 @@ typedef struct {
     float *corners, *scale, *least;
 } block_grid;
 
-/* The most prominent circle of each tile of votes. */
+/* The most prominent circle of each tile of votes that is dark inside, and then that which is bright: neither hides the other. */
 typedef struct {
     int columns, rows;
     float *score;

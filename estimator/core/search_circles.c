@@ -32,7 +32,7 @@ int64_t search_divide(const search_image *image, float *scratch, search_rows *r)
     const int64_t sizes[] = {
         (n + 1) / 2, (n + 1) / 2, (n + 1) / 2, 2 * (b->columns + 1) * (int64_t)(b->rows + 1), 4 * blocks, blocks,
         room, room, room, room, h + 1, (2 * SEARCH_RADII * columns * high + 3) / 4, columns,
-        4 * (tiles > blocks ? tiles : blocks), tiles,
+        5 * (tiles > blocks ? tiles : blocks), 2 * tiles,
     };
     enum { COUNT = sizeof sizes / sizeof *sizes };
     float *at = scratch, *parts[COUNT];

@@ -15,6 +15,9 @@ static const double LEAST_IN_VIEW = 0.02, WRONG_SIDE = 0.25;
 /* Width of the disc's edge, px: what is nearer to it sees the surroundings, too, which no paint of the drawing explains. From afar
  * they outweigh the H and the ring. The greatest share of the radius that is left out for it. */
 static const double RIM_PX = 1.2, WIDEST_RIM = 0.5;
+/* Radius of the disc, px, below which a pixel between H and ring has light of both: there the ring is compared with what is outside
+ * of it alone. */
+static const double RESOLVED_PX = 20.0;
 
 /* The weight of each cell, and with it its blue, green and red, 0..1. */
 typedef struct {
@@ -95,34 +98,53 @@ static void turned_sums(const polar_view *seen, const double *shape, float out[P
     }
 }
 
-/* Sums of weight and light of the whole disc and of its ring. */
-static void fixed_sums(const polar_view *seen, const polar_pad *pad, double whole[VALUES], double ring[VALUES])
+/* Sums of weight and light of some cells. */
+typedef struct {
+    double whole[VALUES], ring[VALUES], outside[VALUES];
+} disc_sums;
+
+/* The sums of the whole disc, of its ring, and of what lies outside of the ring. */
+static void sums_of(const polar_view *seen, const polar_pad *pad, disc_sums *out)
 {
+    int outermost = POLAR_RADII - 1;
+    while (outermost > 0 && !(pad->ring[outermost] > 0.0)) {
+        outermost--;
+    }
+    memset(out, 0, sizeof *out);
     for (int value = 0; value < VALUES; value++) {
-        whole[value] = ring[value] = 0.0;
         for (int r = 0; r < POLAR_RADII; r++) {
             double sum = 0.0;
             for (int a = 0; a < POLAR_ANGLES; a++) {
                 sum += (double)seen->of[value][POLAR_ANGLES * r + a];
             }
-            whole[value] += sum;
-            ring[value] += sum * pad->ring[r];
+            out->whole[value] += sum;
+            out->ring[value] += sum * pad->ring[r];
+            out->outside[value] += r > outermost ? sum : 0.0;
         }
     }
 }
 
+/* How much brighter the ring is in red than the disc about it, or than the disc outside of it where pixels mix it with the H. */
+static double ring_over_disc(const double ring[VALUES], const double disc[VALUES], const float arrow[VALUES], const disc_sums *of,
+                             double least, int resolved)
+{
+    const double n = of->outside[0] - (double)arrow[0], outside = of->outside[VALUES - 1] - (double)arrow[VALUES - 1];
+    const double beside = resolved || !(n > least) ? disc[VALUES - 1] / disc[0] : outside / n;
+    return ring[VALUES - 1] / ring[0] - beside;
+}
+
 /* The variance between the paints at one heading, as a fraction of all; less if a paint lies on the wrong side of another. */
-static double score_at(const float h[VALUES], const float arrow[VALUES], const double whole[VALUES], const double ring[VALUES],
-                       double least, double spread, double polarity)
+static double score_at(const float h[VALUES], const float arrow[VALUES], const disc_sums *of, double least, double spread,
+                       double polarity, int resolved)
 {
     double paint[3][VALUES], mean[3][3], between = 0.0, right = 1.0;
     for (int value = 0; value < VALUES; value++) {
         paint[0][value] = (double)h[value];
-        paint[1][value] = ring[value] + (double)arrow[value];
-        paint[2][value] = whole[value] - paint[0][value] - paint[1][value];
+        paint[1][value] = of->ring[value] + (double)arrow[value];
+        paint[2][value] = of->whole[value] - paint[0][value] - paint[1][value];
     }
     for (int c = 0; c < 3; c++) {
-        between -= whole[1 + c] * whole[1 + c] / whole[0];
+        between -= of->whole[1 + c] * of->whole[1 + c] / of->whole[0];
         for (int k = 0; k < 3; k++) {
             mean[k][c] = paint[k][1 + c] / fmax(paint[k][0], least);
             between += paint[k][0] > least ? paint[k][1 + c] * mean[k][c] : 0.0;
@@ -132,7 +154,8 @@ static double score_at(const float h[VALUES], const float arrow[VALUES], const d
         for (int c = 0; c < 3 && paint[0][0] > least; c++) {
             right = fmin(right, polarity * (mean[0][c] - mean[2][c]));
         }
-        right = paint[1][0] > least ? fmin(right, polarity * (mean[1][2] - mean[2][2])) : right;
+        const double ring = paint[1][0] > least ? ring_over_disc(paint[1], paint[2], arrow, of, least, resolved) : polarity;
+        right = fmin(right, polarity * ring);
     }
     return (right > 0.0 ? 1.0 : WRONG_SIDE) * between / spread;
 }
@@ -142,15 +165,17 @@ int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pos
 {
     polar_view seen;
     float h[POLAR_ANGLES][VALUES], arrow[POLAR_ANGLES][VALUES];
-    double whole[VALUES], ring[VALUES], score[POLAR_ANGLES];
+    double score[POLAR_ANGLES];
+    disc_sums of;
     look(c, pad, pose, step, width, height, px, stride, side, &seen);
     if (!(seen.weight >= LEAST_IN_VIEW * seen.whole)) {
         return 0;
     }
-    fixed_sums(&seen, pad, whole, ring);
+    sums_of(&seen, pad, &of);
+    const int resolved = c->fx * pad->radius_m >= RESOLVED_PX * step * pose->t[2];
     double spread = seen.squares;
     for (int k = 0; k < 3; k++) {
-        spread -= whole[1 + k] * whole[1 + k] / whole[0];
+        spread -= of.whole[1 + k] * of.whole[1 + k] / of.whole[0];
     }
     if (!(spread > 1e-6 * seen.whole)) {
         return 0;
@@ -159,7 +184,7 @@ int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pos
     turned_sums(&seen, pad->arrow, arrow);
     int best = 0;
     for (int k = 0; k < POLAR_ANGLES; k++) {
-        score[k] = score_at(h[k], arrow[k], whole, ring, LEAST_PAINT * seen.whole, spread, pad->polarity);
+        score[k] = score_at(h[k], arrow[k], &of, LEAST_PAINT * seen.whole, spread, pad->polarity, resolved);
         best = score[k] > score[best] ? k : best;
     }
     const double before = score[(best + POLAR_ANGLES - 1) % POLAR_ANGLES], after = score[(best + 1) % POLAR_ANGLES];

@@ -5,8 +5,8 @@
 #include "wide.h"
 
 enum { CELLS_ACROSS = 2, MOST_VOTES = 255 };
-/* Votes of the neighbourhood that count against a peak, in means, and the least score of a peak: the fraction of a circle. */
-static const float AGAINST = 2.0f, LEAST_SCORE = 0.12f;
+/* Votes of the neighbourhood that count against a peak, in means, and the fraction of a circle that a peak must have at least. */
+static const float AGAINST = 2.0f, LEAST_FRACTION = 0.12f;
 static const float TURN = 6.2831853f;
 
 static int cells(const search_image *image, int64_t px)
@@ -98,14 +98,15 @@ static void outlines(const search_image *image, const block_grid *blocks, const 
     }
 }
 
+/* The score is in standard deviations of what chance adds to the votes: the longer an outline, the less a fraction of it is chance. */
 void search_votes(const search_image *image, const search_radii *radii, search_rows *rows)
 {
     const int columns = cells(image, image->width), high = cells(image, image->height), planes = 2 * (int)radii->radii;
     const size_t plane_cells = (size_t)columns * (size_t)high;
     vote_tiles *t = &rows->tiles;
     const int tiles = t->rows * t->columns;
-    float *most = t->score + tiles, *mean = most + tiles, *unit = mean + tiles;
-    for (int k = 0; k < tiles; k++) {
+    float *most = t->score + 2 * tiles, *mean = most + tiles, *unit = mean + tiles;
+    for (int k = 0; k < 2 * tiles; k++) {
         t->score[k] = 0.0f;
         t->plane[k] = -1;
     }
@@ -117,15 +118,17 @@ void search_votes(const search_image *image, const search_radii *radii, search_r
         vote(&rows->edges, plane % 2 ? radius : -radius, (float)image->margin, columns, high, votes);
         rate_tiles(columns, high, votes, rows->row, t, most, mean);
         for (int k = 0; k < tiles; k++) {
-            const float around = radius * unit[k], least = t->score[k] * around;
+            const int at = plane % 2 * tiles + k;
+            const float around = radius * unit[k], root = sqrtf(around);
+            const float least = fmaxf(LEAST_FRACTION * around, t->score[at] * root);
             if (!(most[k] > least)) {
                 continue;
             }
             const float around_it = mean_around(t, mean, k / t->columns, k % t->columns);
             const float left = most[k] - AGAINST * CELLS_ACROSS * CELLS_ACROSS * around_it;
             if (left > least) {
-                t->score[k] = left / around;
-                t->plane[k] = plane;
+                t->score[at] = left / root;
+                t->plane[at] = plane;
             }
         }
     }
@@ -136,14 +139,15 @@ int search_peak(const search_image *image, search_rows *rows, vote_peak *out)
     const int columns = cells(image, image->width), high = cells(image, image->height);
     vote_tiles *t = &rows->tiles;
     int best = 0, most = -1;
-    for (int k = 1; k < t->rows * t->columns; k++) {
+    for (int k = 1; k < 2 * t->rows * t->columns; k++) {
         best = t->score[k] > t->score[best] ? k : best;
     }
-    if (t->score[best] < LEAST_SCORE || t->plane[best] < 0) {
+    if (t->plane[best] < 0 || !(t->score[best] > 0.0f)) {
         return 0;
     }
     const uint8_t *votes = rows->votes + (size_t)columns * (size_t)high * (size_t)t->plane[best];
-    const int top = best / t->columns * TILE_CELLS, left = best % t->columns * TILE_CELLS;
+    const int tile = best % (t->rows * t->columns);
+    const int top = tile / t->columns * TILE_CELLS, left = tile % t->columns * TILE_CELLS;
     for (int i = top; i < top + TILE_CELLS && i < high - 1; i++) {
         for (int j = left; j < left + TILE_CELLS && j < columns - 1; j++) {
             const uint8_t *cell = votes + (size_t)i * (size_t)columns + (size_t)j;

@@ -30,6 +30,9 @@ _RINGLESS_LOG_ODDS = -4.0
 """Prior where the ring does not show beside what covers the pad: an H on something green, whose lack of a ring the line hides."""
 _STEPS = 4
 """Steps of the alignment with what is not covered."""
+_STRAYS, _STRAYS_PX = 0.03, 0.3
+"""Change of the distance from its start, as a fraction and by that of pixels of the radius, from which on a registration has
+strayed: what covers a part of a disc in its own shade pulls the edges there, and the rest of the pad still fits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,10 +69,11 @@ def verified(
     Raises:
         ValueError: the frame is not of the camera's size.
     """
-    best, pad = None, pyramid.as_seen(pad)
+    best, strayed, pad = None, False, pyramid.as_seen(pad)
     if cut is None:
         best = _of_visible(pyramid, camera, pad, start, orientation, options, prior_log_odds, UNCUT)
-        if (best is not None and best.confidence >= _CERTAIN) or not pad.markings.is_searched_by_parts:
+        strayed = best is not None and _strays(best.found.pose, start, camera, pad)
+        if (best is not None and best.confidence >= _CERTAIN and not strayed) or not pad.markings.is_searched_by_parts:
             return best
         sigma_rad = SIGMA_TILT_RAD if orientation.measured else SIGMA_TILT_FREE_RAD
         uncovered = align_uncovered(pyramid, camera, pad, start, sigma_rad, _STEPS)
@@ -78,7 +82,16 @@ def verified(
         start, cut = uncovered[0].pose, uncovered[1]
     near = replace(options, coarse=False)
     other = _of_visible(pyramid, camera, pad, start, orientation, near, prior_log_odds + COVERED_LOG_ODDS, cut)
-    return other if best is None or (other is not None and other.confidence > best.confidence) else best
+    if best is None or other is None:
+        return best or other
+    stayed = strayed and other.confidence >= SURE and not _strays(other.found.pose, start, camera, pad)
+    return other if stayed or other.confidence > best.confidence else best
+
+
+def _strays(pose: PadPose, start: PadPose, camera: Camera, pad: Pad) -> bool:
+    """Return whether a registration is so much nearer or farther than its start that something else has pulled it."""
+    radius_px = camera.fx * pad.disc_radius_m / start.range_m
+    return abs(pose.range_m / start.range_m - 1.0) > _STRAYS + _STRAYS_PX / radius_px
 
 
 def _of_visible(

@@ -37,7 +37,7 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
     "search_frame": (
         *integers("levels", "plane_known", "radii"),
         *(Field(name, "int64_t", SEARCH_LEVELS) for name in ("width", "height", "stride")),
-        *doubles(R_cam_plane=9, radius_m=3, sign=3),
+        *doubles(R_cam_plane=9, radius_m=4, sign=4),
     ),
     "pad_strokes": doubles(length_m=1, width_m=1, leg_m=1, bar_m=1, margin_m=1),
     "strokes_image": (*integers("width", "height", "stride", "step", "bright", "plane_known"), *doubles(R_cam_plane=9)),

@@ -37,7 +37,7 @@ SURE, ENOUGH = 0.9, 0.5
 """Confidence at which no further hypotheses are tried, and confidence at which no further kinds of hypotheses are tried."""
 _CLOSE_PX = 2.0
 """Largest error of the farthest edge in view at which registration may start from fiducials directly."""
-_MOST_ALIGNED = 16
+_MOST_ALIGNED = 24
 """Largest number of hypotheses of one frame that the drawing is aligned at before the search is given up."""
 _ALIGNED = 3
 """Number of the best hypotheses of one kind that the drawing is aligned at."""
@@ -220,7 +220,7 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
     task.work += kind.work + WORK_GUESS * len(guesses)
     aligned = kept = 0
     for guess in sorted(guesses, key=lambda g: (_is_refused(g.flat, task), -g.score)):
-        if guess.drawing < kind.least_drawing or any(_near(guess.flat, c.pose) for c in _settled(kind, task)):
+        if not kind.is_drawn(guess) or any(_near(guess.flat, c.pose) for c in _settled(kind, task)):
             continue
         if aligned == _TRIES * _ALIGNED or kept == _ALIGNED:
             break

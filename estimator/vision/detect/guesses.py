@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from functools import lru_cache
 
 import cv2
@@ -35,8 +36,19 @@ MOST = 20
 """Largest number of guesses from the circles of one kind."""
 _SAME_SHADE = 12.0
 """Difference in luminance between two paints below which either may be the brighter."""
-_BY_SUPPORT = 0.3
-"""Weight of a circle's support beside the drawing's score: from afar the drawing alone is weak evidence."""
+_BY_SUPPORT, _BY_FILLED = 0.3, 0.1
+"""Weight of a circle's support beside the drawing's score: from afar the drawing alone is weak evidence. The outline of an area
+is one more often, whatever the area is.
+"""
+
+
+class Outline(Enum):
+    """What a circle is the outline of."""
+
+    EDGES = "edges in luminance"
+    AREA = "an area that differs from what is around it"
+    DISC = "the disc, by its colour"
+    RING = "the ring, by the disc's colour"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,13 +77,12 @@ class Guess:
 
 def guesses_from(
     circles: Sequence[EdgeCircle],
-    by_colour: bool,
+    of: Outline,
     pyramid: Pyramid,
     camera: Camera,
     pad: Pad,
     plane: Plane,
     most: int = MOST,
-    of_ring: bool = False,
 ) -> list[Guess]:
     """Return guesses from circles: one for each circle of the drawing that one may be, in each plane that it may lie in.
 
@@ -79,15 +90,14 @@ def guesses_from(
 
     Args:
         circles: likeliest first.
-        by_colour: the circles were found in the measure of the disc's colour, not in luminance.
+        of: what they are outlines of.
         most: the largest number of guesses.
-        of_ring: take circles of colour for the ring's, not for the disc's.
     """
     if not circles:
         return []
     levels = [pyramid[level] for level in range(SEARCH_LEVELS)]
     at = [pixels(px) for px in levels]
-    radius_m, sign = _circles(pad, by_colour, of_ring)
+    radius_m, sign = _circles(pad, of)
     frame = record("search_frame", {
         "levels": SEARCH_LEVELS, "plane_known": plane.known, "radii": len(radius_m), "width": [px.shape[1] for px in levels],
         "height": [px.shape[0] for px in levels], "stride": [stride for _, stride in at], "R_cam_plane": plane.R_cam_plane,
@@ -99,31 +109,39 @@ def guesses_from(
         address(packed_camera(camera)), address(packed_drawing(pad)), start_of(frame), address(starts, np.int64), len(found),
         start_of(found), most, start_of(out),
     )  # fmt: skip
-    return [guess_of(words) for words in out[:n]]
+    return [guess_of(words, _BY_FILLED if of is Outline.AREA else _BY_SUPPORT) for words in out[:n]]
 
 
-def guess_of(words: F64) -> Guess:
-    """Return the guess in a structure `search_guess` of the core."""
+def guess_of(words: F64, by_support: float = _BY_SUPPORT) -> Guess:
+    """Return the guess in a structure `search_guess` of the core.
+
+    Args:
+        by_support: weight of the circle's support beside the drawing's score.
+    """
     known, one_sided = words[:2].view(np.int64).tolist()
     turn, drawing, support = (float(words[_AT[name].start]) for name in ("turn_rad", "drawing", "support"))
     pose = PadPose(Rotation(words[_AT["R"]].reshape(3, 3)), words[_AT["t"]])
     return Guess(
-        pose, turn, drawing, drawing + _BY_SUPPORT * support, bool(known), support, words[_AT["side"]] if one_sided else None
+        pose, turn, drawing, drawing + by_support * support, bool(known), support, words[_AT["side"]] if one_sided else None
     )
 
 
 @lru_cache(maxsize=16)
-def _circles(pad: Pad, by_colour: bool, of_ring: bool) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _circles(pad: Pad, of: Outline) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the drawing's circles: radii, and 1 if brighter inside, -1 if darker, 0 if that depends on the deck."""
     marks = pad.markings
-    if by_colour and of_ring:
+    if of is Outline.RING:
         return (marks.ring_outer_m, marks.ring_inner_m), (-1.0, 1.0)
-    if by_colour:
+    if of is Outline.DISC:
         return (disc_edge_m(pad),), (1.0,)
     paints = np.array([[marks.colours.ring[::-1], marks.colours.disc[::-1]]], np.uint8)
     ring, disc = cv2.cvtColor(paints, cv2.COLOR_BGR2GRAY)[0].tolist()
     over = ring - disc
     sign = 0.0 if abs(over) < _SAME_SHADE else math.copysign(1.0, over)
+    if of is Outline.AREA and marks.is_searched_by_parts and marks.is_h:
+        # On a deck as bright as the disc the area is ring and H, blurred into one: of some size from the H's to the ring's.
+        h_m, ring_m = 0.5 * math.hypot(marks.h_length_m, marks.h_width_m), marks.ring_inner_m
+        return (disc_edge_m(pad), ring_m, math.sqrt(ring_m * h_m), h_m), (0.0, sign, sign, sign)
     edge = [(disc_edge_m(pad), 0.0)] if marks.field_radius_m or not marks.ring_outer_m else []
     rings = [(marks.ring_outer_m, sign), (marks.ring_inner_m, -sign)] if marks.ring_outer_m else []
     radii, signs = zip(*edge, *rings, strict=True)

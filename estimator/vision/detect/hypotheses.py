@@ -15,7 +15,7 @@ from estimator.vision.detect.blob_circles import blob_circles
 from estimator.vision.detect.blobs import lettering_blobs
 from estimator.vision.detect.colour import disc_colour, disc_has_colour, is_coloured
 from estimator.vision.detect.edge_circles import EdgeCircle, Radii, edge_circles
-from estimator.vision.detect.guesses import MOST, Guess, guesses_from
+from estimator.vision.detect.guesses import MOST, Guess, Outline, guesses_from
 from estimator.vision.detect.paint import PaintMemory
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
@@ -37,17 +37,19 @@ WORK_GUESS = 0.1
 """Work of a guess; see `Kind`."""
 _CIRCLES = 12
 """Number of circles of one image."""
-_MORE_CIRCLES, _LOOKED_AT, _MORE_GUESSES = 48, 10, 60
-"""Number of circles of one image where half of the disc may be covered, how many of them are looked at before, and the largest
-number of guesses from them. Of ten half discs at 15 m seven were the 16th to 51st circle.
+_MORE_CIRCLES, _MORE_GUESSES = {0: 32, 1: 16}, 60
+"""Number of circles of an image at full and at half size where half of the disc may be covered, and the largest number of guesses
+from them. Of ten half discs at 10 m the full size has nine among them, of ten at 15 m six.
 """
+_MARGIN_PX = 8
+"""How far beyond the edge of such an image centres are looked for, px: half of the disc may be out of the frame."""
 _REDUCED_LEVELS = (3, 2, 1)
 _FULL_SIZE, _REDUCED, _LEAST_SIZE = Radii(4.5, 1.22, 5), Radii(5.0, 1.2, 7), Radii(8.5, 1.2, 10)
 """Radii searched at full size, at half and a quarter of it, and at an eighth."""
 _BEYOND = 0.4
 """How far beyond the edge of the smallest image centres are looked for, in its widths."""
 _WORK_REDUCED, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_COLOUR = 4.0, 4.0, 3.0, 1.0
-_WORK_LETTERING, _WORK_OUTLINES = 3.0, 2.5
+_WORK_LETTERING, _WORK_OUTLINES, _WORK_MORE_CIRCLES = 3.0, 2.5, 5.5
 FULL_PIXELS = 640 * 360
 """Pixels of the frame that work is counted for."""
 
@@ -63,8 +65,12 @@ class Kind:
     """Whether guesses are of a pad of which a part may be covered."""
     exact: bool = False
     """Whether guesses are so near to a pose that they are tried beside a candidate without confidence, too."""
-    least_drawing: float = LEAST_DRAWING
-    """Smallest fraction of the variance that a guess must explain to be tried."""
+    least_round: float = LEAST_DRAWING
+    """Smallest fraction of the variance that a guess from a circle with an ellipse for its outline must explain to be tried."""
+
+    def is_drawn(self, guess: Guess) -> bool:
+        """Return whether a guess explains enough of the variance to be tried."""
+        return guess.drawing >= (self.least_round if guess.support >= _ROUND else LEAST_DRAWING)
 
 
 def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: PaintMemory) -> list[Kind]:
@@ -79,20 +85,17 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
     def circles_of_colour(levels: tuple[int, ...], of_ring: bool = False) -> list[Guess]:
         if not is_coloured(colour[2]):
             return []
-        most = _MORE_GUESSES if of_ring else MOST
-        return guesses_from(frame.circles(colour, levels), True, pyramid, camera, pad, plane, most, of_ring)
+        of, most = (Outline.RING, _MORE_GUESSES) if of_ring else (Outline.DISC, MOST)
+        return frame.guesses(frame.circles(colour, levels), of, most)
 
     if pad.markings.is_letter_alone:
         alone = [Kind(_WORK_LETTERING * size, lambda: lettering_blobs(pyramid, camera, pad, plane))]
         return [*alone, Kind(_WORK_STROKES, frame.strokes)] if pad.markings.is_h else alone
     out = [
-        Kind(
-            _WORK_REDUCED * size,
-            lambda: guesses_from(frame.circles(luminance, _REDUCED_LEVELS), False, pyramid, camera, pad, plane),
-        ),
-        Kind(_WORK_OUTLINES * size, frame.blobs, exact=True, least_drawing=_LEAST_ROUND),
+        Kind(_WORK_REDUCED * size, lambda: frame.guesses(frame.circles(luminance, _REDUCED_LEVELS), Outline.EDGES)),
+        Kind(_WORK_OUTLINES * size, frame.blobs, exact=True, least_round=_LEAST_ROUND),
         Kind(_WORK_STROKES, frame.strokes),
-        Kind(_WORK_FULL_SIZE * size, lambda: guesses_from(frame.circles(luminance, (0,)), False, pyramid, camera, pad, plane)),
+        Kind(_WORK_FULL_SIZE * size, lambda: frame.guesses(frame.circles(luminance, (0,)), Outline.EDGES)),
     ]
     coloured = disc_has_colour(pad)
     if coloured:
@@ -105,7 +108,7 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
         out.append(Kind((_WORK_REDUCED + _WORK_COLOUR) * size, lambda: circles_of_colour(_REDUCED_LEVELS, of_ring=True), True))
     return [
         *out,
-        Kind(_WORK_FULL_SIZE * size, lambda: frame.fainter_circles(luminance), True),
+        Kind(_WORK_MORE_CIRCLES * size, lambda: frame.guesses(frame.more_circles(luminance), Outline.EDGES, _MORE_GUESSES), True),
         Kind(_WORK_STROKES, frame.beside_strokes, True),
     ]
 
@@ -119,27 +122,36 @@ class _Searched:
     pad: Pad
     plane: Plane
 
-    def circles(self, images: _Images, levels: tuple[int, ...], most: int = _CIRCLES) -> list[EdgeCircle]:
+    def guesses(self, circles: list[EdgeCircle], of: Outline, most: int = MOST) -> list[Guess]:
+        """Return guesses from circles."""
+        return guesses_from(circles, of, self.pyramid, self.camera, self.pad, self.plane, most)
+
+    def circles(self, images: _Images, levels: tuple[int, ...]) -> list[EdgeCircle]:
         """Return the circles at several sizes of an image: the most prominent at each size first."""
         found = []
         for level in levels:
             image, least = images[level], level == max(levels) > 0
             radii = _FULL_SIZE if level == 0 else _LEAST_SIZE if least else _REDUCED
             beyond_px = round(_BEYOND * image.shape[1]) if least else 0
-            of_level = edge_circles(image, 1 << level, self.camera, self.plane, radii, most, beyond_px)
+            of_level = edge_circles(image, 1 << level, self.camera, self.plane, radii, _CIRCLES, beyond_px)
             found += [(rank - circle.support, circle) for rank, circle in enumerate(of_level)]
         return [circle for _, circle in sorted(found, key=lambda of: of[0])]
 
-    def fainter_circles(self, images: _Images) -> list[Guess]:
-        """Return guesses from the circles at full size behind those that are looked at first: half a circle is one of them."""
-        rest = self.circles(images, (0,), _MORE_CIRCLES)[_LOOKED_AT:]
-        return guesses_from(rest, False, self.pyramid, self.camera, self.pad, self.plane, _MORE_GUESSES)
+    def more_circles(self, images: _Images) -> list[EdgeCircle]:
+        """Return more circles of the larger sizes of an image, those with most edges for their outline's chance first.
+
+        Half a circle is one of them.
+        """
+        found = []
+        for level, most in _MORE_CIRCLES.items():
+            radii = _REDUCED if level else _FULL_SIZE
+            of_level = edge_circles(images[level], 1 << level, self.camera, self.plane, radii, most, _MARGIN_PX)
+            found += [(circle.support * math.sqrt(circle.radius / (1 << level)), circle) for circle in of_level]
+        return [circle for _, circle in sorted(found, key=lambda of: -of[0])]
 
     def blobs(self) -> list[Guess]:
         """Return guesses from the outlines of what stands out from its surroundings."""
-        circles = blob_circles(self.pyramid, self.camera, self.plane)
-        guesses = guesses_from(circles, False, self.pyramid, self.camera, self.pad, self.plane, _MORE_GUESSES)
-        return [g for g in guesses if g.drawing >= (_LEAST_ROUND if g.support >= _ROUND else LEAST_DRAWING)]
+        return self.guesses(blob_circles(self.pyramid, self.camera, self.plane), Outline.AREA, _MORE_GUESSES)
 
     def strokes(self) -> list[Guess]:
         """Return guesses from the strokes of the H."""

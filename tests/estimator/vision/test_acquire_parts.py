@@ -18,7 +18,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.colour import disc_colour, is_coloured
 from estimator.vision.detect.edge_circles import EdgeCircle, Radii, edge_circles
-from estimator.vision.detect.guesses import guesses_from
+from estimator.vision.detect.guesses import Outline, guesses_from
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
@@ -110,6 +110,40 @@ def test_a_plain_frame_has_no_circles_and_stripes_and_noise_none_with_much_of_an
         assert all(c.support < most for c in edge_circles(px, 4, camera, plane, radii, 6))
 
 
+def discs_on_grey(camera: Camera, at: tuple[float, float], discs: tuple[tuple[float, float], ...], half: bool = False) -> U8:
+    """Return a grey frame with discs of (radius px, shade) on each other; with `half`, without their upper halves."""
+    fine = np.full((2 * camera.height, 2 * camera.width), 110.0, np.float32)
+    for radius, shade in discs:
+        middle = (round((2 * at[0] + 0.5) * 16), round((2 * at[1] + 0.5) * 16))
+        cv2.circle(fine, middle, round(2 * radius * 16), shade, -1, cv2.LINE_AA, 4)
+    if half:
+        fine[: round(2 * at[1] + 1)] = 110.0
+    return np.asarray(np.rint(cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA)), np.uint8)
+
+
+def test_a_bright_circle_does_not_hide_a_dark_one_about_it() -> None:
+    camera = sim_camera((0.0, 0.0, 0.0))
+    px = discs_on_grey(camera, (328.0, 184.0), ((9.0, 60.0), (5.0, 200.0)))
+    found = edge_circles(px, 1, camera, Plane.of(camera, None), Radii(4.5, 1.22, 5), 6)
+    sizes = {circle.bright_inside: circle.radius * camera.fx for circle in found}
+    assert sizes == {True: pytest.approx(5.0, abs=0.5), False: pytest.approx(9.0, abs=0.5)}
+
+
+def test_half_a_disc_is_more_prominent_than_what_noise_makes_of_smaller_circles() -> None:
+    # Ranked by the fraction of an outline that has edges, half of the ten were no circle at all.
+    camera = sim_camera((0.0, 0.0, 0.0))
+    half = discs_on_grey(camera, (320.0, 180.0), ((9.2, 70.0),), half=True)
+    middle, first = camera.rays(np.array([[320.0, 180.0]]))[0], 0
+    for seed in range(10):
+        noise = np.random.default_rng(seed).normal(0.0, 16.0, (camera.height, camera.width))
+        px = np.asarray(np.rint(np.clip(half + cv2.GaussianBlur(noise, (0, 0), 0.8), 0, 255)), np.uint8)
+        first += any(
+            np.hypot(*(c.centre - middle)) * camera.fx < 2.5 and abs(c.radius * camera.fx - 9.2) < 1.4 and not c.bright_inside
+            for c in edge_circles(px, 1, camera, Plane.of(camera, None), Radii(4.5, 1.22, 5), 60)[:2]
+        )
+    assert first >= 8
+
+
 @given(roll=st.floats(-0.4, 0.4), pitch=st.floats(-0.4, 0.4))
 @settings(max_examples=40)
 def test_a_tilted_circle_has_its_radius_in_one_of_two_planes(roll: float, pitch: float) -> None:
@@ -138,7 +172,7 @@ def test_the_core_guesses_the_tilt_of_a_disc_as_numpy_does(camera: Camera, pad: 
     for circle in circles:
         points = int(circle.words.view(np.int64)[at["points"].start])
         oracle = tilted_circles(circle.words[at["outline_px"]].reshape(-1, 2)[:points], camera)
-        tilted = [g for g in guesses_from([circle], False, frame, camera, pad, plane) if g.tilt_known]
+        tilted = [g for g in guesses_from([circle], Outline.EDGES, frame, camera, pad, plane) if g.tilt_known]
         for stand, centre, radius in oracle if tilted else []:
             pose = stand.pose(centre, radius, pad.disc_radius_m)
             off = [float(np.linalg.norm(g.flat.t_cam_pad - pose.t_cam_pad)) for g in tilted]

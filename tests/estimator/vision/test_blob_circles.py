@@ -8,18 +8,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import acquire
 from estimator.vision.detect.blob_circles import blob_circles
 from estimator.vision.detect.edge_circles import EdgeCircle
-from estimator.vision.detect.guesses import guesses_from
+from estimator.vision.detect.guesses import Guess, Outline, guesses_from
+from estimator.vision.detect.hypotheses import Kind
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
 from tests.estimator.vision.oracle import blobs
 from tests.support.deck_images import Shown, shown
-from tests.support.hard_light import HARD, grey
+from tests.support.hard_light import HARD, grey, hard_scene
 from tests.support.pad_images import sim_camera
 
 U8 = NDArray[np.uint8]
@@ -122,7 +124,7 @@ def test_the_core_finds_the_outlines_that_numpy_finds(camera: Camera, noise: int
 def nearest_guess(seen: Shown, px: U8, camera: Camera, pad: Pad) -> float:
     """Return the smallest error of a guess without an attitude, as a fraction of the range."""
     pyramid, plane = Pyramid(px), Plane.of(camera, None)
-    guesses = guesses_from(blob_circles(pyramid, camera, plane), False, pyramid, camera, pyramid.as_seen(pad), plane, 60)
+    guesses = guesses_from(blob_circles(pyramid, camera, plane), Outline.AREA, pyramid, camera, pyramid.as_seen(pad), plane, 60)
     off = [
         float(np.linalg.norm(g.flat.t_cam_pad - seen.truth.t_cam_pad)) / seen.truth.range_m
         for g in guesses
@@ -155,3 +157,29 @@ def test_a_search_finds_an_oblique_pad_from_afar_without_an_attitude(
     best = acquire(px, camera, hard.pad)[0]
     assert np.linalg.norm(best.pose.t_cam_pad - seen.truth.t_cam_pad) < 0.08 * seen.truth.range_m
     assert best.score > 0.1
+
+
+@pytest.mark.parametrize(("k", "height_m"), [(22, 15.0), (32, 15.0), (36, 10.0)])
+def test_ring_and_h_blurred_into_one_are_an_area_of_some_size_between_theirs(camera: Camera, k: int, height_m: float) -> None:
+    # The disc is as bright as the deck. Taken for the disc or the ring's outer edge the areas are 20 to 70 % off in range.
+    seen = hard_scene(np.random.default_rng([97, k, round(10 * height_m)]), camera, HARD["grey"], height_m)
+    pyramid, plane, pad = Pyramid(seen.px), Plane.of(camera, seen.R_level_body), HARD["grey"].pad
+    circles = blob_circles(pyramid, camera, plane)
+    guesses = guesses_from(circles, Outline.AREA, pyramid, camera, pyramid.as_seen(pad), plane, 60)
+    assert seen.truth is not None
+    right = [g for g in guesses if np.linalg.norm(g.flat.t_cam_pad - seen.truth.t_cam_pad) < 0.1 * seen.truth.range_m]
+    assert max((g.score for g in right), default=0.0) > 0.8 * max(g.score for g in guesses)
+    best = acquire(seen.px, camera, pad, seen.R_level_body)[0]
+    assert np.linalg.norm(best.pose.t_cam_pad - seen.truth.t_cam_pad) < 0.06 * seen.truth.range_m
+    assert best.score > 0.3
+
+
+def test_a_guess_of_an_area_needs_less_of_the_drawing_only_if_the_area_is_an_ellipse() -> None:
+    pose = PadPose(Rotation.identity(), np.array([0.0, 0.0, 5.0]))
+    faint_and_round, faint, clear = (
+        Guess(pose, 0.0, drawing, drawing, True, support) for drawing, support in ((0.02, 0.9), (0.02, 0.5), (0.05, 0.5))
+    )
+    edges, areas = Kind(1.0, list), Kind(1.0, list, least_round=0.015)
+    assert [kind.is_drawn(of) for kind in (edges, areas) for of in (faint_and_round, faint, clear)] == [
+        False, False, True, True, False, True,
+    ]  # fmt: skip

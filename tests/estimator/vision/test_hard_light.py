@@ -16,8 +16,13 @@ from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.verification import FEATURES
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import Orientation
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.tracker_config import FRAME_WORK
+from estimator.vision.verified import SURE, verified
+from sitl.light import Light
+from tests.support.deck_images import shown
 from tests.support.hard_light import HARD, U8, dusk, grey, hard_scene, haze
 from tests.support.pad_scenes import PadScene, empty_scene, pad_scene
 
@@ -53,6 +58,45 @@ def test_found_from_afar_and_sure(camera: Camera, name: str, height_m: float, k:
     assert best is not None
     assert best.confidence > 0.5
     assert float(np.linalg.norm(best.d_body_pad_level)) == pytest.approx(seen.truth.range_m, rel=0.1)
+
+
+@pytest.mark.parametrize(("seed", "k", "height_m"), [(97, 12, 10.0), (97, 22, 15.0), (97, 32, 15.0)])
+def test_a_ring_that_pixels_mix_with_the_h_is_as_bright_as_it_should_be(
+    camera: Camera, seed: int, k: int, height_m: float
+) -> None:
+    # Compared with all of the disc, whose inner part is as bright as the H there, the ring is too dark: the score is 0.1.
+    seen = hard_scene(np.random.default_rng([seed, k, round(10 * height_m)]), camera, HARD["grey"], height_m)
+    assert seen.truth is not None
+    found = heading(seen.px, 1, camera, Pyramid(seen.px).as_seen(HARD["grey"].pad), seen.truth)
+    assert found is not None
+    assert found.score > 0.3
+
+
+def ring_place(camera: Camera, pad: Pad, px: U8, truth: PadPose) -> float:
+    """Return how far the ring is from its place between disc and H, 0 or less."""
+    pyramid = Pyramid(px)
+    aligned = align(pyramid, camera, pyramid.as_seen(pad), truth, SIGMA_TILT_RAD, 0)
+    assert aligned is not None
+    return float(aligned.features[FEATURES.index("orange_place")])
+
+
+@pytest.mark.parametrize("height_m", [3.0, 6.0, 10.0])
+def test_the_ring_of_a_pad_whose_h_is_burnt_out_may_be_any_darker_than_the_h(camera: Camera, pad: Pad, height_m: float) -> None:
+    seen, rng = shown(camera, pad, height_m, light=Light(exposure_ev=2.0)), np.random.default_rng(0)
+    burnt = grey(seen.px, rng)
+    assert ring_place(camera, pad, burnt, seen.truth) > -0.05, "it seems almost as bright as the H"
+    # The same shades below what a frame clips: there the H is known, and the ring is too bright.
+    dimmed = np.asarray(np.rint(burnt * 0.97), np.uint8)
+    assert ring_place(camera, pad, dimmed, seen.truth) < -0.3
+
+
+@pytest.mark.parametrize("k", [14, 33])
+def test_a_burnt_out_grey_pad_is_sure(camera: Camera, k: int) -> None:
+    seen = hard_scene(np.random.default_rng([97, k, 100]), camera, HARD["grey"], 10.0)
+    assert seen.truth is not None
+    of = verified(Pyramid(seen.px), camera, HARD["grey"].pad, seen.truth, Orientation.of(None))
+    assert of is not None
+    assert of.confidence > SURE
 
 
 @pytest.mark.parametrize("sigma", [6.0, 12.0, 20.0])

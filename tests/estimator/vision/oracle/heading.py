@@ -22,6 +22,8 @@ _NO_SECOND_MAP = np.empty(0, np.float32)
 _LEAST = 1e-3
 _RIM_PX, _WIDEST_RIM = 1.2, 0.5
 """Width of the disc's edge, px, that is left out, and the greatest share of the radius."""
+_RESOLVED_PX = 20.0
+"""Radius of the disc, px, below which the ring is compared with what is outside of it alone."""
 
 
 def searched_heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F64 | None = None) -> Heading | None:
@@ -77,9 +79,14 @@ def searched_heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose,
         between += np.where(part[0] > least, (part[1:] * m).sum(axis=0), 0.0)
         means.append(np.where(part[0] > least, m, np.nan))
     mean_h, mean_orange, mean_disc = means
+    beside = mean_disc[2]
+    if camera.fx * pad.disc_radius_m < _RESOLVED_PX * step * float(pose.t_cam_pad[2]):
+        outermost = int(np.flatnonzero(drawing.ring[:, 0])[-1])
+        outside = values[:, outermost + 1 :].sum(axis=(1, 2))[:, None] - arrow
+        beside = np.where(outside[0] > least, outside[3] / np.maximum(outside[0], least), beside)
     with np.errstate(invalid="ignore"):
         dark = np.minimum(
-            np.nanmin(np.nan_to_num(mean_h - mean_disc, nan=1.0), axis=0), np.nan_to_num(mean_orange[2] - mean_disc[2], nan=1.0)
+            np.nanmin(np.nan_to_num(mean_h - mean_disc, nan=1.0), axis=0), np.nan_to_num(mean_orange[2] - beside, nan=1.0)
         )
     score = np.where(dark > 0.0, between / spread, 0.25 * between / spread)
     k = int(np.argmax(score))

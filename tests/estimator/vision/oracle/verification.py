@@ -61,7 +61,7 @@ def features(aligned: Aligned, pad: Pad) -> F64:
     two = sorted((h_marking, ring, edge))[1]
     everything = _gain(squared, (light * light).sum(axis=0), local.weight, aligned)
     white, orange, green = (local.paints[k] for k in (H, ORANGE, DISC))
-    off = min(1.0, _TELLING * shown[1]) * _orange_place(white, orange, green, pad, aligned.contrast)
+    off = min(1.0, _TELLING * shown[1]) * _orange_place(white, orange, green, pad, aligned.contrast, _brightest_h(aligned))
     size_px = pad.disc_radius_m / aligned.sample_m
     return np.array([
         1.0,
@@ -174,12 +174,23 @@ def _gain(squared: F32, nothing: F32, weight: F32, of: Aligned) -> float:
     return _clip(math.log(without / with_it), 0.0, _ENOUGH)
 
 
-def _orange_place(white: F64, orange: F64, green: F64, pad: Pad, contrast: float) -> float:
-    """Return the distance of the orange from its nominal place between disc and white, mean over the channels; 0 is nominal."""
+def _orange_place(white: F64, orange: F64, green: F64, pad: Pad, contrast: float, brightest_h: F64) -> float:
+    """Return the distance of the orange from its nominal place between disc and white, mean over the channels; 0 is nominal.
+
+    Args:
+        brightest_h: (3,) light of the H. Where a frame clips it, orange may be any lower than it seems.
+    """
     side = np.where(_nominal_span(pad) < 0.0, -1.0, 1.0)
     span = np.maximum(side * (white - green), 0.04 * contrast)
     place = np.clip(side * (orange - green) / span, -0.5, 1.5)
-    return float(np.abs(place - _nominal_place(pad)).mean())
+    above = place - _nominal_place(pad)
+    hidden = (side > 0.0) & (brightest_h >= 0.98) & (above > 0.0)
+    return float(np.where(hidden, 0.0, np.abs(above)).mean())
+
+
+def _brightest_h(aligned: Aligned) -> F64:
+    """Return the brightest light of the samples that are some of the H, by channel, (3,)."""
+    return np.asarray(aligned.light[aligned.coverage[:, H] >= 0.25].max(axis=0, initial=0.0), float)
 
 
 def _nominal_span(pad: Pad) -> F64:
