@@ -47,6 +47,8 @@ _STEPS, _STEPS_FREE = 4, 8
 """Gauss-Newton steps of alignment, with the tilt known and unknown."""
 _ARROW_SEEN = 0.3
 """Support of the arrowhead at which the heading is unambiguous."""
+_ARROW_MISSING = 0.5
+"""How much surer it must be that no arrowhead is at its place than that there is none half a turn away."""
 _WORK_ALIGN, _WORK_ALIGN_FREE, _WORK_VERIFY = 1.6, 2.2, 0.8
 """Work of an alignment with the tilt known and unknown, and of one without a step."""
 _WORK_COVER, _WORK_COVERED = 0.5, 2.2
@@ -273,9 +275,10 @@ def align_at(
 def _with_arrow(
     aligned: AlignedTemplate, pyramid: Pyramid, camera: Camera, pad: Pad, sigma_tilt_rad: float, side: F64 | None
 ) -> PadCandidate | None:
-    """Return an aligned drawing as a candidate, turned by 180 degrees if its arrowhead is there."""
-    arrow = arrow_support(aligned)
-    if arrow < -0.5 * _ARROW_SEEN:
+    """Return an aligned drawing as a candidate, turned by 180 degrees if its arrowhead is there, or can only be there."""
+    arrow, (fore, aft) = arrow_support(aligned), aligned.arrow
+    missing = fore.seen * (1.0 - fore.found) - aft.seen * (1.0 - aft.found)
+    if arrow < -0.5 * _ARROW_SEEN or missing > _ARROW_MISSING:
         turned = align(
             pyramid,
             camera,

@@ -130,7 +130,7 @@ def test_a_bright_circle_does_not_hide_a_dark_one_about_it() -> None:
 
 
 def test_half_a_disc_is_more_prominent_than_what_noise_makes_of_smaller_circles() -> None:
-    # Ranked by the fraction of an outline that has edges, half of the ten were no circle at all.
+    # Ranked by the fraction of an outline that has edges, four of the ten were no circle at all.
     camera = sim_camera((0.0, 0.0, 0.0))
     half = discs_on_grey(camera, (320.0, 180.0), ((9.2, 70.0),), half=True)
     middle, first = camera.rays(np.array([[320.0, 180.0]]))[0], 0
