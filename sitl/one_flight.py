@@ -53,14 +53,15 @@ def perception_level(text: str) -> Perception:
 def settings_for(scenario: Scenario, config: str | None) -> Settings:
     """Return the settings of a file, or without one the profile `sim` with the scenario's camera and pad.
 
-    Where the scenario's ship reports her place, that profile flies to it. It flies by the response that the vehicle's file names.
+    A file's flight begins by itself, whatever its `guidance.start`: nobody is there to order the landing. Where the scenario's
+    ship reports her place, the profile flies to it. It flies by the response that the vehicle's file names.
 
     Raises:
         BadInput: as `companion.config.settings.load`.
     """
     settings = load(config or "sim")
     if config is not None:
-        return settings
+        return msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="automatic"))
     rendezvous = msgspec.structs.replace(settings.guidance.rendezvous, enabled=scenario.vessel.reports_place)
     follow = msgspec.structs.replace(settings.guidance.follow_deck, response=vehicle_model(scenario).response)
     gimbal = GimbalOptions(scenario.gimbal.device_id, point_down=scenario.gimbal.given)

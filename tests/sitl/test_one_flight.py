@@ -47,6 +47,8 @@ def test_the_settings_take_the_scenarios_camera_and_pad_unless_a_file_is_given()
     settings = settings_for(scenario, None)
     assert (settings.pad.file, settings.camera.file) == ("printed", "photos")
     assert settings_for(scenario, "sim") == load_settings("sim")
+    assert load_settings("ardrone2").guidance.start == "signal"
+    assert settings_for(scenario, "ardrone2").guidance.start == "automatic", "nobody orders the landing"
 
 
 def test_an_unknown_level_of_perception_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
