@@ -71,6 +71,7 @@ SLOW = (
     "tests/estimator/ekf/test_core.py",
     "tests/sitl/test_camera.py",
     "tests/estimator/vision/test_registration.py",
+    "tests/estimator/vision/test_registration_surroundings.py",
     "tests/companion/test_record.py",
     "tests/estimator/test_dead_reckoning.py",
     "tests/sitl/test_air.py",

@@ -581,7 +581,7 @@ typedef struct {
     double blur_px;
     double edge_sigma_px;
     double dense_edge_sigma_px;
-    double edge_sigma_m;
+    double size_sigma_m;
     double coded_px;
     double noise;
     double cut[3];
@@ -1216,7 +1216,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 3308396769u
+#define INTERFACE_DIGEST 3182786335u
 #endif
 
 #endif

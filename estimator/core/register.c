@@ -36,13 +36,11 @@ static int refine(const task *k, const fit_state *start, fit_solved *out)
     fit_state s = *start;
     rows r = k->free;
     if (side_px * side_px > (double)k->o->dense_pixels && spacing_ok(k->pad, start)) {
-        if (!register_near(&k->seen, k->pad, &k->edges, k->o, &k->tilt, start, &r, out)) {
-            return 0;
-        }
+        const int found = register_near(&k->seen, k->pad, &k->edges, k->o, &k->tilt, start, &r, out);
         if (spacing_ok(k->pad, &out->state)) {
-            return 1;
+            return found;
         }
-        s = out->state;
+        s = found ? out->state : *start;
         r = k->free;
     }
     return register_far(&k->seen, k->pad, k->o, &k->tilt, &s, &r, out);

@@ -13,6 +13,8 @@ static const float PHI_A = 0.7978845608f, PHI_B = 0.0356774081f;
 static const float REACH = 5.0f;
 /* Rectangles of a figure from which on those beyond the blur's reach are left out: a fiducial has a hundred, most of them far off. */
 enum { MANY = 9 };
+/* Correlation of the blur along both axes up to which two terms of a series hold. */
+static const double SLANT_MOST = 0.5;
 /* The logarithm of the largest odds of the normal integral that the exponential function takes; its slope is zero there. */
 static const float MOST = 80.0f;
 
@@ -152,10 +154,20 @@ static inline float spread(const footprint *f, const float *m, float *per_x, flo
     return REACH * sqrtf(most);
 }
 
-/* Add the rectangles of a figure at `LANES` points. The blur's slant is neglected: it turns no edge. */
+/* The blur's covariance along both axes, as far as a short series in the correlation holds. */
+static inline float slant_of(const footprint *f)
+{
+    const double most = SLANT_MOST * sqrt(f->blur_m2[0] * f->blur_m2[2]);
+    return (float)fmin(fmax(f->blur_m2[1], -most), most);
+}
+
+/* Add the rectangles of a figure at `LANES` points. The blur's covariance `xy` enters by the first two terms of the series in the
+ * correlation, whose derivatives by x and y are those of the normal integrals (heat equation); the third is a thousandth where a
+ * tilt of 25 degrees slants the blur. An H that its blur merges turns by degrees without them.
+ * Source: Kendall, Proof of relations connected with the tetrachoric series, Biometrika 32(2), 1941. */
 WIDE
 static void add_rectangles(const pad_figure *g, const float *x, const float *y, const float *m, const float *per_x, const float *per_y,
-                           float reach, float *value, float *const d[BY])
+                           float xy, float reach, float *value, float *const d[BY])
 {
     cut across[FIGURE_CUTS], along[FIGURE_CUTS];
     const int many = g->rectangles >= MANY;
@@ -168,12 +180,15 @@ static void add_rectangles(const pad_figure *g, const float *x, const float *y, 
         }
         const cut *x0 = &along[g->x0[r]], *x1 = &along[g->x1[r]], *y0 = &across[g->y0[r]], *y1 = &across[g->y1[r]];
         for (int l = 0; l < LANES; l++) {
-            const float a = x1->value[l] - x0->value[l], b = y1->value[l] - y0->value[l];
-            value[l] += a * b;
-            d[0][l] -= (x1->slope[l] - x0->slope[l]) * b;
-            d[1][l] -= a * (y1->slope[l] - y0->slope[l]);
-            d[2][l] += (x1->by_var[l] - x0->by_var[l]) * b * m[l];
-            d[4][l] += a * (y1->by_var[l] - y0->by_var[l]) * m[l];
+            const float a = x1->value[l] - x0->value[l], b = y1->value[l] - y0->value[l], slant = xy * m[l];
+            const float a1 = x1->slope[l] - x0->slope[l], b1 = y1->slope[l] - y0->slope[l];
+            const float a2 = x1->by_var[l] - x0->by_var[l], b2 = y1->by_var[l] - y0->by_var[l];
+            value[l] += a * b + slant * (a1 * b1 + 2.0f * slant * a2 * b2);
+            d[0][l] -= a1 * b + 2.0f * slant * a2 * b1;
+            d[1][l] -= a * b1 + 2.0f * slant * a1 * b2;
+            d[2][l] += a2 * b * m[l];
+            d[3][l] += (a1 * b1 + 4.0f * slant * a2 * b2) * m[l];
+            d[4][l] += a * b2 * m[l];
         }
     }
 }
@@ -198,7 +213,7 @@ static void add_figure(const pad_figure *g, const footprint *f, int begin, int c
         if (!is_near(g, x, y, reach)) {
             continue;
         }
-        add_rectangles(g, x, y, m, per_x, per_y, reach, sum[0], by);
+        add_rectangles(g, x, y, m, per_x, per_y, slant_of(f), reach, sum[0], by);
         for (int l = 0; l < LANES && i + l < count; l++) {
             value[i + l] += sum[0][l];
             for (int k = 0; k < BY; k++) {
@@ -286,7 +301,7 @@ void cover_figure(const pad_figure *g, const footprint *f, int begin, int count,
         }
         const float reach = spread(f, m, per_x, per_y);
         if (is_near(g, x, y, reach)) {
-            add_rectangles(g, x, y, m, per_x, per_y, reach, sum[0], by);
+            add_rectangles(g, x, y, m, per_x, per_y, slant_of(f), reach, sum[0], by);
         }
         for (int l = 0; l < LANES && i + l < count; l++) {
             value[i + l] = sum[0][l];

@@ -30,10 +30,16 @@ typedef struct {
     float *spare[DENSE_SPARE];
 } dense_rows;
 
+/* Displacements of the drawing's sectors, an eighth of a turn each: outward, and around the centre. */
+enum { SECTOR_MOVES = 16 };
+
 /* One linearisation. */
 typedef struct {
     /* Information with the paints eliminated, gradient, and the gradient's covariance from the residuals. */
     double H[STATES * STATES], g[STATES], meat[STATES * STATES];
+    /* The effect on the gradient of a sector that lies a pixel aside, what the residuals say of its place, and the information on it;
+     * only of the last linearisation. */
+    double pull[SECTOR_MOVES][STATES], score[SECTOR_MOVES], known[SECTOR_MOVES];
     /* Light of the coefficients and its variances, by channel; the variances only of the last linearisation. */
     double paints[FIRST_REGION + PAD_CONTRASTS][CHANNELS], var_paints[FIRST_REGION + PAD_CONTRASTS][CHANNELS];
     /* Robust variance of light over light. */
@@ -61,5 +67,11 @@ void dense_derivatives(const dense_rows *d, const dense_sums *s, int c, int star
                        float J[STATES][SUM_BLOCK], float Jw[STATES][SUM_BLOCK]);
 /* Add a channel's part of the gradient's covariance, and find the variances of its paints. */
 int add_meat(const pad_shape *pad, const patch *cut, int c, float m_per_px2, dense_rows *d, const dense_sums *s, dense_fit *fit);
+/* Add the effect on the gradient of displaced sectors by a block of a channel's pixels: its derivatives along the pad's axes, and the
+ * projected scores of all pixels. */
+void add_sectors(const dense_rows *d, int c, int start, int length, const float *along_x, const float *along_y,
+                 float *const projected[STATES], float m_per_px, dense_fit *fit);
+/* Add to the gradient's covariance sectors that are displaced independently, and all of them outward alike by the size's sigma. */
+void displace_sectors(double usual_px, double least_px, double size_px, dense_fit *fit);
 
 #endif

@@ -4,10 +4,12 @@
 #include <stddef.h>
 #include <string.h>
 
+#include "rotation.h"
+
 enum { ROUNDS = 12, EDGE_SECTORS = 8, STROKES = 4 };
 /* Longest step, px; steps of pose and blur at which the fit has converged. The pose depends on the blur: it may stop for a step
  * while the blur still changes. */
-static const double STEP_PX = 1.5, AT_REST_PX = 0.05, BLUR_AT_REST_PX = 0.1;
+static const double STEP_PX = 1.5, AT_REST_PX = 0.02, BLUR_AT_REST_PX = 0.04;
 /* Limit on the variance of smoothed light over light: four times that of worn paint on a patchy deck. More means an object on the
  * pad, unless the frame's own noise is that large. */
 static const double NOISE_DOUBTED = 5e-4;
@@ -55,43 +57,55 @@ int support_is_seen(const edge_support *e)
     return e->snr > SNR_SEEN && e->inliers > 0.5 && e->in_view > 0.0 && e->likeness > LIKENESS_SEEN;
 }
 
-/* The (9, 9) covariance from unexplained places of edges: sectors of the disc and strokes are displaced independently. */
-static void add_edges_off(const fit_state *s, const pad_shape *pad, const fit_options *o, double more_px, double cov[STATES * STATES])
+/* Add to the gradient's covariance the places of edges that noise and pose do not explain. */
+static void displace_edges(const fit_state *s, const pad_shape *pad, const fit_options *o, dense_fit *fit)
 {
     const double scale = s->m_per_px / pad->disc_radius_m, merged_px = fmin(MERGED_EDGES_PX3 * scale * scale, MERGED_EDGES_MOST_PX);
-    const double sigma_stroke = hypot(hypot(o->dense_edge_sigma_px, more_px) * s->m_per_px, o->edge_sigma_m);
-    const double sigma = hypot(sigma_stroke, merged_px * s->m_per_px), range = sigma * s->depth_m / pad->disc_radius_m;
-    const double turn = sigma_stroke / pad->half_length_m;
+    displace_sectors(merged_px, o->dense_edge_sigma_px, o->size_sigma_m / s->m_per_px, fit);
+}
+
+/* Add to a covariance what hides the disc: its sectors and strokes may lie anywhere within some pixels, and the pad farther away or
+ * nearer along the line of sight. */
+static void add_doubt(const fit_state *s, const pad_shape *pad, double cov[STATES * STATES])
+{
+    const double sigma = EDGE_DOUBTED_PX * s->m_per_px, range = sigma * s->depth_m / pad->disc_radius_m, turn = sigma / pad->half_length_m;
+    double along[3];
+    line_of_sight(s, along);
+    for (int i = 0; i < 9; i++) {
+        cov[i / 3 * STATES + i % 3] += along[i / 3] * along[i % 3] * range * range / EDGE_SECTORS;
+    }
     cov[0] += sigma * sigma / STROKES;
     cov[STATES + 1] += sigma * sigma / STROKES;
-    cov[2 * STATES + 2] += range * range / EDGE_SECTORS;
     cov[5 * STATES + 5] += turn * turn;
 }
 
-/* H inv(meat) H: the information that corresponds to the robust covariance, so that one prior can be exchanged for another. */
-static int robust_information(const dense_fit *fit, double out[STATES * STATES])
+/* H inv(meat) H and H inv(meat) g: information and gradient that correspond to the robust covariance. By the plain ones a frame would
+ * count more against the predicted tilt than it knows, and by these one prior can be exchanged for another. */
+static int robust_sums(const dense_fit *fit, double H[STATES * STATES], double g[STATES])
 {
-    double meat[STATES * STATES], X[STATES * STATES];
+    enum { COLUMNS = STATES + 1 };
+    double meat[STATES * STATES], X[STATES * COLUMNS];
     memcpy(meat, fit->meat, sizeof meat);
-    memcpy(X, fit->H, sizeof X);
     for (int i = 0; i < STATES; i++) {
         const double own = fit->H[i * (STATES + 1)];
         if (!(own >= 0.0)) {
             return 0;
         }
-        /* Rectangles do not say how the blur slants: of that state nothing is known but its prior. */
+        /* Of a state that the frame says nothing of, nothing is known but its prior. */
         meat[i * (STATES + 1)] += own > 0.0 ? 1e-9 * own : 1.0;
+        memcpy(X + i * COLUMNS, fit->H + i * STATES, STATES * sizeof *X);
+        X[i * COLUMNS + STATES] = fit->g[i];
     }
-    if (!solve_symmetric(STATES, STATES, meat, STATES, X)) {
+    if (!solve_symmetric(STATES, STATES, meat, COLUMNS, X)) {
         return 0;
     }
     for (int i = 0; i < STATES; i++) {
-        for (int j = 0; j < STATES; j++) {
+        for (int j = 0; j < COLUMNS; j++) {
             double sum = 0.0;
             for (int k = 0; k < STATES; k++) {
-                sum += fit->H[i * STATES + k] * X[k * STATES + j];
+                sum += fit->H[i * STATES + k] * X[k * COLUMNS + j];
             }
-            out[i * STATES + j] = sum;
+            *(j < STATES ? &H[i * STATES + j] : &g[i]) = sum;
         }
     }
     return 1;
@@ -219,20 +233,46 @@ static void find_support(const pad_shape *pad, const patch *cut, const dense_fit
     }
 }
 
-/* Linearise and step until pose and blur rest; `s` is moved. */
-static int converge(const pad_shape *pad, const patch *cut, const fit_options *o, const solver *v, dense_rows *d, fit_state *s,
-                    dense_fit *fit, double *moved_px)
+/* Write information on a state in the axes of another, which is turned against it. */
+static void in_axes_of(const fit_state *from, const fit_state *to, double H[STATES * STATES])
 {
-    double grown = 0.0;
+    double Q[9], way[3];
+    product_of_transposed(to->R, from->R, Q);
+    for (int side = 0; side < 2; side++) {
+        const int along = side ? 1 : STATES, across = side ? STATES : 1;
+        for (int block = 0; block < POSE; block += 3) {
+            for (int k = 0; k < STATES; k++) {
+                double *at = H + block * along + k * across;
+                rotated(Q, (const double[3]){at[0], at[along], at[2 * along]}, way);
+                at[0] = way[0], at[along] = way[1], at[2 * along] = way[2];
+            }
+        }
+    }
+}
+
+/* Linearise and step until pose and blur rest; `s` is moved, and `H` takes the robust information. */
+static int converge(const pad_shape *pad, const patch *cut, const fit_options *o, const solver *v, dense_rows *d, fit_state *s,
+                    dense_fit *fit, double *moved_px, double H[STATES * STATES])
+{
+    double grown = 0.0, g[STATES];
     *moved_px = INFINITY;
     for (int n = 0; n < ROUNDS; n++) {
         const int last = (n >= 1 && *moved_px < AT_REST_PX && grown < BLUR_AT_REST_PX) || n == ROUNDS - 1;
         fit_state next;
-        if (!linearise_dense(pad, cut, s, o->dense_edge_sigma_px, n == 0, last, d, fit) ||
-            !step_state(v, s, fit->H, fit->g, STEP_PX, n > 0, &next, moved_px)) {
+        if (!linearise_dense(pad, cut, s, o->dense_edge_sigma_px, n == 0, last, d, fit)) {
+            return 0;
+        }
+        if (last) {
+            displace_edges(s, pad, o, fit);
+        }
+        if ((last && !robust_sums(fit, H, g)) ||
+            !step_state(v, s, last ? H : fit->H, last ? g : fit->g, STEP_PX, n > 0, &next, moved_px)) {
             return 0;
         }
         grown = fabs(sigma_px(&next) - sigma_px(s));
+        if (last) {
+            in_axes_of(s, &next, H);
+        }
         *s = next;
         if (last) {
             break;
@@ -254,13 +294,15 @@ int register_far(const view *v, const pad_shape *pad, const fit_options *o, cons
         return 0;
     }
     begin_solver(&s, tilt, pad->disc_radius_m, &priors);
+    priors.distant = 1;
     memset(out, 0, sizeof *out);
-    if (!converge(pad, &cut, o, &priors, &d, &s, &fit, &out->last_step_px) || !robust_information(&fit, out->H) ||
-        !covariance_of(&priors, &s, out->H, out->cov)) {
+    if (!converge(pad, &cut, o, &priors, &d, &s, &fit, &out->last_step_px, out->H) || !covariance_of(&priors, &s, out->H, out->cov)) {
         return 0;
     }
     out->dense = 1, out->doubted = fit.noise > NOISE_DOUBTED + NOISE_DOUBT * cut.noise;
-    add_edges_off(&s, pad, o, out->doubted ? EDGE_DOUBTED_PX : 0.0, out->cov);
+    if (out->doubted) {
+        add_doubt(&s, pad, out->cov);
+    }
     const int in_view = find_pointer(pad, &cut, &s, &fit, &d, &seen);
     find_support(pad, &cut, &fit, &d, in_view ? &seen : NULL, out);
     out->arrow_seen = in_view && stands_out(seen.here, seen.there, seen.sigma) && !out->doubted;

@@ -54,10 +54,10 @@ static void noise_of_paints(const pad_shape *pad, const patch *cut, int c, doubl
     }
 }
 
-/* The weighted derivatives less what the paints answer, by state, into `projected`. */
+/* The weighted derivatives less what the paints answer, by state, into `projected`; adds the sectors'. */
 WIDE
 static void project_scores(const patch *cut, int c, float m_per_px2, const dense_rows *d, const dense_sums *s,
-                           float *const projected[STATES])
+                           float *const projected[STATES], dense_fit *fit)
 {
     for (int start = 0; start < cut->n; start += SUM_BLOCK) {
         const int length = whole_lanes(cut->n - start < SUM_BLOCK ? cut->n - start : SUM_BLOCK);
@@ -76,6 +76,8 @@ static void project_scores(const patch *cut, int c, float m_per_px2, const dense
                 out[i] = Jw[r][i] - answered[i] * w[i];
             }
         }
+        const int within = cut->n - start < SUM_BLOCK ? cut->n - start : SUM_BLOCK;
+        add_sectors(d, c, start, within, J[0], J[1], projected, sqrtf(m_per_px2), fit);
     }
 }
 
@@ -112,7 +114,7 @@ int add_meat(const pad_shape *pad, const patch *cut, int c, float m_per_px2, den
     }
     /* The weights have a fixed shape, so that a wrong start cannot adapt them to itself; the covariance uses the actual noise. */
     noise_of_paints(pad, cut, c, s->spent[c], d, seen);
-    project_scores(cut, c, m_per_px2, d, s, projected);
+    project_scores(cut, c, m_per_px2, d, s, projected, fit);
     for (int r = 0; r < STATES; r++) {
         share_back(cut, grid, projected[r]);
         for (int i = 0; i < n; i++) {

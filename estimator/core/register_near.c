@@ -101,9 +101,9 @@ static void find_shifts(const profiles *p, const near_rows *d, const near_fit *f
 /* The variance of edges' places, px^2, that neither noise nor pose explains, and the square root of its measured part.
  * Source: DerSimonian, Laird, Meta-analysis in clinical trials, Controlled Clinical Trials 7(3), 1986. */
 static double edge_variance(const profiles *p, const near_fit *fit, const shifts *moves, const double delta[STATES], double noise,
-                            const fit_state *s, const fit_options *o, double *rms_px)
+                            const fit_options *o, double *rms_px)
 {
-    const double painted_px = o->edge_sigma_m / s->m_per_px, least = o->edge_sigma_px * o->edge_sigma_px + painted_px * painted_px;
+    const double least = o->edge_sigma_px * o->edge_sigma_px;
     double squares = 0.0, weights = 0.0;
     int n = 0;
     *rms_px = 0.0;
@@ -169,10 +169,11 @@ static double noise_scale(const profiles *p, const near_rows *d, int groups)
     return sum / (free > 1 ? free : 1);
 }
 
-/* cov += tau2 pull pull' with the groups' pulls in units of the state. */
-static void add_shifts(const profiles *p, const shifts *moves, double grow, double tau2, double cov[STATES * STATES])
+/* cov += tau2 pull pull' with the groups' pulls in units of the state, and the same for each kind of edge whose groups lie outward
+ * alike by `size_px` at one sigma: what was painted is larger or smaller than drawn. */
+static void add_shifts(const profiles *p, const shifts *moves, double grow, double tau2, double size_px, double cov[STATES * STATES])
 {
-    double sum[STATES * STATES] = {0.0};
+    double sum[STATES * STATES] = {0.0}, by_kind[EDGE_KINDS][STATES] = {{0.0}};
     for (int g = 0; g < p->groups; g++) {
         double pull[STATES];
         for (int i = 0; i < STATES; i++) {
@@ -180,12 +181,16 @@ static void add_shifts(const profiles *p, const shifts *moves, double grow, doub
             for (int k = 0; k < STATES; k++) {
                 pull[i] += cov[i * STATES + k] * moves->pull[g][k] / grow;
             }
+            by_kind[p->each[g].kind][i] += size_px * pull[i];
         }
         for (int i = 0; i < STATES * STATES; i++) {
             sum[i] += tau2 * pull[i / STATES] * pull[i % STATES];
         }
     }
     for (int i = 0; i < STATES * STATES; i++) {
+        for (int kind = 0; kind < EDGE_KINDS; kind++) {
+            sum[i] += by_kind[kind][i / STATES] * by_kind[kind][i % STATES];
+        }
         cov[i] += sum[i];
     }
 }
@@ -300,10 +305,10 @@ int register_near(const view *v, const pad_shape *pad, const edge_points *edges,
     double delta[STATES];
     fit_state s = *start;
     float *keys = take_rows(r, 5);
+    memset(out, 0, sizeof *out);
     if (!keys || !take_near_rows(r, &d, &p)) {
         return 0;
     }
-    memset(out, 0, sizeof *out);
     begin_solver(start, tilt, pad->disc_radius_m, &priors);
     if (!sample_and_fit(v, pad, edges, o, &priors, &p, &d, keys, r->length, &fit, &mix, &s, delta, &out->last_step_px)) {
         return 0;
@@ -312,20 +317,20 @@ int register_near(const view *v, const pad_shape *pad, const edge_points *edges,
     for (int g = 0; g < p.groups; g++) {
         accepted += fit.groups[g].accepted;
     }
+    out->state = s;
     if (accepted < GROUPS_MIN) {
         return 0;
     }
     const double scale = noise_scale(&p, &d, accepted), grow = shared_noise(&p, &d, &fit) * scale;
     find_shifts(&p, &d, &fit, &moves);
-    const double tau2 = edge_variance(&p, &fit, &moves, delta, scale, &s, o, &out->edge_rms_px);
+    const double tau2 = edge_variance(&p, &fit, &moves, delta, scale, o, &out->edge_rms_px);
     for (int i = 0; i < STATES * STATES; i++) {
         out->H[i] = fit.H[i] / grow;
     }
     if (!covariance_of(&priors, &s, out->H, out->cov)) {
         return 0;
     }
-    add_shifts(&p, &moves, grow, tau2, out->cov);
+    add_shifts(&p, &moves, grow, tau2, o->size_sigma_m / s.m_per_px, out->cov);
     find_support(pad, &p, &mix, &s, &d, &fit, out);
-    out->state = s;
     return 1;
 }

@@ -45,7 +45,8 @@ void noise_after(const profiles *p, const double delta[STATES], near_rows *d, ne
 void pointer_amplitude(const pad_shape *pad, const fit_state *s, const profiles *p, near_rows *d, double *amplitude, double *sigma);
 
 int take_near_rows(rows *r, near_rows *d, profiles *p);
-/* Register from a state; 0 if too little of the pad is in view, or if the frame does not determine a pose. */
+/* Register from a state; 0 if too little of the pad is in view, or if the frame does not determine a pose. Where edges merged on the
+ * way, `out->state` says so by its blur. */
 int register_near(const view *v, const pad_shape *pad, const edge_points *edges, const fit_options *o, const tilt_target *tilt,
                   const fit_state *start, rows *r, fit_solved *out);
 

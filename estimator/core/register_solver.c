@@ -8,8 +8,8 @@
 
 /* Standard deviation of an angle that is completely unknown: pi / sqrt(3) rad. */
 static const double FREE_ROTATION_RAD = 1.8137993642342178;
-/* The least standard deviation of a deck's tilt, rad. */
-static const double SIGMA_DECK_MIN_RAD = 1e-5;
+/* The least standard deviation of a deck's tilt, rad, and the least distance of the pad's plane, m. */
+static const double SIGMA_DECK_MIN_RAD = 1e-5, NEAREST_M = 0.03;
 
 void predict_tilt(const camera_lens *camera, const tilt_prior *prior, tilt_target *out)
 {
@@ -37,7 +37,7 @@ void predict_tilt(const camera_lens *camera, const tilt_prior *prior, tilt_targe
 void begin_solver(const fit_state *s, const tilt_target *tilt, double disc_radius_m, solver *out)
 {
     const double away = 3.0 * sqrt(dot(s->t, s->t));
-    out->tilt = *tilt;
+    out->tilt = *tilt, out->distant = 0;
     for (int i = 0; i < 3; i++) {
         out->blur_px2[i] = s->blur_px2[i];
         out->free[i] = 1.0 / (away * away);
@@ -84,12 +84,25 @@ static void add_prior(const solver *v, const fit_state *s, double H[STATES * STA
     }
 }
 
+void line_of_sight(const fit_state *s, double along[3])
+{
+    rotated_back(s->R, s->t, along);
+    const double depth = fmax(along[2], NEAREST_M);
+    along[0] /= depth, along[1] /= depth, along[2] = 1.0;
+}
+
 double motion_px(const solver *v, const fit_state *s, const double delta[STATES])
 {
     const double reach = v->reach_m;
+    double sight[3] = {0.0, 0.0, 1.0};
+    if (v->distant) {
+        /* Along the line of sight nothing moves in the frame but the size. */
+        line_of_sight(s, sight);
+    }
+    const double x = delta[0] - sight[0] * delta[2], y = delta[1] - sight[1] * delta[2];
     /* From afar a tilt shortens the image only by its change against the line of sight. */
     const double lever = reach * (reach / s->depth_m + 0.1);
-    const double across = hypot(delta[0], delta[1]), along = fabs(delta[2]) * reach / s->depth_m;
+    const double across = hypot(x, y), along = fabs(delta[2]) * reach / s->depth_m;
     const double tilt = lever * hypot(delta[3], delta[4]), turn = reach * fabs(delta[5]);
     return fmax(fmax(across, along), fmax(tilt, turn)) / s->m_per_px;
 }

@@ -14,8 +14,9 @@ typedef struct {
     double normal[3], cov[9];
 } tilt_target;
 
-/* The values that the weak priors are centred on. */
+/* The values that the weak priors are centred on. `distant`: all of the pad lies along one line of sight. */
 typedef struct {
+    int distant;
     tilt_target tilt;
     double blur_px2[3], free[STATES], reach_m;
 } solver;
@@ -26,6 +27,8 @@ void begin_solver(const fit_state *s, const tilt_target *tilt, double disc_radiu
  * if the sums determine no step. */
 int step_state(const solver *v, const fit_state *s, const double H[STATES * STATES], const double g[STATES], double limit_px,
                int blur_too, fit_state *next, double *moved_px);
+/* The way from the camera to the pad's centre in the pad's axes, one long along its normal. */
+void line_of_sight(const fit_state *s, double along[3]);
 double motion_px(const solver *v, const fit_state *s, const double delta[STATES]);
 /* inv(H + the priors' information); 0 if it is singular. */
 int covariance_of(const solver *v, const fit_state *s, const double H[STATES * STATES], double cov[STATES * STATES]);

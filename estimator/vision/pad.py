@@ -30,6 +30,8 @@ class Pad:
     paints: tuple[tuple[str, Rgb], ...]
     """Names and sRGB values of the paints."""
     regions: tuple[Region, ...]
+    size_sigma_m: float = 0.0
+    """Sigma of the painted sizes against those of the regions, m: the tolerance of print and deck."""
     markings: Markings = field(init=False, compare=False, repr=False)
     """The sizes of the parts that detection knows by name."""
     _hash: int = field(init=False, compare=False, repr=False)
@@ -37,7 +39,7 @@ class Pad:
     def __post_init__(self) -> None:
         object.__setattr__(self, "markings", markings_of(self.regions, dict(self.paints)))
         # A pad is the key of caches that every frame asks.
-        object.__setattr__(self, "_hash", hash((self.name, self.paints, self.regions)))
+        object.__setattr__(self, "_hash", hash((self.name, self.paints, self.regions, self.size_sigma_m)))
 
     def __hash__(self) -> int:
         return self._hash
@@ -51,7 +53,8 @@ class Pad:
                 does not stand out from the one below. The text names `where`, the key, the value and what to do.
         """
         file: PadFile = pad_file(data, where)
-        return Pad(file.name, tuple((name, (rgb[0], rgb[1], rgb[2])) for name, rgb in file.paints.items()), file.regions)
+        paints = tuple((name, (rgb[0], rgb[1], rgb[2])) for name, rgb in file.paints.items())
+        return Pad(file.name, paints, file.regions, file.size_sigma_m)
 
     @property
     def disc_radius_m(self) -> float:

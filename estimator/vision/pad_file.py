@@ -35,6 +35,8 @@ class PadFile(Struct, frozen=True, forbid_unknown_fields=True):
     paints: dict[str, tuple[Channel, Channel, Channel]]
     """Red, green, blue of each paint by its name."""
     regions: Annotated[tuple[Region, ...], Meta(min_length=1, max_length=40)]
+    size_sigma_m: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.0
+    """Sigma of what was painted or printed against the sizes in this file, m."""
 
 
 def pad_file(data: Mapping[str, Any], where: str) -> PadFile:

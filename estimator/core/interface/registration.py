@@ -64,7 +64,7 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
     "tilt_prior": (*integers("given"), *doubles(roll_rad=1, pitch_rad=1, cov_tilt=4, sigma_deck_rad=1)),
     "fit_options": (
         *integers("max_profiles", "dense_pixels"),
-        *doubles(blur_px=1, edge_sigma_px=1, dense_edge_sigma_px=1, edge_sigma_m=1, coded_px=1, noise=1, cut=3),
+        *doubles(blur_px=1, edge_sigma_px=1, dense_edge_sigma_px=1, size_sigma_m=1, coded_px=1, noise=1, cut=3),
     ),
     "fit_state": doubles(R=9, t=3, blur_px2=3, m_per_px=1, depth_m=1),
     "edge_support": doubles(contrast_bgr=3, snr=1, in_view=1, inliers=1, likeness=1),

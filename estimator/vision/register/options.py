@@ -23,8 +23,6 @@ class RegistrationOptions:
     """Smallest sigma of an edge's place in the frame as predicted by drawing, lens and blur model."""
     dense_edge_sigma_px: float = 0.01
     """The same where edges merge."""
-    edge_sigma_m: float = 0.0
-    """Sigma of the painted edges on the pad."""
     coded_px: float = 0.0
     """Sigma of the place of a patch of the frame that a video codec has moved; 0 of a frame that no codec has predicted."""
     gamma: bool = True

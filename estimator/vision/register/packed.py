@@ -82,12 +82,12 @@ def light_address(gamma: bool) -> int:
 
 
 @lru_cache(maxsize=8)
-def packed_options(options: RegistrationOptions) -> F64:
+def packed_options(options: RegistrationOptions, size_sigma_m: float) -> F64:
     """Return the core's `fit_options` without a cut; the result is cached."""
     return record("fit_options", {
         "max_profiles": options.max_profiles, "dense_pixels": options.dense_pixels, "blur_px": options.blur_px,
         "edge_sigma_px": options.edge_sigma_px, "dense_edge_sigma_px": options.dense_edge_sigma_px,
-        "edge_sigma_m": options.edge_sigma_m, "coded_px": options.coded_px,
+        "size_sigma_m": size_sigma_m, "coded_px": options.coded_px,
     })  # fmt: skip
 
 

@@ -109,7 +109,7 @@ def register(
         pose = approach(pyramid, camera, pad, start, sigma) or start
     edges, out = edge_points(pad), np.empty(size_of("registration"))
     outline = np.empty((edges.shown[-1].stop, 2))
-    with_prior, of_options = packed_prior(prior), packed_options(options)
+    with_prior, of_options = packed_prior(prior), packed_options(options, pad.size_sigma_m)
     if cut is not UNCUT or pyramid.noise > 0.0:
         of_options = of_options.copy()
         of_options[_CUT], of_options[_NOISE] = cut, pyramid.noise

@@ -54,6 +54,7 @@ def beside(**region: Any) -> dict[str, Any]:
         (beside(shape="blob", paint="white"), "regions[4].shape: Invalid value 'blob', got 'blob'"),
         ({**THESIS, "regions": [*THESIS["regions"][1:], THESIS["regions"][0]]}, "regions[3] hides regions[0]"),
         ({**THESIS, "paints": THESIS["paints"] | {"white": [5, 104, 3]}}, "does not stand out from 'green' below it: 0.00"),
+        ({**THESIS, "size_sigma_m": 2}, "size_sigma_m: Expected `float` <= 0.05, got 2"),
         ({**THESIS, "disc_radius_m": 0.39}, 'write [[regions]] with shape = "disc"'),
     ],
 )  # fmt: skip

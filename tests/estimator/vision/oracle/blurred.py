@@ -197,6 +197,12 @@ class Blurred:
         self._h_of(_phi(*self._h_arguments()), value, d)
         return value, d
 
+    def _slant(self) -> float:
+        """Return the blur's covariance along both axes, as far as a short series in the correlation holds."""
+        xx, xy, yy = self.blur_m2
+        most = 0.5 * math.sqrt(xx * yy)
+        return min(max(xy, -most), most)
+
     def _round(self) -> _Round:
         x, y, m = self.x, self.y, self.scale2
         xx, xy, yy = self.blur_m2
@@ -272,14 +278,14 @@ class Blurred:
         a, a_d, a_v = phi
         m = self.scale2
         (legs, bar, wide, gap), (legs_d, bar_d, wide_d, gap_d) = a[:4] + a[4:] - 1.0, a_d[4:] - a_d[:4]
-        legs_v, bar_v, wide_v, gap_v = (a_v[:4] + a_v[4:]) * m
-        two = wide - gap
-        np.add(legs * two, bar * gap, out=value)
-        np.add(legs_d * two, bar_d * gap, out=d[0])
-        np.add(legs * (wide_d - gap_d), bar * gap_d, out=d[1])
-        np.add(legs_v * two, bar_v * gap, out=d[2])
-        d[3] = 0.0
-        np.add(legs * (wide_v - gap_v), bar * gap_v, out=d[4])
+        legs_v, bar_v, wide_v, gap_v = a_v[:4] + a_v[4:]
+        slant = self._slant() * m
+        value[:], d[:] = 0.0, 0.0
+        for along, across in (
+            ((legs, legs_d, legs_v), (wide - gap, wide_d - gap_d, wide_v - gap_v)),
+            ((bar, bar_d, bar_v), (gap, gap_d, gap_v)),
+        ):
+            _add_product(along, across, slant, m, value, d)
 
     def arrow_small(self) -> Coverage:
         """Return the coverage of the arrowhead beyond the ring where the blur is not small compared with it.
@@ -303,12 +309,27 @@ class Blurred:
         fore, fore_d, fore_v = _phi(high[:, None] - x, per / math.sqrt(xx))
         aft, aft_d, aft_v = _phi(low[:, None] - x, per / math.sqrt(xx))
         along = fore - aft
-        value[at] = (across * along).sum(axis=0)
-        d[0, at] = (across * (aft_d - fore_d)).sum(axis=0)
-        d[1, at] = -(across_d * along).sum(axis=0)
-        d[2, at] = (across * (fore_v - aft_v)).sum(axis=0) * m
-        d[4, at] = (across_v * along).sum(axis=0) * m
+        total, change = np.zeros(len(x), np.float32), np.zeros((5, len(x)), np.float32)
+        lengthwise, crosswise = (along, aft_d - fore_d, fore_v - aft_v), (across, -across_d, across_v)
+        for k in range(len(along)):
+            part = [tuple(each[k] for each in of) for of in (lengthwise, crosswise)]
+            _add_product(part[0], part[1], self._slant() * m, m, total, change)
+        value[at], d[:, at] = total, change
         return value, d
+
+
+def _add_product(along: Phi, across: Phi, slant: F32, m: F32, value: F32, d: F32) -> None:
+    """Add the coverage of a rectangle from its coverages along x and y, their slopes, and their derivatives by variance.
+
+    The blur's covariance of x and y, `slant`, enters by the first two terms of the tetrachoric series.
+    """
+    (a, a_d, a_v), (b, b_d, b_v) = along, across
+    value += a * b + slant * (a_d * b_d + 2.0 * slant * a_v * b_v)
+    d[0] += a_d * b + 2.0 * slant * a_v * b_d
+    d[1] += a * b_d + 2.0 * slant * a_d * b_v
+    d[2] += a_v * b * m
+    d[3] += (a_d * b_d + 4.0 * slant * a_v * b_v) * m
+    d[4] += a * b_v * m
 
 
 @lru_cache(maxsize=8)

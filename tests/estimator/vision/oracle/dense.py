@@ -75,6 +75,10 @@ class DenseFit:
     """Summands of the gradient, (9, N)."""
     meat: F64
     """Covariance of the gradient from the residuals, (9, 9)."""
+    pull: F64
+    """Effect on the gradient of a sector of the drawing that lies a pixel outward, and around the centre, (9, 16)."""
+    place: F64
+    """What the residuals say of the sectors' places, and the information on them, (2, 16)."""
     values: F64
     """Regressor of each paint coefficient, (K, N)."""
     reflection: GlareBlob | None
@@ -247,13 +251,22 @@ def fit(
     H = Jw.reshape(N_STATE, -1) @ J.reshape(N_STATE, -1).T - (C @ out).sum(axis=0)
     scores = (Jw * r).sum(axis=1)
     cov, meat = np.full((K, 3), np.nan), np.zeros((N_STATE, N_STATE))
+    pull, place = np.zeros((N_STATE, 16)), np.zeros((2, 16))
     if final:
+        x, at_y = fp.places.x, fp.places.y
+        px_m = state.m_per_px / np.maximum(np.hypot(x, at_y), 1e-3)
+        sector = 4 * (at_y < 0) + 2 * (x < 0) + (np.abs(at_y) > np.abs(x))
         cov = np.linalg.inv(M).diagonal(axis1=1, axis2=2).T[:K]
         for c in range(3):
             # The weights have a fixed shape, so that a wrong start cannot adapt them to itself; the covariance uses the actual
             # noise.
             seen = _noise_of_paints(r[c], painted, inside[c], float(spent[c])) / NOISE_LEFT
             projected = Jw[:, c] - out[c].T @ (values * w[c])
+            for k, move in enumerate((px_m * (x * J[0, c] + at_y * J[1, c]), px_m * (x * J[1, c] - at_y * J[0, c]))):
+                for of in range(8):
+                    there = sector == of
+                    pull[:, 2 * of + k] += projected[:, there] @ move[there]
+                    place[:, 2 * of + k] += (w[c] * r[c] * move)[there].sum(), (w[c] * move * move)[there].sum()
             # Smoothing shares noise between neighbours; its transpose, which is itself, maps the sums back to pixels.
             spread = np.zeros((cut.grid[0] * cut.grid[1], N_STATE))
             spread[cut.at] = projected.T
@@ -261,7 +274,7 @@ def fit(
             meat += (alone * seen) @ alone.T
     left = np.mean([median(x) for x in _each(r2 / level, judged)]) / 0.4549
     return DenseFit(
-        H, scores.sum(axis=1), a.T[:K], cov, model, steep2, max(float(left), 1e-7), weight, scores, meat, painted,
+        H, scores.sum(axis=1), a.T[:K], cov, model, steep2, max(float(left), 1e-7), weight, scores, meat, pull, place, painted,
         None if reflection is None else reflection.moved(a[:, K:].sum(axis=0), pad), a[:, K:] @ values[K:],
     )  # fmt: skip
 

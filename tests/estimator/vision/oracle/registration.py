@@ -45,6 +45,8 @@ _MERGED_EDGES_PX3, _MERGED_EDGES_MOST_PX = 4.0, 0.08
 uneven light on merged edges. On rendered worn decks, at 10 to 30 m, it makes the errors as large as their covariance says; on an
 even floor they are smaller.
 """
+_KNOWN_LEAST, _USUAL_WEIGHT = 1.0, 2.0
+"""Information on a sector's place, 1/px^2 over the noise's factor, from which on it counts, and the usual variance's weight."""
 _EDGE_DOUBTED_PX = 2.0
 """Sigma of the distant disc's edges in that case: hiding half of the disc moves it this far."""
 
@@ -111,9 +113,12 @@ def _refine(
     small = (2 * radius_px + 8) ** 2 <= options.dense_pixels
     if not small and profiles_.spacing_ok(state, pad):
         solved = _by_profiles(px, camera, pad, state, tilt, options)
-        if solved is None or profiles_.spacing_ok(solved.state, pad):
+        if solved is None or (isinstance(solved, _Solved) and profiles_.spacing_ok(solved.state, pad)):
             return solved
-        state = solved.state
+        if isinstance(solved, _Solved):
+            state = solved.state
+        elif profiles_.spacing_ok(solved, pad):
+            return None
     return _dense_fit(px, camera, pad, state, tilt, options)
 
 
@@ -124,28 +129,34 @@ def _dense_fit(
     if got is None:
         return None
     cut, state = got
-    solver = Solver(state, tilt, pad)
+    solver = Solver(state, tilt, pad, distant=True)
     fit: dense.DenseFit | None = None
     moved = math.inf
     grown = 0.0
     for n in range(12):
         # The pose depends on the blur: it may stop for a step while the blur still changes.
-        final = (n >= 1 and moved < 0.05 and grown < 0.1) or n == 11
+        final = (n >= 1 and moved < 0.02 and grown < 0.04) or n == 11
         fit = dense.fit(state, cut, pad, fit, options.dense_edge_sigma_px, final)
-        last = state
-        state, moved = solver.step(state, fit.H, fit.g, 1.5, blur_too=n > 0)
+        last, H, g = state, fit.H, fit.g
+        if final:
+            # These correspond to the robust covariance: by the plain ones the frame would count too much against the prior.
+            spread = np.diag(fit.H)
+            outward = fit.pull[:, ::2].sum(axis=1) * (pad.size_sigma_m / state.m_per_px)
+            meat = fit.meat + _edge_variance_far(fit, state, pad, options) * (fit.pull @ fit.pull.T) + np.outer(outward, outward)
+            H, g = np.split(fit.H @ np.linalg.solve(meat + 1e-9 * np.diag(spread), np.c_[fit.H, fit.g]), [N_STATE], axis=1)
+            g = g[:, 0]
+        state, moved = solver.step(state, H, g, 1.5, blur_too=n > 0)
         grown = abs(state.sigma_px - last.sigma_px)
         if final:
+            turn = np.eye(N_STATE)
+            turn[:3, :3] = turn[3:6, 3:6] = state.R.T @ last.R
+            H = turn @ H @ turn.T
             break
     assert fit is not None
-    meat = fit.meat
-    # This is the information that corresponds to the robust covariance, so that one prior can be exchanged for another.
-    spread = np.diag(fit.H)
-    if not float(spread.min()) > 0.0:
+    if not float(np.diag(fit.H).min()) > 0.0:
         return None
-    H = fit.H @ np.linalg.solve(meat + 1e-9 * np.diag(spread), fit.H)
     doubted = fit.noise > _NOISE_DOUBTED
-    cov = solver.covariance(state, H) + _dense_edges_off(state, pad, options, _EDGE_DOUBTED_PX if doubted else 0.0)
+    cov = solver.covariance(state, H) + (_doubt(state, pad) if doubted else 0.0)
     arrow = dense.arrow_amplitudes(state, cut, pad, fit)
     seen = arrow is not None and arrow[0] - arrow[1] > max(0.5, 4.0 * arrow[2])
     edges, inliers = dense_support(fit, arrow)
@@ -159,7 +170,8 @@ def _dense_fit(
 
 def _by_profiles(
     px: U8, camera: Camera, pad: Pad, state: RegistrationState, tilt: TiltTarget | None, options: RegistrationOptions
-) -> _Solved | None:
+) -> _Solved | RegistrationState | None:
+    """Return the solution; the state alone if hardly an edge agrees with it."""
     edges = edges_of(pad)
     solver = Solver(state, tilt, pad)
     for again in range(3):
@@ -190,17 +202,18 @@ def _by_profiles(
     assert noise is not None
     groups = int(fit.accepted.sum())
     if groups < 3:
-        return None
+        return state
     judged = fit.weight > 0
     free = int(judged.sum()) - 2 * groups - N_STATE
     scale = float((left * left * fit.per_var) @ judged) / max(free, 1)
     shifts = profiles_.shifts(fit, measured_at)
-    tau2, rms = _edge_variance(shifts, fit.accepted, delta, scale, state, options)
+    tau2, rms = _edge_variance(shifts, fit.accepted, delta, scale, options)
     grow = _growth(fit, measured_at.samples) * scale
     H = fit.H / grow
     cov = solver.covariance(state, H)
     pull = cov @ (shifts.pull / grow)
-    cov = cov + tau2 * (pull @ pull.T)
+    size = pad.size_sigma_m / state.m_per_px * (pull @ measured_at.of_kind)
+    cov = cov + tau2 * (pull @ pull.T) + size @ size.T
     evidence, inliers = profile_support(fit, measured_at, mix, noise)
     if mix.mix[EdgeKind.RING].any():
         amplitude, sigma = profiles_.arrow_amplitude(state, measured_at, pad, mixed)
@@ -219,7 +232,6 @@ def _edge_variance(
     accepted: NDArray[np.bool_],
     delta: F64,
     noise: float,
-    state: RegistrationState,
     options: RegistrationOptions,
 ) -> tuple[float, float]:
     """Return the variance (px^2) of edges' places that neither noise nor pose explains, and the square root of the measured part.
@@ -227,7 +239,7 @@ def _edge_variance(
     Source: DerSimonian & Laird, Meta-analysis in clinical trials, Controlled Clinical Trials 7(3), 1986.
     """
     on = accepted & (shifts.information > 1.0)
-    floor = options.edge_sigma_px**2 + (options.edge_sigma_m / state.m_per_px) ** 2
+    floor = options.edge_sigma_px**2
     n = int(on.sum())
     if n <= N_STATE:
         return floor, 0.0
@@ -254,18 +266,27 @@ def _growth(fit: profiles_.ProfileFit, samples: int) -> float:
     return max(1.0, together / alone) if alone > 0 else 1.0
 
 
-def _dense_edges_off(state: RegistrationState, pad: Pad, options: RegistrationOptions, more_px: float) -> F64:
-    """Return the (9, 9) covariance from unexplained places of edges.
+def _edge_variance_far(fit: dense.DenseFit, state: RegistrationState, pad: Pad, options: RegistrationOptions) -> float:
+    """Return the variance (px^2) of the sectors' places that neither noise nor pose explains, the usual one weighed in."""
+    usual = min(_MERGED_EDGES_PX3 * (state.m_per_px / pad.disc_radius_m) ** 2, _MERGED_EDGES_MOST_PX) ** 2
+    least = options.dense_edge_sigma_px**2
+    noise = float((np.diag(fit.meat)[:3] / np.diag(fit.H)[:3]).mean())
+    score, known = fit.place[:, fit.place[1] > _KNOWN_LEAST * noise]
+    n, free = len(known), len(known) - N_STATE
+    if free <= 0:
+        return usual + least
+    seen = max(0.0, (float((score**2 / known).sum()) - noise * free) / (float(known.sum()) * free / n))
+    return (_USUAL_WEIGHT * usual + free * seen) / (_USUAL_WEIGHT + free) + least
 
-    Eight sectors of the disc and four strokes of the H are displaced independently.
-    """
-    merged_px = min(_MERGED_EDGES_PX3 * (state.m_per_px / pad.disc_radius_m) ** 2, _MERGED_EDGES_MOST_PX)
-    sigma_h_m = math.hypot(math.hypot(options.dense_edge_sigma_px, more_px) * state.m_per_px, options.edge_sigma_m)
-    sigma_m = math.hypot(sigma_h_m, merged_px * state.m_per_px)
+
+def _doubt(state: RegistrationState, pad: Pad) -> F64:
+    """Return the (9, 9) covariance of sectors and strokes that may lie anywhere within some pixels."""
+    sigma_m = _EDGE_DOUBTED_PX * state.m_per_px
     out = np.zeros((N_STATE, N_STATE))
     out[0, 0] = out[1, 1] = sigma_m**2 / 4.0
-    out[2, 2] = (sigma_m * state.depth_m / pad.disc_radius_m) ** 2 / 8.0
-    out[5, 5] = (sigma_h_m / (0.5 * pad.markings.h_length_m)) ** 2
+    along = np.append(state.line_of_sight, 1.0) * sigma_m * state.depth_m / pad.disc_radius_m
+    out[:3, :3] += np.outer(along, along) / 8.0
+    out[5, 5] = (sigma_m / (0.5 * pad.markings.h_length_m)) ** 2
     return out
 
 

@@ -63,7 +63,8 @@ def depth_in_view(pose: PadPose, camera: Camera) -> float:
 class Solver:
     """Gauss-Newton with priors; it keeps the values that the weak priors are centred on."""
 
-    def __init__(self, state: RegistrationState, tilt: TiltTarget | None, pad: Pad) -> None:
+    def __init__(self, state: RegistrationState, tilt: TiltTarget | None, pad: Pad, distant: bool = False) -> None:
+        self._distant = distant
         self._tilt = tilt
         self._blur = state.blur_px2
         free = np.zeros(N_STATE)
@@ -103,6 +104,9 @@ class Solver:
         # From afar a tilt shortens the image only by its change against the line of sight.
         lever = reach * (reach / state.depth_m + 0.1)
         x, y, z, rx, ry, rz = map(float, delta[:6])
+        if self._distant:
+            # Along the line of sight nothing moves in the frame but the size.
+            x, y = (np.array([x, y]) - z * state.line_of_sight).tolist()
         parts = (math.hypot(x, y), abs(z) * reach / state.depth_m, lever * math.hypot(rx, ry), reach * abs(rz))
         return max(parts) / state.m_per_px
 

@@ -68,6 +68,12 @@ class RegistrationState:
         """Standard deviation of the point spread with the pixel, mean over directions."""
         return math.sqrt(0.5 * float(self.blur_px2[0] + self.blur_px2[2]))
 
+    @property
+    def line_of_sight(self) -> F64:
+        """Slope of the ray to the pad's centre against the pad's normal, (2,)."""
+        c = self.t @ self.R
+        return np.asarray(c[:2] / max(float(c[2]), 0.03))
+
     def reduced(self, k: int, smoothing_px2: float) -> RegistrationState:
         """Return the state for pixels k times as wide, including the blur that they and a smoothing of them add."""
         added = _PIXEL_VAR * (1.0 - 1.0 / k**2) + smoothing_px2
