@@ -309,10 +309,12 @@ def _conclude(
 ) -> int:
     counted = CampaignTally()
     points: list[VariedPoint] = []
+    shared: dict[tuple[Any, ...], dict[str, Any]] = {}  # of a million flights at nine points nine values are kept
     for flight in _asked(store, asked):
         counted.take(flight)
         if "varied" in flight:
-            points.append(varied_point(flight))
+            varied, good, error_m = varied_point(flight)
+            points.append((shared.setdefault(tuple(varied.values()), varied), good, error_m))
     effects = [] if more else by_value(points)  # a search looks for one flight, and not for shares
     summary = {**counted.summary(plan.name, plan.perception, store.wall_s()), "out": store.place, **(more or {})}
     each = by_scenario(plan.identity()["members"], _asked(store, asked)) if isinstance(plan, SetPlan) else []
