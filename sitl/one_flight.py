@@ -54,7 +54,7 @@ def settings_for(scenario: Scenario, config: str | None) -> Settings:
     """Return the settings of a file, or without one the profile `sim` with the scenario's camera and pad.
 
     A file's flight begins by itself, whatever its `guidance.start`: nobody is there to order the landing. Where the scenario's
-    ship reports her place, the profile flies to it. It flies by the response that the vehicle's file names.
+    ship reports her place, the profile flies to it. It flies by the response that the vehicle's file names, on its feet.
 
     Raises:
         BadInput: as `companion.config.settings.load`.
@@ -63,14 +63,16 @@ def settings_for(scenario: Scenario, config: str | None) -> Settings:
     if config is not None:
         return msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="automatic"))
     rendezvous = msgspec.structs.replace(settings.guidance.rendezvous, enabled=scenario.vessel.reports_place)
-    follow = msgspec.structs.replace(settings.guidance.follow_deck, response=vehicle_model(scenario).response)
+    vehicle = vehicle_model(scenario)
+    follow = msgspec.structs.replace(settings.guidance.follow_deck, response=vehicle.response)
+    cone = msgspec.structs.replace(settings.guidance.cone, feet_below_m=vehicle.feet.below_m)
     gimbal = GimbalOptions(scenario.gimbal.device_id, point_down=scenario.gimbal.given)
     return msgspec.structs.replace(
         settings,
         vehicle=msgspec.structs.replace(settings.vehicle, model=scenario.vehicle.generation),
         camera=CameraSettings(scenario.camera.file, gimbal=gimbal),
         pad=PadSettings(scenario.pad.file),
-        guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous, follow_deck=follow),
+        guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous, follow_deck=follow, cone=cone),
     )
 
 

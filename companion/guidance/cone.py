@@ -38,7 +38,7 @@ def descent_rate_m_s(error_m: float, height_m: float, options: ConeOptions, leas
         height_m: height over the deck.
         least_m: the height at which the descent ends; None for that of the gate.
     """
-    ends_m = options.gate_height_m if least_m is None else least_m
+    ends_m = options.gate_m if least_m is None else least_m
     share = INSIDE - (error_m / radius_m(height_m, options)) ** 2
     rate = options.descent_rate_m_s * max(-1.0, min(1.0, share))
     return min(rate, _TAPER_1_S * (height_m - ends_m))

@@ -50,7 +50,7 @@ def gate(
         estimate: a fresh, consistent estimate.
         aligned: whether the heading has to be that of the arrow.
     """
-    to_contact_s = max(0.0, estimate.height_m) / cone.commit_rate_m_s
+    to_contact_s = max(0.0, estimate.height_m - cone.feet_below_m) / cone.commit_rate_m_s
     v = estimate.v_pad_level
     speed = math.hypot(v[0], v[1])
     comparisons = [
@@ -71,9 +71,9 @@ def gate(
 
 
 def no_return_m(knowledge: Knowledge, cone: ConeOptions) -> float:
-    """Return the height below which a climb begins after the contact, which then comes with the motors at full thrust."""
+    """Return the height of the body below which a climb begins after the contact, which then comes at full thrust."""
     late_s = 0.0 if knowledge.response is None else max(0.0, knowledge.response.longer_s)
-    return (cone.no_return_s + late_s) * cone.commit_rate_m_s
+    return cone.feet_below_m + (cone.no_return_s + late_s) * cone.commit_rate_m_s
 
 
 def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: LandingLimits, cone: ConeOptions) -> Reason | None:

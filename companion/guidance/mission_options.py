@@ -21,7 +21,12 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         number("radius of the cone over the height; at 1.1 times the radius the drone does not descend", "1", 0.02, 1.0),
     ] = 0.22
-    gate_height_m: Annotated[float, number("height over the deck at which it waits until every limit holds", "m", 0.1, 3.0)] = 0.3
+    feet_below_m: Annotated[
+        float, number("distance of the vehicle's feet below the body's origin; 0.045 on an AR.Drone", "m", 0.0, 1.0)
+    ] = 0.045
+    gate_height_m: Annotated[
+        float, number("height of the feet over the deck at which it waits until every limit holds", "m", 0.1, 3.0)
+    ] = 0.25
     gate_dwell_s: Annotated[float, number("time for which every limit must have held", "s", 0.0, 10.0)] = 0.1
     gate_s: Annotated[float, number("longest wait there in one try; after it the drone goes around", "s", 1.0, 600.0)] = 20.0
     commit_rate_m_s: Annotated[float, number("rate against the deck from the gate to the contact", "m/s", 0.1, 2.0)] = 0.4
@@ -50,6 +55,11 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
                 f"commit_s ({self.commit_s:g} s) is too short for gate_height_m ({self.gate_height_m:g} m) "
                 f"at commit_rate_m_s ({self.commit_rate_m_s:g} m/s)"
             )
+
+    @property
+    def gate_m(self) -> float:
+        """Height of the body's origin over the deck at the gate, m."""
+        return self.feet_below_m + self.gate_height_m
 
 
 class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):

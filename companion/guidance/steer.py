@@ -72,7 +72,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
         return Target(over, vertical_rate_max_m_s=way.speed_m_s, speed_max_m_s=way.speed_m_s, yaw_rad=yaw)
     height_m, error_m, fast = estimate.height_m, estimate.lateral_m, o.cone.intercept_speed_m_s
     rise_m = rise_beyond_climb_m(s.knowledge)
-    least_m = o.cone.gate_height_m + rise_m
+    least_m = o.cone.gate_m + rise_m
     match p.state:
         case State.INTERCEPT:
             # A cone that is wide enough for the error is higher up; and higher up the pad stays in view.
@@ -119,7 +119,7 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
         held, speed = np.array([0.0, 0.0, held[2]]), o.cone.intercept_speed_m_s
     p = replace(p, held=held, held_yaw_rad=estimate.yaw_rad)
     # A drone that was lifted stays up: without sight nothing asks it to come down again.
-    least_m = min(o.tries.safe_height_m, o.cone.gate_height_m + rise_beyond_climb_m(s.knowledge))
+    least_m = min(o.tries.safe_height_m, o.cone.gate_m + rise_beyond_climb_m(s.knowledge))
     wanted = np.array([held[0], held[1], max(float(held[2]), estimate.height_m, least_m)])
     rate = -climb_m_s if climb_m_s > 0.0 else None
     return p, Target(wanted, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed)

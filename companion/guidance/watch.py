@@ -163,7 +163,7 @@ def _at_the_deck(felt: Impact, s: GuidanceCycle, o: GuidanceOptions) -> bool:
     """Return whether it is a contact: an updraft holds up too, which counts near the deck alone and while it lasts."""
     if felt.by != "velocity":
         return True
-    low = s.estimate is None or s.estimate.height_m < _HELD_UP_BELOW * o.cone.gate_height_m
+    low = s.estimate is None or s.estimate.height_m < o.cone.feet_below_m + _HELD_UP_BELOW * o.cone.gate_height_m
     return low and seconds_between(felt.at, s.at) <= HELD_S
 
 
@@ -220,7 +220,7 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
 
 def _off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     """Return that it is in the air again after the contact; only a fresh sight of the pad tells, for blind the height drifts."""
-    estimate, most_m = s.estimate, o.cone.gate_height_m + _OFF_DECK_M
+    estimate, most_m = s.estimate, o.cone.gate_m + _OFF_DECK_M
     if estimate is None or estimate.track != p.track or unfit(estimate, s.at, _FRESH_S) is not None:
         return None
     surely_m = estimate.height_m - _OFF_DECK_SIGMAS * math.sqrt(max(0.0, estimate.cov.item(2, 2)))
@@ -294,11 +294,11 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
     radius_m = cone.radius_m(height_m, o.cone)
     if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone):
         yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, radius_m)
-    high = height_m > o.cone.gate_height_m + _OVER_GATE_M
+    high = height_m > o.cone.gate_m + _OVER_GATE_M
     if cone.outside(error_m, height_m, o.cone) or (p.state is State.GATE and high):
         yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, radius_m)
-    if p.state is State.DESCEND and height_m <= o.cone.gate_height_m + _AT_GATE_M:
-        yield Event.AT_GATE, Reason(ReasonCause.LOW_ENOUGH, height_m, o.cone.gate_height_m)
+    if p.state is State.DESCEND and height_m <= o.cone.gate_m + _AT_GATE_M:
+        yield Event.AT_GATE, Reason(ReasonCause.LOW_ENOUGH, height_m, o.cone.gate_m)
     if p.state is State.GATE and p.good_since is not None and seconds_between(p.good_since, s.at) >= o.cone.gate_dwell_s:
         yield Event.GATE_OPEN, Reason(ReasonCause.ALL_LIMITS_HOLD)
 

@@ -127,4 +127,4 @@ def test_the_gate_stays_shut_and_the_drone_goes_up_before_such_a_sea_comes() -> 
         assert isinstance(low, Target)
         assert high.d_body_pad_level[2] > 1.2
         assert low.d_body_pad_level[2] < 0.4
-        assert high.descent_rate_m_s is None or high.descent_rate_m_s < -0.9
+        assert high.descent_rate_m_s is None or high.descent_rate_m_s < -0.89

@@ -9,7 +9,7 @@ import pytest
 from companion.guidance.cone import descent_rate_m_s, inside, outside, radius_m
 from companion.guidance.mission_options import ConeOptions
 
-CONE = ConeOptions(slope=0.2, descent_rate_m_s=0.7, gate_height_m=0.3)
+CONE = ConeOptions(slope=0.2, descent_rate_m_s=0.7, feet_below_m=0.1, gate_height_m=0.2)
 
 
 def test_the_radius_grows_with_the_height_and_is_never_that_of_a_point() -> None:

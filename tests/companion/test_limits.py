@@ -51,7 +51,7 @@ def shut(
     *,
     aligned: bool = False,
 ) -> Reason | None:
-    one = estimate(NOW, **{"d": (0.0, 0.0, 0.3)} | (seen or {}))
+    one = estimate(NOW, **{"d": (0.0, 0.0, CONE.feet_below_m + 0.3)} | (seen or {}))
     knowledge = Knowledge(ns(NOW), one, deck=deck, forecast=ahead, climb_max_m_s=1.0)
     return gate(ns(NOW), one, knowledge, quality or InputQuality(), LIMITS, CONE, aligned=aligned)
 
@@ -141,7 +141,7 @@ def test_the_commit_has_limits_of_its_own() -> None:
 
 @pytest.mark.parametrize(("longer_s", "more_m"), [(None, 0.0), (-0.1, 0.0), (0.1, 0.1 * CONE.commit_rate_m_s)])
 def test_a_tilt_ends_the_commit_only_above_the_height_of_no_return(longer_s: float | None, more_m: float) -> None:
-    height_m = CONE.no_return_s * CONE.commit_rate_m_s + more_m
+    height_m = CONE.feet_below_m + CONE.no_return_s * CONE.commit_rate_m_s + more_m
     response = None if longer_s is None else ResponseInUse(ResponseState.IDENTIFIED, 0.1, 0.01, longer_s)
     assert no_return_m(Knowledge(ns(NOW), None, response=response), CONE) == pytest.approx(height_m)
     for off_m in (-0.01, 0.01):

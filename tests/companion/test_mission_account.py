@@ -122,10 +122,10 @@ def test_height_that_was_lost_without_sight_is_charged(
 
 
 @pytest.mark.parametrize(
-    ("height_m", "longer_s", "low"), [(0.119, 0.0, True), (0.121, 0.0, False), (0.199, 0.2, True), (0.201, 0.2, False)]
+    ("height_m", "longer_s", "low"), [(0.164, 0.0, True), (0.166, 0.0, False), (0.244, 0.2, True), (0.246, 0.2, False)]
 )
 def test_just_over_the_deck_there_is_no_return_for_a_moment(height_m: float, longer_s: float, low: bool) -> None:
-    """0.3 s to the contact at 0.4 m/s, and what the vehicle is later than its file says."""
+    """0.3 s to the contact of the feet at 0.4 m/s, 0.045 m below the body, and what the vehicle is later than its file says."""
     response = ResponseInUse(ResponseState.IDENTIFIED, 0.3, 0.01, longer_s)
     p = after(memory(State.COMMIT, no_return_until=ns(1.0)), seen(height_m), response=response)
     assert p.no_return_until == (ns(NOW + 0.3) if low else None)

@@ -198,7 +198,7 @@ def test_what_a_shut_gate_waits_for_is_said_and_stands_long_enough_to_be_read() 
 
 
 @pytest.mark.parametrize(
-    ("below_m", "longer_s", "ends"), [(0.2, 0.0, True), (0.1, 0.0, False), (0.17, 0.0, True), (0.17, 0.1, False)]
+    ("below_m", "longer_s", "ends"), [(0.2, 0.0, True), (0.1, 0.0, False), (0.19, 0.0, True), (0.19, 0.1, False)]
 )
 def test_a_deck_that_tilts_ends_the_commit_while_a_climb_comes_before_the_contact(
     below_m: float, longer_s: float, ends: bool

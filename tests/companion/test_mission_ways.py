@@ -126,10 +126,10 @@ def test_without_sight_it_is_high_enough_by_the_time_that_it_has_climbed(fields:
     [
         (State.INTERCEPT, (0.0, 0.0, 2.0), Event.IN_CONE), (State.INTERCEPT, (0.0, 0.485, 2.0), None),
         (State.INTERCEPT, (0.63, 0.0, 2.0), Event.OUT_OF_CONE), (State.DESCEND, (0.63, 0.0, 2.0), Event.OUT_OF_CONE),
-        (State.DESCEND, (0.0, 0.0, 2.0), None), (State.DESCEND, (0.0, 0.0, 0.379), Event.AT_GATE),
-        (State.DESCEND, (0.0, 0.0, 0.381), None), (State.INTERCEPT, (0.05, 0.0, 0.2), None),
-        (State.GATE, (0.0, 0.0, 0.599), None), (State.GATE, (0.0, 0.0, 0.601), Event.OUT_OF_CONE),
-        (State.DESCEND, (0.0, 0.0, 0.601), None),
+        (State.DESCEND, (0.0, 0.0, 2.0), None), (State.DESCEND, (0.0, 0.0, 0.374), Event.AT_GATE),
+        (State.DESCEND, (0.0, 0.0, 0.376), None), (State.INTERCEPT, (0.05, 0.0, 0.2), None),
+        (State.GATE, (0.0, 0.0, 0.594), None), (State.GATE, (0.0, 0.0, 0.596), Event.OUT_OF_CONE),
+        (State.DESCEND, (0.0, 0.0, 0.596), None),
     ],
 )  # fmt: skip
 def test_the_way_down_in_the_cone(state: State, d: tuple[float, float, float], event: Event | None) -> None:
@@ -138,7 +138,7 @@ def test_the_way_down_in_the_cone(state: State, d: tuple[float, float, float], e
     assert [kind for kind, _ in found] == ([] if event is None else [event])
     for kind, reason in found:
         if kind is Event.AT_GATE:
-            assert figures(reason) == (ReasonCause.LOW_ENOUGH, d[2], 0.3)
+            assert figures(reason) == (ReasonCause.LOW_ENOUGH, d[2], 0.295)
         else:
             cause = ReasonCause.ARRIVED if kind is Event.IN_CONE else ReasonCause.OUT_OF_CONE
             assert figures(reason) == (cause, pytest.approx(math.hypot(d[0], d[1])), pytest.approx(0.22 * d[2]))
