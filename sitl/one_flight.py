@@ -53,15 +53,26 @@ def perception_level(text: str) -> Perception:
 def settings_for(scenario: Scenario, config: str | None) -> Settings:
     """Return the settings of a file, or without one the profile `sim` with the scenario's camera and pad.
 
-    A file's flight begins by itself, whatever its `guidance.start`: nobody is there to order the landing. Where the scenario's
-    ship reports her place, the profile flies to it. It flies by the response that the vehicle's file names, on its feet.
+    A file's flight begins by itself, whatever its `guidance.start`: nobody is there to order the landing.
 
     Raises:
-        BadInput: as `companion.config.settings.load`.
+        BadInput: as `companion.config.settings.load`, and as `following`.
     """
     settings = load(config or "sim")
     if config is not None:
         return msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="automatic"))
+    return following(scenario, settings)
+
+
+def following(scenario: Scenario, settings: Settings) -> Settings:
+    """Return the settings with what a scenario says of camera, pad, vehicle and the ship's reports.
+
+    Where the scenario's ship reports her place, they fly to it. They fly by the response that the vehicle's file names, on its
+    feet.
+
+    Raises:
+        BadInput: as `sitl.scenario.vehicle_model`.
+    """
     rendezvous = msgspec.structs.replace(settings.guidance.rendezvous, enabled=scenario.vessel.reports_place)
     vehicle = vehicle_model(scenario)
     follow = msgspec.structs.replace(settings.guidance.follow_deck, response=vehicle.response)

@@ -13,6 +13,7 @@ import msgspec
 from companion.config.model import Settings
 from companion.config.settings import from_mapping as settings_from_mapping
 from estimator.contracts.errors import BadInput
+from sitl.one_flight import following
 from sitl.scenario import Scenario
 from sitl.scenario import from_mapping as scenario_from_mapping
 
@@ -29,7 +30,8 @@ class Overridable:
 
     A key is looked for in the scenario first, then in the settings; `settings.` before it skips the scenario. An item of a list
     has its number for a key, as in `faults.0.speed_m_s`. The scenario's camera and pad are also those of the settings, unless
-    `settings.camera.file` or `settings.pad.file` is given too. The methods' argument `where` begins their errors, as in `--vary`.
+    `settings.camera.file` or `settings.pad.file` is given too; and settings that follow the scenario in all that
+    `sitl.one_flight.following` names go on following it. The methods' argument `where` begins their errors, as in `--vary`.
     """
 
     def __init__(self, scenario: Scenario, settings: Settings) -> None:
@@ -83,24 +85,21 @@ class Overridable:
         if not overrides:
             return self._scenario, self._settings
         tables = copy.deepcopy(self._tables)
-        changed = [False, False]
+        placed: tuple[list[tuple[list[str], Value]], ...] = ([], [])
         for key, value in overrides:
             self._find(key, where)
             which, path = self._place(key)
-            changed[which] = True
-            table: Any = tables[which]
-            for name in path[:-1]:
-                table = table[_index(table, name)]
-            table[_index(table, path[-1])] = value
-        scenario = scenario_from_mapping(tables[0], where) if changed[0] else self._scenario
+            placed[which].append((path, value))
+        _put(placed[0], tables[0])
+        scenario = scenario_from_mapping(tables[0], where) if placed[0] else self._scenario
         settings = self._settings
-        for key, value in overrides:
-            # The service flies with the camera and the pad of the scenario, unless its own key says another one.
-            if key in _SHARED and ("settings." + key) not in dict(overrides):
-                changed[1] = True
-                table, name = key.split(".")
-                tables[1][table][name] = value
-        if changed[1]:
+        if placed[0] and following(self._scenario, settings) == settings:
+            settings = following(scenario, settings)
+            tables = tables[0], plain(settings)
+        else:
+            placed[1][:0] = [(path, value) for path, value in placed[0] if ".".join(path) in _SHARED]
+        if placed[1]:
+            _put(placed[1], tables[1])
             settings = settings_from_mapping(tables[1], where)
             if fault := settings.fault():
                 raise BadInput(f"{where}: {fault}")
@@ -124,6 +123,14 @@ class Overridable:
 
 
 _NOTHING = object()
+
+
+def _put(values: Sequence[tuple[list[str], Value]], into: dict[str, Any]) -> None:
+    for path, value in values:
+        table: Any = into
+        for name in path[:-1]:
+            table = table[_index(table, name)]
+        table[_index(table, path[-1])] = value
 
 
 def plain(settings: Scenario | Settings) -> dict[str, Any]:

@@ -57,9 +57,28 @@ def test_the_settings_follow_the_scenarios_camera_and_pad() -> None:
     assert files("pad.file=printed") == ("sim", "sim", "printed")
     assert files("camera.file=usb_640x480", "settings.camera.file=sim") == ("usb_640x480", "sim", "thesis")
     assert files("settings.camera.file=usb_640x480") == ("sim", "usb_640x480", "thesis")
+    assert files("settings.camera.file=usb_640x480", "vehicle.file=hexa_7kg") == ("sim", "usb_640x480", "thesis")
     with pytest.raises(BadInput, match=r"nothing\.toml"):
         make_plan("x", *given.with_values([("camera.file", "nothing.toml")], "--set"), "truth")
     assert (SHIPPED / "cameras" / "usb_640x480.toml").is_file()
+
+
+@pytest.mark.parametrize("of_a_file", [False, True])
+def test_settings_that_follow_the_scenario_follow_its_other_vehicle_and_ship(of_a_file: bool) -> None:
+    scenario = load("calm")
+    own = settings_for(scenario, str(SHIPPED / "ardrone1.toml") if of_a_file else None)
+    wanted = [
+        ("vehicle.file", "hexa_7kg"),
+        ("vessel.reports_place", True),
+        ("vessel.reports_hz", 1.0),
+        ("guidance.cone.gate_height_m", 0.4),
+    ]
+    _, settings = Overridable(scenario, own).with_values(wanted, "--set")
+    cone, follow = settings.guidance.cone, settings.guidance.follow_deck
+    assert cone.gate_height_m == 0.4
+    assert (cone.feet_below_m, follow.response, settings.guidance.rendezvous.enabled) == (
+        (own.guidance.cone.feet_below_m, own.guidance.follow_deck.response, False) if of_a_file else (0.25, "hexa_7kg", True)
+    )
 
 
 def test_a_cluster_whose_workers_are_all_gone_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
