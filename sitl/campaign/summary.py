@@ -15,8 +15,8 @@ _Z95 = 1.959963984540054
 """Quantile of the standard normal distribution for 95 % between both tails."""
 _HASH_BITS = 128
 UNSAFE_MAX = 100
-"""Number of unsafe flights that are named; the others are counted."""
-_UNSAFE_TOLD = 10
+"""Number of unsafe flights that are named, and of others that failed; the rest is counted."""
+_TOLD = 10
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
@@ -33,6 +33,23 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     return (0.0 if successes == 0 else middle - half), (1.0 if successes == trials else middle + half)
 
 
+class _Named:
+    """The first flights of a kind by scenario and seed, in whatever order they come."""
+
+    def __init__(self, *told: str) -> None:
+        self._told = ("scenario", "seed", "varied", *told)
+        self._flights: list[dict[str, Any]] = []
+
+    def take(self, flight: Flight) -> None:
+        self._flights.append({key: flight[key] for key in self._told if key in flight})
+        if len(self._flights) >= 20 * UNSAFE_MAX:
+            self._flights = self.first
+
+    @property
+    def first(self) -> list[dict[str, Any]]:
+        return sorted(self._flights, key=lambda f: (f["scenario"], f["seed"], str(f.get("varied", ""))))[:UNSAFE_MAX]
+
+
 class CampaignTally:
     """Counts flights as they come. The hash is a sum, so that it does not depend on their order."""
 
@@ -41,7 +58,7 @@ class CampaignTally:
         self.contacts_outside_commit = self.in_water = self.unsafe = 0
         self.cpu_s = self.flown_s = 0.0
         self._lateral_m: list[float] = []
-        self._unsafe: list[dict[str, Any]] = []
+        self._unsafe, self._failed = _Named("unsafe"), _Named("because")
         self._hash = 0
 
     def take(self, flight: Flight) -> None:
@@ -55,10 +72,9 @@ class CampaignTally:
         self.in_water += flight["in_water"]
         if flight["unsafe"]:
             self.unsafe += 1
-            told = ("scenario", "seed", "varied", "unsafe")
-            self._unsafe.append({key: flight[key] for key in told if key in flight})
-            if len(self._unsafe) >= 20 * UNSAFE_MAX:
-                self._unsafe = self.unsafe_flights
+            self._unsafe.take(flight)
+        elif flight["grade"] == "failed":
+            self._failed.take(flight)
         self.cpu_s += flight["cpu_s"]
         self.flown_s += flight["duration_s"]
         if flight["landed_on_pad"]:
@@ -74,7 +90,12 @@ class CampaignTally:
     @property
     def unsafe_flights(self) -> list[dict[str, Any]]:
         """The first unsafe flights by scenario and seed, at most `UNSAFE_MAX`, each with what was unsafe."""
-        return sorted(self._unsafe, key=lambda f: (f["scenario"], f["seed"], str(f.get("varied", ""))))[:UNSAFE_MAX]
+        return self._unsafe.first
+
+    @property
+    def failed_flights(self) -> list[dict[str, Any]]:
+        """The first flights that failed without being unsafe, each with why."""
+        return self._failed.first
 
     def summary(self, scenario: str, perception: str, wall_s: float) -> dict[str, Any]:
         """Return the summary as plain values: lengths in m, times in s."""
@@ -94,6 +115,7 @@ class CampaignTally:
             "in_water": self.in_water,
             "unsafe": self.unsafe,
             "unsafe_flights": self.unsafe_flights,
+            "failed_flights": self.failed_flights,
             "flown_s": round(self.flown_s, 1),
             "wall_s": round(wall_s, 2),
             "cpu_s": round(self.cpu_s, 2),
@@ -125,10 +147,15 @@ def in_words(summary: dict[str, Any]) -> str:
         f"contacts outside commit {summary['contacts_outside_commit']}, flights in the water {summary['in_water']}, "
         f"unsafe flights {summary['unsafe']}"
     )
-    named = summary["unsafe_flights"][:_UNSAFE_TOLD]
+    named = summary["unsafe_flights"][:_TOLD]
     lines += [f"UNSAFE {name_of(flight)}: {'; '.join(flight['unsafe'])}" for flight in named]
     if summary["unsafe"] > len(named):
         lines.append(f"and {summary['unsafe'] - len(named)} more unsafe flights; --json and the report name up to {UNSAFE_MAX}")
+    named = summary["failed_flights"][:_TOLD]
+    lines += [f"FAILED {name_of(flight)}: {flight['because']}" for flight in named]
+    if summary["failed"] > summary["unsafe"] + len(named):
+        more = summary["failed"] - summary["unsafe"] - len(named)
+        lines.append(f"and {more} more that failed; --json names up to {UNSAFE_MAX}")
     wall_s = max(1e-9, summary["wall_s"])
     lines.append(
         f"{summary['flown_s'] / 3600:.2f} h flown in {wall_s:.1f} s, {summary['cpu_s']:.1f} s of CPU, "

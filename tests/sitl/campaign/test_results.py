@@ -178,6 +178,23 @@ def test_unsafe_flights_are_counted_and_named() -> None:
     assert "and 2490 more unsafe flights" in in_words(many.summary("near", "truth", 1.0))
 
 
+def test_other_failed_flights_are_named_with_why_they_failed() -> None:
+    flights = [flown(seed) for seed in range(12) if seed != RAISES]
+    flights[2] |= {"grade": "failed", "because": "gave up, though it should land"}
+    flights[3] |= {"grade": "failed", "because": "in the water", "unsafe": ["in the water"]}
+    raised = flown(RAISES)
+    summary = tally([raised, *flights]).summary("near", "truth", 1.0)
+    assert [(one["seed"], one["because"]) for one in summary["failed_flights"]] == sorted(
+        [(flights[2]["seed"], "gave up, though it should land"), (RAISES, raised["because"])]
+    )
+    said = in_words(summary)
+    assert f"FAILED near seed {RAISES}: {raised['because']}" in said
+    assert "more that failed" not in said
+    many = tally({**flights[2], "seed": seed} for seed in range(2500))
+    assert len(many.failed_flights) == 100
+    assert "and 2490 more that failed" in in_words(many.summary("near", "truth", 1.0))
+
+
 def test_campaigns_are_compared_seed_by_seed() -> None:
     ours = [flown(seed, (("wind.speed_m_s", 1.0),)) for seed in range(30)]
     other = [{**flown(seed), "varied": {"wind.speed_m_s": 1.0}} for seed in range(10, 40)]
