@@ -10,6 +10,11 @@
 static const double OVER_MEMORY_S = 3.0;
 /* Log-odds of measuring against the deck when the body is surely over it, and against the water when it surely is not. */
 static const double OVER_EXPECTED = 3.0;
+/* Log-odds of the deck while the pad was never seen, and the least then: samples count as over the water until they say otherwise,
+ * and three that do are enough. */
+static const double UNSEEN_EXPECTED = -4.0;
+/* Variance of the vessel's velocity, (m/s)^2, below which her reports tell what a deck that was never seen does below the body. */
+static const double KNOWN_VAR = 0.25;
 /* NIS above which a hypothesis is refuted by its own covariance; one true sample in twenty exceeds it. */
 static const double REFUTED = 6.0;
 
@@ -134,6 +139,14 @@ static double evidence_for_the_deck(const belief *b, const double *P, const doub
     return fmax(-3.0, fmin(3.0, 0.5 * (fmax(misfit_ground, least) - fmax(misfit_deck, least))));
 }
 
+/* Whether samples can tell the deck from the water: once the pad was seen, or while the vessel's reports tell her velocity. A drone
+ * that comes from astern is over a large deck before it sees the pad. */
+static int surface_is_open(const filter_params *o, const belief *b, const double *P)
+{
+    const double *var = P + VESSEL_VEL * (N + 1);
+    return o->velocity_is_over == OVER_EITHER && (b->sighted >= 0 || var[0] + var[N + 1] < KNOWN_VAR);
+}
+
 /* Update the log-odds between the two hypotheses about a velocity. Correlated samples count as one. */
 static void look_below(const filter_params *o, belief *b, const double *P, const double v[3], const double cov[9], int axes)
 {
@@ -144,24 +157,23 @@ static void look_below(const filter_params *o, belief *b, const double *P, const
     }
     peek(b, x);
     foot_of(b, P, x, &away, &spread);
-    if (away + 2.0 * spread < o->deck_radius_m) {
+    if (b->sighted < 0) {
+        expected = UNSEEN_EXPECTED;
+    } else if (away + 2.0 * spread < o->deck_radius_m) {
         expected = OVER_EXPECTED;
     } else if (away - 2.0 * spread > 4.0 * o->deck_radius_m) {
         expected = -OVER_EXPECTED;
     }
     double odds = expected + (b->over_pad - expected) * exp(-since / OVER_MEMORY_S);
     odds += evidence_for_the_deck(b, P, x, v, cov, axes) * fmin(1.0, 0.5 * since / o->correlation_s[VELOCITY]);
-    b->over_pad = fmax(-6.0, fmin(6.0, odds));
+    b->over_pad = fmax(b->sighted < 0 ? UNSEEN_EXPECTED : -6.0, fmin(6.0, odds));
     b->t_velocity = b->t;
 }
 
-static double deck_weight_of(const filter_params *o, const belief *b)
+static double deck_weight_of(const filter_params *o, const belief *b, int is_open)
 {
-    if (o->velocity_is_over != OVER_EITHER) {
+    if (!is_open) {
         return o->velocity_is_over == OVER_PAD ? 1.0 : 0.0;
-    }
-    if (b->sighted < 0) {
-        return 0.0;
     }
     const double weight = 1.0 / (1.0 + exp(-b->over_pad));
     return weight < 0.03 ? 0.0 : weight > 0.97 ? 1.0 : weight;
@@ -185,15 +197,38 @@ static void ambiguity_of(const belief *b, const double *P, const double x[N], in
     }
 }
 
+/* Whether a sample is refused because it contradicts the surface that is believed in and not the other one: the body has come over
+ * an edge. Fused, it would be taken for a leap of the body's velocity before the odds have turned. */
+static int refused_at_an_edge(const filter_params *o, const belief *b, const double *P, const double v[3], const double cov[9],
+                              const aid *begun, const double innov[3], const double R[9], outcome *out)
+{
+    const int m = (int)begun->m, axes = (int)begun->axes;
+    double S[9], nis, x[N];
+    for (int i = 0; i < m * m; i++) {
+        S[i] = begun->spread[i] + R[i];
+    }
+    if (!nis_of(m, innov, S, &nis) || nis < REFUTED) {
+        return 0;
+    }
+    peek(b, x);
+    if ((begun->deck_weight < 0.5 ? 1.0 : -1.0) * evidence_for_the_deck(b, P, x, v, cov, axes) <= 0.0) {
+        return 0;
+    }
+    tell(out, GATED, m, axes, innov, S);
+    out->nis = nis;
+    out->nis_max = o->nis_max[m - 1];
+    return 1;
+}
+
 void take_velocity(const filter_params *o, belief *b, covariance *c, const double v[3], const double *cov, outcome *out)
 {
-    const int axes = measured_axes(o, cov);
-    if (o->velocity_is_over == OVER_EITHER && b->sighted >= 0) {
+    const int axes = measured_axes(o, cov), is_open = surface_is_open(o, b, c->P);
+    if (is_open) {
         look_below(o, b, c->P, v, cov, axes);
     }
-    const double deck_weight = deck_weight_of(o, b);
+    const double deck_weight = deck_weight_of(o, b, is_open);
     out->verdict = GATED;
-    if (axes == 0 || (deck_weight == 1.0 && b->sighted < 0)) {
+    if (axes == 0 || (deck_weight == 1.0 && b->sighted < 0 && !is_open)) {
         return;
     }
     double over[3], expected[3], innov[3], R[9];
@@ -218,6 +253,9 @@ void take_velocity(const filter_params *o, belief *b, covariance *c, const doubl
             ambiguity_of(b, c->P, x, axes, deck_weight, ambiguity);
         }
         begin_gathering(&begun, b, c, VELOCITY, m, axes, deck_weight, H, ambiguity);
+    }
+    if (is_open && refused_at_an_edge(o, b, c->P, v, cov, &begun, innov, R, out)) {
+        return;
     }
     gather(o, b, c, VELOCITY, &begun, innov, R, out);
 }

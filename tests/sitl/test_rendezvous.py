@@ -9,8 +9,10 @@ import pytest
 from companion.cli.main import main
 
 
-def flown(capsys: pytest.CaptureFixture[str], scenario: str, *more: str) -> tuple[int, dict[str, object]]:
-    code = main(["simulate", scenario, "--perception", "truth", "--json", *more])
+def flown(
+    capsys: pytest.CaptureFixture[str], scenario: str, *more: str, perception: str = "truth"
+) -> tuple[int, dict[str, object]]:
+    code = main(["simulate", scenario, "--perception", perception, "--json", *more])
     return code, json.loads(capsys.readouterr().out)
 
 
@@ -19,6 +21,15 @@ def test_from_60_m_away_it_finds_the_ship_and_lands(capsys: pytest.CaptureFixtur
     assert (code, ending["outcome"], ending["landed_on_pad"]) == (0, "landed", True)
     assert ending["contacts_outside_commit"] == 0
     assert ending["duration_s"] < 90.0
+
+
+@pytest.mark.parametrize("seed", [3002, 3004, 3014])
+def test_a_deck_under_the_drone_before_it_sees_the_pad_is_no_leap_of_its_velocity(
+    capsys: pytest.CaptureFixture[str], seed: int
+) -> None:
+    """The flow measures against the deck, which goes on at 1.5 m/s, for a second before the first sighting."""
+    code, ending = flown(capsys, "rendezvous", "--seed", str(seed), perception="model")
+    assert (code, ending["outcome"], ending["landed_on_pad"]) == (0, "landed", True)
 
 
 @pytest.mark.parametrize(

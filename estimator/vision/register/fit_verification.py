@@ -82,13 +82,14 @@ def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
     has_ring, has_both = bool(marks.ring_outer_m), bool(marks.ring_outer_m and marks.letters)
     has_field = bool(marks.field_radius_m)
     faint_disc = found.edges[EdgeKind.DISC].snr < _SNR_VISIBLE
-    dense, orange_off = float(found.dense), _orange_off(found, pad) if found.dense and has_both else 0.0
+    dense, off_by_channel = float(found.dense), _orange_off(found, pad) if found.dense and has_both else [0.0]
     return np.array([
         1.0, max(-8.0, min(8.0, template_score)), found.inliers, *off.values(), unseen[EdgeKind.RING], unseen[EdgeKind.H],
         dense, dense * found.inliers, -min(1.0, found.edge_rms_px), found.visible,
-        dense * max(-8.0, min(8.0, template_score)), dense * _clear(found, EdgeKind.DISC) * has_field, -orange_off,
+        dense * max(-8.0, min(8.0, template_score)), dense * _clear(found, EdgeKind.DISC) * has_field,
+        -sum(min(1.0, one) for one in off_by_channel) / len(off_by_channel),
         _no_ring(values, found) * has_ring, _no_h(found) * bool(marks.letters), (1.0 - dense) * shown[EdgeKind.DISC] * faint_disc,
-        dense * _painted(found, orange_off) * has_both, dense * _faint(found, pad) * bool(has_field and marks.letters),
+        dense * _painted(found, max(off_by_channel)) * has_both, dense * _faint(found, pad) * bool(has_field and marks.letters),
         dense * _h_contrast_odd(found) * has_both,
     ])  # fmt: skip
 
@@ -98,16 +99,15 @@ def _clear(found: Registration, kind: EdgeKind) -> float:
     return max(-1.0, min(1.0, 0.5 * math.log(max(found.edges[kind].snr, 1e-3) / 5.0)))
 
 
-def _orange_off(found: Registration, pad: Pad) -> float:
-    """Return the distance of the ring's light from its place between the disc's and the H's, 0 to 1.
+def _orange_off(found: Registration, pad: Pad) -> list[float]:
+    """Return by channel the distance of the ring's light from its place between the disc's (0) and the H's (1).
 
     No illumination changes that place.
     """
     ring, h_marking = (found.edges[kind].contrast_bgr.tolist() for kind in (EdgeKind.RING, EdgeKind.H))
     least = 0.1 * max(*map(abs, h_marking), 1e-3)
     channels = zip(ring, h_marking, *_orange_places(pad), strict=True)
-    off = (abs(side * r / max(side * h, least) - place) for r, h, side, place in channels)
-    return float(sum(min(1.0, one) for one in off)) / 3.0
+    return [abs(side * r / max(side * h, least) - place) for r, h, side, place in channels]
 
 
 @lru_cache(maxsize=8)
@@ -143,11 +143,14 @@ def _no_h(found: Registration) -> float:
     return float(not found.dense and not found.edges[EdgeKind.H].seen)
 
 
-def _painted(found: Registration, orange_off: float) -> float:
-    """Return 0..1: to what degree ring and H show, with the ring in its own paint, of which it is off by so much."""
+def _painted(found: Registration, off: float) -> float:
+    """Return 0..1: to what degree ring and H show, with the ring in its own paint, of which its worst channel is off by so much.
+
+    A life raft's dark rim is off by 0.6 in red alone; of 150 right registrations at 8 to 26 m one in ten is off by 0.37.
+    """
     if not (found.edges[EdgeKind.RING].seen and found.edges[EdgeKind.H].seen):
         return 0.0
-    return max(0.0, 1.0 - 2.0 * orange_off)
+    return max(0.0, 1.0 - 2.0 * off)
 
 
 def _faint(found: Registration, pad: Pad) -> float:

@@ -54,9 +54,15 @@ _OVER_MEMORY_S = 3.0
 """Time constant with which the evidence of velocity samples about the surface below decays."""
 _OVER_EXPECTED = 3.0
 """Log-odds of measuring against the deck when the body is surely over it, and against the water when it surely is not."""
+_UNSEEN_EXPECTED = -4.0
+"""The same while the pad was never seen, and the least then."""
+_KNOWN_VAR = 0.25
+"""Variance of the vessel's velocity, (m/s)^2, below which her reports tell what a deck that was never seen does."""
 _REFUTED = 6.0
 """NIS above which a hypothesis is refuted by its own covariance; one true sample in twenty exceeds it."""
 _NO_AMBIGUITY = np.zeros(())
+Innov = tuple[float, ...]
+"""(m,) innovation."""
 _CORRELATION = (
     "attitude_correlation_s", "velocity_correlation_s", "range_correlation_s", "baro_correlation_s",
 )  # fmt: skip
@@ -69,12 +75,13 @@ def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple
     """
     o = params.options
     b = propagated(b, event.stamp.measured_at, params)
-    if o.velocity_is_over in ("auto", "either") and b.sighted >= 0:
+    is_open = _surface_is_open(b, o)
+    if is_open:
         b = _seen_below(b, event, o)
-    deck_weight = _deck_weight(b, o)
+    deck_weight = _deck_weight(b, o, is_open)
     v, cov = event.v_level, event.cov_level
     axes = measure.measured_axes(cov)
-    if not axes or (deck_weight == 1.0 and b.sighted < 0):
+    if not axes or (deck_weight == 1.0 and b.sighted < 0 and not is_open):
         return b, Outcome(Verdict.GATED)
     over = motion.peek_velocity(b)
     if deck_weight > 0.0:
@@ -83,14 +90,20 @@ def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple
     expected = measure.measured_velocity(over, b.R, b.x.item(VEL_SCALE))
     innov = tuple([v.item(i) - expected[i] for i in axes])
     cov = cov[_picked(axes)][:, _picked(axes)]
-    return gather(b, VELOCITY, innov, cov, params, axes=axes, deck_weight=deck_weight)
+    begun = _begun(b, VELOCITY, innov, cov, params, axes, deck_weight)
+    edge = _refused_at_an_edge(b, event, begun, innov, cov, o) if is_open and begun is not None else None
+    return gather(b, VELOCITY, innov, cov, params, axes=axes, deck_weight=deck_weight) if edge is None else (b, edge)
 
 
-def _deck_weight(b: Belief, o: EkfOptions) -> float:
-    if o.velocity_is_over not in ("auto", "either"):
+def _surface_is_open(b: Belief, o: EkfOptions) -> bool:
+    """Return whether samples can tell the deck from the water."""
+    known = float(np.trace(b.P[VESSEL_VEL, VESSEL_VEL])) < _KNOWN_VAR
+    return o.velocity_is_over in ("auto", "either") and (b.sighted >= 0 or known)
+
+
+def _deck_weight(b: Belief, o: EkfOptions, is_open: bool) -> float:
+    if not is_open:
         return 1.0 if o.velocity_is_over == "pad" else 0.0
-    if b.sighted < 0:
-        return 0.0
     deck_weight = 1.0 / (1.0 + math.exp(-b.over_pad))
     return 0.0 if deck_weight < 0.03 else 1.0 if deck_weight > 0.97 else deck_weight
 
@@ -103,7 +116,9 @@ def _seen_below(b: Belief, event: BodyVelocity, o: EkfOptions) -> Belief:
     x = motion.peek(b)
     away, spread = _foot(b, x)
     expected = 0.0
-    if away + 2.0 * spread < o.deck_radius_m:
+    if b.sighted < 0:
+        expected = _UNSEEN_EXPECTED
+    elif away + 2.0 * spread < o.deck_radius_m:
         expected = _OVER_EXPECTED
     elif away - 2.0 * spread > 4.0 * o.deck_radius_m:
         expected = -_OVER_EXPECTED
@@ -113,7 +128,23 @@ def _seen_below(b: Belief, event: BodyVelocity, o: EkfOptions) -> Belief:
         return b
     evidence = _for_the_deck(ground, deck, b.P)
     odds += evidence * min(1.0, 0.5 * since / o.velocity_correlation_s)
-    return b._replace(over_pad=max(-6.0, min(6.0, odds)), t_velocity=b.t)
+    least = _UNSEEN_EXPECTED if b.sighted < 0 else -6.0
+    return b._replace(over_pad=max(least, min(6.0, odds)), t_velocity=b.t)
+
+
+def _refused_at_an_edge(b: Belief, event: BodyVelocity, begun: Gathered, innov: Innov, R: F64, o: EkfOptions) -> Outcome | None:
+    """Return the outcome of a sample that contradicts the surface that is believed in and not the other one; None of others."""
+    S = begun.spread + R
+    nis = nis_of(innov, S)
+    if nis is None or nis < _REFUTED:
+        return None
+    x = motion.peek(b)
+    ground, deck = (measure.velocity(x, b.R, event.v_level, event.cov_level, deck_weight) for deck_weight in (0.0, 1.0))
+    if ground is None or deck is None:
+        return None
+    if (1.0 if begun.deck_weight < 0.5 else -1.0) * _for_the_deck(ground, deck, b.P) <= 0.0:
+        return None
+    return Outcome(Verdict.GATED, innov, S, nis, gate.nis_max(o.gate_probability, len(innov)), begun.axes)
 
 
 def _for_the_deck(ground: LinearizedMeasurement, deck: LinearizedMeasurement, P: F64) -> float:
@@ -165,7 +196,7 @@ def fuse_baro(b: Belief, event: Baro, params: FilterParams) -> tuple[Belief, Out
 def gather(
     b: Belief,
     kind: int,
-    innov: tuple[float, ...],
+    innov: Innov,
     R: F64,
     params: FilterParams,
     axes: tuple[int, ...] = (),
@@ -182,13 +213,9 @@ def gather(
     """
     o = params.options
     aid = b.aids[kind]
-    so_far = aid.gathered
-    if so_far is None or so_far.axes != axes or so_far.deck_weight != deck_weight or _stale(so_far, b.t, o):
-        H, ambiguity = _predicted(b, kind, axes, deck_weight)
-        if H is None:
-            return b, Outcome(Verdict.GATED)
-        spread = H.dot(b.P).dot(H.T) + ambiguity
-        so_far = Gathered(0, b.t, axes, deck_weight, H, ambiguity, spread, (0.0,) * len(innov), np.zeros_like(R))
+    so_far = _begun(b, kind, innov, R, params, axes, deck_weight)
+    if so_far is None:
+        return b, Outcome(Verdict.GATED)
     S = so_far.spread + R
     nis = nis_of(innov, S)
     if nis is None:
@@ -210,6 +237,24 @@ def gather(
     if (b.t - first) * 1e-9 >= o.aiding_period_s or aid.fused < 0:
         b = aided(b, params)
     return b, Outcome(Verdict.FUSED, innov, S, nis, nis_max, axes)
+
+
+def _begun(
+    b: Belief, kind: int, innov: Innov, R: F64, params: FilterParams, axes: tuple[int, ...], deck_weight: float
+) -> Gathered | None:
+    """Return the samples so far of a kind, or a new period; None if nothing can be predicted."""
+    so_far = b.aids[kind].gathered
+    if (
+        so_far is not None
+        and (so_far.axes, so_far.deck_weight) == (axes, deck_weight)
+        and not _stale(so_far, b.t, params.options)
+    ):
+        return so_far
+    H, ambiguity = _predicted(b, kind, axes, deck_weight)
+    if H is None:
+        return None
+    spread = H.dot(b.P).dot(H.T) + ambiguity
+    return Gathered(0, b.t, axes, deck_weight, H, ambiguity, spread, (0.0,) * len(innov), np.zeros_like(R))
 
 
 def _stale(gathered: Gathered, t: int, o: EkfOptions) -> bool:
