@@ -3,7 +3,8 @@
 The second pad is the first one's picture, moved over the deck and turned: in the same paint and light. The pad tracker looks
 for the first one at 0.8 to 15 m, in all conditions of `pad_scenes` but those in which the frame's edge cuts the pad, with a
 prediction as in `benches.tracked`. A sighting that reaches the estimator (`estimator.min_confidence`) and lies nearer to the
-second pad than to the first went over.
+second pad than to the first went over; then follows how many of these the check of its place (`estimator.integrity`) lets into
+the filter of a flight that followed the first pad half a second before.
 """
 
 from __future__ import annotations
@@ -15,13 +16,17 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from msgspec.structs import replace
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benches.tracked import STAMP, expected  # noqa: E402
+from estimator.contracts.estimates import RelativeState, Sighting  # noqa: E402
 from estimator.contracts.geometry import F64  # noqa: E402
-from estimator.contracts.samples import Frame  # noqa: E402
+from estimator.contracts.samples import Attitude, Frame  # noqa: E402
+from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
+from estimator.integrity.guard import IntegrityGuard, admit_sighting, fused  # noqa: E402
 from estimator.options import EstimatorOptions  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.options import TrackerOptions  # noqa: E402
@@ -53,6 +58,17 @@ def with_second_pad(scene: PadScene, camera: Camera, rng: np.random.Generator) -
     return np.asarray(px, np.uint8), scene.truth.points(np.append(shift, 0.0)[None])[0]
 
 
+def is_admitted(seen: Sighting, attitude: Attitude, belief: RelativeState, first_level: F64) -> bool:
+    """Return whether the check of its place lets a sighting into the filter of a flight that follows the first pad."""
+    guard = IntegrityGuard()
+    for ago_ms in range(1000, 490, -33):
+        at = MonoNs(STAMP.measured_at - 1_000_000 * ago_ms)
+        before = replace(seen, stamp=Stamp(at, at, 0.0, "sim"), d_body_pad_level=first_level)
+        guard, _ = admit_sighting(guard, before, attitude, None)
+        guard = fused(guard, before, attitude)
+    return admit_sighting(guard, seen, attitude, belief)[1] is None
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--looks", type=int, default=1000)
@@ -63,7 +79,7 @@ def main() -> None:
     least = EstimatorOptions().min_confidence
     tracker = TrackerConfig(camera, load_pad("thesis"), TrackerOptions(colours="simulator"))
     names = [name for name in CONDITIONS if name != "cut"]
-    looks = right = in_view = 0
+    looks = right = in_view = admitted = 0
     over: list[str] = []
     k = 0
     while looks < args.looks:
@@ -88,10 +104,11 @@ def main() -> None:
         off, off_second = (float(np.linalg.norm(seen.d_body_pad_level - d)) for d in (first_level, second_level))
         if off_second < off:
             over.append(f"{name} {height_m:.1f} m ({seen.confidence:.2f}, seed {k - 1})")
+            admitted += is_admitted(seen, attitude, belief, first_level)
         right += off < 0.1 * height_m
     print(
         f"{looks} looks, the second pad's centre in view in {in_view}: the first pad is followed in {right}; to the second one "
-        f"went {len(over)}" + (": " + ", ".join(over[:12]) if over else "")
+        f"went {len(over)}, {admitted} of them past the check of its place" + (": " + ", ".join(over[:12]) if over else "")
     )
 
 

@@ -146,15 +146,17 @@ def _seen_m(*sigmas_m: float) -> float:
 def _beside(last: Place, seen: Place, o: IntegrityOptions) -> bool:
     dt = abs(seen.t - last.t) * 1e-9
     moved = _SPEED_M_S * dt + 0.5 * _ACCELERATION_M_S2 * dt * dt
-    limit = _base_m(seen, o) + moved
+    base = _base_m(seen, o)
     side, down = _apart(last, seen)
-    return side <= limit + _seen_m(last.sigma_m, seen.sigma_m) and down <= limit + _seen_m(last.sigma_down_m, seen.sigma_down_m)
+    side_max = math.hypot(base, _seen_m(last.sigma_m, seen.sigma_m)) + moved
+    return side <= side_max and down <= base + _seen_m(last.sigma_down_m, seen.sigma_down_m) + moved
 
 
 def _as_expected(expected: Place, seen: Place, o: IntegrityOptions) -> bool:
     base = _base_m(seen, o)
     side, down = _apart(expected, seen)
-    side_max = base + min(_BELIEF_SIGMAS * expected.sigma_m, _BELIEF_MAX_M) + _seen_m(seen.sigma_m)
+    # Sideways they are independent of one another. Summed, they would reach another pad on the same deck from 10 m on.
+    side_max = math.hypot(base, min(_BELIEF_SIGMAS * expected.sigma_m, _BELIEF_MAX_M), _seen_m(seen.sigma_m))
     down_max = base + min(_BELIEF_SIGMAS * expected.sigma_down_m, _BELIEF_DOWN_MAX_M) + _seen_m(seen.sigma_down_m)
     return side <= side_max and down <= down_max
 

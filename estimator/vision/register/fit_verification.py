@@ -88,7 +88,8 @@ def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
         dense, dense * found.inliers, -min(1.0, found.edge_rms_px), found.visible,
         dense * max(-8.0, min(8.0, template_score)), dense * _clear(found, EdgeKind.DISC) * has_field,
         -sum(min(1.0, one) for one in off_by_channel) / len(off_by_channel),
-        _no_ring(values, found) * has_ring, _no_h(found) * bool(marks.letters), (1.0 - dense) * shown[EdgeKind.DISC] * faint_disc,
+        _no_ring(values, found) * has_ring, (not found.edges[EdgeKind.H].seen) * bool(marks.letters),
+        (1.0 - dense) * shown[EdgeKind.DISC] * faint_disc,
         dense * _painted(found, max(off_by_channel)) * has_both, dense * _faint(found, pad) * bool(has_field and marks.letters),
         dense * _h_contrast_odd(found) * has_both,
     ])  # fmt: skip
@@ -136,11 +137,6 @@ def _no_ring(values: F64, found: Registration) -> float:
     low, high = _RING_GAINS
     shown = (float(values[verification.FEATURES.index("ring")]) - low) / (high - low)
     return (_HALF_A_RING if half else 1.0) * (1.0 - min(1.0, max(0.0, shown)))
-
-
-def _no_h(found: Registration) -> float:
-    """Return whether the H of a pad that is near enough to show it does not."""
-    return float(not found.dense and not found.edges[EdgeKind.H].seen)
 
 
 def _painted(found: Registration, off: float) -> float:

@@ -34,19 +34,23 @@ def away(at_m: float, by_m: float) -> list[tuple[float, float]]:
 
 @pytest.mark.parametrize("by_m", [-1e-3, 1e-3])
 @pytest.mark.parametrize(
-    ("after_ms", "sigma_m", "limit_m"),
+    ("after_ms", "sigma_m", "moved_m", "doubt_m"),
     [
-        (0, 0.0, 0.16),
-        (50, 0.0, 0.16 + 0.05 + 3.0 * 0.0025),
-        (-50, 0.0, 0.16 + 0.05 + 3.0 * 0.0025),
-        (100, 0.0, 0.16 + 0.1 + 3.0 * 0.01),
-        (0, 0.01, 0.16 + 4.0 * math.hypot(0.01, 0.01)),
-        (0, 0.5, 0.16 + 0.3),
+        (0, 0.0, 0.0, 0.0),
+        (50, 0.0, 0.05 + 3.0 * 0.0025, 0.0),
+        (-50, 0.0, 0.05 + 3.0 * 0.0025, 0.0),
+        (100, 0.0, 0.1 + 3.0 * 0.01, 0.0),
+        (0, 0.01, 0.0, 4.0 * math.hypot(0.01, 0.01)),
+        (0, 0.5, 0.0, 0.3),
     ],
 )
-def test_the_sighting_before_explains_its_neighbourhood(after_ms: int, sigma_m: float, limit_m: float, by_m: float) -> None:
+def test_the_sighting_before_explains_its_neighbourhood(
+    after_ms: int, sigma_m: float, moved_m: float, doubt_m: float, by_m: float
+) -> None:
+    """Its doubt adds to the attitude's in squares sideways, and as it is in height."""
     tracks = Tracks(3, 20, place(T, sigma_m=sigma_m))
-    for side_m, down_m in away(limit_m, by_m):
+    aside = away(math.hypot(0.16, doubt_m) + moved_m, by_m)[:1]
+    for side_m, down_m in aside + away(0.16 + doubt_m + moved_m, by_m)[1:]:
         assert explains(tracks, place(T + after_ms * MS, side_m, 2.0 + down_m, sigma_m)) is (by_m < 0.0)
 
 
@@ -57,7 +61,13 @@ def test_for_a_tenth_of_a_second_only() -> None:
 @pytest.mark.parametrize("by_m", [-1e-3, 1e-3])
 @pytest.mark.parametrize(
     ("belief_m", "seen_m", "side_m", "down_m"),
-    [(0.0, 0.0, 0.16, 0.16), (0.1, 0.0, 0.46, 0.46), (0.1, 0.05, 0.66, 0.66), (0.2, 0.1, 0.86, 1.06), (9.0, 9.0, 0.86, 1.96)],
+    [
+        (0.0, 0.0, 0.16, 0.16),
+        (0.1, 0.0, 0.34, 0.46),
+        (0.1, 0.05, math.hypot(0.16, 0.3, 0.2), 0.66),
+        (0.2, 0.1, math.hypot(0.16, 0.4, 0.3), 1.06),
+        (9.0, 9.0, math.hypot(0.16, 0.4, 0.3), 1.96),
+    ],
 )
 def test_the_belief_explains_as_far_as_its_doubt_up_to_a_bound(
     belief_m: float, seen_m: float, side_m: float, down_m: float, by_m: float
@@ -72,8 +82,8 @@ def test_the_belief_explains_as_far_as_its_doubt_up_to_a_bound(
 
 def test_sideways_and_height_have_a_doubt_each() -> None:
     t = T + S
-    assert explains(followed(), place(t, 0.45), place(t, sigma_m=0.1, sigma_down_m=0.0))
-    assert not explains(followed(), place(t, 0.45), place(t, sigma_m=0.0, sigma_down_m=0.1))
+    assert explains(followed(), place(t, 0.33), place(t, sigma_m=0.1, sigma_down_m=0.0))
+    assert not explains(followed(), place(t, 0.33), place(t, sigma_m=0.0, sigma_down_m=0.1))
     assert not explains(followed(), place(t, 0.0, 2.4), place(t, sigma_m=0.1, sigma_down_m=0.0))
     assert explains(followed(), place(t, 0.0, 2.4), place(t, sigma_m=0.0, sigma_down_m=0.1))
     for seen, ok in ((place(t, 0.3, sigma_m=0.1, sigma_down_m=0.0), True), (place(t, 0.3, sigma_m=0.0, sigma_down_m=0.1), False)):
@@ -81,16 +91,16 @@ def test_sideways_and_height_have_a_doubt_each() -> None:
 
 
 def test_what_the_belief_did_not_explain_at_first_it_does_not_explain_later() -> None:
-    seen = place(T + S, 0.5)
+    seen = place(T + S, 0.4)
     tracks, explained = associate(followed(), seen, place(T + S, sigma_m=0.1), LIMITS)
     assert not explained
     assert tracks.candidates[0].sigmas_m == (0.1, 0.1)
     for vague_m in (0.1, 0.2, 5.0):
-        assert not explains(tracks, place(T + S + 30 * MS, 0.5), place(T + S, sigma_m=vague_m))
-    assert explains(followed(), place(T + S + 30 * MS, 0.5), place(T + S, sigma_m=0.2)), "another one may"
+        assert not explains(tracks, place(T + S + 30 * MS, 0.4), place(T + S, sigma_m=vague_m))
+    assert explains(followed(), place(T + S + 30 * MS, 0.4), place(T + S, sigma_m=0.2)), "another one may"
     unsure, _ = associate(followed(), seen, None, LIMITS)
     assert unsure.candidates[0].sigmas_m == (math.inf, math.inf)
-    assert explains(unsure, place(T + S + 30 * MS, 0.5), place(T + S, sigma_m=0.2))
+    assert explains(unsure, place(T + S + 30 * MS, 0.4), place(T + S, sigma_m=0.2))
 
 
 def other(n: int, first: int, last: int, side_m: float = 1.0) -> TrackCandidate:
