@@ -90,12 +90,12 @@ def test_every_comparison_carries_figures_that_agree_with_one_another(
 def test_the_innovation_is_measured_minus_predicted_and_beyond_the_gate_it_is_refused(
     hovering: tuple[pipeline.Memory, list[FusionResult]],
 ) -> None:
-    good, bad = (ekf_result(hovering[0], sighting(1.0, aside_m=aside)) for aside in (0.01, 0.3))
+    good, bad = (ekf_result(hovering[0], sighting(1.0, aside_m=aside)) for aside in (0.01, 0.18))
     assert (good.verdict, bad.verdict) == (Verdict.FUSED, Verdict.GATED)
     assert good.innovation is not None
     assert bad.innovation is not None
     assert (good.components, bad.components) == (("x_m", "y_m", "z_m", "yaw_rad"),) * 2
-    np.testing.assert_allclose(bad.innovation - good.innovation, [0.0, 0.29, 0.0, 0.0], atol=2e-3)
+    np.testing.assert_allclose(bad.innovation - good.innovation, [0.0, 0.17, 0.0, 0.0], atol=2e-3)
     assert bad.test_ratio > 1.0 > good.test_ratio
     assert (bad.measured_at, bad.received_at) == (stamp(1.0).measured_at, stamp(1.0, 0.05).received_at)
 

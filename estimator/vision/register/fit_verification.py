@@ -26,7 +26,7 @@ FITTED_FEATURES = (
 )  # fmt: skip
 """Names of the model's inputs, in order. The last three apply to a distant pad, where contrasts tell more than shapes."""
 
-HAND_SET_FEATURES = ("no_ring", "no_h", "disc_unseen", "painted", "no_disc", "h_contrast_odd")
+HAND_SET_FEATURES = ("no_ring", "no_h", "disc_unseen", "painted", "no_disc", "h_contrast_odd", "disagrees")
 """Further inputs, after those of `FITTED_FEATURES`. Their coefficients are set by hand and not fitted."""
 
 _TELLING = 5.0
@@ -46,15 +46,20 @@ _H_OVER_RING = (0.6, 3.0)
 """Contrast of the H over the ring's: 1 to 2.4 on pads in nearly all lights. Glare on green that resembles an H has a tenth of it,
 or four times as much.
 """
-_NO_RING, _NO_H, _DISC_UNSEEN, _PAINTED, _NO_DISC, _H_CONTRAST_ODD = -3.0, -2.0, -1.5, 1.5, -4.0, -4.0
+_H_IN_VIEW = 0.02
+"""Share of an H that is in view from which on it would show."""
+_DENSE_INLIERS = (0.45, 0.485)
+"""Share of a distant pad's pixels that agree with the drawing, up to which it surely disagrees, and from which on it does not."""
+_NO_RING, _NO_H, _DISC_UNSEEN, _PAINTED, _NO_DISC, _H_CONTRAST_ODD, _DISAGREES = -3.0, -2.0, -1.5, 1.5, -4.0, -4.0, -2.0
 """Log-odds, set by hand because too few of the fit's false candidates look like the pad. `no_ring`: the ring is out of view, does
 not show, or is not of the ring's paint, and no track confirmed it before; an H on something green may be of any size.
-`no_h`: the H is out of view or does not show, and no track confirmed it before; a ring on something green may be anything.
+`no_h`: the H does not show, nor the arrowhead, and no track confirmed it before; a ring on something green may be anything.
 `disc_unseen`: the edge of a nearby disc is in view and has no contrast. `painted`: ring and H of a distant pad show in their
 paints; a helipad's ring on green is off by half of the distance from disc to H and more. `no_disc`: a distant disc does not stand
 out from its surroundings; none of 177 right registrations of whole discs had this, and 90 of 223 without a pad. `h_contrast_odd`:
 a distant H shows much less or more than the ring beside it implies; four of 300 confident and right registrations had this, two
-of them of half-covered pads.
+of them of half-covered pads. `disagrees`: fewer pixels of a distant pad agree with the drawing than of all but two of 659 right
+registrations; a life raft with a stripe has 0.45.
 """
 
 _COEFFICIENTS = np.array(
@@ -88,10 +93,10 @@ def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
         dense, dense * found.inliers, -min(1.0, found.edge_rms_px), found.visible,
         dense * max(-8.0, min(8.0, template_score)), dense * _clear(found, EdgeKind.DISC) * has_field,
         -sum(min(1.0, one) for one in off_by_channel) / len(off_by_channel),
-        _no_ring(values, found) * has_ring, (not found.edges[EdgeKind.H].seen) * bool(marks.letters),
+        _no_ring(values, found) * has_ring, _no_h(found) * bool(marks.letters),
         (1.0 - dense) * shown[EdgeKind.DISC] * faint_disc,
         dense * _painted(found, max(off_by_channel)) * has_both, dense * _faint(found, pad) * bool(has_field and marks.letters),
-        dense * _h_contrast_odd(found) * has_both,
+        dense * _h_contrast_odd(found) * has_both, dense * _disagrees(found),
     ])  # fmt: skip
 
 
@@ -139,6 +144,12 @@ def _no_ring(values: F64, found: Registration) -> float:
     return (_HALF_A_RING if half else 1.0) * (1.0 - min(1.0, max(0.0, shown)))
 
 
+def _no_h(found: Registration) -> float:
+    """Return whether an H that is in view does not show, nor the arrowhead, which no other helipad has."""
+    h_marking = found.edges[EdgeKind.H]
+    return float(h_marking.in_view > _H_IN_VIEW and not h_marking.seen and not found.edges[EdgeKind.ARROW].seen)
+
+
 def _painted(found: Registration, off: float) -> float:
     """Return 0..1: to what degree ring and H show, with the ring in its own paint, of which its worst channel is off by so much.
 
@@ -174,6 +185,12 @@ def _h_contrast_odd(found: Registration) -> float:
     return min(1.0, 2.0 * max(0.0, math.log(low * ring / h_marking), math.log(h_marking / (high * ring))))
 
 
+def _disagrees(found: Registration) -> float:
+    """Return 0..1: how surely too few pixels agree with the drawing."""
+    none, enough = _DENSE_INLIERS
+    return min(1.0, max(0.0, (enough - found.inliers) / (enough - none)))
+
+
 def confidence(values: F64, prior_log_odds: float = 0.0, shape_log_odds: float = 0.0) -> float:
     """Return the confidence, 0..1, of a registration from its inputs.
 
@@ -181,9 +198,10 @@ def confidence(values: F64, prior_log_odds: float = 0.0, shape_log_odds: float =
         prior_log_odds: as for `verification.confidence`.
         shape_log_odds: of `fiducial_cells.cells_log_odds` or `letter_alone.letter_log_odds`.
     """
-    no_ring, no_h, disc_unseen, painted, no_disc, h_contrast_odd = values[len(FITTED_FEATURES) :].tolist()
+    no_ring, no_h, disc_unseen, painted, no_disc, h_contrast_odd, disagrees = values[len(FITTED_FEATURES) :].tolist()
     z = float(values[: len(FITTED_FEATURES)] @ _COEFFICIENTS) + prior_log_odds + shape_log_odds
     z += _DISC_UNSEEN * disc_unseen + _PAINTED * painted + _NO_DISC * no_disc + _H_CONTRAST_ODD * h_contrast_odd
+    z += _DISAGREES * disagrees
     if prior_log_odds <= 0.0:
         z += _NO_RING * no_ring + _NO_H * no_h
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, z))))
