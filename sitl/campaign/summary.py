@@ -16,7 +16,7 @@ _Z95 = 1.959963984540054
 _HASH_BITS = 128
 UNSAFE_MAX = 100
 """Number of unsafe flights that are named, and of others that failed; the rest is counted."""
-_TOLD = 10
+_PRINTED = 10
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
@@ -36,12 +36,12 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 class _Named:
     """The first flights of a kind by scenario and seed, in whatever order they come."""
 
-    def __init__(self, *told: str) -> None:
-        self._told = ("scenario", "seed", "varied", *told)
+    def __init__(self, reason: str) -> None:
+        self._keys = ("scenario", "seed", "varied", reason)
         self._flights: list[dict[str, Any]] = []
 
     def take(self, flight: Flight) -> None:
-        self._flights.append({key: flight[key] for key in self._told if key in flight})
+        self._flights.append({key: flight[key] for key in self._keys if key in flight})
         if len(self._flights) >= 20 * UNSAFE_MAX:
             self._flights = self.first
 
@@ -147,11 +147,11 @@ def in_words(summary: dict[str, Any]) -> str:
         f"contacts outside commit {summary['contacts_outside_commit']}, flights in the water {summary['in_water']}, "
         f"unsafe flights {summary['unsafe']}"
     )
-    named = summary["unsafe_flights"][:_TOLD]
+    named = summary["unsafe_flights"][:_PRINTED]
     lines += [f"UNSAFE {name_of(flight)}: {'; '.join(flight['unsafe'])}" for flight in named]
     if summary["unsafe"] > len(named):
         lines.append(f"and {summary['unsafe'] - len(named)} more unsafe flights; --json and the report name up to {UNSAFE_MAX}")
-    named = summary["failed_flights"][:_TOLD]
+    named = summary["failed_flights"][:_PRINTED]
     lines += [f"FAILED {name_of(flight)}: {flight['because']}" for flight in named]
     if summary["failed"] > summary["unsafe"] + len(named):
         more = summary["failed"] - summary["unsafe"] - len(named)

@@ -187,8 +187,7 @@ def _h_contrast_odd(found: Registration) -> float:
 
 def _disagrees(found: Registration) -> float:
     """Return 0..1: how surely too few pixels agree with the drawing."""
-    none, enough = _DENSE_INLIERS
-    return min(1.0, max(0.0, (enough - found.inliers) / (enough - none)))
+    return float(np.interp(found.inliers, _DENSE_INLIERS, (1.0, 0.0)))
 
 
 def confidence(values: F64, prior_log_odds: float = 0.0, shape_log_odds: float = 0.0) -> float:
