@@ -61,3 +61,12 @@ def never_lower(command: Command, knowledge: Knowledge, *, fit: bool, over_groun
         return command
     v[2] = deck_m_s
     return replace(command, v_level=v)
+
+
+def climbing(command: Command, climb_m_s: float) -> Command:
+    """Return the command with at least this climb: without sight an estimate that has risen by itself asks for none."""
+    if not isinstance(command, Velocity | Lean) or command.v_level[2] <= -climb_m_s:
+        return command
+    v = np.array(command.v_level)
+    v[2] = -climb_m_s
+    return replace(command, v_level=v)

@@ -18,6 +18,9 @@ from estimator.contracts.time import MonoNs, seconds_between
 _MOTORS_STOP_S = 0.2
 """Time in contact after which a vehicle's own landing stops the motors, s."""
 
+Comparison = tuple[ReasonCause, float | None, float]
+"""The name of a limit, what is measured, and the limit."""
+
 
 class InputQuality(Struct, frozen=True):
     """What the service knows about its inputs beside the estimate."""
@@ -54,9 +57,8 @@ def gate(
     v = estimate.v_pad_level
     speed = math.hypot(v[0], v[1])
     comparisons = [
-        (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.sighting_age_s),
+        *_of_the_sightings(now, estimate, quality, limits),
         (ReasonCause.SIGMA, sigma_m(estimate), limits.sigma_m),
-        (ReasonCause.NIS, quality.normalized_nis, limits.normalized_nis),
         (ReasonCause.TIME_LOCK, quality.time_sigma_s, limits.time_sigma_s),
         (ReasonCause.ERROR, estimate.lateral_m, limits.error_m),
         (ReasonCause.RELATIVE_SPEED, speed, limits.relative_speed_m_s),
@@ -68,6 +70,11 @@ def gate(
         off_rad = math.pi if estimate.yaw_rad is None else abs(wrap_pi(estimate.yaw_rad))
         comparisons.append((ReasonCause.HEADING, math.degrees(off_rad), limits.heading_deg))
     return _first(comparisons)
+
+
+def agreed(now: MonoNs, estimate: RelativeState, quality: InputQuality, limits: LandingLimits) -> bool:
+    """Return whether the newest sighting is as recent as the gate asks, and the sightings agree with each other."""
+    return _first(_of_the_sightings(now, estimate, quality, limits)) is None
 
 
 def no_return_m(knowledge: Knowledge, cone: ConeOptions) -> float:
@@ -90,11 +97,16 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     )
 
 
-def _of_the_deck(
-    knowledge: Knowledge, limits: LandingLimits, to_contact_s: float
-) -> list[tuple[ReasonCause, float | None, float]]:
+def _of_the_sightings(now: MonoNs, estimate: RelativeState, quality: InputQuality, limits: LandingLimits) -> list[Comparison]:
+    return [
+        (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.sighting_age_s),
+        (ReasonCause.NIS, quality.normalized_nis, limits.normalized_nis),
+    ]
+
+
+def _of_the_deck(knowledge: Knowledge, limits: LandingLimits, to_contact_s: float) -> list[Comparison]:
     deck, ahead = knowledge.deck, knowledge.forecast
-    out: list[tuple[ReasonCause, float | None, float]] = []
+    out: list[Comparison] = []
     if deck is not None:
         out.append((ReasonCause.DECK_TILT, math.degrees(deck.tilt_rad), limits.deck_tilt_gate_deg))
         out.append((ReasonCause.DECK_RATE, abs(float(deck.v_level[2])), limits.deck_rate_m_s))
@@ -116,7 +128,7 @@ def _fall_m_s(knowledge: Knowledge, to_contact_s: float, cone: ConeOptions) -> f
     return -float(rises.min())
 
 
-def _first(comparisons: list[tuple[ReasonCause, float | None, float]]) -> Reason | None:
+def _first(comparisons: list[Comparison]) -> Reason | None:
     """Return the first comparison that fails; a number that is not known fails none, one that is not a number fails."""
     for cause, measured, limit in comparisons:
         if measured is not None and not measured <= limit:

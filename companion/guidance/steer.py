@@ -7,13 +7,13 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.guidance import blind_hold, cone, heading, rendezvous
+from companion.guidance import blind_hold, cone, heading, limits, rendezvous
 from companion.guidance.clearance import rise_beyond_climb_m
 from companion.guidance.controller import Target
 from companion.guidance.mission import GROUND, State
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle, unfit
+from companion.guidance.situation import GuidanceCycle, fit_to_steer, unfit
 from companion.guidance.watch import climbs_from_question
 from estimator.contracts.commands import Command, Hover, Land
 from estimator.contracts.estimates import RelativeState
@@ -125,11 +125,32 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
     return p, Target(wanted, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed)
 
 
+def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> Command:
+    """Return the controller's command as far as what is known of the pad allows it: no lower without need and sight.
+
+    Args:
+        over_ground: whether the vehicle's driver adds the deck's velocity to a velocity.
+    """
+    if p.state is State.GO_AROUND and not p.in_sight:
+        return blind_hold.climbing(command, o.tries.climb_m_s)
+    if asks_to_descend(p, s, o):
+        return command
+    fit = fit_to_steer(s.estimate, s.at, o.stale_after_s) and _agreed(s, o)
+    return blind_hold.never_lower(command, s.knowledge, fit=fit, over_ground=over_ground)
+
+
+def _agreed(s: GuidanceCycle, o: GuidanceOptions) -> bool:
+    """Return whether the sightings are recent and agree, as the gate asks: a deck is not followed down by others."""
+    return s.estimate is not None and limits.agreed(s.at, s.estimate, s.quality, o.limits)
+
+
 def asks_to_descend(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
     """Return whether this cycle may ask for a way nearer to the deck: its state does, and its estimate is fit for it."""
     # An intercept keeps its height over the deck until it is in the cone; only the thesis' flies to a height of its own.
     lower = p.state in (State.DESCEND, State.GATE, State.COMMIT, State.PRESS)
     if not (lower or (p.state is State.INTERCEPT and o.mission == "thesis")):
+        return False
+    if p.state is State.GATE and not _agreed(s, o):
         return False
     stale_s = o.stale_after_s if p.state not in (State.COMMIT, State.PRESS) else o.limits.commit_sighting_age_s
     return p.state is State.PRESS or unfit(s.estimate, s.at, stale_s) is None

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec import structs
 
 from companion.config.settings import shipped_response
-from companion.guidance import blind_hold, held_up, vessel_track
+from companion.guidance import held_up, steer, vessel_track
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, Controller, Impact, Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
@@ -29,8 +29,7 @@ from companion.guidance.reason import Reason
 from companion.guidance.rendezvous_options import ReportLimits
 from companion.guidance.response import TiltResponse
 from companion.guidance.response_course import reported_lean
-from companion.guidance.situation import GuidanceCycle, VesselPosition, fit_to_steer
-from companion.guidance.steer import asks_to_descend
+from companion.guidance.situation import GuidanceCycle, VesselPosition
 from companion.guidance.vessel_track import VesselTrack
 from companion.operator.arbiter import OperatorArbiter
 from companion.operator.limit_options import LimitOptions
@@ -561,10 +560,7 @@ class Pilot:
         self._law_memory, command = self._law.step(self._law_memory, now, knowledge, target)
         if target is None:
             return None if isinstance(aim, Target) else aim
-        if asks_to_descend(self._mission, s, self._guidance):
-            return command
-        fit = fit_to_steer(knowledge.relative, now, self._guidance.stale_after_s)
-        return blind_hold.never_lower(command, knowledge, fit=fit, over_ground=self._over_ground)
+        return steer.allowed(command, self._mission, s, self._guidance, over_ground=self._over_ground)
 
 
 def of_ship(sample: Sample) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.guidance.blind_hold import never_lower, usable, without_estimate
+from companion.guidance.blind_hold import climbing, never_lower, usable, without_estimate
 from companion.guidance.controller import Knowledge
 from companion.guidance.mission_options import TryOptions
 from companion.guidance.situation import GuidanceCycle
@@ -61,6 +61,19 @@ def test_a_fall_of_the_deck_is_followed_as_far_as_it_is_certain(sigma_m_s: float
 def test_what_climbs_and_what_is_the_vehicle_s_own_is_left_as_it_is() -> None:
     for command in (Velocity(np.array([0.0, 0.0, -0.4]), 0.0), Velocity(np.zeros(3), 0.0), Hover(), Land(on_deck=True)):
         assert never_lower(command, falling(0.2), fit=False, over_ground=False) is command
+
+
+@pytest.mark.parametrize(("asked_m_s", "given_m_s"), [(0.4, -0.5), (0.0, -0.5), (-0.2, -0.5), (-0.5, -0.5), (-1.5, -1.5)])
+def test_a_climb_without_sight_is_as_fast_as_it_is_counted_to_be(asked_m_s: float, given_m_s: float) -> None:
+    for command in (
+        Velocity(np.array([0.4, -0.3, asked_m_s]), 0.1),
+        Lean(np.ones(2), np.zeros(2), np.array([0.4, -0.3, asked_m_s]), 0.1),
+    ):
+        climbs = climbing(command, 0.5)
+        assert type(climbs) is type(command)
+        assert (climbs.v_level.tolist(), climbs.yaw_rate_rad_s) == ([0.4, -0.3, given_m_s], 0.1)
+    hover = Hover()
+    assert climbing(hover, 0.5) is hover
 
 
 def test_an_estimate_carries_on_while_it_is_new_consistent_and_known_well_enough() -> None:

@@ -10,12 +10,13 @@ import pytest
 from msgspec.structs import replace
 
 from companion.guidance.controller import Knowledge, Target
+from companion.guidance.limits import InputQuality
 from companion.guidance.mission import GROUND, State
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
-from companion.guidance.steer import Aim, aim, asks_to_descend
-from estimator.contracts.commands import Hover, Land, Velocity
+from companion.guidance.steer import Aim, aim, allowed, asks_to_descend
+from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.motion import DeckMotion
 from tests.companion.mission_flights import estimate, guided, ns
@@ -65,6 +66,34 @@ def test_what_may_descend_is_named_and_nothing_else_does_however_good_the_sight(
         assert asks_to_descend(p, fit, guided()) is (state in down)
         assert asks_to_descend(p, fit, guided(mission="thesis")) is (state in down | {State.INTERCEPT})
         assert asks_to_descend(p, old, guided()) is (state is State.PRESS), "the deck is touched"
+
+
+@pytest.mark.parametrize(
+    ("age_s", "nis", "follows"),
+    [(0.0, None, True), (0.29, 4.0, True), (0.31, None, False), (0.0, 4.1, False), (0.0, math.nan, False)],
+)
+def test_at_the_gate_no_deck_is_followed_down_by_sightings_that_would_keep_the_gate_shut(
+    age_s: float, nis: float | None, follows: bool
+) -> None:
+    falls = DeckMotion(ns(NOW), np.array([0.0, 0.0, 0.4]), np.zeros(3), 1e-6 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+    s = GuidanceCycle(ns(NOW), replace(known(age=age_s), deck=falls), quality=InputQuality(nis))
+    down, up = (Lean(np.ones(2), np.zeros(2), np.array([0.0, 0.0, v]), 0.0) for v in (0.7, -0.7))
+    for state, rate in ((State.GATE, 0.7 if follows else 0.0), (State.DESCEND, 0.7), (State.INTERCEPT, 0.4 if follows else 0.0)):
+        p = Progress(state, automatic=True, begun=True, in_sight=True)
+        given = allowed(down, p, s, guided(), over_ground=False)
+        assert isinstance(given, Lean)
+        assert given.v_level[2] == pytest.approx(rate, abs=0.01)
+        assert allowed(up, p, s, guided(), over_ground=False) is up
+
+
+def test_a_go_around_climbs_without_sight_however_high_its_estimate_has_risen() -> None:
+    s = GuidanceCycle(ns(NOW), known((0.0, 0.0, 9.0), age=2.0))
+    still = Lean(np.ones(2), np.zeros(2), np.zeros(3), 0.0)
+    for in_sight, rate in ((True, 0.0), (False, -guided().tries.climb_m_s)):
+        p = Progress(State.GO_AROUND, automatic=True, begun=True, in_sight=in_sight)
+        given = allowed(still, p, s, guided(), over_ground=False)
+        assert isinstance(given, Lean)
+        assert given.v_level[2] == rate
 
 
 def test_a_commit_without_sight_waits_as_high_as_it_is() -> None:
