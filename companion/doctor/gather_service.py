@@ -77,7 +77,8 @@ def _fault_of(health: HealthSnapshot, name: str) -> str | None:
 
 
 def _files(settings: Settings) -> ServiceSnapshot:
-    snapshot = ServiceSnapshot(ship_place=contradiction(settings), without_effect=without_effect(settings))
+    feet_m = None if isinstance(settings.vehicle, ArDroneOptions) else settings.guidance.cone.feet_below_m
+    snapshot = ServiceSnapshot(ship_place=contradiction(settings), without_effect=without_effect(settings), feet_below_m=feet_m)
     try:
         check_files(settings)
     except BadInput as why:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from companion.doctor.finding import Finding, Rule, advice, error, warning
 from companion.doctor.snapshot import LinkSnapshot, Snapshot
+from companion.guidance.mission_options import ConeOptions
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.requests import INSTEAD
 
@@ -316,6 +317,18 @@ def settings_idle(p: Snapshot) -> Finding | None:
     return None
 
 
+def feet_not_said(p: Snapshot) -> Finding | None:
+    """Find an autopilot that is flown with an AR.Drone's feet."""
+    feet_m = p.service.feet_below_m
+    if feet_m is not None and feet_m == ConeOptions().feet_below_m:
+        return advice(
+            "feet-not-said",
+            f"guidance.cone.feet_below_m is {feet_m:g} m, an AR.Drone's: taller feet are so much nearer to the deck at the gate",
+            "measure from the autopilot down to the ends of the feet, and set it",
+        )
+    return None
+
+
 def camera_fault(p: Snapshot) -> Finding | None:
     """Find a fault in the camera or pad file."""
     if p.service.camera_fault is not None:
@@ -446,6 +459,6 @@ RULES: tuple[Rule, ...] = (
     link_down, link_silent, link_garbage, link_signature, link_old_version, link_lossy, link_unsigned,
     link_unknown_senders, link_one_way, wrong_system, no_autopilot, several_autopilots,
     stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, files_fault, settings_idle,
-    camera_fault, camera_device, camera_size, camera_slow, exposure_limited,
+    feet_not_said, camera_fault, camera_device, camera_size, camera_slow, exposure_limited,
     gimbal_silent, broker_fault, drone_fault, ship_place, ship_silent,
 )  # fmt: skip

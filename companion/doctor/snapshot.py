@@ -125,6 +125,8 @@ class ServiceSnapshot(Struct, frozen=True):
     drone: str | None = None
     """Address of the AR.Drone in the settings."""
     drone_fault: str | None = None
+    feet_below_m: float | None = None
+    """Distance of an autopilot's feet below it by the settings, m; None for an AR.Drone."""
     ship_place: Contradiction | None = None
     """What does not go together in the settings about the ship's place."""
     places_refused: dict[str, int] = field(default_factory=dict)

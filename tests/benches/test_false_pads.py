@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benches.false_pads import best_scores, photographs
-from tests.support.pad_scenes import DATA
+from benches.false_pads import best_scores, photographs, scene_of, sure_of
+from tests.support.hard_light import HARD
+from tests.support.pad_scenes import DATA, load_camera
 
 
 @pytest.mark.parametrize("chunk", [*range(41000, 41010)])
@@ -15,6 +16,21 @@ def test_no_rendered_frame_without_a_pad_shows_one(chunk: int) -> None:
     scores = np.array(best_scores(chunk)[0])
     assert len(scores) == 100
     assert scores.max() < 0.5, f"frame {scores.argmax()}"
+
+
+@pytest.mark.parametrize(
+    ("chunk", "i"),
+    [
+        pytest.param(41037, 94, id="a life raft with a stripe"),
+        pytest.param(41090, 55, id="a green disc with a ring and glare, cut"),
+        pytest.param(41131, 79, id="another life raft"),
+        pytest.param(41164, 16, id="an orange raft with a white middle on green"),
+        pytest.param(41182, 75, id="the corner of another helipad"),
+    ],
+)
+def test_what_a_search_once_took_for_the_pad_is_none(chunk: int, i: int) -> None:
+    scene = scene_of(chunk, i)
+    assert sure_of(scene.px, load_camera("sim"), HARD["plain"].pad, scene.R_level_body) < 0.4
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"{DATA} is not here")

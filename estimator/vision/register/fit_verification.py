@@ -26,9 +26,6 @@ FITTED_FEATURES = (
 )  # fmt: skip
 """Names of the model's inputs, in order. The last three apply to a distant pad, where contrasts tell more than shapes."""
 
-HAND_SET_FEATURES = ("no_ring", "no_h", "disc_unseen", "painted", "no_disc", "h_contrast_odd", "disagrees")
-"""Further inputs, after those of `FITTED_FEATURES`. Their coefficients are set by hand and not fitted."""
-
 _TELLING = 5.0
 """Factor on the visible fraction: a kind of edge of which a fifth is in view counts as fully in view."""
 
@@ -48,19 +45,49 @@ or four times as much.
 """
 _H_IN_VIEW = 0.02
 """Share of an H that is in view from which on it would show."""
+_CORNER_OF_H = (0.2, 0.3)
+"""Share of a nearby H that is in view, up to which it is only a corner, and from which on it is not. Of 490 right registrations
+from 0.2 m on two showed less than 0.28 of an H.
+"""
 _DENSE_INLIERS = (0.45, 0.485)
 """Share of a distant pad's pixels that agree with the drawing, up to which it surely disagrees, and from which on it does not."""
-_NO_RING, _NO_H, _DISC_UNSEEN, _PAINTED, _NO_DISC, _H_CONTRAST_ODD, _DISAGREES = -3.0, -2.0, -1.5, 1.5, -4.0, -4.0, -2.0
-"""Log-odds, set by hand because too few of the fit's false candidates look like the pad. `no_ring`: the ring is out of view, does
-not show, or is not of the ring's paint, and no track confirmed it before; an H on something green may be of any size.
-`no_h`: the H does not show, nor the arrowhead, and no track confirmed it before; a ring on something green may be anything.
-`disc_unseen`: the edge of a nearby disc is in view and has no contrast. `painted`: ring and H of a distant pad show in their
-paints; a helipad's ring on green is off by half of the distance from disc to H and more. `no_disc`: a distant disc does not stand
-out from its surroundings; none of 177 right registrations of whole discs had this, and 90 of 223 without a pad. `h_contrast_odd`:
-a distant H shows much less or more than the ring beside it implies; four of 300 confident and right registrations had this, two
-of them of half-covered pads. `disagrees`: fewer pixels of a distant pad agree with the drawing than of all but two of 659 right
-registrations; a life raft with a stripe has 0.45.
+_LIKENESS = (-0.5, 0.5)
+"""Log-odds of the aligned drawing at which a distant pad, of which half may be covered, surely is unlike it, and is not."""
+_HAND_SET = {
+    "no_ring": -3.0,
+    "no_h": -2.0,
+    "disc_unseen": -1.5,
+    "painted": 1.5,
+    "no_disc": -4.0,
+    "h_contrast_odd": -4.0,
+    "disagrees": -2.0,
+    "unlike": -2.0,
+    "corner": -3.0,
+}
+"""Log-odds of further inputs, set by hand because too few of the fit's false candidates look like the pad.
+
+no_ring: the ring is out of view, does not show, or is not of the ring's paint; an H on something green may be of any size.
+no_h: the H does not show, nor the arrowhead; a ring on something green may be anything.
+disc_unseen: the edge of a nearby disc is in view and has no contrast.
+painted: ring and H of a distant pad show in their paints; a helipad's ring on green is off by half of the distance from disc to H
+and more.
+no_disc: a distant disc does not stand out from its surroundings; none of 177 right registrations of whole discs had this, and 90
+of 223 without a pad.
+h_contrast_odd: a distant H shows much less or more than the ring beside it implies; four of 300 confident and right registrations
+had this, two of them of half-covered pads.
+disagrees: fewer pixels of a distant pad agree with the drawing than of all but two of 659 right registrations; a life raft with a
+stripe has 0.45.
+unlike: no more than half of a distant pad's pixels agree with the drawing, as where half of it is covered, and what shows is
+unlike it too; so was a raft with a white middle on something green.
+corner: a corner of a nearby H is in view, and the edge of the disc does not show; a green hexagon with a ring and an arrow may
+show as much.
 """
+
+_UNTRACKED = ("no_ring", "no_h", "corner")
+"""Those that count only while no track has confirmed the pad before."""
+
+HAND_SET_FEATURES = tuple(_HAND_SET)
+"""Further inputs, after those of `FITTED_FEATURES`. Their coefficients are not fitted."""
 
 _COEFFICIENTS = np.array(
     [0.167, 2.068, 1.423, 0.878, 0.000, 0.000, 0.760, 1.500, -0.107, 1.009, 0.000, -0.560, -0.542, 0.337, 1.462]
@@ -68,6 +95,8 @@ _COEFFICIENTS = np.array(
 """Weights in the order of `FITTED_FEATURES`. Fitted by `python -m benches.verification_fit --registered --frames 2400`: 2526
 registrations. The weight of `h_unseen` is set and not fitted: glare on a green disc with a ring may hide the H.
 """
+_SEARCHED = np.array([*_COEFFICIENTS, *_HAND_SET.values()])
+_TRACKED = np.array([*_COEFFICIENTS, *(0.0 if name in _UNTRACKED else weight for name, weight in _HAND_SET.items())])
 
 
 def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
@@ -97,6 +126,7 @@ def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
         (1.0 - dense) * shown[EdgeKind.DISC] * faint_disc,
         dense * _painted(found, max(off_by_channel)) * has_both, dense * _faint(found, pad) * bool(has_field and marks.letters),
         dense * _h_contrast_odd(found) * has_both, dense * _disagrees(found),
+        dense * _unlike(found, template_score), (1.0 - dense) * _corner(found) * bool(marks.letters),
     ])  # fmt: skip
 
 
@@ -190,6 +220,19 @@ def _disagrees(found: Registration) -> float:
     return float(np.interp(found.inliers, _DENSE_INLIERS, (1.0, 0.0)))
 
 
+def _unlike(found: Registration, template_score: float) -> float:
+    """Return 0..1: how surely a drawing with which no more than half of the pixels agree is not the pad."""
+    return float(np.interp(template_score, _LIKENESS, (1.0, 0.0))) if found.inliers <= 0.5 else 0.0
+
+
+def _corner(found: Registration) -> float:
+    """Return 0..1: how surely a corner of the H and perhaps a part of the ring are all that is in view."""
+    h_marking = found.edges[EdgeKind.H]
+    if found.edges[EdgeKind.DISC].seen or not h_marking.seen:
+        return 0.0
+    return float(np.interp(h_marking.in_view, _CORNER_OF_H, (1.0, 0.0)))
+
+
 def confidence(values: F64, prior_log_odds: float = 0.0, shape_log_odds: float = 0.0) -> float:
     """Return the confidence, 0..1, of a registration from its inputs.
 
@@ -197,10 +240,6 @@ def confidence(values: F64, prior_log_odds: float = 0.0, shape_log_odds: float =
         prior_log_odds: as for `verification.confidence`.
         shape_log_odds: of `fiducial_cells.cells_log_odds` or `letter_alone.letter_log_odds`.
     """
-    no_ring, no_h, disc_unseen, painted, no_disc, h_contrast_odd, disagrees = values[len(FITTED_FEATURES) :].tolist()
-    z = float(values[: len(FITTED_FEATURES)] @ _COEFFICIENTS) + prior_log_odds + shape_log_odds
-    z += _DISC_UNSEEN * disc_unseen + _PAINTED * painted + _NO_DISC * no_disc + _H_CONTRAST_ODD * h_contrast_odd
-    z += _DISAGREES * disagrees
-    if prior_log_odds <= 0.0:
-        z += _NO_RING * no_ring + _NO_H * no_h
+    weights = _SEARCHED if prior_log_odds <= 0.0 else _TRACKED
+    z = float(values @ weights) + prior_log_odds + shape_log_odds
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, z))))

@@ -172,6 +172,7 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "clock set while listening": ("clock-jumps", replace(GOOD, sync=TimeSyncSnapshot(True, 0.004, jumps=2)), "power"),
     "a key that is not there": ("settings-files", service(files_fault="page.token_file: t: No such file"), "setting"),
     "settings that do nothing": ("settings-idle", service(without_effect=("page.port: without effect",)), "take these keys out"),
+    "feet of an AR.Drone": ("feet-not-said", service(feet_below_m=0.045), "measure"),
     "camera not plugged in": ("camera-device", service(device_fault="usb: no such camera; there is none at all"), "cable"),
     "camera file with a fault": ("camera-file", service(camera_fault="cam.toml: fx: expected a number"), "config check"),
     "camera at another size": ("camera-size", service(frame_size=(1280, 720)), "calibrate"),
