@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 from companion.config.model import Settings
@@ -109,7 +110,7 @@ class FlightGrader:
         self._world = world
         self._watch = SightWatch(world.now)
         self._unreached = UnreachedContacts()
-        self._unreached_max_m = unreached_descent_max_m(settings.guidance, com_watchdog_s)
+        self._unreached_max_m = partial(unreached_descent_max_m, settings.guidance, com_watchdog_s)
         self._reason = ""
         self._go_arounds = 0
 
@@ -141,7 +142,8 @@ class FlightGrader:
         scenario, refused = world.scenario, self._refused(outcome)
         self._unreached.step(truth, reached=world.reached)
         unreached = self._unreached.at if scenario.unreached_contacts else ()
-        unsafe = dangers(self._watch.worst, truth.contacts, self.died, unreached_m, self._unreached_max_m, unreached=unreached)
+        unreached_max_m = self._unreached_max_m(self._watch.deck_fell_m_s)
+        unsafe = dangers(self._watch.worst, truth.contacts, self.died, unreached_m, unreached_max_m, unreached=unreached)
         worth, because = grade(
             outcome,
             on_pad_m(truth.contacts),

@@ -66,6 +66,8 @@ class SightWatch:
         self.worst = BlindDescent(0.0, math.inf, 0.0)
         self.unreached_m = 0.0
         """Deepest descent during one time in which nothing reached the vehicle, metres."""
+        self.deck_fell_m_s = 0.0
+        """Fastest fall of the deck at the beginning of such a time: the last command followed it."""
         self.since_sight: Counter[Verdict] = Counter()
         """Number of frames by verdict since the newest true sight."""
         self._seen_at = start
@@ -90,6 +92,7 @@ class SightWatch:
         if not reached:
             if self._unreached_at_m is None:
                 self._unreached_at_m = at_m
+                self.deck_fell_m_s = max(self.deck_fell_m_s, float(truth.v_pad_ned[2]))
             if truth.phase in _IN_THE_AIR:
                 self.unreached_m = max(self.unreached_m, _descent_m(self._unreached_at_m, at_m))
             return
@@ -117,16 +120,19 @@ def _descent_m(from_m: tuple[float, float], to_m: tuple[float, float]) -> float:
     return min(from_m[0] - to_m[0], from_m[1] - to_m[1])
 
 
-def unreached_descent_max_m(guidance: GuidanceOptions, com_watchdog_s: float) -> float:
+def unreached_descent_max_m(guidance: GuidanceOptions, com_watchdog_s: float, deck_fell_m_s: float = 0.0) -> float:
     """Return the descent that is allowed while nothing reaches the vehicle, metres.
 
-    Without commands an AR.Drone flies on for `com_watchdog_s`, at most at the fastest rate of the mission's way down. Then it
-    hovers. A landing that it begins by itself goes deeper.
+    Without commands an AR.Drone flies on for `com_watchdog_s`, at most at the fastest rate of the mission's way down against the
+    deck. Then it hovers. A landing that it begins by itself goes deeper.
+
+    Args:
+        deck_fell_m_s: how fast the deck fell when the last command was given.
     """
     rate_m_s = guidance.thesis.speed_m_s if guidance.mission == "thesis" else guidance.cone.descent_rate_m_s
     if guidance.controller == "pid":
         rate_m_s = min(rate_m_s, guidance.pid.descent_rate_max_m_s)
-    return com_watchdog_s * rate_m_s + UNREACHED_STOP_M
+    return com_watchdog_s * (rate_m_s + deck_fell_m_s) + UNREACHED_STOP_M
 
 
 def dangers(

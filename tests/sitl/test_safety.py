@@ -32,10 +32,18 @@ START = MonoNs(0)
 SAFE = BlindDescent(0.2, 0.2, 1.4)
 
 
-def truth(at_s: float, height_m: float, deck_up_m: float = 0.0, phase: VehiclePhase = VehiclePhase.FLYING) -> Truth:
+def truth(
+    at_s: float,
+    height_m: float,
+    deck_up_m: float = 0.0,
+    phase: VehiclePhase = VehiclePhase.FLYING,
+    *,
+    deck_falls_m_s: float = 0.0,
+) -> Truth:
     level = Rotation.identity()
     deck, body = np.array([0.0, 0.0, -deck_up_m]), np.array([0.0, 0.0, -deck_up_m - height_m])
-    return Truth(after(START, at_s), body, np.zeros(3), level, deck, np.zeros(3), level, phase, None)
+    v_deck = np.array([0.0, 0.0, deck_falls_m_s])
+    return Truth(after(START, at_s), body, np.zeros(3), level, deck, v_deck, level, phase, None)
 
 
 def contact(surface: Literal["pad", "deck", "water"], lateral_m: float = 0.1, phase: str | None = "commit") -> Touchdown:
@@ -100,6 +108,22 @@ def test_what_an_unreached_vehicle_may_come_down_follows_from_its_own_timeout_an
     assert unreached_descent_max_m(thesis, 2.0) == pytest.approx(2.0 * thesis.thesis.speed_m_s + 0.3)
     slow = GuidanceOptions(controller="pid", pid=PidOptions(descent_rate_max_m_s=0.2))
     assert unreached_descent_max_m(slow, 2.0) == pytest.approx(0.7)
+
+
+def test_a_last_command_that_followed_a_falling_deck_takes_an_unreached_vehicle_so_much_lower() -> None:
+    watch = SightWatch(START)
+    for at_s, reached, falls_m_s in (
+        (0.0, True, 0.4),
+        (0.1, False, 0.1),
+        (0.2, False, 0.4),
+        (0.3, True, 0.4),
+        (0.4, False, -0.2),
+    ):
+        watch.step(truth(at_s, 2.0, deck_falls_m_s=falls_m_s), reached=reached)
+    assert watch.deck_fell_m_s == pytest.approx(0.1)
+    assert unreached_descent_max_m(GuidanceOptions(), 2.0, 0.1) == pytest.approx(
+        2.0 * (GuidanceOptions().cone.descent_rate_m_s + 0.1) + 0.3
+    )
 
 
 def test_a_heaving_deck_under_a_hovering_vehicle_is_no_descent() -> None:
