@@ -73,7 +73,7 @@ def gate(
 
 
 def agreed(now: MonoNs, estimate: RelativeState, quality: InputQuality, limits: LandingLimits) -> bool:
-    """Return whether the newest sighting is as recent as the gate asks, and the sightings agree with each other."""
+    """Return whether the sightings are as recent and as consistent as the gate asks."""
     return _first(_of_the_sightings(now, estimate, quality, limits)) is None
 
 

@@ -140,7 +140,7 @@ def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions,
 
 
 def _agreed(s: GuidanceCycle, o: GuidanceOptions) -> bool:
-    """Return whether the sightings are recent and agree, as the gate asks: a deck is not followed down by others."""
+    """Return whether the sightings are as recent and as consistent as the gate asks; by others no deck is followed down."""
     return s.estimate is not None and limits.agreed(s.at, s.estimate, s.quality, o.limits)
 
 

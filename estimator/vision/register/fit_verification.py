@@ -52,8 +52,8 @@ from 0.2 m on two showed less than 0.28 of an H.
 _DENSE_INLIERS = (0.45, 0.485)
 """Share of a distant pad's pixels that agree with the drawing, up to which it surely disagrees, and from which on it does not."""
 _BRIGHTER = (-2.6, -2.1)
-"""The logarithm of the H's least contrast in any channel, as in `FEATURES`, up to which it surely is not brighter than the disc,
-and from which on it is. In haze the least of right registrations that are sure is -1.9.
+"""`white` of `verification.FEATURES`, the logarithm of the H's least contrast in any channel, up to which it surely is not
+brighter than the disc, and from which on it is. In haze the least of right registrations that are sure is -1.9.
 """
 _HAND_SET = {
     "no_ring": -3.0,
