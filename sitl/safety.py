@@ -28,6 +28,8 @@ BLIND_DESCENT_MAX_M = 0.5
 """Descent without sight that is allowed: what wind and the vehicle's own landing cause, and no more."""
 UNREACHED_STOP_M = 0.3
 """Way down that an AR.Drone needs to stop when nothing reaches it and it begins to hover by itself."""
+MET_AFTER_S = 0.5
+"""Time after a command at which the vehicle has the speed that it asks for, and meets the deck's."""
 CLIMB_OUT_S = 1.0
 """Time that a vehicle needs to climb out of a deck's reach when it is reached again."""
 STAMP_ERROR_MAX_S = 0.5
@@ -67,12 +69,13 @@ class SightWatch:
         self.unreached_m = 0.0
         """Deepest descent during one time in which nothing reached the vehicle, metres."""
         self.deck_fell_m_s = 0.0
-        """Fastest fall of the deck at the beginning of such a time: the last command followed it."""
+        """Fastest fall of the deck at the beginning of such a time, where the last command was meant to meet it."""
         self.since_sight: Counter[Verdict] = Counter()
         """Number of frames by verdict since the newest true sight."""
         self._seen_at = start
         self._lost_at_m: tuple[float, float] | None = None
         self._unreached_at_m: tuple[float, float] | None = None
+        self._unreached_since = start
 
     def frame(self, exposed_at: MonoNs, verdict: Verdict, *, true_view: bool, stamp_error_s: float) -> None:
         """Note a frame and the service's verdict on it."""
@@ -91,7 +94,8 @@ class SightWatch:
         at_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
         if not reached:
             if self._unreached_at_m is None:
-                self._unreached_at_m = at_m
+                self._unreached_at_m, self._unreached_since = at_m, truth.at
+            if seconds_between(self._unreached_since, truth.at) <= MET_AFTER_S:
                 self.deck_fell_m_s = max(self.deck_fell_m_s, float(truth.v_pad_ned[2]))
             if truth.phase in _IN_THE_AIR:
                 self.unreached_m = max(self.unreached_m, _descent_m(self._unreached_at_m, at_m))
@@ -127,7 +131,7 @@ def unreached_descent_max_m(guidance: GuidanceOptions, com_watchdog_s: float, de
     deck. Then it hovers. A landing that it begins by itself goes deeper.
 
     Args:
-        deck_fell_m_s: how fast the deck fell when the last command was given.
+        deck_fell_m_s: how fast the deck fell where the last command was meant to meet it.
     """
     rate_m_s = guidance.thesis.speed_m_s if guidance.mission == "thesis" else guidance.cone.descent_rate_m_s
     if guidance.controller == "pid":

@@ -114,10 +114,11 @@ def test_a_last_command_that_followed_a_falling_deck_takes_an_unreached_vehicle_
     watch = SightWatch(START)
     for at_s, reached, falls_m_s in (
         (0.0, True, 0.4),
-        (0.1, False, 0.1),
-        (0.2, False, 0.4),
-        (0.3, True, 0.4),
-        (0.4, False, -0.2),
+        (0.1, False, 0.05),
+        (0.5, False, 0.1),
+        (0.7, False, 0.4),
+        (0.8, True, 0.4),
+        (0.9, False, -0.2),
     ):
         watch.step(truth(at_s, 2.0, deck_falls_m_s=falls_m_s), reached=reached)
     assert watch.deck_fell_m_s == pytest.approx(0.1)
