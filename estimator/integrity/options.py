@@ -159,6 +159,17 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
             60.0,
         ),
     ] = 2.0
+    pads_apart_m: Annotated[
+        float,
+        number(
+            "least distance between the centres of two pads; what is seen for adopt_s nearer than half of it beside the expected "
+            "position is the tracked pad, and the estimate was wrong",
+            "m",
+            0.0,
+            100.0,
+            "two of the thesis' pads side by side",
+        ),
+    ] = 0.78
 
     range_tolerance_m: Annotated[
         float, number("largest difference between range sensor and camera over the pad", "m", 0.01, 100.0)

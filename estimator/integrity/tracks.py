@@ -3,7 +3,8 @@
 A sighting belongs to the track if motion explains its position: it is where the belief expects the pad (this includes the IMU at
 full rate), or close to the previous sighting. Anything else is a candidate with its own short history. The track never moves to a
 candidate. After `adopt_s` with one candidate alone in view the track ends, and a new one with a higher number begins; the
-consumers of the estimate see the number change.
+consumers of the estimate see the number change. A candidate so near to the expected position that no other pad can lie there is
+the tracked pad: the estimate was wrong, and the track goes on.
 """
 
 from __future__ import annotations
@@ -95,7 +96,8 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
         if chosen.n > max(tracks.n, _SEEN_AT_LEAST):
             return Tracks(tracks.number, chosen.n, seen), True
     elif _adopted(chosen, candidates, o):
-        return Tracks(tracks.number + 1, chosen.n, seen), True
+        same = expected is not None and _apart(expected, seen)[0] < 0.5 * o.pads_apart_m
+        return Tracks(tracks.number + (not same), chosen.n, seen), True
     return tracks._replace(candidates=candidates), False
 
 

@@ -27,6 +27,7 @@ def test_no_rendered_frame_without_a_pad_shows_one(chunk: int) -> None:
         pytest.param(41164, 16, id="an orange raft with a white middle on green"),
         pytest.param(41182, 75, id="the corner of another helipad"),
         pytest.param(41271, 58, id="another helipad in strong glare"),
+        pytest.param(41329, 92, id="an H of other strokes"),
     ],
 )
 def test_what_a_search_once_took_for_the_pad_is_none(chunk: int, i: int) -> None:

@@ -55,6 +55,8 @@ _BRIGHTER = (-2.6, -2.1)
 """`white` of `verification.FEATURES`, the logarithm of the H's least contrast in any channel, up to which it surely is not
 brighter than the disc, and from which on it is. In haze the least of right registrations that are sure is -1.9.
 """
+_H_INLIERS = (0.8, 0.95)
+"""Share of an H's edges that agree, where nothing else shows, up to which it surely is another H, and from which on it is not."""
 _ASTRAY_PX = (0.6, 0.9)
 """Unexplained displacement of the edges, rms, up to which they are in place, and from which on they are not."""
 _HAND_SET = {
@@ -68,6 +70,7 @@ _HAND_SET = {
     "not_brighter": -2.0,
     "corner": -3.0,
     "edges_astray": -3.0,
+    "h_astray": -2.0,
 }
 """Log-odds of further inputs, set by hand because too few of the fit's false candidates look like the pad.
 
@@ -88,9 +91,10 @@ corner: a corner of a nearby H is in view, and the edge of the disc does not sho
 show as much.
 edges_astray: the edges of a nearby pad are displaced by more than its pose, its blur and their noise explain; of 473 right
 registrations one in a hundred had more than 0.5 px, none 0.9. A helipad in strong glare, whose ring and H fit nearly, had 1 px.
+h_astray: of a nearby pad only the H shows, and parts of it are not where the drawing has them; so was another H on green.
 """
 
-_UNTRACKED = ("no_ring", "no_h", "corner", "edges_astray")
+_UNTRACKED = ("no_ring", "no_h", "corner", "edges_astray", "h_astray")
 """Those that count only while no track has confirmed the pad before."""
 
 HAND_SET_FEATURES = tuple(_HAND_SET)
@@ -134,7 +138,7 @@ def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
         dense * _painted(found, max(off_by_channel)) * has_both, dense * _faint(found, pad) * bool(has_field and marks.letters),
         dense * _h_contrast_odd(found) * has_both, dense * _disagrees(found),
         dense * _not_brighter(values, pad) * has_both, (1.0 - dense) * _corner(found) * bool(marks.letters),
-        (1.0 - dense) * float(np.interp(found.edge_rms_px, _ASTRAY_PX, (0.0, 1.0))),
+        (1.0 - dense) * float(np.interp(found.edge_rms_px, _ASTRAY_PX, (0.0, 1.0))), (1.0 - dense) * _h_astray(found),
     ])  # fmt: skip
 
 
@@ -233,6 +237,13 @@ def _not_brighter(values: F64, pad: Pad) -> float:
     if min(_orange_places(pad)[0]) < 0.0:
         return 0.0
     return float(np.interp(values[verification.FEATURES.index("white")], _BRIGHTER, (1.0, 0.0)))
+
+
+def _h_astray(found: Registration) -> float:
+    """Return 0..1: how surely what shows, an H alone, is another H."""
+    if any(found.edges[kind].seen for kind in (EdgeKind.DISC, EdgeKind.RING, EdgeKind.ARROW)):
+        return 0.0
+    return float(np.interp(found.edges[EdgeKind.H].inliers, _H_INLIERS, (1.0, 0.0)))
 
 
 def _corner(found: Registration) -> float:

@@ -56,6 +56,18 @@ def test_only_after_its_time_a_new_track_with_a_new_number_begins() -> None:
     assert all(explained[explained.index(True) :])
 
 
+@pytest.mark.parametrize(
+    ("aside_m", "down_m", "number"), [(0.38, 0.0, 1), (0.4, 0.0, 2), (0.3, 0.3, 1), (0.0, 1.5, 1), (0.4, 1.5, 2)]
+)
+def test_where_no_other_pad_can_lie_it_is_the_tracked_one_after_that_time(aside_m: float, down_m: float, number: int) -> None:
+    expected = (HERE[0] + aside_m, HERE[1], HERE[2] + down_m)
+    tracks, _ = follow(Tracks(), steady(0, 2, HERE))
+    tracks, explained = follow(tracks, steady(4, 7, HERE), place(0, expected))
+    assert tracks.number == number
+    assert explained.index(True) == pytest.approx(LIMITS.adopt_s * 30, abs=2)
+    assert all(explained[explained.index(True) :])
+
+
 def test_the_old_place_seen_again_meanwhile_goes_on_as_the_old_track() -> None:
     tracks, _ = follow(Tracks(), steady(0, 2, HERE))
     tracks, _ = follow(tracks, steady(2, 3.5, ASIDE))
