@@ -27,7 +27,7 @@ from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
-from estimator.vision.register.sighting import registered_sighting  # noqa: E402
+from estimator.vision.register.sighting import sighting_of  # noqa: E402
 from tests.support.pad_scenes import load_camera, load_pad  # noqa: E402
 from tests.support.pad_surroundings import SURROUNDINGS, SurroundedView, surrounded_view  # noqa: E402
 from tests.support.pad_views import error, pad_error  # noqa: E402
@@ -45,7 +45,7 @@ def measured(view: SurroundedView, camera: Camera, pad: Pad) -> F64 | None:
     if found is None:
         return None
     e = error(found.pose, view.truth)
-    seen = registered_sighting(Frame(STAMP, 0, view.px), found, camera, view.prior)
+    seen = sighting_of(Frame(STAMP, 0, view.px), found.pose, found.cov, camera, view.prior, found.yaw_ambiguous, 1.0)
     turned = 0.0 if seen.yaw_rad is None else wrap_pi(seen.yaw_rad - view.yaw_rad)
     e4 = np.append(seen.d_body_pad_level - view.d_body_pad_level, turned)
     R = view.truth.R_cam_pad.matrix

@@ -26,14 +26,14 @@ sys.path.insert(0, str(ROOT))
 
 from estimator.contracts.samples import Attitude  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
+from estimator.core.interface.look import FITTED  # noqa: E402
 from estimator.vision.detect.acquire import acquire  # noqa: E402
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align  # noqa: E402
 from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
 from estimator.vision.detect.verification import FEATURES  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
-from estimator.vision.register.fit_verification import FITTED_FEATURES, features  # noqa: E402
-from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
+from estimator.vision.register.look import look  # noqa: E402
+from estimator.vision.register.options import RegistrationOptions  # noqa: E402
 from tests.support.pad_claims import keeps_claim  # noqa: E402
 from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
 
@@ -86,7 +86,7 @@ def examples(seed: int) -> F64:
 
 
 def registered_examples(seed: int) -> F64:
-    """Return the examples of registration, (n, 3 + len(FITTED_FEATURES)), in the form of `examples`."""
+    """Return the examples of registration, (n, 3 + len(FITTED)), in the form of `examples`."""
     cv2.setNumThreads(1)
     camera, rows = load_camera("sim"), []
     for frame, with_pad, pad, scene in scenes(seed):
@@ -96,13 +96,12 @@ def registered_examples(seed: int) -> F64:
             attitude = Attitude(stamp, scene.R_level_body, np.eye(3) * math.radians(1.0) ** 2)
         orientation = Orientation.of(attitude, math.radians(2.0))
         for c in acquire(scene.px, camera, pad, scene.R_level_body)[:2]:
-            found = register(scene.px, camera, pad, c.pose, orientation, RegistrationOptions(coarse=False))
-            aligned = None if found is None else align(Pyramid(scene.px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)
-            if found is None or aligned is None:
+            found = look(Pyramid(scene.px), camera, pad, c.pose, orientation, RegistrationOptions(coarse=False))
+            if found is None:
                 continue
             right = scene.truth is not None and keeps_claim(found.pose, scene.truth, camera, pad, found.yaw_ambiguous)
-            rows.append([frame, float(right), float(with_pad), *features(aligned, found, pad)[: len(FITTED_FEATURES)]])
-    return np.array(rows).reshape(-1, 3 + len(FITTED_FEATURES))
+            rows.append([frame, float(right), float(with_pad), *found.evidence[: len(FITTED)]])
+    return np.array(rows).reshape(-1, 3 + len(FITTED))
 
 
 def fit(x: F64, y: F64, weight: F64) -> F64:
@@ -142,7 +141,7 @@ def main() -> None:
     parser.add_argument("--registered", action="store_true")
     parser.add_argument("--keep", type=Path, help="write the examples here, or read them if the file is there")
     args = parser.parse_args()
-    names, work, first = (FITTED_FEATURES, registered_examples, _REGISTERED_FROM) if args.registered else (FEATURES, examples, 0)
+    names, work, first = (FITTED, registered_examples, _REGISTERED_FROM) if args.registered else (FEATURES, examples, 0)
     if args.keep is not None and args.keep.exists():
         data = np.load(args.keep)
     else:

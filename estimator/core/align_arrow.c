@@ -28,7 +28,7 @@ static int light_at(const picture *of, const double uv_full[2], double *light)
 {
     const double step = (double)(1 << of->part->level);
     const int w = (int)of->part->width, h = (int)of->part->height;
-    const double u = (uv_full[0] + 0.5) / step - 0.5, v = (uv_full[1] + 0.5) / step - 0.5;
+    const double u = (uv_full[0] + 0.5) / step - 0.5 - (double)of->part->left, v = (uv_full[1] + 0.5) / step - 0.5 - (double)of->part->top;
     if (!(u > -0.5 && u < w - 0.5 && v > -0.5 && v < h - 0.5)) {
         return 0;
     }

@@ -5,6 +5,8 @@
 /* Radius of a circle that encloses all samples, in radii of the disc, and points on it. */
 static const double BOX_RADII = 1.15;
 enum { BOX_POINTS = 24, LEAST_PX = 3 };
+/* Pixels of a level about the box, so that every place in it lies between two. */
+enum { MARGIN_PX = 2 };
 /* Least depth of the pad's centre, and of a point that is projected, m. */
 static const double LEAST_DEPTH_M = 0.02, LEAST_PROJECTED_M = 0.05;
 
@@ -46,6 +48,19 @@ static void box_of(const camera_lens *c, const pad_template *p, const pad_pose *
     }
 }
 
+/* The part of a level that a box of the frame lies in. Returns whether it is large enough to align with. */
+static int part_in(const camera_lens *c, const double box[4], int level, frame_part *out)
+{
+    const int k = 1 << level;
+    const double columns = fmax(1.0, (double)(c->width >> level)), rows = fmax(1.0, (double)(c->height >> level));
+    out->level = level;
+    out->left = (int64_t)floor(box[0] / k);
+    out->top = (int64_t)floor(box[1] / k);
+    out->width = (int64_t)fmin(ceil(box[2] / k), columns) - out->left;
+    out->height = (int64_t)fmin(ceil(box[3] / k), rows) - out->top;
+    return out->width >= LEAST_PX && out->height >= LEAST_PX;
+}
+
 int32_t align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out)
 {
     double box[4];
@@ -57,12 +72,16 @@ int32_t align_view(const camera_lens *c, const pad_template *p, const pad_pose *
     if (!(w >= LEAST_PX && h >= LEAST_PX)) {
         return 0;
     }
-    const int level = (int)fmin(FRAME_LEVELS, fmax(0.0, ceil(0.5 * log2(w * h / most)))), k = 1 << level;
-    const double columns = fmax(1.0, (double)(c->width >> level)), rows = fmax(1.0, (double)(c->height >> level));
-    out->level = level;
-    out->left = (int64_t)floor(box[0] / k);
-    out->top = (int64_t)floor(box[1] / k);
-    out->width = (int64_t)fmin(ceil(box[2] / k), columns) - out->left;
-    out->height = (int64_t)fmin(ceil(box[3] / k), rows) - out->top;
-    return out->width >= LEAST_PX && out->height >= LEAST_PX;
+    return part_in(c, box, (int)fmin(FRAME_LEVELS, fmax(0.0, ceil(0.5 * log2(w * h / most)))), out);
+}
+
+void align_about(const camera_lens *c, const pad_template *p, const pad_pose *pose, int level, frame_part *out)
+{
+    double box[4];
+    box_of(c, p, pose, box);
+    for (int k = 0; k < 2; k++) {
+        box[k] = fmax(0.0, box[k] - (MARGIN_PX << level));
+        box[2 + k] += MARGIN_PX << level;
+    }
+    part_in(c, box, level, out);
 }

@@ -70,6 +70,10 @@
 #define LOCAL_MAX 128
 #define SAMPLE_LANES 8
 #define SCRATCH_ROWS 35
+#define APPROACH_SAMPLES 1000
+#define APPROACH_STEPS 6
+#define FINAL_SAMPLES 2600
+#define ARROW_SAMPLES 5
 #define FEATURES 31
 #define FEATURE_ONE 0
 #define FEATURE_H_MARKING 1
@@ -102,6 +106,33 @@
 #define FEATURE_SIZE 28
 #define FEATURE_IN_VIEW 29
 #define FEATURE_TILT 30
+#define EVIDENCE 26
+#define EVIDENCE_ONE 0
+#define EVIDENCE_TEMPLATE_SCORE 1
+#define EVIDENCE_INLIERS 2
+#define EVIDENCE_DISC_OFF 3
+#define EVIDENCE_RING_OFF 4
+#define EVIDENCE_H_OFF 5
+#define EVIDENCE_RING_UNSEEN 6
+#define EVIDENCE_H_UNSEEN 7
+#define EVIDENCE_DENSE 8
+#define EVIDENCE_DENSE_INLIERS 9
+#define EVIDENCE_RMS 10
+#define EVIDENCE_VISIBLE 11
+#define EVIDENCE_DENSE_TEMPLATE_SCORE 12
+#define EVIDENCE_DENSE_DISC 13
+#define EVIDENCE_DENSE_ORANGE 14
+#define EVIDENCE_NO_RING 15
+#define EVIDENCE_NO_H 16
+#define EVIDENCE_DISC_UNSEEN 17
+#define EVIDENCE_PAINTED 18
+#define EVIDENCE_NO_DISC 19
+#define EVIDENCE_H_CONTRAST_ODD 20
+#define EVIDENCE_DISAGREES 21
+#define EVIDENCE_NOT_BRIGHTER 22
+#define EVIDENCE_CORNER 23
+#define EVIDENCE_EDGES_ASTRAY 24
+#define EVIDENCE_H_ASTRAY 25
 #define SEARCH_BLOCK 16
 #define SEARCH_CELL 2
 #define SEARCH_RADII 12
@@ -728,6 +759,38 @@ typedef struct {
 } aligned_pad;
 
 typedef struct {
+    int64_t has_field;
+    int64_t has_ring;
+    int64_t has_letters;
+    int64_t disc_has_colour;
+    double orange_side[3];
+    double orange_place[3];
+    double template_weights[31];
+    double weights[26];
+} pad_judge;
+
+typedef struct {
+    int64_t coarse;
+    double sigma_tilt_rad;
+    double t_body_cam[3];
+} look_options;
+
+typedef struct {
+    double mean[12];
+    double var[12];
+    double trust;
+} pad_paint;
+
+typedef struct {
+    registration found;
+    aligned_pad aligned;
+    level_sighting seen;
+    pad_paint paint;
+    double evidence[26];
+    double log_odds;
+} looked_pad;
+
+typedef struct {
     int64_t width;
     int64_t height;
     int64_t stride;
@@ -1131,6 +1194,9 @@ void law_step(const law_params *o, const law_gains *gains, const law_gains *gain
 void law_observe(const law_params *o, const double *observer, double dt, double arrived, const law_axis *before, const axis_measured *z, law_axis *after);
 double law_tilt(const law_axis *x, const law_gains *gains, double off_m, double a_deck, double a_deck_then);
 
+/* look.c */
+int32_t look_at_pad(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const float *lights, const pad_shape *shape, int32_t points, const double *edges, const int32_t *edge_of, const pad_template *drawn, const int16_t *maps, const int16_t *local_maps, const pad_judge *judge, const tilt_prior *prior, const fit_options *fit, const frame_quality *quality, const look_options *how, const pad_paint *known, const double *start, int32_t room, float *scratch, uint8_t *parts, looked_pad *out, double *outline);
+
 /* register.c */
 int32_t register_pad(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad, int32_t points, const double *edges, const int32_t *edge_of, const tilt_prior *prior, const fit_options *o, const double *start, int32_t room, float *scratch, registration *out, double *outline);
 
@@ -1216,7 +1282,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 3182786335u
+#define INTERFACE_DIGEST 4236701772u
 #endif
 
 #endif

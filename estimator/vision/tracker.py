@@ -35,7 +35,7 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.letter_alone import nearest_of_four
 from estimator.vision.register.registration import RegistrationOptions
-from estimator.vision.register.sighting import registered_sighting
+from estimator.vision.register.sighting import sighting_of_look
 from estimator.vision.rolling import at_one_instant
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS
@@ -265,13 +265,13 @@ def _register_from(
     """
     if frame.coded:
         options = dataclasses.replace(options, coded_px=CODED_PX)
-    of = verified(pyramid, tracker.camera, tracker.pad, start, orientation, options, prior_log_odds, cut)
+    of = verified(pyramid, tracker.camera, tracker.pad, start, orientation, options, prior_log_odds, cut, paint)
     if of is None:
         return None
     opinions = _second_opinion(tracker, pyramid, of) if searched else None
     sure = of.confidence if opinions is None else lowered(of.confidence, opinions.learned)
-    sighting = replace(registered_sighting(frame, of.found, tracker.camera, orientation), confidence=sure)
-    return _Registered(sighting, learn(paint, of.aligned, sure) if sure >= SURE else missed(paint), opinions)
+    learned = learn(paint, of.found.paint(), sure) if sure >= SURE else missed(paint)
+    return _Registered(sighting_of_look(frame, of.found, sure), learned, opinions)
 
 
 def _second_opinion(tracker: TrackerConfig, pyramid: Pyramid, of: Verified) -> Opinions | None:

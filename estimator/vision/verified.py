@@ -6,17 +6,19 @@ from dataclasses import dataclass, replace
 
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
-from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT, AlignedTemplate, align
+from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT
 from estimator.vision.detect.covered import COVERED_LOG_ODDS, align_uncovered
+from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register import fit_verification
 from estimator.vision.register.fiducial_cells import cells_log_odds
+from estimator.vision.register.fit_verification import confidence
 from estimator.vision.register.letter_alone import letter_log_odds
-from estimator.vision.register.registration import Registration, RegistrationOptions, register
+from estimator.vision.register.look import Looked, look
+from estimator.vision.register.options import RegistrationOptions
 
 SURE = 0.5
 """Confidence from which on a pose is the pad's."""
@@ -37,10 +39,9 @@ strayed: what covers a part of a disc in its own shade pulls the edges there, an
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verified:
-    """A registration, the drawing aligned at its pose, and how sure it is that this is the pad."""
+    """What a look found, and how sure it is that this is the pad."""
 
-    found: Registration
-    aligned: AlignedTemplate
+    found: Looked
     confidence: float
     """0..1."""
     cut: F64 | None = None
@@ -56,6 +57,7 @@ def verified(
     options: RegistrationOptions = CLOSE,
     prior_log_odds: float = 0.0,
     cut: F64 | None = None,
+    paint: PaintMemory = FRESH,
 ) -> Verified | None:
     """Register the drawing from a start pose and verify it there; return None if nothing is found.
 
@@ -65,14 +67,15 @@ def verified(
         orientation: the attitude at the exposure.
         prior_log_odds: for the place of the start, as for `verification.confidence`.
         cut: the line beyond which something covers the pad, (3,), if that is known; see `alignment.UNCUT`.
+        paint: what is known of the paints.
 
     Raises:
         ValueError: the frame is not of the camera's size.
     """
     best, strayed, pad = None, False, pyramid.as_seen(pad)
     if cut is None:
-        best = _of_visible(pyramid, camera, pad, start, orientation, options, prior_log_odds, UNCUT)
-        strayed = best is not None and _strays(best.found.pose, start, camera, pad)
+        best = _of_visible(pyramid, camera, pad, start, orientation, options, prior_log_odds, UNCUT, paint)
+        strayed = best is not None and _strays(best.found, start, camera, pad)
         if (best is not None and best.confidence >= _CERTAIN and not strayed) or not pad.markings.is_searched_by_parts:
             return best
         sigma_rad = SIGMA_TILT_RAD if orientation.measured else SIGMA_TILT_FREE_RAD
@@ -81,17 +84,17 @@ def verified(
             return best
         start, cut = uncovered[0].pose, uncovered[1]
     near = replace(options, coarse=False)
-    other = _of_visible(pyramid, camera, pad, start, orientation, near, prior_log_odds + COVERED_LOG_ODDS, cut)
+    other = _of_visible(pyramid, camera, pad, start, orientation, near, prior_log_odds + COVERED_LOG_ODDS, cut, paint)
     if best is None or other is None:
         return best or other
-    stayed = strayed and other.confidence >= SURE and not _strays(other.found.pose, start, camera, pad)
+    stayed = strayed and other.confidence >= SURE and not _strays(other.found, start, camera, pad)
     return other if stayed or other.confidence > best.confidence else best
 
 
-def _strays(pose: PadPose, start: PadPose, camera: Camera, pad: Pad) -> bool:
+def _strays(found: Looked, start: PadPose, camera: Camera, pad: Pad) -> bool:
     """Return whether a registration is so much nearer or farther than its start that something else has pulled it."""
     radius_px = camera.fx * pad.disc_radius_m / start.range_m
-    return abs(pose.range_m / start.range_m - 1.0) > _STRAYS + _STRAYS_PX / radius_px
+    return abs(found.range_m / start.range_m - 1.0) > _STRAYS + _STRAYS_PX / radius_px
 
 
 def _of_visible(
@@ -103,18 +106,18 @@ def _of_visible(
     options: RegistrationOptions,
     prior_log_odds: float,
     cut: F64,
+    paint: PaintMemory,
 ) -> Verified | None:
     """Register what lies on this side of a cut, and verify the drawing there."""
-    found = register(pyramid[0], camera, pad, start, orientation, options, cut, pyramid)
+    tracked = prior_log_odds > 0.0
+    found = look(pyramid, camera, pad, start, orientation, options, tracked=tracked, cut=cut, paint=paint)
     if found is None:
         return None
-    aligned = align(pyramid, camera, pad, found.pose, SIGMA_TILT_RAD, 0, cut=cut)
-    if aligned is None:
-        return None
-    shape = 0.0 if cut is UNCUT or found.edges[EdgeKind.RING].seen else _RINGLESS_LOG_ODDS
+    odds = found.log_odds + prior_log_odds
+    if cut is not UNCUT and not found.edges[EdgeKind.RING].seen:
+        odds += _RINGLESS_LOG_ODDS
     if pad.markings.fiducials:
-        shape += cells_log_odds(pyramid[0], camera, pad, found)
+        odds += cells_log_odds(pyramid[0], camera, pad, found.registration())
     elif pad.markings.is_letter_alone:
-        shape = letter_log_odds(found, prior_log_odds > 0.0)
-    sure = fit_verification.confidence(fit_verification.features(aligned, found, pad), prior_log_odds, shape)
-    return Verified(found, aligned, min(1.0, sure), None if cut is UNCUT else cut)
+        odds += letter_log_odds(found.registration(), tracked)
+    return Verified(found, confidence(odds), None if cut is UNCUT else cut)

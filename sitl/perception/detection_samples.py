@@ -86,7 +86,7 @@ def _sample(
 
 
 def _in_camera(registered: Sighting, attitude: Attitude, camera: Camera, sigma_deck_rad: float, view: View) -> Measured:
-    """Undo `estimator.vision.register.sighting.registered_sighting`: its inputs from its result and the attitude it used."""
+    """Undo `estimator.vision.register.sighting.sighting_of`: its inputs from its result and the attitude it used."""
     pose = registered.pose6
     assert pose is not None
     orientation = Orientation.of(attitude, sigma_deck_rad)

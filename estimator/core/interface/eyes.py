@@ -14,6 +14,14 @@ LOCAL_MAX = 128
 """The widest neighbourhood of a pixel whose mean light is subtracted, px to either side."""
 SAMPLE_LANES = 8
 """Samples are handled in groups of so many, and their rows are as long as whole groups."""
+APPROACH_SAMPLES = 1000
+"""Largest number of samples in the disc's bounding box on the way to a registration."""
+APPROACH_STEPS = 6
+"""Steps of Gauss and Newton on that way."""
+FINAL_SAMPLES = 2600
+"""Largest number of samples in the disc's bounding box for verification."""
+ARROW_SAMPLES = 5
+"""Pixels of the chosen level along the arrowhead, if the frame has as many."""
 SCRATCH_ROWS = 35
 """Number of floats for each pixel of the part of a frame that is aligned, beside a row of it with `LOCAL_MAX` at either end."""
 FEATURES = (
@@ -26,7 +34,8 @@ FEATURES = (
 
 CONSTANTS = {
     "FRAME_LEVELS": FRAME_LEVELS, "TEMPLATE_BLURS": TEMPLATE_BLURS, "TEMPLATE_ONE": TEMPLATE_ONE, "LOCAL_MAX": LOCAL_MAX,
-    "SAMPLE_LANES": SAMPLE_LANES, "SCRATCH_ROWS": SCRATCH_ROWS, "FEATURES": len(FEATURES),
+    "SAMPLE_LANES": SAMPLE_LANES, "SCRATCH_ROWS": SCRATCH_ROWS, "APPROACH_SAMPLES": APPROACH_SAMPLES,
+    "APPROACH_STEPS": APPROACH_STEPS, "FINAL_SAMPLES": FINAL_SAMPLES, "ARROW_SAMPLES": ARROW_SAMPLES, "FEATURES": len(FEATURES),
     **{f"FEATURE_{name.upper()}": value for value, name in enumerate(FEATURES)},
 }  # fmt: skip
 """Numbers by their names in the header."""

@@ -19,7 +19,16 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.core.interface import places_of, size_of
-from estimator.core.interface.eyes import FRAME_LEVELS, LOCAL_MAX, SAMPLE_LANES, SCRATCH_ROWS
+from estimator.core.interface.eyes import (
+    APPROACH_SAMPLES,
+    APPROACH_STEPS,
+    ARROW_SAMPLES,
+    FINAL_SAMPLES,
+    FRAME_LEVELS,
+    LOCAL_MAX,
+    SAMPLE_LANES,
+    SCRATCH_ROWS,
+)
 from estimator.core.library import CORE, start_of
 from estimator.vision.camera import Camera
 from estimator.vision.detect.light import TABLES
@@ -37,10 +46,8 @@ UNCUT = np.zeros(3)
 """The cut that hides nothing. A cut (3,) is a line across the frame: rays (x, y) with `a x + b y + c < 0` do not count."""
 UNCUT.setflags(write=False)
 
-_SAMPLES, _APPROACH_SAMPLES, _FINAL_SAMPLES = 700, 1000, 2600
-"""Largest numbers of samples in the disc's bounding box: during a search, on the way to a registration, and for verification."""
-_ARROW_SAMPLES = 5
-"""Pixels of the chosen pyramid level along the arrowhead, if the frame has as many."""
+_SAMPLES = 700
+"""Largest number of samples in the disc's bounding box during a search."""
 SIGMA_TILT_RAD = math.radians(3.0)
 """Standard deviation of the tilt between the deck and a vehicle of measured attitude."""
 SIGMA_TILT_FREE_RAD = math.radians(15.0)
@@ -102,7 +109,7 @@ class Cover(NamedTuple):
     """Share of the light's variation on this side of the line that the drawing leaves, 0..1."""
 
 
-class _Fixed(NamedTuple):
+class DrawingAddresses(NamedTuple):
     """Addresses of what stays the same from frame to frame, and what keeps it in memory."""
 
     camera: int
@@ -114,10 +121,11 @@ class _Fixed(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def _fixed(camera: Camera, pad: Pad) -> _Fixed:
+def drawing_addresses(camera: Camera, pad: Pad) -> DrawingAddresses:
+    """Return where the core finds a camera and a pad's drawing; the result is cached."""
     lens, drawn = packed_camera(camera), template(pad)
     maps = address(drawn.coverage, np.int16), address(drawn.local, np.int16)
-    return _Fixed(address(lens), address(drawn.words), *maps, address(TABLES, np.float32), (lens, drawn))
+    return DrawingAddresses(address(lens), address(drawn.words), *maps, address(TABLES, np.float32), (lens, drawn))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,19 +161,19 @@ def align(
     Returns:
         The aligned template; None if too little of the pad is in view, or if the pose diverges.
     """
-    words, tilt_sigmas, fixed = _packed(pose), 0.0, _fixed(camera, pad)
+    words, tilt_sigmas, fixed = _packed(pose), 0.0, drawing_addresses(camera, pad)
     if steps > 0:
         moved = _moved(pyramid, fixed, words, sigma_tilt_rad, steps, local, _SAMPLES, side, cut)
         if moved is None:
             return None
         tilt_sigmas = moved
         pose = _unpacked(words)
-    part = _part(pyramid, fixed, words, _FINAL_SAMPLES)
+    part = _part(pyramid, fixed, words, FINAL_SAMPLES)
     if part is None:
         return None
     out = np.empty(_ALIGNED_WORDS)
     arrow_px = camera.fx * pad.markings.arrow_depth_m / float(words[-1])
-    level = min(FRAME_LEVELS, math.floor(math.log2(max(1.0, arrow_px / _ARROW_SAMPLES))))
+    level = min(FRAME_LEVELS, math.floor(math.log2(max(1.0, arrow_px / ARROW_SAMPLES))))
     arrow_image = pyramid[level]
     arrow_part = np.array([level, 0, 0, arrow_image.shape[1], arrow_image.shape[0]])
     found = _FIT(
@@ -182,7 +190,7 @@ def cover(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose) -> Cover | 
 
     There is always such a line unless too little of the pad is in view; `gain` and `left` say what it is worth.
     """
-    words, fixed = _packed(pose), _fixed(camera, pad)
+    words, fixed = _packed(pose), drawing_addresses(camera, pad)
     part = _part(pyramid, fixed, words, _SAMPLES)
     out = np.empty(_COVER_WORDS)
     if part is None or not _COVER(
@@ -193,19 +201,19 @@ def cover(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose) -> Cover | 
     return Cover(out[_LINE["cut"]], *(float(out[_LINE[name].start]) for name in ("gain", "left")))
 
 
-def approach(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, sigma_tilt_rad: float, steps: int = 6) -> PadPose | None:
+def approach(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, sigma_tilt_rad: float) -> PadPose | None:
     """Return a pose that edge-based registration can start from, given a rough one.
 
     This is `align` without the inputs of the classifier.
     """
     words = _packed(pose)
-    moved = _moved(pyramid, _fixed(camera, pad), words, sigma_tilt_rad, steps, False, _APPROACH_SAMPLES)
+    moved = _moved(pyramid, drawing_addresses(camera, pad), words, sigma_tilt_rad, APPROACH_STEPS, False, APPROACH_SAMPLES)
     return None if moved is None else _unpacked(words)
 
 
 def _moved(
     pyramid: Pyramid,
-    fixed: _Fixed,
+    fixed: DrawingAddresses,
     pose: F64,
     sigma_tilt_rad: float,
     steps: int,
@@ -231,7 +239,7 @@ def _moved(
     return float(tilt_sigmas[0]) if found else None
 
 
-def _part(pyramid: Pyramid, fixed: _Fixed, pose: F64, most: int) -> _Part | None:
+def _part(pyramid: Pyramid, fixed: DrawingAddresses, pose: F64, most: int) -> _Part | None:
     """Return the pixels about the disc, from the pyramid level that has a suitable number of them there."""
     words = np.empty(_PART_WORDS)
     if not _VIEW(fixed.camera, fixed.template, start_of(pose), most, start_of(words)):

@@ -12,24 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.vision.detect.alignment import AlignedTemplate
 from estimator.vision.detect.template import AROUND, DISC
 from estimator.vision.pad import Pad
 
 LEARNED_AT = 0.9
 """Confidence that a frame needs to update the memory."""
-RATE = 0.05
-"""Weight of one frame in the memory: half of the memory is newer than 14 frames."""
 FADING = 0.08
 """Fraction of the trust lost with each frame without the pad: full trust is lost in 28 frames."""
 TRUSTED = 0.10
 """Trust above which the memory is used: three confident frames."""
 _BROAD = 1.0
 """Variance, in natural logarithms squared, of a paint that nothing is known about: a factor e either way."""
-_ENOUGH = 6
-"""Samples of a paint alone that a frame needs to change what is known of it."""
-_FARTHEST = 3.0
-"""Limit, in standard deviations, on the change of a paint that one frame may cause; a larger change is clipped."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,22 +58,14 @@ FRESH = PaintMemory(np.zeros((4, 3)), np.full((4, 3), _BROAD), 0.0)
 """The memory before any learning."""
 
 
-def learn(memory: PaintMemory, aligned: AlignedTemplate, confidence: float) -> PaintMemory:
-    """Return the memory after a frame in which the drawing was aligned with this confidence; a doubtful frame changes nothing."""
-    if confidence < LEARNED_AT:
-        return memory
-    light = aligned.light
-    shown = (light.samples >= _ENOUGH)[:, None]
-    scatter = light.var + 0.03**2
-    if memory.trust == 0.0:
-        mean, var = light.mean, scatter
-    else:
-        reach = _FARTHEST * np.sqrt(memory.var)
-        step = np.clip(light.mean - memory.mean, -reach, reach)
-        mean = memory.mean + RATE * step
-        var = memory.var + RATE * (scatter + step**2 - memory.var)
-    mean, var = np.where(shown, mean, memory.mean), np.where(shown, var, memory.var)
-    return PaintMemory(mean, var, memory.trust + RATE * (1.0 - memory.trust))
+def learn(memory: PaintMemory, shown: PaintMemory, confidence: float) -> PaintMemory:
+    """Return the memory after a frame that may show the pad; a doubtful frame changes nothing.
+
+    Args:
+        shown: what is known if this is the pad (`estimator/core/look_paint.c`).
+        confidence: that it is, 0..1.
+    """
+    return shown if confidence >= LEARNED_AT else memory
 
 
 def missed(memory: PaintMemory) -> PaintMemory:

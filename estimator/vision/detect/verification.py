@@ -21,7 +21,7 @@ FEATURES = eyes.FEATURES
 on one side of the pad does not count against it, and by all directions (`_all`).
 """
 
-_COEFFICIENTS = np.array(
+COEFFICIENTS = np.array(
     [
         -0.592,
         1.004,
@@ -87,7 +87,7 @@ def confidence(values: F64, prior_log_odds: float = 0.0) -> float:
 
 def log_odds(values: F64) -> float:
     """Return the log-odds that `confidence` converts to a probability."""
-    return float(values @ _COEFFICIENTS)
+    return float(values @ COEFFICIENTS)
 
 
 def arrow_support(aligned: AlignedTemplate) -> float:

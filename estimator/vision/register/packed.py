@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from estimator.core.interface import places_of, size_of
 from estimator.core.interface.registration import PROFILE_PIXELS
 from estimator.core.library import address
 from estimator.core.records import record
@@ -21,6 +22,8 @@ from estimator.vision.pose import Orientation
 from estimator.vision.register.options import RegistrationOptions
 from estimator.vision.register.pixels import light_table, ray_map
 
+_CUT, _NOISE = (places_of("fit_options")[name] for name in ("cut", "noise"))
+_PRIOR, _PRIOR_WORDS = places_of("tilt_prior"), size_of("tilt_prior")
 _LANES = 16
 _OUTLINE_STEP = 4
 """Every so many points of the edges are in an outline."""
@@ -81,9 +84,17 @@ def light_address(gamma: bool) -> int:
     return _light(gamma)[1]
 
 
+def fit_options(options: RegistrationOptions, size_sigma_m: float, cut: F64, noise: float) -> F64:
+    """Return the core's `fit_options`."""
+    words = _uncut(options, size_sigma_m)
+    if noise > 0.0 or cut.any():
+        words = words.copy()
+        words[_CUT], words[_NOISE] = cut, noise
+    return words
+
+
 @lru_cache(maxsize=8)
-def packed_options(options: RegistrationOptions, size_sigma_m: float) -> F64:
-    """Return the core's `fit_options` without a cut; the result is cached."""
+def _uncut(options: RegistrationOptions, size_sigma_m: float) -> F64:
     return record("fit_options", {
         "max_profiles": options.max_profiles, "dense_pixels": options.dense_pixels, "blur_px": options.blur_px,
         "edge_sigma_px": options.edge_sigma_px, "dense_edge_sigma_px": options.dense_edge_sigma_px,
@@ -93,12 +104,13 @@ def packed_options(options: RegistrationOptions, size_sigma_m: float) -> F64:
 
 def packed_prior(prior: Orientation | None) -> F64:
     """Return the core's `tilt_prior`, which says whether there is one."""
-    if prior is None:
-        return record("tilt_prior", {})
-    return record("tilt_prior", {
-        "given": True, "roll_rad": prior.roll_rad, "pitch_rad": prior.pitch_rad, "cov_tilt": prior.cov_tilt,
-        "sigma_deck_rad": prior.sigma_deck_rad,
-    })  # fmt: skip
+    words = np.zeros(_PRIOR_WORDS)
+    if prior is not None:
+        words[: _PRIOR["given"].stop].view(np.int64)[:] = True
+        words[_PRIOR["roll_rad"]], words[_PRIOR["pitch_rad"]] = prior.roll_rad, prior.pitch_rad
+        words[_PRIOR["cov_tilt"]] = prior.cov_tilt.ravel()
+        words[_PRIOR["sigma_deck_rad"]] = prior.sigma_deck_rad
+    return words
 
 
 def scratch_room(options: RegistrationOptions, edges: EdgePoints) -> int:

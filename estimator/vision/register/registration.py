@@ -29,13 +29,13 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.edge_support import EdgeSupport
 from estimator.vision.register.options import RegistrationOptions as RegistrationOptions
-from estimator.vision.register.packed import edge_points, light_address, packed_lens, packed_options, packed_prior, scratch_room
+from estimator.vision.register.packed import edge_points, fit_options, light_address, packed_lens, packed_prior, scratch_room
 from estimator.vision.register.pixels import U8
 from estimator.vision.register.shape import pad_shape
 
 _REGISTER = CORE.function("register_pad")
-_CUT, _NOISE = (places_of("fit_options")[name] for name in ("cut", "noise"))
 _AT, _SUPPORT = places_of("registration"), size_of("edge_support")
+_AMBIGUOUS = _AT["yaw_ambiguous"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,10 +109,7 @@ def register(
         pose = approach(pyramid, camera, pad, start, sigma) or start
     edges, out = edge_points(pad), np.empty(size_of("registration"))
     outline = np.empty((edges.shown[-1].stop, 2))
-    with_prior, of_options = packed_prior(prior), packed_options(options, pad.size_sigma_m)
-    if cut is not UNCUT or pyramid.noise > 0.0:
-        of_options = of_options.copy()
-        of_options[_CUT], of_options[_NOISE] = cut, pyramid.noise
+    with_prior, of_options = packed_prior(prior), fit_options(options, pad.size_sigma_m, cut, pyramid.noise)
     from_pose = np.concatenate([pose.R_cam_pad.matrix.ravel(), pose.t_cam_pad])
     room = scratch_room(options, edges)
     scratch = np.empty(FIT_ROWS * room, np.float32)
@@ -122,20 +119,27 @@ def register(
         start_of(out), start_of(outline),
     ):  # fmt: skip
         return None
-    return _unpacked(out, pad, prior, tuple(outline[part] for part in edges.shown))
+    return registration_of(out, pad, prior, tuple(outline[part] for part in edges.shown))
 
 
-def _unpacked(out: F64, pad: Pad, prior: Orientation | None, outline_px: tuple[F64, ...]) -> Registration:
-    dense, yaw_ambiguous = (bool(flag) for flag in out[:2].view(np.int64))
-    noise_light, edge_rms_px, visible, inliers, last_step_px = out[_AT["noise_light"].start : _AT["edges"].start].tolist()
-    edges = {
-        kind: EdgeSupport(each[:3], *each[3:].tolist())
-        for kind, each in zip(EdgeKind, out[_AT["edges"]].reshape(-1, _SUPPORT), strict=True)
-    }  # fmt: skip
+def supports(words: F64) -> Mapping[EdgeKind, EdgeSupport]:
+    """Return the support of the frame for each kind of edge, from the core's `registration`."""
+    each = words[_AT["edges"]].reshape(-1, _SUPPORT)
+    return MappingProxyType({k: EdgeSupport(one[:3], *one[3:].tolist()) for k, one in zip(EdgeKind, each, strict=True)})
+
+
+def is_ambiguous(words: F64, pad: Pad) -> bool:
+    """Return whether neither an arrowhead nor a fiducial resolved the headings, from the core's `registration`."""
     if pad.markings.fiducials:
-        yaw_ambiguous = not edges[EdgeKind.H].seen
+        return not supports(words)[EdgeKind.H].seen
+    return bool(words[_AMBIGUOUS].view(np.int64)[0])
+
+
+def registration_of(words: F64, pad: Pad, prior: Orientation | None, outline_px: tuple[F64, ...]) -> Registration:
+    """Return the core's `registration` as a value."""
+    noise_light, edge_rms_px, visible, inliers, last_step_px = words[_AT["noise_light"].start : _AT["edges"].start].tolist()
     return Registration(
-        PadPose(Rotation(out[_AT["R"]].reshape(3, 3)), out[_AT["t"]]), out[_AT["cov"]].reshape(6, 6),
-        out[_AT["information"]].reshape(6, 6), prior, MappingProxyType(edges), yaw_ambiguous, out[_AT["blur_px2"]],
-        noise_light, edge_rms_px, visible, inliers, last_step_px, dense, outline_px,
+        PadPose(Rotation(words[_AT["R"]].reshape(3, 3)), words[_AT["t"]]), words[_AT["cov"]].reshape(6, 6),
+        words[_AT["information"]].reshape(6, 6), prior, supports(words), is_ambiguous(words, pad), words[_AT["blur_px2"]],
+        noise_light, edge_rms_px, visible, inliers, last_step_px, bool(words[_AT["dense"]].view(np.int64)[0]), outline_px,
     )  # fmt: skip

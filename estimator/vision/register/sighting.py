@@ -15,32 +15,28 @@ from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.registration import Registration
-
-_WORTH = {EdgeKind.DISC: 0.4, EdgeKind.RING: 0.6, EdgeKind.ARROW: 0.4, EdgeKind.H: 0.6}
-"""Weight of each kind of edge as evidence that this is the pad and no other round or white thing."""
+from estimator.vision.register.look import Looked
 
 _IN_LEVEL = CORE.function("sighting_in_level")
 _PLACES, _SIZE = places_of("level_sighting"), size_of("level_sighting")
 _YAW_AT = _PLACES["yaw_rad"].start
 _TILT = struct.Struct("7d")
+_NAMES = {kind: kind.name.lower() for kind in EdgeKind}
 _YAW_VAR_MAX = 0.5
 """Variance of the heading from which on it counts as unknown, rad^2."""
 
 
-def registered_sighting(frame: Frame, found: Registration, camera: Camera, orientation: Orientation) -> Sighting:
+def sighting_of_look(frame: Frame, found: Looked, confidence: float) -> Sighting:
     """Return the sighting of method "registration".
 
     Args:
-        orientation: attitude at the exposure and the deck's expected tilt; the same that `register` had as prior.
+        confidence: how sure it is that this is the pad, 0..1.
     """
     features = tuple(
-        Feature("outline" if kind is not EdgeKind.H else "point", kind.name.lower(), _finite(uv))
-        for kind, uv in zip(EdgeKind, found.outline_px, strict=True)
+        Feature("outline" if kind is not EdgeKind.H else "point", _NAMES[kind], uv)
+        for kind, uv in zip(EdgeKind, found.outlines, strict=True)
     )
-    return sighting_of(
-        frame, found.pose, found.cov, camera, orientation, found.yaw_ambiguous, confidence(found), features=features
-    )
+    return _sighting(frame, found.in_level, found.yaw_ambiguous, confidence, features)
 
 
 def sighting_of(
@@ -50,8 +46,7 @@ def sighting_of(
     camera: Camera,
     orientation: Orientation,
     ambiguous: bool,
-    sure: float,
-    features: tuple[Feature, ...] = (),
+    confidence: float,
 ) -> Sighting:
     """Return the sighting of a pose in the camera's axes.
 
@@ -61,10 +56,14 @@ def sighting_of(
     Args:
         cov_pose: (6, 6) covariance of the pad's centre and of a small rotation of the pad, both in `cam`.
         ambiguous: whether the heading may be half a turn off.
-        sure: the sighting's confidence, 0..1.
+        confidence: the sighting's, 0..1.
     """
     words = np.empty(_SIZE)
     _IN_LEVEL(_packed(pose, cov_pose, camera, orientation), start_of(words))
+    return _sighting(frame, words, ambiguous, confidence, ())
+
+
+def _sighting(frame: Frame, words: F64, ambiguous: bool, sure: float, features: tuple[Feature, ...]) -> Sighting:
     words.setflags(write=False)
     d, R_level_pad, cov_pose6, cov = (words[_PLACES[name]] for name in ("d", "R_level_pad", "cov_pose", "cov"))
     cov = cov.reshape(4, 4)
@@ -84,19 +83,3 @@ def _packed(pose: PadPose, cov_pose: F64, camera: Camera, orientation: Orientati
     tilt = _TILT.pack(o.roll_rad, o.pitch_rad, rr, rp, pr, pp, o.sigma_deck_rad)
     arrays = (mount.R.matrix, mount.t, pose.R_cam_pad.matrix, pose.t_cam_pad, cov_pose)
     return tilt + b"".join([np.asarray(array, float).tobytes() for array in arrays])
-
-
-def confidence(found: Registration) -> float:
-    """Return 0..1 from the visible edges: it grows with the number of kinds and falls with the fraction that disagrees."""
-    doubt = 1.0
-    for kind, evidence in found.edges.items():
-        if evidence.seen:
-            doubt *= 1.0 - _WORTH[kind] * evidence.inliers
-    return max(0.0, min(1.0, (1.0 - doubt) * min(1.0, found.inliers / 0.6)))
-
-
-def _finite(uv: F64) -> F64:
-    if uv.size == 0:
-        return uv
-    ok = np.isfinite(uv)
-    return uv if ok.all() else uv[ok.all(axis=1)]

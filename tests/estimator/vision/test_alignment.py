@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.detect import alignment, verification
-from estimator.vision.detect.paint import FRESH, learn
+from estimator.vision.detect.paint import FRESH
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.native import address, pixels
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import Orientation
+from estimator.vision.register.look import look
+from estimator.vision.register.options import RegistrationOptions
 from tests.estimator.vision.oracle import alignment as oracle
 from tests.estimator.vision.oracle import paint as paint_oracle
 from tests.estimator.vision.oracle import verification as verification_oracle
@@ -26,6 +29,7 @@ from tests.support.hard_light import U8, dusk, haze
 from tests.support.pad_scenes import CONDITIONS, pad_scene
 
 SIGMA = alignment.SIGMA_TILT_RAD
+TRACK = RegistrationOptions(coarse=False)
 INDEX, SEED = st.integers(0, 11), st.integers(0, 10_000)
 
 
@@ -108,10 +112,11 @@ def test_what_is_learned_of_the_paints_is_the_oracles(camera: Camera, pad: Pad) 
     ours, theirs = FRESH, FRESH
     for index in range(2, 5):
         pyramid, truth = scene(camera, pad, index)
-        one, other = alignment.align(pyramid, camera, pad, truth, SIGMA, 0), oracle.align(pyramid, camera, pad, truth, SIGMA, 0)
+        one = look(pyramid, camera, pad, truth, Orientation.of(None), TRACK, paint=ours)
+        other = oracle.align(pyramid, camera, pad, truth, SIGMA, 0)
         assert one is not None
         assert other is not None
-        ours, theirs = learn(ours, one, 0.97), paint_oracle.learn(theirs, other, 0.97)
+        ours, theirs = one.paint(), paint_oracle.shown(theirs, other)
     # One sample more or less that counts as a paint alone changes a mean in the third digit.
     assert ours.mean == pytest.approx(theirs.mean, abs=0.01)
     assert ours.var == pytest.approx(theirs.var, abs=0.01)

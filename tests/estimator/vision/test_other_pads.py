@@ -12,14 +12,15 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision import tracker as tracker_module
 from estimator.vision.camera import Camera
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import accuracy, alike_headings
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.register import fit_verification
+from estimator.vision.pose import Orientation
+from estimator.vision.register.fit_verification import confidence
+from estimator.vision.register.look import look
 from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from sitl.camera import Renderer
@@ -50,9 +51,9 @@ def test_a_pad_of_any_shape_is_registered_and_verified(name: str, height_m: floa
         if not has
     ]
     assert all(found.edges[kind].in_view == 0.0 for kind in lacking)
-    aligned = align(Pyramid(px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)
-    assert aligned is not None
-    assert fit_verification.confidence(fit_verification.features(aligned, found, pad)) > 0.9
+    verified = look(Pyramid(px), camera, pad, found.pose, Orientation.of(None), RegistrationOptions(coarse=False))
+    assert verified is not None
+    assert confidence(verified.log_odds) > 0.9
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -79,11 +80,9 @@ def test_a_pad_is_not_seen_in_another_one(name: str) -> None:
     """The thesis' pad, registered as if it were another, is doubted."""
     pad, exposure = shipped_pad(name), shot(2.0)
     px = Renderer(PLAIN, shipped_pad("thesis")).render(exposure, np.random.default_rng(2))
-    found = register(px, PLAIN, pad, pad_pose(exposure, PLAIN), None, RegistrationOptions(coarse=False))
-    if found is None:
-        return
-    aligned = align(Pyramid(px), PLAIN, pad, found.pose, SIGMA_TILT_RAD, 0)
-    sure = 0.0 if aligned is None else fit_verification.confidence(fit_verification.features(aligned, found, pad))
+    options = RegistrationOptions(coarse=False)
+    found = look(Pyramid(px), PLAIN, pad, pad_pose(exposure, PLAIN), Orientation.of(None), options)
+    sure = 0.0 if found is None else confidence(found.log_odds)
     # The plain H is the thesis' H: on a green disc it is the same marking.
     assert sure < 0.5 or name == "h"
 

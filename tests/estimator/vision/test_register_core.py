@@ -11,7 +11,6 @@ from estimator.contracts.geometry import Rotation
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.registration import Registration, RegistrationOptions, register
-from estimator.vision.register.sighting import confidence
 from tests.estimator.vision.oracle.registration import register as register_in_numpy
 from tests.support.pad_images import sim_camera
 from tests.support.pad_scenes import CONDITIONS, load_camera, load_pad, pad_scene
@@ -60,7 +59,7 @@ def test_registrations_are_the_oracles() -> None:
         sigma = np.sqrt(np.diag(oracle.cov))
         apart.append(np.abs(e / sigma).max())
         spread.append(np.abs((ours.cov - oracle.cov) / np.outer(sigma, sigma)).max())
-        assert abs(confidence(ours) - confidence(oracle)) < 0.01
+        assert abs(ours.inliers - oracle.inliers) < 0.01
         assert (ours.dense, ours.yaw_ambiguous) == (oracle.dense, oracle.yaw_ambiguous)
         for kind, evidence in oracle.edges.items():
             assert abs(ours.edges[kind].inliers - evidence.inliers) < 0.01

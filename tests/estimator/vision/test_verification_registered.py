@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Attitude
+from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import acquire
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
@@ -15,26 +17,75 @@ from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.fit_verification import FITTED_FEATURES, HAND_SET_FEATURES, confidence, features
-from estimator.vision.register.registration import RegistrationOptions, register
+from estimator.vision.register.fit_verification import SEARCHED, confidence
+from estimator.vision.register.look import Looked, look
+from estimator.vision.register.options import RegistrationOptions
+from estimator.vision.register.registration import register
+from estimator.vision.register.sighting import sighting_of, sighting_of_look
 from sitl.surroundings import Decal
+from tests.estimator.vision.oracle.evidence import evidence
 from tests.support.deck_images import covered, disc_of, shown
 from tests.support.hard_light import HARD
 from tests.support.pad_images import STAMP
+from tests.support.pad_scenes import CONDITIONS, load_pad, pad_scene
+
+CLOSE = RegistrationOptions(coarse=False)
+FRAME = Frame(STAMP, 0, np.zeros((2, 2, 3), np.uint8))
+
+
+def looked(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_level_body: Rotation | None) -> Looked | None:
+    attitude = None if R_level_body is None else Attitude(STAMP, R_level_body, 1e-6 * np.eye(3))
+    return look(Pyramid(px), camera, pad, start, Orientation.of(attitude), CLOSE)
 
 
 def sure(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_level_body: Rotation) -> float:
-    orientation = Orientation.of(Attitude(STAMP, R_level_body, 1e-6 * np.eye(3)))
-    found = register(px, camera, pad, start, orientation, RegistrationOptions(coarse=False))
-    if found is None:
-        return 0.0
-    aligned = align(Pyramid(px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)
-    if aligned is None:
-        return 0.0
-    values = features(aligned, found, pad)
-    assert values.shape == (len(FITTED_FEATURES) + len(HAND_SET_FEATURES),)
-    assert np.all(np.isfinite(values))
-    return confidence(values)
+    found = looked(px, camera, pad, start, R_level_body)
+    return 0.0 if found is None else confidence(found.log_odds)
+
+
+def test_a_look_is_a_registration_an_alignment_and_their_evidence(camera: Camera) -> None:
+    """One call of the core gives what the parts give one by one, and the inputs of the verification are the oracle's."""
+    rng, compared = np.random.default_rng(8), 0
+    for k in range(40):
+        pad = load_pad(("thesis", "printed", "icao", "h")[k % 4])
+        height_m = math.exp(rng.uniform(math.log(0.25), math.log(20.0)))
+        scene = pad_scene(rng, camera, pad, height_m, CONDITIONS[k % len(CONDITIONS)])
+        assert scene.truth is not None
+        pyramid = Pyramid(scene.px)
+        found = looked(scene.px, camera, pad, scene.truth, scene.R_level_body)
+        one = register(scene.px, camera, pad, scene.truth, None if found is None else found.orientation, CLOSE, pyramid=pyramid)
+        if found is None or one is None:
+            continue
+        compared += 1
+        registration, other = found.registration(), align(pyramid, camera, pad, one.pose, SIGMA_TILT_RAD, 0)
+        assert other is not None
+        assert np.array_equal(registration.cov, one.cov)
+        assert np.array_equal(found.pose.t_cam_pad, one.pose.t_cam_pad)
+        assert found.aligned_features == pytest.approx(other.features, abs=1e-9)
+        assert found.evidence == pytest.approx(evidence(other, one, pad), abs=1e-9)
+        assert found.log_odds == pytest.approx(float(found.evidence @ SEARCHED), abs=1e-9)
+        level = sighting_of(FRAME, one.pose, one.cov, camera, found.orientation, one.yaw_ambiguous, 0.5)
+        assert np.array_equal(sighting_of_look(FRAME, found, 0.5).cov, level.cov)
+    assert compared > 30
+
+
+def test_a_rough_start_is_approached_first(camera: Camera, pad: Pad) -> None:
+    for height_m in (0.5, 2.0, 8.0):
+        seen = shown(camera, pad, height_m)
+        off = PadPose(seen.truth.R_cam_pad, seen.truth.t_cam_pad + 0.04 * pad.disc_radius_m)
+        pyramid, orientation = Pyramid(seen.px), Orientation.of(Attitude(STAMP, seen.R_level_body, 1e-6 * np.eye(3)))
+        found = look(pyramid, camera, pad, off, orientation, RegistrationOptions(coarse=True))
+        one = register(seen.px, camera, pad, off, orientation, RegistrationOptions(coarse=True), pyramid=pyramid)
+        assert found is not None
+        assert one is not None
+        assert found.pose.t_cam_pad == pytest.approx(one.pose.t_cam_pad, abs=1e-9)
+        assert found.pose.t_cam_pad == pytest.approx(seen.truth.t_cam_pad, abs=2e-3 * height_m)
+
+
+def test_a_frame_of_another_size_is_refused(camera: Camera, pad: Pad) -> None:
+    seen = shown(camera, pad, 1.0)
+    with pytest.raises(ValueError, match="want a frame of shape"):
+        looked(np.ascontiguousarray(seen.px[:-2]), camera, pad, seen.truth, seen.R_level_body)
 
 
 @pytest.mark.parametrize("height_m", [0.4, 1.2, 4.0, 12.0])

@@ -5,17 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.vision.detect.light import FLOOR
-from estimator.vision.detect.paint import LEARNED_AT, RATE, PaintMemory
+from estimator.vision.detect.paint import PaintMemory
 from tests.estimator.vision.oracle.alignment import Aligned
 
+RATE = 0.05
 _PURE, _ENOUGH = 0.85, 6
 _FARTHEST = 3.0
 
 
-def learn(memory: PaintMemory, aligned: Aligned, confidence: float) -> PaintMemory:
-    """Return the memory after a frame in which the drawing was aligned with this confidence; a doubtful frame changes nothing."""
-    if confidence < LEARNED_AT:
-        return memory
+def shown(memory: PaintMemory, aligned: Aligned) -> PaintMemory:
+    """Return what is known of the paints after a frame in which the drawing was aligned."""
     light = np.log1p(np.maximum(aligned.light, 0.0) / FLOOR)
     mean, var = memory.mean.copy(), memory.var.copy()
     first = memory.trust == 0.0

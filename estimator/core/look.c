@@ -1,0 +1,101 @@
+/* One look at where a pad may lie: the drawing is registered there, verified, and brought to level. */
+
+#include <math.h>
+#include <string.h>
+
+#include "align.h"
+#include "look.h"
+
+/* A pad's drawing as maps, the tables of light that go with them, and the frame. */
+typedef struct {
+    const camera_lens *camera;
+    const pad_template *drawn;
+    const int16_t *maps, *local_maps;
+    const float *lights;
+    const uint8_t *frame;
+    const frame_quality *quality;
+    float *scratch;
+    uint8_t *parts;
+} sight;
+
+/* Move a rough pose, on a reduced frame, to where registration can start; it stays where that fails. */
+static void approach(const sight *s, double sigma_tilt_rad, pad_pose *pose)
+{
+    const alignment how = {.steps = APPROACH_STEPS, .sigma_tilt_rad = sigma_tilt_rad, .noise = s->quality->noise};
+    pad_pose moved = *pose;
+    frame_part part;
+    int32_t stride;
+    double tilt_sigmas;
+    if (!align_view(s->camera, s->drawn, pose, APPROACH_SAMPLES, &part)) {
+        return;
+    }
+    const uint8_t *px = look_part(s->frame, (int32_t)s->camera->width, &part, s->parts, &stride);
+    if (align_move(s->camera, s->drawn, s->maps, s->lights, &part, px, stride, &how, &moved, &tilt_sigmas, s->scratch)) {
+        *pose = moved;
+    }
+}
+
+/* Align the drawing at a pose without moving it. The arrowhead is looked at in more detail than the rest. */
+static int align_at(const sight *s, const pad_pose *pose, const double cut[3], aligned_pad *out)
+{
+    const int32_t width = (int32_t)s->camera->width;
+    const double arrow_px = s->camera->fx * s->drawn->arrow_depth_m / pose->t[2];
+    const int level = (int)fmin(FRAME_LEVELS, floor(log2(fmax(1.0, arrow_px / ARROW_SAMPLES))));
+    frame_part part, arrow = {0, 0, 0, s->camera->width, s->camera->height};
+    int32_t stride, arrow_stride;
+    if (!align_view(s->camera, s->drawn, pose, FINAL_SAMPLES, &part)) {
+        return 0;
+    }
+    if (level > 0) {
+        align_about(s->camera, s->drawn, pose, level, &arrow);
+    }
+    const uint8_t *px = look_part(s->frame, width, &part, s->parts, &stride);
+    uint8_t *room = s->parts + (part.level > 0 ? (size_t)stride * (size_t)part.height : 0);
+    const uint8_t *arrow_px_at = look_part(s->frame, width, &arrow, room, &arrow_stride);
+    return align_fit(s->camera, s->drawn, s->maps, s->local_maps, s->lights, &part, px, stride, &arrow, arrow_px_at, arrow_stride,
+                     pose, 0.0, cut, s->quality, s->scratch, out);
+}
+
+/* Bring what was registered to level. */
+static void bring_to_level(const camera_lens *camera, const tilt_prior *prior, const look_options *how, const registration *found,
+                           level_sighting *out)
+{
+    camera_sighting in = {.roll_rad = prior->roll_rad, .pitch_rad = prior->pitch_rad, .sigma_deck_rad = prior->sigma_deck_rad};
+    memcpy(in.cov_tilt, prior->cov_tilt, sizeof in.cov_tilt);
+    memcpy(in.R_body_cam, camera->R_body_cam, sizeof in.R_body_cam);
+    memcpy(in.t_body_cam, how->t_body_cam, sizeof in.t_body_cam);
+    memcpy(in.R_cam_pad, found->R, sizeof in.R_cam_pad);
+    memcpy(in.t_cam_pad, found->t, sizeof in.t_cam_pad);
+    memcpy(in.cov_pose, found->cov, sizeof in.cov_pose);
+    sighting_in_level(&in, out);
+}
+
+int32_t look_at_pad(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const float *lights,
+                    const pad_shape *shape, int32_t points, const double *edges, const int32_t *edge_of, const pad_template *drawn,
+                    const int16_t *maps, const int16_t *local_maps, const pad_judge *judge, const tilt_prior *prior,
+                    const fit_options *fit, const frame_quality *quality, const look_options *how, const pad_paint *known,
+                    const double *start, int32_t room, float *scratch, uint8_t *parts, looked_pad *out, double *outline)
+{
+    const sight s = {camera, drawn, maps, local_maps, lights, frame, quality, scratch, parts};
+    pad_pose pose;
+    memcpy(&pose, start, sizeof pose);
+    if (how->coarse) {
+        approach(&s, how->sigma_tilt_rad, &pose);
+    }
+    if (!register_pad(camera, rays, frame, light, shape, points, edges, edge_of, prior, fit, (const double *)&pose, room, scratch,
+                      &out->found, outline)) {
+        return 0;
+    }
+    memcpy(pose.R, out->found.R, sizeof pose.R);
+    memcpy(pose.t, out->found.t, sizeof pose.t);
+    if (!align_at(&s, &pose, fit->cut, &out->aligned)) {
+        return 0;
+    }
+    look_evidence(judge, &out->found, &out->aligned, out->evidence, &out->log_odds);
+    if (!isfinite(out->log_odds)) {
+        return 0;
+    }
+    look_paint(known, &out->aligned, &out->paint);
+    bring_to_level(camera, prior, how, &out->found, &out->seen);
+    return 1;
+}
