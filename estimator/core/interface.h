@@ -106,7 +106,7 @@
 #define FEATURE_SIZE 28
 #define FEATURE_IN_VIEW 29
 #define FEATURE_TILT 30
-#define EVIDENCE 26
+#define EVIDENCE 27
 #define EVIDENCE_ONE 0
 #define EVIDENCE_TEMPLATE_SCORE 1
 #define EVIDENCE_INLIERS 2
@@ -133,6 +133,7 @@
 #define EVIDENCE_CORNER 23
 #define EVIDENCE_EDGES_ASTRAY 24
 #define EVIDENCE_H_ASTRAY 25
+#define EVIDENCE_HALF_DISAGREES 26
 #define SEARCH_BLOCK 16
 #define SEARCH_CELL 2
 #define SEARCH_RADII 12
@@ -766,7 +767,7 @@ typedef struct {
     double orange_side[3];
     double orange_place[3];
     double template_weights[31];
-    double weights[26];
+    double weights[27];
 } pad_judge;
 
 typedef struct {
@@ -786,7 +787,7 @@ typedef struct {
     aligned_pad aligned;
     level_sighting seen;
     pad_paint paint;
-    double evidence[26];
+    double evidence[27];
     double log_odds;
 } looked_pad;
 
@@ -1282,7 +1283,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 4236701772u
+#define INTERFACE_DIGEST 3383773413u
 #endif
 
 #endif

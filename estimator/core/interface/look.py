@@ -12,7 +12,7 @@ FITTED = (
 """Names of the inputs of the verification of a registration whose weights are fitted, in order."""
 HAND_SET = (
     "no_ring", "no_h", "disc_unseen", "painted", "no_disc", "h_contrast_odd", "disagrees", "not_brighter", "corner",
-    "edges_astray", "h_astray",
+    "edges_astray", "h_astray", "half_disagrees",
 )  # fmt: skip
 """Names of the further inputs, whose weights are set by hand; `estimator.vision.register.fit_verification` says what they are."""
 EVIDENCE = (*FITTED, *HAND_SET)

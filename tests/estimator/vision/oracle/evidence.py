@@ -58,6 +58,7 @@ def evidence(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
         dense * _h_contrast_odd(found) * has_both, dense * _disagrees(found),
         dense * _not_brighter(values, pad) * has_both, (1.0 - dense) * _corner(found) * bool(marks.letters),
         (1.0 - dense) * float(np.interp(found.edge_rms_px, _ASTRAY_PX, (0.0, 1.0))), (1.0 - dense) * _h_astray(found),
+        dense * float(np.interp(found.inliers, (0.52, 0.7), (1.0, 0.0)) * np.interp(template_score, (0.0, 1.0), (1.0, 0.0))),
     ])  # fmt: skip
 
 
