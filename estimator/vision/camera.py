@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -141,7 +142,7 @@ class Camera:
     @property
     def lens(self) -> Camera:
         """The camera without mount and shutter, by which is found again what is computed once for a lens, whatever they are."""
-        return replace(self, T_body_cam=Transform.identity(), cov_mount=None, readout_s=0.0)
+        return _lens_of(self)
 
     def turned(self, R_body_cam: Rotation) -> Camera:
         """Return the camera with another rotation on the body, in the same place."""
@@ -200,6 +201,11 @@ class Camera:
             dy = (f[:, 1] * jx[:, 0] - f[:, 0] * jx[:, 1]) / det
             xy = xy - np.stack([dx, dy], axis=1)
         return xy
+
+
+@lru_cache(maxsize=8)
+def _lens_of(camera: Camera) -> Camera:
+    return replace(camera, T_body_cam=Transform.identity(), cov_mount=None, readout_s=0.0)
 
 
 def _mount_cov(value: object, where: str) -> F64:

@@ -179,7 +179,8 @@ def _registered(
             best = _register_from(tracker, paint, frame, pyramid, start, orientation, options, tracked, searched=False)
     if best is None or best.sighting.confidence < SURE:
         R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
-        found = search(frame.px, tracker.camera, tracker.pad, R_level_body, paint, memory.search, budget=tracker.search_work)
+        budget = tracker.search_work
+        found = search(frame.px, tracker.camera, tracker.pad, R_level_body, paint, memory.search, budget=budget, pyramid=pyramid)
         left = found.memory
         for candidate in found.candidates[:_CANDIDATES]:
             if candidate.score < WORTH_A_TRY:

@@ -131,6 +131,7 @@ def search(
     *,
     sure: float = SURE,
     budget: float = math.inf,
+    pyramid: Pyramid | None = None,
 ) -> Found:
     """Search a frame for the pad.
 
@@ -142,13 +143,14 @@ def search(
         memory: what the search left in the frame before.
         sure: confidence at which no further hypotheses are tried; a value over 1 gives all candidates.
         budget: work at which the search goes on with the next frame, as `tracker_config.FRAME_WORK`.
+        pyramid: of the same frame, if there is one.
 
     Raises:
         ValueError: the frame is not of the camera's size.
     """
     if px.shape[:2] != (camera.height, camera.width):
         raise ValueError(f"the frame is {px.shape[1]}x{px.shape[0]} px, the camera's are {camera.width}x{camera.height}")
-    pyramid, plane = Pyramid(px), Plane.of(camera, R_level_body)
+    pyramid, plane = pyramid or Pyramid(px), Plane.of(camera, R_level_body)
     pad = pyramid.as_seen(pad)
     task = _Task(pyramid, camera, pad, sure, budget, memory.refused)
     if pad.markings.fiducials and (_search_fiducials(task, plane) or not pad.markings.is_searched_by_parts):

@@ -12,7 +12,7 @@ from estimator.core.interface import size_of
 from estimator.core.library import CORE, start_of
 from estimator.core.records import record
 from estimator.vision.camera import Camera
-from estimator.vision.detect.edge_circles import EdgeCircle, circle_of
+from estimator.vision.detect.edge_circles import EdgeCircle
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.native import address, packed_camera, pixels
@@ -41,4 +41,4 @@ def blob_circles(pyramid: Pyramid, camera: Camera, plane: Plane, most: int = _MO
     n = _BLOBS(
         address(packed_camera(camera)), start_of(image), half_start, full_start, address(scratch, np.float32), start_of(out)
     )
-    return [circle_of(words) for words in out[:n]]
+    return [EdgeCircle(words) for words in out[:n]]

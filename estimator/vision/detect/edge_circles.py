@@ -22,6 +22,8 @@ F32 = NDArray[np.float32]
 
 _ROOM, _CIRCLES = CORE.function("search_room"), CORE.function("search_circles")
 _WORDS, _AT = size_of("search_circle"), places_of("search_circle")
+_RADIUS, _SUPPORT = _AT["radius"].start, _AT["support"].start
+_R_CAM_PLANE = places_of("search_image")["R_cam_plane"]
 _EDGES = 0.4
 """Most edges of an image, per pixel. Two neighbours are seldom both a ridge of the gradient."""
 
@@ -39,13 +41,26 @@ class Radii:
 class EdgeCircle:
     """A circle of edges in a plane at unit distance."""
 
-    centre: F64
-    radius: float
-    support: float
-    """Fraction of the outline with an edge."""
-    bright_inside: bool
     words: F64
     """The core's structure `search_circle`, with the edges on its outline."""
+
+    @property
+    def centre(self) -> F64:
+        """(2,)."""
+        return self.words[_AT["centre"]]
+
+    @property
+    def radius(self) -> float:
+        return self.words.item(_RADIUS)
+
+    @property
+    def support(self) -> float:
+        """Fraction of the outline with an edge."""
+        return self.words.item(_SUPPORT)
+
+    @property
+    def bright_inside(self) -> bool:
+        return bool(self.words.view(np.int64)[_AT["bright_inside"].start])
 
 
 def edge_circles(
@@ -59,13 +74,8 @@ def edge_circles(
         margin_px: how far beyond the frame's edge centres may lie, px of `grey`.
     """
     h, w = grey.shape
-    image = record("search_image", {
-        "width": w, "height": h, "stride": grey.strides[0], "room": round(_EDGES * w * h), "margin": margin_px,
-        "step": step, "R_cam_plane": plane.R_cam_plane,
-    })  # fmt: skip
-    how = record("search_radii", {
-        "radii": radii.count, "most": most, "least": radii.least_px * step / camera.fx, "ratio": radii.ratio
-    })  # fmt: skip
+    image = _image(w, h, grey.strides[0], margin_px, step).copy()
+    image[_R_CAM_PLANE] = plane.R_cam_plane.ravel()
     scratch = np.empty(_ROOM(start_of(image)), np.float32)
     out = np.empty((most, _WORDS))
     rays = _corner_rays(camera.lens, step, w, h)
@@ -73,19 +83,26 @@ def edge_circles(
         start_of(image),
         address(grey, np.uint8),
         address(rays, np.float32),
-        start_of(how),
+        address(_radii(radii, most, radii.least_px * step / camera.fx)),
         address(scratch, np.float32),
         start_of(out),
     )
-    return [circle_of(words) for words in out[:found]]
+    return [EdgeCircle(words) for words in out[:found]]
 
 
-def circle_of(words: F64) -> EdgeCircle:
-    """Return the circle in a structure `search_circle` of the core."""
-    bright_inside = bool(words.view(np.int64)[_AT["bright_inside"].start])
-    return EdgeCircle(
-        words[_AT["centre"]], float(words[_AT["radius"].start]), float(words[_AT["support"].start]), bright_inside, words
-    )
+@lru_cache(maxsize=16)
+def _image(width: int, height: int, stride: int, margin_px: int, step: int) -> F64:
+    """Return the core's `search_image` without the plane."""
+    return record("search_image", {
+        "width": width, "height": height, "stride": stride, "room": round(_EDGES * width * height), "margin": margin_px,
+        "step": step,
+    })  # fmt: skip
+
+
+@lru_cache(maxsize=16)
+def _radii(radii: Radii, most: int, least: float) -> F64:
+    """Return the core's `search_radii`."""
+    return record("search_radii", {"radii": radii.count, "most": most, "least": least, "ratio": radii.ratio})
 
 
 @lru_cache(maxsize=16)

@@ -31,6 +31,7 @@ from estimator.vision.pad_pose import PadPose
 
 _GUESSES = CORE.function("search_guesses")
 _WORDS, _AT = size_of("search_guess"), places_of("search_guess")
+_R_CAM_PLANE = places_of("search_frame")["R_cam_plane"]
 
 MOST = 20
 """Largest number of guesses from the circles of one kind."""
@@ -97,12 +98,8 @@ def guesses_from(
         return []
     levels = [pyramid[level] for level in range(SEARCH_LEVELS)]
     at = [pixels(px) for px in levels]
-    radius_m, sign = _circles(pad, of)
-    frame = record("search_frame", {
-        "levels": SEARCH_LEVELS, "plane_known": plane.known, "radii": len(radius_m), "width": [px.shape[1] for px in levels],
-        "height": [px.shape[0] for px in levels], "stride": [stride for _, stride in at], "R_cam_plane": plane.R_cam_plane,
-        "radius_m": radius_m, "sign": sign,
-    })  # fmt: skip
+    frame = _frame(pad, of, plane.known, tuple((px.shape[1], px.shape[0], px.strides[0]) for px in levels)).copy()
+    frame[_R_CAM_PLANE] = plane.R_cam_plane.ravel()
     found = np.stack([circle.words for circle in circles])
     starts, out = np.array([start for start, _ in at], np.int64), np.empty((most, _WORDS))
     n = _GUESSES(
@@ -127,6 +124,19 @@ def guess_of(words: F64, by_support: float = _BY_SUPPORT) -> Guess:
 
 
 @lru_cache(maxsize=16)
+def _frame(pad: Pad, of: Outline, plane_known: bool, sizes: tuple[tuple[int, int, int], ...]) -> F64:
+    """Return the core's `search_frame` without the plane.
+
+    Args:
+        sizes: width, height and bytes from row to row of each level.
+    """
+    (radius_m, sign), (width, height, stride) = _circles(pad, of), zip(*sizes, strict=True)
+    return record("search_frame", {
+        "levels": SEARCH_LEVELS, "plane_known": plane_known, "radii": len(radius_m), "width": width, "height": height,
+        "stride": stride, "radius_m": radius_m, "sign": sign,
+    })  # fmt: skip
+
+
 def _circles(pad: Pad, of: Outline) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the drawing's circles: radii, and 1 if brighter inside, -1 if darker, 0 if that depends on the deck."""
     marks = pad.markings
