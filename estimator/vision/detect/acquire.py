@@ -57,6 +57,9 @@ _SAME_PX, _SAME_RADII, _SAME_FAR = 4.0, 0.5, 0.15
 """What a place of one frame may be off from that of the next to be the same: px, radii of the disc, and by the logarithm of the
 distance.
 """
+_LITTLE_WORK = 1.0
+"""Work before a kind with which it still has a whole frame's, for a frame of `FULL_PIXELS`: that of the circles of the smallest
+images."""
 _REMEMBERED = 24
 """Most places of refused hypotheses that are remembered."""
 Place = tuple[float, float, float]
@@ -157,10 +160,11 @@ def search(
         return Found(_distinct(task.found), FRESH_SEARCH, task.work)
     of_all = kinds(task.pyramid, camera, pad, plane, paint)
     for k in ((memory.first + i) % len(of_all) for i in range(len(of_all))):
+        whole = k == memory.first or task.work <= _LITTLE_WORK * camera.width * camera.height / FULL_PIXELS
         enough = _try_kind(of_all[k], task)
         if enough is None:
             # A kind may have more guesses than a frame has work and the memory places: a search that stayed would never leave it.
-            after = (k + 1) % len(of_all) if k == memory.first else k
+            after = (k + 1) % len(of_all) if whole else k
             return Found(_distinct(task.found), SearchMemory(after, tuple(task.refused[-_REMEMBERED:])), task.work)
         if enough:
             break
