@@ -31,6 +31,8 @@ static const double DISAGREES = 0.45, AGREES = 0.485;
 static const double HALF_DISAGREES = 0.52, MOST_AGREE = 0.7;
 /* Score of the template up to which the light hardly follows the drawing, and from which on it does. */
 static const double HARDLY_FOLLOWS = 0.0, FOLLOWS = 1.0;
+/* Contrast of such a disc over its deviation up to which it does not speak against that doubt, and from which on it does. */
+static const double SNR_DULL = 20.5, SNR_CLEAR = 30.0;
 /* The logarithm of the H's least contrast in any channel, up to which it surely is not brighter than the disc, and from which on it
  * is. In haze the least of right registrations that are sure is -1.9. */
 static const double NOT_BRIGHTER = -2.6, BRIGHTER = -2.1;
@@ -125,8 +127,9 @@ static void from_afar(const pad_judge *judge, const registration *found, const a
     out[EVIDENCE_DENSE_INLIERS] = found->inliers;
     out[EVIDENCE_DENSE_TEMPLATE_SCORE] = template_score;
     out[EVIDENCE_DISAGREES] = between(DISAGREES, AGREES, found->inliers);
-    out[EVIDENCE_HALF_DISAGREES] =
-        between(HALF_DISAGREES, MOST_AGREE, found->inliers) * between(HARDLY_FOLLOWS, FOLLOWS, template_score);
+    out[EVIDENCE_HALF_DISAGREES] = between(HALF_DISAGREES, MOST_AGREE, found->inliers) *
+                                   between(HARDLY_FOLLOWS, FOLLOWS, template_score) *
+                                   between(SNR_DULL, SNR_CLEAR, found->edges[DISC].snr);
     if (judge->has_field) {
         out[EVIDENCE_DENSE_DISC] = within(-1.0, 1.0, 0.5 * log(fmax(found->edges[DISC].snr, 1e-3) / SNR_SEEN));
     }

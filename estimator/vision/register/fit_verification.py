@@ -48,8 +48,8 @@ show as much.
 edges_astray: the edges of a nearby pad are displaced by more than its pose, its blur and their noise explain; of 473 right
 registrations one in a hundred had more than 0.5 px, none 0.9. A helipad in strong glare, whose ring and H fit nearly, had 1 px.
 h_astray: of a nearby pad only the H shows, and parts of it are not where the drawing has them; so was another H on green.
-half_disagrees: half of a distant pad's pixels disagree with the drawing, and the light hardly follows it; of 218 sure and right
-registrations three, two of a wet pad and one in glare, and another helipad and a life raft.
+half_disagrees: half of a distant pad's pixels disagree with the drawing, the light hardly follows it, and the disc's edge is not
+clear; of 218 sure and right registrations at most three, and another helipad and two life rafts.
 """
 
 _UNTRACKED = ("no_ring", "no_h", "corner", "edges_astray", "h_astray", "half_disagrees")

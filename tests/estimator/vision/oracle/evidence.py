@@ -58,7 +58,7 @@ def evidence(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
         dense * _h_contrast_odd(found) * has_both, dense * _disagrees(found),
         dense * _not_brighter(values, pad) * has_both, (1.0 - dense) * _corner(found) * bool(marks.letters),
         (1.0 - dense) * float(np.interp(found.edge_rms_px, _ASTRAY_PX, (0.0, 1.0))), (1.0 - dense) * _h_astray(found),
-        dense * float(np.interp(found.inliers, (0.52, 0.7), (1.0, 0.0)) * np.interp(template_score, (0.0, 1.0), (1.0, 0.0))),
+        dense * _half_disagrees(found, template_score),
     ])  # fmt: skip
 
 
@@ -144,6 +144,13 @@ def _h_contrast_odd(found: Registration) -> float:
     ring, h_marking = (max(math.hypot(*found.edges[kind].contrast_bgr.tolist()), 1e-6) for kind in (EdgeKind.RING, EdgeKind.H))
     low, high = _H_OVER_RING
     return min(1.0, 2.0 * max(0.0, math.log(low * ring / h_marking), math.log(h_marking / (high * ring))))
+
+
+def _half_disagrees(found: Registration, template_score: float) -> float:
+    """Return 0..1: how surely half of the pixels disagree, the light hardly follows, and the disc's edge is not clear."""
+    disc = found.edges[EdgeKind.DISC].snr
+    values = ((found.inliers, (0.52, 0.7)), (template_score, (0.0, 1.0)), (disc, (20.5, 30.0)))
+    return math.prod(float(np.interp(value, limits, (1.0, 0.0))) for value, limits in values)
 
 
 def _disagrees(found: Registration) -> float:
