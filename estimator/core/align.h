@@ -77,9 +77,6 @@ static inline float4 align_map_at(const pad_template *p, const int16_t *map, flo
     return (here + along * (next - here)) * (1.0f / TEMPLATE_ONE);
 }
 
-/* The part of a level that shows the pad, and some pixels about it. */
-void align_about(const camera_lens *c, const pad_template *p, const pad_pose *pose, int level, frame_part *out);
-
 /* Trust the pixels on this side of a cut; returns their number. */
 int align_trust(const double cut[3], pixels *from);
 

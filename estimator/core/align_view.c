@@ -7,6 +7,8 @@ static const double BOX_RADII = 1.15;
 enum { BOX_POINTS = 24, LEAST_PX = 3 };
 /* Pixels of a level about the box, so that every place in it lies between two. */
 enum { MARGIN_PX = 2 };
+/* Pixels of the chosen level along the arrowhead, if the frame has as many. */
+static const double ARROW_SAMPLES = 5.0;
 /* Least depth of the pad's centre, and of a point that is projected, m. */
 static const double LEAST_DEPTH_M = 0.02, LEAST_PROJECTED_M = 0.05;
 
@@ -75,8 +77,10 @@ int32_t align_view(const camera_lens *c, const pad_template *p, const pad_pose *
     return part_in(c, box, (int)fmin(FRAME_LEVELS, fmax(0.0, ceil(0.5 * log2(w * h / most)))), out);
 }
 
-void align_about(const camera_lens *c, const pad_template *p, const pad_pose *pose, int level, frame_part *out)
+void align_arrow_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, frame_part *out)
 {
+    const double arrow_px = c->fx * p->arrow_depth_m / pose->t[2];
+    const int level = (int)fmin(FRAME_LEVELS, floor(log2(fmax(1.0, arrow_px / ARROW_SAMPLES))));
     double box[4];
     box_of(c, p, pose, box);
     for (int k = 0; k < 2; k++) {
@@ -84,4 +88,7 @@ void align_about(const camera_lens *c, const pad_template *p, const pad_pose *po
         box[2 + k] += MARGIN_PX << level;
     }
     part_in(c, box, level, out);
+    /* A level leaves odd columns and rows of the frame out: a pad in these alone has one pixel, which shows nothing of it. */
+    out->left = out->width > 0 ? out->left : (c->width >> level) - 1, out->width = out->width > 0 ? out->width : 1;
+    out->top = out->height > 0 ? out->top : (c->height >> level) - 1, out->height = out->height > 0 ? out->height : 1;
 }

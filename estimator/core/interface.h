@@ -73,7 +73,6 @@
 #define APPROACH_SAMPLES 1000
 #define APPROACH_STEPS 6
 #define FINAL_SAMPLES 2600
-#define ARROW_SAMPLES 5
 #define FEATURES 31
 #define FEATURE_ONE 0
 #define FEATURE_H_MARKING 1
@@ -1158,6 +1157,7 @@ int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *m
 
 /* align_view.c */
 int32_t align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out);
+void align_arrow_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, frame_part *out);
 
 /* answer.c */
 void filter_answer(const filter_params *o, int64_t t, const belief *before, const double *P_before, answer *out);
@@ -1283,7 +1283,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 3383773413u
+#define INTERFACE_DIGEST 2474400804u
 #endif
 
 #endif

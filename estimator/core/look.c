@@ -39,20 +39,16 @@ static void approach(const sight *s, double sigma_tilt_rad, pad_pose *pose)
 static int align_at(const sight *s, const pad_pose *pose, const double cut[3], aligned_pad *out)
 {
     const int32_t width = (int32_t)s->camera->width;
-    const double arrow_px = s->camera->fx * s->drawn->arrow_depth_m / pose->t[2];
-    const int level = (int)fmin(FRAME_LEVELS, floor(log2(fmax(1.0, arrow_px / ARROW_SAMPLES))));
-    frame_part part, arrow = {0, 0, 0, s->camera->width, s->camera->height};
+    frame_part part, arrow;
     int32_t stride, arrow_stride;
     if (!align_view(s->camera, s->drawn, pose, FINAL_SAMPLES, &part)) {
         return 0;
     }
-    if (level > 0) {
-        align_about(s->camera, s->drawn, pose, level, &arrow);
-    }
+    align_arrow_view(s->camera, s->drawn, pose, &arrow);
     const uint8_t *px = look_part(s->frame, width, &part, s->parts, &stride);
     uint8_t *room = s->parts + (part.level > 0 ? (size_t)stride * (size_t)part.height : 0);
-    const uint8_t *arrow_px_at = look_part(s->frame, width, &arrow, room, &arrow_stride);
-    return align_fit(s->camera, s->drawn, s->maps, s->local_maps, s->lights, &part, px, stride, &arrow, arrow_px_at, arrow_stride,
+    const uint8_t *arrow_px = look_part(s->frame, width, &arrow, room, &arrow_stride);
+    return align_fit(s->camera, s->drawn, s->maps, s->local_maps, s->lights, &part, px, stride, &arrow, arrow_px, arrow_stride,
                      pose, 0.0, cut, s->quality, s->scratch, out);
 }
 

@@ -30,11 +30,15 @@ def test_no_rendered_frame_without_a_pad_shows_one(chunk: int) -> None:
         pytest.param(41329, 92, id="an H of other strokes"),
         pytest.param(41426, 13, id="another helipad that the drawing lies beside"),
         pytest.param(41487, 72, id="an orange raft on a dark sea"),
-        pytest.param(41776, 16, id="half of a raft in glare"),
     ],
 )
 def test_what_a_search_once_took_for_the_pad_is_none(chunk: int, i: int) -> None:
     scene = scene_of(chunk, i)
+    assert sure_of(scene.px, load_camera("sim"), HARD["plain"].pad, scene.R_level_body) < 0.4
+
+
+def test_half_of_a_raft_in_glare_is_no_pad() -> None:
+    scene = scene_of(41776, 16)
     assert sure_of(scene.px, load_camera("sim"), HARD["plain"].pad, scene.R_level_body) < 0.5
 
 

@@ -20,8 +20,6 @@ APPROACH_STEPS = 6
 """Steps of Gauss and Newton on that way."""
 FINAL_SAMPLES = 2600
 """Largest number of samples in the disc's bounding box for verification."""
-ARROW_SAMPLES = 5
-"""Pixels of the chosen level along the arrowhead, if the frame has as many."""
 SCRATCH_ROWS = 35
 """Number of floats for each pixel of the part of a frame that is aligned, beside a row of it with `LOCAL_MAX` at either end."""
 FEATURES = (
@@ -35,7 +33,7 @@ FEATURES = (
 CONSTANTS = {
     "FRAME_LEVELS": FRAME_LEVELS, "TEMPLATE_BLURS": TEMPLATE_BLURS, "TEMPLATE_ONE": TEMPLATE_ONE, "LOCAL_MAX": LOCAL_MAX,
     "SAMPLE_LANES": SAMPLE_LANES, "SCRATCH_ROWS": SCRATCH_ROWS, "APPROACH_SAMPLES": APPROACH_SAMPLES,
-    "APPROACH_STEPS": APPROACH_STEPS, "FINAL_SAMPLES": FINAL_SAMPLES, "ARROW_SAMPLES": ARROW_SAMPLES, "FEATURES": len(FEATURES),
+    "APPROACH_STEPS": APPROACH_STEPS, "FINAL_SAMPLES": FINAL_SAMPLES, "FEATURES": len(FEATURES),
     **{f"FEATURE_{name.upper()}": value for value, name in enumerate(FEATURES)},
 }  # fmt: skip
 """Numbers by their names in the header."""
@@ -74,6 +72,12 @@ FUNCTIONS = (
         "align_view",
         "int32_t",
         "const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out",
+        "align_view.c",
+    ),
+    Function(
+        "align_arrow_view",
+        "void",
+        "const camera_lens *c, const pad_template *p, const pad_pose *pose, frame_part *out",
         "align_view.c",
     ),
     Function(

@@ -23,7 +23,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, AlignedTemplate, align
 from estimator.vision.detect.covered import align_uncovered
 from estimator.vision.detect.fiducials import WINDOWS_PX, WORK_FIDUCIALS, FiducialPose, fiducial_poses
-from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_GUESS, Kind, kinds
+from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, WORK_GUESS, Kind, kinds
 from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
@@ -57,9 +57,6 @@ _SAME_PX, _SAME_RADII, _SAME_FAR = 4.0, 0.5, 0.15
 """What a place of one frame may be off from that of the next to be the same: px, radii of the disc, and by the logarithm of the
 distance.
 """
-_LITTLE_WORK = 1.0
-"""Work before a kind with which it still has a whole frame's, for a frame of `FULL_PIXELS`: that of the circles of the smallest
-images."""
 _REMEMBERED = 24
 """Most places of refused hypotheses that are remembered."""
 Place = tuple[float, float, float]
@@ -160,7 +157,7 @@ def search(
         return Found(_distinct(task.found), FRESH_SEARCH, task.work)
     of_all = kinds(task.pyramid, camera, pad, plane, paint)
     for k in ((memory.first + i) % len(of_all) for i in range(len(of_all))):
-        whole = k == memory.first or task.work <= _LITTLE_WORK * camera.width * camera.height / FULL_PIXELS
+        whole = k == memory.first or task.work <= WORK_COARSE * camera.width * camera.height / FULL_PIXELS
         enough = _try_kind(of_all[k], task)
         if enough is None:
             # A kind may have more guesses than a frame has work and the memory places: a search that stayed would never leave it.

@@ -22,9 +22,7 @@ from estimator.core.interface import places_of, size_of
 from estimator.core.interface.eyes import (
     APPROACH_SAMPLES,
     APPROACH_STEPS,
-    ARROW_SAMPLES,
     FINAL_SAMPLES,
-    FRAME_LEVELS,
     LOCAL_MAX,
     SAMPLE_LANES,
     SCRATCH_ROWS,
@@ -38,7 +36,9 @@ from estimator.vision.native import address, packed_camera, pixels
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 
-_VIEW, _MOVE, _FIT, _COVER = (CORE.function(name) for name in ("align_view", "align_move", "align_fit", "align_cover"))
+_VIEW, _ARROW_VIEW, _MOVE, _FIT, _COVER = (
+    CORE.function(name) for name in ("align_view", "align_arrow_view", "align_move", "align_fit", "align_cover")
+)
 _POSE_WORDS, _PART_WORDS, _HOW_WORDS, _ALIGNED_WORDS = map(size_of, ("pad_pose", "frame_part", "alignment", "aligned_pad"))
 _HOW, _ALIGNED = places_of("alignment"), places_of("aligned_pad")
 _COVER_WORDS, _LINE = size_of("cover_line"), places_of("cover_line")
@@ -67,18 +67,6 @@ class ArrowPlace:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PureLight:
-    """The logarithm of the light, log1p(light / floor), of the samples that show one paint alone and that agree with it."""
-
-    samples: F64
-    """Number of such samples of each paint, (4,): H, orange, disc, surroundings."""
-    mean: F64
-    """Mean of each paint in blue, green, red, (4, 3)."""
-    var: F64
-    """Variance of the same, (4, 3)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class AlignedTemplate:
     """The drawing as aligned with one frame."""
 
@@ -95,7 +83,6 @@ class AlignedTemplate:
     """Support for the arrowhead at its place, and at the place where it would be with the drawing turned by 180 degrees."""
     features: F64
     """Inputs of the confidence classifier, in the order of `verification.FEATURES`."""
-    light: PureLight
 
 
 class Cover(NamedTuple):
@@ -172,13 +159,13 @@ def align(
     if part is None:
         return None
     out = np.empty(_ALIGNED_WORDS)
-    arrow_px = camera.fx * pad.markings.arrow_depth_m / float(words[-1])
-    level = min(FRAME_LEVELS, math.floor(math.log2(max(1.0, arrow_px / ARROW_SAMPLES))))
-    arrow_image = pyramid[level]
-    arrow_part = np.array([level, 0, 0, arrow_image.shape[1], arrow_image.shape[0]])
+    arrow_part = np.empty(_PART_WORDS)
+    _ARROW_VIEW(fixed.camera, fixed.template, start_of(words), start_of(arrow_part))
+    level, left, top, width, height = arrow_part.view(np.int64).tolist()
+    arrow_image = pyramid.cut(level, left, top, left + width, top + height)
     found = _FIT(
         fixed.camera, fixed.template, fixed.coverage, fixed.local, fixed.light,
-        address(part.words, np.int64), *pixels(part.px), address(arrow_part, np.int64),
+        address(part.words, np.int64), *pixels(part.px), start_of(arrow_part),
         *pixels(arrow_image), start_of(words), tilt_sigmas, address(cut), start_of(pyramid.quality),
         address(part.scratch, np.float32), start_of(out),
     )  # fmt: skip
@@ -265,10 +252,7 @@ def _unpacked(words: F64) -> PadPose:
 def _aligned(pose: PadPose, words: F64) -> AlignedTemplate:
     arrow = words[_ALIGNED["arrow"]].tolist()
     sample_m, in_view, tilt_sigmas = (float(words[_ALIGNED[name].start]) for name in ("sample_m", "in_view", "tilt_sigmas"))
-    light = PureLight(
-        words[_ALIGNED["light_n"]], words[_ALIGNED["light_mean"]].reshape(4, 3), words[_ALIGNED["light_var"]].reshape(4, 3)
-    )
     return AlignedTemplate(
         pose, words[_ALIGNED["paints"]].reshape(4, 3), sample_m, in_view, tilt_sigmas,
-        (ArrowPlace(*arrow[:3]), ArrowPlace(*arrow[3:])), words[_ALIGNED["features"]], light,
+        (ArrowPlace(*arrow[:3]), ArrowPlace(*arrow[3:])), words[_ALIGNED["features"]],
     )  # fmt: skip

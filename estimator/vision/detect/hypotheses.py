@@ -53,7 +53,7 @@ _FULL_SIZE, _REDUCED, _LEAST_SIZE = Radii(4.5, 1.22, 5), Radii(5.0, 1.2, 7), Rad
 _BEYOND = 0.4
 """How far beyond the edge of the smallest image centres are looked for, in its widths."""
 _WORK_REDUCED, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_COLOUR = 4.0, 4.0, 3.0, 1.0
-_WORK_COARSE, _WORK_LARGER = 1.0, 3.0
+WORK_COARSE, _WORK_LARGER = 1.0, 3.0
 _WORK_LETTERING, _WORK_OUTLINES, _WORK_MORE_CIRCLES = 3.0, 2.5, 5.5
 FULL_PIXELS = 640 * 360
 """Pixels of the frame that work is counted for."""
@@ -97,7 +97,7 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
         alone = [Kind(_WORK_LETTERING * size, lambda: lettering_blobs(pyramid, camera, pad, plane))]
         return [*alone, Kind(_WORK_STROKES, frame.strokes)] if pad.markings.is_h else alone
     out = [
-        Kind(_WORK_COARSE * size, lambda: frame.plain(luminance)),
+        Kind(WORK_COARSE * size, lambda: frame.plain(luminance)),
         Kind(_WORK_LARGER * size, lambda: frame.guesses(frame.circles(luminance, _REDUCED_LEVELS), Outline.EDGES)),
         Kind(_WORK_OUTLINES * size, frame.blobs, exact=True, least_round=_LEAST_ROUND),
         Kind(_WORK_STROKES, frame.strokes),

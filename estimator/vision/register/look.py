@@ -49,7 +49,6 @@ def _within(part: str, struct: str, member: str) -> slice:
 
 
 _R, _T = (_within("found", "registration", name) for name in ("R", "t"))
-_FEATURES = _within("aligned", "aligned_pad", "features")
 _MEAN, _VAR, _TRUST = (_within("paint", "pad_paint", name) for name in ("mean", "var", "trust"))
 
 
@@ -73,11 +72,6 @@ class Looked:
     def evidence(self) -> F64:
         """The inputs of the verification, in the order of `estimator.core.interface.look.EVIDENCE`."""
         return self.words[_EVIDENCE]
-
-    @property
-    def aligned_features(self) -> F64:
-        """The features of the drawing aligned at the pose, in the order of `verification.FEATURES`."""
-        return self.words[_FEATURES]
 
     @property
     def pose(self) -> PadPose:
@@ -118,7 +112,7 @@ class Looked:
 
     def registration(self) -> Registration:
         """Return the registration."""
-        return registration_of(self.words[_FOUND], self.pad, self.orientation, self.outlines)
+        return registration_of(self.words[_FOUND], self.pad, self.orientation)
 
 
 def look(

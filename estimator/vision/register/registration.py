@@ -65,8 +65,6 @@ class Registration:
     """Length of the last iteration's step; small if converged."""
     dense: bool
     """True for a fit to all pixels of the disc; False for profiles across edges."""
-    outline_px: tuple[F64, ...]
-    """Registered edge points, (N, 2) px for each kind, for display."""
 
     @property
     def blur_px(self) -> float:
@@ -119,7 +117,7 @@ def register(
         start_of(out), start_of(outline),
     ):  # fmt: skip
         return None
-    return registration_of(out, pad, prior, tuple(outline[part] for part in edges.shown))
+    return registration_of(out, pad, prior)
 
 
 def supports(words: F64) -> Mapping[EdgeKind, EdgeSupport]:
@@ -135,11 +133,11 @@ def is_ambiguous(words: F64, pad: Pad) -> bool:
     return bool(words[_AMBIGUOUS].view(np.int64)[0])
 
 
-def registration_of(words: F64, pad: Pad, prior: Orientation | None, outline_px: tuple[F64, ...]) -> Registration:
+def registration_of(words: F64, pad: Pad, prior: Orientation | None) -> Registration:
     """Return the core's `registration` as a value."""
     noise_light, edge_rms_px, visible, inliers, last_step_px = words[_AT["noise_light"].start : _AT["edges"].start].tolist()
     return Registration(
         PadPose(Rotation(words[_AT["R"]].reshape(3, 3)), words[_AT["t"]]), words[_AT["cov"]].reshape(6, 6),
         words[_AT["information"]].reshape(6, 6), prior, supports(words), is_ambiguous(words, pad), words[_AT["blur_px2"]],
-        noise_light, edge_rms_px, visible, inliers, last_step_px, bool(words[_AT["dense"]].view(np.int64)[0]), outline_px,
+        noise_light, edge_rms_px, visible, inliers, last_step_px, bool(words[_AT["dense"]].view(np.int64)[0]),
     )  # fmt: skip

@@ -377,7 +377,7 @@ int main(int count, char **files)
     registrations(60);
     report("register_pad sighting_in_level");
     alignments(40);
-    report("align_view align_move align_fit align_cover frame_noise");
+    report("align_view align_arrow_view align_move align_fit align_cover frame_noise");
     looks(60);
     report("look_at_pad");
     searches(40);

@@ -50,48 +50,66 @@ static void lay(const camera_lens *c, const pad_template *p, const int16_t *maps
     alignment how = {1 + kind % 5, kind % 2, kind % 3 == 0, 0.05, {0.6, 0.8}, {0.8, -0.6, uniform()}, kind % 4 ? 0.0 : 0.08};
     cover_line line;
     aligned_pad out;
-    frame_part part, all = {kind % 3, 0, 0, c->width >> kind % 3, c->height >> kind % 3};
+    frame_part part, arrow, all = {kind % 3, 0, 0, c->width >> kind % 3, c->height >> kind % 3};
     double tilt = 0.0;
     pose.t[2] = p->disc_radius_m * (1.5 + 2.0 * fabs(uniform()));
     poisoned(pose.R, 12);
     if (!align_view(c, p, &pose, 100 + draw() % 2000, &part)) {
         return;
     }
-    int32_t stride, arrow_stride;
-    uint8_t *px = part_pixels(&part, &stride), *arrow_px = part_pixels(&all, &arrow_stride);
+    align_arrow_view(c, p, &pose, &arrow);
+    int32_t stride, all_stride, arrow_stride;
+    uint8_t *px = part_pixels(&part, &stride), *whole = part_pixels(&all, &all_stride), *arrow_px = part_pixels(&arrow, &arrow_stride);
     float *scratch = scratch_for(&part);
     frame_quality of;
-    frame_noise(arrow_px, arrow_stride, (int32_t)all.width, (int32_t)all.height, &of);
+    frame_noise(whole, all_stride, (int32_t)all.width, (int32_t)all.height, &of);
     fold(&of.noise, 3);
     poisoned(&how.sigma_tilt_rad, 7), poisoned(pose.R, 12), poisoned(&of.noise, 3);
     if (align_cover(c, p, maps, light, &part, px, stride, &pose, scratch, &line)) {
         fold(line.cut, 5);
     }
-    if (align_fit(c, p, maps, local, light, &part, px, stride, &all, arrow_px, arrow_stride, &pose, 0.5, how.cut, &of, scratch, &out)) {
+    if (align_fit(c, p, maps, local, light, &part, px, stride, &arrow, arrow_px, arrow_stride, &pose, 0.5, how.cut, &of, scratch, &out)) {
         fold(out.paints, (int)(sizeof out / sizeof(double)));
     }
     found += align_move(c, p, how.local ? local : maps, light, &part, px, stride, &how, &pose, &tilt, scratch);
     fold(pose.R, 12), fold(&tilt, 1);
-    free(px), free(arrow_px), free(scratch);
+    free(px), free(whole), free(arrow_px), free(scratch);
+}
+
+enum { HALF = 12, CELLS = TEMPLATE_BLURS * (2 * HALF + 1) * (2 * HALF + 1) * 4 };
+
+/* A drawing's maps, and three tables of light. */
+typedef struct {
+    int16_t *maps, *local;
+    float *light;
+} drawn_maps;
+
+static drawn_maps random_maps(void)
+{
+    const drawn_maps d = {malloc(CELLS * sizeof *d.maps), malloc(CELLS * sizeof *d.local), malloc(3 * 256 * sizeof *d.light)};
+    for (int i = 0; i < CELLS; i++) {
+        d.maps[i] = (int16_t)(next_random() % TEMPLATE_ONE);
+        d.local[i] = (int16_t)(next_random() % (2 * TEMPLATE_ONE) - TEMPLATE_ONE);
+    }
+    for (int i = 0; i < 3 * 256; i++) {
+        d.light[i] = (float)(i % 256) / 255.0f;
+    }
+    return d;
+}
+
+static void forget(drawn_maps d)
+{
+    free(d.maps), free(d.local), free(d.light);
 }
 
 static void alignments(int count)
 {
-    const int half = 12, cells = TEMPLATE_BLURS * (2 * half + 1) * (2 * half + 1) * 4;
-    int16_t *maps = malloc((size_t)cells * sizeof *maps), *local = malloc((size_t)cells * sizeof *local);
-    float *light = malloc(3 * 256 * sizeof *light);
-    for (int i = 0; i < cells; i++) {
-        maps[i] = (int16_t)(next_random() % TEMPLATE_ONE);
-        local[i] = (int16_t)(next_random() % (2 * TEMPLATE_ONE) - TEMPLATE_ONE);
-    }
-    for (int i = 0; i < 3 * 256; i++) {
-        light[i] = (float)(i % 256) / 255.0f;
-    }
+    const drawn_maps d = random_maps();
     for (int i = 0; i < count; i++) {
         const int kind = fuzzed ? draw() : i;
         const camera_lens c = random_camera(kind % 2);
-        const pad_template p = random_template(half, 0.1 + 0.3 * (kind % 4));
-        lay(&c, &p, maps, local, light, kind);
+        const pad_template p = random_template(HALF, 0.1 + 0.3 * (kind % 4));
+        lay(&c, &p, d.maps, d.local, d.light, kind);
     }
-    free(maps), free(local), free(light);
+    forget(d);
 }

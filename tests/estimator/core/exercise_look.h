@@ -33,16 +33,7 @@ static void draw_look(int kind, some_look *l)
 
 static void looks(int count)
 {
-    const int half = 12, cells = TEMPLATE_BLURS * (2 * half + 1) * (2 * half + 1) * 4;
-    int16_t *maps = malloc((size_t)cells * sizeof *maps), *local = malloc((size_t)cells * sizeof *local);
-    float *lights = malloc(3 * 256 * sizeof *lights);
-    for (int i = 0; i < cells; i++) {
-        maps[i] = (int16_t)(next_random() % TEMPLATE_ONE);
-        local[i] = (int16_t)(next_random() % (2 * TEMPLATE_ONE) - TEMPLATE_ONE);
-    }
-    for (int i = 0; i < 3 * 256; i++) {
-        lights[i] = (float)(i % 256) / 255.0f;
-    }
+    const drawn_maps d = random_maps();
     for (int i = 0; i < count; i++) {
         const int kind = fuzzed ? draw() : i, h = 20 + draw() % 80, w = 20 + draw() % 120;
         camera_lens camera;
@@ -61,14 +52,14 @@ static void looks(int count)
         uint8_t *parts = malloc((size_t)(2 * (3 * w * h / 4) + 24 * w));
         some_camera(&camera, h, w, 20.0 + draw() % 100, kind % 5 == 0);
         some_pad(&pad, 0.4, kind % 2);
-        const pad_template drawn = random_template(half, pad.disc_radius_m);
+        const pad_template drawn = random_template(HALF, pad.disc_radius_m);
         const double height_m = pad.disc_radius_m * camera.fx / (4.0 + draw() % (kind % 3 ? w / 2 : 4 * w));
         uint8_t *frame = picture(&camera, &pad, height_m, kind);
         double *rays = camera.distorted ? rays_of(&camera) : NULL;
         some_start(start, &camera, height_m, kind % 7 == 0 ? 5.0 : 0.4, kind % 5 == 4);
         some_edges(&pad, edges, edge_of);
         draw_look(kind, &l);
-        if (look_at_pad(&camera, rays, frame, lights, lights, &pad, EDGE_POINTS, edges, edge_of, &drawn, maps, local, &l.judge, &prior, &o,
+        if (look_at_pad(&camera, rays, frame, d.light, d.light, &pad, EDGE_POINTS, edges, edge_of, &drawn, d.maps, d.local, &l.judge, &prior, &o,
                         &l.quality, &l.how, &l.known, start, room, scratch, parts, out, outline)) {
             fold(&out->log_odds, 1), fold(out->evidence, EVIDENCE), fold(out->paint.mean, 25), fold(out->seen.d, 3), fold(outline, 200);
         }
@@ -77,5 +68,5 @@ static void looks(int count)
             free(all[k]);
         }
     }
-    free(maps), free(local), free(lights);
+    forget(d);
 }

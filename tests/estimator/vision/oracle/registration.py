@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
@@ -290,15 +288,6 @@ def _doubt(state: RegistrationState, pad: Pad) -> F64:
     return out
 
 
-@lru_cache(maxsize=8)
-def _outline(pad: Pad) -> tuple[F64, tuple[slice, ...]]:
-    """Return (M, 3) m points of the edges, and the slice of each kind."""
-    edges = edges_of(pad)
-    at = edges.at_m[::4]
-    borders = np.searchsorted(edges.kind[::4], np.arange(len(EdgeKind) + 1)).tolist()
-    return np.c_[at, np.zeros(len(at))], tuple(slice(a, b) for a, b in pairwise(borders))
-
-
 def _arrow_is_opposite(px: U8, camera: Camera, pad: Pad, state: RegistrationState, options: RegistrationOptions) -> bool:
     if not _opposite_in_view(camera, pad, state):
         return False
@@ -335,8 +324,6 @@ def _result(solved: _Solved, camera: Camera, pad: Pad, prior: Orientation | None
     T[:3, :3] = T[3:, 3:] = pose.R_cam_pad.matrix
     cov, information = T @ cov9[:6, :6] @ T.T, T @ information @ T.T
     judged = {kind: beside(e, kind, pad) for kind, e in solved.edges.items()}
-    points, of_kind = _outline(pad)
-    outline = camera.project(pose.points(points))
     turn = pose.R_cam_pad.matrix[:2, :2]
     b = state.blur_px2
     in_image = turn @ np.array([[b[0], b[1]], [b[1], b[2]]]) @ turn.T
@@ -344,5 +331,4 @@ def _result(solved: _Solved, camera: Camera, pad: Pad, prior: Orientation | None
         pose, 0.5 * (cov + cov.T), 0.5 * (information + information.T), prior, MappingProxyType(judged),
         not solved.arrow_seen, np.array([in_image[0, 0] - 1 / 12, in_image[0, 1], in_image[1, 1] - 1 / 12]),
         solved.noise_light, solved.edge_rms_px, solved.visible, solved.inliers, solved.last_step_px, solved.dense,
-        tuple(outline[part] for part in of_kind),
     )  # fmt: skip
