@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import tomllib
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
@@ -37,7 +38,15 @@ __all__ = [
 
 _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
-_AUTOPILOT_TRIES = {"heading": "align"}
+_OF_AUTOPILOT: dict[tuple[str, str], dict[str, Any]] = {
+    ("guidance", "tries"): {"heading": "align"},
+    ("estimator", "ekf"): {"sigma_attitude_bias_rad": math.radians(0.5), "asd_accel_bias_m_s3": 0.02},
+}
+"""What differs for an autopilot where a settings file is silent, by the tables that the keys are in.
+
+A ship expects the nose on the arrow, and an autopilot's readings err otherwise than an AR.Drone's
+(docs/decisions/063-an-autopilots-bias-moves.md).
+"""
 
 
 def load(name_or_path: str | Path) -> Settings:
@@ -107,7 +116,7 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False)
     data = without_retired(with_moved(data) if recorded else data, where)
     try:
         refuse_moved(data)
-        return msgspec.convert(_with_guidance_of_vehicle(data), Settings, strict=True)
+        return msgspec.convert(_with_those_of_autopilot(data), Settings, strict=True)
     except BadInput as why:
         raise BadInput(f"{where}: {why}") from None
     except msgspec.ValidationError as why:
@@ -116,15 +125,17 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False)
         raise BadInput(f"{where}: {explain(Settings, data, str(why))}") from why
 
 
-def _with_guidance_of_vehicle(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the mapping with what differs for an autopilot where it says nothing of it: a ship expects the nose on the arrow."""
-    vehicle, guidance = data.get("vehicle"), data.get("guidance", {})
-    if not isinstance(vehicle, Mapping) or not isinstance(guidance, Mapping) or vehicle.get("kind") != "mavlink":
+def _with_those_of_autopilot(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the mapping with what differs for an autopilot where it says nothing of it."""
+    vehicle = data.get("vehicle")
+    if not isinstance(vehicle, Mapping) or vehicle.get("kind") != "mavlink":
         return data
-    tries = guidance.get("tries", {})
-    if not isinstance(tries, Mapping):
-        return data
-    return {**data, "guidance": {**guidance, "tries": {**_AUTOPILOT_TRIES, **tries}}}
+    for (name, part), values in _OF_AUTOPILOT.items():
+        table = data.get(name, {})
+        given = table.get(part, {}) if isinstance(table, Mapping) else None
+        if isinstance(given, Mapping):
+            data = {**data, name: {**table, part: {**values, **given}}}
+    return data
 
 
 def camera_model(settings: Settings) -> Camera:

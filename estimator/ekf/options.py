@@ -63,7 +63,14 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 0.6
     asd_accel_bias_m_s3: Annotated[
-        float, number("random walk of the accelerometer's bias: its change within 1 s", "m/s^3/sqrt(Hz)", 1e-7, 1.0)
+        float,
+        number(
+            "random walk of the accelerometer's bias: its change within 1 s; 0.02 for an autopilot if nothing is set, which may "
+            "take its own, changing estimate of the bias off what it sends",
+            "m/s^3/sqrt(Hz)",
+            1e-7,
+            1.0,
+        ),
     ] = 2e-3
     accel_step_m_s2: Annotated[
         float,
@@ -88,7 +95,8 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     sigma_attitude_bias_rad: Annotated[
         float,
         number(
-            "standard deviation of the constant error of the vehicle's own roll and pitch at the start",
+            "standard deviation of the constant error of the vehicle's own roll and pitch at the start; half a degree for an "
+            "autopilot if nothing is set",
             "rad",
             1e-5,
             1.0,

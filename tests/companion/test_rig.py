@@ -23,6 +23,7 @@ from companion.runtime.make_pilot import estimator_options, tracker
 from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
+from estimator.ekf import EkfOptions
 from estimator.options import EstimatorOptions
 
 READ_BY_THE_SERVICE_ITSELF = {
@@ -130,6 +131,11 @@ def test_defaults_of_an_autopilot_are_those_of_the_parts() -> None:
     assert isinstance(v, AutopilotOptions)
     estimator = estimator_options(from_mapping(MINIMALS["mavlink"], "default"))
     assert estimator.ekf.velocity_is_over == "ground"
+    assert estimator.ekf.sigma_attitude_bias_rad < EkfOptions().sigma_attitude_bias_rad
+    assert estimator.ekf.asd_accel_bias_m_s3 > EkfOptions().asd_accel_bias_m_s3
+    given = from_mapping({**MINIMALS["mavlink"], "estimator": {"ekf": {"sigma_attitude_bias_rad": 0.03}}}, "given")
+    assert given.estimator.ekf.sigma_attitude_bias_rad == 0.03
+    assert given.estimator.ekf.asd_accel_bias_m_s3 == estimator.ekf.asd_accel_bias_m_s3
     assert v == AutopilotOptions("tcp://127.0.0.1:5760")
 
 
