@@ -138,6 +138,18 @@ def _with_those_of_autopilot(data: Mapping[str, Any]) -> Mapping[str, Any]:
     return data
 
 
+def flown_by_autopilot(settings: Settings) -> Settings:
+    """Return settings made for an AR.Drone with what differs for an autopilot, where they leave the default."""
+    for (name, part), values in _OF_AUTOPILOT.items():
+        table = getattr(settings, name)
+        given = getattr(table, part)
+        default = type(given)()
+        left = {key: value for key, value in values.items() if getattr(given, key) == getattr(default, key)}
+        changed = msgspec.structs.replace(table, **{part: msgspec.structs.replace(given, **left)})
+        settings = msgspec.structs.replace(settings, **{name: changed})
+    return settings
+
+
 def camera_model(settings: Settings) -> Camera:
     """Return the camera that `settings.camera.file` names.
 

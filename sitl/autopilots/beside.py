@@ -9,6 +9,7 @@ from typing import Literal
 import msgspec
 
 from companion.config.model import CameraSettings, Settings
+from companion.config.settings import flown_by_autopilot
 from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.exposure_part import ExposurePart
 from companion.runtime.health import Health
@@ -105,12 +106,12 @@ def beside_autopilot(
     Args:
         response: the shipped response of this stack, where the settings leave it to the vehicle; None for an autopilot's.
     """
-    vehicle, tries = settings.vehicle, settings.guidance.tries
+    vehicle = settings.vehicle
     if isinstance(vehicle, AutopilotOptions):
         vehicle = msgspec.structs.replace(vehicle, links=links, signing_key_file="")
     else:
         vehicle = AutopilotOptions(links=links)
-        tries = msgspec.structs.replace(tries, heading="align")
+        settings = flown_by_autopilot(settings)
     follow = settings.guidance.follow_deck
     if response is not None and follow.response_by_vehicle:
         follow = msgspec.structs.replace(follow, response=response)
@@ -118,5 +119,5 @@ def beside_autopilot(
         settings,
         vehicle=vehicle,
         camera=CameraSettings(settings.camera.file, gimbal=settings.camera.gimbal, exposure=settings.camera.exposure),
-        guidance=msgspec.structs.replace(settings.guidance, start=start, tries=tries, follow_deck=follow),
+        guidance=msgspec.structs.replace(settings.guidance, start=start, follow_deck=follow),
     )

@@ -15,7 +15,7 @@ from msgspec import inspect
 from companion.cli.main import main
 from companion.config.model import ardrone_options
 from companion.config.refusal import walk
-from companion.config.settings import Settings, from_mapping
+from companion.config.settings import Settings, flown_by_autopilot, from_mapping
 from companion.guidance.options import GuidanceOptions
 from companion.mavlink.options import BridgeOptions
 from companion.mavlink.signed_links import signed_links
@@ -137,6 +137,13 @@ def test_defaults_of_an_autopilot_are_those_of_the_parts() -> None:
     assert given.estimator.ekf.sigma_attitude_bias_rad == 0.03
     assert given.estimator.ekf.asd_accel_bias_m_s3 == estimator.ekf.asd_accel_bias_m_s3
     assert v == AutopilotOptions("tcp://127.0.0.1:5760")
+
+
+def test_settings_for_an_ardrone_are_given_what_differs_for_an_autopilot() -> None:
+    of_autopilot = from_mapping(MINIMALS["mavlink"], "default")
+    given = flown_by_autopilot(from_mapping({**MINIMAL, "estimator": {"ekf": {"sigma_attitude_bias_rad": 0.03}}}, "given"))
+    assert given.guidance.tries == of_autopilot.guidance.tries
+    assert given.estimator.ekf == msgspec.structs.replace(of_autopilot.estimator.ekf, sigma_attitude_bias_rad=0.03)
 
 
 @pytest.mark.parametrize("kind", [AutopilotOptions, BridgeOptions])
