@@ -38,7 +38,7 @@ __all__ = [
 
 _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
-_OF_AUTOPILOT: dict[tuple[str, str], dict[str, Any]] = {
+_AUTOPILOT_DEFAULTS: dict[tuple[str, str], dict[str, Any]] = {
     ("guidance", "tries"): {"heading": "align"},
     ("estimator", "ekf"): {"sigma_attitude_bias_rad": math.radians(0.5), "asd_accel_bias_m_s3": 0.02},
 }
@@ -116,7 +116,7 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False)
     data = without_retired(with_moved(data) if recorded else data, where)
     try:
         refuse_moved(data)
-        return msgspec.convert(_with_those_of_autopilot(data), Settings, strict=True)
+        return msgspec.convert(_with_defaults_of_autopilot(data), Settings, strict=True)
     except BadInput as why:
         raise BadInput(f"{where}: {why}") from None
     except msgspec.ValidationError as why:
@@ -125,12 +125,12 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False)
         raise BadInput(f"{where}: {explain(Settings, data, str(why))}") from why
 
 
-def _with_those_of_autopilot(data: Mapping[str, Any]) -> Mapping[str, Any]:
+def _with_defaults_of_autopilot(data: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the mapping with what differs for an autopilot where it says nothing of it."""
     vehicle = data.get("vehicle")
     if not isinstance(vehicle, Mapping) or vehicle.get("kind") != "mavlink":
         return data
-    for (name, part), values in _OF_AUTOPILOT.items():
+    for (name, part), values in _AUTOPILOT_DEFAULTS.items():
         table = data.get(name, {})
         given = table.get(part, {}) if isinstance(table, Mapping) else None
         if isinstance(given, Mapping):
@@ -140,7 +140,7 @@ def _with_those_of_autopilot(data: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def flown_by_autopilot(settings: Settings) -> Settings:
     """Return settings made for an AR.Drone with what differs for an autopilot, where they leave the default."""
-    for (name, part), values in _OF_AUTOPILOT.items():
+    for (name, part), values in _AUTOPILOT_DEFAULTS.items():
         table = getattr(settings, name)
         given = getattr(table, part)
         default = type(given)()
