@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.cli import report_option
+from companion.config.overrides import with_overrides
 from companion.config.settings import Settings
 from companion.recorder.frame_video import VideoImage
 from companion.recorder.reading import RecordedFrame, Recording, open_recording
@@ -21,7 +22,7 @@ from companion.recorder.setup import about, recorder_to_file
 from companion.replay.engine import Replay
 from companion.replay.log_observer import BeliefLogObserver, Difference, differences, recorded_beliefs
 from companion.replay.pilots import available_paths, pilot_of, settings_of
-from companion.report.figures import ErrorRow, all_series, error_rows
+from companion.report.figures import DeckRow, ErrorRow, all_series, deck_rows, error_rows
 from companion.report.flight_log import FlightLog
 from companion.report.page import PAGE, write_report
 from companion.runtime.observer import Observer
@@ -49,6 +50,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--path", choices=available_paths(), help="steer by this estimator path (default: the one of the settings)"
     )
     parser.add_argument("--config", metavar="FILE", help="settings file to replay with (default: the recording's own settings)")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="give a key of these settings another value"
+    )
     parser.add_argument("--against", metavar="SETTINGS", help="replay with these settings too, and print the differences")
     parser.add_argument("--compare", type=Path, metavar="OTHER", help="compare with the estimates in this recording")
     parser.add_argument("--record", type=Path, metavar="FILE", help="record the estimates of the replay, for --compare")
@@ -73,18 +77,22 @@ class Pass:
     def errors(self) -> list[ErrorRow]:
         return error_rows(self.log_observer.log, all_series(self.log_observer.log)) if self.log_observer.log.truth else []
 
+    def decks(self) -> list[DeckRow]:
+        return deck_rows(self.log_observer.log)
+
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     recording = open_recording(args.recording)
     if args.mavlink and not args.realtime:
         raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")
+    settings = with_overrides(settings_of(recording, args.config), args.set, "--set")
     if args.realtime:
         from companion.cli.replay_live import play
 
-        return play(args, recording, settings_of(recording, args.config))
+        return play(args, recording, settings)
     report_option.prepare_folder(args.report)
-    passes = [_pass(args, recording, "as set", settings_of(recording, args.config), args.config is None, args.record)]
+    passes = [_pass(args, recording, "as set", settings, args.config is None, args.record)]
     if args.against is not None:
         passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), False, None))
     compared: dict[str, list[Difference]] = {
@@ -174,10 +182,13 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
         ]
         rows = done.errors()
         if rows:
-            out.append(
-                f"{'against truth':<16}{'count':>7}{'lateral':>10}{'95 %':>10}{'down':>10}{'95 %':>10}{'heading':>9}{'95 %':>8}"
-            )
+            heads = f"{'lateral':>10}{'95 %':>10}{'down':>10}{'95 %':>10}{'heading':>9}{'95 %':>8}{'NEES':>8}"
+            out.append(f"{'against truth':<16}{'count':>7}{heads}")
         out += [_row(row) for row in rows]
+        decks = done.decks()
+        if decks:
+            out.append(f"{'deck by truth':<16}{'count':>7}{'tilt':>9}{'95 %':>8}{'NEES':>8}")
+        out += [_deck_row(row) for row in decks]
         if not rows:
             out.append("no truth was recorded: no errors to show")
     for name, found in compared.items():
@@ -188,7 +199,17 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
 def _row(r: ErrorRow) -> str:
     lengths = (_mm(x) for x in (r.lateral_median_m, r.lateral_p95_m, r.down_bias_m, r.down_p95_m))
     angles = [("-" if math.isnan(a) else f"{math.degrees(a):.2f}") for a in (r.yaw_median_rad, r.yaw_p95_rad)]
-    return f"{r.name:<16}{r.count:>7}" + "".join(f"{x:>10}" for x in lengths) + f"{angles[0]:>9}{angles[1]:>8}"
+    return f"{r.name:<16}{r.count:>7}" + "".join(f"{x:>10}" for x in lengths) + f"{angles[0]:>9}{angles[1]:>8}{_ratio(r.nees):>8}"
+
+
+def _deck_row(r: DeckRow) -> str:
+    name = f"{r.ahead_s:g} s ahead" if r.ahead_s else "now"
+    tilts = (f"{math.degrees(a):.2f}" for a in (r.tilt_median_rad, r.tilt_p95_rad))
+    return f"{name:<16}{r.count:>7}{next(tilts):>9}{next(tilts):>8}{_ratio(r.nees):>8}"
+
+
+def _ratio(x: float) -> str:
+    return f"{x:.2f}" if math.isfinite(x) else "-"
 
 
 def _difference(name: str, d: Difference) -> str:
@@ -220,6 +241,7 @@ def _as_json(recording: Recording, passes: Sequence[Pass], compared: dict[str, l
                 "flown_s": round(done.flown_s, 3),
                 "counts": asdict(done.replay.counts),
                 "errors": [_plain(asdict(row)) for row in done.errors()],
+                "decks": [_plain(asdict(row)) for row in done.decks()],
             }
             for done in passes
         ],

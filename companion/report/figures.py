@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.report.flight_log import FlightLog, StageTime, TruthSample
+from companion.report.flight_log import HORIZONS_KEPT_S, FlightLog, StageTime, TruthSample
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between
@@ -31,6 +31,9 @@ class Series:
     """The (n, 3) errors, estimate minus truth, m; nan where there is no truth."""
     yaw_error: F64
     """The (n,) heading errors, rad."""
+    nees: F64
+    """The (n,) squares of a path's errors by its covariance, over their degrees of freedom: place, velocity, and heading where
+    known. Empty for a method: the covariance of a sighting leaves out the error of the attitude that levels it."""
 
     @property
     def lateral_error_m(self) -> F64:
@@ -52,6 +55,23 @@ class ErrorRow:
     down_p95_m: float
     yaw_median_rad: float
     yaw_p95_rad: float
+    nees: float
+    """The mean of a path's NEES over its degrees of freedom: 1 where the covariances are right, more where they are too small
+    (Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 5.4.2); nan for a method."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeckRow:
+    """One line of the table of the deck's forecast tilt against truth."""
+
+    ahead_s: float
+    """How far ahead the deck was forecast; 0 is the deck as the filter has it."""
+    count: int
+    tilt_median_rad: float
+    """Of the angle between the forecast and the true deck."""
+    tilt_p95_rad: float
+    nees: float
+    """The mean of the squares of the errors of roll and pitch over their variances: 1 is right."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,26 +91,31 @@ class TruthTrack:
 
     def __init__(self, samples: Sequence[TruthSample]) -> None:
         self._at = np.array([s.at for s in samples], dtype=np.int64)
-        self._values = np.array([[*s.d_body_pad_level, s.yaw_rad] for s in samples]).reshape(-1, 4)
+        self._values = np.array([[*s.d_body_pad_level, s.yaw_rad, *s.v_pad_level] for s in samples]).reshape(-1, 7)
         if len(samples):
             self._values[:, 3] = np.unwrap(self._values[:, 3])
 
     def at(self, instants: Iterable[MonoNs]) -> F64:
-        """Return the (n, 4) truth: forward, right and down in m, heading in rad (-pi, pi]."""
-        t = np.array(list(instants), dtype=np.int64)
-        out = np.full((len(t), 4), np.nan)
-        if not len(self._at) or not len(t):
-            return out
-        after = np.searchsorted(self._at, t).clip(0, len(self._at) - 1)
-        before = np.searchsorted(self._at, t, side="right").clip(1, None) - 1
-        gap = self._at[after] - self._at[before]
-        known = (t >= self._at[0]) & (t <= self._at[-1]) & (gap <= 200_000_000)
-        origin = self._at[0]
-        for k in range(4):
-            out[:, k] = np.interp((t - origin) * 1e-9, (self._at - origin) * 1e-9, self._values[:, k])
+        """Return the (n, 7) truth: forward, right and down in m, heading in rad (-pi, pi], rates of the first three in m/s."""
+        out = _interpolated(self._at, self._values, instants)
         out[:, 3] = np.remainder(out[:, 3] + math.pi, math.tau) - math.pi
-        out[~known] = np.nan
         return out
+
+
+def _interpolated(at: np.ndarray[tuple[int], np.dtype[np.int64]], values: F64, instants: Iterable[MonoNs]) -> F64:
+    """Return the (n, k) values at these instants of a table with an (m, k) row for each instant of `at`, ns."""
+    t = np.array(list(instants), dtype=np.int64)
+    out = np.full((len(t), values.shape[1]), np.nan)
+    if not len(at) or not len(t):
+        return out
+    after = np.searchsorted(at, t).clip(0, len(at) - 1)
+    before = np.searchsorted(at, t, side="right").clip(1, None) - 1
+    known = (t >= at[0]) & (t <= at[-1]) & (at[after] - at[before] <= 200_000_000)
+    origin = at[0]
+    for k in range(values.shape[1]):
+        out[:, k] = np.interp((t - origin) * 1e-9, (at - origin) * 1e-9, values[:, k])
+    out[~known] = np.nan
+    return out
 
 
 def all_series(log: FlightLog) -> list[Series]:
@@ -124,7 +149,17 @@ def _series(
     yaw = np.array([math.nan if v.yaw_rad is None else v.yaw_rad for v in values])
     true = truth.at(at)
     yaw_error = np.array([wrap_pi(e) for e in yaw - true[:, 3]])
-    return Series(name, is_path, np.array([seconds_between(log.started, t) for t in at]), d, yaw, d - true[:, :3], yaw_error)
+    t_s = np.array([seconds_between(log.started, t) for t in at])
+    nees = np.array([_nees(value, row) for value, row in zip(values, true, strict=True) if isinstance(value, RelativeState)])
+    return Series(name, is_path, t_s, d, yaw, d - true[:, :3], yaw_error, nees)
+
+
+def _nees(b: RelativeState, true: F64) -> float:
+    """Return the NEES of an estimate over its degrees of freedom; nan where there is no truth."""
+    yaw_error = [] if b.yaw_rad is None else [wrap_pi(b.yaw_rad - true[3])]
+    error = np.array([*(b.d_body_pad_level - true[:3]), *(b.v_pad_level - true[4:]), *yaw_error])
+    n = len(error)
+    return float(error @ np.linalg.solve(b.cov[:n, :n], error)) / n if np.isfinite(error).all() else math.nan
 
 
 def error_rows(log: FlightLog, series: Sequence[Series]) -> list[ErrorRow]:
@@ -145,8 +180,28 @@ def error_rows(log: FlightLog, series: Sequence[Series]) -> list[ErrorRow]:
                 down_p95_m=_quantile(np.abs(down), 0.95),
                 yaw_median_rad=_quantile(yaw, 0.5),
                 yaw_p95_rad=_quantile(yaw, 0.95),
+                nees=_mean(s.nees),
             )
         )
+    return rows
+
+
+def deck_rows(log: FlightLog) -> list[DeckRow]:
+    """Return how the deck's tilt by the steering path differs from truth, now and as it was forecast; empty without either."""
+    truths = [(s.at, *s.R_ned_pad.rpy_rad[:2]) for s in log.truth if s.R_ned_pad is not None]
+    if not truths:
+        return []
+    at, tilts = np.array([t for t, _, _ in truths], dtype=np.int64), np.array([rest for _, *rest in truths])
+    rows = []
+    for ahead_s in HORIZONS_KEPT_S:
+        samples = [s for s in log.decks if round(seconds_between(s.made_at, s.at), 3) == ahead_s]
+        if not samples:
+            continue
+        said = np.array([(s.roll_rad, s.pitch_rad, s.sigma_roll_rad, s.sigma_pitch_rad) for s in samples])
+        error = said[:, :2] - _interpolated(at, tilts, [s.at for s in samples])
+        tilt, normalized = np.hypot(error[:, 0], error[:, 1]), ((error / said[:, 2:]) ** 2).mean(axis=1)
+        count = int(np.isfinite(tilt).sum())
+        rows.append(DeckRow(ahead_s, count, _quantile(tilt, 0.5), _quantile(tilt, 0.95), _mean(normalized)))
     return rows
 
 
@@ -159,6 +214,11 @@ def timing_rows(log: FlightLog) -> list[TimingRow]:
 def stage_times(log: FlightLog) -> dict[str, list[StageTime]]:
     """Return the durations of every stage, then the delay from the exposure to the estimate."""
     return {**log.stages, "exposure to belief": log.delays}
+
+
+def _mean(x: F64) -> float:
+    x = x[np.isfinite(x)]
+    return float(x.mean()) if len(x) else math.nan
 
 
 def _quantile(x: F64, q: float) -> float:

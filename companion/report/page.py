@@ -82,7 +82,7 @@ def render(log: FlightLog, film: FilmFile | None) -> str:
     else:
         body.append('<h2>Place</h2><p class="note">Nothing was estimated.</p>')
     body += [
-        drawn(ship, numbers),
+        drawn(ship, numbers, tables.deck_errors(log)),
         drawn(commands, numbers),
         drawn(frames, numbers, tables.verdicts(log)),
         drawn(innovations, numbers, tables.innovations(found)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from html import escape
 
-from companion.report.figures import Series, error_rows, timing_rows
+from companion.report.figures import Series, deck_rows, error_rows, timing_rows
 from companion.report.flight_log import FlightLog
 from companion.report.innovations import InnovationSeries
 from companion.report.page_parts import swatch, table
@@ -53,10 +53,30 @@ def errors(log: FlightLog, series: list[Series]) -> str:
                 "-" if r.fraction is None else f"{100 * r.fraction:.1f} %",
                 *(length(v) for v in (r.lateral_median_m, r.lateral_p95_m, r.down_bias_m, r.down_p95_m)),
                 *turns,
+                number(r.nees),
             ]
         )
     heads = ["method or path", "estimates", "of frames", "lateral<br>median", "lateral<br>95 %", "down<br>bias"]
-    return table([*heads, "down<br>95 %", "heading<br>median", "heading<br>95 %"], rows)
+    return (
+        table([*heads, "down<br>95 %", "heading<br>median", "heading<br>95 %", "NEES<br>mean"], rows)
+        + '<p class="note">NEES: the square of a path\'s error in place, velocity and heading by its covariance, over its '
+        "components; 1 when the covariance is honest, more when it is too small.</p>"
+    )
+
+
+def deck_errors(log: FlightLog) -> str:
+    """Return how the deck's forecast tilt differs from truth."""
+    rows = [
+        [
+            f"{r.ahead_s:g} s ahead" if r.ahead_s else "now",
+            str(r.count),
+            *(f"{math.degrees(v):.2f}&deg;" for v in (r.tilt_median_rad, r.tilt_p95_rad)),
+            number(r.nees),
+        ]
+        for r in deck_rows(log)
+        if r.count
+    ]
+    return table(["the deck", "forecasts", "tilt<br>median", "tilt<br>95 %", "NEES<br>mean"], rows) if rows else ""
 
 
 def verdicts(log: FlightLog) -> str:
@@ -79,7 +99,7 @@ def innovations(found: list[InnovationSeries]) -> str:
     for s in found:
         total, fused = s.verdicts.total(), s.verdicts[Verdict.FUSED]
         refused = ", ".join(f"{n} {v.value.replace('_', ' ')}" for v, n in s.verdicts.most_common() if v is not Verdict.FUSED)
-        figures = ("-" if math.isnan(x) else f"{x:.2f}" for x in (s.nis_mean, s.test_ratio_p95))
+        figures = number(s.nis_mean), number(s.test_ratio_p95)
         rows.append([escape(s.name), str(total), str(fused), str(total - fused), refused or "-", *figures])
     heads = ["path and source", "measurements", "fused", "refused", "of which", "NIS mean", "test ratio<br>95 %"]
     return (
@@ -98,6 +118,11 @@ def times(log: FlightLog) -> str:
     if not rows:
         return '<p class="note">No times were measured.</p>'
     return table(["stage", "samples", "median", "95 %", "99 %", "longest"], rows)
+
+
+def number(x: float) -> str:
+    """Return a plain number as text."""
+    return f"{x:.2f}" if math.isfinite(x) else "-"
 
 
 def length(metres: float) -> str:

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from companion.config.overrides import Value, finite
 from estimator.contracts.errors import BadInput
 from sitl.campaign.lab import require_lab
-from sitl.campaign.overrides import Overridable, Value, finite
+from sitl.campaign.overrides import Overridable
 from sitl.campaign.plan import Point
 
 POINTS_MAX = 1_000_000

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import copy
-import difflib
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import msgspec
-
 from companion.config.model import Settings
+from companion.config.overrides import NOTHING, Value, key_and_text, leaf, leaves, nearest, plain, put, value_like
 from companion.config.settings import from_mapping as settings_from_mapping
 from estimator.contracts.errors import BadInput
 from sitl.one_flight import following
 from sitl.scenario import Scenario
 from sitl.scenario import from_mapping as scenario_from_mapping
 
-Value = bool | int | float | str
 Override = tuple[str, Value]
 _FORCED = "settings."
 """Prefix that reaches a key of the settings which the scenario has too."""
@@ -53,17 +49,7 @@ class Overridable:
         Raises:
             BadInput: the key does not exist, or holds numbers and the text is none.
         """
-        present = self._find(key, where)
-        if isinstance(present, bool):
-            if text in ("true", "false"):
-                return text == "true"
-            raise BadInput(f"{where}: {key} is true or false, found {text!r}")
-        if isinstance(present, str):
-            return text
-        number = finite(text, f"{where}: {key}")
-        if isinstance(present, int) and number == int(number):
-            return int(number)
-        return number
+        return value_like(self._find(key, where), text, key, where)
 
     def parse(self, text: str, where: str) -> Override:
         """Return the override that `KEY=VALUE` means.
@@ -71,9 +57,7 @@ class Overridable:
         Raises:
             BadInput: it has another form, or as `value`.
         """
-        key, equals, value = text.partition("=")
-        if not equals or not key:
-            raise BadInput(f"{where} {text!r}: write KEY=VALUE, as in wind.speed_m_s=4")
+        key, value = key_and_text(text, where, "wind.speed_m_s=4")
         return key, self.value(key, value, where)
 
     def with_values(self, overrides: Sequence[Override], where: str) -> tuple[Scenario, Settings]:
@@ -90,7 +74,8 @@ class Overridable:
             self._find(key, where)
             which, path = self._place(key)
             placed[which].append((path, value))
-        _put(placed[0], tables[0])
+        for path, value in placed[0]:
+            put(tables[0], path, value)
         scenario = scenario_from_mapping(tables[0], where) if placed[0] else self._scenario
         settings = self._settings
         if placed[0] and following(self._scenario, settings) == settings:
@@ -99,7 +84,8 @@ class Overridable:
         else:
             placed[1][:0] = [(path, value) for path, value in placed[0] if ".".join(path) in _SHARED]
         if placed[1]:
-            _put(placed[1], tables[1])
+            for path, value in placed[1]:
+                put(tables[1], path, value)
             settings = settings_from_mapping(tables[1], where)
             if fault := settings.fault():
                 raise BadInput(f"{where}: {fault}")
@@ -109,71 +95,13 @@ class Overridable:
         if key.startswith(_FORCED):
             return 1, key.removeprefix(_FORCED).split(".")
         path = key.split(".")
-        return (0 if _leaf(self._tables[0], path) is not _NOTHING else 1), path
+        return (0 if leaf(self._tables[0], path) is not NOTHING else 1), path
 
     def _find(self, key: str, where: str) -> Any:
         which, path = self._place(key)
-        found = _leaf(self._tables[which], path)
-        if found is _NOTHING:
-            known = [*_leaves(self._tables[0]), *_leaves(self._tables[1])]
-            near = difflib.get_close_matches(key.removeprefix(_FORCED), known, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}?" if near else "keys are written as in wind.speed_m_s or guidance.rate_hz"
+        found = leaf(self._tables[which], path)
+        if found is NOTHING:
+            known = [*leaves(self._tables[0]), *leaves(self._tables[1])]
+            hint = nearest(key.removeprefix(_FORCED), known) or "keys are written as in wind.speed_m_s or guidance.rate_hz"
             raise BadInput(f"{where}: neither scenario nor settings have a key {key!r}; {hint}")
         return found
-
-
-_NOTHING = object()
-
-
-def _put(values: Sequence[tuple[list[str], Value]], into: dict[str, Any]) -> None:
-    for path, value in values:
-        table: Any = into
-        for name in path[:-1]:
-            table = table[_index(table, name)]
-        table[_index(table, path[-1])] = value
-
-
-def plain(settings: Scenario | Settings) -> dict[str, Any]:
-    """Return a scenario or settings as tables of plain values, with lists that can be changed."""
-    out: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(settings))
-    return out
-
-
-def finite(text: str, where: str) -> float:
-    """Return the number that a text means.
-
-    Raises:
-        BadInput: it is no finite number.
-    """
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise BadInput(f"{where} needs a number, found {text!r}")
-    return number
-
-
-def _index(table: Any, name: str) -> str | int:
-    return int(name) if isinstance(table, list) else name
-
-
-def _leaf(table: Any, path: Sequence[str]) -> Any:
-    """Return the single value at a path, or `_NOTHING` where there is none or a whole table."""
-    for name in path:
-        if isinstance(table, dict) and name in table:
-            table = table[name]
-        elif isinstance(table, list) and name.isdecimal() and int(name) < len(table):
-            table = table[int(name)]
-        else:
-            return _NOTHING
-    return _NOTHING if isinstance(table, dict | list) else table
-
-
-def _leaves(table: Any, above: str = "") -> Iterator[str]:
-    named = table.items() if isinstance(table, dict) else enumerate(table)
-    for name, value in named:
-        if isinstance(value, dict | list):
-            yield from _leaves(value, f"{above}{name}.")
-        else:
-            yield f"{above}{name}"

@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from companion.config.model import Settings
+from companion.config.overrides import plain
 from companion.config.settings import SHIPPED, read_toml
 from companion.config.settings import camera_model as camera_of_settings
 from companion.config.settings import from_mapping as settings_from_mapping
 from companion.config.settings import pad_model as pad_of_settings
 from estimator.contracts.errors import BadInput
 from sitl.campaign.code import code_version
-from sitl.campaign.overrides import Overridable, Override, plain
+from sitl.campaign.overrides import Overridable, Override
 from sitl.one_flight import Perception, perception_level
 from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.scenario import from_mapping as scenario_from_mapping

@@ -81,6 +81,25 @@ def test_the_same_replay_has_the_same_hash_and_a_change_another(
     assert first["counts"]["as_recorded"] > 20
     against = {d["path"]: d for d in both["against"][str(config)]}
     assert against["median_mean"]["identical"] > against["dead_reckoning"]["identical"] == 0
+    by_key = replayed(flown[0], "--set", "estimator.dead_reckoning.sigma_pad_v_m_s=0.7", "--sightings", capsys=capsys)
+    assert by_key["passes"][0]["sha256"] == second["sha256"]
+    nees = {row["name"]: row["nees"] for row in by_key["passes"][0]["errors"]}
+    assert 0.0 < nees["dead_reckoning"] != {row["name"]: row["nees"] for row in first["errors"]}["dead_reckoning"]
+
+
+def test_a_key_that_the_settings_lack_is_refused_with_the_nearest(
+    flown: tuple[Path, ObservedCalls], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for text, said in (
+        ("guidance.rate=40", "no key 'guidance.rate'; did you mean 'guidance.rate_hz'?"),
+        ("guidance.rate_hz=fast", "guidance.rate_hz needs a number, found 'fast'"),
+        ("guidance.rate_hz=4000", "guidance.rate_hz must be"),
+        ("guidance.rate_hz", "write KEY=VALUE"),
+    ):
+        assert cli.main(["replay", str(flown[0]), "--set", text]) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert "--set" in error
 
 
 def test_images_seen_again_agree_with_what_was_seen_then_and_with_truth(

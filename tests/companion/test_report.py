@@ -4,6 +4,7 @@ import json
 import math
 import re
 from collections import Counter
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from hypothesis import strategies as st
 from companion.guidance.mission import Event, State, StateChange
 from companion.guidance.reason import Reason, ReasonCause
 from companion.report.estimate_plots import place
-from companion.report.figures import TruthTrack, all_series, body_over_pad, error_rows, timing_rows
+from companion.report.figures import TruthTrack, all_series, body_over_pad, deck_rows, error_rows, timing_rows
 from companion.report.flight_log import (
     CommandRecord,
     DeckSample,
@@ -127,6 +128,24 @@ def test_error_statistics_are_those_put_in():
     assert rows["corners"].yaw_p95_rad < 1e-3
     assert rows["dead_reckoning"].down_bias_m == pytest.approx(0.1, abs=0.01)
     assert rows["dead_reckoning"].fraction is None
+    assert rows["dead_reckoning"].nees == pytest.approx((3 * 0.02**2 + 0.1**2) / 1e-4 / 7, rel=0.2)
+    assert math.isnan(rows["corners"].nees)
+
+
+def test_the_decks_tilt_is_compared_with_truth_at_the_instant_that_it_is_forecast_for():
+    log = flight()
+    assert deck_rows(log) == []
+    log.truth = [replace(s, R_ned_pad=Rotation.from_rpy(0.01 * k * 1e-2, 0.0, 0.5)) for k, s in enumerate(log.truth)]
+    for made_s in (0.0, 0.5, 1.0):
+        for ahead_s in (0.0, 1.0, 2.0):
+            t = made_s + ahead_s
+            wrong = 0.03 if ahead_s else 0.0
+            log.decks.append(DeckSample(ns(100 + t), ns(100 + made_s), 0.0, 0.1, 0.01 * t + wrong, 0.03, 0.04 * ahead_s, 0.02))
+    log.decks.append(DeckSample(ns(110), ns(109), 0.0, 0.1, 1.0, 0.03, 1.0, 0.02))
+    rows = deck_rows(log)
+    assert [(row.ahead_s, row.count) for row in rows] == [(0.0, 3), (1.0, 3), (2.0, 3)], "beyond the truth nothing is compared"
+    assert [row.tilt_median_rad for row in rows] == pytest.approx([0.0, 0.05, math.hypot(0.03, 0.08)], abs=1e-6)
+    assert [row.nees for row in rows] == pytest.approx([0.0, (1 + 4) / 2, (1 + 16) / 2], abs=1e-3)
 
 
 def test_timings_keep_their_order_and_quantiles():
