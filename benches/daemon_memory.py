@@ -1,6 +1,9 @@
 """Measure the daemon's memory and processor time over some minutes while a simulated drone hovers over the pad.
 
 python -m benches.daemon_memory --minutes 10
+
+Where there are several cores, the daemon has one to itself: the simulated drone, which no vehicle carries, renders and encodes on
+the others, and would empty the daemon's caches.
 """
 
 from __future__ import annotations
@@ -43,11 +46,14 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--scenario", default="calm")
     args = parser.parse_args()
+    own, *others = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, others or [own])
     with tempfile.TemporaryDirectory() as folder, drone(args.scenario) as ports:
         rig = Path(folder) / "rig.toml"
         rig.write_text(SETTINGS.format(**ports))
         run = [sys.executable, "-m", "companion.cli.main", "run", "--config", str(rig)]
-        with subprocess.Popen(run, stderr=subprocess.PIPE, text=True) as daemon:
+        alone = ["taskset", "--cpu-list", str(own), *run]
+        with subprocess.Popen(alone, stderr=subprocess.PIPE, text=True) as daemon:
             watch(daemon.pid, args.minutes)
             daemon.terminate()
             said = daemon.communicate()[1].strip().splitlines()
