@@ -86,12 +86,12 @@ def run(args: argparse.Namespace) -> int:
     recording = open_recording(args.recording)
     if args.mavlink and not args.realtime:
         raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")
+    report_option.prepare_folder(args.report)
     settings = with_overrides(settings_of(recording, args.config), args.set, "--set")
     if args.realtime:
         from companion.cli.replay_live import play
 
         return play(args, recording, settings)
-    report_option.prepare_folder(args.report)
     passes = [_pass(args, recording, "as set", settings, args.config is None, args.record)]
     if args.against is not None:
         passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), False, None))
