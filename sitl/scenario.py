@@ -258,6 +258,16 @@ def with_ardrone1(scenario: Scenario) -> Scenario:
     return msgspec.structs.replace(scenario, vehicle=vehicle, camera=camera)
 
 
+def refuse_gimbal(scenario: Scenario) -> None:
+    """Refuse a scenario that an AR.Drone cannot fly.
+
+    Raises:
+        BadInput: the scenario's camera hangs on a gimbal.
+    """
+    if scenario.gimbal.given:
+        raise BadInput("gimbal: an AR.Drone has none; fly it with simulate --autopilot arducopter --binary stand-in")
+
+
 def pad_model(scenario: Scenario) -> Pad:
     """Return the pad that `scenario.pad.file` names.
 

@@ -19,7 +19,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, known_rotation
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.airframe import StickLimits
@@ -36,7 +35,7 @@ from sitl.picture_effects import PictureEffects
 from sitl.picture_faults import OtherPad, PictureFault
 from sitl.render_worker import RenderWorker
 from sitl.rotors import rotors
-from sitl.scenario import Scenario, camera_model, pad_model
+from sitl.scenario import Scenario, camera_model, pad_model, refuse_gimbal
 from sitl.sensors import Readings, Sensors
 from sitl.stage import air, airframe, deck_shape, flight_seeds, limits, place, renderer, sea_and_vessel, wind, wind_from
 from sitl.truth import RenderedFrame, Touchdown, Truth
@@ -73,12 +72,11 @@ class World:
         start: this host's instant at which the flight begins.
 
     Raises:
-        BadInput: the scenario's camera hangs on a gimbal.
+        BadInput: as `sitl.scenario.refuse_gimbal`.
     """
 
     def __init__(self, scenario: Scenario, seed: int, start: MonoNs = _ORIGIN) -> None:
-        if scenario.gimbal.given:
-            raise BadInput("gimbal: an AR.Drone has none; fly it with --autopilot arducopter --binary stand-in")
+        refuse_gimbal(scenario)
         self.scenario, self.seed, self.started = scenario, seed, start
         self.pad, self.camera = pad_model(scenario), camera_model(scenario)
         self._step_s = STEP_NS / NS_PER_S

@@ -20,7 +20,7 @@ from estimator.contracts.errors import BadInput
 from sitl.campaign.code import code_version
 from sitl.campaign.overrides import Overridable, Override
 from sitl.one_flight import Perception, perception_level
-from sitl.scenario import Scenario, camera_model, pad_model
+from sitl.scenario import Scenario, camera_model, pad_model, refuse_gimbal
 from sitl.scenario import from_mapping as scenario_from_mapping
 
 Point = tuple[Override, ...]
@@ -164,8 +164,9 @@ def make_plan(
     own.
 
     Raises:
-        BadInput: a camera or pad file is missing or has a fault.
+        BadInput: a camera or pad file is missing or has a fault, or as `sitl.scenario.refuse_gimbal`.
     """
+    refuse_gimbal(scenario)
     files: dict[str, str] = {}
     tables = plain(scenario), plain(settings)
     for whose, table in zip(("scenario", "settings"), tables, strict=True):

@@ -120,6 +120,15 @@ def test_wrong_use_of_variation_is_one_clear_line(
     assert err.count("\n") == 1
 
 
+def test_a_scenario_that_an_ardrone_cannot_fly_is_refused_before_the_first_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["campaign", "gimbal", "--perception", "model"]) == 2
+    assert "gimbal: an AR.Drone has none" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_each_failure_has_the_cause_of_the_first_rule_that_fits() -> None:
     fine = flown(3)
     off = {**fine["touchdown"], "surface": "deck", "on_pad": False}
