@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.pictures import PictureRefusal
 from estimator.contracts.samples import Frame
@@ -28,15 +30,17 @@ class ArrivingFrames:
     Args:
         generation: the drone's.
         options: the driver's.
+        seed: of the arrivals of an AR.Drone 1.0's pictures: they scatter as its options say, about a delay of each flight.
         rendered: whether the images are renderings: one that stands for a drawn detection is told apart by its pixels, and no
             codec may change it.
     """
 
-    def __init__(self, generation: Generation, options: ArDroneOptions, *, rendered: bool) -> None:
+    def __init__(self, generation: Generation, options: ArDroneOptions, seed: np.random.SeedSequence, *, rendered: bool) -> None:
         self._first, self._coded = generation is FIRST, generation is FIRST and rendered
         self._decoder = UvlcDecoder()
-        self._delay_s = options.video_delay_s
         self._sigma_s = min(0.999, math.hypot(options.video_delay_sigma_s, options.arrival_sigma_s))
+        self._random, self._scatter_s = np.random.default_rng(seed), options.arrival_sigma_s
+        self._late_s = options.video_delay_sigma_s * self._random.standard_normal()
 
     def frame(self, number: int, image: RenderedFrame, received_at: MonoNs) -> Frame:
         """Return the frame that an image has become on its way."""
@@ -50,6 +54,6 @@ class ArrivingFrames:
             decoded = self._decoder.decode(datagram, header)
             assert not isinstance(decoded, PictureRefusal)
             px = decoded
-        return Frame(
-            Stamp(after(received_at, -self._delay_s), received_at, self._sigma_s, "arrival"), number, px, image.exposure_s
-        )
+        late_s = self._late_s + self._scatter_s * self._random.standard_normal()
+        stamped = min(after(image.exposed_at, late_s), received_at)
+        return Frame(Stamp(stamped, received_at, self._sigma_s, "arrival"), number, px, image.exposure_s)

@@ -48,6 +48,7 @@ from sitl.perception.port import Perception
 from sitl.render_worker import RenderWorker
 from sitl.scenario import Scenario, camera_model
 from sitl.simulated_person import SimulatedPerson
+from sitl.stage import flight_seeds
 from sitl.truth import RenderedFrame
 from sitl.vehicle import VehiclePhase
 from sitl.vessel_reports import VesselReporter
@@ -136,7 +137,8 @@ class Flight:
         self._arbiter = CommandArbiter(self._options.hold_s)
         self._generation = GENERATIONS[scenario.vehicle.generation]
         self._generation.check_camera(camera_model(scenario))
-        self._arriving = ArrivingFrames(self._generation, self._options, rendered=self._perception.level == "pixels")
+        link = flight_seeds(self.world.seed).link
+        self._arriving = ArrivingFrames(self._generation, self._options, link, rendered=self._perception.level == "pixels")
         self._sequence = self._ticks = 0
         start = self.world.now
         self._clock = _VirtualClock(start)

@@ -40,12 +40,14 @@ class Seeds(NamedTuple):
     sensors: np.random.SeedSequence
     sea: int
     camera: int
+    link: np.random.SeedSequence
+    """Seed of the times at which an AR.Drone's frames arrive."""
 
 
 def flight_seeds(seed: int) -> Seeds:
     """Return independent seeds for the parts of a flight."""
-    flight, sensors, sea, camera = np.random.SeedSequence(seed).spawn(4)
-    return Seeds(flight, sensors, int(sea.generate_state(1)[0]), int(camera.generate_state(1)[0]))
+    flight, sensors, sea, camera, link = np.random.SeedSequence(seed).spawn(5)
+    return Seeds(flight, sensors, int(sea.generate_state(1)[0]), int(camera.generate_state(1)[0]), link)
 
 
 def airframe(scenario: Scenario) -> Airframe:

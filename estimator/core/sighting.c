@@ -183,8 +183,37 @@ static int measured_numbers(const sighting *s, double yaw_sigma, int place_only)
     return s->has_yaw && s->cov[15] < KNOWN_YAW_VAR && chosen ? 4 : 3;
 }
 
+/* How what is compared changes with a later exposure: by the body's motion, as with the delay, and by the deck's. The delay's own
+ * column lacks the deck's because the state holds the deck that the camera shows; a single stamp's error moves both. */
+static void by_exposure(const double x[N], int m, const double *H, double slipped[SEEN_MAX])
+{
+    const int turns[3] = {ROLL, PITCH, PAD_YAW};
+    const double rates[3] = {x[ROLL + 1], x[PITCH + 1], x[YAW_RATE] + x[TURN_RATE]};
+    double waves[3];
+    pad_velocity(x, waves);
+    waves[0] -= x[VESSEL_VEL], waves[1] -= x[VESSEL_VEL + 1];
+    for (int i = 0; i < m; i++) {
+        slipped[i] = AT(H, i, CAMERA_DELAY);
+        for (int k = 0; k < 3; k++) {
+            slipped[i] += AT(H, i, POS_REL + k) * waves[k] + AT(H, i, turns[k]) * rates[k];
+        }
+    }
+}
+
+/* Variance of the turn rate about each axis, (rad/s)^2, over the time by which a stamp may err: about as far as the gyro's newest
+ * reading is from its recent mean. */
+static double rate_variance(const belief *b)
+{
+    double apart[3];
+    for (int i = 0; i < 3; i++) {
+        apart[i] = b->w[i] - b->w_smooth[i];
+    }
+    return dot(apart, apart);
+}
+
 /* The noise of what is compared, (m, m): without the part of the attitude that levelled it, and with the stamp's own error. */
-static void noise_of(const sighting *s, int m, const double A[9], const double cov_levelled_by[9], const double *H, double *R)
+static void noise_of(const belief *b, const sighting *s, int m, const double A[9], const double cov_levelled_by[9],
+                     const double *H, double *R)
 {
     const double *d_level = s->has_pose6 ? s->pose_d_level : s->d_level, *cov = s->has_pose6 ? s->pose_cov : s->cov;
     const int width = s->has_pose6 ? 6 : 4;
@@ -219,14 +248,18 @@ static void noise_of(const sighting *s, int m, const double A[9], const double c
             }
         }
     }
-    const double slip = s->sigma_s * s->sigma_s;
+    const double slip = s->sigma_s * s->sigma_s, turned_var = slip * rate_variance(b);
+    double slipped[SEEN_MAX], seen[3];
+    by_exposure(b->x, m, H, slipped);
+    seen_from_body(s, A, seen);
     for (int i = 0; i < m; i++) {
         for (int j = 0; j < m; j++) {
-            R[i * m + j] = slip * AT(H, i, CAMERA_DELAY) * AT(H, j, CAMERA_DELAY);
+            R[i * m + j] = slip * slipped[i] * slipped[j];
             for (int k = 0; k < m; k++) {
                 R[i * m + j] += half[i * m + k] * turn[j][k];
             }
         }
+        R[i * m + i] += turned_var * (i < 3 ? dot(seen, seen) - seen[i] * seen[i] : 1.0);
     }
     for (int i = 0; i < m; i++) {
         for (int j = 0; j < i; j++) {
@@ -276,6 +309,6 @@ int32_t sighting_model(const belief *b, const sighting *s, const double *cov_lev
             compare_heading(s, M, G, innov + 3, H + 3 * N);
         }
     }
-    noise_of(s, m, A, cov_levelled_by, H, R);
+    noise_of(b, s, m, A, cov_levelled_by, H, R);
     return m;
 }

@@ -108,6 +108,24 @@ static void observe_torque(const vehicle_params *o, vehicle *v)
     memcpy(v->unasked_w, v->w, sizeof v->w);
 }
 
+/* The velocity past what the optical flow looks at: past the point of the deck straight below, or past the water.
+ * A deck that only tilts carries that point along by its arm on the deck, not by the height of the drone above it. */
+static void velocity_past(const vehicle_params *o, const vehicle *v, const step *s, double seen[2])
+{
+    seen[0] = v->v[0] - o->current[0], seen[1] = v->v[1] - o->current[1];
+    if (!s->over || !o->flow_sees_deck) {
+        return;
+    }
+    const double *R = s->g->R, *d = s->r.d, above = d[2] / R[8];
+    const double below[3] = {d[0] - above * R[6], d[1] - above * R[7], 0.0};
+    double turning[3], carried[3];
+    cross(s->g->w, below, turning);
+    rotated(R, turning, carried);
+    for (int i = 0; i < 2; i++) {
+        seen[i] = v->v[i] - s->g->v[i] - carried[i];
+    }
+}
+
 /* The velocity that the drone itself believes in, by its optical flow against the deck or the water. */
 static void measure_flow(const vehicle_params *o, vehicle *v, const step *s, double cos_psi, double sin_psi)
 {
@@ -115,10 +133,8 @@ static void measure_flow(const vehicle_params *o, vehicle *v, const step *s, dou
         v->flow[0] = v->flow[1] = 0.0;
         return;
     }
-    double seen[3] = {v->v[0] - o->current[0], v->v[1] - o->current[1], 0.0};
-    if (s->over && o->flow_sees_deck) {
-        rotated(s->g->R, s->r.v, seen);
-    }
+    double seen[2];
+    velocity_past(o, v, s, seen);
     const double ahead = o->flow_scale * (cos_psi * seen[0] + sin_psi * seen[1]) + v->flow_error[0];
     const double aside = o->flow_scale * (cos_psi * seen[1] - sin_psi * seen[0]) + v->flow_error[1];
     v->flow[0] += o->flow_lag * (ahead - v->flow[0]);

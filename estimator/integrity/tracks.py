@@ -1,10 +1,11 @@
 """Associate a sighting with the tracked pad, or with another one.
 
 A sighting belongs to the track if motion explains its position: it is where the belief expects the pad (this includes the IMU at
-full rate), or close to the previous sighting. Anything else is a candidate with its own short history. The track never moves to a
-candidate. After `adopt_s` with one candidate alone in view the track ends, and a new one with a higher number begins; the
-consumers of the estimate see the number change. A candidate so near to the expected position that no other pad can lie there is
-the tracked pad: the estimate was wrong, and the track goes on.
+full rate), or close to the previous sighting. A pad that is followed from one frame to the next stays the tracked one also while
+the estimator refuses it: the estimate is wrong then, and has its own way back. Anything else is a candidate with its own short
+history. The track never moves to a candidate. After `adopt_s` with one candidate alone in view the track ends, and a new one with
+a higher number begins; the consumers of the estimate see the number change. A candidate that was first seen so near to the
+expected position that no other pad can lie there is the tracked pad: the estimate was wrong, and the track goes on.
 """
 
 from __future__ import annotations
@@ -52,6 +53,9 @@ class TrackCandidate(NamedTuple):
     not explain then is not explained by a later, larger uncertainty."""
     n_alone: int = 1
     """Number of sightings at this place since the tracked pad was last seen."""
+    apart_m: float = math.inf
+    """Distance sideways from the pad's expected place when the candidate was first seen. The estimate, to which nothing is fused
+    meanwhile, drifts away from both after that."""
 
 
 class Tracks(NamedTuple):
@@ -62,6 +66,7 @@ class Tracks(NamedTuple):
     n: int = 0
     """Number of sightings of this track."""
     last: Place | None = None
+    """Its newest sighting, whether or not the estimator fused it."""
     candidates: tuple[TrackCandidate, ...] = ()
 
     def disputed(self, now: int) -> bool:
@@ -82,7 +87,8 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
     if last is None:
         return Tracks(1, 0, seen), True
     if abs(seen.t - last.t) <= _BESIDE_S * 1e9 and _beside(last, seen, o):
-        return tracks, True
+        followed = seen.t > last.t and _apart(last, seen)[0] < 0.5 * o.pads_apart_m
+        return (tracks._replace(last=seen) if followed else tracks), True
     known = next((c for c in tracks.candidates if _joins(c, seen, o)), None)
     if expected is not None:
         then = (math.inf, math.inf) if known is None else known.sigmas_m
@@ -96,8 +102,8 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
         if chosen.n > max(tracks.n, _SEEN_AT_LEAST):
             return Tracks(tracks.number, chosen.n, seen), True
     elif _adopted(chosen, candidates, o):
-        same = expected is not None and _apart(expected, seen)[0] < 0.5 * o.pads_apart_m
-        return Tracks(tracks.number + (not same), chosen.n, seen), True
+        another = chosen.apart_m >= 0.5 * o.pads_apart_m
+        return Tracks(tracks.number + another, chosen.n, seen), True
     return tracks._replace(candidates=candidates), False
 
 
@@ -126,9 +132,11 @@ def _with(
     Args:
         last: the newest sighting of the tracked pad.
     """
-    then = (math.inf, math.inf) if expected is None else (expected.sigma_m, expected.sigma_down_m)
-    if known is None:
-        chosen = TrackCandidate(seen.t, 1, seen, then)
+    if known is None and expected is not None:
+        sigmas_m = expected.sigma_m, expected.sigma_down_m
+        chosen = TrackCandidate(seen.t, 1, seen, sigmas_m, apart_m=_apart(expected, seen)[0])
+    elif known is None:
+        chosen = TrackCandidate(seen.t, 1, seen)
     else:
         chosen = known._replace(n=known.n + 1, last=seen, n_alone=known.n_alone + 1)
         if known.first <= last.t < seen.t:

@@ -187,6 +187,19 @@ def test_hover_drifts_with_the_deck_it_sees() -> None:
         assert v.v_ned[0] == pytest.approx(speed, abs=0.05)
 
 
+@pytest.mark.parametrize("arm_m", [0.0, 1.0])
+def test_flow_over_a_rolling_deck_is_by_the_point_below_and_not_by_the_height_above_it(arm_m: float) -> None:
+    """A deck that rolls below a drone which stands still carries the point below it by arm times rate, mostly downwards."""
+    roll, rate, height = 0.1, 0.2, 8.0
+    R = Rotation.from_rpy(roll, 0.0, 0.0).matrix
+    deck = Ground.of(np.array([0.0, 0.0, -0.5]), np.zeros(3), R, np.array([rate, 0.0, 0.0]))
+    v = flying(height_m=height)
+    v.place(np.array([0.0, arm_m, -height]), np.zeros(3), 0.0)
+    run(v, 0.1, deck)
+    assert v.flow[1] == pytest.approx(rate * arm_m * math.tan(roll), abs=0.01)
+    assert v.flow[0] == pytest.approx(0.0, abs=0.01)
+
+
 def test_ground_effect_lifts_and_fades() -> None:
     """T/T_free = 1 / (1 - (R/4z)^2) with R of one disc as large as the four rotors."""
     frozen = replace(STILL, drag_per_s=(0.0, 0.0, 0.0))

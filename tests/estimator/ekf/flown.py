@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from estimator.contracts.estimates import Sighting
@@ -39,10 +41,12 @@ def sighting(
     yaw_sigma: float,
     *,
     place_only: bool = False,
+    rate_var: float = 0.0,
 ) -> LinearizedMeasurement:
     """Return the core's model of a sighting, with the arguments of the oracle's."""
     turning: Vec3 = tuple(np.asarray(w, dtype=float).tolist())  # type: ignore[assignment]
-    packed = PackedBelief.of(belief(R, x=x, w_smooth=turning, levelled_by=levelled_by))
+    newest = (turning[0] + math.sqrt(rate_var), *turning[1:])
+    packed = PackedBelief.of(belief(R, x=x, w=newest, w_smooth=turning, levelled_by=levelled_by))
     innov, H, noise, by_rate = np.zeros(6), np.zeros((6, N)), np.zeros(36), np.zeros((3, N))
     cov = np.ascontiguousarray(cov_levelled_by)
     m = _MODEL(

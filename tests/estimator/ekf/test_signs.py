@@ -13,9 +13,24 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu
 from estimator.ekf import Ekf, EkfOptions, at, gate, start, step
 from estimator.ekf.propagate import parameters
-from estimator.ekf.state import ATT_BIAS, ATT_ERR, BARO_OFFSET, CAMERA_DELAY, PAD_YAW, POS_REL, VEL, VEL_SCALE, VESSEL_VEL
+from estimator.ekf.state import (
+    ATT_BIAS,
+    ATT_ERR,
+    BARO_OFFSET,
+    CAMERA_DELAY,
+    DECK_DISP,
+    DECK_RATE,
+    PAD_YAW,
+    POS_REL,
+    TURN_RATE,
+    VEL,
+    VEL_SCALE,
+    VESSEL_VEL,
+    YAW_RATE,
+)
 from tests.estimator.ekf import flown
 from tests.estimator.ekf.oracle import sighting as models
+from tests.estimator.ekf.oracle.pad_velocity import v_pad_ned
 from tests.estimator.ekf.oracle.vision_update import _compared
 from tests.estimator.ekf.test_jacobians import random_belief, sighting
 from tests.support.voyage_truth import OPTIONS, Voyage, VoyageScene, events, ns, stamp
@@ -69,9 +84,28 @@ def test_a_stamp_s_sigma_is_noise_along_what_the_image_does_meanwhile(pose6: boo
     for sigma_s in (0.0, 0.02):
         seen, levelled_by = sighting(5, pose6=pose6, sigma_s=sigma_s)
         rows.append(flown.sighting(b.x, b.R, w, seen, levelled_by, np.zeros((3, 3)), 0.1))
-    rate = rows[0].H[:, CAMERA_DELAY]
+    H, x = rows[0].H, b.x
+    deck_ned = v_pad_ned(x) - np.array([*x[VESSEL_VEL], 0.0])
+    turns = H[:, [DECK_DISP[3], DECK_DISP[4], PAD_YAW]].dot([x[DECK_RATE[3]], x[DECK_RATE[4]], x[YAW_RATE] + x[TURN_RATE]])
+    rate = H[:, CAMERA_DELAY] + H[:, POS_REL].dot(deck_ned) + turns
     assert float(np.linalg.norm(rate)) > 0.1
     np.testing.assert_allclose(rows[1].R - rows[0].R, np.outer(rate, rate) * 0.02**2, atol=1e-12)
+
+
+@pytest.mark.parametrize("pose6", [False, True])
+def test_a_rate_that_changes_while_a_stamp_may_err_is_noise_across_the_view(pose6: bool) -> None:
+    b = random_belief(5)
+    seen, levelled_by = sighting(5, pose6=pose6, sigma_s=0.02)
+    w = np.array([0.3, -0.2, 0.4])
+    still, changing = (
+        flown.sighting(b.x, b.R, w, seen, levelled_by, np.zeros((3, 3)), 0.1, rate_var=rate_var).R for rate_var in (0.0, 0.5**2)
+    )
+    more = np.diag(changing - still)
+    np.testing.assert_allclose(changing - still, np.diag(more), atol=1e-15)
+    whole = seen.d_body_pad_level if seen.pose6 is None else seen.pose6.d_body_pad_level
+    assert more[:3].sum() == pytest.approx((0.02 * 0.5) ** 2 * 2.0 * whole.dot(whole))
+    np.testing.assert_allclose(more[3:], (0.02 * 0.5) ** 2)
+    assert more[:3].min() >= 0.0
 
 
 def test_the_attitude_first_believed_errs_by_what_the_one_told_errs() -> None:

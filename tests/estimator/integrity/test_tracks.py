@@ -68,6 +68,38 @@ def test_where_no_other_pad_can_lie_it_is_the_tracked_one_after_that_time(aside_
     assert all(explained[explained.index(True) :])
 
 
+def test_an_estimate_that_drifts_off_meanwhile_does_not_make_another_pad_of_it() -> None:
+    tracks, _ = follow(Tracks(), steady(0, 2, HERE))
+    explained = []
+    for seen in steady(4, 7, HERE):
+        drifted = HERE[0] + 0.3 + 0.2 * (seen.t * 1e-9 - 4.0)
+        tracks, about = associate(tracks, seen, place(seen.t * 1e-9, (drifted, HERE[1], HERE[2])), LIMITS)
+        explained.append(about)
+    assert tracks.number == 1
+    assert explained.index(True) == pytest.approx(LIMITS.adopt_s * 30, abs=2)
+
+
+def test_a_pad_followed_from_frame_to_frame_stays_the_tracked_one_while_the_estimator_refuses_it() -> None:
+    tracks, _ = follow(Tracks(), steady(0, 2, HERE))
+    for seen in (place(2 + i / 30, (HERE[0] + 0.02 * i, HERE[1], HERE[2])) for i in range(90)):
+        tracks, explained = associate(tracks, seen, place(seen.t * 1e-9, HERE), LIMITS)
+        assert explained
+    assert tracks.number == 1
+    tracks, explained_again = follow(tracks, steady(5.5, 7, HERE), place(0, (5.0, 0.0, 2.0)))
+    assert not any(explained_again), "after a gap it is not followed any more"
+
+
+def test_a_step_as_far_as_another_pad_is_not_followed() -> None:
+    """At 15 m the allowed step reaches a pad beside the tracked one."""
+    high, beside = (0.1, 0.0, 15.0), (0.1 + LIMITS.pads_apart_m, 0.0, 15.0)
+    tracks, _ = follow(Tracks(), steady(0, 2, high))
+    explained = []
+    for seen in steady(2, 3, beside):
+        tracks, about = associate(tracks, seen, place(seen.t * 1e-9, (3.0, 0.0, 15.0)), LIMITS)
+        explained.append(about)
+    assert not any(explained[3:])
+
+
 def test_the_old_place_seen_again_meanwhile_goes_on_as_the_old_track() -> None:
     tracks, _ = follow(Tracks(), steady(0, 2, HERE))
     tracks, _ = follow(tracks, steady(2, 3.5, ASIDE))

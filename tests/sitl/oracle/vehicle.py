@@ -168,7 +168,11 @@ class PlainVehicle:
         theta = math.atan2(-rows[2][0], c) + error[1]
 
         if self.flow_works:
-            seen = rotate(ground.R, r.v)
+            down = inverse_rotate(ground.R, (0.0, 0.0, 1.0))
+            above = r.d[2] / down[2]
+            below = (r.d[0] - above * down[0], r.d[1] - above * down[1], 0.0)
+            carried = rotate(ground.R, cross(ground.w, below))
+            seen = tuple(a - b - c for a, b, c in zip(self.v, ground.v, carried, strict=True))
             deck = over & av.flow_sees_deck
             noise = self._disturbances.flow
             current = self.current

@@ -89,6 +89,7 @@ def sighting(
     yaw_sigma: float,
     *,
     place_only: bool = False,
+    rate_var: float = 0.0,
 ) -> LinearizedMeasurement:
     """Return the measurement of the pad's position in body axes, and of its heading or whole orientation.
 
@@ -106,6 +107,7 @@ def sighting(
         cov_levelled_by: (3, 3) rad^2, the part of the sighting's covariance that comes from that attitude; zeros leave it in.
         yaw_sigma: sigma of the relative heading, rad: an ambiguous heading is of use only when the sigma is small.
         place_only: use the position only, without heading and orientation.
+        rate_var: (rad/s)^2, variance of the turn rate about each axis over the time by which the stamp may err.
     """
     A = levelling(R, levelled_by)
     E = so3.exp(-x[CAMERA_MOUNT])
@@ -180,8 +182,13 @@ def sighting(
     R_noise = turn.dot(without(cov, J, cov_levelled_by)).dot(turn.T)
     slip = s.stamp.sigma_s
     if slip > 0.0:
-        rate = H[:, CAMERA_DELAY]
+        rate_ned = np.array(v_pad_ned(x))
+        rate_ned[:2] -= x[VESSEL_VEL]
+        turning_deck = np.array([x[DECK_RATE[3]], x[DECK_RATE[4]], x[YAW_RATE] + x[TURN_RATE]])
+        rate = H[:, CAMERA_DELAY] + H[:, POS_REL].dot(rate_ned) + H[:, [_ROLL, _PITCH, PAD_YAW]].dot(turning_deck)
         R_noise = R_noise + np.outer(rate, rate) * (slip * slip)
+        seen = A.T.dot(d_level)
+        R_noise += np.diag([*(seen.dot(seen) - seen**2), *[1.0] * (m - 3)]) * (slip * slip * rate_var)
     return LinearizedMeasurement(innov, H, 0.5 * (R_noise + R_noise.T), by_rate)
 
 

@@ -156,7 +156,10 @@ def _compared(
 ) -> tuple[sighting.LinearizedMeasurement, Correction | None]:
     yaw_sigma = math.sqrt(float(b.P[PAD_YAW, PAD_YAW])) if b.heading_known else math.inf
     cov = b.cov_levelled_by if params.options.sighting_has_attitude_error else np.zeros((3, 3))
-    row = sighting.sighting(b.x, b.R, b.w_smooth, event, b.levelled_by, cov, yaw_sigma, place_only=place_only)
+    apart = np.subtract(b.w, b.w_smooth)
+    row = sighting.sighting(
+        b.x, b.R, b.w_smooth, event, b.levelled_by, cov, yaw_sigma, place_only=place_only, rate_var=float(apart.dot(apart))
+    )
     # The part of an innovation that is due to the delay grows with the rate of the measured position. While that rate is
     # poorly known, the delay is not corrected and its effect counts as noise.
     cov_rate = row.G.dot(b.P).dot(row.G.T)
