@@ -131,13 +131,22 @@ class Rotation:
 
     @staticmethod
     def from_rotvec(rotvec_rad: ArrayLike) -> Rotation:
-        """Return the rotation by an axis times an angle in radians (Rodrigues; the exponential map of SO(3))."""
-        v = np.asarray(rotvec_rad, dtype=float)
-        angle = float(np.linalg.norm(v))
-        k = skew(v)
+        """Return the rotation by an axis times an angle in radians (Rodrigues; the exponential map of SO(3)).
+
+        Raises:
+            ValueError: not three numbers, or not finite.
+        """
+        x, y, z = np.asarray(rotvec_rad, dtype=float).tolist()
+        angle = math.hypot(x, y, z)
+        if not math.isfinite(angle):
+            raise ValueError(f"a rotation needs a finite axis times angle, got {rotvec_rad!r}")
         a = 1.0 - angle**2 / 6.0 if angle < 1e-4 else math.sin(angle) / angle
         b = 0.5 - angle**2 / 24.0 if angle < 1e-4 else (1.0 - math.cos(angle)) / angle**2
-        return Rotation(np.eye(3) + a * k + b * (k @ k))
+        xx, yy, zz, xy, xz, yz = b * x * x, b * y * y, b * z * z, b * x * y, b * x * z, b * y * z
+        ax, ay, az = a * x, a * y, a * z
+        return _rotation_by(
+            fixed_matrix(1.0 - yy - zz, xy - az, xz + ay, xy + az, 1.0 - xx - zz, yz - ax, xz - ay, yz + ax, 1.0 - xx - yy)
+        )
 
     @staticmethod
     def from_quat(wxyz: ArrayLike) -> Rotation:
@@ -181,16 +190,17 @@ class Rotation:
     @property
     def rotvec_rad(self) -> F64:
         """(3,) axis times angle, angle in [0, pi]; the inverse of `from_rotvec`."""
-        w, x, y, z = self.quat_wxyz.tolist()
-        v = np.array([x, y, z])
+        w, x, y, z = self._quat()
         s = math.sqrt(x * x + y * y + z * z)
-        if s < 1e-9:
-            return 2.0 * v
-        return np.asarray(v * (2.0 * math.atan2(s, w) / s))
+        scale = 2.0 if s < 1e-9 else 2.0 * math.atan2(s, w) / s
+        return np.array([x * scale, y * scale, z * scale])
 
     @property
     def quat_wxyz(self) -> F64:
         """(4,) unit Hamilton quaternion with w >= 0 (Shepperd's choice of the largest component)."""
+        return np.array(self._quat())
+
+    def _quat(self) -> tuple[float, float, float, float]:
         (a, b, c), (d, e, f), (g, h, i) = self.matrix.tolist()
         t = a + e + i
         largest = max(t, a, e, i)
@@ -203,7 +213,7 @@ class Rotation:
         else:
             w, x, y, z = d - b, c + g, f + h, 1 + 2 * i - t
         size = math.copysign(math.sqrt(w * w + x * x + y * y + z * z), w)
-        return np.array([w, x, y, z]) / size
+        return w / size, x / size, y / size, z / size
 
     def without_heading(self) -> Rotation:
         """`R_level_body` of an `R_ned_body`: the same roll and pitch, yaw taken out."""
