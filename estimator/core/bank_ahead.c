@@ -6,6 +6,7 @@
 #include "bank.h"
 #include "oscillator.h"
 #include "propagate.h"
+#include "wide.h"
 
 enum { STATES = 4, OF_RATE = 1 };
 
@@ -107,6 +108,7 @@ static void add_carried(const sea *s, const oscillator_steps *steps, int k, int 
 }
 
 /* The weighted covariances of the members after the step, about their own states and for a known rate. */
+WIDE
 static void add_own_spread(const bank_members *m, const sea *s, const oscillator_steps *steps, int k, const double *weight,
                            waves_now *now)
 {
@@ -132,6 +134,7 @@ static void add_own_spread(const bank_members *m, const sea *s, const oscillator
 }
 
 /* Weighted mean and spread of the members' states. */
+WIDE
 static void add_states(double x[STATES][MEMBERS], const double *weight, waves_now *now)
 {
     double off[STATES][MEMBERS], weighted[MEMBERS];
@@ -173,6 +176,7 @@ void steps_to(const bank_members *m, const sea *s, int64_t t, oscillator_steps *
     }
 }
 
+WIDE
 void waves_at(const bank_members *m, const sea *s, const oscillator_steps *steps, int k, double rate, waves_now *now)
 {
     double weight[MEMBERS], before[STATES][MEMBERS], x[STATES][MEMBERS], believed = 0.0;
@@ -244,6 +248,7 @@ static double variance_between(const double *weight, const double *of, double me
 }
 
 /* By the law of total variance: what each oscillator's members spread, and how their means differ. */
+WIDE
 void waves_ahead(waves_now *now, const horizon_reach *there, waves_then *then)
 {
     double of[OSCILLATORS];
