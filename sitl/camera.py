@@ -104,6 +104,7 @@ class Renderer:
         deck = self.surroundings.deck
         self._deck = DeckPainter(self._lens, deck, self.light, self.sensor.blend) if deck is not None else None
         self.lamps, self.drops = lamps if lamps is not None else Lamps(), drops
+        self._own_lamps = pad.lamps if pad is not None and self.lamps.own_level > 0.0 else ()
         self._development = self.development(self.light, self.sensor)
         self._vignette = vignette(self._lens, self.light.vignetting)
         self._even = np.full_like(self._vignette, GAIN_ONE)
@@ -118,6 +119,10 @@ class Renderer:
         e, a = self.light.sun_elevation_rad, self.light.sun_azimuth_rad
         self._to_sun = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), -math.sin(e)])
 
+    @property
+    def _has_small_lamps(self) -> bool:
+        return bool(self.lamps.pad_lamps or self._own_lamps)
+
     def development(self, light: Light, sensor: Sensor) -> Development:
         """Return the sensor model with another exposure, amplification or white balance than this renderer's own."""
         return Development(light, sensor, self.lamps.most_bgr(light) if self.lamps.floods else None)
@@ -126,7 +131,7 @@ class Renderer:
         """Return the sensor's image, (H, W, 3) BGR. One number is drawn from `rng`, for the noise."""
         development = development or self._development
         view = self._view(shot, development)
-        if self.lamps.floods or self.lamps.pad_lamps or self.drops is not None or view.added is not None:
+        if self.lamps.floods or self._has_small_lamps or self.drops is not None or view.added is not None:
             return development.sensor_image(self._light_on_sensor(shot, development, view), rng)
         return development.image(view.scene, view.gain, view.pad, self._pad_scene, rng)
 
@@ -169,9 +174,9 @@ class Renderer:
             cv2.multiply(light, self._gains(gain, development, *view.pose), dst=light, scale=1.0 / GAIN_ONE)
         if added is not None:
             cv2.add(light, counts(cv2.merge([added * g for g in development.gains_bgr])), dst=light)
-        if self.lamps.pad_lamps:
+        if self._has_small_lamps:
             own = np.zeros(gain.shape, np.float32)
-            self.lamps.shine(own, self._lens, *view.pose)
+            self.lamps.shine(own, self._lens, *view.pose, self._own_lamps)
             own = own if rows is None else np.asarray(moved(own, rows), np.float32)
             level = np.float32(2.0**-self.light.daylight_ev)
             cv2.add(light, counts(cv2.merge([own * g * level for g in development.gains_bgr])), dst=light)

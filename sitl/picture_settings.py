@@ -37,6 +37,9 @@ class LampSettings(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0
     pad_lamps_radius_m: Annotated[float, number("radius of that ring", "m", 0.3, 10.0)] = 0.55
     pad_lamps_level: Annotated[float, number("brightness of a small lamp, white paint in daylight is 1", "1", 0.0, 50.0)] = 1.0
+    own_level: Annotated[
+        float, number("brightness of the lamps that the pad's file names, 0 while they are off", "1", 0.0, 50.0)
+    ] = 0.0
 
 
 class VideoSettings(Struct, frozen=True, forbid_unknown_fields=True):

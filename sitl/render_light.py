@@ -6,6 +6,7 @@ All of it varies slowly over the frame, except the glint's sparkle, and is compu
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
+from estimator.vision.lamp import Lamp
 from sitl.light import Light, Mast, planck_rgb
 from sitl.projection import F32, Lens
 from sitl.render_deck import soft_shadow
@@ -29,13 +31,15 @@ _SEA_SLOPE, _DECK_SLOPE = 0.14, 0.05
 """Standard deviation of the slopes that mirror the sun: of small waves (Cox & Munk, J. Opt. Soc. Am. 44, 1954), of wet paint."""
 _FACET = 0.035
 """Half width, as a slope, of the sun's image in one facet, with the blur of what is smaller than a pixel."""
+_RING_LAMP_M = 0.012
+"""Radius of a lamp of the ring."""
 _BRIGHTEST = 8.0
 """Largest light of the floodlights, against that in the pad's middle: near their feet it is clipped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lamps:
-    """Floodlights around the pad and small lamps in a ring around it."""
+    """Floodlights around the pad, small lamps in a ring around it, and the pad's own."""
 
     floods: int = 0
     flood_level: float = 0.05
@@ -47,6 +51,8 @@ class Lamps:
     pad_lamps_radius_m: float = 0.55
     pad_lamps_level: float = 1.0
     """Brightness of a small lamp; white paint in daylight is 1."""
+    own_level: float = 0.0
+    """The same of the lamps that the pad's file names; 0 while they are off."""
 
     def __post_init__(self) -> None:
         if self.floods < 0 or self.pad_lamps < 0 or min(self.flood_height_m, self.flood_distance_m, self.pad_lamps_radius_m) <= 0:
@@ -73,25 +79,37 @@ class Lamps:
             total += ((d * d + h2) / (away2 + h2)) ** 1.5
         return lens.spread(np.minimum(total / self.floods, _BRIGHTEST).astype(np.float32))
 
-    def shine(self, light: F32, lens: Lens, R_cam_pad: F64, t_cam_pad: F64) -> None:
-        """Add the small lamps' own light to (H, W), white paint in daylight being 1."""
-        a = np.linspace(0.0, math.tau, self.pad_lamps, endpoint=False)
-        ring = self.pad_lamps_radius_m * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1)
-        points = ring @ R_cam_pad.T + t_cam_pad
+    def shine(self, light: F32, lens: Lens, R_cam_pad: F64, t_cam_pad: F64, own: Sequence[Lamp] = ()) -> None:
+        """Add the small lamps' own light to (H, W), white paint in daylight being 1.
+
+        Args:
+            own: the pad's own lamps.
+        """
         camera = lens.camera
-        for point in points[points[:, 2] > 0.02]:
+        for at, radius_m, brightness in self._shining(own):
+            point = R_cam_pad[:, :2] @ at + t_cam_pad
+            if point[2] <= 0.02:
+                continue
             u, v = camera.project(point[None])[0]
-            size = max(0.9, 0.012 * camera.fx / point[2])
+            size = max(0.9, radius_m * camera.fx / point[2])
             # Below a pixel a lamp is a point: its light spreads over the pixel, falling with the square of the distance.
-            level = self.pad_lamps_level * min(1.0, (0.012 * camera.fx / point[2] / 0.9) ** 2)
+            level = brightness * min(1.0, (radius_m * camera.fx / point[2] / 0.9) ** 2)
             for sigma, share in ((size, 1.0), (6.0 * size, 0.02)):
-                reach = math.ceil(3.0 * sigma)
+                reach = math.ceil(4.0 * sigma)
                 x0, x1 = max(0, math.floor(u) - reach), min(camera.width, math.floor(u) + reach + 2)
                 y0, y1 = max(0, math.floor(v) - reach), min(camera.height, math.floor(v) + reach + 2)
                 if x1 > x0 and y1 > y0:
                     across = np.exp(-0.5 * ((np.arange(x0, x1) - u) / sigma) ** 2)
                     down = np.exp(-0.5 * ((np.arange(y0, y1) - v) / sigma) ** 2)
                     light[y0:y1, x0:x1] += (share * level * down[:, None] * across).astype(np.float32)
+
+    def _shining(self, own: Sequence[Lamp]) -> list[tuple[F64, float, float]]:
+        """Return place on the pad, radius and brightness of each lamp that is on."""
+        ring = [math.tau * n / self.pad_lamps for n in range(self.pad_lamps)]
+        lamps = [
+            (self.pad_lamps_radius_m * np.array([math.cos(a), math.sin(a)]), _RING_LAMP_M, self.pad_lamps_level) for a in ring
+        ]
+        return lamps + [(np.array(lamp.at_m), lamp.radius_m, self.own_level) for lamp in own if self.own_level > 0.0]
 
 
 def through_haze(lens: Lens, normal_cam: F64, distance_m: float, visibility_m: float) -> tuple[F32, F32]:

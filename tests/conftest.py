@@ -38,6 +38,8 @@ SLOW = (
     "tests/v4l2_vm/",
     "tests/sitl/campaign/",
     "tests/sitl/test_flight.py",
+    "tests/sitl/test_night.py",
+    "tests/estimator/vision/test_lamps.py",
     "tests/sitl/autopilots/test_stand_in_landings.py",
     "tests/sitl/autopilots/test_flight.py",
     "tests/companion/test_replay.py",

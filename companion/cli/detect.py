@@ -47,7 +47,13 @@ VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".h264", ".264", ".m4v", ".ts
 METHODS: tuple[Method, ...] = ("ellipse", "arrow", "corners", "registration")
 
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")
-_INK = {"ellipse": (255, 200, 0), "arrow": (0, 0, 255), "corners": (255, 0, 255), "registration": (0, 255, 255)}
+_INK = {
+    "ellipse": (255, 200, 0),
+    "arrow": (0, 0, 255),
+    "corners": (255, 0, 255),
+    "registration": (0, 255, 255),
+    "lamps": (0, 200, 255),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +197,7 @@ def _model(args: argparse.Namespace, file: Path) -> _Model:
     if pad is None:
         path = find_file(args.pad or "thesis", "pads", Path(), "--pad")
         pad = Pad.from_mapping(read_toml(path), str(path))
-        check_for_detection(pad.regions, str(path))
+        check_for_detection(pad.regions, pad.lamps, str(path))
     return _Model(camera, camera_source, pad)
 
 
@@ -344,6 +350,8 @@ def _best(frame: Frame, attitude: Attitude | None, tracker: TrackerConfig, sets:
     looks = [(detect(frame, attitude, tracker.camera, tracker.pad, colours), colours.name) for colours in sets]
     thesis, colours = max(looks, key=lambda pair: -1.0 if pair[0].selected is None else pair[0].selected.confidence)
     registered, _ = track(tracker, TrackerMemory(), frame, attitude)
+    if registered.chosen == "lamps":
+        return registered, colours
     return together(thesis, registered.selected, registered.opinions), colours
 
 

@@ -14,7 +14,6 @@ from companion.print_pad.sheets import PAPERS, sheets
 from companion.print_pad.svg import svg
 from estimator.contracts.errors import BadInput
 from estimator.vision.pad import Pad
-from estimator.vision.pad_rules import lacking_parts
 from estimator.vision.regions import part_of
 
 
@@ -62,8 +61,9 @@ def run(args: argparse.Namespace) -> int:
             for name in shipped("pads"):
                 pad = _pad(SHIPPED / "pads" / f"{name}.toml")
                 parts = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions))
-                only = " (not detected: print and paint only)" if lacking_parts(pad.regions) else ""
-                sys.stdout.write(f"{name:10s} {2 * pad.disc_radius_m:5.2f} m across: {parts}{only}\n")
+                lamps = f", {len(pad.lamps)} lamps" if pad.lamps else ""
+                only = "" if pad.lamps or pad.is_told_by_paint else " (not detected: print and paint only)"
+                sys.stdout.write(f"{name:10s} {2 * pad.disc_radius_m:5.2f} m across: {parts}{lamps}{only}\n")
             return 0
         case "check":
             return pad_check.run(args)

@@ -14,6 +14,7 @@ import numpy as np
 from companion.config.settings import find_file, read_toml
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
+from estimator.vision.lamps.accuracy import CENTRE_PX, LampAccuracy, lamp_accuracy
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings
 from estimator.vision.pad_rules import lacking_parts
@@ -58,11 +59,13 @@ def run(args: argparse.Namespace) -> int:
     pad, camera = Pad.from_mapping(read_toml(file), str(file)), Camera.from_mapping(read_toml(camera_file), str(camera_file))
     deck = linear_light(_DECKS["grey steel"])
     bounds = [accuracy(pad, camera, height_m, deck) for height_m in _HEIGHTS_M]
+    by_lamps = [lamp_accuracy(pad.lamps, camera, height_m) for height_m in _HEIGHTS_M] if pad.lamps else []
     headings, contrasts, lowest = alike_headings(pad), _contrasts(pad), _lowest(pad)
     farthest_m = 0.5 * (camera.fx + camera.fy) * pad.disc_radius_m / _LEAST_RADIUS_PX
     warnings = [*_heading_warnings(headings), *_deck_warnings(lowest)]
     if lacking := lacking_parts(pad.regions):
-        warnings.append(f"it has no {' and no '.join(lacking)}: seen where there is none, it is neither detected nor landed on")
+        fate = "it is seen by its lamps alone" if pad.lamps else "it is neither detected nor landed on"
+        warnings.append(f"it has no {' and no '.join(lacking)}: seen where there is none by its paint, {fate}")
     if pad.markings.is_letter_alone:
         far_m = 0.5 * (camera.fx + camera.fy) * pad.disc_radius_m / _LETTER_RADIUS_PX
         warnings.append(
@@ -72,7 +75,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         found: dict[str, Any] = {
             "pad": pad.name, "radius_m": pad.disc_radius_m, "alike_headings": headings, "contrasts": contrasts,
-            "deck_contrasts": lowest, "farthest_m": farthest_m, "bounds": [_record(b) for b in bounds], "warnings": warnings,
+            "deck_contrasts": lowest, "farthest_m": farthest_m, "bounds": [_record(b) for b in bounds],
+            "by_lamps": [_lamp_record(b) for b in by_lamps], "warnings": warnings,
         }  # fmt: skip
         sys.stdout.write(json.dumps(found) + "\n")
         return 0
@@ -83,6 +87,10 @@ def run(args: argparse.Namespace) -> int:
     lines.append(f"{'height':>9} {'radius':>9} {'in view':>8} {'lateral':>10} {'range':>10} {'heading':>9}")
     lines += [_line(bound) for bound in bounds]
     lines += [f"its radius falls below {_LEAST_RADIUS_PX:g} px at {farthest_m:.0f} m", ""]
+    if by_lamps:
+        lines.append(f"the same by its {len(pad.lamps)} lamps at night, their centres known to {CENTRE_PX:g} px:")
+        lines.append(f"{'height':>9} {'in view':>9} {'spots':>8} {'lateral':>10} {'range':>10} {'heading':>9}")
+        lines += [*map(_lamp_line, by_lamps), ""]
     lines += [f"{name}: luminance {value:+.2f} of what it lies on" for name, value in contrasts.items()]
     lines += [f"on {name}: luminance {value:+.2f} at the outer edge" for name, value in lowest.items()]
     lines += [f"warning: {warning}" for warning in warnings] or ["no warnings"]
@@ -96,6 +104,23 @@ def _record(bound: PadAccuracy) -> dict[str, float | None]:
         "height_m": bound.height_m, "radius_px": bound.radius_px, "in_view": bound.in_view, "lateral_m": bound.lateral_m,
         "range_m": bound.range_m, "yaw_deg": yaw,
     }  # fmt: skip
+
+
+def _lamp_record(b: LampAccuracy) -> dict[str, float | None]:
+    found = math.isfinite(b.range_m)
+    return {
+        "height_m": b.height_m, "lamps": b.lamps, "spots": b.spots, "lateral_m": b.lateral_m if found else None,
+        "range_m": b.range_m if found else None, "yaw_deg": math.degrees(b.yaw_rad) if found else None,
+    }  # fmt: skip
+
+
+def _lamp_line(b: LampAccuracy) -> str:
+    if not math.isfinite(b.range_m):
+        return f"{b.height_m:7.1f} m {b.lamps:9d} {b.spots:8d} {'none':>10} {'none':>10} {'none':>9}"
+    return (
+        f"{b.height_m:7.1f} m {b.lamps:9d} {b.spots:8d} {1000 * b.lateral_m:7.3f} mm {1000 * b.range_m:7.2f} mm "
+        f"{math.degrees(b.yaw_rad):7.3f} deg"
+    )
 
 
 def _line(b: PadAccuracy) -> str:

@@ -197,7 +197,7 @@ def _pad(text: str, path: Path) -> Pad:
 @lru_cache(maxsize=16)
 def _pad_to_detect(text: str, path: Path) -> Pad:
     pad = _pad(text, path)
-    check_for_detection(pad.regions, str(path))
+    check_for_detection(pad.regions, pad.lamps, str(path))
     return pad
 
 

@@ -8,11 +8,14 @@ import numpy as np
 
 from companion.calibrate.board import Board
 from estimator.contracts.geometry import F64
+from estimator.vision.lamp import places_of
 from estimator.vision.pad import Pad
 from estimator.vision.regions import PaintedDisc, outlines_of
 
 Rgb = tuple[int, int, int]
 BLACK: Rgb = (0, 0, 0)
+_MARK_MM = 1.5
+"""Radius of the mark at a lamp's middle."""
 _RING_POINTS = 720
 """Corners of a printed circle of a ring: at a radius of a metre they stand out by a hundredth of a millimetre."""
 
@@ -49,10 +52,11 @@ class Drawing:
 
 
 def pad_drawing(pad: Pad) -> Drawing:
-    """Return the pad with its arrow up, seen from above."""
+    """Return the pad with its arrow up, seen from above, and a mark where each lamp is mounted."""
     panel = pad.markings.panel
-    high = 1000 * pad.disc_radius_m if panel is None else 500 * panel.length_m
-    wide = 1000 * pad.disc_radius_m if panel is None else 500 * panel.width_m
+    lamps = np.abs(places_of(pad.lamps)).max(axis=0, initial=0.0) * 1000 + _MARK_MM
+    high = max(1000 * pad.disc_radius_m if panel is None else 500 * panel.length_m, float(lamps[0]))
+    wide = max(1000 * pad.disc_radius_m if panel is None else 500 * panel.width_m, float(lamps[1]))
 
     def paper(p_pad: F64) -> F64:
         """Convert (N, 2) m in `pad` to (N, 2) mm: starboard is right, the arrow is up."""
@@ -64,6 +68,7 @@ def pad_drawing(pad: Pad) -> Drawing:
             shapes.append(Disc(wide, high, 1000 * region.radius_m, pad.rgb(region)))
         else:
             shapes += [Polygon(paper(line), pad.rgb(region)) for line in outlines_of(region, _RING_POINTS)]
+    shapes += [Disc(x, y, _MARK_MM, BLACK) for x, y in paper(places_of(pad.lamps)).tolist()]
     return Drawing(f"pad {pad.name}", 2 * wide, 2 * high, tuple(shapes))
 
 

@@ -161,6 +161,7 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     arrow: SightingRecord | None = None
     corners: SightingRecord | None = None
     registration: SightingRecord | None = None
+    lamps: SightingRecord | None = None
     fused: SightingRecord | None = None
     times: FrameTimesRecord | None = None
     """Left out if vision did not search the frame, and in virtual time."""

@@ -17,7 +17,7 @@ SERIES: dict[str, str] = {
     "dead_reckoning": "#d55e00",
     "ekf": "#8a63d2",
 }
-MARKERS: dict[str, str] = {"ellipse": "o", "arrow": "^", "corners": "s", "registration": "D", "selected": "x"}
+MARKERS: dict[str, str] = {"ellipse": "o", "arrow": "^", "corners": "s", "registration": "D", "lamps": "*", "selected": "x"}
 OTHER = "#888888"
 OUTLINE = "#f0e442"
 """The colour of the estimated pad in the video."""

@@ -16,7 +16,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import checked_covariance, checked_vector
 from estimator.contracts.time import MonoNs, Stamp
 
-Method = Literal["ellipse", "arrow", "corners", "registration", "selected", "fused"]
+Method = Literal["ellipse", "arrow", "corners", "registration", "lamps", "selected", "fused"]
 PathName = Literal["median_mean", "dead_reckoning", "ekf"]
 
 UNKNOWN_YAW_VAR = math.pi**2 / 3.0

@@ -17,6 +17,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.file_numbers import shown
+from estimator.vision.lamp import MOST, Lamp, check_lamps
 from estimator.vision.pad_fiducials import check_marker
 from estimator.vision.pad_rules import check_regions
 from estimator.vision.regions import PaintedArrowhead, PaintedLetter, PaintedPolygon, PaintedRing, PaintedStroke, Region
@@ -29,12 +30,14 @@ Channel = Annotated[int, Meta(ge=0, le=255)]
 
 
 class PadFile(Struct, frozen=True, forbid_unknown_fields=True):
-    """A pad's file: what is painted, from the lowest region to the topmost."""
+    """A pad's file: what is painted, from the lowest region to the topmost, and what is lit."""
 
     name: Annotated[str, Meta(min_length=1, max_length=60)]
     paints: dict[str, tuple[Channel, Channel, Channel]]
     """Red, green, blue of each paint by its name."""
     regions: Annotated[tuple[Region, ...], Meta(min_length=1, max_length=40)]
+    lamps: Annotated[tuple[Lamp, ...], Meta(max_length=MOST)] = ()
+    """Lamps that shine upwards, for nights."""
     size_sigma_m: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.0
     """Sigma of what was painted or printed against the sizes in this file, m."""
 
@@ -59,7 +62,10 @@ def pad_file(data: Mapping[str, Any], where: str) -> PadFile:
             raise BadInput(
                 f"{where}: regions[{i}].paint {shown(region.paint)} is not in [paints], which has {shown(known)}; add it there"
             )
+    for i, lamp in enumerate(file.lamps):
+        _check_within(lamp.at_m, f"{where}: lamps[{i}].at_m")
     check_regions(file.regions, file.paints, where)
+    check_lamps(file.lamps, where)
     return file
 
 
@@ -83,10 +89,14 @@ def _check_lengths(region: Region, where: str) -> None:
         if not key.endswith("_m") or value is None:
             continue
         if key in ("from_m", "to_m", "points_m", "at_m"):
-            if not all(math.isfinite(v) and abs(v) <= LARGEST_M for v in np.ravel(value)):
-                raise BadInput(f"{where}.{key} must be at most {LARGEST_M:g} m from the centre, got {shown(value)}{_cure(value)}")
+            _check_within(value, f"{where}.{key}")
         elif not (math.isfinite(value) and SMALLEST_M <= value <= LARGEST_M):
             raise BadInput(f"{where}.{key} must be {SMALLEST_M:g} to {LARGEST_M:g} m, got {shown(value)}{_cure(value)}")
+
+
+def _check_within(value: object, where: str) -> None:
+    if not all(math.isfinite(v) and abs(v) <= LARGEST_M for v in np.ravel(np.asarray(value, dtype=float))):
+        raise BadInput(f"{where} must be at most {LARGEST_M:g} m from the centre, got {shown(value)}{_cure(value)}")
 
 
 def _cure(value: object) -> str:

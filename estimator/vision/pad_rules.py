@@ -11,6 +11,7 @@ from estimator.contracts.geometry import F64
 from estimator.core.interface.registration import FIGURE_CUTS, FIGURE_RECTANGLES
 from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.file_numbers import shown
+from estimator.vision.lamp import Lamp
 from estimator.vision.markings import Rgb
 from estimator.vision.pad_fiducials import check_fiducials
 from estimator.vision.regions import (
@@ -78,17 +79,17 @@ def lacking_parts(regions: Sequence[Region]) -> list[str]:
     return [name for part, name in (("disc", "disc"), ("ring", "ring"), ("letter", "lettering")) if part not in parts]
 
 
-def check_for_detection(regions: Sequence[Region], where: str) -> None:
-    """Check that a pad can be told from what else lies on decks.
+def check_for_detection(regions: Sequence[Region], lamps: Sequence[Lamp], where: str) -> None:
+    """Check that a pad can be told from what else lies on decks, by its paint or by its lamps.
 
     Raises:
-        BadInput: it lacks a part that verification needs.
+        BadInput: it has no lamps, and lacks a part that verification needs.
     """
-    if lacking := lacking_parts(regions):
+    if not lamps and (lacking := lacking_parts(regions)):
         raise BadInput(
             f"{where}: regions has no {' and no '.join(lacking)}: such a pad is seen where there is none, and cannot be detected "
             "or landed on, only printed, checked and painted; paint a disc, a ring on it and lettering in the ring, a fiducial, "
-            "or an H or X alone"
+            "an H or X alone, or add lamps"
         )
 
 

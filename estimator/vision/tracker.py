@@ -4,7 +4,8 @@ Tracking starts `registration` from the filter's belief at the exposure. If ther
 acquisition searches the whole frame and registration refines its candidates. In both cases the classifier of `fit_verification`
 scores the whole drawing and the agreement of its edges at the registered pose, and that score is the sighting's confidence. If
 one of the thesis' methods reports a pose on its own, the drawing is verified there too, because a green disc is not yet a pad; if
-it fits, registration starts from it.
+it fits, registration starts from it. A pad with lamps is seen by them where its paint is not, and the lamps come first as long as
+they are what shows.
 """
 
 from __future__ import annotations
@@ -52,6 +53,8 @@ _HEADING_PX = 28.0
 """Smallest radius of the disc in the frame that a heading is searched in."""
 _EXPECTED_SIGMAS = 3.0
 """Standard deviations of the believed position within which a candidate of acquisition counts as expected."""
+_LAMPS_REACH_PX = 40.0
+"""Largest reach about the believed position in which lamps are assigned to spots; beyond it the frame is searched for them."""
 _REACH_OF_DISC, _REACH_OF_HEIGHT = 0.6, 0.04
 """Reach of tracking, as fractions of the disc's radius and of the height. Tracking is tried if two standard deviations of the
 believed position lie within the sum.
@@ -69,6 +72,8 @@ class TrackerMemory:
     search: SearchMemory = FRESH_SEARCH
     alike_yaw_rad: float | None = None
     """The heading at which a pad that looks the same from several was last registered: the belief does not take it."""
+    lit: bool = False
+    """Whether the pad was last seen by its lamps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +98,40 @@ def track(
     frame = _of_one_instant(tracker, memory, frame, attitude, belief)
     if tracker.options.method == "thesis":
         return _by_thesis(tracker, frame, attitude), memory
+    if not tracker.pad.lamps:
+        return _by_paint(tracker, memory, frame, attitude, belief)
+    lit = _by_lamps(tracker, memory, frame, attitude, belief) if memory.lit or not tracker.pad.is_told_by_paint else None
+    seen, left = Detection(None, None, MappingProxyType({})), memory
+    if tracker.pad.is_told_by_paint and (lit is None or lit.confidence < SURE):
+        seen, left = _by_paint(tracker, memory, frame, attitude, belief)
+        if lit is None and (seen.selected is None or seen.selected.confidence < SURE):
+            lit = _by_lamps(tracker, memory, frame, attitude, belief)
+    if lit is None or (seen.selected is not None and seen.selected.confidence >= lit.confidence):
+        return seen, dataclasses.replace(left, lit=False)
+    methods: dict[Method, Sighting | None] = {**seen.methods, "lamps": lit}
+    return Detection(lit, "lamps", MappingProxyType(methods), seen.opinions), dataclasses.replace(
+        left, lit=lit.confidence >= SURE
+    )
+
+
+def _by_lamps(
+    tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
+) -> Sighting | None:
+    from estimator.vision.lamps.detect import detect_lamps  # of few pads, and the start of the others need not wait for it
+
+    orientation, start, reach_px = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad), None, 0.0
+    if belief is not None and attitude is not None:
+        start = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
+        if start is not None and start.t_cam_pad[2] > 0.05:
+            reach_px = _EXPECTED_SIGMAS * _sigma_m(belief) * tracker.camera.fx / float(start.t_cam_pad[2])
+    near = start is not None and 0.0 < reach_px < _LAMPS_REACH_PX
+    return detect_lamps(frame, tracker.camera, tracker.pad, orientation, start if near else None, reach_px)
+
+
+def _by_paint(
+    tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
+) -> tuple[Detection, TrackerMemory]:
+    """Return the detection of the painted pad, and the new memory."""
     pyramid = Pyramid(frame.px)
     best, left = _registered(tracker, memory, frame, pyramid, attitude, belief)
     if tracker.options.method == "registration":

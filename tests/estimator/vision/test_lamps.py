@@ -1,0 +1,228 @@
+"""A pad that is found and measured by its lamps: rules of its file, the fit, night frames, other lights."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.lamp import places_of
+from estimator.vision.lamps.accuracy import CENTRE_PX, lamp_accuracy
+from estimator.vision.lamps.detect import detect_lamps
+from estimator.vision.lamps.fit import fit
+from estimator.vision.lamps.pattern import Assignment, assign
+from estimator.vision.lamps.search import search
+from estimator.vision.lamps.spots import Spots, find_spots
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.pad_rules import check_for_detection
+from estimator.vision.pose import Orientation, OrientedCamera
+from estimator.vision.register.camera_pose import camera_pose
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from tests.support.night_scenes import NIGHTS, NightCondition, NightScene, night_scene
+from tests.support.pad_scenes import ROOT, load_camera, load_pad, pad_scene
+
+STAMP = Stamp(MonoNs(10**9), MonoNs(10**9), 0.0, "sim")
+CAMERA, LIT = load_camera("sim"), load_pad("lit")
+LEVEL = Orientation(0.0, 0.0, np.eye(2) * math.radians(1.0) ** 2, math.radians(2.0), True)
+SHAPE = [(0.3, 0.0), (0.1, 0.3), (-0.2, 0.25), (-0.3, -0.1), (0.05, -0.3)]
+
+
+def file_with(lamps: list[dict[str, Any]]) -> dict[str, Any]:
+    data = tomllib.loads((ROOT / "configs" / "pads" / "thesis.toml").read_text())
+    return {**data, "lamps": lamps}
+
+
+def lamps_at(places: list[tuple[float, float]]) -> list[dict[str, Any]]:
+    return [{"at_m": list(place)} for place in places]
+
+
+def spots_at(uv_px: np.ndarray, sigma_px: float = 0.05) -> Spots:
+    return Spots(uv_px, np.full(len(uv_px), sigma_px), np.ones(len(uv_px)))
+
+
+def spots_of(pose: PadPose, noise_px: float = 0.0, seed: int = 0) -> Spots:
+    uv = CAMERA.project(pose.points(np.pad(places_of(LIT.lamps), ((0, 0), (0, 1)))))
+    return spots_at(uv + np.random.default_rng(seed).normal(0.0, noise_px, uv.shape) if noise_px else uv, noise_px or 0.05)
+
+
+def straight_below(height_m: float, yaw_rad: float = 0.4, tilt_rad: float = 0.0) -> PadPose:
+    R_cam_level = CAMERA.T_body_cam.R.inv
+    return PadPose(
+        R_cam_level @ Rotation.from_rpy(tilt_rad, 0.0, yaw_rad), np.array([0.02 * height_m, -0.03 * height_m, height_m])
+    )
+
+
+def seen_in(scene: NightScene, pad: Pad = LIT) -> Any:
+    return detect_lamps(Frame(STAMP, 0, scene.px), CAMERA, pad, scene.orientation)
+
+
+@pytest.mark.parametrize(
+    ("lamps", "said"),
+    [
+        (lamps_at(SHAPE[:4]), "lamps has 4: fewer than 5"),
+        (lamps_at([*SHAPE, (0.3, 0.01)]), r"lamps\[5\] at \[0.3, 0.01\] touches lamps\[0\]"),
+        (lamps_at([(0.1 * i, 0.01 * (i % 2)) for i in range(6)]), "the lamps lie in a line"),
+        (lamps_at([(0.3 * math.cos(a), 0.3 * math.sin(a)) for a in np.arange(6) * math.tau / 6]), "after a turn by 180 degrees"),
+        (lamps_at([*SHAPE, (300.0, 0.0)]), r"lamps\[5\].at_m must be at most 20 m .*millimetres"),
+        ([*lamps_at(SHAPE), {"at_m": [0.0, 0.0], "colour": "red"}], r"lamps\[5\]: Object contains unknown field `colour`"),
+        ([*lamps_at(SHAPE), {"at_m": [0.0, 0.0], "radius_m": 12.0}], r"lamps\[5\].radius_m"),
+    ],
+)
+def test_lamps_that_tell_no_heading_or_are_in_millimetres_are_refused_by_path_and_cure(lamps, said):
+    with pytest.raises(BadInput, match=said):
+        Pad.from_mapping(file_with(lamps), "mine.toml")
+
+
+def test_lamps_make_up_for_paint_that_tells_too_little_and_then_the_paint_is_not_looked_for():
+    data = file_with(lamps_at(SHAPE))
+    disc = Pad.from_mapping({**data, "regions": data["regions"][:1]})
+    bare = Pad.from_mapping({**data, "regions": data["regions"][:1], "lamps": []})
+
+    assert not disc.is_told_by_paint
+    check_for_detection(disc.regions, disc.lamps, "mine.toml")
+    with pytest.raises(BadInput, match="or add lamps"):
+        check_for_detection(bare.regions, bare.lamps, "mine.toml")
+    scene = pad_scene(np.random.default_rng(3), CAMERA, disc, 2.0, "plain", 0.1)
+    seen, _ = track(TrackerConfig(CAMERA, disc), TrackerMemory(), Frame(STAMP, 0, scene.px), None)
+    assert seen.selected is None or seen.chosen == "lamps"
+
+
+@given(
+    st.floats(0.6, 12.0), st.floats(-math.pi, math.pi), st.floats(-0.2, 0.2), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)
+)  # fmt: skip
+def test_a_fit_to_exact_spots_returns_the_pose_that_made_them(height_m, yaw_rad, tilt_rad, ahead, aside):
+    true = PadPose(CAMERA.T_body_cam.R.inv @ Rotation.from_rpy(tilt_rad, 0.0, yaw_rad), height_m * np.array([ahead, aside, 1.0]))
+    spots, n = spots_of(true), np.arange(len(LIT.lamps))
+    every = Assignment(n, n, len(n), 0, 1e4)
+    start = PadPose(true.R_cam_pad @ Rotation.from_rpy(0.03, -0.02, 0.1), true.t_cam_pad * 1.05)
+    loose = Orientation(tilt_rad, 0.0, np.eye(2), 1.0, True)
+
+    found = fit(spots, places_of(LIT.lamps), every, start, CAMERA, loose)
+
+    assert found is not None
+    assert np.linalg.norm(found.pose.t_cam_pad - true.t_cam_pad) < 2e-3 * height_m
+    assert found.off_px.max() < 0.05
+    assert np.all(np.linalg.eigvalsh(found.cov) > 0.0)
+
+
+def test_errors_of_spots_are_covered_by_the_covariance_of_the_fit():
+    true, n = straight_below(3.0), np.arange(len(LIT.lamps))
+    every, nees = Assignment(n, n, len(n), 0, 1e4), []
+    for seed in range(200):
+        found = fit(spots_of(true, 0.2, seed), places_of(LIT.lamps), every, true, CAMERA, LEVEL)
+        assert found is not None
+        off = np.append(found.pose.t_cam_pad - true.t_cam_pad, (found.pose.R_cam_pad @ true.R_cam_pad.inv).rotvec_rad)
+        nees.append(float(off @ np.linalg.solve(found.cov, off)))
+
+    # Six numbers, of which the prior makes two better than the spots tell; a covariance also grows by chance and never shrinks.
+    assert 3.0 < float(np.mean(nees)) < 6.6
+
+
+def test_the_bound_is_that_of_the_fit():
+    true, n = straight_below(5.0), np.arange(len(LIT.lamps))
+    every = Assignment(n, n, len(n), 0, 1e4)
+    ranges = []
+    for seed in range(200):
+        found = fit(spots_of(true, CENTRE_PX, seed), places_of(LIT.lamps), every, true, CAMERA, LEVEL)
+        assert found is not None
+        ranges.append(found.pose.range_m)
+    bound = lamp_accuracy(LIT.lamps, CAMERA, 5.0)
+
+    assert bound.lamps == bound.spots == len(LIT.lamps)
+    assert float(np.std(ranges)) == pytest.approx(bound.range_m, rel=0.2)
+
+
+def test_a_search_proposes_the_pose_among_other_lights():
+    true = straight_below(4.0, -2.0, 0.03)
+    others = np.random.default_rng(5).uniform([0, 0], [640, 360], (6, 2))
+    spots = spots_at(np.concatenate([others, spots_of(true).uv_px]))
+
+    found = search(spots, places_of(LIT.lamps), OrientedCamera(CAMERA, LEVEL))
+
+    best = min(found, key=lambda pose: float(np.linalg.norm(pose.t_cam_pad - true.t_cam_pad)))
+    assert np.linalg.norm(best.t_cam_pad - true.t_cam_pad) < 0.3
+    assert best.R_cam_pad.angle_to(true.R_cam_pad) < 0.1
+
+
+def test_lamps_that_share_a_spot_count_once():
+    far = straight_below(30.0)
+    uv = CAMERA.project(far.points(np.pad(places_of(LIT.lamps), ((0, 0), (0, 1)))))
+    spots = spots_at(np.array([*uv[:7], uv[7:].mean(axis=0)]))
+
+    of = assign(spots, LIT.lamps, far, CAMERA, 1.5)
+
+    assert (of.groups, of.strangers) == (8, 0)
+    assert len(of.lamp) == len(LIT.lamps)
+
+
+@pytest.mark.parametrize("condition", NIGHTS)
+@pytest.mark.parametrize("height_m", [0.5, 1.0, 3.0, 9.0])
+def test_a_lit_pad_is_found_from_cold_within_its_covariance(condition: NightCondition, height_m: float):
+    kind = NIGHTS.index(condition)
+    scenes = [night_scene(np.random.default_rng([31, kind, n]), CAMERA, LIT, height_m, condition) for n in range(2)]
+    seen = [(s, seen_in(s)) for s in scenes if s.shown > 0.6]
+
+    for scene, found in seen:
+        assert found is not None
+        assert found.confidence > 0.5
+        assert found.method == "lamps"
+        by_camera = camera_pose(found, CAMERA, scene.orientation)
+        assert by_camera is not None
+        turned = (Rotation(by_camera.R_cam_pad) @ scene.truth.R_cam_pad.inv).rotvec_rad
+        off = np.append(by_camera.t_cam_pad - scene.truth.t_cam_pad, turned)
+        assert off @ np.linalg.solve(by_camera.cov, off) < 35.0  # 99.9995 % of six numbers
+
+
+def test_other_lights_are_not_a_pad():
+    for n in range(60):
+        rng = np.random.default_rng([17, n])
+        scene = night_scene(rng, CAMERA, LIT, float(rng.uniform(0.5, 20.0)), "other lights", lit=False)
+        found = seen_in(scene)
+        assert found is None or found.confidence < 0.2
+
+
+def test_half_of_the_pad_in_view_is_enough_near_by():
+    true = straight_below(0.55)
+    uv = CAMERA.project(true.points(np.pad(places_of(LIT.lamps), ((0, 0), (0, 1)))))
+    inside = np.all((uv > 5) & (uv < [635, 355]), axis=1)
+    of = assign(spots_at(uv[inside]), LIT.lamps, true, CAMERA, 2.0)
+
+    assert 5 <= of.groups == of.expected < len(LIT.lamps)
+
+
+def test_a_track_goes_from_paint_to_lamps_when_night_falls_and_back():
+    config, memory = TrackerConfig(CAMERA, LIT), TrackerMemory()
+    day = pad_scene(np.random.default_rng(8), CAMERA, LIT, 3.0, "plain", 0.0)
+    night = night_scene(np.random.default_rng([31, 0, 1]), CAMERA, LIT, 3.0, "lamps")
+    measured = Attitude(STAMP, night.measured, np.eye(3) * math.radians(1.0) ** 2)
+    chosen = []
+    for px, attitude in ((day.px, None), (night.px, measured), (night.px, measured), (day.px, None)):
+        seen, memory = track(config, memory, Frame(STAMP, 0, px), attitude)
+        chosen.append((seen.chosen, memory.lit))
+
+    assert [lit for _, lit in chosen] == [False, True, True, False]
+    assert [by == "lamps" for by, _ in chosen] == [False, True, True, False]
+
+
+def test_a_frame_without_light_has_no_spots():
+    black = np.zeros((360, 640, 3), np.uint8)
+    assert len(find_spots(black)) == 0
+    assert detect_lamps(Frame(STAMP, 0, black), CAMERA, LIT, LEVEL) is None
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_noise_is_no_pad(seed):
+    rng = np.random.default_rng(seed)
+    px = rng.integers(0, int(rng.integers(2, 256)), (360, 640, 3), dtype=np.uint8)
+    found = detect_lamps(Frame(STAMP, 0, px), CAMERA, LIT, LEVEL)
+    assert found is None or found.confidence < 0.2

@@ -1,0 +1,32 @@
+"""A landing on a dark deck by the pad's own lamps, pixels and wires in the loop."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from companion.runtime.observer import NullObserver, ProcessedFrame
+from sitl.one_flight import fly, perception_level, settings_for
+from sitl.scenario import load
+
+
+class Chosen(NullObserver):
+    """Counts by what the pad was seen."""
+
+    def __init__(self) -> None:
+        self.by: Counter[str | None] = Counter()
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        if processed.detection is not None:
+            self.by[processed.detection.chosen] += 1
+
+
+def test_a_vehicle_lands_at_night_by_the_lamps_of_the_pad():
+    scenario, chosen = load("night"), Chosen()
+
+    ending = fly("night", scenario, 300, settings_for(scenario, None), perception_level("pixels"), observers=[chosen]).as_json()
+
+    assert ending["landed_on_pad"], ending
+    assert ending["touchdown"]["lateral_m"] < 0.1
+    assert ending["contacts_outside_commit"] == 0
+    assert chosen.by["lamps"] > 100
+    assert chosen.by["registration"] < 0.1 * chosen.by["lamps"]
