@@ -221,11 +221,11 @@ def warm_up_s(readings: Sequence[Reading]) -> float:
 
 
 def overtime_s(tries: TryOptions) -> float:
-    """Return for how long a flight may go on after its scenario's time while guidance still tries to land: all tries that it has.
+    """Return for how long a flight may go on after its scenario's time while guidance still tries to land.
 
     A flight is graded when it has ended; one that is cut in its third try shows nothing about the fourth.
     """
-    return (tries.go_arounds_max + 1) * tries.try_s
+    return tries.landing_s
 
 
 def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings, perception: Perception, tally: Tally) -> None:

@@ -35,6 +35,7 @@ _BY_CAUSE: dict[ReasonCause, str] = {
     _C.NOT_FOUND: "Fly the drone by hand until the pad is in the picture, then begin again.",
     _C.NOT_FOUND_AGAIN: "Fly the drone by hand until the pad is in the picture, then begin again.",
     _C.TRY_TIME: "Wait for less wind or swell; guidance.tries has the times.",
+    _C.LANDING_TIME: "Wait for less wind or swell; guidance.tries has the times.",
     _C.STATE_TIME: "Wait for less wind or swell; guidance.tries has the times.",
     _C.LOSSES: _LIGHT,
     _C.BLIND_DESCENT: _LIGHT,

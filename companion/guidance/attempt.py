@@ -24,6 +24,10 @@ class Attempt(Struct, frozen=True):
     """Number of losses of sight below the safe height."""
     blind_descent_m: float = 0.0
     without_sight_s: float = 0.0
+    over_pad_s: float = 0.0
+    """Time over the pad at height, all visits together."""
+    in_descent_s: float = 0.0
+    """Time in the descent, all visits together."""
     at_gate_s: float = 0.0
     """Time at the gate, all visits together."""
     with_sight_s: float = 0.0
@@ -31,18 +35,26 @@ class Attempt(Struct, frozen=True):
 
     def seen(self, now: MonoNs, since_last_s: float) -> Attempt:
         """Add one guidance cycle with sight of the pad."""
-        held = self.with_sight_s + min(max(0.0, since_last_s), _GAP_MAX_S)
+        held = self.with_sight_s + _counted_s(since_last_s)
         without = 0.0 if held >= SIGHT_HOLDS_S else self.without_sight_s
         return replace(self, began=now if self.began is None else self.began, with_sight_s=held, without_sight_s=without)
 
     def unseen(self, since_last_s: float) -> Attempt:
         """Add one guidance cycle without sight of the pad."""
-        without = self.without_sight_s + min(max(0.0, since_last_s), _GAP_MAX_S)
+        without = self.without_sight_s + _counted_s(since_last_s)
         return replace(self, with_sight_s=0.0, without_sight_s=without)
+
+    def over_pad(self, since_last_s: float) -> Attempt:
+        """Add one guidance cycle over the pad at height."""
+        return replace(self, over_pad_s=self.over_pad_s + _counted_s(since_last_s))
+
+    def in_descent(self, since_last_s: float) -> Attempt:
+        """Add one guidance cycle in the descent."""
+        return replace(self, in_descent_s=self.in_descent_s + _counted_s(since_last_s))
 
     def at_gate(self, since_last_s: float) -> Attempt:
         """Add one guidance cycle at the gate."""
-        return replace(self, at_gate_s=self.at_gate_s + min(max(0.0, since_last_s), _GAP_MAX_S))
+        return replace(self, at_gate_s=self.at_gate_s + _counted_s(since_last_s))
 
     def lost(self) -> Attempt:
         """Add one loss of sight."""
@@ -65,3 +77,8 @@ class Attempt(Struct, frozen=True):
         if self.blind_descent_m > options.blind_descent_max_m:
             return Reason(ReasonCause.BLIND_DESCENT, self.blind_descent_m, options.blind_descent_max_m)
         return None
+
+
+def _counted_s(since_last_s: float) -> float:
+    """Return the time that a guidance cycle adds, s."""
+    return min(max(0.0, since_last_s), _GAP_MAX_S)

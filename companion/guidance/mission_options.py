@@ -138,11 +138,28 @@ class TryOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("time without any sight of the pad after the start, after which it gives up", "s", 1.0, 3600.0)
     ] = 300.0
     leg_s: Annotated[
-        float, number("longest time over the pad at height, and in the descent each; after it it goes around", "s", 2.0, 600.0)
+        float,
+        number(
+            "longest time of one try over the pad at height, and in the descent, all visits together; after it the drone goes "
+            "around",
+            "s",
+            2.0,
+            600.0,
+        ),
     ] = 45.0
     try_s: Annotated[
         float, number("longest time of a try from the first sight; after it the drone goes around", "s", 5.0, 3600.0)
     ] = 120.0
+    landing_s: Annotated[
+        float,
+        number(
+            "longest time of the whole landing from the first sight of the pad, all tries together; after it the drone climbs "
+            "and gives up, unless it is on its way from the gate to the deck",
+            "s",
+            5.0,
+            36000.0,
+        ),
+    ] = 180.0
     losses_max: Annotated[int, number("largest number of losses of sight below the safe height in one try", "1", 0, 1000)] = 8
     blind_descent_max_m: Annotated[float, number("largest total descent of one try without sight", "m", 0.05, 10.0)] = 0.5
     go_arounds_max: Annotated[

@@ -40,6 +40,8 @@ class Progress(Struct, frozen=True, eq=False):
     """This flight has gone for the deck by our order."""
 
     attempt: Attempt = field(default_factory=Attempt)
+    landing_began: MonoNs | None = None
+    """Time of the first sight of the pad since the landing was asked for; None before it."""
     go_arounds: int = 0
     questions: int = 0
     seen: MonoNs | None = None
@@ -96,10 +98,11 @@ def entered(p: Progress, change: StateChange) -> Progress:
     )  # fmt: skip
     match change.event:
         case Event.TAKEN_OFF:
-            p = replace(_fresh(p), stood=False, ordered=False, go_arounds=0, questions=0)
+            p = replace(_fresh(p), stood=False, ordered=False, go_arounds=0, questions=0, landing_began=None)
         case Event.BEGIN:
-            kept = (p.go_arounds, p.questions) if change.reason.cause is ReasonCause.AUTOMATIC else (0, 0)
-            p = replace(_fresh(p), go_arounds=kept[0], questions=kept[1])
+            p = _fresh(p)
+            if change.reason.cause is not ReasonCause.AUTOMATIC:
+                p = replace(p, go_arounds=0, questions=0, landing_began=None)
         case Event.OTHER_PAD:
             p = replace(p, fault=change.reason, questions=p.questions + 1, in_sight=False, newest_track=None)
         case Event.NO_CONDITIONS:

@@ -52,6 +52,7 @@ class ReasonCause(Enum):
     FRAMES = "{measured:.0f} % of frames {detail}"
 
     TRY_TIME = "no landing within {limit:g} s"
+    LANDING_TIME = "no landing within {limit:g} s, all tries together"
     STATE_TIME = "no progress within {limit:g} s"
     LOSSES = "the pad was lost {measured:.0f} times in one descent (limit {limit:g})"
     BLIND_DESCENT = "{measured:.2f} m lower without sight of the pad (limit {limit:g} m)"

@@ -9,6 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.guidance import cone, heading, limits, rendezvous
+from companion.guidance.attempt import Attempt
 from companion.guidance.controller import Impact
 from companion.guidance.held_up import HELD_S
 from companion.guidance.mission import FLOWN, Event, State
@@ -64,8 +65,8 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         return p
     if p.state is State.RENDEZVOUS:
         p = replace(p, on_way=s.at)
-    if p.state is State.GATE:
-        p = replace(p, attempt=p.attempt.at_gate(since_last_s))
+    if p.state in _CHARGED:
+        p = replace(p, attempt=_CHARGED[p.state](p.attempt, since_last_s))
     if s.place is not None:
         p = replace(p, place_known=s.at)
         if p.state is State.SEARCH:
@@ -89,7 +90,8 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     turning, turned = heading.watch(p.heading, estimate)
     return _judged(
         replace(
-            p, attempt=attempt, in_sight=True, seen=s.at, unheard_s=0.0, was_silent=False,
+            p, attempt=attempt, landing_began=s.at if p.landing_began is None else p.landing_began,
+            in_sight=True, seen=s.at, unheard_s=0.0, was_silent=False,
             seen_height_m=estimate.height_m, track=estimate.track,
             heading=turning, turned=turned or p.turned,
         ),
@@ -190,9 +192,10 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
     if begins and s.battery is not None and s.battery < o.limits.battery:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.BATTERY, 100.0 * s.battery, 100.0 * o.limits.battery)
     if p.state is State.GO_AROUND and p.fault is not None:
-        if p.refusing or (p.go_arounds > o.tries.go_arounds_max and p.fault.cause in CONDITIONS):
+        used_up = p.go_arounds > o.tries.go_arounds_max or _landing_over(p, s, o) is not None
+        if p.refusing or (used_up and p.fault.cause in CONDITIONS):
             yield Event.NO_CONDITIONS, p.fault
-        if p.go_arounds > o.tries.go_arounds_max:
+        if used_up:
             yield Event.HOPELESS, (None if p.in_sight else of_frames(s.frames)) or p.fault
 
 
@@ -208,7 +211,7 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
         case State.INTERCEPT | State.DESCEND | State.GATE | State.HOLD_BLIND:
             if o.tries.heading == "align" and p.turned is not None:
                 return p.turned
-            if (used_up := p.attempt.used_up(o.tries, s.at)) is not None:
+            if (used_up := _landing_over(p, s, o) or p.attempt.used_up(o.tries, s.at)) is not None:
                 return used_up
             low = p.seen_height_m < o.tries.safe_height_m - NEAR_SAFE_M
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
@@ -216,6 +219,12 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
                 if lost_s > o.tries.climb_after_s:
                     return Reason(ReasonCause.LOST_LOW, p.seen_height_m)
     return None
+
+
+def _landing_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return that the time of the whole landing is used up, or None while it is not."""
+    spent_s = 0.0 if p.landing_began is None else seconds_between(p.landing_began, s.at)
+    return Reason(ReasonCause.LANDING_TIME, spent_s, o.tries.landing_s) if spent_s > o.tries.landing_s else None
 
 
 def _off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
@@ -264,8 +273,7 @@ def _time_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: fl
         cause = ReasonCause.NOT_CLIMBING
     else:
         limit_s, cause = _TIME_OF[p.state](o)
-    # A gust that takes the drone out of the gate does not give it another wait there.
-    spent_s = p.attempt.at_gate_s if p.state is State.GATE else in_state_s
+    spent_s = _SPENT[p.state](p.attempt) if p.state in _SPENT else in_state_s
     if spent_s > limit_s:
         yield Event.TIMEOUT, p.blocked or Reason(cause, spent_s, limit_s)
 
@@ -279,6 +287,20 @@ _TIME_OF: Mapping[State, Callable[[GuidanceOptions], tuple[float, ReasonCause]]]
     State.PRESS: lambda o: (o.cone.press_s + o.cone.commit_s, ReasonCause.STATE_TIME),
     State.DOWN: lambda o: (o.land_timeout_s, ReasonCause.NO_LANDING),
 }
+
+# A gust that takes the drone out of the gate or the cone, and a loss of sight, do not give it another time there.
+_CHARGED: Mapping[State, Callable[[Attempt, float], Attempt]] = {
+    State.INTERCEPT: Attempt.over_pad,
+    State.DESCEND: Attempt.in_descent,
+    State.GATE: Attempt.at_gate,
+}
+"""What adds a guidance cycle to the try, where all visits to a state share its time."""
+_SPENT: Mapping[State, Callable[[Attempt], float]] = {
+    State.INTERCEPT: lambda attempt: attempt.over_pad_s,
+    State.DESCEND: lambda attempt: attempt.in_descent_s,
+    State.GATE: lambda attempt: attempt.at_gate_s,
+}
+"""The time that they have shared so far, s."""
 
 
 def _why_blind(p: Progress) -> Reason | None:

@@ -14,10 +14,12 @@ LIMITS = TryOptions(try_s=60.0, losses_max=3, blind_descent_max_m=0.5)
 
 @pytest.mark.parametrize(("since_last_s", "counted_s"), [(0.05, 0.05), (1.0, 1.0), (7.0, 1.0), (-3.0, 0.0)])
 def test_a_cycle_adds_its_time_but_never_more_than_a_second_nor_less_than_none(since_last_s: float, counted_s: float) -> None:
-    before = Attempt(without_sight_s=2.0, with_sight_s=0.5, at_gate_s=3.0)
+    before = Attempt(without_sight_s=2.0, with_sight_s=0.5, over_pad_s=4.0, in_descent_s=5.0, at_gate_s=3.0)
     assert before.seen(ns(1), since_last_s).with_sight_s == 0.5 + counted_s
     assert before.unseen(since_last_s).without_sight_s == 2.0 + counted_s
     assert before.at_gate(since_last_s).at_gate_s == 3.0 + counted_s
+    assert before.over_pad(since_last_s).over_pad_s == 4.0 + counted_s
+    assert before.in_descent(since_last_s).in_descent_s == 5.0 + counted_s
 
 
 def test_unbroken_sight_gives_the_patience_back_and_nothing_less_does() -> None:
@@ -33,7 +35,7 @@ def test_unbroken_sight_gives_the_patience_back_and_nothing_less_does() -> None:
 def test_a_try_begins_with_its_first_sight_and_the_next_one_inherits_the_time_without() -> None:
     one = Attempt().seen(ns(3), 0.1).seen(ns(4), 0.1)
     assert one.began == ns(3)
-    one = one.unseen(0.5).lost().descended(0.3).at_gate(1.0)
+    one = one.unseen(0.5).lost().descended(0.3).at_gate(1.0).over_pad(1.0).in_descent(1.0)
     assert (one.losses, one.at_gate_s) == (1, 1.0)
     assert one.again() == Attempt(without_sight_s=0.5)
 

@@ -79,6 +79,8 @@ def test_sight_is_noted_with_its_height_its_track_and_its_heading(state: State) 
     p = after(memory(state, heading=HeadingMemory(0.1), attempt=Attempt(with_sight_s=1.0)), seen(0.7, yaw=0.2, track=1))
     assert (p.in_sight, p.seen, p.seen_height_m, p.track, p.heading) == (True, ns(NOW), 0.7, 1, HeadingMemory(0.2))
     assert (p.attempt.began, p.attempt.with_sight_s, p.turned) == (ns(NOW), pytest.approx(1.02), None)
+    assert p.landing_began == ns(NOW)
+    assert after(replace(p, landing_began=ns(7.0)), seen()).landing_began == ns(7.0), "the first sight of all"
     assert after(memory(state, track=None), seen(track=6)).track == 6
     opposite = after(memory(state, heading=HeadingMemory(0.1)), seen(yaw=3.1))
     assert opposite.turned is not None
@@ -88,7 +90,7 @@ def test_sight_is_noted_with_its_height_its_track_and_its_heading(state: State) 
 
 @pytest.mark.parametrize("relative", [None, seen(0.5, track=2), seen(0.5, age=0.51), seen(0.5, consistent=False)])
 def test_without_a_fit_estimate_of_its_pad_there_is_no_sight(relative: Any) -> None:
-    p = after(memory(State.DESCEND, attempt=Attempt(with_sight_s=3.0)), relative)
+    p = after(memory(State.HOLD_BLIND, attempt=Attempt(with_sight_s=3.0)), relative)
     assert (p.in_sight, p.seen, p.seen_height_m, p.track) == (False, ns(NOW - 0.02), 1.0, 1)
     assert p.attempt == Attempt(losses=1, without_sight_s=p.since_last_s)
     assert after(memory(State.SEARCH, seen=None, in_sight=False), relative).attempt.without_sight_s == 0.0, "never seen yet"
@@ -152,8 +154,11 @@ def test_the_way_to_the_ship_and_her_place_are_noted_and_the_search_goes_on_from
 
 
 def test_time_at_the_gate_is_charged_in_the_gate() -> None:
-    assert after(memory(State.GATE, attempt=Attempt(at_gate_s=2.0)), seen(0.3)).attempt.at_gate_s == pytest.approx(2.02)
-    assert after(memory(State.DESCEND, attempt=Attempt(at_gate_s=2.0)), seen(0.3)).attempt.at_gate_s == 2.0
+    used = Attempt(over_pad_s=1.0, in_descent_s=2.0, at_gate_s=3.0)
+    for state, spent in ((State.INTERCEPT, 0), (State.DESCEND, 1), (State.GATE, 2), (State.HOLD_BLIND, None)):
+        p = after(memory(state, attempt=used), seen(0.3)).attempt
+        expected = [seconds + 0.02 * (i == spent) for i, seconds in enumerate((1.0, 2.0, 3.0))]
+        assert [p.over_pad_s, p.in_descent_s, p.at_gate_s] == pytest.approx(expected)
 
 
 def test_what_keeps_the_gate_shut_is_noted_and_since_when_nothing_does() -> None:

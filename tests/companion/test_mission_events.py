@@ -232,6 +232,26 @@ def test_a_try_s_budget_and_a_turned_arrow_end_the_way_down_alone(state: State) 
     assert of(Event.LIMIT, memory(state), sight, align) is None
 
 
+@pytest.mark.parametrize("state", sorted(FLOWN - {State.ANOTHER_PAD}, key=str))
+def test_the_time_of_the_whole_landing_ends_the_way_to_the_gate_alone(state: State) -> None:
+    sight = cycle(seen((0.0, 0.0, 0.3)))
+    for spent_s, over in ((180.0, False), (180.001, True)):
+        p = memory(state, landing_began=ns(NOW - spent_s))
+        expected = (ReasonCause.LANDING_TIME, pytest.approx(spent_s), 180.0) if over and state in DESCENT else None
+        assert figures(of(Event.LIMIT, p, sight)) == expected
+
+
+def test_when_the_landing_s_time_is_over_a_climb_is_the_last_one() -> None:
+    high = cycle(seen((0.0, 0.0, 2.0)))
+    p = memory(State.GO_AROUND, seen_height_m=2.0, fault=WHY, go_arounds=1, landing_began=ns(NOW - 180.001))
+    assert of(Event.HOPELESS, p, high) == WHY
+    assert of(Event.NO_CONDITIONS, p, high) is None
+    windy = Reason(ReasonCause.WIND, 20.0, 15.0)
+    assert of(Event.NO_CONDITIONS, replace(p, fault=windy), high) == windy
+    assert of(Event.HOPELESS, replace(p, landing_began=ns(NOW - 180.0)), high) is None
+    assert of(Event.HOPELESS, replace(p, seen_height_m=1.0), cycle(seen())) is None, "first the climb"
+
+
 @pytest.mark.parametrize(
     ("ago_s", "height_m", "lost"), [(1.51, 1.7, True), (1.5, 1.7, False), (1.51, 1.75, False), (None, 1.0, False)]
 )

@@ -262,6 +262,36 @@ def test_the_waits_at_the_gate_of_one_try_add_up() -> None:
     assert causes(flight, State.GO_AROUND)[0] in (ReasonCause.RELATIVE_SPEED, ReasonCause.STATE_TIME)
 
 
+def bumpy(options: GuidanceOptions) -> PointFlight:
+    """Return a flight whose estimate fails for a second in every six, and that is blown out of the cone then."""
+
+    def sight(t: float, d: F64) -> bool:
+        return t % 6.0 > 1.0
+
+    flight = PointFlight([0.0, 0.0, 3.2], options, sight=sight)
+    while flight.t < 600.0 and flight.progress.state not in (State.GAVE_UP, State.REFUSED, State.LANDED):
+        flight.d[0] += 0.2 if flight.t % 6.0 < 1.0 else 0.0
+        flight.cycle()
+    return flight
+
+
+def test_the_time_of_a_leg_does_not_begin_anew_with_every_loss_of_sight() -> None:
+    """WHY: with a shaken accelerometer the estimate failed and recovered for as long as the scenario lasted."""
+    flight = bumpy(guided(tries={"try_s": 3600.0, "landing_s": 3600.0, "leg_s": 10.0}))
+    assert flight.states.count(State.HOLD_BLIND) > 4
+    assert ReasonCause.STATE_TIME in causes(flight, State.GO_AROUND)
+    assert flight.progress.state is State.GAVE_UP
+
+
+def test_the_whole_landing_ends_in_its_time_up_over_the_deck() -> None:
+    flight = bumpy(guided(tries={"go_arounds_max": 100, "landing_s": 60.0}))
+    assert flight.progress.state is State.GAVE_UP
+    assert causes(flight, State.GO_AROUND)[-1] is ReasonCause.LANDING_TIME
+    assert 60.0 < flight.t < 75.0
+    over = next(i for i, (t, *_) in enumerate(flight.rows) if t > 61.0 + DT)
+    assert min(d[2] for _, d, *_ in flight.rows[over:]) >= flight.rows[over][1][2] - 0.2, "never lower because of it"
+
+
 def test_a_climb_that_nobody_confirms_is_not_believed() -> None:
     """WHY: after a lost link guidance took itself to be two metres up by the clock, while the drone hovered at 0.2 m."""
     flight = PointFlight([0.0, 0.0, 2.5], sight=lambda t, d: not 2.5 < t < 14.0)

@@ -25,7 +25,6 @@ from tests.companion.test_mission_events import BLIND, NOW, OPTIONS, WHY, cycle,
     ("state", "limit_s", "cause"),
     [
         (State.RENDEZVOUS, 180.0, ReasonCause.STATE_TIME), (State.SEARCH, 300.0, ReasonCause.NOT_FOUND),
-        (State.INTERCEPT, 45.0, ReasonCause.STATE_TIME), (State.DESCEND, 45.0, ReasonCause.STATE_TIME),
         (State.COMMIT, 3.0, ReasonCause.NO_CONTACT), (State.PRESS, 3.4, ReasonCause.STATE_TIME),
         (State.DOWN, 6.0, ReasonCause.NO_LANDING), (State.GO_AROUND, 10.0 + 3.0 * 1.0 / 0.5, ReasonCause.NOT_CLIMBING),
     ],
@@ -42,6 +41,14 @@ def test_a_go_around_has_no_less_time_from_above_the_safe_height() -> None:
     p = memory(State.GO_AROUND, 10.001, entered_height_m=5.0)
     assert figures(of(Event.TIMEOUT, p, cycle(seen()))) == (ReasonCause.NOT_CLIMBING, pytest.approx(10.001), 10.0)
     assert of(Event.TIMEOUT, memory(State.GO_AROUND, 10.0, entered_height_m=5.0), cycle(seen())) is None
+
+
+@pytest.mark.parametrize(("state", "name"), [(State.INTERCEPT, "over_pad_s"), (State.DESCEND, "in_descent_s")])
+def test_all_visits_to_a_leg_share_its_time(state: State, name: str) -> None:
+    for spent_s, over in ((45.0, False), (45.001, True)):
+        p = memory(state, 1.0, attempt=Attempt(**{name: spent_s}))
+        found = figures(of(Event.TIMEOUT, p, cycle(seen())))
+        assert found == ((ReasonCause.STATE_TIME, spent_s, 45.0) if over else None)
 
 
 def test_all_visits_to_the_gate_share_one_wait_and_what_kept_it_shut_is_told() -> None:

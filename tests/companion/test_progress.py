@@ -13,6 +13,7 @@ from companion.guidance.heading import HeadingMemory
 from companion.guidance.mission import ENDED, Event, State, StateChange
 from companion.guidance.progress import Progress, entered
 from companion.guidance.reason import Reason, ReasonCause
+from estimator.contracts.time import MonoNs
 from tests.companion.mission_flights import ns
 
 WHY = Reason(ReasonCause.OPERATOR)
@@ -26,6 +27,7 @@ def well_on(state: State, **more: Any) -> Progress:
     """A memory in which everything of a try and of a state has been used."""
     fields: dict[str, Any] = {
         "since": ns(1), "fault": WHY, "stood": False, "begun": True, "ordered": True, "go_arounds": 2, "questions": 1,
+        "landing_began": ns(2),
         "attempt": Attempt(losses=2, without_sight_s=3.0), "seen": ns(8), "seen_height_m": 1.5, "unheard_s": 0.5,
         "was_silent": True, "in_sight": True, "track": 4, "heading": HeadingMemory(1.0), "turned": WHY,
         "entered_height_m": 3.0, "held": np.ones(3), "held_yaw_rad": 0.3, "good_since": ns(7), "blocked": WHY,
@@ -52,16 +54,18 @@ def test_a_state_begins_with_nothing_of_the_state_before() -> None:
 
 def test_a_take_off_begins_a_flight_in_which_nothing_was_asked_for_yet() -> None:
     p = after(well_on(State.LANDED, stood=True, refusing=True), Event.TAKEN_OFF, State.READY)
-    assert (p.begun, p.stood, p.ordered, p.go_arounds, p.questions) == (False, False, False, 0, 0)
+    assert (p.begun, p.stood, p.ordered, p.go_arounds, p.questions, p.landing_began) == (False, False, False, 0, 0, None)
     forgotten = (p.fault, p.refusing, p.attempt, p.seen, p.seen_height_m, p.in_sight, p.track, p.heading)
     assert forgotten == (None, False, Attempt(), None, math.inf, False, None, HeadingMemory())
     assert (p.turned, p.newest_track, p.was_silent) == (None, None, False)
 
 
-@pytest.mark.parametrize(("cause", "kept"), [(ReasonCause.AUTOMATIC, (2, 1)), (ReasonCause.OPERATOR, (0, 0))])
-def test_an_order_gives_the_tries_back_and_what_begins_by_itself_does_not(cause: ReasonCause, kept: tuple[int, int]) -> None:
+@pytest.mark.parametrize(("cause", "kept"), [(ReasonCause.AUTOMATIC, (2, 1, ns(2))), (ReasonCause.OPERATOR, (0, 0, None))])
+def test_an_order_gives_the_tries_back_and_what_begins_by_itself_does_not(
+    cause: ReasonCause, kept: tuple[int, int, MonoNs | None]
+) -> None:
     p = after(well_on(State.ANOTHER_PAD), Event.BEGIN, State.SEARCH, Reason(cause))
-    assert (p.go_arounds, p.questions) == kept
+    assert (p.go_arounds, p.questions, p.landing_began) == kept
     assert (p.begun, p.attempt, p.track, p.search_leg) == (True, Attempt(), None, 0)
 
 
