@@ -29,6 +29,7 @@ class ReasonCause(Enum):
     PRESSED = "pressed on for {measured:.1f} s"
     HIGH_ENOUGH = "{measured:.1f} m over the deck"
     VESSEL_FAR = "the vessel was {measured:.0f} m away"
+    VESSEL_AWAY = "the vessel is {measured:.0f} m away"
     VESSEL_NEAR = "at the hold-off point, {measured:.0f} m from the pad"
 
     NO_OWN_PLACE = "no rendezvous: the drone does not know its own place (no GNSS)"

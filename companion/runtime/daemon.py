@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from functools import partial
@@ -42,6 +43,7 @@ from estimator.vision.detection import Detection
 
 log = logging.getLogger(__name__)
 
+_NUMBER = re.compile(r"\d+(\.\d+)?")
 _ATTITUDE_TRIES, _ATTITUDE_PAUSE_S = 10, 0.005
 
 
@@ -359,16 +361,20 @@ class Daemon:
         self._audience.on_order(handled)
 
     def _tell(self, decision: Decision) -> None:
-        """Log each change of the mission's state, and the phase with its reason where these change by themselves."""
+        """Log each change of the mission's state, and the phase with its reason where these change by themselves.
+
+        A reason in which a number alone has changed is not logged again.
+        """
         for change in decision.transitions:
             level = logging.WARNING if change.event in FAULTS else logging.INFO
             log.log(level, "%s: %s (from %s)", change.target.value, change.reason.text, change.source.value)
         if decision.response is not None:
             level = logging.WARNING if decision.response.state is ResponseState.IDENTIFIED else logging.INFO
             log.log(level, "%s", decision.response.text)
-        entry = (decision.phase, decision.reason)
+        entry = (decision.phase, _NUMBER.sub("", decision.reason))
         if entry != self._logged and not decision.transitions:
-            log.log(logging.WARNING if decision.reason else logging.INFO, "%s", ": ".join(filter(None, entry)))
+            words = ": ".join(filter(None, (decision.phase, decision.reason)))
+            log.log(logging.WARNING if decision.reason else logging.INFO, "%s", words)
         self._logged = entry
 
     async def _log_health(self) -> None:

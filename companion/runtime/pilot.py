@@ -25,7 +25,7 @@ from companion.guidance.mission import FLOWN, GROUND, Event, State, StateChange
 from companion.guidance.mission_step import mission_step, ordered, reported
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.reason import Reason
+from companion.guidance.reason import Reason, ReasonCause
 from companion.guidance.rendezvous_options import ReportLimits
 from companion.guidance.response import TiltResponse
 from companion.guidance.response_course import reported_lean
@@ -185,7 +185,8 @@ class Pilot:
         self._quality = InputQuality()
         self._frames: Counter[Verdict] = Counter()
         self._vessel_track = VesselTrack(reports or ReportLimits())
-        self._no_place: Reason | None = None
+        self._vessel: VesselPosition | Reason | None = None
+        """The ship's place by reports in the newest guidance cycle, or why it is not known; None while nobody flies by it."""
         self.operator = OperatorArbiter(self, manual, limits)
         """The arbiter of people's orders, which has the last word."""
 
@@ -223,8 +224,10 @@ class Pilot:
         """Why the vehicle is not simply on its way down, as text for the operator; empty while it is."""
         if self._mission.state is State.GATE:
             return "" if self._mission.waits_for is None else self._mission.waits_for.text
-        if self._no_place is not None and self._mission.state in _BY_REPORTS:
-            return self._no_place.text
+        if isinstance(self._vessel, Reason) and self._mission.state in _BY_REPORTS:
+            return self._vessel.text
+        if isinstance(self._vessel, VesselPosition) and self._mission.state is State.RENDEZVOUS:
+            return Reason(ReasonCause.VESSEL_AWAY, self._vessel.distance_m).text
         if self._mission.state in _PLAIN:
             return ""
         why = self._mission.fault if self._mission.state in _FAULTED else self._mission.reason
@@ -551,7 +554,7 @@ class Pilot:
             if self._attitude is not None:
                 self._vessel_track = vessel_track.on_sample(self._vessel_track, self._attitude)
             place = vessel_track.position(self._vessel_track, now)
-        self._no_place = place if isinstance(place, Reason) else None
+        self._vessel = place
         silent_s = 0.0 if self._heard is None else max(0.0, seconds_between(self._heard, now))
         s = GuidanceCycle(now, knowledge, battery, lean, self._quality, self._frames, place, silent_s)
         self._mission, aim, changes = mission_step(self._mission, s, self._guidance, over_ground=self._over_ground)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
+import re
 import socket
 import time
 from collections.abc import Callable
@@ -106,7 +107,16 @@ async def test_among_garbage_it_flies_astern_of_her_searches_and_waits_level_whe
         with udp() as ship, udp() as forger:
             await tell(ship, lambda: pilot.state is State.RENDEZVOUS)
             forger.sendto(rmc(30.0, np.array([-900.0, 0.0, 0.0])), (HOST, nmea))
-            await tell(ship, lambda: pilot.state is State.SEARCH)
+            told_m: list[tuple[float, float]] = []
+
+            def arrives() -> bool:
+                if said := re.search(r"the vessel is (\d+) m away", pilot.reason):
+                    told_m.append((float(said[1]), math.hypot(*(fake.p_ned - ship_s_place())[:2])))
+                return pilot.state is State.SEARCH
+
+            await tell(ship, arrives)
+            assert max(told for told, _ in told_m) - min(told for told, _ in told_m) > 5.0
+            assert all(told == pytest.approx(true_m, abs=8.0) for told, true_m in told_m), told_m
             from_astern = (fake.p_ned - ship_s_place())[:2] - (0.0, -way.range_m)
             assert math.hypot(*from_astern) < way.reached_m + 2.0, "the hold-off point"
             await tell(ship, lambda: math.hypot(*(fake.p_ned - ship_s_place())[:2]) < 2.5)
@@ -125,6 +135,7 @@ async def test_among_garbage_it_flies_astern_of_her_searches_and_waits_level_whe
         told = [line for line in caplog.messages if f"was refused ({reason.replace('_', ' ')})" in line]
         assert len(told) == 1, reason
     assert any("are refused, those from" in line for line in caplog.messages)
+    assert len([line for line in caplog.messages if line.startswith("rendezvous: the vessel is")]) <= 2, "not at every metre"
 
 
 def udp() -> socket.socket:
