@@ -169,7 +169,7 @@ def _refusal(options: EstimatorOptions, sighting: Sighting) -> Verdict | None:
     if sighting.stamp.delay_s > options.max_delay_s:
         return Verdict.TOO_OLD
     if sighting.confidence < options.min_confidence:
-        return Verdict.GATED
+        return Verdict.LOW_CONFIDENCE
     return None
 
 

@@ -77,6 +77,7 @@ _BY_ALERT: dict[IntegrityAlert, str] = {
 _BY_FRAMES: dict[Verdict, str] = {
     _V.NO_PAD: _LIGHT,
     _V.GATED: _MOUNT,
+    _V.LOW_CONFIDENCE: _LIGHT,
     _V.TOO_OLD: _SLOW,
     _V.TOO_NEW: _CLOCK,
     _V.SINGULAR: _MOUNT,

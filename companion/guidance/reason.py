@@ -99,7 +99,8 @@ CONDITIONS = frozenset(
 
 _FRAME_WORDS = {
     Verdict.NO_PAD: "show no pad",
-    Verdict.GATED: "show a doubtful pad or contradict the estimate",
+    Verdict.GATED: "contradict the estimate",
+    Verdict.LOW_CONFIDENCE: "show a pad of low confidence",
     Verdict.TOO_OLD: "came too late",
     Verdict.TOO_NEW: "have stamps ahead of time",
     Verdict.SINGULAR: "gave no measurement",

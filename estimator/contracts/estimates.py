@@ -32,6 +32,8 @@ class Verdict(Enum):
     FUSED = "fused"
     GATED = "gated"
     """The input is implausible against the belief."""
+    LOW_CONFIDENCE = "low_confidence"
+    """A sighting with less confidence than the settings ask for: it was compared with nothing."""
     TOO_OLD = "too_old"
     TOO_NEW = "too_new"
     SINGULAR = "singular"

@@ -132,7 +132,7 @@ static int take(const filter_params *o, belief *b, covariance *c, sea_ref *bank,
         return take_sample(o, b, c, e, out);
     }
     if (s->confidence < o->min_confidence) {
-        out->verdict = GATED;
+        out->verdict = LOW_CONFIDENCE;
         return 1;
     }
     ready_to_fuse(o, b, c, e->t);

@@ -48,6 +48,7 @@
 #define FUSED 0
 #define GATED 1
 #define SINGULAR 2
+#define LOW_CONFIDENCE 3
 #define OVER_GROUND 0
 #define OVER_PAD 1
 #define OVER_EITHER 2
@@ -1283,7 +1284,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 2474400804u
+#define INTERFACE_DIGEST 3243636871u
 #endif
 
 #endif

@@ -73,10 +73,10 @@ def step_all(ekf: Ekf, events: Sequence[Event]) -> tuple[Ekf, list[FusionResult]
 
     Returns:
         The next filter, and the result of each event. Its verdict is FUSED; GATED (implausible, or nothing to compare it with
-        yet); IMPOSSIBLE (an IMU sample beyond the limits); FROZEN (an IMU sample that has repeated itself for too long); TOO_OLD
-        (before the history); TOO_NEW (measured after every time of reception so far); SINGULAR; or NO_ATTITUDE (no sample has
-        shown which way is down yet). A measurement that was compared with a prediction has its innovation, the innovation's
-        covariance, NIS and test ratio, whatever the verdict.
+        yet); LOW_CONFIDENCE (a sighting with less than `min_confidence`); IMPOSSIBLE (an IMU sample beyond the limits); FROZEN
+        (an IMU sample that has repeated itself for too long); TOO_OLD (before the history); TOO_NEW (measured after every time
+        of reception so far); SINGULAR; or NO_ATTITUDE (no sample has shown which way is down yet). A measurement that was
+        compared with a prediction has its innovation, the innovation's covariance, NIS and test ratio, whatever the verdict.
 
     Raises:
         TypeError: an event is not a measurement (a frame, for example).

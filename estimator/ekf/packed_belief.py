@@ -29,7 +29,7 @@ STATE_ALONE, WITH_COVARIANCE, WITH_AIDING = (CONSTANTS[name] for name in ("STATE
 """How far `propagate` goes: the covariance as often as the options ask, to the instant, or with all gathered samples fused."""
 
 _RUN, _PROPAGATE, _SETTLE = (CORE.function(name) for name in ("filter_run", "filter_propagate", "filter_settle"))
-_VERDICTS = {CONSTANTS[v.name]: v for v in (Verdict.FUSED, Verdict.GATED, Verdict.SINGULAR)}
+_VERDICTS = {CONSTANTS[v.name]: v for v in (Verdict.FUSED, Verdict.GATED, Verdict.SINGULAR, Verdict.LOW_CONFIDENCE)}
 
 
 _BELIEF, _AID, _OUTCOME = places_of("belief"), places_of("aid"), places_of("outcome")

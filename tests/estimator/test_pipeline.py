@@ -84,7 +84,7 @@ def test_every_sighting_ends_in_one_verdict_a_path_and_a_refused_one_changes_not
     if delay_s > STEERING.max_delay_s + 1e-6:
         assert {o.verdict for o in outcomes} == {Verdict.TOO_OLD}
     elif confidence < STEERING.min_confidence:
-        assert {o.verdict for o in outcomes} == {Verdict.GATED}
+        assert {o.verdict for o in outcomes} == {Verdict.LOW_CONFIDENCE}
     if all(o.verdict is not Verdict.FUSED for o in outcomes):
         assert all(same(a, b) for a, b in zip(before, pipeline.beliefs(after, MonoNs(10**9)), strict=True))
 

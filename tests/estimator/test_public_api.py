@@ -202,7 +202,7 @@ def test_the_estimator_takes_late_sightings_and_says_why_it_refuses_others() -> 
     assert filter.on_sighting(sighting(1.9, received=2.0)) is Verdict.FUSED
     before = filter.at(MonoNs(2_000_000_000))
     assert filter.on_sighting(sighting(1.2, received=2.0)) is Verdict.TOO_OLD
-    assert filter.on_sighting(sighting(1.99, confidence=0.1)) is Verdict.GATED
+    assert filter.on_sighting(sighting(1.99, confidence=0.1)) is Verdict.LOW_CONFIDENCE
     assert filter.on_imu(Imu(Stamp.from_seconds(2.0), np.full(3, 1e3), np.zeros(3))) is Verdict.IMPOSSIBLE
     after = filter.at(MonoNs(2_000_000_000))
     assert filter.state is not None

@@ -75,7 +75,7 @@ def test_a_sighting_may_trust_itself_just_enough() -> None:
     assert same.t == b.t
     np.testing.assert_array_equal(same.x, b.x)
     np.testing.assert_array_equal(same.P, b.P)
-    assert outcome.verdict is Verdict.GATED
+    assert outcome.verdict is Verdict.LOW_CONFIDENCE
     assert fuse_sighting(b, sighting((0.0, 0.0, 2.0), confidence=0.05), TOOLS)[1].verdict is Verdict.FUSED
 
 

@@ -52,7 +52,7 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
     """Return the belief after one sighting, which must not be older than the belief, and the sighting's result."""
     o, t = params.options, event.stamp.measured_at
     if event.confidence < o.min_confidence:
-        return b, Outcome(Verdict.GATED)
+        return b, Outcome(Verdict.LOW_CONFIDENCE)
     b = forgotten(ready_to_fuse(b, t, params), o)
     fresh = b.sighted < 0
     if fresh:
