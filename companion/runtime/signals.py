@@ -192,10 +192,19 @@ def _daemons() -> list[threading.Thread]:
     return [thread for thread in threading.enumerate() if thread.daemon and thread.name != _WATCHER]
 
 
+def _release_semaphores() -> None:
+    """Unlink the semaphores of multiprocessing, as the interpreter's shutdown would: else Python warns that they have leaked."""
+    util = sys.modules.get("multiprocessing.util")
+    if util is not None:
+        util._run_finalizers(0)
+
+
 def _end(code: int, words: str) -> NoReturn:
     """End the process without the interpreter's shutdown, which may wait."""
 
     def say() -> None:
+        with suppress(Exception):
+            _release_semaphores()
         with suppress(Exception):
             sys.stdout.flush()
         with suppress(Exception):

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait as wait_for_connections
 
 from sitl.campaign.plan import AnyPlan, Job
@@ -105,8 +106,19 @@ def _new_pool(workers: int) -> ProcessPoolExecutor:
     for name in _THREADS:
         os.environ.setdefault(name, "1")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["sitl.campaign.task"])
+    context.set_forkserver_preload(["sitl.campaign.unborn", "sitl.campaign.task"])
+    _start_server()
     return ProcessPoolExecutor(workers, mp_context=context, initializer=_begin)
+
+
+def _start_server() -> None:
+    """Start the server that forks the workers with SIGINT blocked: a Ctrl-C that comes while it starts is for us alone."""
+    resource_tracker.ensure_running()  # it unblocks signals when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin() -> None:

@@ -403,6 +403,21 @@ def test_sigterm_while_it_ends_already(rig: str) -> None:
     assert not any("Traceback" in words for words in said)
 
 
+def test_semaphores_that_are_in_use_at_the_end_do_not_leak() -> None:
+    """WHY: a campaign that SIGTERM ended printed Python's warning of leaked semaphores over its own last line."""
+    source = """
+from multiprocessing import get_context
+def work():
+    work.kept = get_context("forkserver").Queue()
+    say("ready")
+    time.sleep(3600)
+program(work)
+"""
+    with python(HEAD + source, stderr=subprocess.PIPE) as process:
+        assert line(process) == "ready"
+        assert ended(process, signal.SIGTERM) == (143, [])
+
+
 WHILE_A_CLASS_IS_MADE = """
 class Named:
     def __set_name__(self, owner, name):

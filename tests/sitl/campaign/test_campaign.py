@@ -241,6 +241,31 @@ def test_a_signal_ends_the_command_with_what_is_kept(tmp_path: Path) -> None:
     assert " flights are kept in c; the same command goes on from there" in said
 
 
+def test_a_worker_that_is_born_after_its_campaign_says_nothing_and_an_error_of_ours_is_told() -> None:
+    source = "import sitl.campaign.unborn; raise {}"
+    for error, told in (("FileNotFoundError(2, 'no semaphore')", False), ("EOFError", False), ("ImportError('ours')", True)):
+        ended = subprocess.run(
+            [sys.executable, "-c", source.format(error)], capture_output=True, text=True, check=False, timeout=60
+        )
+        assert ended.returncode == 1
+        assert ("ImportError: ours" in ended.stderr) == told
+        assert bool(ended.stderr) == told
+
+
+def test_a_ctrl_c_while_the_server_of_the_workers_starts_is_for_the_campaign_alone() -> None:
+    source = """
+import os, signal
+from multiprocessing import forkserver
+from sitl.campaign.local import _start_server
+_start_server()
+server = forkserver._forkserver._forkserver_pid
+blocked = int(open(f"/proc/{server}/status").read().split("SigBlk:")[1].split()[0], 16)
+print(blocked >> signal.SIGINT - 1 & 1, signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
+"""
+    ended = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=False, timeout=60)
+    assert (ended.stdout, ended.stderr) == ("1 False\n", "")
+
+
 def test_the_session_keeps_before_it_tells(tmp_path: Path) -> None:
     class Workforce:
         def results(self, jobs):

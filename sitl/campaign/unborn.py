@@ -1,0 +1,22 @@
+"""What the server that forks a campaign's workers loads first: a worker whose campaign has ended meanwhile says nothing.
+
+It then finds neither the pool's locks nor its orders, and the server would print a traceback over the campaign's last line. An
+error of another kind is one of ours, and is printed. Nothing else imports this module, for it replaces the hook of its process.
+"""
+
+from __future__ import annotations
+
+import sys
+from types import TracebackType
+
+_ENDED = (FileNotFoundError, EOFError, ConnectionError)
+"""What a worker meets that is born after its campaign: no semaphore of that name, no orders in the pipe, no reader of it."""
+
+
+def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Print an error as Python does, unless it only says that the campaign has ended."""
+    if not issubclass(kind, _ENDED):
+        sys.__excepthook__(kind, error, trace)
+
+
+sys.excepthook = hook
