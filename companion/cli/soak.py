@@ -49,6 +49,8 @@ WARM_UP_FLIGHTS = 30
 FRAME_RATES_HZ = (30, 60)
 OPERATOR_WAIT_S = 15.0
 """How long the pilot waits for an operator at most: nobody is there, and a scenario's time must not end before the wait."""
+_FLOWN_WITH: dict[str, str | None] = {"scenario": "demo", "perception": "pixels", "config": None}
+"""The options beside fault and seed that a flight needs to be flown again, with their defaults."""
 _READ_EACH_S = 5.0
 _SAY_EACH_S = 60.0
 _DECIDED_S = 2
@@ -78,22 +80,25 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     faults.add_argument("--fault", metavar="NAME", help="fly this fault in every flight (needs --virtual; default: at random)")
     parser.add_argument(
         "--scenario",
-        default="demo",
+        default=_FLOWN_WITH["scenario"],
         metavar="FILE",
-        help=f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; default: demo)",
+        help=f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; default: "
+        f"{_FLOWN_WITH['scenario']})",
     )
     parser.add_argument(
         "--seed", type=int, default=1, metavar="N", help="seed of the first flight; each flight adds 1 (default: 1)"
     )
-    parser.add_argument("--config", metavar="FILE", help="settings file to fly with (default: the profile sim)")
+    parser.add_argument(
+        "--config", default=_FLOWN_WITH["config"], metavar="FILE", help="settings file to fly with (default: the profile sim)"
+    )
     parser.add_argument("--no-cpu", action="store_true", help="skip the measurements of start time and CPU load")
     parser.add_argument("--failed-max", type=int, default=0, metavar="N", help="allow this many failed flights (default: 0)")
     parser.add_argument(
         "--perception",
-        default="pixels",
+        default=_FLOWN_WITH["perception"],
         metavar="LEVEL",
-        help=f"how the service perceives the pad: {', '.join(PERCEPTIONS)} (default: pixels, rendered frames; others need "
-        "--virtual)",
+        help=f"how the service perceives the pad: {', '.join(PERCEPTIONS)} (default: {_FLOWN_WITH['perception']}; all but "
+        "pixels, rendered frames, need --virtual)",
     )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="plot memory, counts and outcomes over time (png, svg, pdf)")
     parser.add_argument("--readings", type=Path, metavar="FILE", help="write every reading as a line of JSON into this file")
@@ -325,9 +330,8 @@ def _opened(path: Path) -> FileIO:
 
 def _flown_with(args: argparse.Namespace) -> str:
     """Return the options beside fault and seed that a flight needs to be flown again."""
-    given = {"--scenario": args.scenario, "--perception": args.perception, "--config": args.config}
-    usual = {"--scenario": "demo", "--perception": "pixels", "--config": None}
-    return shlex.join([word for name, value in given.items() if value != usual[name] for word in (name, str(value))])
+    given = [(f"--{name}", getattr(args, name)) for name, usual in _FLOWN_WITH.items() if getattr(args, name) != usual]
+    return shlex.join([word for option, value in given for word in (option, str(value))])
 
 
 def _say(args: argparse.Namespace, tally: Tally, found: Findings | None, extra: dict[str, Any]) -> None:

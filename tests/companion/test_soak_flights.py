@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import shlex
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 
 from companion.cli import main as cli
+from companion.cli import soak
 from companion.cli.soak_flights import Class, Flown, Outcomes, by_fault, real
 from companion.cli.soak_judge import Reading
 from companion.cli.soak_plot import plot
@@ -125,6 +128,20 @@ def test_a_flight_that_failed_is_flown_again_by_its_fault_and_seed(capsys: pytes
     ):
         assert cli.main(["soak", *words]) == 2
         assert why in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("usual", [{}, {"scenario": "calm"}, {"perception": "model"}, {"config": "ardrone2"}])
+def test_a_flight_is_flown_again_with_what_differs_from_the_command_s_defaults(
+    usual: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """WHY: the defaults stood in two places, and one that changed alone would name another flight."""
+    for name, value in usual.items():
+        monkeypatch.setitem(soak._FLOWN_WITH, name, value)
+    parser = argparse.ArgumentParser()
+    soak.add_parser(parser.add_subparsers())
+    assert soak._flown_with(parser.parse_args(["soak"])) == ""
+    given = ["--scenario", "a b.toml", "--perception", "truth", "--config", "rig.toml"]
+    assert shlex.split(soak._flown_with(parser.parse_args(["soak", *given]))) == given
 
 
 def test_a_virtual_soak_names_the_flight_that_failed(
