@@ -14,6 +14,7 @@ import numpy as np
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.vehicle import Stack
+from estimator.contracts.geodesy import GeoPoint, ned_between
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.ports import Clock
@@ -21,9 +22,9 @@ from sitl.airframe import Airframe
 from sitl.autopilots import px4
 from sitl.autopilots.body import BodyState
 from sitl.autopilots.motors import Motors
-from sitl.autopilots.px4_hil import Home
 from sitl.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
 from sitl.autopilots.stand_in.cascade import PX4_GAINS, Cascade
+from sitl.gnss import ORIGIN
 
 DEFAULTS: dict[str, float] = {
     "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_DISARM_LAND": 2.0, "COM_DISARM_PRFLT": 10.0, "COM_SPOOLUP_TIME": 1.0,
@@ -82,13 +83,14 @@ class Px4StandIn(StandIn):
         """Take a place: latitude and longitude 0 are one, off Africa; only NaN means here. The altitude is above the sea."""
         if not self.armed or self.state is None:
             return int(mav.MAV_RESULT_TEMPORARILY_REJECTED)
-        self._enter("auto.takeoff")
         here = self.state.p_ned
         if math.isfinite(m.param5) and math.isfinite(m.param6):
-            home = Home()
-            north = math.radians(m.param5 - home.latitude_deg) * 6.371e6
-            east = math.radians(m.param6 - home.longitude_deg) * 6.371e6 * math.cos(math.radians(home.latitude_deg))
-            here = np.array([north, east, here[2]])
+            try:
+                place = GeoPoint.of_degrees(m.param5, m.param6)
+            except ValueError:
+                return int(mav.MAV_RESULT_DENIED)
+            here = np.array([*ned_between(ORIGIN, place)[:2], here[2]])
+        self._enter("auto.takeoff")
         down = -m.param7 if math.isfinite(m.param7) else here[2] - self.parameter("MIS_TAKEOFF_ALT")
         self._place = np.array([here[0], here[1], down])
         return int(mav.MAV_RESULT_ACCEPTED)
