@@ -28,4 +28,5 @@ def view_of(body: Body) -> OperatorView:
         wrap_pi(heading - yaw),
         float(body.p_pad_ned[2] - state.p_ned[2]),
         level @ body.v_pad_ned,
+        not start.with_vessel,
     )

@@ -28,6 +28,8 @@ _REPEAT_S = 1.0
 _HEAVE_M = 2.0
 _CLIMB_M_S = 1.0
 _ON_DECK_M = 0.15
+_REST_S = 4.0
+"""How far ahead of the start a vehicle stops that is to begin at rest: the way of the start in this time, s."""
 
 
 class Task(Enum):
@@ -37,6 +39,7 @@ class Task(Enum):
     ARM = "arming"
     TAKE_OFF = "taking off"
     GO = "flying to the start"
+    REST = "resting over the ground until the start has come up"
     ORDER = "ordering the landing"
     WATCH = "watching the landing"
     FAILED = "failed"
@@ -50,6 +53,7 @@ class StationTimeouts:
     arm_s: float = 90.0
     take_off_s: float = 30.0
     go_s: float = 60.0
+    rest_s: float = 15.0
     order_s: float = 10.0
 
 
@@ -71,6 +75,8 @@ class OperatorView:
     """Height over the pad."""
     v_deck_level: F64 = field(default_factory=lambda: np.zeros(3))
     """(3,) velocity of the deck, m/s."""
+    rests: bool = False
+    """Whether the landing begins at rest over the ground instead of with the velocity of the start."""
 
 
 class GroundStation:
@@ -195,13 +201,15 @@ class GroundStation:
 
     def _go(self, now: MonoNs, view: OperatorView) -> list[Message]:
         self._give_up_after(self._timeouts.go_s, now, "it did not reach the start of the landing")
+        # At rest the vehicle is overtaken: it stops ahead of the start, and the landing is ordered when that has come up.
+        to_goal = view.to_start_level + (_REST_S * view.v_start_level if view.rests else 0.0)
         # The start heaves with the pad, so the vehicle does not follow it after that.
-        close = math.hypot(*view.to_start_level[:2]) < 0.6 and abs(view.to_start_level[2]) < _HEAVE_M
+        close = math.hypot(*to_goal[:2]) < 0.6 and abs(to_goal[2]) < _HEAVE_M
         near = close and math.hypot(*view.v_rel_level[:2]) < 0.5 and abs(view.turn_rad) < math.radians(8.0)
         self._there_since = (self._there_since or now) if near else None
         if self._there_since is not None and seconds_between(self._there_since, now) > 1.0:
-            self._next(Task.ORDER, now)
-        pull = 0.6 * view.to_start_level
+            self._next(Task.REST if view.rests else Task.ORDER, now)
+        pull = 0.6 * to_goal
         size = float(np.linalg.norm(pull))
         v_level = view.v_start_level + pull * min(1.0, 1.5 / max(size, 1e-9))
         rate = min(max(0.8 * wrap_pi(view.turn_rad), -0.5), 0.5)
@@ -209,12 +217,23 @@ class GroundStation:
         takes = [set_mode(self._stack, self._autopilot, mode)] if self.mode != mode and self._due("mode", now) else []
         return [*takes, velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v_level, rate), view.yaw_rad)]
 
+    def _rest(self, now: MonoNs, view: OperatorView) -> list[Message]:
+        self._give_up_after(self._timeouts.rest_s, now, "the start of the landing did not come up to it")
+        if float(view.to_start_level[:2] @ view.v_start_level[:2]) >= 0.0:
+            self._next(Task.ORDER, now)
+        return [self._goes_with(view, now)]
+
     def _order(self, now: MonoNs, view: OperatorView) -> list[Message]:
         whom = "autopilot" if self._unaided else "companion"
         self._give_up_after(self._timeouts.order_s, now, f"the {whom} did not answer the order to land")
         order = [self._order_to_land()] if self._due("order", now) else []
         # Until somebody else steers, its setpoints must not end.
-        return [*order, velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(view.v_start_level, 0.0), view.yaw_rad)]
+        return [*order, self._goes_with(view, now)]
+
+    def _goes_with(self, view: OperatorView, now: MonoNs) -> Message:
+        """Return the setpoint with which the landing begins."""
+        v_level = np.zeros(3) if view.rests else view.v_start_level
+        return velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v_level, 0.0), view.yaw_rad)
 
     def _order_to_land(self) -> Message:
         if self._unaided:
@@ -233,6 +252,7 @@ class GroundStation:
         Task.ARM: _arm,
         Task.TAKE_OFF: _take_off,
         Task.GO: _go,
+        Task.REST: _rest,
         Task.ORDER: _order,
         Task.WATCH: _nothing,
         Task.FAILED: _nothing,

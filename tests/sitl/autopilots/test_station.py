@@ -11,7 +11,10 @@ import pytest
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.vehicle import ARMED, Stack, custom_mode
 from estimator.contracts.time import NS_PER_S, MonoNs
+from sitl.autopilots.body import Body
+from sitl.autopilots.operator_view import view_of
 from sitl.autopilots.station import GroundStation, OperatorView, Task
+from sitl.scenario import load
 
 FAR = OperatorView(np.array([3.0, 4.0, 0.0]), np.array([1.5, 0.0, 0.0]), np.array([1.5, 0.0, 0.0]), 0.3, 0.5, 0.05)
 
@@ -93,6 +96,34 @@ def test_from_the_first_heartbeat_to_the_order() -> None:
     assert command_handler.station.task is Task.WATCH
     assert command_handler.station.began == command_handler.now
     assert {m.get_type() for m in command_handler.wait(2.0)} == {"HEARTBEAT"}, "the companion has it"
+
+
+def test_where_the_landing_begins_at_rest_the_start_comes_up_to_a_vehicle_that_stopped_ahead_of_it() -> None:
+    """WHY: `start.with_vessel = false` was not obeyed, and each landing began with the ship's velocity."""
+    command_handler = CommandHandler()
+    command_handler.arm()
+    start, body, v_ship = np.zeros(2), np.array([-9.0, 2.0]), np.array([1.5, 0.0])
+    v, ordered = np.zeros(2), False
+    for _ in range(600):
+        d, v_rel = np.array([*(start - body), 0.0]), np.array([*(v_ship - v), 0.0])
+        command_handler.view = OperatorView(d, np.array([*v_ship, 0.0]), v_rel, 0.0, 0.0, 4.0, rests=True)
+        said = command_handler.wait(0.1)
+        v = next((np.array([m.vx, m.vy]) for m in said if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"), v)
+        if ordered := (mav.MAV_CMD_NAV_LAND, 191) in commands(said):
+            break
+        start, body = start + 0.1 * v_ship, body + 0.1 * v
+    assert ordered
+    assert v.tolist() == [0.0, 0.0]
+    assert math.hypot(*(start - body)) < 0.7
+
+
+def test_a_start_that_never_comes_up_ends_the_flight() -> None:
+    command_handler = CommandHandler()
+    command_handler.arm()
+    ahead = np.array([-6.0, 0.0, 0.0])
+    command_handler.view = replace(FAR, height_m=4.0, to_start_level=ahead, v_rel_level=np.zeros(3), turn_rad=0.0, rests=True)
+    command_handler.wait(25.0)
+    assert command_handler.station.failure == "the start of the landing did not come up to it"
 
 
 def test_an_unaided_autopilot_is_ordered_into_its_own_landing_mode_and_the_companion_is_not() -> None:
@@ -206,3 +237,8 @@ def test_brought_back_from_the_deck_it_leaves_by_a_take_off_or_where_that_is_ref
     assert command_handler.station.task is (Task.TAKE_OFF if stands else Task.GO)
     sent = {m.get_type() for m in command_handler.wait(0.5)}
     assert ("SET_POSITION_TARGET_LOCAL_NED" in sent) is not stands
+
+
+@pytest.mark.parametrize(("name", "rests"), [("rendezvous", True), ("moderate", False)])
+def test_the_scenario_says_whether_the_landing_begins_at_rest(name: str, rests: bool) -> None:
+    assert view_of(Body(load(name), 1, 0.004)).rests is rests
