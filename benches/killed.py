@@ -56,7 +56,12 @@ def fly(args: argparse.Namespace, phase: str, seed: int) -> dict[str, Any]:
     program = AutopilotProgram(args.autopilot, binary)
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         flight = AutopilotFlight(
-            scenario, seed, settings_for(scenario, None), program, Path(folder), perception=perceive(args.perception)
+            scenario,
+            seed,
+            settings_for(scenario, None, by_autopilot=True),
+            program,
+            Path(folder),
+            perception=perceive(args.perception),
         )
         end = event_loop.run(flight.fly())
     return {"phase": phase, "seed": seed, **_told(end)}

@@ -50,15 +50,18 @@ def perception_level(text: str) -> Perception:
     raise BadInput(f"--perception: there is no level {text!r}; known are {', '.join(PERCEPTIONS)}")
 
 
-def settings_for(scenario: Scenario, config: str | None) -> Settings:
+def settings_for(scenario: Scenario, config: str | None, *, by_autopilot: bool = False) -> Settings:
     """Return the settings of a file, or without one the profile `sim` with the scenario's camera and pad.
 
     A file's flight begins by itself, whatever its `guidance.start`: nobody is there to order the landing.
 
+    Args:
+        by_autopilot: whether an autopilot flies, as for `companion.config.settings.load`.
+
     Raises:
         BadInput: as `companion.config.settings.load`, and as `following`.
     """
-    settings = load(config or "sim")
+    settings = load(config or "sim", by_autopilot=by_autopilot)
     if config is not None:
         return msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="automatic"))
     return following(scenario, settings)

@@ -47,7 +47,7 @@ def run(args: argparse.Namespace, perception: Level) -> int:
     binary = None if args.binary == STAND_IN else executable(args.binary, args.autopilot)
     scenario = load_scenario(args.scenario, args.base)
     refuse_faults(args.scenario, scenario, CARRIED)
-    settings = settings_for(scenario, args.config)
+    settings = settings_for(scenario, args.config, by_autopilot=True)
     given = Overridable(scenario, settings)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
     progress = None if args.json else ProgressObserver()

@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     parse_endpoint(args.follow)
     scenario = load_scenario(args.scenario)
     refuse_faults(args.scenario, scenario)
-    settings = settings_for(scenario, args.config)
+    settings = settings_for(scenario, args.config, by_autopilot=True)
     progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]
     end = event_loop.run(follow(scenario, args.seed, settings, args.follow, observers))

@@ -49,18 +49,22 @@ A ship expects the nose on the arrow, and an autopilot's readings err otherwise 
 """
 
 
-def load(name_or_path: str | Path) -> Settings:
+def load(name_or_path: str | Path, *, by_autopilot: bool = False) -> Settings:
     """Return the settings in a file, or those of a shipped profile (`configs/*.toml`) by its bare name.
 
     The camera and pad files are read too, so that the result can be flown. In the result `camera.file` and `pad.file` name a
     shipped file or are paths relative to the working directory; so are those of keys and certificates.
+
+    Args:
+        by_autopilot: whether an autopilot will fly by them, whatever vehicle the file names: keys of which it is silent are then
+            those of an autopilot.
 
     Raises:
         BadInput: the file cannot be read or is not TOML; a key is unknown, missing, of the wrong type or out of range; or a
             camera or pad file has such a fault. The text is one line that names the file and the key.
     """
     path = find_file(str(name_or_path), "", Path(), "settings")
-    return complete(from_mapping(read_toml(path), str(path)), path)
+    return complete(from_mapping(read_toml(path), str(path), by_autopilot=by_autopilot), path)
 
 
 def complete(settings: Settings, path: Path) -> Settings:
@@ -102,13 +106,14 @@ def complete(settings: Settings, path: Path) -> Settings:
     return settings
 
 
-def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False) -> Settings:
+def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False, by_autopilot: bool = False) -> Settings:
     """Return the settings that the mapping of a TOML file describes.
 
     Args:
         data: the mapping.
         where: name of the file, for errors.
         recorded: the file belongs to a recording, which nobody can edit, so keys of older versions are accepted.
+        by_autopilot: as for `load`.
 
     Raises:
         BadInput: as for `load`, except that camera and pad files are not read.
@@ -116,7 +121,7 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False)
     data = without_retired(with_moved(data) if recorded else data, where)
     try:
         refuse_moved(data)
-        return msgspec.convert(_with_defaults_of_autopilot(data), Settings, strict=True)
+        return msgspec.convert(_with_defaults_of_autopilot(data, by_autopilot), Settings, strict=True)
     except BadInput as why:
         raise BadInput(f"{where}: {why}") from None
     except msgspec.ValidationError as why:
@@ -125,10 +130,10 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False)
         raise BadInput(f"{where}: {explain(Settings, data, str(why))}") from why
 
 
-def _with_defaults_of_autopilot(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the mapping with what differs for an autopilot where it says nothing of it."""
+def _with_defaults_of_autopilot(data: Mapping[str, Any], by_autopilot: bool) -> Mapping[str, Any]:
+    """Return the mapping with what differs for an autopilot where it says nothing of it; what it says wins."""
     vehicle = data.get("vehicle")
-    if not isinstance(vehicle, Mapping) or vehicle.get("kind") != "mavlink":
+    if not by_autopilot and (not isinstance(vehicle, Mapping) or vehicle.get("kind") != "mavlink"):
         return data
     for (name, part), values in _AUTOPILOT_DEFAULTS.items():
         table = data.get(name, {})
@@ -136,18 +141,6 @@ def _with_defaults_of_autopilot(data: Mapping[str, Any]) -> Mapping[str, Any]:
         if isinstance(given, Mapping):
             data = {**data, name: {**table, part: {**values, **given}}}
     return data
-
-
-def flown_by_autopilot(settings: Settings) -> Settings:
-    """Return settings made for an AR.Drone with what differs for an autopilot, where they leave the default."""
-    for (name, part), values in _AUTOPILOT_DEFAULTS.items():
-        table = getattr(settings, name)
-        given = getattr(table, part)
-        default = type(given)()
-        left = {key: value for key, value in values.items() if getattr(given, key) == getattr(default, key)}
-        changed = msgspec.structs.replace(table, **{part: msgspec.structs.replace(given, **left)})
-        settings = msgspec.structs.replace(settings, **{name: changed})
-    return settings
 
 
 def camera_model(settings: Settings) -> Camera:

@@ -9,7 +9,6 @@ from typing import Literal
 import msgspec
 
 from companion.config.model import CameraSettings, Settings
-from companion.config.settings import flown_by_autopilot
 from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.exposure_part import ExposurePart
 from companion.runtime.health import Health
@@ -104,6 +103,7 @@ def beside_autopilot(
     """Return the settings with an autopilot at `links` as the vehicle, external frames, and the given start of the landing.
 
     Args:
+        settings: read for an autopilot (`load` with `by_autopilot`).
         response: the shipped response of this stack, where the settings leave it to the vehicle; None for an autopilot's.
     """
     vehicle = settings.vehicle
@@ -111,7 +111,6 @@ def beside_autopilot(
         vehicle = msgspec.structs.replace(vehicle, links=links, signing_key_file="")
     else:
         vehicle = AutopilotOptions(links=links)
-        settings = flown_by_autopilot(settings)
     follow = settings.guidance.follow_deck
     if response is not None and follow.response_by_vehicle:
         follow = msgspec.structs.replace(follow, response=response)

@@ -133,7 +133,7 @@ class AutopilotFlight:
     scenario: Scenario
     seed: int
     settings: Settings
-    """Settings of the daemon; the autopilot becomes its vehicle."""
+    """Settings of the daemon, read for an autopilot (`settings_for` with `by_autopilot`), which becomes its vehicle."""
     autopilot: AutopilotProgram
     folder: Path
     """The program's working directory."""

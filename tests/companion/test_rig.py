@@ -15,7 +15,7 @@ from msgspec import inspect
 from companion.cli.main import main
 from companion.config.model import ardrone_options
 from companion.config.refusal import walk
-from companion.config.settings import Settings, flown_by_autopilot, from_mapping
+from companion.config.settings import Settings, from_mapping
 from companion.guidance.options import GuidanceOptions
 from companion.mavlink.options import BridgeOptions
 from companion.mavlink.signed_links import signed_links
@@ -139,11 +139,19 @@ def test_defaults_of_an_autopilot_are_those_of_the_parts() -> None:
     assert v == AutopilotOptions("tcp://127.0.0.1:5760")
 
 
-def test_settings_for_an_ardrone_are_given_what_differs_for_an_autopilot() -> None:
+@pytest.mark.parametrize("minimal", [MINIMAL, MINIMALS["mavlink"]])
+@pytest.mark.parametrize("sigma_rad", [0.03, EkfOptions().sigma_attitude_bias_rad])
+def test_where_an_autopilot_flies_what_the_file_says_wins_and_silence_is_an_autopilot_s(
+    minimal: dict[str, Any], sigma_rad: float
+) -> None:
+    """WHY: a key that a file set to an AR.Drone's default was taken for silence, and replaced."""
     of_autopilot = from_mapping(MINIMALS["mavlink"], "default")
-    given = flown_by_autopilot(from_mapping({**MINIMAL, "estimator": {"ekf": {"sigma_attitude_bias_rad": 0.03}}}, "given"))
-    assert given.guidance.tries == of_autopilot.guidance.tries
-    assert given.estimator.ekf == msgspec.structs.replace(of_autopilot.estimator.ekf, sigma_attitude_bias_rad=0.03)
+    said = {"guidance": {"tries": {"heading": "keep"}}, "estimator": {"ekf": {"sigma_attitude_bias_rad": sigma_rad}}}
+    given = from_mapping({**minimal, **said}, "given", by_autopilot=True)
+    assert given.guidance.tries.heading == "keep"
+    assert given.estimator.ekf == msgspec.structs.replace(of_autopilot.estimator.ekf, sigma_attitude_bias_rad=sigma_rad)
+    silent = from_mapping(minimal, "silent", by_autopilot=True)
+    assert (silent.guidance, silent.estimator) == (of_autopilot.guidance, of_autopilot.estimator)
 
 
 @pytest.mark.parametrize("kind", [AutopilotOptions, BridgeOptions])

@@ -102,7 +102,9 @@ async def test_armed_taken_off_and_landed_on_the_pad_by_offboard_velocities(tmp_
     folder = tmp_path / "flight"
     folder.mkdir()
     autopilot = AutopilotProgram("px4", build(tmp_path), parameters=(("MPC_XY_VEL_MAX", 3.0),))
-    flight = AutopilotFlight(scenario, 1, load_settings("sim"), autopilot, folder, perception=perceive("model"))
+    flight = AutopilotFlight(
+        scenario, 1, load_settings("sim", by_autopilot=True), autopilot, folder, perception=perceive("model")
+    )
     async with asyncio.timeout(380), asyncio.TaskGroup() as group:
         standin = group.create_task(pretend(flight))
         end = await flight.fly()
@@ -125,7 +127,9 @@ async def test_armed_taken_off_and_landed_on_the_pad_by_offboard_velocities(tmp_
 async def test_a_real_program_is_landed_on_the_pad_of_a_ship_under_way(tmp_path: Path) -> None:
     scenario = load("moderate")
     autopilot = AutopilotProgram("px4", Path(REAL))
-    flight = AutopilotFlight(scenario, 21, settings_for(scenario, None), autopilot, tmp_path, perception=perceive("pixels"))
+    flight = AutopilotFlight(
+        scenario, 21, settings_for(scenario, None, by_autopilot=True), autopilot, tmp_path, perception=perceive("pixels")
+    )
     end = await flight.fly()
     assert end.failure == ""
     assert end.outcome is FlightOutcome.LANDED

@@ -27,7 +27,7 @@ def flight(
     scenario = msgspec.structs.replace(
         scenario, gimbal=msgspec.structs.replace(scenario.gimbal, **gimbal), start=start, duration_limit_s=limit_s
     )
-    settings = settings_for(scenario, None)
+    settings = settings_for(scenario, None, by_autopilot=True)
     options = GimbalOptions(scenario.gimbal.device_id, point_down=point_down)
     settings = msgspec.structs.replace(settings, camera=msgspec.structs.replace(settings.camera, gimbal=options))
     program = AutopilotProgram("arducopter", None)

@@ -13,11 +13,22 @@ from companion.guidance import contact
 from companion.runtime.observer import Decision, NullObserver
 from companion.runtime.pilot import FlightOutcome
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram
+from sitl.campaign.overrides import Overridable
 from sitl.faults import ServiceKilled
 from sitl.one_flight import settings_for
 from sitl.perception.levels import perceive
 from sitl.safety import Grade
 from sitl.scenario import load
+
+
+def test_what_is_said_of_a_key_wins_over_what_an_autopilot_has(tmp_path: Path) -> None:
+    """WHY: `--set guidance.tries.heading=keep` was taken for silence in a flight with an autopilot, and the nose turned."""
+    scenario = load("calm")
+    given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True))
+    for said, heading in ((list[str](), "align"), (["guidance.tries.heading=keep"], "keep")):
+        _, settings = given.with_values([given.parse(text, "--set") for text in said], "--set")
+        flight = AutopilotFlight(scenario, 1, settings, AutopilotProgram("px4", None), tmp_path)
+        assert flight.service_settings(14540).guidance.tries.heading == heading
 
 
 @pytest.mark.timeout(400)
@@ -27,7 +38,9 @@ async def test_it_lands_on_a_ship_under_way_and_stops_its_motors_at_once(
 ) -> None:
     scenario = load("moderate")
     program = AutopilotProgram(stack, None, parameters=(("EKF2_REQ_GPS_H", 2.0),))
-    flight = AutopilotFlight(scenario, 12, settings_for(scenario, None), program, tmp_path, perception=perceive("truth"))
+    flight = AutopilotFlight(
+        scenario, 12, settings_for(scenario, None, by_autopilot=True), program, tmp_path, perception=perceive("truth")
+    )
     end = await flight.fly()
     assert end.failure == ""
     assert end.outcome is FlightOutcome.LANDED
@@ -60,7 +73,7 @@ async def test_it_finds_the_ship_by_her_reports_and_lands(tmp_path: Path) -> Non
     far = load("rendezvous")
     start = msgspec.structs.replace(far.start, height_m=6.0, pad_forward_m=22.0, pad_right_m=-8.0)
     scenario, phases = msgspec.structs.replace(far, start=start), Phases()
-    program, settings = AutopilotProgram("px4", None), settings_for(scenario, None)
+    program, settings = AutopilotProgram("px4", None), settings_for(scenario, None, by_autopilot=True)
     flight = AutopilotFlight(scenario, 12, settings, program, tmp_path, observers=(phases,), perception=perceive("truth"))
     end = await flight.fly()
     assert phases.seen.index("rendezvous") < phases.seen.index("descend")
@@ -77,7 +90,9 @@ async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_fallin
     monkeypatch.setattr(contact, "LEAST_M_S2", math.inf)
     scenario = load("sea_state_5")
     program = AutopilotProgram("px4", None)
-    flight = AutopilotFlight(scenario, 3, settings_for(scenario, None), program, tmp_path, perception=perceive("model"))
+    flight = AutopilotFlight(
+        scenario, 3, settings_for(scenario, None, by_autopilot=True), program, tmp_path, perception=perceive("model")
+    )
     end = await flight.fly()
     assert end.outcome is FlightOutcome.LANDED
     assert [c.surface for c in end.contacts] == ["pad"]
@@ -93,7 +108,9 @@ async def test_it_holds_when_the_service_is_killed_and_a_new_one_lands_it(
     killed = ServiceKilled(below_height_m=2.5, for_s=4.0)
     scenario = msgspec.structs.replace(load("moderate"), faults=(killed,))
     program = AutopilotProgram(stack, None, parameters=(("EKF2_REQ_GPS_H", 2.0),))
-    flight = AutopilotFlight(scenario, 12, settings_for(scenario, None), program, tmp_path, perception=perceive("truth"))
+    flight = AutopilotFlight(
+        scenario, 12, settings_for(scenario, None, by_autopilot=True), program, tmp_path, perception=perceive("truth")
+    )
     end = await flight.fly()
     (silence,) = end.silences
     assert silence.modes == modes, "nothing of the dying service came through"
@@ -116,7 +133,9 @@ async def test_unaided_it_lands_over_the_ground_while_the_ship_goes_on(tmp_path:
     """The control flight: the daemon sees the pad and none of its words reaches the vehicle."""
     scenario = load("moderate")
     program = AutopilotProgram("arducopter", None, unaided=True)
-    flight = AutopilotFlight(scenario, 12, settings_for(scenario, None), program, tmp_path, perception=perceive("truth"))
+    flight = AutopilotFlight(
+        scenario, 12, settings_for(scenario, None, by_autopilot=True), program, tmp_path, perception=perceive("truth")
+    )
     end = await flight.fly()
     assert flight.link.carried["samples out"] > 1000
     assert flight.link.muted
@@ -131,7 +150,9 @@ async def test_killed_for_good_it_is_left_alone(tmp_path: Path) -> None:
     killed = ServiceKilled(below_height_m=2.5)
     scenario = msgspec.structs.replace(load("moderate"), faults=(killed,), duration_limit_s=25.0, expect="refuse")
     program = AutopilotProgram("arducopter", None)
-    flight = AutopilotFlight(scenario, 12, settings_for(scenario, None), program, tmp_path, perception=perceive("truth"))
+    flight = AutopilotFlight(
+        scenario, 12, settings_for(scenario, None, by_autopilot=True), program, tmp_path, perception=perceive("truth")
+    )
     end = await flight.fly()
     assert end.outcome is None
     assert end.contacts == ()
@@ -144,7 +165,9 @@ async def test_a_new_service_lands_a_vehicle_that_was_left_on_the_deck_with_its_
     killed = ServiceKilled(in_phase="press", for_s=2.0)
     scenario = msgspec.structs.replace(load("moderate"), faults=(killed,), unreached_contacts=True)
     program = AutopilotProgram("arducopter", None)
-    flight = AutopilotFlight(scenario, 12, settings_for(scenario, None), program, tmp_path, perception=perceive("truth"))
+    flight = AutopilotFlight(
+        scenario, 12, settings_for(scenario, None, by_autopilot=True), program, tmp_path, perception=perceive("truth")
+    )
     end = await flight.fly()
     (silence,) = end.silences
     assert silence.phase == "press"
@@ -171,7 +194,9 @@ class _CameraDelay(NullObserver):
 async def test_an_autopilots_filtered_gyro_is_not_taken_for_a_slow_camera(tmp_path: Path) -> None:
     scenario, seen = load("moderate"), _CameraDelay()
     program = AutopilotProgram("arducopter", None)
-    flight = AutopilotFlight(scenario, 24, settings_for(scenario, None), program, tmp_path, [seen], perceive("model"))
+    flight = AutopilotFlight(
+        scenario, 24, settings_for(scenario, None, by_autopilot=True), program, tmp_path, [seen], perceive("model")
+    )
     end = await flight.fly()
     assert end.outcome is FlightOutcome.LANDED
     assert abs(seen.learned_s) < 0.012, "as stamped they are 18 ms apart"
