@@ -19,11 +19,14 @@ from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.pictures import CodedPicture
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, VehicleStatus
+from estimator.contracts.time import NS_PER_S, MonoNs
 from estimator.uvlc import UvlcDecoder
 from sitl.ardrone.generations import FIRST, SECOND
 from sitl.ardrone.server import ArDroneServer, Habits, Ports
+from sitl.arriving_frames import ArrivingFrames
 from sitl.one_flight import fly, settings_for
 from sitl.scenario import load as load_scenario
+from sitl.truth import RenderedFrame
 from sitl.world import World
 from tests.sitl.ardrone.point_mass import PointMass
 
@@ -109,6 +112,24 @@ async def test_the_other_generation_is_named_with_the_setting_that_helps(caplog:
     said = [record.getMessage() for record in caplog.records if "firmware" in record.getMessage()]
     assert said
     assert 'firmware 1.7.4, that of an AR.Drone 1.0, and vehicle.model is "2.0": set vehicle.model = "1.0"' in said[0]
+
+
+def test_pictures_scatter_in_their_arrival_and_never_overtake_one_another() -> None:
+    """WHY: they are stamped by their arrival, and datagrams of one link that are not lost keep their order."""
+
+    def at(seconds: float) -> MonoNs:
+        return MonoNs(round(NS_PER_S * seconds))
+
+    options, period_s = ArDroneOptions(model="1.0", arrival_sigma_s=0.02), 1.0 / 30.0
+    arriving = ArrivingFrames(FIRST, options, np.random.SeedSequence(7), rendered=False)
+    exposed_s = period_s * np.arange(3000)
+    px = np.zeros((144, 176, 3), np.uint8)
+    frames = [arriving.frame(n, RenderedFrame(px, at(s), 0.01), at(s + 0.15)) for n, s in enumerate(exposed_s.tolist())]
+    stamped_s = 1e-9 * np.array([frame.stamp.measured_at for frame in frames])
+    assert np.diff(stamped_s).min() > 0.0005
+    late_s = stamped_s - exposed_s
+    assert 0.015 < late_s.std() < 0.022
+    assert all(frame.stamp.measured_at <= frame.stamp.received_at for frame in frames)
 
 
 class Viewer(asyncio.DatagramProtocol):
