@@ -136,6 +136,7 @@ class Flight:
         self._options = ardrone_options(settings)
         self._arbiter = CommandArbiter(self._options.hold_s)
         self._generation = GENERATIONS[scenario.vehicle.generation]
+        self._generation.check_model(self._options.model)
         self._generation.check_camera(camera_model(scenario))
         link = flight_seeds(self.world.seed).link
         self._arriving = ArrivingFrames(self._generation, self._options, link, rendered=self._perception.level == "pixels")

@@ -63,6 +63,19 @@ class Generation:
     bottom_px: tuple[int, int] | None = None
     """Width and height of its bottom camera; None if it sends frames of any size."""
 
+    def check_model(self, model: Name) -> None:
+        """Refuse settings for the other generation.
+
+        Raises:
+            BadInput: `vehicle.model` of the settings is not this drone's.
+        """
+        if model != self.name:
+            camera = "ardrone1_bottom" if model == "1.0" else "sim"
+            raise BadInput(
+                f'vehicle.model is "{model}", and the scenario flies an AR.Drone {self.name}: set vehicle.model = "{self.name}", '
+                f'or the scenario\'s vehicle.generation = "{model}" with camera.file = "{camera}"'
+            )
+
     def check_camera(self, camera: Camera) -> None:
         """Refuse a scenario's camera that this drone cannot have.
 

@@ -75,7 +75,17 @@ def test_a_flight_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
     [
         ("guidance.follow_deck.response=nonesuch", 2, "guidance.follow_deck.response: there is no file 'nonesuch'"),
         ("guidance.controller=nonesuch", 2, "guidance.controller: there is no controller 'nonesuch'"),
-        ("vehicle.model=1.0", 1, "the simulated drone refused the configuration key video:video_codec"),
+        (
+            "vehicle.model=1.0",
+            2,
+            'vehicle.model is "1.0", and the scenario flies an AR.Drone 2.0: set vehicle.model = "2.0", or the scenario\'s '
+            'vehicle.generation = "1.0" with camera.file = "ardrone1_bottom"',
+        ),
+        (
+            "vehicle.further_configuration=control:outdoor=maybe",
+            1,
+            "the simulated drone refused the configuration key control:outdoor: bad_value",
+        ),
     ],
 )
 def test_a_flight_that_is_refused_leaves_no_recording(
