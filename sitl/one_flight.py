@@ -61,7 +61,7 @@ def settings_for(scenario: Scenario, config: str | None, *, by_autopilot: bool =
     Raises:
         BadInput: as `companion.config.settings.load`, and as `following`.
     """
-    settings = load(config or "sim", by_autopilot=by_autopilot)
+    settings = load("sim" if config is None else config, by_autopilot=by_autopilot)
     if config is not None:
         return msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="automatic"))
     return following(scenario, settings)

@@ -167,6 +167,8 @@ def load(name_or_path: str | Path, base: str | None = None) -> Scenario:
             to itself; or a camera or pad file has such a fault. The text is one line that names the file and the key.
     """
     path = _find(str(name_or_path), "scenarios", Path(), "scenario")
+    if base is not None:
+        base = str(_find(base, "scenarios", Path(), "base"))
     scenario = from_mapping(_with_base(path, (), base), str(path))
     camera_model(scenario)
     pad_model(scenario)
@@ -356,8 +358,10 @@ def _find(name: str, folder: str, base: Path, what: str) -> Path:
         path = base / name
         if path.is_file():
             return path
+        if name and path.is_dir():
+            raise BadInput(f"{what}: {str(path)!r} is a folder, and not a file")
     except (OSError, ValueError) as why:
         raise BadInput(f"{what}: not a usable file name {name[:60]!r}") from why
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]!r}" if near else f"shipped ones are {', '.join(known)}"
-    raise BadInput(f"{what}: there is no file {str(path)!r} and no shipped one of that name ({hint})")
+    raise BadInput(f"{what}: there is no file {str(path) if name else name!r} and no shipped one of that name ({hint})")

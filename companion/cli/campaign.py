@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import json
 import os
 import sys
@@ -164,7 +165,13 @@ def _set_plan(args: argparse.Namespace) -> tuple[SetPlan, list[Point], None]:
 
 def _plan(args: argparse.Namespace) -> tuple[CampaignPlan, Overridable]:
     args.perception = args.perception or "pixels"
-    return _plan_of(args, args.scenario, load_scenario(args.scenario), args.perception)
+    try:
+        scenario = load_scenario(args.scenario)
+    except BadInput as why:
+        if near := difflib.get_close_matches(args.scenario, shipped_sets(), n=1):
+            raise BadInput(f"{why}; there is a set {near[0]!r}") from why
+        raise
+    return _plan_of(args, args.scenario, scenario, args.perception)
 
 
 def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str) -> tuple[CampaignPlan, Overridable]:

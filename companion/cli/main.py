@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import errno
 import gc
 import importlib
 import os
@@ -53,6 +54,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
 """Module and one line of help for each command."""
 
 Load = Callable[[str], ModuleType]
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+"""Errors of a disk that takes no more, whatever is written."""
 DONE, FAILED, WRONG, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
 
@@ -84,6 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if argv is not None:
         return _run(list(argv), importlib.import_module)
+    _lend_streams()
     try:
         try:
             signals.install()
@@ -106,8 +110,14 @@ def _run(argv: list[str], load: Load) -> int:
         code = _dispatch(argv, load)
         sys.stdout.flush()
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return BROKEN_PIPE
+    except OSError as why:
+        if why.errno not in _FULL:
+            raise
+        _drop_output()
+        sys.stderr.write(f"decklander: cannot write {why.filename or 'the output'}: {why.strerror}\n")
+        return FAILED
     except signals.Stopped as why:
         return why.exit_code
     except KeyboardInterrupt:
@@ -126,6 +136,18 @@ def _run(argv: list[str], load: Load) -> int:
             raise
         return _refuse(ours[0])
     return code
+
+
+def _lend_streams() -> None:
+    """Put the null device where a standard stream is closed: else a print raises, and a file that is opened takes its number."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDONLY if mode == "r" else os.O_WRONLY), mode))
+
+
+def _drop_output() -> None:
+    """Send what standard output still holds nowhere: the interpreter writes it once more when it ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _dispatch(argv: list[str], load: Load) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, fault_of
 
 
 def written(page: Path) -> str:
@@ -26,4 +26,4 @@ def prepare_folder(folder: Path | None) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as why:
-        raise BadInput(f"--report {folder}: {why.strerror or why}") from why
+        raise BadInput(f"--report {folder}: {fault_of(why)}") from why

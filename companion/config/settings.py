@@ -276,11 +276,11 @@ def find_file(text: str, folder: str, base: Path, what: str) -> Path:
         raise unusable(f"{what}: not a usable file name {text[:60]!r}", why) from why
     except ValueError as why:
         raise BadInput(f"{what}: not a usable file name {text[:60]!r}: {why}") from why
-    if exists:
+    if exists and text:
         return path
     near = difflib.get_close_matches(text, shipped(folder), n=1)
     hint = f"did you mean {near[0]!r}" if near else f"shipped ones are {', '.join(shipped(folder))}"
-    raise BadInput(f"{what}: there is no file {str(path)!r} and no shipped one of that name ({hint})")
+    raise BadInput(f"{what}: there is no file {str(path) if text else text!r} and no shipped one of that name ({hint})")
 
 
 def _anchored(table: _Table, base: Path, keys: Iterable[str]) -> _Table:

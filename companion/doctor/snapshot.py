@@ -176,4 +176,4 @@ def decode(data: bytes, where: str) -> Snapshot:
     try:
         return msgspec.json.decode(data, type=Snapshot)
     except (msgspec.DecodeError, UnicodeDecodeError) as why:
-        raise BadInput(f"{where}: no frame of a set-up: {why}") from why
+        raise BadInput(f"{where}: no snapshot of a set-up: {why}") from why

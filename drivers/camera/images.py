@@ -44,7 +44,7 @@ def decode(data: bytes | memoryview, size: tuple[int, int] | None = None, *, tur
     """
     claimed = claimed_size(data)
     if claimed is None:
-        raise ImageRefused("not an image whose size can be read")
+        raise ImageRefused("no size of an image in it")
     width, height = claimed
     fits = size is None or claimed == size or (turned and claimed == size[::-1])
     if not fits or width * height > MOST_PIXELS or not width or not height:

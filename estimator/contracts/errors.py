@@ -57,8 +57,13 @@ def unusable(what: str, why: OSError) -> DecklanderError:
     Args:
         what: the setting and the name.
     """
-    text = f"{what}: {why.strerror or why}"
+    text = f"{what}: {fault_of(why)}"
     return BadInput(text) if why.errno in _NAMED_WRONG else Recoverable(text)
+
+
+def fault_of(why: OSError) -> str:
+    """What the system said of a file, in words of a person who named it: it says "File exists" where a folder was to be made."""
+    return "a file of that name is in the way" if why.errno == errno.EEXIST else why.strerror or str(why)
 
 
 def in_words(error: BaseException) -> str:

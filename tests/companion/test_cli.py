@@ -251,6 +251,45 @@ def test_a_reader_that_went_away_is_no_traceback() -> None:
         assert process.wait(60) == 141
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("words", [["pad", "list"], ["config", "schema"]], ids=["little", "more than a buffer"])
+def test_a_full_disk_below_the_output_is_no_traceback(words: list[str]) -> None:
+    with open("/dev/full", "wb") as full:
+        ended = subprocess.run(
+            [sys.executable, "-m", "companion.cli.main", *words], cwd=ROOT, stdout=full, stderr=subprocess.PIPE, timeout=60,
+            check=False,
+        )  # fmt: skip
+    assert (ended.returncode, ended.stderr) == (1, b"decklander: cannot write the output: No space left on device\n")
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "<&- >&-"])
+def test_a_closed_standard_stream_is_no_traceback(closed: str) -> None:
+    shell = ["sh", "-c", f'exec "$0" -m companion.cli.main pad list {closed}', sys.executable]
+    ended = subprocess.run(shell, cwd=ROOT, capture_output=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["simulate", "calm", "--base", "nope"], "decklander: base: there is no file 'nope'"),
+        (["simulate", "."], "decklander: scenario: '.' is a folder, and not a file\n"),
+        (["simulate", ""], "decklander: scenario: there is no file ''"),
+        (["simulate", "calm", "--config", ""], "decklander: settings: there is no file ''"),
+        (["campaign", "thirty_fault"], "there is a set 'thirty_faults'\n"),
+        (["doctor", "--snapshot", "README.md"], "README.md: no snapshot of a set-up: "),
+    ],
+)
+def test_a_name_that_cannot_be_meant_is_one_clear_line(
+    words: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    assert cli.main(words) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+
+
 def test_the_version_is_the_project_s() -> None:
     if not list(metadata.Distribution.discover(name="decklander")):
         pytest.skip("the project is not installed here; make test installs it")

@@ -305,7 +305,7 @@ def test_a_image_can_be_saved_and_examined_elsewhere(name: str) -> None:
 
 def test_a_file_that_is_no_image_is_bad_input() -> None:
     for data in (b"", b"[1]", b'{"seconds": "x"}', b"\xff"):
-        with pytest.raises(BadInput, match=r"pic\.json: no frame"):
+        with pytest.raises(BadInput, match=r"pic\.json: no snapshot"):
             decode(data, "pic.json")
 
 

@@ -134,7 +134,7 @@ def test_sigterm_leaves_neither_program_nor_folder(tmp_path: Path, near: str) ->
         (["--binary", "/no/such/program"], "is no program that can be run"),
         (["--binary", __file__], "is no program that can be run"),
         (["--binary", "/bin/sh", "--record", "/dev/null"], "--record /dev/null: is there already"),
-        (["--binary", "/bin/sh", "--report", "/dev/null"], "--report /dev/null: File exists"),
+        (["--binary", "/bin/sh", "--report", "/dev/null"], "--report /dev/null: a file of that name is in the way"),
         (["--binary", "/bin/sh", "--follow", "udpin://127.0.0.1:0"], "does not go with"),
         (["--binary", "/bin/sh", "--keep", "/dev/null"], "not an empty folder"),
         (["--binary", "/bin/sh", "--param", "PLND_LAG"], "write NAME=VALUE"),
