@@ -14,7 +14,6 @@ import errno
 import gc
 import importlib
 import os
-import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -183,7 +182,8 @@ def _dispatch(argv: list[str], load: Load) -> int:
 def _refuse_words(parser: argparse.ArgumentParser, unknown: list[str]) -> NoReturn:
     """End because of words that a command does not know, with the option that was meant if one is alike."""
     option = unknown[0].partition("=")[0]
-    near = difflib.get_close_matches(option, re.findall(r"--[a-z][a-z-]*", parser.format_help()), n=1, cutoff=0.75)
+    known = {name for action in parser._actions for name in action.option_strings}
+    near = difflib.get_close_matches(option, known, n=1, cutoff=0.75)
     parser.error(f"unrecognized arguments: {' '.join(unknown)}" + (f"; did you mean {near[0]!r}?" if near else ""))
 
 

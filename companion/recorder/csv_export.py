@@ -15,7 +15,7 @@ from mcap.records import Channel, Message
 from companion.recorder import channels
 from companion.recorder.container import records
 from companion.recorder.reading import Recording
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, fault_of
 
 _COLUMNS_MAX = 1000
 """More columns than any record of ours has: a file with such a one is damaged."""
@@ -53,7 +53,7 @@ def export(recording: Recording, folder: Path) -> dict[str, int]:
                 table.writerow({**row, "timestamp": at_ns // 1000})
                 written[name] += 1
     except OSError as why:
-        raise BadInput(f"{folder}: cannot write tables there: {why.strerror or why}") from why
+        raise BadInput(f"{folder}: cannot write tables there: {fault_of(why)}") from why
     return dict(written)
 
 

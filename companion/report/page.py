@@ -13,7 +13,7 @@ from companion.report.innovations import innovation_series
 from companion.report.page_data import events, marks, page_data, page_flight, tracks
 from companion.report.palette import FLIGHTS
 from companion.report.video import FilmFile, film_of
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, fault_of
 from estimator.contracts.time import seconds_between
 
 PAGE = "index.html"
@@ -35,7 +35,7 @@ def write_report(log: FlightLog, folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as why:
-        raise BadInput(f"{folder}: cannot make the report's folder: {why}") from why
+        raise BadInput(f"{folder}: cannot make the report's folder: {fault_of(why)}") from why
     return write_page(folder / PAGE, render(log, film_of(log)))
 
 
@@ -44,7 +44,7 @@ def write_page(path: Path, text: str) -> Path:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as why:
-        raise BadInput(f"{path}: cannot write the report: {why}") from why
+        raise BadInput(f"{path}: cannot write the report: {fault_of(why)}") from why
     return path
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Mapping
 from itertools import combinations
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import msgspec
 import numpy as np
@@ -26,6 +27,7 @@ SMALLEST_M, LARGEST_M = 0.001, 20.0
 """Limits of a length. The largest bounds memory: edges are sampled every few millimetres."""
 _TOUCH_M = 1e-6
 
+_SHAPES: dict[object, type[Struct]] = {kind.__struct_config__.tag: kind for kind in get_args(Region)}
 Channel = Annotated[int, Meta(ge=0, le=255)]
 
 
@@ -73,7 +75,7 @@ def _explained(data: Mapping[str, Any], message: str) -> str:
     """Return msgspec's message in one line with the path and the value found there."""
     reason, _, place = message.rpartition(" - at `$")
     if not reason:
-        return " ".join(message.split())
+        return " ".join((_of_key(message, data, PadFile.__struct_fields__) or message).split())
     found: Any = data
     for key in re.findall(r"\w+", place):
         try:
@@ -81,7 +83,20 @@ def _explained(data: Mapping[str, Any], message: str) -> str:
         except (KeyError, IndexError, TypeError, ValueError):
             return f"{place.strip('.`')}: {reason}"
     value = "" if isinstance(found, Mapping) else f", got {shown(found)}"
+    if isinstance(found, Mapping) and (shape := _SHAPES.get(found.get("shape"))) is not None:
+        reason = _of_key(reason, found, ("shape", *shape.__struct_fields__)) or reason
     return " ".join(f"{place.strip('.`')}: {reason}{value}".split())
+
+
+def _of_key(reason: str, table: Mapping[str, Any], known: tuple[str, ...]) -> str:
+    """Return what is wrong with the keys of a table, or nothing if the reason is another one."""
+    if missing := re.fullmatch(r"Object missing required field `(.*)`", reason):
+        return f"{missing[1]} is missing"
+    if re.fullmatch(r"Object contains unknown field `.*`", reason) is None:
+        return ""
+    unknown = next(key for key in table if key not in known)
+    near = difflib.get_close_matches(str(unknown), known, n=1)
+    return f"{unknown} is not a known key; " + (f"did you mean {near[0]}?" if near else f"known here are {', '.join(known)}")
 
 
 def _check_lengths(region: Region, where: str) -> None:

@@ -131,6 +131,7 @@ def test_a_bug_of_ours_is_not_hidden(command: SimpleNamespace) -> None:
         (["config", "chekc", "x"], "chekc"),
         (["config", "check"], "FILE"),
         (["simulate", "calm", "--recrod", "x"], "did you mean '--record'? (see decklander simulate --help)"),
+        (["report", "x.mcap", "--report", "x"], "unrecognized arguments: --report x (see decklander report --help)"),
         (["simulate", "calm", "--video", "x"], "unrecognized arguments: --video x (see decklander simulate --help)"),
     ],
 )

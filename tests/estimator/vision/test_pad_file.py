@@ -37,7 +37,12 @@ def beside(**region: Any) -> dict[str, Any]:
     ("data", "said"),
     [
         ({**THESIS, "name": 3}, "name: Expected `str`, got `int`, got 3"),
-        ({**THESIS, "size": 3}, "Object contains unknown field `size`"),
+        ({**THESIS, "sigma_m": 3}, "sigma_m is not a known key; did you mean size_sigma_m?"),
+        ({**THESIS, "title": "mine"}, "title is not a known key; known here are name, paints, regions, lamps, size_sigma_m"),
+        ({key: value for key, value in THESIS.items() if key != "paints"}, "paints is missing"),
+        (changed(0, radus_m=0.39), "regions[0]: radus_m is not a known key; did you mean radius_m?"),
+        (beside(shape="disc", paint="white"), "regions[4]: radius_m is missing"),
+        (beside(paint="white"), "regions[4]: Object missing required field `shape`"),
         (changed(0, radius_m="wide"), "regions[0].radius_m: Expected `float`, got `str`, got 'wide'"),
         (changed(0, radius_m=390), "regions[0].radius_m must be 0.001 to 20 m, got 390.0: is it in millimetres? Write metres"),
         (changed(0, radius_m=10**400), "regions[0].radius_m: Number out of range, got 1000"),
