@@ -126,6 +126,7 @@ def test_px4_flies_a_take_off_to_the_place_that_the_world_s_coordinates_name(d_n
     place = moved(ORIGIN, np.array(d_ned))
     degrees = math.degrees(place.latitude_rad), math.degrees(place.longitude_rad)
     assert deck.order(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, *degrees, 20.0) == mav.MAV_RESULT_ACCEPTED
+    assert isinstance(deck.pilot, Px4StandIn)
     assert deck.pilot._place.tolist() == pytest.approx([*d_ned[:2], -20.0], abs=0.2)
     assert deck.order(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 91.0, 0.0, 20.0) == mav.MAV_RESULT_DENIED
 
