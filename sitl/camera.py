@@ -22,7 +22,7 @@ from estimator.vision.pad import Pad
 from sitl.drops import Drops, wet_lens
 from sitl.light import FULL_SCALE, I16, U16, Development, Light, PadInImage, Sensor, counts, scene_of
 from sitl.projection import F32, lens_of
-from sitl.render_deck import DeckPainter, draw, drone_shadow
+from sitl.render_deck import DeckPainter, Part, bounds, draw, drone_shadow
 from sitl.render_lens import moved, moved_scene, row_map, smear, vignette
 from sitl.render_light import Lamps, glint, mast_shadow, through_haze
 from sitl.render_pad import PadPainter, Pose, Stroke
@@ -108,9 +108,10 @@ class Renderer:
         self._development = self.development(self.light, self.sensor)
         self._vignette = vignette(self._lens, self.light.vignetting)
         self._even = np.full_like(self._vignette, GAIN_ONE)
+        self._darkened, self._dark_part = self._vignette.copy(), (slice(0), slice(0))
         # The largest arrays of a frame: asking for their memory each time costs as much as filling it.
         self._scene = np.empty((camera.height, camera.width, 4), np.uint16)
-        self._room = np.empty(camera.height * camera.width * 3 + 1, np.int16)
+        self._room = np.empty((camera.height, camera.width, 3), np.int16)
         self._pad_scene = _pad_scene(pad, self.sensor.blend) if pad is not None else None
         self._decals = [
             (decal.on, [(points, scene_of(rgb[::-1], self.sensor.blend)) for points, rgb in decal.polygons()])
@@ -186,7 +187,7 @@ class Renderer:
 
     def _gains(self, gain: I16, development: Development, R_cam_pad: F64, t_cam_pad: F64) -> I16:
         """Return the factors (H, W, 3) on the light of sky and floodlights from those under the sky alone (H, W)."""
-        plane = self._lens.plane_from_ray(np.stack([R_cam_pad[:, 0], R_cam_pad[:, 1], t_cam_pad], axis=1))
+        plane = self._lens.plane_at(R_cam_pad, t_cam_pad)
         if plane is not None and float(R_cam_pad[:, 2] @ t_cam_pad) > 1e-3:
             # Shadows are the sun's: what the lamps add is not darker in them.
             lamp = self.lamps.on_plane(self._lens, plane) * (self._vignette * np.float32(1.0))
@@ -224,19 +225,19 @@ class Renderer:
         h, w = self.camera.height, self.camera.width
         gain = self._vignette
         added: F32 | None = None
-        normal_distance = float(R_cam_pad[:, 2] @ t_cam_pad)
-        plane = self._lens.plane_from_ray(np.stack([R_cam_pad[:, 0], R_cam_pad[:, 1], t_cam_pad], axis=1))
+        normal_distance = float(R_cam_pad[:, 2].dot(t_cam_pad))
+        plane = self._lens.plane_at(R_cam_pad, t_cam_pad)
         deck = self._deck if normal_distance > 1e-3 and plane is not None else None
         mask = None
+        part = around = slice(0, h), slice(0, w)
         if deck is not None and plane is not None and not deck.fills(plane):
             mask = deck.mask(R_cam_pad, t_cam_pad)
-            mask = None if int(mask.min()) == 255 else mask
+            part, around = bounds(mask)
+            mask = mask if around[0].stop else None
         scene = self._scene
         if deck is None or mask is not None:
-            self._paint_water(scene, shot, mask)
-        if deck is not None and plane is not None and (mask is None or mask.any()):
-            x, y, bw, bh = cv2.boundingRect(mask) if mask is not None else (0, 0, w, h)
-            part = slice(y, y + bh), slice(x, x + bw)
+            self._paint_water(scene, shot, mask, around)
+        if deck is not None and plane is not None and part[0].stop:
             footprint = normal_distance / self.camera.fx
             deck.paint(scene, part, plane, footprint, mask)
             wet = deck.wet(part, plane, footprint)
@@ -260,19 +261,16 @@ class Renderer:
             gain, added = self._haze(gain, added, shot, R_cam_pad, normal_distance if deck is not None else None)
         return scene, gain, added
 
-    def _paint_water(self, scene: U16, shot: Exposure, mask: U8 | None) -> None:
-        """Paint the sea and what floats on it, where the deck does not cover all; elsewhere the scene stays as it is."""
+    def _paint_water(self, scene: U16, shot: Exposure, mask: U8 | None, part: Part) -> None:
+        """Paint the sea and what floats on it in a part of the frame; elsewhere the scene stays as it is."""
         h, w = self.camera.height, self.camera.width
-        R_ned_cam = shot.R_ned_body.matrix @ self.camera.T_body_cam.R.matrix
-        p_cam_ned = shot.p_body_ned + shot.R_ned_body.matrix @ self.camera.T_body_cam.t
-        rows, cols = slice(0, h), slice(0, w)
-        if mask is not None:
-            x, y, bw, bh = cv2.boundingRect(cv2.inRange(mask, 0, 254))
-            rows, cols = slice(y // 2 * 2, min(h, -(-(y + bh) // 2) * 2)), slice(x // 2 * 2, min(w, -(-(x + bw) // 2) * 2))
+        R_ned_cam = shot.R_ned_body.matrix.dot(self.camera.T_body_cam.R.matrix)
+        p_cam_ned = shot.p_body_ned + shot.R_ned_body.matrix.dot(self.camera.T_body_cam.t)
+        rows, cols = (slice(side.start // 2 * 2, min(n, -(-side.stop // 2) * 2)) for side, n in zip(part, (h, w), strict=True))
         ship, rim = [], np.empty((0, 3))
         if self._deck is not None and self.surroundings.deck is not None:
             R_ned_pad = shot.R_ned_pad.matrix
-            rim = self._deck.rim_pad() @ R_ned_pad.T + shot.p_pad_ned
+            rim = self._deck.rim_pad.dot(R_ned_pad.T) + shot.p_pad_ned
             ship = on_water(self.surroundings.deck, rim, R_ned_pad, self._to_sun, self.surroundings.wake_speed_m_s)
         self._sea.paint(scene, R_ned_cam, p_cam_ned, shot.t_s, (rows, cols), ship, mask)
         for on, polygons in self._decals:
@@ -280,7 +278,7 @@ class Renderer:
                 for points, colour in polygons:
                     draw(scene, self._lens, (np.c_[points, np.zeros(len(points))] - p_cam_ned) @ R_ned_cam, colour)
         if ship:
-            hull_side(scene, self._lens, rim, ship[0], R_ned_cam, p_cam_ned, self.sensor.blend)
+            hull_side(scene, self._lens, rim, R_ned_cam, p_cam_ned, self.sensor.blend)
 
     def _cast_shadow(self, gain: I16, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64, plane: F64, mask: U8 | None) -> I16:
         R_pad_ned = shot.R_ned_pad.matrix.T
@@ -290,12 +288,20 @@ class Renderer:
         if self.light.drone_shadow == 0:
             return gain
         if gain is self._vignette:
-            gain = gain.copy()
-        p_body_pad = R_pad_ned @ (shot.p_body_ned - shot.p_pad_ned)
-        R_pad_body, to_sun_pad = R_pad_ned @ shot.R_ned_body.matrix, R_pad_ned @ self._to_sun
+            gain = self._restored()
+        p_body_pad = R_pad_ned.dot(shot.p_body_ned - shot.p_pad_ned)
+        R_pad_body, to_sun_pad = R_pad_ned.dot(shot.R_ned_body.matrix), R_pad_ned.dot(self._to_sun)
         pose, share = (R_cam_pad, t_cam_pad), self.light.drone_shadow
-        drone_shadow(gain, self._lens, plane, pose, R_pad_body, p_body_pad, to_sun_pad, share, mask)
+        part = drone_shadow(gain, self._lens, plane, pose, R_pad_body, p_body_pad, to_sun_pad, share, mask)
+        if gain is self._darkened and part is not None:
+            self._dark_part = part
         return gain
+
+    def _restored(self) -> I16:
+        """Return the vignetting in room of our own, where the last frame's shadow is taken off."""
+        self._darkened[self._dark_part] = self._vignette[self._dark_part]
+        self._dark_part = slice(0), slice(0)
+        return self._darkened
 
     def _shaded(self, gain: I16, cast: tuple[U8, slice, slice], share: float, mask: U8 | None) -> I16:
         """Return the factors on the light with a shadow that takes `share` of it, where the deck is."""
@@ -369,15 +375,13 @@ class Renderer:
 def _pose(shot: Exposure, camera: Camera, later_s: float) -> tuple[F64, F64]:
     """Return the rotation (3, 3) and position (3,) m of the pad in `cam`, `later_s` after the middle of the exposure."""
     R_ned_body, R_ned_pad = shot.R_ned_body.matrix, shot.R_ned_pad.matrix
-    p_body, p_pad = shot.p_body_ned, shot.p_pad_ned
+    away = shot.p_pad_ned - shot.p_body_ned
     if later_s != 0.0:
-        R_ned_body = R_ned_body @ cv2.Rodrigues(shot.w_body * later_s)[0]
-        R_ned_pad = R_ned_pad @ cv2.Rodrigues(shot.w_pad * later_s)[0]
-        p_body = p_body + shot.v_body_ned * later_s
-        p_pad = p_pad + shot.v_pad_ned * later_s
-    R_ned_cam = R_ned_body @ camera.T_body_cam.R.matrix
-    p_cam = p_body + R_ned_body @ camera.T_body_cam.t
-    return R_ned_cam.T @ R_ned_pad, R_ned_cam.T @ (p_pad - p_cam)
+        R_ned_body = R_ned_body.dot(cv2.Rodrigues(shot.w_body * later_s)[0])
+        R_ned_pad = R_ned_pad.dot(cv2.Rodrigues(shot.w_pad * later_s)[0])
+        away = away + (shot.v_pad_ned - shot.v_body_ned) * later_s
+    R_cam_ned = R_ned_body.dot(camera.T_body_cam.R.matrix).T
+    return R_cam_ned.dot(R_ned_pad), R_cam_ned.dot(away - R_ned_body.dot(camera.T_body_cam.t))
 
 
 def _pad_scene(pad: Pad, blend: str) -> U16:

@@ -255,7 +255,7 @@ class PadInImage:
     kinds: U8
     """(H, W) paint of each pixel in the order of `PAINTS`, or `PAD_EDGE` where there are several."""
     edges: NDArray[np.int32]
-    """(N,) numbers of the pixels that edges touch, row by row through the frame."""
+    """(N,) numbers of the pixels that edges touch, by bands of `CELL_PX` rows from the top of the frame to its bottom."""
     shares: F32
     """(N, 5) coverage of these by the paints in the order of `PAINTS`; each row sums to 1."""
 
@@ -288,11 +288,10 @@ class Development:
             gain: (H, W) factors on the light, parts of `GAIN_ONE`.
             pad: the pad on top of the scene, if it is in the frame.
             pad_scene: (5, 4) the pad's paints, as pixels of a scene, if there is a pad.
-            room: (H * W * 3 + 1,) room for the result; a new one if it is None.
+            room: (H, W, 3) room for the result; a new one if it is None.
         """
         h, w = gain.shape
-        # The core writes four numbers a pixel, of which the next pixel covers the last.
-        light = (np.empty(h * w * 3 + 1, np.int16) if room is None else room)[:-1].reshape(h, w, 3)
+        light = np.empty((h, w, 3), np.int16) if room is None else room
         pixels, kinds, factors, exposure, paints, edges, where, shares = self._seen(scene, gain, pad, pad_scene)
         out = address(light, np.int16)
         render_expose(h * w, pixels, kinds, factors, exposure, paints, out)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import struct
+from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
 import numpy as np
@@ -14,11 +16,13 @@ from estimator.core.library import CORE, start_of
 
 render_average = CORE.function("render_average")
 render_blur = CORE.function("render_blur")
+render_bounds = CORE.function("render_bounds")
 render_deck = CORE.function("render_deck")
 render_expose = CORE.function("render_expose")
 render_fill = CORE.function("render_fill")
 render_frame = CORE.function("render_frame")
 render_image = CORE.function("render_image")
+render_meet = CORE.function("render_meet")
 render_mix = CORE.function("render_mix")
 render_pad_kinds = CORE.function("render_pad_kinds")
 render_pad_shares = CORE.function("render_pad_shares")
@@ -36,6 +40,9 @@ vessel_mounted = CORE.function("vessel_mounted")
 vessel_moved = CORE.function("vessel_moved")
 
 
+_first_byte: Callable[[Any], Any] = ctypes.c_char.from_buffer
+
+
 def address(array: NDArray[Any] | None, dtype: DTypeLike, shape: tuple[int, ...] | None = None) -> int:
     """Return the address of an array's first number, 0 for None.
 
@@ -46,7 +53,11 @@ def address(array: NDArray[Any] | None, dtype: DTypeLike, shape: tuple[int, ...]
         return 0
     if array.dtype != dtype or not array.flags.c_contiguous or (shape is not None and array.shape != shape):
         raise TypeError(f"the core takes contiguous {np.dtype(dtype)} of shape {shape}, not {array.dtype} of shape {array.shape}")
-    return int(array.__array_interface__["data"][0])
+    try:
+        return ctypes.addressof(_first_byte(array))
+    except (TypeError, ValueError):
+        # The slow way, for arrays that are empty or not to be written to: most are neither.
+        return int(array.__array_interface__["data"][0])
 
 
 class Packed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import cv2
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.core.interface.render import CELL_PX
 from estimator.vision.camera import Camera
+from sitl.native import address, render_meet
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
@@ -45,6 +47,7 @@ class Lens:
         middles = np.stack(np.meshgrid(*at), axis=-1).reshape(-1, 2)
         self.coarse: F32 = camera.rays(middles).reshape(len(at[1]), -1, 2).astype(np.float32)
         """Rays of the middles of cells of 8 x 8 pixels, with one cell more on each side than the frame has, (R, C, 2)."""
+        self._coarse_address = address(self.coarse, np.float32)
         ring = [*self.coarse[0], *self.coarse[-1], *self.coarse[1:-1, 0], *self.coarse[1:-1, -1]]
         self.border_rays: F64 = np.array(ring[::4], dtype=float)
         """Rays around the frame, a little outside it, (N, 2)."""
@@ -73,6 +76,19 @@ class Lens:
         if abs(np.linalg.det(cam_from_plane)) < 1e-3:
             return None
         return np.asarray(np.linalg.inv(cam_from_plane))
+
+    def plane_at(self, R_cam_plane: F64, t_cam_plane: F64) -> F64 | None:
+        """Return `plane_from_ray` for the plane's rotation (3, 3) and its origin (3,) m, both in `cam`."""
+        p = R_cam_plane.T.dot(t_cam_plane)
+        return _plane_from_ray(R_cam_plane.T, p) if abs(float(p[2])) >= 1e-3 else None
+
+    def cells(self, plane_from_ray: F64, most: float = FAR_M) -> F32:
+        """Return where the rays of `coarse` meet a plane, (R, C, 2), limited to +-`most`."""
+        rows, columns = self.coarse.shape[:2]
+        places = np.empty((rows, columns, 2), np.float32)
+        H = np.ascontiguousarray(plane_from_ray, dtype=np.float64)
+        render_meet(rows * columns, self._coarse_address, address(H, np.float64), most, address(places, np.float32))
+        return places
 
     def meet(self, plane_from_ray: F64, part: tuple[slice, slice] | None = None) -> F32:
         """Return where the rays of a part of the frame, or of all of it, meet a plane, (h, w, 2): `coarse`, interpolated.
@@ -148,6 +164,24 @@ class Lens:
             f = np.arange(steps)[:, None] / steps
             p = (p[:, None] * (1.0 - f) + np.roll(p, -1, axis=0)[:, None] * f).reshape(-1, 3)
         return self.camera.project(p)
+
+
+def planes_from_rays(poses: Sequence[tuple[F64, F64]]) -> F64:
+    """Return `Lens.plane_from_ray` of planes whose rotations (3, 3) and origins (3,) m in `cam` these are, (N, 3, 3)."""
+    return np.array([_plane_from_ray(R.T, R.T.dot(t)) for R, t in poses])
+
+
+def _plane_from_ray(axes: F64, p: F64) -> F64:
+    """Return the homography (3, 3) from rays to a plane with these axes as rows, (3, 3) in `cam`, and its origin at p along them.
+
+    The inverse of a matrix whose columns are axes x and y and the origin p_x x + p_y y + p_z z has the rows x - p_x / p_z z,
+    y - p_y / p_z z and z / p_z.
+    """
+    out: F64 = np.array(axes)
+    out[2] /= p[2]
+    out[0] -= p[0] * out[2]
+    out[1] -= p[1] * out[2]
+    return out
 
 
 def _ray_change(camera: Camera, rays: F64) -> F64:

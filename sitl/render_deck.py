@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.core.interface.render import SCENE_ONE
 from sitl.light import I16, U16, Light, scene_of
-from sitl.native import address, render_deck, render_fill, render_shadow
+from sitl.native import address, render_bounds, render_deck, render_fill, render_shadow
 from sitl.projection import F32, SHIFT, Lens, fixed_point
 from sitl.surroundings import Deck, draw_deck
 from sitl.textures import grain
@@ -80,27 +80,26 @@ class DeckPainter:
         self._rim = np.concatenate([outline, np.zeros((len(outline), 1))], axis=1)
         self._side = np.roll(outline, -1, axis=0) - outline
         self._border = np.c_[lens.border_rays, np.ones(len(lens.border_rays))]
+        self._corners = np.c_[lens.corner_rays, np.ones(4)]
+        # The distance of a point of the deck from each of its sides, times the side's length.
+        corner, (along, across) = outline, self._side.T
+        self._inwards = np.stack([-across, along, across * corner[:, 0] - along * corner[:, 1]])
         c, s = math.cos(deck.pad_yaw_rad), math.sin(deck.pad_yaw_rad)
         self._R_deck_pad = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-    def rim_pad(self) -> F64:
+        self.rim_pad: F64 = self._rim @ self._R_deck_pad
         """Outline of the deck, (N, 3) m in `pad`."""
-        return np.asarray(self._rim @ self._R_deck_pad)
+        self._mask = np.empty((lens.camera.height, lens.camera.width), np.uint8)
 
     def fills(self, pad_from_ray: F64) -> bool:
         """Whether the deck certainly covers all of the frame; near its edges the answer may be False even so."""
-        q = self._border @ (self._R_deck_pad @ pad_from_ray).T
-        if q[:, 2].min() <= 0:
-            return False
-        p, corner = q[:, None, :2] / q[:, None, 2:], self._rim[:, :2]
-        off = p - corner
-        return bool((self._side[:, 0] * off[..., 1] - self._side[:, 1] * off[..., 0]).min() > 0)
+        q = self._border.dot(self._R_deck_pad.dot(pad_from_ray).T)
+        return bool(q[:, 2].min() > 0 and q.dot(self._inwards).min() > 0)
 
     def mask(self, R_cam_pad: F64, t_cam_pad: F64) -> U8:
-        """Return the deck's coverage of each pixel, (H, W), 0..255; OpenCV's drawing antialiases the edges."""
-        camera = self._lens.camera
-        out = np.zeros((camera.height, camera.width), np.uint8)
-        uv = self._lens.outline(self.rim_pad() @ R_cam_pad.T + t_cam_pad, 12)
+        """Return the deck's coverage of each pixel, (H, W) 0..255, until the next one. OpenCV's drawing antialiases edges."""
+        out = self._mask
+        out.fill(0)
+        uv = self._lens.outline(self.rim_pad.dot(R_cam_pad.T) + t_cam_pad, 12)
         if len(uv):
             cv2.fillPoly(out, [fixed_point(uv)], 255, cv2.LINE_AA, SHIFT)
         return out
@@ -116,14 +115,14 @@ class DeckPainter:
             mask: coverage of each pixel by the deck, (H, W) 0..255; None where it covers all.
         """
         drawing = self._drawing
-        deck_from_ray = self._R_deck_pad @ pad_from_ray
+        deck_from_ray = self._R_deck_pad.dot(pad_from_ray)
         # A texel of up to 1.7 pixels: finer ones cost more memory traffic than they show.
         whole = max(0, round(math.log2(max(footprint_m * drawing.texels_per_m, 1e-3)) + 0.25))
         level = 1 + min(len(drawing.levels) - 2, whole)
         if whole == 0 and footprint_m * _NEAR_PPM < 0.75 and self._near(deck_from_ray):
             level = 0
         image, texel_from_deck = drawing.levels[level]
-        cells = cv2.perspectiveTransform(self._lens.coarse, texel_from_deck @ deck_from_ray)
+        cells = self._lens.cells(texel_from_deck.dot(deck_from_ray))
         rows, columns = part
         render_deck(
             scene.shape[1], columns.start, columns.stop, rows.start, rows.stop,
@@ -133,8 +132,8 @@ class DeckPainter:
 
     def _near(self, deck_from_ray: F64) -> bool:
         """Whether all of the frame shows the pad's surroundings."""
-        q = np.c_[self._lens.corner_rays, np.ones(4)] @ deck_from_ray.T
-        return bool(q[:, 2].min() > 0 and np.abs(q[:, :2] / q[:, 2:]).max() < _NEAR_M)
+        q = (self._corners @ deck_from_ray.T).tolist()
+        return all(z > 0 and max(abs(x), abs(y)) < _NEAR_M * z for x, y, z in q)
 
     def wet(self, part: tuple[slice, slice], pad_from_ray: F64, footprint_m: float) -> tuple[F32, F32] | None:
         """Return the factors of a wet deck on its light, and the sky's light that its puddles mirror, (h, w) each.
@@ -155,9 +154,24 @@ class DeckPainter:
         return gain, np.float32(0.08 * wetness) * puddle
 
 
+Part = tuple[slice, slice]
+"""Rows and columns of a frame."""
+
+
+def bounds(mask: U8) -> tuple[Part, Part]:
+    """Return the part of the frame that a mask (H, W) covers, in part at least, and the part around what it covers altogether.
+
+    A part without pixels ends at zero.
+    """
+    found = np.empty((2, 4), np.int32)
+    at = address(found, np.int32)
+    render_bounds(*mask.shape, address(mask, np.uint8), at, at + 16)
+    covered, around = ((slice(y0, y1), slice(x0, x1)) for x0, x1, y0, y1 in found.tolist())
+    return covered, around
+
+
 _DRONE: F32 = np.array([0.14, 0.115, 0.20, 0.05], np.float32)
 """The drone's shape, m: the rotors' place along and across, their guards' radius, half the hull's length and width."""
-_DRONE_REACH_M = 0.26
 
 
 def drone_shadow(
@@ -170,8 +184,8 @@ def drone_shadow(
     to_sun_pad: F64,
     share: float,
     mask: U8 | None,
-) -> None:
-    """Take the drone's shadow off factors (H, W) on the light.
+) -> Part | None:
+    """Take the drone's shadow off factors (H, W) on the light; return the part of the frame that it can darken.
 
     The shadow is that of a quadcopter half a metre wide, with four rotors inside guards and a slim hull, cast along the sun onto
     the pad's plane. The width of the sun softens its edge.
@@ -182,31 +196,28 @@ def drone_shadow(
         mask: how much of each pixel, (H, W) 0..255, can be in shadow; None for all.
     """
     if to_sun_pad[2] > -0.05 or p_body_pad[2] > -0.01:
-        return
+        return None
     # A point of the body's plane falls onto the pad's plane along the sun.
     slant = to_sun_pad[:2] / to_sun_pad[2]
-    pad_from_body = np.eye(3)
-    pad_from_body[:2, :2] = R_pad_body[:2, :2] - np.outer(slant, R_pad_body[2, :2])
-    pad_from_body[:2, 2] = p_body_pad[:2] - slant * p_body_pad[2]
-    if abs(pad_from_body[0, 0] * pad_from_body[1, 1] - pad_from_body[0, 1] * pad_from_body[1, 0]) < 1e-3:
-        return
-    R, t = cam_from_pad
-    corners = pad_from_body @ (
-        _DRONE_REACH_M * np.array([(1, 1, -1, -1), (1, -1, -1, 1), (0, 0, 0, 0)]) + np.array([[0], [0], [1]])
-    )
-    sigma_px = _penumbra_px(lens, float(p_body_pad[2] / to_sun_pad[2]), float(t[2]))
-    part = _part_of(lens, [lens.outline((R[:, :2] @ corners[:2]).T + t)], sigma_px)
-    if part is None:
-        return
-    rows, columns = part
+    (a, b), (c, d) = (R_pad_body[:2, :2] - slant[:, None] * R_pad_body[2, :2]).tolist()
+    u, v = (p_body_pad[:2] - slant * p_body_pad[2]).tolist()
+    det = a * d - b * c
+    if abs(det) < 1e-3:
+        return None
+    body_from_pad = np.array([[d, -b, b * v - d * u], [-c, a, c * u - a * v], [0.0, 0.0, det]]) / det
+    depth_m = max(0.05, float(cam_from_pad[1][2]))
+    sigma_px = _penumbra_px(lens, float(p_body_pad[2] / to_sun_pad[2]), depth_m)
     # Limited, for far from the shadow sums of very large and small numbers would be wrong.
-    cells = np.clip(cv2.perspectiveTransform(lens.coarse, np.linalg.inv(pad_from_body) @ pad_from_ray), -8.0, 8.0)
+    cells = lens.cells(body_from_pad.dot(pad_from_ray), 8.0)
     # A smooth step has the deviation of a Gaussian edge if it is so much wider.
-    soft_m = math.sqrt(20.0) * sigma_px * max(0.05, float(t[2])) / lens.camera.fx
+    soft_m = math.sqrt(20.0) * sigma_px * depth_m / lens.camera.fx
+    part = np.empty(4, np.int32)
     render_shadow(
-        gain.shape[1], columns.start, columns.stop, rows.start, rows.stop, address(cells, np.float32), cells.shape[1],
-        address(_DRONE, np.float32), soft_m, share, address(mask, np.uint8, gain.shape), address(gain, np.int16),
+        *gain.shape, address(cells, np.float32), cells.shape[1], address(_DRONE, np.float32), soft_m, share,
+        address(mask, np.uint8, gain.shape), address(gain, np.int16), address(part, np.int32),
     )  # fmt: skip
+    x0, x1, y0, y1 = part.tolist()
+    return slice(y0, y1), slice(x0, x1)
 
 
 def _penumbra_px(lens: Lens, away_m: float, depth_m: float) -> float:
@@ -214,7 +225,7 @@ def _penumbra_px(lens: Lens, away_m: float, depth_m: float) -> float:
 
     The sun's disc is half a degree wide: the penumbra is 0.0093 of the distance wide, its standard deviation a quarter of that.
     """
-    return float(np.clip(0.0023 * away_m * lens.camera.fx / max(0.05, depth_m), 0.7, 6.0))
+    return min(6.0, max(0.7, 0.0023 * away_m * lens.camera.fx / max(0.05, depth_m)))
 
 
 def _part_of(lens: Lens, outlines: list[F64], sigma_px: float) -> tuple[slice, slice] | None:

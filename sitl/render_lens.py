@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.core.interface.render import CELL_PX, GAIN_ONE
+from estimator.vision.camera import Camera
 from sitl.light import I16, U16
 from sitl.native import address, render_average, render_deck, render_smear
 from sitl.projection import F32, Lens
@@ -21,17 +22,16 @@ def smear(scene: U16, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64,
     """Return the scenery (H, W, 4) blurred along its motion in the middle of the frame, if that is a pixel or more."""
     camera = lens.camera
     R, t = middle
-    axis = np.array([0.0, 0.0, 1.0])
-    depth = float(R[:, 2] @ t) / max(0.05, float(R[:, 2] @ axis))
+    on_pad = -t.dot(R)
+    depth = -float(on_pad[2]) / max(0.05, float(R[2, 2]))
     if not 0 < depth < 1e4:
         return scene
-    on_pad = R.T @ (axis * depth - t)
-    uv = camera.project(np.stack([r @ on_pad + p for r, p in ends]))
-    way = uv[1] - uv[0]
-    length = float(np.hypot(*way))
+    on_pad += depth * R[2]
+    right, down = _way_px(camera, *(r.dot(on_pad) + p for r, p in ends))
+    length = math.hypot(right, down)
     if not length >= 1.0:
         return scene
-    way = way * min(1.0, 31.0 / length)
+    way = np.array([right, down]) * min(1.0, 31.0 / length)
     # A long way is a short one, up to some four pixels, seen twice, four times and so on, whole pixels apart.
     doublings = max(0, math.ceil(math.log2(min(length, 31.0) / 4.0)))
     steps = [np.round(way / 2 ** (doublings - n)) for n in range(doublings)]
@@ -56,6 +56,17 @@ def smear(scene: U16, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64,
         render_average(h, w, address(smeared, np.uint16), address(pair, np.int32), address(spare, np.uint16))
         smeared, spare = spare, smeared
     return smeared
+
+
+def _way_px(camera: Camera, first: F64, last: F64) -> tuple[float, float]:
+    """Return the way in the frame from one point in `cam` to another, px."""
+    if camera.distorted:
+        right, down = np.diff(camera.project(np.array([first, last])), axis=0)[0].tolist()
+        return right, down
+    (x0, y0, z0), (x1, y1, z1) = first.tolist(), last.tolist()
+    if min(z0, z1) <= 1e-3:
+        return math.nan, math.nan
+    return camera.fx * (x1 / z1 - x0 / z0), camera.fy * (y1 / z1 - y0 / z0)
 
 
 def _smear_taps(way: F64) -> tuple[NDArray[np.int32], U16]:

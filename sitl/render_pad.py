@@ -17,7 +17,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.regions import PaintedArrowhead, PaintedDisc, PaintedPanel, PaintedRing, Rectangle, part_of, rectangles_of
 from sitl.light import PadInImage
 from sitl.native import address, render_pad_kinds, render_pad_shares
-from sitl.projection import F32, Lens
+from sitl.projection import F32, Lens, planes_from_rays
 
 _BUDGET = 16_000
 """Aim for the number of subsamples of a frame: 3 x 3 a pixel at 5 m, 5 x 5 at 20 m, 8 x 8 at 30 m, one from near by."""
@@ -48,7 +48,8 @@ class Stroke:
     @property
     def in_front(self) -> bool:
         """Whether the camera sees the pad's upper side all the time."""
-        return all(float(R[:, 2] @ t) > 1e-3 for R, t in (self.first, self.middle, self.last))
+        poses = (self.middle,) if self.first is self.middle is self.last else (self.first, self.middle, self.last)
+        return all(float(R[:, 2].dot(t)) > 1e-3 for R, t in poses)
 
 
 class PadPainter:
@@ -59,7 +60,12 @@ class PadPainter:
         self._change = lens.jacobian if lens.camera.distorted else np.ascontiguousarray(lens.jacobian[0, 0])
         self._regions = regions_of(pad)
         self._reference = np.concatenate([np.zeros((1, 3)), pad.circle(pad.disc_radius_m, 8)])
+        # Room for a frame's pad: asking for its memory each time costs as much as filling it.
         self._edges = np.empty(lens.camera.height * lens.camera.width, np.int32)
+        self._kinds = np.empty((lens.camera.height, lens.camera.width), np.uint8)
+        self._drawn = len(self._regions), address(self._regions, np.float32)
+        rays, change = address(lens.rays, np.float32), address(self._change, np.float32)
+        self._seen = lens.camera.height, lens.camera.width, rays, change, int(lens.camera.distorted)
 
     def place(self, strokes: Sequence[Stroke]) -> PadInImage | None:
         """Return the pad during the exposure.
@@ -68,20 +74,18 @@ class PadPainter:
             strokes: equal parts of the exposure, in order; an odd number of them, or one.
 
         Returns:
-            The pad, or None if the camera is below it.
+            The pad, until the next one is placed, or None if the camera is below it.
         """
         strokes = [stroke for stroke in strokes if stroke.in_front]
         if not strokes:
             return None
-        camera, drawn = self._lens.camera, (len(self._regions), address(self._regions, np.float32))
-        h, w, rolling = camera.height, camera.width, strokes[0].rows is not None
+        rolling, drawn, seen = strokes[0].rows is not None, self._drawn, self._seen
         middle = strokes[len(strokes) // 2]
         whole = _numbers([Stroke(strokes[0].first, middle.middle, strokes[-1].last, middle.rows)])
-        kinds, edges = np.empty((h, w), np.uint8), self._edges
-        rays, change = address(self._lens.rays, np.float32), address(self._change, np.float32)
-        seen = h, w, rays, change, int(camera.distorted)
+        kinds, edges = self._kinds, self._edges
         where = address(edges, np.int32)
-        count = render_pad_kinds(*seen, address(whole, np.float32), int(rolling), *drawn, address(kinds, np.uint8), where)
+        division = address(self._lens.coarse, np.float32), address(whole, np.float32), int(rolling)
+        count = render_pad_kinds(*seen, *division, *drawn, address(kinds, np.uint8), where)
         shares = np.empty((count, len(PAINTS)), np.float32)
         if count:
             samples = _BUDGET / (count * len(strokes))
@@ -94,11 +98,11 @@ class PadPainter:
     def travel_px(self, first: Pose, last: Pose) -> F64:
         """Return the longest ways (2,) px to the right and down that a point of the pad moves in the frame between two poses."""
         camera = self._lens.camera
-        uv = camera.project(np.concatenate([self._reference @ R.T + t for R, t in (first, last)]))
+        uv = camera.project(np.concatenate([self._reference.dot(R.T) + t for R, t in (first, last)]))
         # Behind the camera there is no place; far outside the frame any is as good as one near it.
-        uv = np.clip(uv, -100.0, (camera.width + 100.0, camera.height + 100.0))
+        uv = np.minimum(np.maximum(uv, -100.0), (camera.width + 100.0, camera.height + 100.0))
         ways = np.abs(uv[: len(uv) // 2] - uv[len(uv) // 2 :])
-        return np.asarray(np.nanmax(ways, axis=0, initial=0.0))
+        return np.asarray(np.fmax.reduce(ways, axis=0, initial=0.0))
 
 
 def regions_of(pad: Pad) -> F32:
@@ -136,18 +140,20 @@ def _rectangle(limits: Rectangle) -> tuple[float, ...]:
 
 def _numbers(strokes: Sequence[Stroke]) -> F32:
     """Return the homographies of parts of the exposure, (N, 36): in the middle, change, in the first row, in the last."""
-    poses = [pose for s in strokes for pose in (s.middle, s.first, s.last, *(s.rows or (s.middle, s.middle)))]
-    planes = pad_from_ray(*poses).reshape(len(strokes), 5, 9)
-    out = planes[:, [0, 2, 3, 4]]
-    out[:, 1] -= planes[:, 1]
-    return np.ascontiguousarray(out.reshape(len(strokes), STROKE_NUMBERS))
+    out = np.zeros((len(strokes), STROKE_NUMBERS), np.float32)
+    for numbers, s in zip(out.reshape(-1, 4, 9), strokes, strict=True):
+        numbers[0] = pad_from_ray(s.middle).ravel()
+        if s.first is not s.last:
+            first, last = pad_from_ray(s.first, s.last).reshape(2, 9)
+            numbers[1] = last - first
+        if s.rows is not None:
+            numbers[2:] = pad_from_ray(*s.rows).reshape(2, 9)
+    return out
 
 
 def pad_from_ray(*poses: Pose) -> F32:
     """Return the homographies (N, 3, 3) from rays to the pad's plane."""
-    planes = np.array([R for R, _ in poses])
-    planes[:, :, 2] = [t for _, t in poses]
-    return np.linalg.inv(planes).astype(np.float32)
+    return planes_from_rays(poses).astype(np.float32)
 
 
 def in_row(planes: F32, s: F32) -> F32:

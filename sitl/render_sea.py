@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.render import SEA_WEIGHTS
+from estimator.core.interface.render import SEA_OUTLINES, SEA_WEIGHTS
 from sitl.light import U16, Light, scene_of
 from sitl.native import address, render_sea, render_swell, render_water
-from sitl.projection import F32, FAR_M, SHIFT, Lens, fixed_point
+from sitl.projection import F32, Lens
 from sitl.surroundings import Surroundings
 from sitl.textures import foam, ripples
 
@@ -24,8 +23,10 @@ _SHADE = 0.5
 """Share of light that a ship's shadow takes from the water."""
 _FOAM, _FOAM_AT_REST = (110.0, 130.0), 55.0
 """Brightness of the foam beside and behind a ship under way, and beside one at rest."""
-_OPEN = None, None, 0.0
-"""What no ship does to the water."""
+_NOWHERE: F64 = np.empty((0, 2))
+_SOFT_M, _SOFT_LEAST = (0.06, 0.10, 0.25), (0.6, 0.6, 0.8)
+"""Deviation of the soft edges of a ship's shadow, of the foam beside her and of her wake, m, and the least, in squares of 4 x 4
+pixels."""
 
 
 class SeaPainter:
@@ -53,22 +54,21 @@ class SeaPainter:
 
         Args:
             part: rows and columns, which begin and end at even numbers.
-            ship: outlines on the water, (N, 3) m ned: none, or the hull at the waterline, its shadow, and its wake if it makes
-                way.
+            ship: outlines on the water, (N, 2) m to north and east: none, or the hull at the waterline, its shadow, and its wake
+                if it makes way.
             mask: how much of each pixel, (H, W) 0..255, something covers later; None if nothing does.
         """
         lens, (rows, cols) = self._lens, part
         h, w = (rows.stop - rows.start) // 2, (cols.stop - cols.start) // 2
-        plane = np.stack([R_ned_cam[0], R_ned_cam[1], -(R_ned_cam.T @ p_cam_ned)], axis=1)
-        inverse = lens.plane_from_ray(plane)
+        inverse = lens.plane_at(R_ned_cam.T, -R_ned_cam.T.dot(p_cam_ned))
         if inverse is None or p_cam_ned[2] > 0:
             scene[rows, cols] = self._table[90]
             return
         footprint = 2.0 * -float(p_cam_ned[2]) / lens.camera.fx
-        cells = np.clip(cv2.perspectiveTransform(lens.coarse, inverse), -FAR_M, FAR_M)
+        cells = lens.cells(inverse)
         slow = self._slow(R_ned_cam, inverse, t_s)
-        beside = self._ship_on_water(footprint, R_ned_cam, p_cam_ned, rows, cols, ship) if ship else _OPEN
-        shade, white, brightest = beside
+        outlines, counts, soft_m = _on_water(ship, footprint)
+        beside, behind = _FOAM if len(ship) > 2 else (_FOAM_AT_REST, 0.0)
         wind = 1.1 * t_s
         # Ripples of two sizes, whitecaps, and the streaks of foam beside the ship.
         layers = [
@@ -83,7 +83,7 @@ class SeaPainter:
         weights = np.array(
             [
                 0.6 * self._roughness, 0.8 * self._roughness, self._whitecaps if breaking else 0.0, 120.0 * breaking,
-                _SHADE, brightest,
+                _SHADE, beside, behind,
             ],
             np.float32,
         )  # fmt: skip
@@ -91,21 +91,16 @@ class SeaPainter:
         render_sea(
             *scene.shape[:2], address(mask, np.uint8, scene.shape[:2]),
             cols.start // 2, cols.stop // 2, rows.start // 2, rows.stop // 2, address(cells, np.float32), cells.shape[1],
-            *(address(texels, np.float32) for texels, _ in layers), address(sizes, np.int32), address(drift, np.float64),
+            *(address(texels, np.int16) for texels, _ in layers), address(sizes, np.int32), address(drift, np.float64),
             address(weights, np.float32, (len(SEA_WEIGHTS),)), address(slow, np.float32),
-            address(shade, np.uint8, (h, w)), address(white, np.uint8, (h, w)), address(codes, np.uint8),
+            address(outlines, np.float64), address(counts, np.int32, (SEA_OUTLINES,)), address(soft_m, np.float32),
+            address(codes, np.uint8),
         )  # fmt: skip
         colours = address(self._table, np.uint16, (256, 4))
         render_water(
-            scene.shape[1],
-            cols.start,
-            cols.stop,
-            rows.start,
-            rows.stop,
-            address(codes, np.uint8),
-            colours,
-            address(scene, np.uint16),
-        )
+            scene.shape[1], cols.start, cols.stop, rows.start, rows.stop, address(codes, np.uint8), colours,
+            address(mask, np.uint8), address(scene, np.uint16),
+        )  # fmt: skip
         below = lens.corner_rays @ R_ned_cam[2, :2] + R_ned_cam[2, 2]
         if below.min() < 0.02:
             down = lens.rays[rows, cols] @ R_ned_cam[2, :2].astype(np.float32) + np.float32(R_ned_cam[2, 2])
@@ -122,43 +117,22 @@ class SeaPainter:
         )  # fmt: skip
         return light
 
-    def _ship_on_water(
-        self, footprint: float, R_ned_cam: F64, p_cam_ned: F64, rows: slice, cols: slice, ship: list[F64]
-    ) -> tuple[U8 | None, U8 | None, float]:
-        """Return what the ship does to the water: the share of `_SHADE` that its shadow takes, and the foam beside and behind it.
 
-        Both are parts of 255 for squares of 2 x 2 pixels, None where there is none in the part of the frame. Last comes the
-        brightness of full foam.
-        """
-        w, h = (cols.stop - cols.start) // 2, (rows.stop - rows.start) // 2
-        small = (max(2, w // 2), max(2, h // 2))
-        scale = (small[0] / (cols.stop - cols.start), small[1] / (rows.stop - rows.start))
+def _on_water(ship: list[F64], footprint_m: float) -> tuple[F64, NDArray[np.int32], F32]:
+    """Return the outlines of a ship's shadow, hull and wake for the core.
 
-        def mask(points_ned: F64, sigma: float) -> U8 | None:
-            """Return the polygon with a soft edge, 255 inside, a quarter of the part's size."""
-            uv = self._lens.outline((points_ned - p_cam_ned) @ R_ned_cam, 4)
-            if not len(uv):
-                return None
-            canvas = np.zeros((small[1], small[0]), np.uint8)
-            here = (uv - (cols.start, rows.start)) * scale
-            cv2.fillPoly(canvas, [fixed_point(here)], 255, cv2.LINE_8, SHIFT)
-            size = 2 * math.ceil(1.7 * sigma) + 1
-            return np.asarray(cv2.blur(cv2.blur(canvas, (size, size)), (size, size)), dtype=np.uint8)
+    Args:
+        ship: as in `SeaPainter.paint`.
+        footprint_m: size of a square of 2 x 2 pixels on the water.
 
-        px_per_m = 0.5 / footprint
-        shade = mask(ship[1], float(np.clip(0.06 * px_per_m, 0.6, 12.0)))
-        wash = mask(ship[0], float(np.clip(0.10 * px_per_m, 0.6, 20.0)))
-        wake = mask(ship[2], float(np.clip(0.25 * px_per_m, 0.8, 30.0))) if len(ship) > 2 else None
-        beside, behind = _FOAM if len(ship) > 2 else (_FOAM_AT_REST, 0.0)
-        white, brightest = wash, beside + behind
-        if wake is not None:
-            share = beside / brightest
-            first = wash if wash is not None else np.zeros_like(wake)
-            white = np.asarray(cv2.addWeighted(first, share, wake, 1.0 - share, 0.0), dtype=np.uint8)
-        else:
-            brightest = beside
-        each = [None if part is None else np.asarray(cv2.resize(part, (w, h)), dtype=np.uint8) for part in (shade, white)]
-        return each[0], each[1], brightest
+    Returns:
+        Their points (N, 2) m, how many each of them has, and over what width its edge is soft, m.
+    """
+    outlines = [ship[i] if i < len(ship) else _NOWHERE for i in (1, 0, 2)]
+    counts = np.array([len(each) for each in outlines], np.int32)
+    # An edge is as soft as a Gaussian of a few centimetres or some pixels; a smooth step is that of this deviation.
+    deviations = [max(m, least * 2.0 * footprint_m) for m, least in zip(_SOFT_M, _SOFT_LEAST, strict=True)]
+    return np.concatenate(outlines), counts, np.array([math.sqrt(20.0) * 1.4 * d for d in deviations], np.float32)
 
 
 def _water_table(water: tuple[int, int, int]) -> NDArray[np.uint8]:

@@ -7,8 +7,12 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from estimator.core.interface.render import TILE_ONE
 from sitl.projection import F32
+
+I16 = NDArray[np.int16]
 
 _NONE = np.empty(0, np.float32)
 
@@ -19,6 +23,7 @@ class Tile:
     def __init__(self, texels: F32, side_m: float) -> None:
         self.side_m = side_m
         self._levels: list[F32] = []
+        self._layers: dict[int, I16] = {}
         level = texels
         while level.shape[0] >= 8:
             self._levels.append(np.pad(level, ((0, 1), (0, 1)), mode="wrap"))
@@ -32,13 +37,23 @@ class Tile:
             footprint_m: size of a pixel on the plane.
             stretch: factor on the length of the tile's side.
         """
-        finest = self.side_m * stretch / (self._levels[0].shape[0] - 1)
-        return self._levels[min(len(self._levels) - 1, max(0, round(math.log2(max(footprint_m / finest, 1e-3)))))]
+        return self._levels[self._number(footprint_m, stretch)]
 
-    def layer(self, footprint_m: float, stretch: float, shift_m: tuple[float, float]) -> tuple[F32, tuple[float, float, float]]:
-        """Return `level`, and what turns positions on the plane into periods of the tile: periods a metre, and the shift."""
-        side_m = self.side_m * stretch
-        return self.level(footprint_m, stretch), (1.0 / side_m, shift_m[0] / side_m, shift_m[1] / side_m)
+    def _number(self, footprint_m: float, stretch: float) -> int:
+        finest = self.side_m * stretch / (self._levels[0].shape[0] - 1)
+        return min(len(self._levels) - 1, max(0, round(math.log2(max(footprint_m / finest, 1e-3)))))
+
+    def layer(self, footprint_m: float, stretch: float, shift_m: tuple[float, float]) -> tuple[I16, tuple[float, float, float]]:
+        """Return `level` in parts of `TILE_ONE`, for the core, and what turns positions on the plane into periods of the tile.
+
+        Returns:
+            The texels, (n + 1, n + 1); then periods a metre, and the shift.
+        """
+        number, side_m = self._number(footprint_m, stretch), self.side_m * stretch
+        if number not in self._layers:
+            rounded = np.clip(np.round(TILE_ONE * self._levels[number]), -32767, 32767)
+            self._layers[number] = rounded.astype(np.int16)
+        return self._layers[number], (1.0 / side_m, shift_m[0] / side_m, shift_m[1] / side_m)
 
     def read(self, where_m: F32, footprint_m: float, stretch: float = 1.0, shift_m: tuple[float, float] = (0.0, 0.0)) -> F32:
         """Return the texture's values, (H, W), at positions (H, W, 2) m on the plane.

@@ -150,6 +150,9 @@
 #define LEVELS_BY_EIGHT 1408
 #define LIGHT_LEVELS 2048
 #define GRAIN_LEVELS 32
+#define TILE_ONE 4096
+#define SEA_OUTLINES 3
+#define SEA_OUTLINE_POINTS 48
 #define PAD_PAINTS 5
 #define PAD_EDGE 255
 #define STROKE_NUMBERS 36
@@ -165,7 +168,8 @@
 #define SEA_CALM 2
 #define SEA_CAP 3
 #define SEA_SHADE 4
-#define SEA_WHITE 5
+#define SEA_WASH 5
+#define SEA_WAKE 6
 #define PAD_SHAPE 0
 #define PAD_PAINT 1
 #define PAD_BELOW 2
@@ -1202,6 +1206,9 @@ int32_t look_at_pad(const camera_lens *camera, const double *rays, const uint8_t
 /* register.c */
 int32_t register_pad(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad, int32_t points, const double *edges, const int32_t *edge_of, const tilt_prior *prior, const fit_options *o, const double *start, int32_t room, float *scratch, registration *out, double *outline);
 
+/* render_bounds.c */
+void render_bounds(int32_t h, int32_t w, const uint8_t *mask, int32_t *covered, int32_t *open);
+
 /* render_deck.c */
 void render_deck(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const uint16_t *texels, int32_t texel_rows, int32_t texel_columns, const uint8_t *mask, uint16_t *scene);
 void render_fill(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *mask, const uint16_t *colour, uint16_t *scene);
@@ -1215,18 +1222,21 @@ void render_image(int32_t h, int32_t w, const uint16_t *scene, const uint8_t *ki
 void render_expose(int32_t pixels, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int16_t *light);
 void render_mix(int32_t edges, const int32_t *where, const float *shares, const uint16_t *scene, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int16_t *light);
 
+/* render_meet.c */
+void render_meet(int32_t count, const float *rays, const double *plane_from_ray, double most, float *places);
+
 /* render_pad.c */
-int32_t render_pad_kinds(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *whole, int32_t rolling, int32_t regions, const float *pad, uint8_t *kinds, int32_t *edges);
+int32_t render_pad_kinds(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *middles, const float *whole, int32_t rolling, int32_t regions, const float *pad, uint8_t *kinds, int32_t *edges);
 
 /* render_pad_shares.c */
 void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes, const float *stroke_numbers, int32_t rolling, int32_t regions, const float *pad, int32_t fine, int32_t count, const int32_t *edges, float *shares);
 
 /* render_sea.c */
-void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const float *small_texels, const float *large_texels, const float *caps_texels, const float *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, const uint8_t *shade, const uint8_t *white, uint8_t *codes);
-void render_water(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours, uint16_t *scene);
+void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const int16_t *small_texels, const int16_t *large_texels, const int16_t *caps_texels, const int16_t *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, const double *outlines, const int32_t *outline_points, const float *soft_m, uint8_t *codes);
+void render_water(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours, const uint8_t *mask, uint16_t *scene);
 
 /* render_shadow.c */
-void render_shadow(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const float *shape, float soft, float share, const uint8_t *mask, int16_t *gain);
+void render_shadow(int32_t h, int32_t w, const float *cells, int32_t columns, const float *shape, float soft, float share, const uint8_t *mask, int16_t *gain, int32_t *part);
 
 /* render_smear.c */
 void render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights, uint16_t *smeared);
@@ -1284,7 +1294,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 3243636871u
+#define INTERFACE_DIGEST 1608514156u
 #endif
 
 #endif

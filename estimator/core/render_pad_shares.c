@@ -6,22 +6,21 @@
  * are right: edges lie where the drawing has them in any direction, and areas add up even if a shape is thinner than a pixel.
  */
 
-#include <string.h>
-
 #include "render_pad.h"
 
-/* Circles around a subpixel with its way, beyond which two-point quadrature of its boxes sees nothing either. */
-static const float CLEAR = 1.5f;
-
-/* A subpixel seen along a direction: a box blurred by two points, one over its width and their distance from its middle in widths. */
+/* A subpixel along a direction: a box blurred by two points, one over its width and their distance from its middle in widths. */
 typedef struct {
     float per_width, offset;
 } box;
 
-static inline box box_along(const spot *s, float gu, float gv)
+typedef struct {
+    float per_width[TOGETHER], offset[TOGETHER];
+} boxes;
+
+static inline box box_along(const spots *s, int k, float gu, float gv)
 {
-    const float a = gu * s->right_u + gv * s->right_v, b = gu * s->down_u + gv * s->down_v, c = gu * s->way_u + gv * s->way_v;
-    const float a2 = a * a, b2 = b * b, c2 = c * c;
+    const float a = gu * s->right_u[k] + gv * s->right_v[k], b = gu * s->down_u[k] + gv * s->down_v[k];
+    const float c = gu * s->way_u[k] + gv * s->way_v[k], a2 = a * a, b2 = b * b, c2 = c * c;
     float widest = a2 > b2 ? a2 : b2;
     widest = widest > c2 ? widest : c2;
     widest = widest > 1e-14f ? widest : 1e-14f;
@@ -30,134 +29,230 @@ static inline box box_along(const spot *s, float gu, float gv)
     return made;
 }
 
+WIDE
+static void boxes_along(const spots *s, float gu, float gv, boxes *made)
+{
+    for (int k = 0; k < TOGETHER; k++) {
+        const box b = box_along(s, k, gu, gv);
+        made->per_width[k] = b.per_width;
+        made->offset[k] = b.offset;
+    }
+}
+
 static inline float limited(float share)
 {
-    return share < 0.0f ? 0.0f : share > 1.0f ? 1.0f : share;
+    const float some = share > 0.0f ? share : 0.0f;
+    return some < 1.0f ? some : 1.0f;
 }
 
 /* The share of a subpixel on the positive side of an edge. */
-static inline float covered(float distance, box b)
+static inline float covered(float distance, float per_width, float offset)
 {
-    const float share = distance * b.per_width + 0.5f;
-    return 0.5f * (limited(share + b.offset) + limited(share - b.offset));
+    const float share = distance * per_width + 0.5f;
+    return 0.5f * (limited(share + offset) + limited(share - offset));
 }
 
 /* The share between two parallel edges; it is also right for a strip thinner than a subpixel. */
-static inline float between(float from, float to, float x, box b)
+static inline float between(float from, float to, float x, float per_width, float offset)
 {
-    return covered(x - from, b) - covered(x - to, b);
+    return covered(x - from, per_width, offset) - covered(x - to, per_width, offset);
 }
 
-/* The regions that a pixel shows a part of, and the shares of what it shows all of. */
+/* Subpixels of some pixels during a part of the exposure: their images, where one of each pixel is, and what the straight edges of
+ * the pad see of all of them. */
+typedef struct {
+    spots met;
+    float u[TOGETHER], v[TOGETHER];
+    boxes along_u, along_v, left, right;
+} grid;
+
+WIDE
+static void shares_of_annulus(const float *g, const grid *s, float *restrict share)
+{
+    const float inner = g[PAD_ANNULUS_INNER], outer = g[PAD_ANNULUS_OUTER];
+    for (int k = 0; k < TOGETHER; k++) {
+        const float u = s->u[k], v = s->v[k], r = sqrtf(u * u + v * v) + 1e-9f, per_r = 1.0f / r;
+        const box b = box_along(&s->met, k, u * per_r, v * per_r);
+        share[k] = between(inner, outer, r, b.per_width, b.offset);
+    }
+}
+
+WIDE
+static void shares_of_rectangle(const float *g, const grid *s, float *restrict share)
+{
+    const float u0 = g[PAD_RECTANGLE_U0], u1 = g[PAD_RECTANGLE_U1], v0 = g[PAD_RECTANGLE_V0], v1 = g[PAD_RECTANGLE_V1];
+    for (int k = 0; k < TOGETHER; k++) {
+        share[k] = between(u0, u1, s->u[k], s->along_u.per_width[k], s->along_u.offset[k]) *
+                   between(v0, v1, s->v[k], s->along_v.per_width[k], s->along_v.offset[k]);
+    }
+}
+
+WIDE
+static void shares_of_arrow(const float *g, const grid *s, float *restrict share)
+{
+    const float cosine = g[PAD_ARROW_COS], sine = g[PAD_ARROW_SIN], tip = g[PAD_ARROW_TIP], base = g[PAD_ARROW_BASE];
+    for (int k = 0; k < TOGETHER; k++) {
+        const float ahead = cosine * (tip - s->u[k]), aside = sine * s->v[k];
+        share[k] = covered(s->u[k] - base, s->along_u.per_width[k], s->along_u.offset[k]) *
+                   covered(ahead - aside, s->left.per_width[k], s->left.offset[k]) *
+                   covered(ahead + aside, s->right.per_width[k], s->right.offset[k]);
+    }
+}
+
+static void shares_of(const float *g, const grid *s, float *share)
+{
+    switch ((int)g[PAD_SHAPE]) {
+    case PAD_ANNULUS:
+        shares_of_annulus(g, s, share);
+        break;
+    case PAD_RECTANGLE:
+        shares_of_rectangle(g, s, share);
+        break;
+    default:
+        shares_of_arrow(g, s, share);
+    }
+}
+
+/* What the pixels of a group have of each paint, in subpixels. */
+typedef struct {
+    float of[PAD_PAINTS][TOGETHER], ring[TOGETHER];
+} sums;
+
+/* A region takes its share from the paint that it lies on. */
+WIDE
+static void add(const float *restrict share, float *restrict below, float *restrict paint)
+{
+    for (int k = 0; k < TOGETHER; k++) {
+        below[k] -= share[k];
+        paint[k] += share[k];
+    }
+}
+
+/* The arrowhead takes none of what the ring, which has its paint, covers already. */
+WIDE
+static void take_ring_off(const float *restrict ring, float *restrict share)
+{
+    for (int k = 0; k < TOGETHER; k++) {
+        share[k] *= 1.0f - ring[k];
+    }
+}
+
+static void add_region(const float *g, const grid *s, sums *total)
+{
+    float share[TOGETHER];
+    const int paint = (int)g[PAD_PAINT], below = (int)g[PAD_BELOW];
+    shares_of(g, s, share);
+    if (paint == PAD_ORANGE && (int)g[PAD_SHAPE] == PAD_ARROW) {
+        take_ring_off(total->ring, share);
+    } else if (paint == PAD_ORANGE) {
+        for (int k = 0; k < TOGETHER; k++) {
+            total->ring[k] += share[k];
+        }
+    }
+    if (paint != below) {
+        add(share, total->of[below], total->of[paint]);
+    }
+}
+
+static void add_all(float value, float *sum)
+{
+    for (int k = 0; k < TOGETHER; k++) {
+        sum[k] += value;
+    }
+}
+
+/* The regions that a group of pixels shows a part of, the lowest first, and the subpixels that one paint covers altogether. */
 typedef struct {
     int count;
     const float *near[PAD_REGIONS_MOST];
     float whole[PAD_PAINTS];
-    box along_u, along_v, left, right;
 } choice;
 
-/* What the subpixels of a pixel have in common, all of which lie within `reach` of (u, v): which regions they can show, and the
- * boxes along the straight edges of those. */
-static void choose(const painting *p, float u, float v, const spot *s, float reach, choice *c)
+/* Whether all of the points lie inside a region, or all outside it, by more than they reach. */
+static void inside_or_outside(const float *depth, const float *reach, int *all_inside, int *all_outside)
 {
-    const float r = sqrtf(u * u + v * v);
-    int straight = 0;
-    memset(c, 0, sizeof *c);
+    int in = 1, out = 1;
+    for (int k = 0; k < TOGETHER; k++) {
+        in &= depth[k] >= reach[k];
+        out &= depth[k] <= -reach[k];
+    }
+    *all_inside = in;
+    *all_outside = out;
+}
+
+/* Choose regions for pixels whose subpixels reach so far. The ring's share is needed where the arrowhead's is. */
+static void choose(const painting *p, const spots *s, const float *reach, choice *c)
+{
+    float depth[TOGETHER];
+    memset(c->whole, 0, sizeof c->whole);
     c->whole[PAD_NONE] = 1.0f;
+    c->count = 0;
     for (int i = 0; i < p->count; i++) {
         const float *g = region_of(p, i);
-        const int on = on_region(g, u, v, r, reach), shape = (int)g[PAD_SHAPE];
-        if (on == 1 && shape != PAD_ARROW) {
+        int all_inside, all_outside;
+        depths_in(g, s->u, s->v, depth);
+        inside_or_outside(depth, reach, &all_inside, &all_outside);
+        if (all_inside && (int)g[PAD_PAINT] != PAD_ORANGE) {
             c->whole[(int)g[PAD_BELOW]] -= 1.0f;
             c->whole[(int)g[PAD_PAINT]] += 1.0f;
-        } else if (on != 0) {
+        } else if (!all_outside) {
             c->near[c->count++] = g;
-            straight |= shape != PAD_ANNULUS;
-            if (shape == PAD_ARROW) {
-                c->left = box_along(s, g[PAD_ARROW_COS], g[PAD_ARROW_SIN]);
-                c->right = box_along(s, g[PAD_ARROW_COS], -g[PAD_ARROW_SIN]);
-            }
+        }
+    }
+}
+
+/* See the pixels along the normals of the straight edges that are near. */
+static void look_along_edges(const choice *c, grid *s)
+{
+    int straight = 0;
+    for (int i = 0; i < c->count; i++) {
+        const float *g = c->near[i];
+        straight |= (int)g[PAD_SHAPE] != PAD_ANNULUS;
+        if ((int)g[PAD_SHAPE] == PAD_ARROW) {
+            boxes_along(&s->met, g[PAD_ARROW_COS], g[PAD_ARROW_SIN], &s->left);
+            boxes_along(&s->met, g[PAD_ARROW_COS], -g[PAD_ARROW_SIN], &s->right);
         }
     }
     if (straight) {
-        c->along_u = box_along(s, 1.0f, 0.0f);
-        c->along_v = box_along(s, 0.0f, 1.0f);
+        boxes_along(&s->met, 1.0f, 0.0f, &s->along_u);
+        boxes_along(&s->met, 0.0f, 1.0f, &s->along_v);
     }
 }
 
-/* The share of the subpixel at (u, v), which lies at r from the centre, that an edge of a region may cross. */
-static inline float share_of(const float *g, float u, float v, float r, const spot *s, const choice *c)
+WIDE
+static void place(float right, float down, grid *s)
 {
-    switch ((int)g[PAD_SHAPE]) {
-    case PAD_ANNULUS:
-        return between(g[PAD_ANNULUS_INNER], g[PAD_ANNULUS_OUTER], r, box_along(s, u / r, v / r));
-    case PAD_RECTANGLE:
-        return between(g[PAD_RECTANGLE_U0], g[PAD_RECTANGLE_U1], u, c->along_u) *
-               between(g[PAD_RECTANGLE_V0], g[PAD_RECTANGLE_V1], v, c->along_v);
-    default: {
-        const float ahead = g[PAD_ARROW_COS] * (g[PAD_ARROW_TIP] - u), aside = g[PAD_ARROW_SIN] * v;
-        return covered(u - g[PAD_ARROW_BASE], c->along_u) * covered(ahead - aside, c->left) * covered(ahead + aside, c->right);
-    }
+    for (int k = 0; k < TOGETHER; k++) {
+        s->u[k] = s->met.u[k] + right * s->met.right_u[k] + down * s->met.down_u[k];
+        s->v[k] = s->met.v[k] + right * s->met.right_v[k] + down * s->met.down_v[k];
     }
 }
 
-/* Add the shares of the paints in the subpixel at (u, v). A region takes its share from the paint that it lies on; the arrowhead
- * takes none of what the ring, which has its paint, covers already. */
-static void add_shares(float u, float v, const spot *s, const choice *c, float reach, float *total)
+/* Add the shares of all subpixels of some pixels during one of the parts of the exposure. The plane is linear within a pixel. */
+static void add_pixels(const view *v, const stroke *k, int32_t n, const int32_t *pixels, int fine, const painting *pad, sums *total)
 {
-    const float r = sqrtf(u * u + v * v) + 1e-9f;
-    float ring = c->whole[PAD_ORANGE];
-    for (int i = 0; i < c->count; i++) {
-        const float *g = c->near[i];
-        const int on = on_region(g, u, v, r, CLEAR * reach), paint = (int)g[PAD_PAINT];
-        if (on == 0) {
-            continue;
-        }
-        float share = on == EDGE ? share_of(g, u, v, r, s, c) : 1.0f;
-        if (paint == PAD_ORANGE && (int)g[PAD_SHAPE] == PAD_ARROW) {
-            share *= 1.0f - ring;
-        } else if (paint == PAD_ORANGE) {
-            ring += share;
-        }
-        total[(int)g[PAD_BELOW]] -= share;
-        total[paint] += share;
-    }
-}
-
-/* Add the shares of all subpixels of a pixel during one of the parts of the exposure. The plane is linear within a pixel.
- *
- * Most pixels that an edge crosses during a long way see one paint during a part of it. */
-static void add_pixel(const view *v, const stroke *k, int parts, int32_t pixel, int fine, const painting *pad, float *total)
-{
-    float row[9];
-    const float *M = k->middle, *change = change_at(v, pixel), *ray = v->rays + 2 * (int64_t)pixel;
-    const float size = 1.0f / (float)fine;
-    if (k->first) {
-        in_row(k, row_time(v, pixel / v->w), row);
-        M = row;
-    }
-    spot s;
-    if (!meet(M, k->turn, ray[0], ray[1], change, size, &s)) {
-        total[PAD_NONE] += (float)(fine * fine);
-        return;
-    }
-    const float reach = around(&s) + 0.5f * sqrtf(s.way_u * s.way_u + s.way_v * s.way_v);
-    const float all = 1.01f * (float)fine * reach;
-    const int paint = parts > 1 ? paint_at(pad, s.u, s.v, all) : EDGE;
-    if (paint != EDGE) {
-        total[paint] += (float)(fine * fine);
-        return;
-    }
+    float radius[TOGETHER], way[TOGETHER];
+    sheaf rays;
+    grid s;
     choice c;
-    choose(pad, s.u, s.v, &s, all, &c);
-    for (int shown = 0; shown < PAD_PAINTS; shown++) {
-        total[shown] += (float)(fine * fine) * c.whole[shown];
+    begin_rays(v, k, &rays);
+    take_rays(v, n, pixels, &rays);
+    take_changes(v, k, n, pixels, &rays);
+    meet(&rays, k->turn, 1.0f / (float)fine, &s.met);
+    sizes_of(&s.met, radius, way);
+    for (int i = 0; i < TOGETHER; i++) {
+        radius[i] = 1.01f * (float)fine * (radius[i] + 0.5f * way[i]);
     }
-    for (int j = 0; j < fine; j++) {
-        for (int i = 0; i < fine; i++) {
-            const float right = (float)i - 0.5f * (float)(fine - 1), down = (float)j - 0.5f * (float)(fine - 1);
-            const float u_here = s.u + right * s.right_u + down * s.down_u, v_here = s.v + right * s.right_v + down * s.down_v;
-            add_shares(u_here, v_here, &s, &c, reach, total);
+    choose(pad, &s.met, radius, &c);
+    look_along_edges(&c, &s);
+    for (int paint = 0; paint < PAD_PAINTS; paint++) {
+        add_all((float)(fine * fine) * c.whole[paint], total->of[paint]);
+    }
+    for (int part = 0; part < fine * fine; part++) {
+        place((float)(part % fine) - 0.5f * (float)(fine - 1), (float)(part / fine) - 0.5f * (float)(fine - 1), &s);
+        memset(total->ring, 0, sizeof total->ring);
+        for (int i = 0; i < c.count; i++) {
+            add_region(c.near[i], &s, total);
         }
     }
 }
@@ -166,18 +261,21 @@ void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *cha
                        const float *stroke_numbers, int32_t rolling, int32_t regions, const float *pad, int32_t fine, int32_t count,
                        const int32_t *edges, float *shares)
 {
-    const view seen = {h, w, rays, change, bent};
+    const view seen = {h, w, rays, change, bent, 0};
     const painting drawn = {regions, pad};
     const float each = 1.0f / (float)(strokes * fine * fine);
-    for (int32_t e = 0; e < count; e++) {
-        float *total = shares + PAD_PAINTS * (int64_t)e;
-        memset(total, 0, PAD_PAINTS * sizeof *total);
+    sums total;
+    for (int32_t first = 0; first < count; first += TOGETHER) {
+        const int32_t n = count - first < TOGETHER ? count - first : TOGETHER;
+        memset(&total, 0, sizeof total);
         for (int i = 0; i < strokes; i++) {
             const stroke k = stroke_at(stroke_numbers, rolling, i);
-            add_pixel(&seen, &k, strokes, edges[e], fine, &drawn, total);
+            add_pixels(&seen, &k, n, edges + first, fine, &drawn, &total);
         }
-        for (int k = 0; k < PAD_PAINTS; k++) {
-            total[k] *= each;
+        for (int32_t e = 0; e < n; e++) {
+            for (int k = 0; k < PAD_PAINTS; k++) {
+                shares[PAD_PAINTS * (int64_t)(first + e) + k] = total.of[k][e] * each;
+            }
         }
     }
 }

@@ -39,9 +39,15 @@ SHAPES = {
 REGION_NUMBERS = len(REGION) + max(map(len, SHAPES.values()))
 REGIONS_MOST = 336
 """The largest number of regions: disc, rim, ring, arrowhead, and the rectangles of the lettering."""
-SEA_WEIGHTS = ("SEA_SMALL", "SEA_LARGE", "SEA_CALM", "SEA_CAP", "SEA_SHADE", "SEA_WHITE")
+TILE_ONE = 4096
+"""Value of one in a texture of the sea."""
+SEA_WEIGHTS = ("SEA_SMALL", "SEA_LARGE", "SEA_CALM", "SEA_CAP", "SEA_SHADE", "SEA_WASH", "SEA_WAKE")
 """The strengths of what lies on the sea: small and large ripples, the height below which no crest breaks, the brightness of those
-that do, the largest share of light that a ship's shade takes, and the brightness of full foam."""
+that do, the largest share of light that a ship's shade takes, and the brightness of full foam beside and behind her."""
+SEA_OUTLINES = 3
+"""The number of outlines of a ship on the water: her shadow, her hull, and her wake."""
+SEA_OUTLINE_POINTS = 48
+"""The largest number of points of one of them."""
 STROKE_NUMBERS = 36
 """Numbers of one part of an exposure: homographies in its middle, their change during it, in the first row and in the last."""
 
@@ -49,6 +55,7 @@ CONSTANTS = {
     "GAIN_ONE": GAIN_ONE, "SCENE_ONE": SCENE_ONE, "CELL_PX": CELL_PX, "BLUR_RADIUS_MAX": BLUR_RADIUS_MAX,
     "LEVELS_BY_ONE": LEVELS_BY_ONE, "COUNTS_BY_EIGHT": COUNTS_BY_EIGHT, "LEVELS_BY_EIGHT": LEVELS_BY_EIGHT,
     "LIGHT_LEVELS": LIGHT_LEVELS, "GRAIN_LEVELS": GRAIN_LEVELS,
+    "TILE_ONE": TILE_ONE, "SEA_OUTLINES": SEA_OUTLINES, "SEA_OUTLINE_POINTS": SEA_OUTLINE_POINTS,
     "PAD_PAINTS": len(PAINTS), "PAD_EDGE": PAD_EDGE, "STROKE_NUMBERS": STROKE_NUMBERS,
     "PAD_REGION": REGION_NUMBERS, "PAD_REGIONS_MOST": REGIONS_MOST,
     **{name: value for names in (PAINTS, SEA_WEIGHTS, REGION, SHAPES) for value, name in enumerate(names)},
@@ -59,6 +66,18 @@ CONSTANTS = {
 STRUCTS: dict[str, tuple[Field, ...]] = {}
 
 FUNCTIONS = (
+    Function(
+        "render_meet",
+        "void",
+        "int32_t count, const float *rays, const double *plane_from_ray, double most, float *places",
+        "render_meet.c",
+    ),
+    Function(
+        "render_bounds",
+        "void",
+        "int32_t h, int32_t w, const uint8_t *mask, int32_t *covered, int32_t *open",
+        "render_bounds.c",
+    ),
     Function(
         "render_deck",
         "void",
@@ -75,8 +94,8 @@ FUNCTIONS = (
     Function(
         "render_shadow",
         "void",
-        "int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const float *shape, "
-        "float soft, float share, const uint8_t *mask, int16_t *gain",
+        "int32_t h, int32_t w, const float *cells, int32_t columns, const float *shape, float soft, float share, "
+        "const uint8_t *mask, int16_t *gain, int32_t *part",
         "render_shadow.c",
     ),
     Function(
@@ -96,9 +115,9 @@ FUNCTIONS = (
         "render_sea",
         "void",
         "int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, "
-        "int32_t columns, const float *small_texels, const float *large_texels, const float *caps_texels, "
-        "const float *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, "
-        "const uint8_t *shade, const uint8_t *white, uint8_t *codes",
+        "int32_t columns, const int16_t *small_texels, const int16_t *large_texels, const int16_t *caps_texels, "
+        "const int16_t *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, "
+        "const double *outlines, const int32_t *outline_points, const float *soft_m, uint8_t *codes",
         "render_sea.c",
     ),
     Function(
@@ -112,14 +131,14 @@ FUNCTIONS = (
         "render_water",
         "void",
         "int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours, "
-        "uint16_t *scene",
+        "const uint8_t *mask, uint16_t *scene",
         "render_sea.c",
     ),
     Function(
         "render_pad_kinds",
         "int32_t",
-        "int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *whole, int32_t rolling, "
-        "int32_t regions, const float *pad, uint8_t *kinds, int32_t *edges",
+        "int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *middles, const float *whole, "
+        "int32_t rolling, int32_t regions, const float *pad, uint8_t *kinds, int32_t *edges",
         "render_pad.c",
     ),
     Function(

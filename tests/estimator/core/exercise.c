@@ -373,7 +373,7 @@ int main(int count, char **files)
     scenes(24);
     report("render_deck render_fill render_smear render_average render_shadow render_sea render_swell "
            "render_water render_pad_kinds render_pad_shares render_expose "
-           "render_mix render_image render_frame render_blur");
+           "render_mix render_image render_frame render_blur render_meet render_bounds");
     registrations(60);
     report("register_pad sighting_in_level");
     alignments(40);
