@@ -4,6 +4,8 @@
 #include "blobs.h"
 
 enum { CHANNELS = 3, SIDE_MAX = 60, AREA_MAX = SIDE_MAX * SIDE_MAX, SHADES = 256, BINS = 64, LARGE = 6, TRIES = 2, FEWEST = 12 };
+/* Histograms that count by turns, and places of a row in the queue. */
+enum { TURNS = 4, QUEUED = 64 };
 /* Standard deviations of a normal distribution in its median absolute deviation, and what a camera's steps and noise add. */
 static const double PER_DEVIATION = 1.4826, STEPS = 2.0;
 /* Noise of the half-size image above which pixels are smoothed twice, values of a pixel. */
@@ -23,6 +25,7 @@ typedef struct {
     int side_x, side_y, left, top, step;
     float px[CHANNELS][AREA_MAX], off[AREA_MAX];
     uint8_t label[AREA_MAX], inside[AREA_MAX];
+    /* Columns and QUEUED times the rows. */
     int16_t queue[AREA_MAX];
 } blob_window;
 
@@ -30,12 +33,18 @@ typedef struct {
 static void load(const uint8_t *px, int64_t stride, int w, int h, int channel, int left, int top, int side_x, int side_y,
                  float *out)
 {
-    for (int i = 0; i < side_y; i++) {
+    const int from = left < 0 ? -left : 0, to = left + side_x > w ? w - left : side_x;
+    for (int i = 0; i < side_y; i++, out += side_x) {
         const int y = top + i, row = y < 0 ? 0 : y < h ? y : h - 1;
-        const uint8_t *at = px + (size_t)row * (size_t)stride + channel;
-        for (int j = 0; j < side_x; j++) {
-            const int x = left + j, column = x < 0 ? 0 : x < w ? x : w - 1;
-            out[i * side_x + j] = (float)at[CHANNELS * column];
+        const uint8_t *at = px + (size_t)row * (size_t)stride + CHANNELS * (left + from) + channel;
+        for (int j = from; j < to; j++, at += CHANNELS) {
+            out[j] = (float)*at;
+        }
+        for (int j = 0; j < from; j++) {
+            out[j] = out[from];
+        }
+        for (int j = to; j < side_x; j++) {
+            out[j] = out[to - 1];
         }
     }
 }
@@ -55,10 +64,19 @@ static void smooth(int side_x, int side_y, const float *in, float *out)
     }
 }
 
+/* Counts of shades, by turns: pixels side by side have the same, and no count waits for the one before. */
+typedef struct {
+    int32_t of[TURNS][SHADES];
+} shade_counts;
+
 /* The shade below which half of the counted pixels are. */
-static double median(const int32_t count[SHADES], int all)
+static double median(const shade_counts *counts, int all)
 {
+    int32_t count[SHADES];
     int below = 0, k = 0;
+    for (int shade = 0; shade < SHADES; shade++) {
+        count[shade] = counts->of[0][shade] + counts->of[1][shade] + counts->of[2][shade] + counts->of[3][shade];
+    }
     while (k < SHADES - 1 && 2 * (below + count[k]) < all) {
         below += count[k++];
     }
@@ -70,25 +88,25 @@ static void compare(blob_window *o, int channel, float share)
 {
     const int area = o->side_x * o->side_y;
     float *px = o->px[channel];
-    int32_t count[SHADES];
+    shade_counts counts;
     int around = 0;
-    memset(count, 0, sizeof count);
+    memset(&counts, 0, sizeof counts);
     for (int k = 0; k < area; k++) {
         if (!o->inside[k]) {
-            count[(int)(px[k] + 0.5f)]++;
+            counts.of[k % TURNS][(int)(px[k] + 0.5f)]++;
             around++;
         }
     }
-    const float mean = (float)median(count, around);
-    memset(count, 0, sizeof count);
+    const float mean = (float)median(&counts, around);
+    memset(&counts, 0, sizeof counts);
     for (int k = 0; k < area; k++) {
         px[k] -= mean;
         if (!o->inside[k]) {
             const int size = (int)(fabsf(px[k]) + 0.5f);
-            count[size < SHADES ? size : SHADES - 1]++;
+            counts.of[k % TURNS][size < SHADES ? size : SHADES - 1]++;
         }
     }
-    const float by = (float)(1.0 / (PER_DEVIATION * fmax(0.0, median(count, around)) + STEPS));
+    const float by = (float)(1.0 / (PER_DEVIATION * fmax(0.0, median(&counts, around)) + STEPS));
     for (int k = 0; k < area; k++) {
         o->off[k] += share * (px[k] * by) * (px[k] * by);
     }
@@ -103,9 +121,11 @@ static int place(const blob_peak *peak, int w, int h, blob_window *o)
     o->left = x > reach ? x - reach : 0, o->top = y > reach ? y - reach : 0;
     o->side_x = (x + reach < w ? x + reach : w) - o->left;
     o->side_y = (y + reach < h ? y + reach : h) - o->top;
-    for (int k = 0; k < o->side_x * o->side_y; k++) {
-        const int dx = k % o->side_x + o->left - x, dy = k / o->side_x + o->top - y;
-        o->inside[k] = dx < half && dx >= -half && dy < half && dy >= -half;
+    uint8_t *inside = o->inside;
+    for (int dy = o->top - y; dy < o->top - y + o->side_y; dy++) {
+        for (int dx = o->left - x; dx < o->left - x + o->side_x; dx++) {
+            *inside++ = dx < half && dx >= -half && dy < half && dy >= -half;
+        }
     }
     return x >= half && y >= half && x + half <= w && y + half <= h && o->side_x > 2 * half && o->side_y > 2 * half;
 }
@@ -167,16 +187,16 @@ static int flood(blob_window *o, int start, int near, uint8_t from, uint8_t to)
 {
     static const int ACROSS[] = {1, 0, -1, 0, 1, -1, -1, 1}, DOWN[] = {0, 1, 0, -1, 1, 1, -1, -1};
     int n = 1, inside = 0;
-    o->queue[0] = (int16_t)start;
+    o->queue[0] = (int16_t)(start / o->side_x * QUEUED + start % o->side_x);
     o->label[start] = to;
     while (n > 0) {
-        const int k = o->queue[--n], x = k % o->side_x, y = k / o->side_x;
-        inside += o->inside[k];
+        const int at = o->queue[--n], x = at % QUEUED, y = at / QUEUED;
+        inside += o->inside[y * o->side_x + x];
         for (int i = 0; i < near; i++) {
             const int column = x + ACROSS[i], row = y + DOWN[i], next = row * o->side_x + column;
             if (column >= 0 && row >= 0 && column < o->side_x && row < o->side_y && o->label[next] == from) {
                 o->label[next] = to;
-                o->queue[n++] = (int16_t)next;
+                o->queue[n++] = (int16_t)(row * QUEUED + column);
             }
         }
     }
@@ -234,9 +254,12 @@ static double mean_off(const blob_window *o)
 /* Mark what the component does not enclose. */
 static void mark_outside(blob_window *o)
 {
-    for (int k = 0; k < o->side_x * o->side_y; k++) {
-        if (on_border(o, k) && o->label[k] == NOTHING) {
-            flood(o, k, 4, NOTHING, OUTSIDE);
+    for (int y = 0; y < o->side_y; y++) {
+        const int each = y == 0 || y == o->side_y - 1 || o->side_x == 1 ? 1 : o->side_x - 1;
+        for (int x = 0; x < o->side_x; x += each) {
+            if (o->label[y * o->side_x + x] == NOTHING) {
+                flood(o, y * o->side_x + x, 4, NOTHING, OUTSIDE);
+            }
         }
     }
 }
@@ -245,12 +268,14 @@ static void mark_outside(blob_window *o)
 static int moments(const blob_window *o, blob_ellipse *out)
 {
     double n = 0.0, x = 0.0, y = 0.0, xx = 0.0, xy = 0.0, yy = 0.0, light = 0.0;
-    for (int k = 0; k < o->side_x * o->side_y; k++) {
-        if (o->label[k] != OUTSIDE) {
-            const double u = k % o->side_x, v = k / o->side_x;
-            n += 1.0;
-            x += u, y += v, xx += u * u, xy += u * v, yy += v * v;
-            light += o->label[k] == CHOSEN ? (double)o->px[0][k] : 0.0;
+    for (int row = 0, k = 0; row < o->side_y; row++) {
+        for (int column = 0; column < o->side_x; column++, k++) {
+            if (o->label[k] != OUTSIDE) {
+                const double u = column, v = row;
+                n += 1.0;
+                x += u, y += v, xx += u * u, xy += u * v, yy += v * v;
+                light += o->label[k] == CHOSEN ? (double)o->px[0][k] : 0.0;
+            }
         }
     }
     const double by = 4.0 * o->step * o->step, cx = x / n, cy = y / n;

@@ -44,53 +44,52 @@ int64_t blob_room(const blob_image *image)
     return SUMS * sums_of(image) + 2 * scores_of(image) + ROWS * cells_of(image->width);
 }
 
-/* A cell's sum of one channel, or of the squares of all. */
-static uint32_t cell_sum(const uint8_t *at, int64_t stride, int channel, int channels)
+/* The sums of one row of cells of each channel, and of the squares of all, added to those above. */
+static void add_row(const blob_image *image, const uint8_t *px, size_t side, size_t channels, uint32_t *const sums[SUMS])
 {
-    uint32_t sum = 0;
-    for (int k = 0; k < CELL; k++, at += stride) {
-        if (channel < CHANNELS) {
-            sum += (uint32_t)(at[channel] + at[CHANNELS + channel]);
+    const int w = (int)cells_of(image->width);
+    const uint8_t *below = px + image->stride;
+    uint32_t sum[SUMS] = {0};
+    for (int i = 0; i < w; i++, px += CELL * CHANNELS, below += CELL * CHANNELS) {
+        for (size_t c = 0; c < channels; c++) {
+            const uint32_t one = px[c], two = px[CHANNELS + c], three = below[c], four = below[CHANNELS + c];
+            sum[c] += one + two + three + four;
+            sum[CHANNELS] += one * one + two * two + three * three + four * four;
+            sums[c][side + REACH + 1 + (size_t)i] = sums[c][REACH + 1 + i] + sum[c];
         }
-        for (int c = 0; channel == CHANNELS && c < channels; c++) {
-            sum += (uint32_t)(at[c] * at[c] + at[CHANNELS + c] * at[CHANNELS + c]);
+        sums[CHANNELS][side + REACH + 1 + (size_t)i] = sums[CHANNELS][REACH + 1 + i] + sum[CHANNELS];
+    }
+    for (int k = 0; k < SUMS; k++) {
+        memset(sums[k] + side, 0, (REACH + 1) * sizeof **sums);
+        for (int i = 0; i < REACH; i++) {
+            sums[k][side + REACH + 1 + (size_t)(w + i)] = sums[k][REACH + 1 + w + i] + sum[k];
         }
-    }
-    return sum;
-}
-
-/* The sums of one row of cells, added to those above. */
-static void add_row(const blob_image *image, const uint8_t *at, int channel, const uint32_t *above, uint32_t *out)
-{
-    const int w = (int)cells_of(image->width), channels = image->grey ? 1 : CHANNELS;
-    uint32_t sum = 0;
-    memcpy(out, above, (REACH + 1) * sizeof *out);
-    for (int i = 0; i < w; i++, at += CELL * CHANNELS) {
-        sum += cell_sum(at, image->stride, channel, channels);
-        out[REACH + 1 + i] = above[REACH + 1 + i] + sum;
-    }
-    for (int i = 0; i < REACH; i++) {
-        out[REACH + 1 + w + i] = above[REACH + 1 + w + i] + sum;
     }
 }
 
 static void integrals(const blob_image *image, const uint8_t *px, uint32_t *scratch, blob_sums *out)
 {
     const size_t all = (size_t)sums_of(image);
+    uint32_t *sums[SUMS];
     out->width = (int)cells_of(image->width), out->height = (int)cells_of(image->height);
     out->side = out->width + 2 * REACH + 1;
     out->channels = image->grey ? 1 : CHANNELS;
     const size_t side = (size_t)out->side;
     for (int k = 0; k < SUMS; k++) {
-        uint32_t *sum = scratch + (size_t)k * all;
-        out->sum[k] = sum;
-        memset(sum, 0, (REACH + 1) * side * sizeof *sum);
-        sum += REACH * side;
-        for (int row = 0; row < out->height; row++, sum += side) {
-            add_row(image, px + (size_t)row * CELL * (size_t)image->stride, k < out->channels ? k : CHANNELS, sum, sum + side);
+        sums[k] = scratch + (size_t)k * all;
+        out->sum[k] = sums[k];
+        memset(sums[k], 0, (REACH + 1) * side * sizeof *scratch);
+        sums[k] += REACH * side;
+    }
+    for (int row = 0; row < out->height; row++) {
+        add_row(image, px + (size_t)row * CELL * (size_t)image->stride, side, (size_t)out->channels, sums);
+        for (int k = 0; k < SUMS; k++) {
+            sums[k] += side;
         }
-        for (int row = 0; row < REACH; row++, sum += side) {
-            memcpy(sum + side, sum, side * sizeof *sum);
+    }
+    for (int k = 0; k < SUMS; k++) {
+        for (int row = 0; row < REACH; row++, sums[k] += side) {
+            memcpy(sums[k] + side, sums[k], side * sizeof *scratch);
         }
     }
 }

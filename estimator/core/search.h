@@ -12,6 +12,13 @@ typedef struct {
     int32_t *first;
 } edge_list;
 
+/* Edges that may belong to one circle, and where they meet the plane, (n, 2). */
+typedef struct {
+    int n;
+    int32_t *edge;
+    double *places;
+} edge_choice;
+
 /* The image in blocks: corners on the plane at unit distance, and the pixels per unit of the plane, (2, 2). */
 typedef struct {
     int columns, rows;
@@ -31,9 +38,13 @@ typedef struct {
     uint16_t *strength;
     block_grid blocks;
     edge_list edges;
+    /* Of one row: the least strength of an edge at each pixel, and where ridges are, with room for eight more. */
+    int16_t *least;
+    uint8_t *marks;
     uint8_t *votes;
     uint16_t *row;
     vote_tiles tiles;
+    edge_choice chosen;
 } search_rows;
 
 /* A place of many votes. */

@@ -30,9 +30,9 @@ int64_t search_divide(const search_image *image, float *scratch, search_rows *r)
     t->rows = (int)((high + TILE_CELLS - 1) / TILE_CELLS);
     const int64_t blocks = (int64_t)b->columns * b->rows, tiles = (int64_t)t->columns * t->rows;
     const int64_t sizes[] = {
-        (n + 1) / 2, (n + 1) / 2, (n + 1) / 2, 2 * (b->columns + 1) * (int64_t)(b->rows + 1), 4 * blocks, blocks,
-        room, room, room, room, h + 1, (2 * SEARCH_RADII * columns * high + 3) / 4, columns,
-        5 * (tiles > blocks ? tiles : blocks), 2 * tiles,
+        4 * room, (n + 1) / 2, (n + 1) / 2, (n + 1) / 2, 2 * (b->columns + 1) * (int64_t)(b->rows + 1), 4 * blocks, blocks,
+        room, room, room, room, h + 1, (2 * SEARCH_RADII * columns * high + 4) / 4, columns + TILE_CELLS,
+        5 * (tiles > blocks ? tiles : blocks), 2 * tiles, (w + 1) / 2, (w + 11) / 4, room,
     };
     enum { COUNT = sizeof sizes / sizeof *sizes };
     float *at = scratch, *parts[COUNT];
@@ -41,13 +41,16 @@ int64_t search_divide(const search_image *image, float *scratch, search_rows *r)
         parts[k] = next(&at, sizes[k]);
         total += sizes[k];
     }
-    r->slope_x = (int16_t *)(void *)parts[0], r->slope_y = (int16_t *)(void *)parts[1];
-    r->strength = (uint16_t *)(void *)parts[2];
-    b->corners = parts[3], b->scale = parts[4], b->least = parts[5];
-    r->edges.x = parts[6], r->edges.y = parts[7], r->edges.to_x = parts[8], r->edges.to_y = parts[9];
-    r->edges.first = (int32_t *)(void *)parts[10];
-    r->votes = (uint8_t *)(void *)parts[11], r->row = (uint16_t *)(void *)parts[12];
-    t->score = parts[13], t->plane = (int32_t *)(void *)parts[14];
+    r->chosen.places = (double *)(void *)parts[0];
+    r->slope_x = (int16_t *)(void *)parts[1], r->slope_y = (int16_t *)(void *)parts[2];
+    r->strength = (uint16_t *)(void *)parts[3];
+    b->corners = parts[4], b->scale = parts[5], b->least = parts[6];
+    r->edges.x = parts[7], r->edges.y = parts[8], r->edges.to_x = parts[9], r->edges.to_y = parts[10];
+    r->edges.first = (int32_t *)(void *)parts[11];
+    r->votes = (uint8_t *)(void *)parts[12], r->row = (uint16_t *)(void *)parts[13];
+    t->score = parts[14], t->plane = (int32_t *)(void *)parts[15];
+    r->least = (int16_t *)(void *)parts[16], r->marks = (uint8_t *)(void *)parts[17];
+    r->chosen.edge = (int32_t *)(void *)parts[18];
     return total;
 }
 

@@ -1,6 +1,7 @@
 #include <math.h>
 #include <stddef.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "search.h"
 #include "wide.h"
@@ -11,6 +12,8 @@ static const float LEAST_STRENGTH = 14.0f, LEAST_RELATIVE = 1.9f;
 static const double LEAST_FACING = 0.15;
 /* Tangent of 67.5 degrees. */
 static const int STEEP_NUM = 169, STEEP_DEN = 70;
+/* More than any strength of Sobel's sums, and marks that are read at once. */
+enum { STRONGEST = 32767, MARKS = 8 };
 
 /* Sobel's gradient of a row, and its length. */
 WIDE
@@ -152,14 +155,31 @@ static void add_edge(int w, int row, int column, const search_rows *rows, const 
     edges->to_y[n] = (scale[2] * u + scale[3] * v) * by;
 }
 
-/* Whether one of a block's pixels in a row is as strong as an edge. */
-static int any_strong(const uint16_t *strength, uint16_t least)
+/* Mark the pixels of a row, `first` to `end`, that are as strong as an edge, and stronger than their neighbours in some direction. */
+WIDE
+static void mark_ridges(int first, int end, ptrdiff_t w, const uint16_t *strength, const int16_t *least, uint8_t *restrict marks)
 {
-    uint16_t any = 0;
-    for (int i = 0; i < SEARCH_BLOCK; i++) {
-        any = (uint16_t)(any | (strength[i] >= least));
+    const int16_t *at = (const int16_t *)(const void *)strength, *above = at - w, *below = at + w;
+    for (int i = first; i < end; i++) {
+        const int16_t here = at[i];
+        const int on_row = (here > at[i - 1]) & (here >= at[i + 1]), on_column = (here > above[i]) & (here >= below[i]);
+        const int on_falling = (here > above[i - 1]) & (here >= below[i + 1]);
+        const int on_rising = (here > below[i - 1]) & (here >= above[i + 1]);
+        marks[i] = (uint8_t)((on_row | on_column | on_falling | on_rising) & (here >= least[i]));
     }
-    return any;
+}
+
+/* The least strength of an edge in each column of a row of blocks. */
+static void least_of_columns(int w, int row_of_blocks, const block_grid *b, int16_t *out)
+{
+    for (int block = 0; block < b->columns; block++) {
+        const float strength = b->least[row_of_blocks * b->columns + block];
+        const int left = block * SEARCH_BLOCK, right = left + SEARCH_BLOCK < w ? left + SEARCH_BLOCK : w;
+        const int16_t least = strength < (float)STRONGEST ? (int16_t)ceilf(strength) : STRONGEST;
+        for (int i = left; i < right; i++) {
+            out[i] = least;
+        }
+    }
 }
 
 void search_edges(const search_image *image, const uint8_t *grey, const float *rays, search_rows *rows)
@@ -173,19 +193,24 @@ void search_edges(const search_image *image, const uint8_t *grey, const float *r
     block_means(image, rows, rows->tiles.score);
     least_strengths(rows->tiles.score, b);
     edges->n = 0;
+    memset(rows->marks, 0, (size_t)w + MARKS);
     for (int row = 0; row < h; row++) {
+        const size_t at = (size_t)row * (size_t)w;
+        const float *scale = b->scale + (size_t)4 * (size_t)(row / SEARCH_BLOCK * b->columns);
         edges->first[row] = edges->n;
-        const uint16_t *strength = rows->strength + (size_t)row * (size_t)w;
-        for (int block = 0; block < b->columns && row > 0 && row < h - 1; block++) {
-            const int at = row / SEARCH_BLOCK * b->columns + block, left = block * SEARCH_BLOCK;
-            const int right = left + SEARCH_BLOCK < w - 1 ? left + SEARCH_BLOCK : w - 1;
-            const uint16_t least = (uint16_t)fminf(65535.0f, ceilf(b->least[at]));
-            if (left + SEARCH_BLOCK <= w && !any_strong(strength + left, least)) {
-                continue;
-            }
-            for (int i = left > 1 ? left : 1; i < right; i++) {
-                if (strength[i] >= least && edges->n < image->room) {
-                    add_edge(w, row, i, rows, b->scale + (size_t)4 * (size_t)at, edges);
+        if (row % SEARCH_BLOCK == 0) {
+            least_of_columns(w, row / SEARCH_BLOCK, b, rows->least);
+        }
+        if (row == 0 || row >= h - 1) {
+            continue;
+        }
+        mark_ridges(1, w - 1, w, rows->strength + at, rows->least, rows->marks);
+        for (int i = 0; i < w; i += MARKS) {
+            uint64_t some;
+            memcpy(&some, rows->marks + i, sizeof some);
+            for (int k = i; some != 0 && k < i + MARKS && edges->n < image->room; k++) {
+                if (rows->marks[k]) {
+                    add_edge(w, row, k, rows, scale + 4 * (k / SEARCH_BLOCK), edges);
                 }
             }
         }

@@ -22,40 +22,48 @@ typedef struct {
     double x, y, xx, xy, yy, zx, zy, z;
 } kasa_sums;
 
-/* Whether an edge belongs to a trial within a tolerance; its place relative to the trial's centre. */
-static int belongs(const search_rows *rows, int i, const trial *t, double tolerance, double at[2])
+/* Whether an edge's gradient points at the trial's place. */
+static int points_at(const edge_list *e, int i, const trial *t)
+{
+    const double dx = (double)(t->x - e->x[i]), dy = (double)(t->y - e->y[i]), tx = (double)e->to_x[i], ty = (double)e->to_y[i];
+    const double along = t->sign * (tx * dx + ty * dy), length = (tx * tx + ty * ty) * (dx * dx + dy * dy);
+    return along > 0.0 && along * along > LEAST_ALONG * LEAST_ALONG * length;
+}
+
+/* Choose the edges in the trial's box that point at its place. None of that depends on the fit. */
+static void choose(const search_image *image, const search_rows *rows, const trial *t, edge_choice *out)
 {
     const edge_list *e = &rows->edges;
-    const double dx = (double)(t->x - e->x[i]), dy = (double)(t->y - e->y[i]);
-    if (fabs(dx) > (double)t->reach || !search_place(&rows->blocks, e->x[i], e->y[i], at)) {
-        return 0;
-    }
-    at[0] -= t->centre[0];
-    at[1] -= t->centre[1];
-    const double d = sqrt(at[0] * at[0] + at[1] * at[1]), tx = (double)e->to_x[i], ty = (double)e->to_y[i];
-    const double along = t->sign * (tx * dx + ty * dy), length = (tx * tx + ty * ty) * (dx * dx + dy * dy);
-    return fabs(d - t->radius) < tolerance * t->radius && along > 0.0 && along * along > LEAST_ALONG * LEAST_ALONG * length;
-}
-
-static void rows_of(const search_image *image, const trial *t, int out[2])
-{
     const double h = (double)image->height;
-    out[0] = (int)fmax(0.0, fmin(h, (double)(t->y - t->reach)));
-    out[1] = (int)fmax(0.0, fmin(h, ceil((double)(t->y + t->reach))));
+    const int top = (int)fmax(0.0, fmin(h, (double)(t->y - t->reach)));
+    const int low = (int)fmax(0.0, fmin(h, ceil((double)(t->y + t->reach))));
+    out->n = 0;
+    for (int i = e->first[top]; i < e->first[low]; i++) {
+        if (fabsf(t->x - e->x[i]) <= t->reach && points_at(e, i, t)
+            && search_place(&rows->blocks, e->x[i], e->y[i], out->places + 2 * out->n)) {
+            out->edge[out->n++] = i;
+        }
+    }
 }
 
-/* Fit a circle to the edges that belong to a trial.
+/* Whether a chosen edge lies on a trial within a tolerance; its place relative to the trial's centre. */
+static int lies_on(const edge_choice *of, int i, const trial *t, double tolerance, double at[2])
+{
+    at[0] = of->places[2 * i] - t->centre[0];
+    at[1] = of->places[2 * i + 1] - t->centre[1];
+    return fabs(sqrt(at[0] * at[0] + at[1] * at[1]) - t->radius) < tolerance * t->radius;
+}
+
+/* Fit a circle to the edges that lie on a trial.
  *
  * Source: Kasa, A circle fitting procedure and its error analysis, IEEE Trans. Instrumentation and Measurement 25, 1976. */
-static int fit_once(const search_image *image, const search_rows *rows, double tolerance, trial *t)
+static int fit_once(const edge_choice *of, double tolerance, trial *t)
 {
     kasa_sums s;
-    int of[2];
     memset(&s, 0, sizeof s);
-    rows_of(image, t, of);
-    for (int i = rows->edges.first[of[0]]; i < rows->edges.first[of[1]]; i++) {
+    for (int i = 0; i < of->n; i++) {
         double at[2];
-        if (belongs(rows, i, t, tolerance, at)) {
+        if (lies_on(of, i, t, tolerance, at)) {
             const double z = at[0] * at[0] + at[1] * at[1];
             s.n++;
             s.x += at[0], s.y += at[1], s.z += z;
@@ -84,24 +92,23 @@ static int fit_once(const search_image *image, const search_rows *rows, double t
 }
 
 /* The edge nearest to the circle in each sector. */
-static int outline(const search_image *image, const search_rows *rows, const trial *t, search_circle *out)
+static int outline(const search_image *image, const search_rows *rows, const edge_choice *of, const trial *t, search_circle *out)
 {
     const double by = SEARCH_SECTORS / (2.0 * acos(-1.0)), step = (double)image->step;
     double nearest[SEARCH_SECTORS];
-    int found[SEARCH_SECTORS], of[2], n = 0;
+    int found[SEARCH_SECTORS], n = 0;
     for (int k = 0; k < SEARCH_SECTORS; k++) {
         nearest[k] = INFINITY;
         found[k] = -1;
     }
-    rows_of(image, t, of);
-    for (int i = rows->edges.first[of[0]]; i < rows->edges.first[of[1]]; i++) {
+    for (int i = 0; i < of->n; i++) {
         double at[2];
-        if (belongs(rows, i, t, TOLERANCE[FITS - 1], at)) {
+        if (lies_on(of, i, t, TOLERANCE[FITS - 1], at)) {
             const int k = ((int)floor((atan2(at[1], at[0]) + acos(-1.0)) * by)) % SEARCH_SECTORS;
             const double off = fabs(sqrt(at[0] * at[0] + at[1] * at[1]) - t->radius);
             if (off < nearest[k]) {
                 nearest[k] = off;
-                found[k] = i;
+                found[k] = of->edge[i];
             }
         }
     }
@@ -125,12 +132,14 @@ int search_fit(const search_image *image, const search_radii *radii, const searc
     }
     const double px = radius * (double)search_scale(&rows->blocks, peak->x, peak->y);
     t.reach = (float)(1.6 * px + 2.0);
+    edge_choice chosen = rows->chosen;
+    choose(image, rows, &t, &chosen);
     for (int k = 0; k < FITS; k++) {
-        if (!fit_once(image, rows, TOLERANCE[k], &t)) {
+        if (!fit_once(&chosen, TOLERANCE[k], &t)) {
             return 0;
         }
     }
-    out->points = outline(image, rows, &t, out);
+    out->points = outline(image, rows, &chosen, &t, out);
     out->bright_inside = peak->bright_inside;
     out->centre[0] = t.centre[0], out->centre[1] = t.centre[1];
     out->radius = t.radius;

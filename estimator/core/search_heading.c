@@ -7,6 +7,8 @@
 #include "wide.h"
 
 enum { CELLS = POLAR_RADII * POLAR_ANGLES, VALUES = 4, LANES = 8 };
+/* Least depth of a cell, m. */
+static const double NEAREST_M = 1e-3;
 /* Area of a paint in view, as a fraction of the whole, below which the paint is ignored. */
 static const double LEAST_PAINT = 1e-3;
 /* Fraction of the disc in view below which nothing is told, and the factor on a score whose paints are on the wrong sides. */
@@ -22,169 +24,263 @@ static const double RESOLVED_PX = 20.0;
 /* The weight of each cell, and with it its blue, green and red, 0..1. */
 typedef struct {
     float of[VALUES][CELLS];
-    double squares, weight, whole;
 } polar_view;
 
-/* Between the four pixels about a place at most half a pixel outside of the image, where the edge is repeated. */
-static void pixel_at(const uint8_t *px, int32_t stride, int w, int h, double u, double v, float out[3])
+/* Sums of weight and light of the whole disc, of its ring, and of what is outside of the ring; of the squares of light; and of the
+ * area in view and of all. */
+typedef struct {
+    double whole[VALUES], ring[VALUES], outside[VALUES], squares, in_view, area;
+} disc_sums;
+
+/* Where the cells lie in the image, and whether they count. */
+typedef struct {
+    double u[CELLS], v[CELLS], depth[CELLS];
+    int32_t counts[CELLS];
+} polar_places;
+
+/* The frame's places of the cells for a lens without distortion, px; those behind it are of no use. */
+WIDE
+static void project_straight(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, polar_places *out)
 {
-    const double x = u > 0.0 ? u < w - 1.0 ? u : w - 1.0 : 0.0, y = v > 0.0 ? v < h - 1.0 ? v : h - 1.0 : 0.0;
-    const int i = (int)x, j = (int)y, right = i + 1 < w ? 3 : 0;
-    const float across = (float)(x - i), along = (float)(y - j);
-    const uint8_t *top = px + (size_t)j * (size_t)stride + 3 * (size_t)i, *low = j + 1 < h ? top + stride : top;
-    for (int c = 0; c < 3; c++) {
-        const float upper = (float)top[c] + across * (float)(top[right + c] - top[c]);
-        const float lower = (float)low[c] + across * (float)(low[right + c] - low[c]);
-        out[c] = upper + along * (lower - upper);
+    const double *R = pose->R, *t = pose->t, fx = c->fx, fy = c->fy, cx = c->cx, cy = c->cy;
+    for (int k = 0; k < CELLS; k++) {
+        const double x = pad->xy_m[2 * k], y = pad->xy_m[2 * k + 1], z = R[6] * x + R[7] * y + t[2];
+        out->u[k] = (R[0] * x + R[1] * y + t[0]) / z * fx + cx;
+        out->v[k] = (R[3] * x + R[4] * y + t[1]) / z * fy + cy;
+        out->depth[k] = z;
     }
 }
 
-static void look(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int w, int h, const uint8_t *px,
-                 int32_t stride, const double *side, polar_view *out)
+static void project_distorted(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, polar_places *out)
 {
-    memset(out, 0, sizeof *out);
-    const double rim_m = RIM_PX * step * pose->t[2] / c->fx, within = pad->radius_m - fmin(rim_m, WIDEST_RIM * pad->radius_m);
     for (int k = 0; k < CELLS; k++) {
-        const double x = pad->xy_m[2 * k], y = pad->xy_m[2 * k + 1], area = pad->area_inside[k / POLAR_ANGLES];
+        const double x = pad->xy_m[2 * k], y = pad->xy_m[2 * k + 1];
         double at[3], uv[2];
-        out->whole += area;
         for (int i = 0; i < 3; i++) {
             at[i] = pose->R[3 * i] * x + pose->R[3 * i + 1] * y + pose->t[i];
         }
-        if (!(at[2] > 1e-3) || x * x + y * y > within * within || (side != NULL && x * side[0] + y * side[1] <= 0.0)) {
-            continue;
-        }
         camera_project(c, at, uv);
-        const double u = (uv[0] + 0.5) / step - 0.5, v = (uv[1] + 0.5) / step - 0.5;
-        if (u > -0.5 && u < w - 0.5 && v > -0.5 && v < h - 0.5) {
-            float seen[3];
-            const float weight = (float)area;
-            pixel_at(px, stride, w, h, u, v, seen);
-            out->of[0][k] = weight;
-            out->weight += area;
-            for (int i = 0; i < 3; i++) {
-                const float light = seen[i] * (1.0f / 255.0f);
-                out->of[1 + i][k] = weight * light;
-                out->squares += area * (double)light * (double)light;
-            }
-        }
+        out->u[k] = uv[0], out->v[k] = uv[1], out->depth[k] = at[2];
     }
 }
 
-/* Weighted light under a shape that is turned by every whole number of cells: correlation along the angle. */
+/* Bring the places to an image `step` times smaller, and choose the cells that it has and that lie within a radius, more than
+ * `beyond` along a direction. */
 WIDE
-static void turned_sums(const polar_view *seen, const double *shape, float out[POLAR_ANGLES][VALUES])
+static void choose(const polar_pad *pad, int32_t step, int w, int h, double within, const double side[2], double beyond,
+                   polar_places *of)
 {
-    memset(out, 0, sizeof(float) * POLAR_ANGLES * VALUES);
+    const double by = 1.0 / step, within2 = within * within, right = w - 0.5, low = h - 0.5;
+    for (int k = 0; k < CELLS; k++) {
+        const double x = pad->xy_m[2 * k], y = pad->xy_m[2 * k + 1];
+        const double u = (of->u[k] + 0.5) * by - 0.5, v = (of->v[k] + 0.5) * by - 0.5;
+        const int in_view = (u > -0.5) & (u < right) & (v > -0.5) & (v < low) & (of->depth[k] > NEAREST_M);
+        of->counts[k] = in_view & (x * x + y * y <= within2) & (x * side[0] + y * side[1] > beyond);
+        of->u[k] = u > 0.0 ? u < w - 1.0 ? u : w - 1.0 : 0.0;
+        of->v[k] = v > 0.0 ? v < h - 1.0 ? v : h - 1.0 : 0.0;
+    }
+}
+
+/* The four pixels about each cell that counts, its blue, green and red in the three lowest bytes: at left and at right of the row
+ * above, then below. */
+typedef struct {
+    uint32_t pixel[4][CELLS];
+} polar_corners;
+
+static inline uint32_t pixel(const uint8_t *at)
+{
+    return (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16;
+}
+
+static void read_corners(int w, int h, const uint8_t *px, int32_t stride, const polar_places *at, polar_corners *out)
+{
+    for (int k = 0; k < CELLS; k++) {
+        const int i = (int)at->u[k], j = (int)at->v[k], right = i + 1 < w ? 3 : 0;
+        const uint8_t *top = px + (size_t)j * (size_t)stride + 3 * (size_t)i, *low = j + 1 < h ? top + stride : top;
+        out->pixel[0][k] = pixel(top), out->pixel[1][k] = pixel(top + right);
+        out->pixel[2][k] = pixel(low), out->pixel[3][k] = pixel(low + right);
+    }
+}
+
+/* One channel of each cell between its four pixels, 0..1. */
+WIDE
+static void between(const polar_places *at, const polar_corners *of, int channel, float *restrict out)
+{
+    const int shift = 8 * channel;
+    for (int k = 0; k < CELLS; k++) {
+        const float across = (float)(at->u[k] - (int)at->u[k]), along = (float)(at->v[k] - (int)at->v[k]);
+        const int top = (int)(of->pixel[0][k] >> shift & 255), top_right = (int)(of->pixel[1][k] >> shift & 255);
+        const int low = (int)(of->pixel[2][k] >> shift & 255), low_right = (int)(of->pixel[3][k] >> shift & 255);
+        const float upper = (float)top + across * (float)(top_right - top);
+        const float lower = (float)low + across * (float)(low_right - low);
+        out[k] = (upper + along * (lower - upper)) * (1.0f / 255.0f);
+    }
+}
+
+/* The light of the cells that count. */
+WIDE
+static void weigh(const polar_pad *pad, const polar_places *at, const float light[3][CELLS], polar_view *out)
+{
     for (int r = 0; r < POLAR_RADII; r++) {
-        float twice[2 * POLAR_ANGLES], any = 0.0f;
-        for (int a = 0; a < POLAR_ANGLES; a++) {
-            twice[a] = twice[a + POLAR_ANGLES] = (float)shape[POLAR_ANGLES * r + a];
-            any += twice[a];
-        }
-        for (int k = 0; k < POLAR_ANGLES && any > 0.0f; k++) {
-            float *under = twice + POLAR_ANGLES - k;
-            for (int value = 0; value < VALUES; value++) {
-                float8 sum = {0.0f};
-                const float *row = seen->of[value] + POLAR_ANGLES * r;
-                for (int a = 0; a < POLAR_ANGLES; a += LANES) {
-                    float8 light;
-                    memcpy(&light, row + a, sizeof light);
-                    sum += *eight(under + a) * light;
-                }
-                out[k][value] += ((sum[0] + sum[4]) + (sum[1] + sum[5])) + ((sum[2] + sum[6]) + (sum[3] + sum[7]));
+        const float weight = (float)pad->area_inside[r];
+        for (int k = POLAR_ANGLES * r; k < POLAR_ANGLES * (r + 1); k++) {
+            out->of[0][k] = at->counts[k] ? weight : 0.0f;
+            for (int i = 0; i < 3; i++) {
+                out->of[1 + i][k] = at->counts[k] ? weight * light[i][k] : 0.0f;
             }
         }
     }
 }
 
-/* Sums of weight and light of some cells. */
-typedef struct {
-    double whole[VALUES], ring[VALUES], outside[VALUES];
-} disc_sums;
-
-/* The sums of the whole disc, of its ring, and of what lies outside of the ring. */
-static void sums_of(const polar_view *seen, const polar_pad *pad, disc_sums *out)
+/* The sums of the whole disc, of its ring, and of what lies outside of the ring; and of the squares of light. */
+static void add_up(const polar_pad *pad, const polar_places *at, const float light[3][CELLS], const polar_view *seen, disc_sums *out)
 {
     int outermost = POLAR_RADII - 1;
     while (outermost > 0 && !(pad->ring[outermost] > 0.0)) {
         outermost--;
     }
     memset(out, 0, sizeof *out);
-    for (int value = 0; value < VALUES; value++) {
-        for (int r = 0; r < POLAR_RADII; r++) {
-            double sum = 0.0;
-            for (int a = 0; a < POLAR_ANGLES; a++) {
-                sum += (double)seen->of[value][POLAR_ANGLES * r + a];
+    for (int r = 0; r < POLAR_RADII; r++) {
+        const double area = pad->area_inside[r];
+        double sum[VALUES] = {0.0};
+        for (int k = POLAR_ANGLES * r; k < POLAR_ANGLES * (r + 1); k++) {
+            const double counted = at->counts[k] ? area : 0.0;
+            out->area += area;
+            out->in_view += counted;
+            for (int value = 0; value < VALUES; value++) {
+                sum[value] += (double)seen->of[value][k];
             }
-            out->whole[value] += sum;
-            out->ring[value] += sum * pad->ring[r];
-            out->outside[value] += r > outermost ? sum : 0.0;
+            for (int i = 0; i < 3; i++) {
+                out->squares += counted * (double)light[i][k] * (double)light[i][k];
+            }
+        }
+        for (int value = 0; value < VALUES; value++) {
+            out->whole[value] += sum[value];
+            out->ring[value] += sum[value] * pad->ring[r];
+            out->outside[value] += r > outermost ? sum[value] : 0.0;
         }
     }
 }
 
-/* How much brighter the ring is in red than the disc about it, or than the disc outside of it where pixels mix it with the H. */
-static double ring_over_disc(const double ring[VALUES], const double disc[VALUES], const float arrow[VALUES], const disc_sums *of,
-                             double least, int resolved)
+static void look(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int w, int h, const uint8_t *px,
+                 int32_t stride, const double *side, polar_view *out, disc_sums *sums)
 {
-    const double n = of->outside[0] - (double)arrow[0], outside = of->outside[VALUES - 1] - (double)arrow[VALUES - 1];
-    const double beside = resolved || !(n > least) ? disc[VALUES - 1] / disc[0] : outside / n;
-    return ring[VALUES - 1] / ring[0] - beside;
+    const double rim_m = RIM_PX * step * pose->t[2] / c->fx, within = pad->radius_m - fmin(rim_m, WIDEST_RIM * pad->radius_m);
+    const double any_side[2] = {0.0, 0.0};
+    polar_places at;
+    polar_corners of;
+    float light[3][CELLS];
+    if (c->distorted) {
+        project_distorted(c, pad, pose, &at);
+    } else {
+        project_straight(c, pad, pose, &at);
+    }
+    choose(pad, step, w, h, within, side ? side : any_side, side ? 0.0 : -1.0, &at);
+    read_corners(w, h, px, stride, &at, &of);
+    for (int i = 0; i < 3; i++) {
+        between(&at, &of, i, light[i]);
+    }
+    weigh(pad, &at, (const float(*)[CELLS])light, out);
+    add_up(pad, &at, (const float(*)[CELLS])light, out, sums);
 }
 
-/* The variance between the paints at one heading, as a fraction of all; less if a paint lies on the wrong side of another. */
-static double score_at(const float h[VALUES], const float arrow[VALUES], const disc_sums *of, double least, double spread,
-                       double polarity, int resolved)
+/* A cell's numbers times those of a shape at eight turns, summed over every eighth cell of a ring. */
+static inline void eighths(const polar_view *seen, int ring, int first, const float *under, float8 out[VALUES])
 {
-    double paint[3][VALUES], mean[3][3], between = 0.0, right = 1.0;
+    const float8 none = {0.0f};
     for (int value = 0; value < VALUES; value++) {
-        paint[0][value] = (double)h[value];
-        paint[1][value] = of->ring[value] + (double)arrow[value];
-        paint[2][value] = of->whole[value] - paint[0][value] - paint[1][value];
+        out[value] = none;
     }
-    for (int c = 0; c < 3; c++) {
-        between -= of->whole[1 + c] * of->whole[1 + c] / of->whole[0];
-        for (int k = 0; k < 3; k++) {
-            mean[k][c] = paint[k][1 + c] / fmax(paint[k][0], least);
-            between += paint[k][0] > least ? paint[k][1 + c] * mean[k][c] : 0.0;
+    for (int a = first; a < POLAR_ANGLES; a += LANES) {
+        const float8 shape = *eight_of(under - a);
+        for (int value = 0; value < VALUES; value++) {
+            out[value] += shape * seen->of[value][ring + a];
         }
     }
-    if (paint[2][0] > least) {
-        for (int c = 0; c < 3 && paint[0][0] > least; c++) {
-            right = fmin(right, polarity * (mean[0][c] - mean[2][c]));
+}
+
+/* Weighted light under a shape that is turned by every whole number of cells: correlation along the angle. */
+WIDE
+static void turned_sums(const polar_view *seen, const double *shape, float out[VALUES][POLAR_ANGLES])
+{
+    memset(out, 0, sizeof(float) * POLAR_ANGLES * VALUES);
+    for (int ring = 0; ring < CELLS; ring += POLAR_ANGLES) {
+        /* Backwards, so that turns by one cell more lie one place further. */
+        float twice[2 * POLAR_ANGLES], any = 0.0f;
+        for (int a = 0; a < POLAR_ANGLES; a++) {
+            twice[POLAR_ANGLES - 1 - a] = twice[2 * POLAR_ANGLES - 1 - a] = (float)shape[ring + a];
+            any += (float)shape[ring + a];
         }
-        const double ring = paint[1][0] > least ? ring_over_disc(paint[1], paint[2], arrow, of, least, resolved) : polarity;
-        right = fmin(right, polarity * ring);
+        for (int turn = 0; turn < POLAR_ANGLES && any > 0.0f; turn += LANES) {
+            float8 sum[LANES][VALUES];
+            for (int k = 0; k < LANES; k++) {
+                eighths(seen, ring, k, twice + POLAR_ANGLES - 1 + turn, sum[k]);
+            }
+            for (int value = 0; value < VALUES; value++) {
+                const float8 even = (sum[0][value] + sum[4][value]) + (sum[1][value] + sum[5][value]);
+                *eight(out[value] + turn) += even + ((sum[2][value] + sum[6][value]) + (sum[3][value] + sum[7][value]));
+            }
+        }
     }
-    return (right > 0.0 ? 1.0 : WRONG_SIDE) * between / spread;
+}
+
+/* At each heading the variance between the paints, as a fraction of all; less if a paint lies on the wrong side of another.
+ *
+ * The ring's red is compared with that of the disc about it, or of the disc outside of it where pixels mix it with the H. A paint of
+ * which less than `least` is in view is ignored. */
+WIDE
+static void rate(const float h[VALUES][POLAR_ANGLES], const float arrow[VALUES][POLAR_ANGLES], const disc_sums *of, double least,
+                 double spread, double polarity, int resolved, double score[POLAR_ANGLES])
+{
+    const double *whole = of->whole, *ring = of->ring;
+    for (int k = 0; k < POLAR_ANGLES; k++) {
+        const double n_h = (double)h[0][k], n_ring = ring[0] + (double)arrow[0][k], n_disc = whole[0] - n_h - n_ring;
+        const double some_h = n_h > least ? n_h : least, some_ring = n_ring > least ? n_ring : least;
+        const double some_disc = n_disc > least ? n_disc : least, n_outside = of->outside[0] - (double)arrow[0][k];
+        double between = 0.0, apart = 1.0, red_ring = 0.0, red_disc = 0.0;
+        for (int c = 1; c < VALUES; c++) {
+            const double in_h = (double)h[c][k], in_ring = ring[c] + (double)arrow[c][k], in_disc = whole[c] - in_h - in_ring;
+            const double mean_h = in_h / some_h, mean_disc = in_disc / some_disc;
+            red_ring = in_ring / some_ring, red_disc = mean_disc;
+            between -= whole[c] * whole[c] / whole[0];
+            between += n_h > least ? in_h * mean_h : 0.0;
+            between += n_ring > least ? in_ring * red_ring : 0.0;
+            between += n_disc > least ? in_disc * mean_disc : 0.0;
+            const double over_disc = polarity * (mean_h - mean_disc);
+            apart = over_disc < apart ? over_disc : apart;
+        }
+        const double red_outside = (of->outside[VALUES - 1] - (double)arrow[VALUES - 1][k]) / n_outside;
+        const double beside = resolved | !(n_outside > least) ? red_disc : red_outside;
+        const int h_wrong = (n_h > least) & !(apart > 0.0), ring_wrong = (n_ring > least) & !(polarity * (red_ring - beside) > 0.0);
+        score[k] = ((n_disc > least) & (h_wrong | ring_wrong) ? WRONG_SIDE : 1.0) * between / spread;
+    }
 }
 
 int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int32_t width,
                        int32_t height, const uint8_t *px, int32_t stride, const double *side, polar_fit *out)
 {
     polar_view seen;
-    float h[POLAR_ANGLES][VALUES], arrow[POLAR_ANGLES][VALUES];
+    float h[VALUES][POLAR_ANGLES], arrow[VALUES][POLAR_ANGLES];
     double score[POLAR_ANGLES];
     disc_sums of;
-    look(c, pad, pose, step, width, height, px, stride, side, &seen);
-    if (!(seen.weight >= LEAST_IN_VIEW * seen.whole)) {
+    look(c, pad, pose, step, width, height, px, stride, side, &seen, &of);
+    if (!(of.in_view >= LEAST_IN_VIEW * of.area)) {
         return 0;
     }
-    sums_of(&seen, pad, &of);
     const int resolved = c->fx * pad->radius_m >= RESOLVED_PX * step * pose->t[2];
-    double spread = seen.squares;
+    double spread = of.squares;
     for (int k = 0; k < 3; k++) {
         spread -= of.whole[1 + k] * of.whole[1 + k] / of.whole[0];
     }
-    if (!(spread > 1e-6 * seen.whole)) {
+    if (!(spread > 1e-6 * of.area)) {
         return 0;
     }
     turned_sums(&seen, pad->h_marking, h);
     turned_sums(&seen, pad->arrow, arrow);
+    rate((const float(*)[POLAR_ANGLES])h, (const float(*)[POLAR_ANGLES])arrow, &of, LEAST_PAINT * of.area, spread, pad->polarity,
+         resolved, score);
     int best = 0;
     for (int k = 0; k < POLAR_ANGLES; k++) {
-        score[k] = score_at(h[k], arrow[k], &of, LEAST_PAINT * seen.whole, spread, pad->polarity, resolved);
         best = score[k] > score[best] ? k : best;
     }
     const double before = score[(best + POLAR_ANGLES - 1) % POLAR_ANGLES], after = score[(best + 1) % POLAR_ANGLES];
@@ -193,6 +289,6 @@ int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pos
     out->turn_rad = (best + fine) * 2.0 * acos(-1.0) / POLAR_ANGLES;
     out->score = score[best];
     out->arrow = score[best] - score[(best + POLAR_ANGLES / 2) % POLAR_ANGLES];
-    out->in_view = seen.weight / seen.whole;
+    out->in_view = of.in_view / of.area;
     return 1;
 }

@@ -19,19 +19,29 @@ static float radius_of(const search_radii *radii, int k)
     return (float)(radii->least * pow(radii->ratio, k));
 }
 
-/* One vote of each edge for the centre of a circle of this radius.
- *
- * Source: Loy and Zelinsky, Fast radial symmetry for detecting points of interest, PAMI 25(8), 2003, section 3. */
-static void vote(const edge_list *edges, float radius, float margin, int columns, int rows, uint8_t *out)
+/* The cell of the centre of a circle of this radius that each edge belongs to; `outside` beyond the cells. */
+WIDE
+static void cells_of(const edge_list *edges, float radius, float margin, int columns, int rows, int32_t *restrict out)
 {
     const float by = 1.0f / SEARCH_CELL, right = (float)columns, low = (float)rows;
     const float *at_x = edges->x, *at_y = edges->y, *to_x = edges->to_x, *to_y = edges->to_y;
+    const int32_t outside = columns * rows;
     for (int i = 0, n = edges->n; i < n; i++) {
         const float x = (at_x[i] + radius * to_x[i] + margin) * by, y = (at_y[i] + radius * to_y[i] + margin) * by;
-        if (x >= 0.0f && y >= 0.0f && x < right && y < low) {
-            uint8_t *cell = out + (size_t)(int)y * (size_t)columns + (size_t)(int)x;
-            *cell = (uint8_t)(*cell + (*cell < MOST_VOTES));
-        }
+        const int inside = (x >= 0.0f) & (y >= 0.0f) & (x < right) & (y < low);
+        const int32_t cell = (int32_t)(inside ? y : 0.0f) * columns + (int32_t)(inside ? x : 0.0f);
+        out[i] = inside ? cell : outside;
+    }
+}
+
+/* One vote of each edge for its cell. Votes beyond the cells are counted in the last one, which is none of them.
+ *
+ * Source: Loy and Zelinsky, Fast radial symmetry for detecting points of interest, PAMI 25(8), 2003, section 3. */
+static void vote(int n, const int32_t *cells, uint8_t *out)
+{
+    for (int i = 0; i < n; i++) {
+        uint8_t *cell = out + cells[i];
+        *cell = (uint8_t)(*cell + (*cell < MOST_VOTES));
     }
 }
 
@@ -49,26 +59,46 @@ static void windows(int columns, const uint8_t *here, const uint8_t *below, int 
     }
 }
 
+/* The largest of each number and the seven after it; those that one of a row's tiles begins with are the tiles'. */
+WIDE
+static void largest_of_eight(int columns, uint16_t *row)
+{
+    for (int apart = 1; apart < TILE_CELLS; apart *= 2) {
+        for (int i = 0; i < columns; i++) {
+            row[i] = row[i] > row[i + apart] ? row[i] : row[i + apart];
+        }
+    }
+}
+
+/* The sum of each number and the seven after it. */
+WIDE
+static void sums_of_eight(int columns, uint16_t *row)
+{
+    for (int apart = 1; apart < TILE_CELLS; apart *= 2) {
+        for (int i = 0; i < columns; i++) {
+            row[i] = (uint16_t)(row[i] + row[i + apart]);
+        }
+    }
+}
+
 /* The largest window and the mean of the votes of each tile. */
 static void rate_tiles(int columns, int rows, const uint8_t *votes, uint16_t *row, const vote_tiles *tiles, float *most,
                        float *mean)
 {
+    const size_t length = (size_t)columns + TILE_CELLS;
     for (int i = 0; i < tiles->rows; i++) {
         const int top = i * TILE_CELLS, low = top + TILE_CELLS < rows ? top + TILE_CELLS : rows;
-        memset(row, 0, 2 * (size_t)columns * sizeof *row);
+        memset(row, 0, 2 * length * sizeof *row);
         for (int k = top; k < low; k++) {
             const uint8_t *here = votes + (size_t)k * (size_t)columns;
-            windows(columns, here, here + columns, k == rows - 1, row, row + columns);
+            windows(columns, here, here + columns, k == rows - 1, row, row + length);
         }
+        largest_of_eight(columns, row);
+        sums_of_eight(columns, row + length);
         for (int j = 0; j < tiles->columns; j++) {
             const int left = j * TILE_CELLS, right = left + TILE_CELLS < columns ? left + TILE_CELLS : columns;
-            uint32_t sum = 0, best = 0;
-            for (int k = left; k < right; k++) {
-                best = row[k] > best ? row[k] : best;
-                sum += row[columns + k];
-            }
-            most[i * tiles->columns + j] = (float)best;
-            mean[i * tiles->columns + j] = (float)sum / (float)((right - left) * (low - top));
+            most[i * tiles->columns + j] = (float)row[left];
+            mean[i * tiles->columns + j] = (float)row[length + (size_t)left] / (float)((right - left) * (low - top));
         }
     }
 }
@@ -111,16 +141,20 @@ void search_votes(const search_image *image, const search_radii *radii, search_r
         t->plane[k] = -1;
     }
     outlines(image, &rows->blocks, t, unit);
-    memset(rows->votes, 0, plane_cells * (size_t)planes);
     for (int plane = 0; plane < planes; plane++) {
         uint8_t *votes = rows->votes + plane_cells * (size_t)plane;
         const float radius = radius_of(radii, plane / 2);
-        vote(&rows->edges, plane % 2 ? radius : -radius, (float)image->margin, columns, high, votes);
+        cells_of(&rows->edges, plane % 2 ? radius : -radius, (float)image->margin, columns, high, rows->chosen.edge);
+        memset(votes, 0, plane_cells);
+        vote(rows->edges.n, rows->chosen.edge, votes);
         rate_tiles(columns, high, votes, rows->row, t, most, mean);
         for (int k = 0; k < tiles; k++) {
             const int at = plane % 2 * tiles + k;
-            const float around = radius * unit[k], root = sqrtf(around);
-            const float least = fmaxf(LEAST_FRACTION * around, t->score[at] * root);
+            const float around = radius * unit[k], some = LEAST_FRACTION * around;
+            if (!(most[k] > some)) {
+                continue;
+            }
+            const float root = sqrtf(around), best = t->score[at] * root, least = best > some ? best : some;
             if (!(most[k] > least)) {
                 continue;
             }

@@ -1,4 +1,4 @@
-/* Vectors of the compiler (gcc, clang): four and eight floats at once, whatever the machine's registers hold. */
+/* Vectors of the compiler (gcc, clang): four and eight numbers at once, whatever the machine's registers hold. */
 #ifndef DECKLANDER_VECTORS_H
 #define DECKLANDER_VECTORS_H
 
@@ -6,12 +6,14 @@
 
 typedef float float4 __attribute__((vector_size(16)));
 typedef float float8 __attribute__((vector_size(32), aligned(4), may_alias));
-typedef int16_t short4 __attribute__((vector_size(8), aligned(2), may_alias));
+typedef double double4 __attribute__((vector_size(32)));
+typedef int32_t int4 __attribute__((vector_size(16)));
 
-/* Four small integers in a row, as floats. */
+/* Four small integers in a row, as floats. Compilers turn integers of their size into floats together, and smaller ones one by one. */
 static inline float4 four_of(const int16_t *from)
 {
-    return __builtin_convertvector(*(const short4 *)(const void *)from, float4);
+    const int4 wide = {from[0], from[1], from[2], from[3]};
+    return __builtin_convertvector(wide, float4);
 }
 
 /* Between the numbers at a and those at b. */
