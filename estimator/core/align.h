@@ -42,9 +42,9 @@ typedef struct {
     double spread;
 } painted;
 
-/* Sums of fit_sums of the samples' numbers: coverage (4), light (3) and one. */
-enum { FIT_NUMBERS = 8 };
-typedef float8 fit_sums[FIT_NUMBERS];
+/* Sums over samples of their numbers, coverage (4), light (3) and one: times each coverage, then as they are, then squared. */
+enum { SUM_ONCE = 4, SUM_SQUARED = 5, SUM_ROWS = 6 };
+typedef float8 fit_sums[SUM_ROWS];
 
 /* The light of a part; `with_local` also makes `local`. What is in `spare`, 6 rows, is lost. */
 void align_light(const camera_lens *c, const pad_template *p, const frame_part *part, const uint8_t *px, int32_t stride,
@@ -100,14 +100,16 @@ double align_sum(const float8 *lanes);
 /* The fraction of the light's weighted variance that the model explains, without what noise of a variance adds to it. */
 double align_explained(const samples *s, double noise_var);
 
-/* Add the fit_sums of a sample's numbers, coverage (4), light (3) and one, to their sums. */
+/* Add a sample's numbers to their sums. */
 static inline void align_add(const samples *s, int i, fit_sums to)
 {
     const float8 number = {s->coverage[0][i], s->coverage[1][i], s->coverage[2][i], s->coverage[3][i],
                            s->light[0][i],    s->light[1][i],    s->light[2][i],    1.0f};
-    for (int k = 0; k < FIT_NUMBERS; k++) {
+    for (int k = 0; k < SUM_ONCE; k++) {
         to[k] += number[k] * number;
     }
+    to[SUM_ONCE] += number;
+    to[SUM_SQUARED] += number * number;
 }
 
 /* The sums of several samples together. */

@@ -10,6 +10,9 @@ enum { WAYS = 24, BINS = 24, ENOUGH = 400, LEAST = 30 };
 /* Least share of the samples on either side of the line, and residual variance that a right drawing leaves anyway. */
 static const double LEAST_LEFT = 0.25, LEAST_COVERED = 0.06, FLOOR = 2e-4;
 
+/* What is certain of a sum of squares after rounding. */
+static const double ROUNDED = 0.999;
+
 /* A line on the pad: its direction and place, and what it is worth. */
 typedef struct {
     double angle, offset_m, value, left;
@@ -33,22 +36,29 @@ static void sum_strips(const samples *s, int every, double angle, double reach_m
     }
 }
 
-/* The best line across a direction, if it is better than `best`. */
+/* The best line across a direction, if it is better than `best`. With each strip on this side the squares that are left can only
+ * grow: those of a line before say of most lines that they are not better. */
 static void try_direction(fit_sums strips[BINS], const fit_sums all, double angle, double reach_m, line *best)
 {
     fit_sums left, covered;
+    double so_far = 0.0;
     const double n = align_number(all);
     memset(left, 0, sizeof left);
     for (int k = 0; k < BINS - 1; k++) {
-        for (int i = 0; i < FIT_NUMBERS; i++) {
+        for (int i = 0; i < SUM_ROWS; i++) {
             left[i] += strips[k][i];
             covered[i] = all[i] - left[i];
         }
         if (align_number(left) < LEAST_LEFT * n || align_number(left) < LEAST || align_number(covered) < LEAST_COVERED * n) {
             continue;
         }
+        const double beyond = cost(align_number(covered), align_varied(covered));
+        if (cost(align_number(left), ROUNDED * so_far) + beyond >= best->value) {
+            continue;
+        }
         const double squares = align_unexplained(left);
-        const double value = cost(align_number(left), squares) + cost(align_number(covered), align_varied(covered));
+        const double value = cost(align_number(left), squares) + beyond;
+        so_far = squares;
         if (value < best->value) {
             best->value = value;
             best->angle = angle;

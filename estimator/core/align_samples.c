@@ -1,11 +1,15 @@
 #include <math.h>
+#include <stddef.h>
 #include <string.h>
 
 #include "align.h"
+#include "lanes.h"
 #include "wide.h"
 
 /* Fewest samples that tell anything. */
 enum { LEAST_SAMPLES = 40 };
+/* Samples between the one that is read and the one whose cells are fetched. */
+enum { AHEAD = 8 };
 /* Length over depth, in `pad`, of a ray beyond which it meets the pad's plane too far away. */
 static const float MOST_PER_DEPTH = 20.0f;
 
@@ -184,11 +188,43 @@ int align_blur(const pad_template *p, double sigma_m)
     return best;
 }
 
+/* The cell of a map before each sample, as `align_cell`, and the ways to the next, along x and along y. */
+WIDE
+static void find_cells(const pad_template *p, samples *s, float *restrict ahead_x, float *restrict ahead_y)
+{
+    const float per_m = (float)p->per_m, mid = (float)(p->n / 2), last = (float)(p->n - 3);
+    const int n = (int)p->n;
+    uint32_t *restrict cells = s->spare;
+    for (int i = 0; i < s->n; i++) {
+        const float x = s->x[i] * per_m + mid, y = s->y[i] * per_m + mid;
+        const float inside_x = x > 1.0f ? x < last ? x : last : 1.0f, inside_y = y > 1.0f ? y < last ? y : last : 1.0f;
+        const int cell_x = (int)inside_x, cell_y = (int)inside_y;
+        ahead_x[i] = inside_x - (float)cell_x;
+        ahead_y[i] = inside_y - (float)cell_y;
+        cells[i] = (uint32_t)(cell_x * n + cell_y);
+    }
+}
+
+/* Bring near what a sample some way ahead needs of a map: it is larger than what lies near a processor. */
+static inline void fetch_rows(const samples *s, const int16_t *map, int i, int down, int first, int end)
+{
+    const uint32_t cell = s->spare[i + AHEAD < s->n ? i + AHEAD : s->n - 1];
+    for (int k = first; k < end; k++) {
+        lanes_fetch((uintptr_t)(map + 4 * (size_t)cell) + (uintptr_t)((ptrdiff_t)sizeof *map * down * k));
+    }
+}
+
 WIDE
 void align_coverage(const pad_template *p, const int16_t *map, samples *s)
 {
+    const int down = 4 * (int)p->n;
+    find_cells(p, s, s->coverage[0], s->coverage[1]);
     for (int i = 0; i < s->n; i++) {
-        const float4 at = align_map_at(p, map, s->x[i], s->y[i]);
+        const float along = s->coverage[0][i], across = s->coverage[1][i];
+        const int16_t *cell = map + 4 * (size_t)s->spare[i];
+        fetch_rows(s, map, i, down, 0, 2);
+        const float4 here = four_between(cell, cell + 4, across), next = four_between(cell + down, cell + down + 4, across);
+        const float4 at = (here + along * (next - here)) * (1.0f / TEMPLATE_ONE);
         for (int k = 0; k < 4; k++) {
             s->coverage[k][i] = at[k];
         }
@@ -204,12 +240,13 @@ void align_coverage(const pad_template *p, const int16_t *map, samples *s)
 WIDE
 static void sample_slopes(const pad_template *p, const int16_t *map, samples *s)
 {
-    const int n = (int)p->n;
+    const int down = 4 * (int)p->n;
     const float one = 1.0f / TEMPLATE_ONE, half = (float)(0.5 * p->per_m) / TEMPLATE_ONE;
+    find_cells(p, s, s->slope_x[0], s->slope_y[0]);
     for (int i = 0; i < s->n; i++) {
-        float fx, fy;
-        const int at_x = align_cell(p, s->x[i], &fx), at_y = align_cell(p, s->y[i], &fy), down = 4 * n;
-        const int16_t *cell = map + 4 * (at_x * n + at_y);
+        const float fx = s->slope_x[0][i], fy = s->slope_y[0][i];
+        const int16_t *cell = map + 4 * (size_t)s->spare[i];
+        fetch_rows(s, map, i, down, -1, 3);
         float4 row[4], column[4];
         for (int k = 0; k < 4; k++) {
             row[k] = four_between(cell + down * (k - 1), cell + down * (k - 1) + 4, fy);

@@ -45,7 +45,7 @@ void align_uncovered(samples *s)
     for (int k = 0; k <= SECTORS; k++) {
         memset(half, 0, sizeof half);
         for (int j = 0; j < (k < SECTORS ? SECTORS / 2 : SECTORS); j++) {
-            for (int i = 0; i < FIT_NUMBERS; i++) {
+            for (int i = 0; i < SUM_ROWS; i++) {
                 half[i] += of[(k + j) % SECTORS][i];
             }
         }
