@@ -1254,7 +1254,7 @@ int64_t search_room(const search_image *image);
 int32_t search_circles(const search_image *image, const uint8_t *grey, const float *rays, const search_radii *radii, float *scratch, search_circle *out);
 
 /* search_guesses.c */
-int32_t search_guesses(const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels, int32_t circles, const search_circle *circle, int32_t most, search_guess *out);
+int32_t search_guesses(const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels, int32_t circles, const search_circle *circle, int64_t *rated, const search_guess *before, int32_t most, search_guess *out);
 
 /* search_heading.c */
 int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int32_t width, int32_t height, const uint8_t *px, int32_t stride, const double *side, polar_fit *out);
@@ -1294,7 +1294,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 1608514156u
+#define INTERFACE_DIGEST 4064248998u
 #endif
 
 #endif

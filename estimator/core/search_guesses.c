@@ -80,27 +80,48 @@ static int stands_of(const search_frame *frame, const search_circle *circle, con
     return 1 + (out[0].known ? 0 : search_tilts((int)circle->points, rays, out + 1));
 }
 
+/* All guesses of one circle, as far as there is room; returns how many. */
+static int32_t guesses_of(const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels,
+                          const search_circle *circle, int32_t most, search_guess *out)
+{
+    double rays[2 * SEARCH_SECTORS], side[2];
+    circle_stand stands[STANDS];
+    int32_t n = 0;
+    for (int i = 0; i < (int)circle->points; i++) {
+        camera_ray(c, circle->outline_px[2 * i], circle->outline_px[2 * i + 1], rays + 2 * i);
+    }
+    const int planes = stands_of(frame, circle, rays, stands);
+    for (int i = 0; i < planes; i++) {
+        const int half = side_of(circle, rays, &stands[i], side);
+        for (int j = 0; j < (int)frame->radii && n < most; j++) {
+            const int fits = frame->sign[j] != (circle->bright_inside ? -1.0 : 1.0);
+            if (fits && guess_of(c, pad, frame, levels, &stands[i], frame->radius_m[j], half ? side : NULL, &out[n])) {
+                out[n++].support = circle->support;
+            }
+        }
+    }
+    return n;
+}
+
 int32_t search_guesses(const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels,
-                       int32_t circles, const search_circle *circle, int32_t most, search_guess *out)
+                       int32_t circles, const search_circle *circle, int64_t *rated, const search_guess *before, int32_t most,
+                       search_guess *out)
 {
     int32_t n = 0;
     double best = 0.0;
     for (int k = 0; k < circles && n < most && best <= PLAIN; k++, circle++) {
-        double rays[2 * SEARCH_SECTORS], side[2];
-        circle_stand stands[STANDS];
-        for (int i = 0; i < (int)circle->points; i++) {
-            camera_ray(c, circle->outline_px[2 * i], circle->outline_px[2 * i + 1], rays + 2 * i);
+        const int32_t first = n;
+        if (rated[k] >= 0) {
+            const int32_t known = (int32_t)rated[k];
+            n += known < most - n ? known : most - n;
+            memcpy(out + first, before, (size_t)(n - first) * sizeof *out);
+            before += known;
+        } else {
+            n += guesses_of(c, pad, frame, levels, circle, most - n, out + n);
+            rated[k] = n < most ? n - first : -1;
         }
-        const int planes = stands_of(frame, circle, rays, stands);
-        for (int i = 0; i < planes; i++) {
-            const int half = side_of(circle, rays, &stands[i], side);
-            for (int j = 0; j < (int)frame->radii && n < most; j++) {
-                const int fits = frame->sign[j] != (circle->bright_inside ? -1.0 : 1.0);
-                if (fits && guess_of(c, pad, frame, levels, &stands[i], frame->radius_m[j], half ? side : NULL, &out[n])) {
-                    best = fmax(best, out[n].drawing);
-                    out[n++].support = circle->support;
-                }
-            }
+        for (int32_t i = first; i < n; i++) {
+            best = fmax(best, out[i].drawing);
         }
     }
     return n;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ class PadPose:
 
     def __post_init__(self) -> None:
         t = np.array(self.t_cam_pad, dtype=float)
-        if t.shape != (3,) or not np.isfinite(t).all():
+        if t.shape != (3,) or not all(map(math.isfinite, t.tolist())):
             raise ValueError(f"t_cam_pad needs a finite (3,) vector, got {self.t_cam_pad!r}")
         t.setflags(write=False)
         object.__setattr__(self, "t_cam_pad", t)

@@ -93,7 +93,7 @@ FUNCTIONS = (
         "search_guesses",
         "int32_t",
         "const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels, int32_t circles, "
-        "const search_circle *circle, int32_t most, search_guess *out",
+        "const search_circle *circle, int64_t *rated, const search_guess *before, int32_t most, search_guess *out",
         "search_guesses.c",
     ),
     Function(
@@ -126,5 +126,6 @@ FUNCTIONS = (
 """Functions of the search. `rays` are those of the corners of the blocks, (rows + 1, columns + 1, 2); `scratch` has the floats
 that `search_room`, `search_strokes_room` or `search_blobs_room` asks for. `side` is null, or the direction on the pad of the half
 of the disc that counts. `levels` are the pixels of the frame at full, half, quarter ... size, `half` and `full` those of a
-`blob_image`.
+`blob_image`. `rated` has for each circle how many guesses of it are in `before`, one circle's after the other's, or -1; it gets
+that number for each circle whose guesses were computed and are complete.
 """

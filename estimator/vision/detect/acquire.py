@@ -12,6 +12,7 @@ same frames give the same results.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -23,6 +24,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, AlignedTemplate, align
 from estimator.vision.detect.covered import align_uncovered
 from estimator.vision.detect.fiducials import WINDOWS_PX, WORK_FIDUCIALS, FiducialPose, fiducial_poses
+from estimator.vision.detect.guesses import Guess
 from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, WORK_GUESS, Kind, kinds
 from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.plane import Plane
@@ -224,8 +226,8 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
     guesses = kind.guesses()
     task.work += kind.work + WORK_GUESS * len(guesses)
     aligned = kept = 0
-    for guess in sorted(guesses, key=lambda g: (_is_refused(g.flat, task), -g.score)):
-        if not kind.is_drawn(guess) or any(_near(guess.flat, c.pose) for c in _settled(kind, task)):
+    for guess in sorted(guesses, key=lambda g: (_is_refused(g, task), -g.score)):
+        if not kind.is_drawn(guess) or (task.found and any(_near(guess.t_cam_pad, c.pose) for c in _settled(kind, task))):
             continue
         if aligned == _TRIES * _ALIGNED or kept == _ALIGNED:
             break
@@ -245,7 +247,7 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
         elif candidate is not None or kind.covered:
             task.work += _WORK_COVER
         if candidate is None or candidate.score < ENOUGH:
-            task.refused.append(_place(guess.flat, task.camera))
+            task.refused.append(_place(guess, task.camera))
     enough = task.sure <= 1.0 and any(c.score >= min(task.sure, ENOUGH) for c in task.found)
     return enough or len(task.found) >= _MOST_ALIGNED
 
@@ -306,28 +308,30 @@ def _candidate(aligned: AlignedTemplate | None, ambiguous: bool = False, cut: F6
     return PadCandidate(aligned.pose, sure, ambiguous, aligned.in_view, values, aligned, cut)
 
 
-def _place(pose: PadPose, camera: Camera) -> Place:
-    x, y, z = pose.t_cam_pad
-    return float(camera.fx * x / z), float(camera.fy * y / z), math.log(z)
+def _place(guess: Guess, camera: Camera) -> Place:
+    x, y, z = guess.t_cam_pad
+    return camera.fx * x / z, camera.fy * y / z, math.log(z)
 
 
-def _is_refused(pose: PadPose, task: _Task) -> bool:
+def _is_refused(guess: Guess, task: _Task) -> bool:
     """Return whether a hypothesis near this one was refused in a frame before."""
-    u, v, far = _place(pose, task.camera)
+    if not task.refused_before:
+        return False
+    u, v, far = _place(guess, task.camera)
     reach = _SAME_PX + _SAME_RADII * task.camera.fx * task.pad.disc_radius_m * math.exp(-far)
-    return any(math.hypot(u - a, v - b) < reach and abs(far - c) < _SAME_FAR for a, b, c in task.refused_before)
+    return any(abs(far - c) < _SAME_FAR and math.hypot(u - a, v - b) < reach for a, b, c in task.refused_before)
 
 
-def _near(a: PadPose, b: PadPose) -> bool:
-    """Return whether two poses are the same place to within a fifth of a disc."""
-    return bool(np.linalg.norm(a.t_cam_pad - b.t_cam_pad) < 0.05 * b.t_cam_pad[2]) and bool(
-        np.linalg.norm((a.t_cam_pad / a.t_cam_pad[2] - b.t_cam_pad / b.t_cam_pad[2])[:2]) * b.t_cam_pad[2] < 0.03
-    )
+def _near(a_m: Sequence[float], b: PadPose) -> bool:
+    """Return whether two centres of the pad are the same place to within a fifth of a disc."""
+    b_m: list[float] = b.t_cam_pad.tolist()
+    apart = math.hypot(a_m[0] / a_m[2] - b_m[0] / b_m[2], a_m[1] / a_m[2] - b_m[1] / b_m[2])
+    return math.dist(a_m, b_m) < 0.05 * b_m[2] and apart * b_m[2] < 0.03
 
 
 def _distinct(candidates: list[PadCandidate]) -> list[PadCandidate]:
     out: list[PadCandidate] = []
     for c in sorted(candidates, key=lambda c: -c.score):
-        if not any(_near(c.pose, k.pose) for k in out):
+        if not any(_near(c.pose.t_cam_pad.tolist(), k.pose) for k in out):
             out.append(c)
     return out

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,13 +115,15 @@ def drawing_addresses(camera: Camera, pad: Pad) -> DrawingAddresses:
     return DrawingAddresses(address(lens), address(drawn.words), *maps, address(TABLES, np.float32), (lens, drawn))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """A part of a level of the pyramid."""
+class _Part(NamedTuple):
+    """A part of a level of the pyramid: addresses, and what keeps them in memory."""
 
-    words: NDArray[np.int64]
-    px: NDArray[np.uint8]
-    scratch: NDArray[np.float32]
+    words: int
+    px: int
+    stride: int
+    """Bytes from row to row."""
+    scratch: int
+    kept: tuple[NDArray[Any], ...]
 
 
 def align(
@@ -165,9 +167,9 @@ def align(
     arrow_image = pyramid.cut(level, left, top, left + width, top + height)
     found = _FIT(
         fixed.camera, fixed.template, fixed.coverage, fixed.local, fixed.light,
-        address(part.words, np.int64), *pixels(part.px), start_of(arrow_part),
+        part.words, part.px, part.stride, start_of(arrow_part),
         *pixels(arrow_image), start_of(words), tilt_sigmas, address(cut), start_of(pyramid.quality),
-        address(part.scratch, np.float32), start_of(out),
+        part.scratch, start_of(out),
     )  # fmt: skip
     return _aligned(pose, out) if found else None
 
@@ -181,8 +183,8 @@ def cover(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose) -> Cover | 
     part = _part(pyramid, fixed, words, _SAMPLES)
     out = np.empty(_COVER_WORDS)
     if part is None or not _COVER(
-        fixed.camera, fixed.template, fixed.coverage, fixed.light, address(part.words, np.int64), *pixels(part.px),
-        start_of(words), address(part.scratch, np.float32), start_of(out),
+        fixed.camera, fixed.template, fixed.coverage, fixed.light, part.words, part.px, part.stride,
+        start_of(words), part.scratch, start_of(out),
     ):  # fmt: skip
         return None
     return Cover(out[_LINE["cut"]], *(float(out[_LINE[name].start]) for name in ("gain", "left")))
@@ -220,8 +222,8 @@ def _moved(
     if side is not None:
         how[_HOW["side"]] = side
     found = _MOVE(
-        fixed.camera, fixed.template, fixed.local if local else fixed.coverage, fixed.light, address(part.words, np.int64),
-        *pixels(part.px), start_of(how), start_of(pose), start_of(tilt_sigmas), address(part.scratch, np.float32),
+        fixed.camera, fixed.template, fixed.local if local else fixed.coverage, fixed.light, part.words, part.px, part.stride,
+        start_of(how), start_of(pose), start_of(tilt_sigmas), part.scratch,
     )  # fmt: skip
     return float(tilt_sigmas[0]) if found else None
 
@@ -231,11 +233,11 @@ def _part(pyramid: Pyramid, fixed: DrawingAddresses, pose: F64, most: int) -> _P
     words = np.empty(_PART_WORDS)
     if not _VIEW(fixed.camera, fixed.template, start_of(pose), most, start_of(words)):
         return None
-    part = words.view(np.int64)
-    level, left, top, width, height = part.tolist()
+    level, left, top, width, height = words.view(np.int64).tolist()
     room = -(-width * height // SAMPLE_LANES) * SAMPLE_LANES
     scratch = np.empty(SCRATCH_ROWS * room + width + 2 * LOCAL_MAX, np.float32)
-    return _Part(part, pyramid.cut(level, left, top, left + width, top + height), scratch)
+    px = pyramid.cut(level, left, top, left + width, top + height)
+    return _Part(start_of(words), *pixels(px), start_of(scratch), (words, px, scratch))
 
 
 def _packed(pose: PadPose) -> F64:

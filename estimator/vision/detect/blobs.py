@@ -96,7 +96,10 @@ def _guess(component: _Component, pyramid: Pyramid, camera: Camera, pad: Pad, pl
     radius_px = camera.fx * pad.disc_radius_m / float(flat.t_cam_pad[2])
     level = max(0, math.floor(math.log2(max(radius_px, 1.0) / _HEADING_PX)))
     best = heading(pyramid[level], 1 << level, camera, pad, flat)
-    return None if best is None else Guess(flat, best.turn_rad, best.score, best.score, plane.known)
+    if best is None:
+        return None
+    R, t = flat.R_cam_pad.matrix.ravel().tolist(), flat.t_cam_pad.tolist()
+    return Guess(R, t, best.turn_rad, best.score, best.score, plane.known)
 
 
 @lru_cache(maxsize=8)

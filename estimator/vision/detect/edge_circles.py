@@ -83,8 +83,8 @@ def edge_circles(
         start_of(image),
         address(grey, np.uint8),
         address(rays, np.float32),
-        address(_radii(radii, most, radii.least_px * step / camera.fx)),
-        address(scratch, np.float32),
+        start_of(_radii(radii, most, radii.least_px * step / camera.fx)),
+        start_of(scratch),
         start_of(out),
     )
     return [EdgeCircle(words) for words in out[:found]]

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -31,6 +31,8 @@ from estimator.vision.pad_pose import PadPose
 
 _GUESSES = CORE.function("search_guesses")
 _WORDS, _AT = size_of("search_guess"), places_of("search_guess")
+_TURN, _DRAWING, _SUPPORT = (_AT[name].start for name in ("turn_rad", "drawing", "support"))
+_ROTATION, _CENTRE, _SIDE = _AT["R"], _AT["t"], _AT["side"]
 _R_CAM_PLANE = places_of("search_frame")["R_cam_plane"]
 
 MOST = 20
@@ -52,13 +54,15 @@ class Outline(Enum):
     RING = "the ring, by the disc's colour"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Guess:
-    """A rough pose of the pad."""
+class Guess(NamedTuple):
+    """A rough pose of the pad, in plain numbers: a frame has many of them, and few are tried."""
 
-    flat: PadPose
+    R_cam_pad: Sequence[float]
+    """The rotation's rows, nine numbers, before the pad is turned."""
+    t_cam_pad: Sequence[float]
+    """The pad's centre in `cam`, three numbers, m."""
     turn_rad: float
-    """Angle by which the pad is to be turned about its own z axis relative to `flat`."""
+    """Angle by which the pad is to be turned about its own z axis."""
     drawing: float
     """Fraction of the variance that the drawing explains, 0..1."""
     score: float
@@ -70,6 +74,11 @@ class Guess:
     """Unit direction, (2,), in x and y of the turned pad: only the half of the disc on this side is used, as the other is
     covered.
     """
+
+    @property
+    def flat(self) -> PadPose:
+        """The pose before the pad is turned."""
+        return PadPose(Rotation(np.array(self.R_cam_pad).reshape(3, 3)), np.array(self.t_cam_pad))
 
     @property
     def pose(self) -> PadPose:
@@ -84,6 +93,7 @@ def guesses_from(
     pad: Pad,
     plane: Plane,
     most: int = MOST,
+    rated: dict[int, F64] | None = None,
 ) -> list[Guess]:
     """Return guesses from circles: one for each circle of the drawing that one may be, in each plane that it may lie in.
 
@@ -93,34 +103,48 @@ def guesses_from(
         circles: likeliest first.
         of: what they are outlines of.
         most: the largest number of guesses.
+        rated: the core's guesses from circles of this frame and kind of outline, by `id` of the circle. They are not computed
+            again, and those that are new are added. The circles have to live as long as it does.
     """
     if not circles:
         return []
+    rated = {} if rated is None else rated
+    known = [rated.get(id(circle)) for circle in circles]
+    counts = np.array([-1 if rows is None else len(rows) for rows in known], np.int64)
+    some = [rows for rows in known if rows is not None and len(rows)]
     levels = [pyramid[level] for level in range(SEARCH_LEVELS)]
     at = [pixels(px) for px in levels]
     frame = _frame(pad, of, plane.known, tuple((px.shape[1], px.shape[0], px.strides[0]) for px in levels)).copy()
     frame[_R_CAM_PLANE] = plane.R_cam_plane.ravel()
-    found = np.stack([circle.words for circle in circles])
+    found = np.array([circle.words for circle in circles])
     starts, out = np.array([start for start, _ in at], np.int64), np.empty((most, _WORDS))
+    before = np.concatenate(some) if some else out
     n = _GUESSES(
-        address(packed_camera(camera)), address(packed_drawing(pad)), start_of(frame), address(starts, np.int64), len(found),
-        start_of(found), most, start_of(out),
+        address(packed_camera(camera)), address(packed_drawing(pad)), start_of(frame), start_of(starts), len(found),
+        start_of(found), start_of(counts), start_of(before), most, start_of(out),
     )  # fmt: skip
-    return [guess_of(words, _BY_FILLED if of is Outline.AREA else _BY_SUPPORT) for words in out[:n]]
+    first = 0
+    for circle, count in zip(circles, counts.tolist(), strict=True):
+        if count < 0 or first + count > n:
+            break
+        rated[id(circle)] = out[first : first + count]
+        first += count
+    return guesses_of(out[:n], _BY_FILLED if of is Outline.AREA else _BY_SUPPORT)
 
 
-def guess_of(words: F64, by_support: float = _BY_SUPPORT) -> Guess:
-    """Return the guess in a structure `search_guess` of the core.
+def guesses_of(rows: F64, by_support: float = _BY_SUPPORT) -> list[Guess]:
+    """Return the guesses in structures `search_guess` of the core, (n, words).
 
     Args:
         by_support: weight of the circle's support beside the drawing's score.
     """
-    known, one_sided = words[:2].view(np.int64).tolist()
-    turn, drawing, support = (float(words[_AT[name].start]) for name in ("turn_rad", "drawing", "support"))
-    pose = PadPose(Rotation(words[_AT["R"]].reshape(3, 3)), words[_AT["t"]])
-    return Guess(
-        pose, turn, drawing, drawing + by_support * support, bool(known), support, words[_AT["side"]] if one_sided else None
-    )
+    found = []
+    for (known, one_sided), words in zip(rows[:, :2].view(np.int64).tolist(), rows.tolist(), strict=True):
+        drawing, support = words[_DRAWING], words[_SUPPORT]
+        side = np.array(words[_SIDE]) if one_sided else None
+        score = drawing + by_support * support
+        found.append(Guess(words[_ROTATION], words[_CENTRE], words[_TURN], drawing, score, bool(known), support, side))
+    return found
 
 
 @lru_cache(maxsize=16)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.detect.blob_circles import blob_circles
 from estimator.vision.detect.blobs import lettering_blobs
@@ -21,7 +22,6 @@ from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.strokes import h_markings
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
 
 U8 = NDArray[np.uint8]
 
@@ -98,7 +98,7 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
         return [*alone, Kind(_WORK_STROKES, frame.strokes)] if pad.markings.is_h else alone
     out = [
         Kind(WORK_COARSE * size, lambda: frame.plain(luminance)),
-        Kind(_WORK_LARGER * size, lambda: frame.guesses(frame.circles(luminance, _REDUCED_LEVELS), Outline.EDGES)),
+        Kind(_WORK_LARGER * size, lambda: frame.guesses_by_edges(luminance, _REDUCED_LEVELS)),
         Kind(_WORK_OUTLINES * size, frame.blobs, exact=True, least_round=_LEAST_ROUND),
         Kind(_WORK_STROKES, frame.strokes),
         Kind(_WORK_FULL_SIZE * size, lambda: frame.guesses(frame.circles(luminance, (0,)), Outline.EDGES)),
@@ -134,8 +134,13 @@ class _Searched:
 
     def plain(self, images: _Images) -> list[Guess]:
         """Return guesses from the circles of the smallest images that the drawing explains well."""
-        guesses = self.guesses(self.circles(images, _COARSE_LEVELS), Outline.EDGES)
+        guesses = self.guesses_by_edges(images, _COARSE_LEVELS)
         return [guess for guess in guesses if guess.drawing >= _PLAIN_DRAWING]
+
+    def guesses_by_edges(self, images: _Images, levels: tuple[int, ...]) -> list[Guess]:
+        """Return guesses from circles of edges at several sizes of an image; those of one size are computed once."""
+        circles = self.circles(images, levels)
+        return guesses_from(circles, Outline.EDGES, self.pyramid, self.camera, self.pad, self.plane, rated=images.rated)
 
     def circles(self, images: _Images, levels: tuple[int, ...]) -> list[EdgeCircle]:
         """Return the circles at several sizes of an image: the most prominent at each size first."""
@@ -181,8 +186,8 @@ class _Searched:
 
 def _moved(guess: Guess, across_m: float) -> Guess:
     """Return a guess of a pad so far along its own y axis."""
-    t = guess.flat.t_cam_pad + across_m * guess.pose.R_cam_pad.matrix[:, 1]
-    return replace(guess, flat=PadPose(guess.flat.R_cam_pad, t))
+    across = guess.pose.R_cam_pad.matrix[:, 1].tolist()
+    return guess._replace(t_cam_pad=[at + across_m * axis for at, axis in zip(guess.t_cam_pad, across, strict=True)])
 
 
 class _Images:
@@ -191,6 +196,8 @@ class _Images:
     def __init__(self, measure: Callable[[U8], U8], pyramid: Pyramid) -> None:
         self.circles: dict[int, list[EdgeCircle]] = {}
         """Circles by size, as far as they were looked for."""
+        self.rated: dict[int, F64] = {}
+        """Guesses from them as circles of edges; see `guesses_from`."""
         self._measure = measure
         self._pyramid = pyramid
         self._made: dict[int, U8] = {}

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import size_of
+from estimator.core.interface import places_of, size_of
 from estimator.core.library import CORE, start_of
 from estimator.core.records import record
 from estimator.vision.camera import Camera
-from estimator.vision.detect.guesses import Guess, guess_of
+from estimator.vision.detect.guesses import Guess, guesses_of
 from estimator.vision.detect.heading import marks_are_bright
 from estimator.vision.detect.plane import Plane
 from estimator.vision.native import address, packed_camera, pixels
@@ -26,6 +26,7 @@ from estimator.vision.pad import Pad
 
 _ROOM, _STROKES = CORE.function("search_strokes_room"), CORE.function("search_strokes")
 _WORDS = size_of("search_guess")
+_R_CAM_PLANE = places_of("strokes_image")["R_cam_plane"]
 
 _MARGIN_M = 0.035
 """Width of the disc around the H that counts as background."""
@@ -40,16 +41,26 @@ def h_markings(px: NDArray[np.uint8], step: int, camera: Camera, pad: Pad, plane
         px: the frame, `step` times smaller than the camera's.
     """
     start, stride = pixels(px)
-    image = record("strokes_image", {
-        "width": px.shape[1], "height": px.shape[0], "stride": stride, "step": step, "bright": marks_are_bright(pad),
-        "plane_known": plane.known, "R_cam_plane": plane.R_cam_plane,
-    })  # fmt: skip
+    image = _image((px.shape[1], px.shape[0], stride), step, marks_are_bright(pad), plane.known).copy()
+    image[_R_CAM_PLANE] = plane.R_cam_plane.ravel()
     scratch, out = np.empty(_ROOM(start_of(image)), np.float32), np.empty((most, _WORDS))
     n = _STROKES(
-        address(packed_camera(camera)), start_of(image), address(_packed(pad)), start, address(scratch, np.float32), most,
+        address(packed_camera(camera)), start_of(image), address(_packed(pad)), start, start_of(scratch), most,
         start_of(out),
     )  # fmt: skip
-    return [guess_of(words) for words in out[:n]]
+    return guesses_of(out[:n])
+
+
+@lru_cache(maxsize=16)
+def _image(size: tuple[int, int, int], step: int, bright: bool, plane_known: bool) -> F64:
+    """Return the core's `strokes_image` without the plane.
+
+    Args:
+        size: width, height and bytes from row to row.
+    """
+    return record("strokes_image", {
+        "width": size[0], "height": size[1], "stride": size[2], "step": step, "bright": bright, "plane_known": plane_known,
+    })  # fmt: skip
 
 
 @lru_cache(maxsize=16)

@@ -78,7 +78,8 @@ static void guess_poses(int kind)
     const int n = 1 + draw() % 3, most = 1 + draw() % 9;
     uint8_t *levels[SEARCH_LEVELS];
     search_circle *circles = calloc((size_t)n, sizeof *circles);
-    search_guess *out = malloc((size_t)most * sizeof *out);
+    search_guess *out = malloc((size_t)most * sizeof *out), *before = malloc((size_t)most * sizeof *before);
+    int64_t rated[] = {-1, -1, -1};
     for (int k = 0; k < SEARCH_LEVELS; k++) {
         const frame_part all = {k, 0, 0, c.width >> k > 0 ? c.width >> k : 1, c.height >> k > 0 ? c.height >> k : 1};
         int32_t stride;
@@ -98,7 +99,8 @@ static void guess_poses(int kind)
         poisoned(one->centre, 4 + 2 * SEARCH_SECTORS);
     }
     poisoned(frame.R_cam_plane, 15);
-    const int found_now = search_guesses(&c, &pad, &frame, (const uint8_t *const *)levels, n, circles, most, out);
+    search_guesses(&c, &pad, &frame, (const uint8_t *const *)levels, n, circles, rated, out, most, before);
+    const int found_now = search_guesses(&c, &pad, &frame, (const uint8_t *const *)levels, n, circles, rated, before, most, out);
     for (int i = 0; i < found_now; i++) {
         fold(out[i].t, 3);
         fold(&out[i].drawing, 1);
@@ -106,7 +108,7 @@ static void guess_poses(int kind)
     for (int k = 0; k < SEARCH_LEVELS; k++) {
         free(levels[k]);
     }
-    free(circles), free(out);
+    free(circles), free(out), free(before);
 }
 
 /* An H on the image, upright or turned by a quarter. */

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import F64, Rotation
 from estimator.core.interface import places_of
 from estimator.core.interface.eyes import TEMPLATE_ONE
 from estimator.vision.camera import Camera
@@ -181,6 +181,28 @@ def test_the_core_guesses_the_tilt_of_a_disc_as_numpy_does(camera: Camera, pad: 
             assert tilted[k].flat.R_cam_pad.angle_to(pose.R_cam_pad) < 0.12
             near += float(np.linalg.norm(tilted[k].flat.t_cam_pad - seen.truth.t_cam_pad)) < 0.1
     assert near, "one of them is the disc"
+
+
+@pytest.mark.parametrize("most", [3, 5, 60])
+def test_guesses_that_are_known_are_the_guesses_that_would_be_computed(camera: Camera, pad: Pad, most: int) -> None:
+    seen = shown(camera, pad, 6.0, tilt_rad=(0.2, 0.1))
+    frame, plane = Pyramid(seen.px), Plane.of(camera, None)
+    circles: list[EdgeCircle] = []
+    for level in (1, 2):
+        grey = np.asarray(cv2.cvtColor(frame[level], cv2.COLOR_BGR2GRAY), np.uint8)
+        circles += edge_circles(grey, 1 << level, camera, plane, Radii(5.0, 1.2, 7), 6)
+
+    def tried(of: list[EdgeCircle], rated: dict[int, F64] | None = None) -> list[tuple[object, ...]]:
+        found = guesses_from(of, Outline.EDGES, frame, camera, pad, plane, most, rated)
+        return [(*g.R_cam_pad, *g.t_cam_pad, *g[2:7], None if g.side is None else tuple(g.side)) for g in found]
+
+    rated: dict[int, F64] = {}
+    first = tried(circles[::2], rated)
+    assert len(first) > 1
+    assert rated
+    assert tried(circles[::2], rated) == first
+    assert tried(circles, rated) == tried(circles)
+    assert tried(circles[::-1], rated) == tried(circles[::-1])
 
 
 def test_shares_of_the_drawing_add_up_and_match_its_areas(pad: Pad) -> None:

@@ -18,7 +18,6 @@ from estimator.vision.detect.hypotheses import Kind
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
 from tests.estimator.vision.oracle import blobs
 from tests.support.deck_images import Shown, shown
 from tests.support.hard_light import HARD, grey, hard_scene
@@ -175,9 +174,9 @@ def test_ring_and_h_blurred_into_one_are_an_area_of_some_size_between_theirs(cam
 
 
 def test_a_guess_of_an_area_needs_less_of_the_drawing_only_if_the_area_is_an_ellipse() -> None:
-    pose = PadPose(Rotation.identity(), np.array([0.0, 0.0, 5.0]))
+    R, t = Rotation.identity().matrix.ravel().tolist(), (0.0, 0.0, 5.0)
     faint_and_round, faint, clear = (
-        Guess(pose, 0.0, drawing, drawing, True, support) for drawing, support in ((0.02, 0.9), (0.02, 0.5), (0.05, 0.5))
+        Guess(R, t, 0.0, drawing, drawing, True, support) for drawing, support in ((0.02, 0.9), (0.02, 0.5), (0.05, 0.5))
     )
     edges, areas = Kind(1.0, list), Kind(1.0, list, least_round=0.015)
     assert [kind.is_drawn(of) for kind in (edges, areas) for of in (faint_and_round, faint, clear)] == [
