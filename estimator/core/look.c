@@ -35,20 +35,51 @@ static void approach(const sight *s, double sigma_tilt_rad, pad_pose *pose)
     }
 }
 
+/* A part of a level that also holds what a part of a higher level is made of. */
+static frame_part with_part(const frame_part *lower, const frame_part *higher)
+{
+    const int up = (int)(higher->level - lower->level);
+    const int64_t left = higher->left << up, top = higher->top << up;
+    const int64_t right = (higher->left + higher->width) << up, low = (higher->top + higher->height) << up;
+    frame_part all = *lower;
+    all.left = left < lower->left ? left : lower->left;
+    all.top = top < lower->top ? top : lower->top;
+    all.width = (right > lower->left + lower->width ? right : lower->left + lower->width) - all.left;
+    all.height = (low > lower->top + lower->height ? low : lower->top + lower->height) - all.top;
+    return all;
+}
+
+/* The pixels of two parts: what the one of the higher level is made of is reduced once if the other is made, too. */
+static void both_parts(const sight *s, const frame_part *part, const frame_part *arrow, const uint8_t *px[2], int32_t stride[2])
+{
+    const int32_t width = (int32_t)s->camera->width;
+    if (arrow->level == 0 || arrow->level >= part->level) {
+        px[0] = look_part(s->frame, width, part, s->parts, &stride[0]);
+        px[1] = look_part(s->frame, width, arrow, s->parts + (part->level > 0 ? stride[0] * part->height : 0), &stride[1]);
+        return;
+    }
+    const frame_part all = with_part(arrow, part);
+    const int up = (int)(part->level - arrow->level);
+    const uint8_t *made = look_part(s->frame, width, &all, s->parts, &stride[1]);
+    uint8_t *room = s->parts + stride[1] * all.height;
+    px[1] = made + (arrow->top - all.top) * stride[1] + 3 * (arrow->left - all.left);
+    look_reduced(made + ((part->top << up) - all.top) * stride[1] + 3 * ((part->left << up) - all.left), stride[1], up,
+                 (int)part->width, (int)part->height, room);
+    px[0] = room, stride[0] = 3 * (int32_t)part->width;
+}
+
 /* Align the drawing at a pose without moving it. The arrowhead is looked at in more detail than the rest. */
 static int align_at(const sight *s, const pad_pose *pose, const double cut[3], aligned_pad *out)
 {
-    const int32_t width = (int32_t)s->camera->width;
     frame_part part, arrow;
-    int32_t stride, arrow_stride;
+    const uint8_t *px[2];
+    int32_t stride[2];
     if (!align_view(s->camera, s->drawn, pose, FINAL_SAMPLES, &part)) {
         return 0;
     }
     align_arrow_view(s->camera, s->drawn, pose, &arrow);
-    const uint8_t *px = look_part(s->frame, width, &part, s->parts, &stride);
-    uint8_t *room = s->parts + (part.level > 0 ? (size_t)stride * (size_t)part.height : 0);
-    const uint8_t *arrow_px = look_part(s->frame, width, &arrow, room, &arrow_stride);
-    return align_fit(s->camera, s->drawn, s->maps, s->local_maps, s->lights, &part, px, stride, &arrow, arrow_px, arrow_stride,
+    both_parts(s, &part, &arrow, px, stride);
+    return align_fit(s->camera, s->drawn, s->maps, s->local_maps, s->lights, &part, px[0], stride[0], &arrow, px[1], stride[1],
                      pose, 0.0, cut, s->quality, s->scratch, out);
 }
 

@@ -39,6 +39,20 @@ static void halve(const uint8_t *from, ptrdiff_t stride, int rows, int width, ui
     }
 }
 
+void look_reduced(const uint8_t *from, ptrdiff_t row_bytes, int levels, int columns, int rows, uint8_t *out)
+{
+    uint8_t *strip = out + (ptrdiff_t)rows * CHANNELS * columns;
+    for (int row = 0; row < rows; row++, from += row_bytes << levels, out += CHANNELS * columns) {
+        const uint8_t *at = from;
+        ptrdiff_t bytes = row_bytes;
+        for (int left = levels - 1; left >= 0; left--) {
+            uint8_t *to = left > 0 ? strip : out;
+            halve(at, bytes, 1 << left, columns << left, to);
+            at = to, bytes = CHANNELS * ((ptrdiff_t)columns << left);
+        }
+    }
+}
+
 const uint8_t *look_part(const uint8_t *frame, int32_t width, const frame_part *part, uint8_t *parts, int32_t *stride)
 {
     const ptrdiff_t row_bytes = CHANNELS * (ptrdiff_t)width;
@@ -49,15 +63,6 @@ const uint8_t *look_part(const uint8_t *frame, int32_t width, const frame_part *
         return at;
     }
     *stride = CHANNELS * columns;
-    uint8_t *made = parts, *strip = parts + (ptrdiff_t)rows * *stride;
-    for (int row = 0; row < rows; row++, at += row_bytes << level, made += *stride) {
-        const uint8_t *from = at;
-        ptrdiff_t bytes = row_bytes;
-        for (int left = level - 1; left >= 0; left--) {
-            uint8_t *to = left > 0 ? strip : made;
-            halve(from, bytes, 1 << left, columns << left, to);
-            from = to, bytes = CHANNELS * ((ptrdiff_t)columns << left);
-        }
-    }
+    look_reduced(at, row_bytes, level, columns, rows, parts);
     return parts;
 }
