@@ -80,7 +80,8 @@ class PadTracker:
 
         Returns:
             The pad's position from the body's origin in `level` (m forward, right, down), the heading, their covariance and the
-            confidence; None when the pad is not found.
+            confidence; None when the pad is not found. Where the expected place hardly shows it, this may be a pad in a place
+            that a fresh `expected` excludes: an estimator refuses that one as `Verdict.ELSEWHERE`.
 
         Raises:
             ValueError: the image is no (H, W, 3) uint8 array, or not of the camera's size.
@@ -92,5 +93,7 @@ class PadTracker:
         frame = Frame(stamp or _NO_STAMP, self._seq, pixels)
         self._seq += 1
         self._detection, self._memory = track(self._config, self._memory, frame, attitude, expected)
-        found = self._detection.selected
-        return None if found is None or found.confidence < self._min_confidence else found
+        for found in (self._detection.selected, self._detection.elsewhere):
+            if found is not None and found.confidence >= self._min_confidence:
+                return found
+        return None

@@ -64,6 +64,23 @@ def step(memory: Memory, event: Event) -> tuple[Memory, tuple[FusionResult, ...]
     return memory, results
 
 
+def step_seen(memory: Memory, tracked: Sighting, elsewhere: Sighting) -> tuple[Memory, tuple[FusionResult, ...]]:
+    """Process a frame that shows the tracked pad where the belief expects it, and more clearly a pad in a place that it excludes.
+
+    The guard judges the clearer one first. If that is another pad by the guard, too, the guard remembers it, and the tracked one
+    is processed.
+
+    Returns:
+        The new memory, and the results of the one that counts, path by path.
+    """
+    after, results = step(memory, elsewhere)
+    if results[0].verdict is not Verdict.ELSEWHERE or _refusal(memory.options, tracked) is not None:
+        return after, results
+    # The bearing of another pad, which may lie anywhere, says nothing about whether the view is frozen.
+    guard = structs.replace(after.guard, view=memory.guard.view)
+    return step(structs.replace(after, guard=guard), tracked)
+
+
 def step_samples(memory: Memory, samples: Sequence[Sample]) -> tuple[Memory, list[tuple[FusionResult, ...]]]:
     """Process the samples of one datagram, or all that wait; return the new memory and each sample's results, path by path.
 

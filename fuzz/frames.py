@@ -95,7 +95,7 @@ def _image(choices: Choices, how: int) -> np.ndarray:
 
 
 def _check(seen: Detection) -> None:
-    for sighting in (seen.selected, *seen.methods.values()):
+    for sighting in (seen.selected, seen.elsewhere, *seen.methods.values()):
         if sighting is not None:
             assert np.all(np.isfinite(sighting.d_body_pad_level))
             assert np.all(np.isfinite(sighting.cov))

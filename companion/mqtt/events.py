@@ -122,13 +122,12 @@ class Changes:
 
     def frame(self, processed: ProcessedFrame) -> list[PendingEvent]:
         """Return an event if the pad comes into sight, or was out of sight for `LOST_AFTER_S`."""
-        if processed.detection is not None and processed.detection.selected is not None:
+        seen = processed.detection
+        if seen is not None and (seen.selected is not None or seen.elsewhere is not None):
             self._sighted = processed.done
             if not self._in_sight:
                 self._in_sight = True
-                return [
-                    PendingEvent(processed.done, "pad", "pad in sight", {"in_sight": True, "method": processed.detection.chosen})
-                ]
+                return [PendingEvent(processed.done, "pad", "pad in sight", {"in_sight": True, "method": seen.chosen})]
         elif self._in_sight and self._sighted is not None and seconds_between(self._sighted, processed.done) > LOST_AFTER_S:
             self._in_sight = False
             return [PendingEvent(processed.done, "pad", "pad out of sight", {"in_sight": False})]

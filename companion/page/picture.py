@@ -64,7 +64,8 @@ def picture_lines(
 def _lines(
     processed: ProcessedFrame, belief: RelativeState | None, ahead: Forecast | None, lean: Rotation, camera: Camera, pad: Pad
 ) -> Iterator[PictureLine]:
-    seen = None if processed.detection is None else processed.detection.selected
+    found = processed.detection
+    seen = None if found is None else found.selected or found.elsewhere
     for feature in () if seen is None else seen.features:
         if feature.kind != "point":
             for uv in _pieces(np.asarray(feature.uv_px, dtype=float).reshape(-1, 2), closed=feature.kind != "line"):

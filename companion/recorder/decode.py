@@ -93,7 +93,7 @@ def detection(of: rec.DetectionRecord) -> Detection | None:
 
     methods = {_method(name): seen(name) for name in of.tried}
     chosen = None if of.chosen is None else _method(of.chosen)
-    return Detection(seen("selected"), chosen, MappingProxyType(methods))
+    return Detection(seen("selected"), chosen, MappingProxyType(methods), elsewhere=seen("elsewhere"))
 
 
 def held_rotation(of: rec.DetectionRecord) -> Rotation | None:

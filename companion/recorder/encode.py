@@ -110,10 +110,12 @@ def detection(of: ProcessedFrame) -> rec.DetectionRecord:
 
 
 def _methods(processed: Detection) -> dict[str, rec.SightingRecord]:
-    found = {name: sighting(s) for name, s in processed.methods.items() if s is not None}
+    found: dict[str, rec.SightingRecord] = {name: sighting(s) for name, s in processed.methods.items() if s is not None}
     if processed.selected is not None:
         found["selected"] = sighting(processed.selected)
-    return {str(name): s for name, s in found.items()}
+    if processed.elsewhere is not None:
+        found["elsewhere"] = sighting(processed.elsewhere)
+    return found
 
 
 def sighting(of: Sighting) -> rec.SightingRecord:

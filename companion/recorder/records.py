@@ -163,6 +163,8 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     registration: SightingRecord | None = None
     lamps: SightingRecord | None = None
     fused: SightingRecord | None = None
+    elsewhere: SightingRecord | None = None
+    """What is surer than the selected one in a place that the belief excluded; left out if there is none."""
     times: FrameTimesRecord | None = None
     """Left out if vision did not search the frame, and in virtual time."""
     R_body_cam: list[float] | None = None

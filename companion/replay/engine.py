@@ -21,7 +21,7 @@ from companion.recorder.records import FusionRecord, HealthRecord, LinkRecord, T
 from companion.runtime.observer import Decision, Observer, ProcessedFrame
 from companion.runtime.pilot import FlightOutcome, Pilot
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import Verdict
+from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
@@ -187,11 +187,12 @@ class Replay:
         detection = recorded.detection()
         if detection is None or not self._shift_ns:
             return detection
-        methods = {n: None if s is None else replace(s, stamp=self._moved(s.stamp)) for n, s in detection.methods.items()}
-        selected = (
-            None if detection.selected is None else replace(detection.selected, stamp=self._moved(detection.selected.stamp))
-        )
-        return replace(detection, selected=selected, methods=methods)
+        selected, elsewhere = self._shifted(detection.selected), self._shifted(detection.elsewhere)
+        methods = {name: self._shifted(seen) for name, seen in detection.methods.items()}
+        return replace(detection, selected=selected, methods=methods, elsewhere=elsewhere)
+
+    def _shifted(self, seen: Sighting | None) -> Sighting | None:
+        return None if seen is None else replace(seen, stamp=self._moved(seen.stamp))
 
     def _follow_operator(self, phase: str) -> None:
         """Follow the operator's commands, which are not recorded as such but show in the phases."""

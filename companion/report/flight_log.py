@@ -189,12 +189,14 @@ class FlightLog:
         self.delays.append(StageTime(stamp.measured_at, seconds_between(stamp.measured_at, processed.done)))
 
     def add_detection(self, detection: Detection) -> None:
-        """Keep the sighting of every method, and the selected one where it is not one of them."""
+        """Keep the sighting of every method, the selected one where it is not one of them, and what was surer elsewhere."""
         seen = [sighting for sighting in detection.methods.values() if sighting is not None]
         self.sightings += seen
         selected = detection.selected
         if selected is not None and all(selected.method != sighting.method for sighting in seen):
             self.sightings.append(selected)
+        if detection.elsewhere is not None:
+            self.sightings.append(detection.elsewhere)
 
     def add_forecast(self, ahead: DeckOutlook) -> None:
         """Keep the deck at the horizons of `HORIZONS_KEPT_S`."""

@@ -117,7 +117,8 @@ def tracker(settings: Settings) -> TrackerConfig:
         from companion.config.learned_file import second_opinion
 
         asked = second_opinion(vision.learned_file, "vision.learned_file")
-    return TrackerConfig(camera_model(settings), pad_model(settings), vision, FRAME_WORK, second_opinion=asked)
+    limits = settings.estimator.integrity
+    return TrackerConfig(camera_model(settings), pad_model(settings), vision, FRAME_WORK, second_opinion=asked, integrity=limits)
 
 
 def estimator_options(settings: Settings) -> EstimatorOptions:

@@ -500,16 +500,20 @@ class Pilot:
         Returns:
             The frame's verdict, which is the steering path's, and the fusion results, path by path.
         """
-        if seen.selected is None:
+        sighting = seen.selected or seen.elsewhere
+        if sighting is None:
             return Verdict.NO_PAD, ()
         self._settle()
-        self._memory, results = pipeline.step(self._memory, seen.selected)
+        if seen.selected is not None and seen.elsewhere is not None:
+            self._memory, results = pipeline.step_seen(self._memory, seen.selected, seen.elsewhere)
+        else:
+            self._memory, results = pipeline.step(self._memory, sighting)
         steering = results[0]
         mean = self._quality.normalized_nis
         if math.isfinite(steering.nis):
             now = steering.normalized_nis
             mean = now if mean is None else mean + _NIS_WEIGHT * (now - mean)
-        self._quality = InputQuality(mean, seen.selected.stamp.sigma_s)
+        self._quality = InputQuality(mean, sighting.stamp.sigma_s)
         return steering.verdict, results
 
     def on_verdict(self, verdict: Verdict) -> None:

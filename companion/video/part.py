@@ -106,8 +106,8 @@ def drawn(processed: ProcessedFrame, belief: RelativeState | None, lean: Rotatio
     """
     seen = processed.detection
     sightings = () if seen is None else tuple(s for s in seen.methods.values() if s is not None)
-    if seen is not None and seen.selected is not None:
-        sightings = (*sightings, seen.selected)
+    if seen is not None:
+        sightings = (*sightings, *(s for s in (seen.selected, seen.elsewhere) if s is not None))
     level = Rotation.identity() if processed.attitude is None else processed.attitude.R_ned_body.without_heading()
     overlay = Overlay(sightings, belief, level @ lean.inv)
     return annotate(processed.frame.px, overlay, camera, pad)

@@ -3,13 +3,14 @@
     guard, admitted = admit(guard, samples)             # for each what may pass, or a verdict
     guard, verdict = admit_frame(guard, frame)          # None: the frame may pass
     guard, verdict = admit_sighting(guard, sighting, attitude, belief)
+    excludes(belief, sighting, options)                 # whether the tracked pad cannot be in that place
     alerts(guard, now)                                  # reasons not to descend by the estimate
 
 The functions are pure. Freshness concerns the content and not the packet: a frame or reading with a new stamp but the same
 content is refused, so that the estimate ages.
 """
 
-from estimator.integrity.guard import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, fused
+from estimator.integrity.guard import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, excludes, fused
 from estimator.integrity.options import IntegrityOptions
 
-__all__ = ["IntegrityGuard", "IntegrityOptions", "admit", "admit_frame", "admit_sighting", "alerts", "fused"]
+__all__ = ["IntegrityGuard", "IntegrityOptions", "admit", "admit_frame", "admit_sighting", "alerts", "excludes", "fused"]

@@ -117,6 +117,12 @@ def admit_sighting(
     return replace(guard, tracks=following), None if explained else Verdict.ELSEWHERE
 
 
+def excludes(belief: RelativeState, sighting: Sighting, o: IntegrityOptions) -> bool:
+    """Return whether a belief at the exposure excludes the place of a sighting: it is not the tracked pad's, maybe another's."""
+    # Both are written in the same `level`, so that no heading is needed.
+    return tracks.is_apart(_expected(belief, sighting, None), _place(sighting, None), o)
+
+
 def fused(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None) -> IntegrityGuard:
     """Record that the steering estimator fused a sighting that had passed."""
     guard = replace(guard, tracks=tracks.fused(guard.tracks, _place(sighting, attitude)))

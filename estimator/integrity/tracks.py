@@ -162,6 +162,15 @@ def _beside(last: Place, seen: Place, o: IntegrityOptions) -> bool:
     return side <= side_max and down <= base + _seen_m(last.sigma_down_m, seen.sigma_down_m) + moved
 
 
+def is_apart(expected: Place, seen: Place, o: IntegrityOptions) -> bool:
+    """Return whether a sighting is not where the belief expects the pad, and so far from there that another pad can be there.
+
+    Args:
+        expected: the belief's position at the instant of the sighting.
+    """
+    return math.dist(expected.d, seen.d) >= 0.5 * o.pads_apart_m and not _as_expected(expected, seen, o)
+
+
 def _as_expected(expected: Place, seen: Place, o: IntegrityOptions) -> bool:
     base = _base_m(seen, o)
     side, down = _apart(expected, seen)

@@ -23,10 +23,14 @@ class Detection(Struct, frozen=True, eq=False):
 
     selected: Sighting | None
     """The chosen method's sighting with `method` "selected"; None if there is none. If both show, the arrow resolves an ambiguous
-    heading.
+    heading. A fresh belief does not exclude its place.
     """
     chosen: Method | None
     methods: Mapping[Method, Sighting | None]
     """The sighting of every method that was tried."""
     opinions: Opinions | None = None
     """The two opinions on the best registration; None if the second was not asked."""
+    elsewhere: Sighting | None = None
+    """What is surer than `selected`, or all that there is, in a place that a fresh belief excludes: another pad, or the tracked
+    one if the belief is wrong. It is for the guard to judge.
+    """

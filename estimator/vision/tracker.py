@@ -6,21 +6,27 @@ scores the whole drawing and the agreement of its edges at the registered pose, 
 one of the thesis' methods reports a pose on its own, the drawing is verified there too, because a green disc is not yet a pad; if
 it fits, registration starts from it. A pad with lamps is seen by them where its paint is not, and the lamps come first as long as
 they are what shows.
+
+A fresh belief weighs in. What is found in a place that it excludes does not take the tracked pad's place, however sure it is: it
+is reported beside it (`Detection.elsewhere`), because a belief can be wrong, and the guard judges it.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 from msgspec.structs import replace
 
-from estimator.contracts.estimates import Method, RelativeState, Sighting
+from estimator.contracts.estimates import IntegrityAlert, Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
+from estimator.integrity.guard import excludes
+from estimator.integrity.options import IntegrityOptions
 from estimator.vision.camera import Camera
 from estimator.vision.detect import verification
 from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
@@ -55,6 +61,10 @@ _EXPECTED_SIGMAS = 3.0
 """Standard deviations of the believed position within which a candidate of acquisition counts as expected."""
 _LAMPS_REACH_PX = 40.0
 """Largest reach about the believed position in which lamps are assigned to spots; beyond it the frame is searched for them."""
+_FRESH_S = 1.0
+"""Age of the newest fused sighting up to which a belief excludes places."""
+_SUPPORTED = 0.2
+"""Confidence from which on what is found at the expected place is the tracked pad although something else is surer."""
 _REACH_OF_DISC, _REACH_OF_HEIGHT = 0.6, 0.04
 """Reach of tracking, as fractions of the disc's radius and of the height. Tracking is tried if two standard deviations of the
 believed position lie within the sum.
@@ -83,6 +93,58 @@ class _Registered:
     opinions: Opinions | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """The best registrations of one frame."""
+
+    tracked: _Registered | None = None
+    """The surest one that may be the tracked pad."""
+    elsewhere: _Registered | None = None
+    """The surest one in a place that the belief excludes."""
+
+    def having(self, of: _Registered | None, belief: _Belief) -> _Seen:
+        """Return the best with one more registration; of two that are equally sure the first stays."""
+        if of is None:
+            return self
+        if belief.excludes(of.sighting):
+            return self if _surer(self.elsewhere, of) else dataclasses.replace(self, elsewhere=of)
+        return self if _surer(self.tracked, of) else dataclasses.replace(self, tracked=of)
+
+    @property
+    def is_sure(self) -> bool:
+        return self.tracked is not None and self.tracked.sighting.confidence >= SURE
+
+    def settled(self) -> _Seen:
+        """Return the tracked pad with what is surer elsewhere; without it if the frame hardly supports it beside that."""
+        if self.elsewhere is None or _surer(self.tracked, self.elsewhere):
+            return _Seen(self.tracked)
+        supported = self.tracked is not None and self.tracked.sighting.confidence >= _SUPPORTED
+        return self if supported else _Seen(None, self.elsewhere)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Belief:
+    """What the filter's belief says about places in the frame."""
+
+    state: RelativeState | None
+    """None if it is not fresh, not consistent or not sharp: then it excludes no place."""
+    integrity: IntegrityOptions
+
+    @staticmethod
+    def of(belief: RelativeState | None, frame: Frame, tracker: TrackerConfig, memory: TrackerMemory) -> _Belief:
+        """Return what a belief says. That a pad is seen elsewhere makes it no less consistent here."""
+        if belief is not None:
+            consistent = belief.consistent or belief.alerts == (IntegrityAlert.ELSEWHERE,)
+            fresh = belief.age_s(frame.stamp.measured_at) <= _FRESH_S
+            if consistent and fresh and _near_enough(belief, _sigma_m(belief), tracker.pad, memory.alike_yaw_rad):
+                return _Belief(belief, tracker.integrity)
+        return _Belief(None, tracker.integrity)
+
+    def excludes(self, seen: Sighting) -> bool:
+        """Return whether a pad in that place is not the tracked one."""
+        return self.state is not None and excludes(self.state, seen, self.integrity)
+
+
 def track(
     tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None = None
 ) -> tuple[Detection, TrackerMemory]:
@@ -109,9 +171,8 @@ def track(
     if lit is None or (seen.selected is not None and seen.selected.confidence >= lit.confidence):
         return seen, dataclasses.replace(left, lit=False)
     methods: dict[Method, Sighting | None] = {**seen.methods, "lamps": lit}
-    return Detection(lit, "lamps", MappingProxyType(methods), seen.opinions), dataclasses.replace(
-        left, lit=lit.confidence >= SURE
-    )
+    left = dataclasses.replace(left, lit=lit.confidence >= SURE)
+    return Detection(lit, "lamps", MappingProxyType(methods), seen.opinions, seen.elsewhere), left
 
 
 def _by_lamps(
@@ -133,16 +194,23 @@ def _by_paint(
 ) -> tuple[Detection, TrackerMemory]:
     """Return the detection of the painted pad, and the new memory."""
     pyramid = Pyramid(frame.px)
-    best, left = _registered(tracker, memory, frame, pyramid, attitude, belief)
+    place = _Belief.of(belief, frame, tracker, memory)
+    registered, left = _registered(tracker, memory, frame, pyramid, attitude, belief, place)
     if tracker.options.method == "registration":
+        best = registered.settled().tracked
         found = None if best is None else best.sighting
         methods: dict[Method, Sighting | None] = {"registration": found}
         opinions = None if best is None else best.opinions
         seen = Detection(found, None if found is None else "registration", MappingProxyType(methods), opinions)
     else:
         thesis = _by_thesis(tracker, frame, attitude)
-        thesis, best = _verify_cues(tracker, memory.paint, frame, pyramid, attitude, thesis, best)
-        seen = together(thesis, None if best is None else best.sighting, None if best is None else best.opinions)
+        thesis, registered = _verify_cues(tracker, memory.paint, frame, pyramid, attitude, thesis, registered, place)
+        best = registered.settled().tracked
+        opinions = None if best is None else best.opinions
+        seen = together(thesis, None if best is None else best.sighting, opinions, place.excludes)
+    elsewhere = registered.settled().elsewhere
+    if elsewhere is not None:
+        seen = replace(seen, elsewhere=elsewhere.sighting)
     sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= SURE
     yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
     return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad)
@@ -165,14 +233,20 @@ def _of_one_instant(
     return frame if about is None else replace(frame, px=at_one_instant(frame.px, tracker.camera, about, tracker.motion))
 
 
-def together(thesis: Detection, registered: Sighting | None, opinions: Opinions | None = None) -> Detection:
+def together(
+    thesis: Detection,
+    registered: Sighting | None,
+    opinions: Opinions | None = None,
+    excludes: Callable[[Sighting], bool] = lambda seen: False,
+) -> Detection:
     """Combine the thesis' methods and registration into one detection whose sighting is their fusion.
 
     Args:
         opinions: on the registration.
+        excludes: whether a belief excludes the place of a sighting, which then takes no part.
     """
     methods: dict[Method, Sighting | None] = {**thesis.methods, "registration": registered}
-    fused = fuse(s for s in methods.values() if s is not None)
+    fused = fuse(s for s in methods.values() if s is not None and not excludes(s))
     if fused is None:
         return Detection(None, None, MappingProxyType(methods), opinions)
     return Detection(fused.sighting, "fused", MappingProxyType(methods), opinions)
@@ -203,11 +277,12 @@ def _registered(
     pyramid: Pyramid,
     attitude: Attitude | None,
     belief: RelativeState | None,
-) -> tuple[_Registered | None, SearchMemory]:
+    place: _Belief,
+) -> tuple[_Seen, SearchMemory]:
     """Register where the belief expects the pad, else where a search finds it; return the best, and what the search leaves."""
     paint, left = memory.paint, FRESH_SEARCH
     orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
-    best: _Registered | None = None
+    best = _Seen()
     start: PadPose | None = None
     sigma_m = math.inf if belief is None else _sigma_m(belief)
     if belief is not None and attitude is not None and _near_enough(belief, sigma_m, tracker.pad, memory.alike_yaw_rad):
@@ -215,8 +290,9 @@ def _registered(
         if start is not None and start.t_cam_pad[2] > 0.05:
             options = CLOSE if sigma_m * tracker.camera.fx < _CLOSE_PX * start.t_cam_pad[2] else ROUGH
             tracked = verification.TRACKED_LOG_ODDS
-            best = _register_from(tracker, paint, frame, pyramid, start, orientation, options, tracked, searched=False)
-    if best is None or best.sighting.confidence < SURE:
+            here = _register_from(tracker, paint, frame, pyramid, start, orientation, options, tracked, searched=False)
+            best = best.having(here, place)
+    if not best.is_sure:
         R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
         budget = tracker.search_work
         found = search(frame.px, tracker.camera, tracker.pad, R_level_body, paint, memory.search, budget=budget, pyramid=pyramid)
@@ -230,8 +306,9 @@ def _registered(
             if tracker.pad.markings.is_letter_alone and alike_headings(tracker.pad) == 4:
                 R_level_cam = orientation.R_level_body.matrix @ tracker.camera.T_body_cam.R.matrix
                 pose = nearest_of_four(pose, R_level_cam, memory.alike_yaw_rad or 0.0)
-            best = _better(best, _register_from(tracker, paint, frame, pyramid, pose, orientation, CLOSE, prior, candidate.cut))
-            if best is not None and best.sighting.confidence >= SURE:
+            there = _register_from(tracker, paint, frame, pyramid, pose, orientation, CLOSE, prior, candidate.cut)
+            best = best.having(there, place)
+            if best.is_sure:
                 break
     return best, left
 
@@ -243,15 +320,16 @@ def _verify_cues(
     pyramid: Pyramid,
     attitude: Attitude | None,
     thesis: Detection,
-    best: _Registered | None,
-) -> tuple[Detection, _Registered | None]:
-    """Verify the cues of the thesis' methods, and return them with the best registration.
+    best: _Seen,
+    place: _Belief,
+) -> tuple[Detection, _Seen]:
+    """Verify the cues of the thesis' methods, and return them with the best registrations.
 
     A cue's confidence is limited to that of the drawing registered at the cue's pose, unless it agrees with a confident
-    registration. The returned registration is the best of the given one and those started from cues.
+    registration. The returned registrations are the best of the given ones and those started from cues.
     """
     orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
-    sure = best.sighting if best is not None and best.sighting.confidence >= SURE else None
+    sure = best.tracked.sighting if best.tracked is not None and best.is_sure else None
     methods: dict[Method, Sighting | None] = dict(thesis.methods)
     for method, cue in thesis.methods.items():
         if cue is None or (sure is not None and agree(cue, sure)):
@@ -261,7 +339,7 @@ def _verify_cues(
         if candidate is not None and candidate.score >= WORTH_A_TRY:
             aligned = _register_from(tracker, paint, frame, pyramid, candidate.pose, orientation, CLOSE)
         methods[method] = replace(cue, confidence=0.0 if aligned is None else min(cue.confidence, aligned.sighting.confidence))
-        best = _better(best, aligned)
+        best = best.having(aligned, place)
     return replace(thesis, methods=MappingProxyType(methods)), best
 
 
@@ -280,9 +358,9 @@ def _verified(tracker: TrackerConfig, pyramid: Pyramid, cue: Sighting, orientati
     return align_at(flat, orientation.measured, pyramid, tracker.camera, tracker.pad)
 
 
-def _better(a: _Registered | None, b: _Registered | None) -> _Registered | None:
-    """Return the more confident registration; the first if they are equal."""
-    return b if a is None or (b is not None and b.sighting.confidence > a.sighting.confidence) else a
+def _surer(a: _Registered | None, b: _Registered) -> bool:
+    """Return whether the first of two registrations is as sure as the second, or surer."""
+    return a is not None and a.sighting.confidence >= b.sighting.confidence
 
 
 def _register_from(

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from estimator.integrity.options import IntegrityOptions
 from estimator.vision.camera import Camera
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
@@ -34,3 +35,5 @@ class TrackerConfig:
     """How the camera moves in this frame; None if that is not known, or if all rows are exposed at once."""
     second_opinion: SecondOpinion | None = None
     """The trained network that is asked about what a search finds; None to ask none."""
+    integrity: IntegrityOptions = field(default_factory=IntegrityOptions)
+    """The guard's limits, by which a belief excludes a place."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 
 from companion.config.settings import camera_model, load, pad_model
 from companion.guidance.mission_step import mission_step
@@ -193,6 +194,21 @@ def fly_until(cockpit: Cockpit, done: Callable[[], bool], seconds: float = 30.0)
         if done():
             return
     raise AssertionError(f"not within {seconds} s; phase {cockpit.pilot.phase}")
+
+
+def test_a_pad_elsewhere_is_for_the_guard_to_judge_with_the_tracked_one_and_without() -> None:
+    cockpit = Cockpit()
+    for _ in range(60):
+        cockpit.tick(True)
+
+    def judged(tracked: float | None) -> Verdict:
+        stamp = Stamp(after(cockpit.now, -0.04), cockpit.now, 0.001, "sim")
+        here = Sighting(stamp, 1, "registration", cockpit.d, 0.1, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), tracked or 0.0)
+        there = structs.replace(here, d_body_pad_level=cockpit.d + np.array([0.0, 1.5, 0.0]), confidence=0.9)
+        selected = None if tracked is None else here
+        return cockpit.pilot.on_detection(Detection(selected, "registration", {}, elsewhere=there))[0]
+
+    assert [judged(tracked) for tracked in (None, 0.1, 0.4)] == [Verdict.ELSEWHERE, Verdict.ELSEWHERE, Verdict.FUSED]
 
 
 def test_the_ship_s_own_word_does_not_break_the_vehicle_s_silence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from estimator import pipeline
-from estimator.contracts.estimates import RelativeState, Sighting, Verdict
+from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu, Range
@@ -134,6 +134,35 @@ def test_a_sighting_of_another_place_is_refused_before_every_path_once_the_pad_w
     assert Verdict.FUSED not in {o.verdict for o in outcomes}
     _, outcomes = pipeline.step(refused, elsewhere)
     assert outcomes[0].verdict is Verdict.FUSED, "what was refused is no place of the pad"
+
+
+def test_a_pad_that_is_clearer_elsewhere_is_remembered_and_the_tracked_one_fused() -> None:
+    memory, here, there = hovering(), (0.5, -0.2, 2.0), (0.5, 0.9, 2.0)
+    for i in range(4):
+        t_s = 0.91 + 0.01 * i
+        memory, results = pipeline.step_seen(memory, sighting(t_s, here, confidence=0.4), sighting(t_s, there))
+        assert [r.verdict for r in results] == [Verdict.FUSED] * 2
+    (candidate,) = memory.guard.tracks.candidates
+    assert (candidate.n, candidate.n_alone) == (4, 1), "beside the tracked pad it is never alone, and not adopted"
+    assert len(memory.guard.view.bearings) > 4
+    assert all(level[1] < 0.0 for _, _, level, _ in memory.guard.view.bearings), "the view watch follows the tracked pad alone"
+    believed = pipeline.belief(memory, NOW)
+    assert believed is not None
+    assert IntegrityAlert.ELSEWHERE in believed.alerts
+    assert not believed.consistent
+
+
+def test_a_tracked_pad_that_is_unsure_does_not_count_beside_a_clearer_one() -> None:
+    memory = hovering()
+    after, results = pipeline.step_seen(memory, sighting(0.95, (0.5, -0.2, 2.0), confidence=0.1), sighting(0.95, (0.5, 0.9, 2.0)))
+    assert results[0].verdict is Verdict.ELSEWHERE
+    assert after.paths == memory.paths
+    near = sighting(0.95, (0.5, -0.17, 2.0))
+    after, results = pipeline.step_seen(memory, sighting(0.95, (0.5, -0.2, 2.0), confidence=0.4), near)
+    assert results[0].verdict is Verdict.FUSED
+    expected, _ = pipeline.step(memory, near)
+    assert str(after.paths) == str(expected.paths), "what the guard does not call another pad counts, as it is the clearer one"
+    assert str(after.paths) != str(pipeline.step(memory, sighting(0.95, (0.5, -0.2, 2.0)))[0].paths)
 
 
 def test_a_range_agrees_with_sightings_that_the_steering_path_has_fused() -> None:

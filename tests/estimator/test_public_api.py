@@ -160,16 +160,19 @@ def test_the_tracker_hands_on_its_options_and_counts_no_find_below_its_confidenc
 
     def found(config: TrackerConfig, memory: object, frame: Frame, *_: object) -> tuple[SimpleNamespace, object]:
         given.append((config, frame))
-        return SimpleNamespace(selected=sighting(0.0, confidence=0.2)), memory
+        return SimpleNamespace(selected=sighting(0.0, confidence=0.2), elsewhere=None), memory
 
     monkeypatch.setattr("estimator.pad_tracker.track", found)
     image = np.zeros((360, 640, 3), np.uint8)
     for least, counts in ((0.0, True), (0.2, True), (0.21, False)):
         assert (PadTracker(CAMERA, PAD, min_confidence=least).track(image) is not None) is counts
     assert PadTracker(CAMERA, PAD).track(image) is not None, "by default the least is 0.2"
-    below = SimpleNamespace(selected=sighting(0.0, confidence=0.19))
+    below = SimpleNamespace(selected=sighting(0.0, confidence=0.19), elsewhere=None)
     monkeypatch.setattr("estimator.pad_tracker.track", lambda *of: (below, of[1]))
     assert PadTracker(CAMERA, PAD).track(image) is None
+    there = SimpleNamespace(selected=below.selected, elsewhere=sighting(0.0, confidence=0.9))
+    monkeypatch.setattr("estimator.pad_tracker.track", lambda *of: (there, of[1]))
+    assert PadTracker(CAMERA, PAD).track(image) is there.elsewhere, "the estimator judges it"
     (config, frame), *_ = given
     assert config.options == TrackerOptions("registration", "indoor", math.degrees(SIGMA_DECK_RAD))
     assert (frame.seq, frame.stamp) == (0, Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival"))

@@ -12,7 +12,7 @@ from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Baro, Frame, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.integrity import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, fused
+from estimator.integrity import IntegrityGuard, IntegrityOptions, admit, admit_frame, admit_sighting, alerts, excludes, fused
 from estimator.integrity.clock import ClockWatch
 from estimator.integrity.frames import FrameWatch
 from estimator.integrity.heights import HeightWatch
@@ -164,6 +164,16 @@ def test_another_place_is_refused_unless_the_belief_expects_it() -> None:
     assert admit_sighting(followed(), sighting(t, there), attitude(t), belief(there, 0.1))[1] is None
     assert admit_sighting(followed(), sighting(t, there), attitude(t), belief((1.0, -0.2, 2.0), 0.1))[1] is None
     assert admit_sighting(followed(), sighting(t, there), attitude(t), belief((1.0, -0.1, 2.0), 0.001))[1] is Verdict.ELSEWHERE
+
+
+def test_a_belief_excludes_where_another_pad_can_be_and_it_does_not_expect_this_one() -> None:
+    o, of = IntegrityOptions(), belief((1.0, 0.5, 2.0), 0.02)
+    assert not excludes(of, sighting(T), o)
+    assert not excludes(of, sighting(T, (1.0, 0.89 - 1e-6, 2.0)), o), "no other pad is nearer than half of the distance of two"
+    assert excludes(of, sighting(T, (1.0, 0.89 + 1e-6, 2.0)), o)
+    assert excludes(of, sighting(T, (1.0, 0.5, 2.6)), o)
+    assert not excludes(belief((1.0, 0.5, 2.0), 0.2), sighting(T, (1.0, 0.92, 2.0)), o), "an uncertain belief"
+    assert not excludes(of, sighting(T, (1.0, 0.92, 2.0)), replace(o, place_step_m=0.4)), "as the settings have it"
 
 
 def test_a_sightings_stamp_is_judged_before_its_place() -> None:

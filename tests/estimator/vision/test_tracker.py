@@ -5,16 +5,18 @@ import math
 import cv2
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from companion.config.settings import camera_model, load, pad_model
-from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs
 from estimator.vision.options import TrackerMethod, TrackerOptions
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, expected, track
 from sitl.light import Light
 from sitl.surroundings import Decal, Surroundings
-from tests.support.deck_images import shown
+from tests.support.deck_images import Shown, covered, shown
 from tests.support.pad_images import STAMP
 from tests.support.pad_views import RenderedView, Stage
 
@@ -68,10 +70,84 @@ def test_found_in_the_whole_image_and_followed_from_the_belief(height_m: float, 
 
 
 @pytest.mark.parametrize("off_m", [(0.3, 0.0, 0.0), (0.0, -0.6, 0.4), (2.0, 1.0, -1.0)])
-def test_a_belief_at_the_wrong_place_costs_a_search_and_no_more(off_m: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize("method", ["fused", "registration"])
+def test_a_belief_at_the_wrong_place_costs_a_search_and_no_more(method: TrackerMethod, off_m: tuple[float, float, float]) -> None:
     view = stage().view(3.0)
-    seen, _ = track(tracker("registration"), TrackerMemory(), view.frame(), attitude(view), belief(view, off_m))
+    seen, _ = track(tracker(method), TrackerMemory(), view.frame(), attitude(view), belief(view, off_m))
+    if off_m[0] == 0.3:
+        assert right(seen.selected, view), "no other pad can be so near"
+        assert seen.elsewhere is None
+    else:
+        assert right(seen.elsewhere, view)
+        assert seen.selected is None or seen.selected.confidence < 0.2
+
+
+@pytest.mark.parametrize(
+    ("age_s", "consistent", "alerts", "sigma_m"),
+    [(1.1, True, (), 0.02), (0.0, False, (), 0.02), (0.0, False, (IntegrityAlert.RANGE,), 0.02), (0.0, True, (), 0.4)],
+)
+def test_a_belief_that_is_old_or_doubted_or_blunt_excludes_no_place(
+    age_s: float, consistent: bool, alerts: tuple[IntegrityAlert, ...], sigma_m: float
+) -> None:
+    view = stage().view(3.0)
+    sharp = belief(view, (0.0, -1.1, 0.0), sigma_m)
+    of = replace(sharp, sighted=MonoNs(sharp.at - round(age_s * 1e9)), consistent=consistent, alerts=alerts)
+    seen, _ = track(tracker("registration"), TrackerMemory(), view.frame(), attitude(view), of)
     assert right(seen.selected, view)
+    assert seen.elsewhere is None
+    told = replace(sharp, cov=belief(view).cov, consistent=False, alerts=(IntegrityAlert.ELSEWHERE,))
+    seen, _ = track(tracker("registration"), TrackerMemory(), view.frame(), attitude(view), told)
+    assert right(seen.elsewhere, view), "another pad in view makes the belief no worse"
+
+
+def two_pads(height_m: float, hidden: float) -> tuple[Shown, np.ndarray, RelativeState, Attitude]:
+    """The pad with another one 1.1 m beside it and a part of its disc hidden, a belief that is right, and both places."""
+    seen = shown(CAMERA, PAD, height_m, aside=(-0.5 / height_m, 0.0))
+    R, t = seen.truth.R_cam_pad, seen.truth.t_cam_pad
+    other = t + R @ np.array([0.0, 1.1, 0.0])
+    plane = CAMERA.K @ np.c_[R.matrix[:, :2], t]
+    moved = cv2.warpPerspective(
+        seen.px,
+        plane @ np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.1], [0.0, 0.0, 1.0]]) @ np.linalg.inv(plane),
+        (CAMERA.width, CAMERA.height),
+    )
+    circle = np.linspace(0.0, math.tau, 60)
+    disc = R.matrix[:, :2] @ np.array([np.cos(circle), np.sin(circle)]) * 0.41
+    inside = np.zeros(seen.px.shape[:2], np.uint8)
+    cv2.fillPoly(inside, [np.rint(CAMERA.project(other + disc.T)).astype(np.int32)], 255)
+    px = np.where(inside[:, :, None] > 0, moved, seen.px).astype(np.uint8)
+    edge = np.array([[-0.5, 0.4 - 0.8 * hidden], [0.5, 0.4 - 0.8 * hidden], [0.5, 0.42], [-0.5, 0.42]])
+    px = covered(replace_px(seen, px), CAMERA, edge, (60, 60, 60))
+    mount = CAMERA.T_body_cam
+    d = seen.R_level_body @ (mount.R @ t + mount.t)
+    arrow = (seen.R_level_body @ mount.R @ R).matrix[:, 0]
+    cov = np.diag([0.02**2] * 3 + [0.01] * 3 + [0.02**2])
+    at = STAMP.measured_at
+    of = RelativeState(at, "ekf", d, np.zeros(3), -math.atan2(arrow[1], arrow[0]), cov, at, True)
+    told = Attitude(STAMP, seen.R_level_body, 1e-5 * np.eye(3))
+    return replace_px(seen, px), seen.R_level_body @ (mount.R @ other + mount.t), of, told
+
+
+def replace_px(seen: Shown, px: np.ndarray) -> Shown:
+    return Shown(px, seen.truth, seen.R_level_body)
+
+
+@pytest.mark.parametrize("method", ["fused", "registration"])
+@pytest.mark.parametrize("hidden", [0.6, 1.0])
+def test_another_pad_never_takes_the_place_of_one_that_is_hidden(method: TrackerMethod, hidden: float) -> None:
+    seen, other, of, told = two_pads(3.0, hidden)
+    found, _ = track(tracker(method), TrackerMemory(), Frame(STAMP, 0, seen.px), told, of)
+    if found.selected is not None and found.selected.confidence >= 0.2:
+        assert hidden < 1.0
+        assert np.linalg.norm(found.selected.d_body_pad_level - of.d_body_pad_level) < 0.1
+    else:
+        assert found.elsewhere is not None
+        assert np.linalg.norm(found.elsewhere.d_body_pad_level - other) < 0.1
+        assert found.elsewhere.confidence > 0.5
+    alone, _ = track(tracker(method), TrackerMemory(), Frame(STAMP, 0, seen.px), told)
+    assert alone.elsewhere is None
+    assert alone.selected is not None
+    assert np.linalg.norm(alone.selected.d_body_pad_level - other) < 0.1, "without a belief the one in full view is the pad"
 
 
 def test_nothing_is_seen_where_there_is_no_pad_even_where_one_is_expected() -> None:
