@@ -16,6 +16,9 @@ static const double GLARE_DOUBTED = 5e-4;
 static const float CLIPPED = 0.9f;
 /* Cut-off in standard deviations: 95 % efficient under Gaussian noise. Source: Holland, Welsch, 1977. */
 static const double TUKEY = 4.7;
+/* Coverage from which on a pixel shows the pad alone, and the fewest such pixels that tell the noise on it. */
+static const float ON_PAD = 0.98f;
+enum { ON_PAD_PIXELS = 64 };
 /* The square of a normal number's median, and the least variance of light over light. */
 static const double MEDIAN_SQUARE = 0.4549, LEAST_NOISE = 1e-7;
 
@@ -135,17 +138,35 @@ static int fit_paints(const patch *cut, int c, dense_rows *d, dense_sums *s)
     return 1;
 }
 
-/* The median of squared residuals less the edges' part, over light, times a factor for the noise of Gaussian light. */
+/* The median of squared residuals less the edges' part, over light, times a factor for the noise of Gaussian light: of the pixels that
+ * are judged. */
 WIDE
-static double typical(const patch *cut, int c, int less_edges, const dense_rows *d)
+static double typical(const patch *cut, int c, int less_edges, const float *judged, const dense_rows *d)
 {
     const float *r = d->residual[c], *level = d->level[c], *unsharp = d->unsharp[c];
     int count = 0;
     for (int i = 0; i < cut->n; i++) {
         d->spare[0][count] = (r[i] * r[i] - (less_edges ? unsharp[i] : 0.0f)) / level[i];
-        count += d->judged[c][i] > 0.0f;
+        count += judged[i] > 0.0f;
     }
     return count ? median_of(count, d->spare[0], (uint32_t *)(void *)d->spare[1]) / MEDIAN_SQUARE : 0.0;
+}
+
+/* The same of a channel's judged pixels that show the pad alone: what lies around it says nothing of what lies on it. Of all judged
+ * ones where there are too few. */
+static double typical_on_pad(const pad_shape *pad, const patch *cut, int c, dense_rows *d)
+{
+    float *on = d->spare[2];
+    int count = 0;
+    for (int i = 0; i < cut->n; i++) {
+        float covered = 0.0f;
+        for (int k = 0; k < pad->contrast_count; k++) {
+            covered += pad->lies_on[k] < 0 ? d->values[FIRST_REGION + k][i] : 0.0f;
+        }
+        on[i] = covered > ON_PAD ? d->judged[c][i] : 0.0f;
+        count += on[i] > 0.0f;
+    }
+    return typical(cut, c, 0, count >= ON_PAD_PIXELS ? on : d->judged[c], d);
 }
 
 /* Tukey's weights of a channel's pixels from their residuals. */
@@ -312,7 +333,7 @@ static int fit_robustly(const patch *cut, int first, int reflection, dense_rows 
             return 0;
         }
         if (!first) {
-            weigh(cut, c, fmax(typical(cut, c, 1, d), LEAST_NOISE), reflection, d);
+            weigh(cut, c, fmax(typical(cut, c, 1, d->judged[c], d), LEAST_NOISE), reflection, d);
             if (!fit_paints(cut, c, d, s)) {
                 return 0;
             }
@@ -339,7 +360,7 @@ int linearise_dense(const pad_shape *pad, const patch *cut, const fit_state *s, 
     dense_sums all = {.regions = (int)pad->contrast_count, .k = FIRST_REGION + (int)pad->contrast_count};
     const float m_per_px2 = (float)(s->m_per_px * s->m_per_px);
     glare reflection = first ? (glare){0.0, 0.0, 0.0} : fit->reflection;
-    double left = 0.0, amplitudes[GLARE_COLUMNS] = {0.0};
+    double left = 0.0, on_pad = 0.0, amplitudes[GLARE_COLUMNS] = {0.0};
     all.total = all.k;
     draw(pad, cut, s, d);
     weigh_fully(cut, fit->noise, edge_sigma_px, first, d);
@@ -362,7 +383,8 @@ int linearise_dense(const pad_shape *pad, const patch *cut, const fit_state *s, 
         if (!add_channel(cut, c, m_per_px2, d, &all, fit) || (last && !add_meat(pad, cut, c, m_per_px2, d, &all, fit))) {
             return 0;
         }
-        left += typical(cut, c, 0, d) / CHANNELS;
+        left += typical(cut, c, 0, d->judged[c], d) / CHANNELS;
+        on_pad += last ? typical_on_pad(pad, cut, c, d) / CHANNELS : 0.0;
         fill(cut, c, &all, d, fit);
         for (int k = all.k; k < all.total; k++) {
             amplitudes[k - all.k] += all.a[c][k];
@@ -370,7 +392,7 @@ int linearise_dense(const pad_shape *pad, const patch *cut, const fit_state *s, 
     }
     mirror(STATES, STATES, fit->H);
     mirror(STATES, STATES, fit->meat);
-    fit->noise = fmax(left, LEAST_NOISE);
+    fit->noise = fmax(left, LEAST_NOISE), fit->noise_on_pad = on_pad;
     fit->reflection = reflection.radius > 0.0 ? glare_moved(&reflection, amplitudes, pad->disc_radius_m) : reflection;
     return 1;
 }

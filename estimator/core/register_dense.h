@@ -42,8 +42,8 @@ typedef struct {
     double pull[SECTOR_MOVES][STATES], score[SECTOR_MOVES], known[SECTOR_MOVES];
     /* Light of the coefficients and its variances, by channel; the variances only of the last linearisation. */
     double paints[FIRST_REGION + PAD_CONTRASTS][CHANNELS], var_paints[FIRST_REGION + PAD_CONTRASTS][CHANNELS];
-    /* Robust variance of light over light. */
-    double noise;
+    /* Robust variance of light over light, and that of the pixels that show the pad alone; the latter only of the last linearisation. */
+    double noise, noise_on_pad;
     glare reflection;
 } dense_fit;
 

@@ -299,7 +299,8 @@ int register_far(const view *v, const pad_shape *pad, const fit_options *o, cons
     if (!converge(pad, &cut, o, &priors, &d, &s, &fit, &out->last_step_px, out->H) || !covariance_of(&priors, &s, out->H, out->cov)) {
         return 0;
     }
-    out->dense = 1, out->doubted = fit.noise > NOISE_DOUBTED + NOISE_DOUBT * cut.noise;
+    /* Surroundings alone are no object on the pad, and a pad that is burnt out is none beside even ones. */
+    out->dense = 1, out->doubted = fmin(fit.noise, fit.noise_on_pad) > NOISE_DOUBTED + NOISE_DOUBT * cut.noise;
     if (out->doubted) {
         add_doubt(&s, pad, out->cov);
     }

@@ -54,6 +54,22 @@ def test_a_distant_pads_covariance_holds_in_all_directions(camera: Camera, pad: 
     assert float(np.sort(nees)[-2]) < 6.0
 
 
+@pytest.mark.parametrize("name", ["asphalt", "edge of the deck", "sea"])
+def test_what_lies_around_a_pad_does_not_have_it_doubted(camera: Camera, pad: Pad, name: str) -> None:
+    """A doubted registration says half a metre at 10 m, and no heading."""
+    sigmas, known = [], 0
+    for k in range(10):
+        rng = np.random.default_rng([83, SURROUNDINGS.index(name), 100, 12, k])
+        view = surrounded_view(rng, camera, pad, name, 10.0, math.radians(12.0))
+        found = register(view.px, camera, pad, view.start, view.prior, TRACK)
+        assert found is not None
+        sight = view.truth.t_cam_pad / view.truth.range_m
+        sigmas.append(math.sqrt(float(sight @ found.cov[:3, :3] @ sight)))
+        known += not found.yaw_ambiguous
+    assert np.median(sigmas) < 0.05
+    assert known >= 9
+
+
 @pytest.mark.parametrize(("height_m", "least"), [(1.0, 0.0015), (12.0, 0.003)])
 def test_a_pad_painted_to_a_tolerance_is_at_a_range_of_that_tolerance(
     camera: Camera, pad: Pad, height_m: float, least: float

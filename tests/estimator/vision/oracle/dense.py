@@ -69,6 +69,8 @@ class DenseFit:
     """Squared change of that light over one pixel across the steepest edge, (3, N)."""
     noise: float
     """Robust variance of light over light (and `_DARK`)."""
+    noise_on_pad: float
+    """The same of the pixels that show the pad alone."""
     weight: F64
     """Robust weight, (3, N), 0..1."""
     scores: F64
@@ -273,8 +275,13 @@ def fit(
             alone = smooth(spread.reshape(*cut.grid, N_STATE)).reshape(-1, N_STATE)[cut.at].T
             meat += (alone * seen) @ alone.T
     left = np.mean([median(x) for x in _each(r2 / level, judged)]) / 0.4549
+    # What lies around the pad says nothing of what lies on it.
+    covered = judged & (painted[3] + (painted[6] if K > 6 else 0.0) > 0.98)
+    covered = np.where(covered.sum(axis=1, keepdims=True) < 64, judged, covered)
+    on_pad = np.mean([median(x) for x in _each(r2 / level, covered)]) / 0.4549
     return DenseFit(
-        H, scores.sum(axis=1), a.T[:K], cov, model, steep2, max(float(left), 1e-7), weight, scores, meat, pull, place, painted,
+        H, scores.sum(axis=1), a.T[:K], cov, model, steep2, max(float(left), 1e-7), float(on_pad), weight,
+        scores, meat, pull, place, painted,
         None if reflection is None else reflection.moved(a[:, K:].sum(axis=0), pad), a[:, K:] @ values[K:],
     )  # fmt: skip
 

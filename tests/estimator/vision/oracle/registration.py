@@ -153,7 +153,7 @@ def _dense_fit(
     assert fit is not None
     if not float(np.diag(fit.H).min()) > 0.0:
         return None
-    doubted = fit.noise > _NOISE_DOUBTED
+    doubted = min(fit.noise, fit.noise_on_pad) > _NOISE_DOUBTED
     cov = solver.covariance(state, H) + (_doubt(state, pad) if doubted else 0.0)
     arrow = dense.arrow_amplitudes(state, cut, pad, fit)
     seen = arrow is not None and arrow[0] - arrow[1] > max(0.5, 4.0 * arrow[2])
