@@ -174,7 +174,7 @@ def test_a_sighting_that_does_not_trust_itself_is_refused(confidence: float) -> 
     cov = np.diag([0.01, 0.01, 0.01, 0.01])
     seen = Sighting(stamp(1.0), 999, "selected", np.array([0.0, 0.0, 2.0]), 0.0, False, cov, confidence)
     _, outcomes = step(ekf, seen)
-    assert outcomes[0].verdict is Verdict.GATED
+    assert outcomes[0].verdict is Verdict.LOW_CONFIDENCE
 
 
 def test_a_certain_contradiction_is_singular_not_a_crash() -> None:
