@@ -12,7 +12,7 @@ same frames give the same results.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -182,6 +182,10 @@ class _Task:
     refused_before: tuple[Place, ...]
     found: list[PadCandidate] = field(default_factory=list)
     refused: list[Place] = field(init=False)
+    guesses: dict[Callable[[], list[Guess]], list[Guess]] = field(default_factory=dict)
+    """Guesses of the kinds that were looked for, by what made them: two kinds may share them."""
+    tried: set[int] = field(default_factory=set)
+    """Identities of the guesses that the drawing was aligned at."""
     work: float = 0.0
 
     def __post_init__(self) -> None:
@@ -221,13 +225,17 @@ def _try_poses(poses: list[FiducialPose], task: _Task, tilt_known: bool) -> bool
 
 def _try_kind(kind: Kind, task: _Task) -> bool | None:
     """Align the drawing at the best guesses of a kind. Return whether that is enough, or None if the budget ends before."""
-    if task.work > 0.0 and task.work + kind.work > task.budget:
-        return None
-    guesses = kind.guesses()
-    task.work += kind.work + WORK_GUESS * len(guesses)
+    guesses = task.guesses.get(kind.guesses)
+    if guesses is None:
+        if task.work > 0.0 and task.work + kind.work > task.budget:
+            return None
+        guesses = task.guesses[kind.guesses] = kind.guesses()
+        task.work += kind.work + WORK_GUESS * len(guesses)
     aligned = kept = 0
     for guess in sorted(guesses, key=lambda g: (_is_refused(g, task), -g.score)):
-        if not kind.is_drawn(guess) or (task.found and any(_near(guess.t_cam_pad, c.pose) for c in _settled(kind, task))):
+        if id(guess) in task.tried or not kind.is_drawn(guess):
+            continue
+        if task.found and any(_near(guess.t_cam_pad, c.pose) for c in _settled(kind, task)):
             continue
         if aligned == _TRIES * _ALIGNED or kept == _ALIGNED:
             break
@@ -235,6 +243,7 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
         if task.work + work > task.budget and aligned > 0:
             return None
         candidate = align_at(guess.pose, guess.tilt_known, task.pyramid, task.camera, task.pad, guess.side, kind.covered)
+        task.tried.add(id(guess))
         aligned += 1
         task.work += work
         if candidate is not None:

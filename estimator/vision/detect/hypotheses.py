@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -30,6 +30,12 @@ STROKES_WIDTH_PX = 160
 LEAST_DRAWING, _LEAST_ROUND = 0.04, 0.015
 """Smallest fraction of the variance that a guess must explain, and that of one from an area with an ellipse for its outline: of
 a pale pad from afar the drawing shows little more than the disc. No guess of another kind with less was the pad in 900 frames.
+"""
+_CLEAR_DRAWING, _CLEAR_AREA, _CLEAR_COLOUR = 0.2, 0.3, 0.1
+"""Fraction of the variance that a guess must explain to be tried before all kinds were looked at once; that of one from an area,
+and from the disc's colour, whose guesses are few. Of 920 pads in all lights, half of them partly hidden, 19 in 20 are found by
+such a guess. Of the guesses elsewhere one in seventy from the reduced images is one, one in twenty from circles of which half may
+be covered, and one in thirty of the areas.
 """
 _ROUND = 0.8
 """Support at which an area's outline is an ellipse."""
@@ -72,15 +78,24 @@ class Kind:
     """Whether guesses are so near to a pose that they are tried beside a candidate without confidence, too."""
     least_round: float = LEAST_DRAWING
     """Smallest fraction of the variance that a guess from a circle with an ellipse for its outline must explain to be tried."""
+    least_drawing: float = LEAST_DRAWING
+    """The same of any other guess."""
+    by_colour: bool = False
+    """Whether guesses come from the disc's colour."""
 
     def is_drawn(self, guess: Guess) -> bool:
         """Return whether a guess explains enough of the variance to be tried."""
-        return guess.drawing >= (self.least_round if guess.support >= _ROUND else LEAST_DRAWING)
+        return guess.drawing >= (self.least_round if guess.support >= _ROUND else self.least_drawing)
+
+    def clear(self, least: float = _CLEAR_DRAWING) -> Kind:
+        """Return the same kind for guesses that explain at least this fraction of the variance: few of them are wrong."""
+        return replace(self, least_round=least, least_drawing=least)
 
 
 def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: PaintMemory) -> list[Kind]:
     """Return the kinds of hypotheses, quick and likely kinds first.
 
+    Kinds whose guesses are often wrong are looked at twice: first for guesses that are clear, and for the others after all kinds.
     Those that only a pad of which a part is covered needs are the last ones.
     """
     luminance, colour = _Images(_luminance, pyramid), _Images(lambda px: disc_colour(px, pad), pyramid)
@@ -93,30 +108,34 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
         of, most = (Outline.RING, _MORE_GUESSES) if of_ring else (Outline.DISC, MOST)
         return frame.guesses(frame.circles(colour, levels), of, most)
 
+    strokes = Kind(_WORK_STROKES, frame.strokes)
     if pad.markings.is_letter_alone:
         alone = [Kind(_WORK_LETTERING * size, lambda: lettering_blobs(pyramid, camera, pad, plane))]
-        return [*alone, Kind(_WORK_STROKES, frame.strokes)] if pad.markings.is_h else alone
-    out = [
-        Kind(WORK_COARSE * size, lambda: frame.plain(luminance)),
-        Kind(_WORK_LARGER * size, lambda: frame.guesses_by_edges(luminance, _REDUCED_LEVELS)),
-        Kind(_WORK_OUTLINES * size, frame.blobs, exact=True, least_round=_LEAST_ROUND),
-        Kind(_WORK_STROKES, frame.strokes),
-        Kind(_WORK_FULL_SIZE * size, lambda: frame.guesses(frame.circles(luminance, (0,)), Outline.EDGES)),
-    ]
-    coloured = disc_has_colour(pad)
-    if coloured:
-        by_colour = Kind((_WORK_REDUCED + _WORK_COLOUR) * size, lambda: circles_of_colour(_REDUCED_LEVELS))
-        out.insert(0 if paint.dominance(pad) is not None else 3, by_colour)
-        out.append(Kind((_WORK_FULL_SIZE + _WORK_COLOUR) * size, lambda: circles_of_colour((0,))))
-    if not pad.markings.is_searched_by_parts:
+        return [*alone, strokes] if pad.markings.is_h else alone
+    coarse = Kind(WORK_COARSE * size, lambda: frame.plain(luminance))
+    larger = Kind(_WORK_LARGER * size, lambda: frame.guesses_by_edges(luminance, _REDUCED_LEVELS))
+    blobs = Kind(_WORK_OUTLINES * size, frame.blobs, exact=True, least_round=_LEAST_ROUND)
+    full = Kind(_WORK_FULL_SIZE * size, lambda: frame.guesses(frame.circles(luminance, (0,)), Outline.EDGES))
+    green = Kind((_WORK_REDUCED + _WORK_COLOUR) * size, lambda: circles_of_colour(_REDUCED_LEVELS), by_colour=True)
+    small_green = Kind((_WORK_FULL_SIZE + _WORK_COLOUR) * size, lambda: circles_of_colour((0,)), by_colour=True)
+    out = [coarse, larger, blobs, green, strokes, full, small_green]
+    if pad.markings.is_searched_by_parts:
+        in_ring = replace(green, guesses=lambda: circles_of_colour(_REDUCED_LEVELS, of_ring=True), covered=True)
+        more = Kind(
+            _WORK_MORE_CIRCLES * size,
+            lambda: frame.guesses(frame.more_circles(luminance), Outline.EDGES, _MORE_GUESSES),
+            covered=True,
+        )
+        out = [
+            coarse, larger.clear(), blobs.clear(_CLEAR_AREA), small_green.clear(_CLEAR_COLOUR), strokes,
+            green.clear(_CLEAR_COLOUR), more.clear(),
+            small_green, green, larger, blobs, full, in_ring, more, Kind(_WORK_STROKES, frame.beside_strokes, covered=True),
+        ]  # fmt: skip
+    if not disc_has_colour(pad):
+        return [kind for kind in out if not kind.by_colour]
+    if paint.dominance(pad) is None:
         return out
-    if coloured:
-        out.append(Kind((_WORK_REDUCED + _WORK_COLOUR) * size, lambda: circles_of_colour(_REDUCED_LEVELS, of_ring=True), True))
-    return [
-        *out,
-        Kind(_WORK_MORE_CIRCLES * size, lambda: frame.guesses(frame.more_circles(luminance), Outline.EDGES, _MORE_GUESSES), True),
-        Kind(_WORK_STROKES, frame.beside_strokes, True),
-    ]
+    return [green, *(kind for kind in out if kind.guesses is not green.guesses)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
