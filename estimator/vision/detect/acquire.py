@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, AlignedTemplate, align
-from estimator.vision.detect.covered import align_uncovered
+from estimator.vision.detect.covered import align_uncovered, turned_uncovered
 from estimator.vision.detect.fiducials import WINDOWS_PX, WORK_FIDUCIALS, FiducialPose, fiducial_poses
 from estimator.vision.detect.guesses import Guess
 from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, WORK_GUESS, Kind, kinds
@@ -283,6 +283,11 @@ def align_at(
         return found
     uncovered = align_uncovered(pyramid, camera, pad, pose if found is None else found.pose, sigma, steps)
     other = None if uncovered is None else _candidate(uncovered[0], arrow_support(uncovered[0]) < _ARROW_SEEN, uncovered[1])
+    if other is not None and other.score < ENOUGH:
+        turned = turned_uncovered(pyramid, camera, pad, other.aligned, uncovered[1], sigma, steps)
+        if turned is not None:
+            again = _candidate(turned, arrow_support(turned) < _ARROW_SEEN, uncovered[1])
+            other = again if again is not None and again.score > other.score else other
     return other if found is None or (other is not None and other.score > found.score) else found
 
 

@@ -7,10 +7,13 @@ of the hidden part, and the rest has to fit as well as a pad at the frame's edge
 
 from __future__ import annotations
 
+import math
+
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import AlignedTemplate, align, cover
 from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.verification import log_odds
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 
@@ -18,6 +21,8 @@ COVERED_LOG_ODDS = -1.0
 """Prior of a drawing of which something covers a part, for `fit_verification.confidence`: the line is chosen so that the
 rest fits best.
 """
+_TURNS = 6
+"""Headings in half a turn that a covered pad may have; alignment reaches half of the way to the next."""
 _LEAST_GAIN, _MOST_LEFT = 0.7, 0.6
 """Least gain of a cover, and the largest share of the light's variation beside it that the drawing may leave. At the true poses
 of 90 half-covered pads at 5 to 15 m the gain was 1.0 and more, and 0.56 was left at most.
@@ -52,3 +57,19 @@ def align_uncovered(
         return None
     better = align(pyramid, camera, pad, aligned.pose, sigma_tilt_rad, 0, cut=again)
     return None if better is None else (better, again)
+
+
+def turned_uncovered(
+    pyramid: Pyramid, camera: Camera, pad: Pad, at: AlignedTemplate, cut: F64, sigma_tilt_rad: float, steps: int
+) -> AlignedTemplate | None:
+    """Return the drawing aligned from the heading that fits best to what nothing covers; None if that is the one it has.
+
+    What covers a half of a distant pad has more pixels than its H, and turns the heading that a guess has.
+    """
+    turned = [
+        align(pyramid, camera, pad, at.pose.turned(k * math.pi / _TURNS), sigma_tilt_rad, 0, cut=cut) for k in range(1, _TURNS)
+    ]
+    best = max((one for one in turned if one is not None), key=lambda one: log_odds(one.features), default=None)
+    if best is None or log_odds(best.features) < log_odds(at.features):
+        return None
+    return align(pyramid, camera, pad, best.pose, sigma_tilt_rad, steps, local=True, cut=cut)

@@ -11,9 +11,10 @@ from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import SearchMemory, acquire, align_at, search
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, UNCUT, align, cover
-from estimator.vision.detect.covered import cut_at
+from estimator.vision.detect.covered import align_uncovered, cut_at, turned_uncovered
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.registration import register
 from estimator.vision.tracker_config import FRAME_WORK
@@ -103,6 +104,45 @@ def test_half_covered_pads_are_found_from_cold(camera: Camera, pad: Pad) -> None
                     found += keeps_claim(of.found.pose, scene.truth, camera, pad, of.found.yaw_ambiguous)
                     break
     assert found >= 9
+
+
+def heading_off(pose: PadPose, truth: PadPose) -> float:
+    """Return the error of a heading up to half a turn, rad."""
+    yaw = abs((truth.R_cam_pad.inv @ pose.R_cam_pad).rpy_rad[2])
+    return float(min(yaw, math.pi - yaw))
+
+
+def test_what_covers_a_distant_pad_does_not_turn_it(camera: Camera, pad: Pad) -> None:
+    covered = right = turned_right = 0
+    for seed in range(20):
+        scene = seen(camera, pad, "half covered", 15.0, seed)
+        assert scene.truth is not None
+        pyramid, start = Pyramid(scene.px), scene.truth.turned(math.radians(75.0))
+        found = align_uncovered(pyramid, camera, pad, start, SIGMA_TILT_RAD, 4)
+        if found is not None:
+            turned = turned_uncovered(pyramid, camera, pad, *found, SIGMA_TILT_RAD, 4)
+            covered += 1
+            right += heading_off(found[0].pose, scene.truth) < 0.35
+            turned_right += turned is not None and heading_off(turned.pose, scene.truth) < 0.35
+    assert covered >= 12
+    assert right <= 1
+    assert turned_right >= covered - 2
+
+
+def test_half_a_distant_pad_at_the_frames_edge_is_found_within_three_frames_of_a_flight(camera: Camera, pad: Pad) -> None:
+    # With each kind of guesses tried to its end before the next, three of these were found.
+    found = 0
+    for seed in range(12):
+        scene, memory = seen(camera, pad, "half cut", 15.0, 300 + seed), SearchMemory()
+        assert scene.truth is not None
+        for _ in range(3):
+            of = search(scene.px, camera, pad, scene.R_level_body, memory=memory, budget=FRAME_WORK)
+            memory = of.memory
+            if of.candidates and of.candidates[0].score >= 0.3:
+                pose = of.candidates[0].pose
+                found += bool(np.linalg.norm(pose.t_cam_pad - scene.truth.t_cam_pad) < 0.15 * scene.truth.range_m)
+                break
+    assert found >= 10
 
 
 def found_in(camera: Camera, hard: Hard, scene: PadScene) -> bool | None:
