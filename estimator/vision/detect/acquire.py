@@ -281,13 +281,23 @@ def align_at(
     enough = not covered if found is None else found.score >= ENOUGH
     if enough or not pad.markings.is_searched_by_parts:
         return found
-    uncovered = align_uncovered(pyramid, camera, pad, pose if found is None else found.pose, sigma, steps)
-    other = None if uncovered is None else _candidate(uncovered[0], arrow_support(uncovered[0]) < _ARROW_SEEN, uncovered[1])
-    if other is not None and other.score < ENOUGH:
-        turned = turned_uncovered(pyramid, camera, pad, other.aligned, uncovered[1], sigma, steps)
-        if turned is not None:
-            again = _candidate(turned, arrow_support(turned) < _ARROW_SEEN, uncovered[1])
-            other = again if again is not None and again.score > other.score else other
+    other = _uncovered_at(pose if found is None else found.pose, pyramid, camera, pad, sigma, steps)
+    return other if found is None or (other is not None and other.score > found.score) else found
+
+
+def _uncovered_at(
+    pose: PadPose, pyramid: Pyramid, camera: Camera, pad: Pad, sigma_tilt_rad: float, steps: int
+) -> PadCandidate | None:
+    """Align the drawing with what nothing covers, and verify it; return None if nothing seems to be covered."""
+    uncovered = align_uncovered(pyramid, camera, pad, pose, sigma_tilt_rad, steps)
+    if uncovered is None:
+        return None
+    aligned, cut = uncovered
+    found = _candidate(aligned, arrow_support(aligned) < _ARROW_SEEN, cut)
+    if found is not None and found.score >= ENOUGH:
+        return found
+    turned = turned_uncovered(pyramid, camera, pad, aligned, cut, sigma_tilt_rad, steps)
+    other = None if turned is None else _candidate(turned, arrow_support(turned) < _ARROW_SEEN, cut)
     return other if found is None or (other is not None and other.score > found.score) else found
 
 
