@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT
@@ -33,8 +35,9 @@ _RINGLESS_LOG_ODDS = -4.0
 _STEPS = 4
 """Steps of the alignment with what is not covered."""
 _STRAYS, _STRAYS_PX = 0.03, 0.3
-"""Change of the distance from its start, as a fraction and by that of pixels of the radius, from which on a registration has
-strayed: what covers a part of a disc in its own shade pulls the edges there, and the rest of the pad still fits."""
+"""Change of the distance from its start, as a fraction and by that of pixels of the radius, and of the place as a fraction of
+the radius, from which on a registration has strayed: what covers a part of a disc in its own shade pulls the edges there, and the
+rest of the pad still fits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +78,7 @@ def verified(
     best, strayed, pad = None, False, pyramid.as_seen(pad)
     if cut is None:
         best = _of_visible(pyramid, camera, pad, start, orientation, options, prior_log_odds, UNCUT, paint)
-        strayed = best is not None and _strays(best.found, start, camera, pad)
+        strayed = best is not None and _strays(best.found, start, camera, pad, searched=prior_log_odds <= 0.0)
         if (best is not None and best.confidence >= _CERTAIN and not strayed) or not pad.markings.is_searched_by_parts:
             return best
         sigma_rad = SIGMA_TILT_RAD if orientation.measured else SIGMA_TILT_FREE_RAD
@@ -87,14 +90,20 @@ def verified(
     other = _of_visible(pyramid, camera, pad, start, orientation, near, prior_log_odds + COVERED_LOG_ODDS, cut, paint)
     if best is None or other is None:
         return best or other
-    stayed = strayed and other.confidence >= SURE and not _strays(other.found, start, camera, pad)
+    stayed = strayed and other.confidence >= SURE and not _strays(other.found, start, camera, pad, searched=prior_log_odds <= 0.0)
     return other if stayed or other.confidence > best.confidence else best
 
 
-def _strays(found: Looked, start: PadPose, camera: Camera, pad: Pad) -> bool:
-    """Return whether a registration is so much nearer or farther than its start that something else has pulled it."""
+def _strays(found: Looked, start: PadPose, camera: Camera, pad: Pad, searched: bool) -> bool:
+    """Return whether a registration is so much nearer or farther than its start that something else has pulled it.
+
+    Args:
+        searched: whether the start was aligned with the frame: then its place counts, too.
+    """
     radius_px = camera.fx * pad.disc_radius_m / start.range_m
-    return abs(found.range_m / start.range_m - 1.0) > _STRAYS + _STRAYS_PX / radius_px
+    most = _STRAYS + _STRAYS_PX / radius_px
+    moved = float(np.linalg.norm(found.pose.t_cam_pad / found.range_m - start.t_cam_pad / start.range_m))
+    return abs(found.range_m / start.range_m - 1.0) > most or (searched and moved * start.range_m > most * pad.disc_radius_m)
 
 
 def _of_visible(

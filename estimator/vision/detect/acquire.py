@@ -257,7 +257,8 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
             task.work += _WORK_COVER
         if candidate is None or candidate.score < ENOUGH:
             task.refused.append(_place(guess, task.camera))
-    enough = task.sure <= 1.0 and any(c.score >= min(task.sure, ENOUGH) for c in task.found)
+    # What covers a part, and the heading beside it, were chosen to fit: that alone is not enough.
+    enough = task.sure <= 1.0 and any(c.score >= min(task.sure, ENOUGH if c.cut is None else SURE) for c in task.found)
     return enough or len(task.found) >= _MOST_ALIGNED
 
 
