@@ -44,6 +44,8 @@ _EXPECTED_TESTS = 20.0
 """Number of different poses about an expected one."""
 _EVEN_LOG10 = -2.0
 """Logarithm of the number of false alarms at which lights are as likely the pad's as not: one frame in a hundred."""
+_WORTH_TELLING = 0.01
+"""Confidence below which lights are no sighting at all."""
 _TURNED_RAD = 0.2
 """Angle by which two different answers are turned: less than a lamp's own step around the pad."""
 _STRANGER_LOG10 = 0.7
@@ -78,6 +80,8 @@ def detect_lamps(
     # What explains the frame nearly as well in another place or heading is as likely the pad.
     others = [one.log10_odds - best.log10_odds for one in found if _differs(one.fit.pose, best.fit.pose)]
     sure = 1.0 / ((1.0 + 10.0 ** -min(12.0, best.log10_odds)) * (1.0 + sum(10.0**odds for odds in others)))
+    if sure < _WORTH_TELLING:
+        return None
     seen = sighting_of(frame, best.fit.pose, best.fit.cov, camera, orientation, False, sure)
     lit = spots.uv_px[np.unique(best.lamps.spot)]
     return replace(seen, method="lamps", features=(Feature("point", "lamp", lit),))
