@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from benches.filter_steps import floor_s
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
@@ -73,10 +74,10 @@ class Row:
         self.wrong += not right
         return right
 
-    def figures(self, floor_s: float) -> str:
+    def figures(self, floor: float) -> str:
         if not self.nees:
             return " | ".join(["none"] * 5)
-        searched, tracked = (float(np.median(took)) / floor_s for took in (self.searched_s, self.tracked_s))
+        searched, tracked = (float(np.median(took)) / floor for took in (self.searched_s, self.tracked_s))
         spread = 1e3 * float(np.std(self.range_m)), math.degrees(float(np.std(self.yaw_rad)))
         return f"{spread[0]:.2g} | {spread[1]:.2g} | {np.mean(self.nees):.2g} | {searched:.0f} | {tracked:.0f}"
 
@@ -89,7 +90,7 @@ def main() -> int:
     parser.add_argument("--pad", default="lit")
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    camera, pad, floor_s, wrong = load_camera("sim"), load_pad(args.pad), _floor_s(), 0
+    camera, pad, floor, wrong = load_camera("sim"), load_pad(args.pad), floor_s(), 0
     conditions = " | ".join(f"{c}: searched, tracked %" for c in NIGHTS)
     print(f"| height m | {conditions} | range mm | heading deg | NEES | floors searched | tracked |")
     print("|" + "---|" * (len(NIGHTS) + 6))
@@ -99,7 +100,7 @@ def main() -> int:
             seeds = ([args.seed, kind, round(10 * height_m), n] for n in range(args.frames))
             found: F64 = np.array([row.look(np.random.default_rng(seed), camera, pad, condition) for seed in seeds], float)
             cells.append(", ".join(f"{100 * share:.0f}" for share in found.mean(axis=0)))
-        print(f"| {height_m:g} | {' | '.join(cells)} | {row.figures(floor_s)} |", flush=True)
+        print(f"| {height_m:g} | {' | '.join(cells)} | {row.figures(floor)} |", flush=True)
         wrong += row.wrong
     print(f"sure and wrong: {wrong} of {2 * len(HEIGHTS_M) * len(NIGHTS) * args.frames}")
     if args.empty:
@@ -121,16 +122,6 @@ def _empty(n: int, seed: int, camera: Camera, pad: Pad) -> str:
         highest.append(0.0 if seen is None else seen.confidence)
     top = ", ".join(f"{c:.2g}" for c in sorted(highest)[::-1][:5])
     return f"{n} frames of other lights: {sum(c >= SURE for c in highest)} sure, highest {top}"
-
-
-def _floor_s() -> float:
-    px = np.random.default_rng(0).integers(0, 256, (360, 640, 3), dtype=np.uint8)
-    took = []
-    for _ in range(100):
-        began = time.thread_time()
-        cv2.inRange(cv2.cvtColor(px, cv2.COLOR_BGR2HSV), (52, 217, 38), (68, 255, 153))
-        took.append(time.thread_time() - began)
-    return min(took)
 
 
 if __name__ == "__main__":

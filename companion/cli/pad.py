@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
                 pad = _pad(SHIPPED / "pads" / f"{name}.toml")
                 parts = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions))
                 lamps = f", {len(pad.lamps)} lamps" if pad.lamps else ""
-                only = "" if pad.lamps or pad.is_told_by_paint else " (not detected: print and paint only)"
+                only = "" if pad.lamps or pad.is_identifiable_by_paint else " (not detected: print and paint only)"
                 sys.stdout.write(f"{name:10s} {2 * pad.disc_radius_m:5.2f} m across: {parts}{lamps}{only}\n")
             return 0
         case "check":

@@ -61,8 +61,8 @@ class Pad:
         return Pad(file.name, paints, file.regions, file.size_sigma_m, file.lamps)
 
     @property
-    def is_told_by_paint(self) -> bool:
-        """Whether its paint is enough to be told from what else lies on decks; if not, only its lamps are looked for."""
+    def is_identifiable_by_paint(self) -> bool:
+        """Whether its paint is enough to identify it among what else lies on decks; if not, only its lamps are looked for."""
         return not lacking_parts(self.regions)
 
     @property

@@ -162,9 +162,9 @@ def track(
         return _by_thesis(tracker, frame, attitude), memory
     if not tracker.pad.lamps:
         return _by_paint(tracker, memory, frame, attitude, belief)
-    lit = _by_lamps(tracker, memory, frame, attitude, belief) if memory.lit or not tracker.pad.is_told_by_paint else None
+    lit = _by_lamps(tracker, memory, frame, attitude, belief) if memory.lit or not tracker.pad.is_identifiable_by_paint else None
     seen, left = Detection(None, None, MappingProxyType({})), memory
-    if tracker.pad.is_told_by_paint and (lit is None or lit.confidence < SURE):
+    if tracker.pad.is_identifiable_by_paint and (lit is None or lit.confidence < SURE):
         seen, left = _by_paint(tracker, memory, frame, attitude, belief)
         if lit is None and (seen.selected is None or seen.selected.confidence < SURE):
             lit = _by_lamps(tracker, memory, frame, attitude, belief)

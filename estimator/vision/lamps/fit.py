@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from estimator.contracts.geometry import F64, Rotation, skew
+from estimator.contracts.geometry import F64, known_rotation, orthonormalised, skew
 from estimator.vision.camera import Camera
 from estimator.vision.lamps.pattern import Assignment
 from estimator.vision.lamps.spots import Spots
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, OrientedCamera
 from estimator.vision.register.tilt import tilt_axes
 
 _STEPS = 6
@@ -94,9 +94,7 @@ def fit(
     chi2 = float((trust * np.sum(off**2, axis=1) / sigma**2).sum()) / max(1.0, 2.0 * float(trust.sum()) - 4.0)
     cov *= max(1.0, chi2)
     cov[:3, :3] += (size_sigma_m / reach) ** 2 * np.outer(t, t)
-    # One Newton step towards a rotation: products of several leave it by some 1e-16 each.
-    R = 0.5 * R @ (3.0 * np.eye(3) - R.T @ R)
-    return LampFit(PadPose(Rotation(R), t), 0.5 * (cov + cov.T), focal * np.linalg.norm(off, axis=1))
+    return LampFit(PadPose(known_rotation(orthonormalised(R)), t), 0.5 * (cov + cov.T), focal * np.linalg.norm(off, axis=1))
 
 
 def _by_pose(p_cam: F64, arm_cam: F64) -> F64:
@@ -116,5 +114,4 @@ def _tilt_prior(camera: Camera, orientation: Orientation) -> tuple[F64, F64]:
     """Return `R_level_cam`, and the information on the horizontal part of the pad's normal in `level`, (2, 2) 1/rad^2."""
     A = _QUARTER_TURN @ tilt_axes(orientation)[:2]
     cov = A @ orientation.cov_tilt @ A.T + orientation.sigma_deck_rad**2 * np.eye(2)
-    R_level_cam = orientation.R_level_body.matrix @ camera.T_body_cam.R.matrix
-    return R_level_cam, np.asarray(np.linalg.inv(cov + 1e-8 * np.eye(2)), float)
+    return OrientedCamera(camera, orientation).R_level_cam, np.asarray(np.linalg.inv(cov + 1e-8 * np.eye(2)), float)

@@ -88,7 +88,7 @@ def test_lamps_make_up_for_paint_that_tells_too_little_and_then_the_paint_is_not
     disc = Pad.from_mapping({**data, "regions": data["regions"][:1]})
     bare = Pad.from_mapping({**data, "regions": data["regions"][:1], "lamps": []})
 
-    assert not disc.is_told_by_paint
+    assert not disc.is_identifiable_by_paint
     check_for_detection(disc.regions, disc.lamps, "mine.toml")
     with pytest.raises(BadInput, match="or add lamps"):
         check_for_detection(bare.regions, bare.lamps, "mine.toml")
