@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     warnings = [*_heading_warnings(headings), *_deck_warnings(lowest)]
     if lacking := lacking_parts(pad.regions):
         fate = "it is seen by its lamps alone" if pad.lamps else "it is neither detected nor landed on"
-        warnings.append(f"it has no {' and no '.join(lacking)}: seen where there is none by its paint, {fate}")
+        warnings.append(f"it has no {' and no '.join(lacking)}, and a deck's lines may pass for its paint: {fate}")
     if pad.markings.is_letter_alone:
         far_m = 0.5 * (camera.fx + camera.fy) * pad.disc_radius_m / _LETTER_RADIUS_PX
         warnings.append(
@@ -80,7 +80,8 @@ def run(args: argparse.Namespace) -> int:
         }  # fmt: skip
         sys.stdout.write(json.dumps(found) + "\n")
         return 0
-    lines = [f"{pad.name}: {2 * pad.disc_radius_m:g} m across, {len(pad.regions)} regions", ""]
+    regions = "1 region" if len(pad.regions) == 1 else f"{len(pad.regions)} regions"
+    lines = [f"{pad.name}: {2 * pad.disc_radius_m:.3g} m across, {regions}", ""]
     lines.append(
         f"what one frame can tell at best ({args.camera}, {100 * NOISE:g} % noise, straight above, tilt known), one sigma:"
     )
