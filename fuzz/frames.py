@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -10,16 +11,21 @@ import cv2
 import msgspec
 import numpy as np
 
-from companion.config.settings import load
+from companion.config.settings import SHIPPED, load, read_toml
 from companion.runtime.make_pilot import tracker
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
-from estimator.contracts.estimates import RelativeState
+from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
+from estimator.vision.lamp import points_of
+from estimator.vision.lamps.detect import detect_lamps
 from estimator.vision.options import TrackerMethod
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import Orientation
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from fuzz.target import Choices, Target, block
 from sitl.ardrone.video import Encoder
@@ -28,6 +34,7 @@ from sitl.world import World
 
 _FORMATS = ("MJPG", "YUYV", "NV12", "GREY")
 WIDTH, HEIGHT = 96, 72
+_AT = Stamp(MonoNs(1_000_000_000), MonoNs(1_040_000_000), 0.001, "synced")
 
 
 def run_v4l2(data: bytes) -> None:
@@ -62,7 +69,7 @@ def run_vision(data: bytes) -> None:
     """Process any image, attitude and belief: vision must answer, with finite numbers."""
     choices = Choices(data)
     how = choices.number(1)
-    t = Stamp(MonoNs(1_000_000_000), MonoNs(1_040_000_000), 0.001, "synced")
+    t = _AT
     roll, pitch, height_m = ((choices.number(1) - 128) * 0.01 for _ in range(3))
     attitude = Attitude(t, Rotation.from_rpy(roll, pitch, 0.3), np.diag([1e-4, 1e-4, 1e-2])) if how & 1 else None
     belief = None
@@ -97,9 +104,57 @@ def _image(choices: Choices, how: int) -> np.ndarray:
 def _check(seen: Detection) -> None:
     for sighting in (seen.selected, seen.elsewhere, *seen.methods.values()):
         if sighting is not None:
-            assert np.all(np.isfinite(sighting.d_body_pad_level))
-            assert np.all(np.isfinite(sighting.cov))
-            assert 0.0 <= sighting.confidence <= 1.0
+            _check_sighting(sighting)
+
+
+def _check_sighting(sighting: Sighting) -> None:
+    assert np.all(np.isfinite(sighting.d_body_pad_level))
+    assert np.all(np.isfinite(sighting.cov))
+    assert 0.0 <= sighting.confidence <= 1.0
+
+
+def run_lamps(data: bytes) -> None:
+    """Look for a lit pad among lights anywhere, from any attitude and expected place: an answer has finite numbers."""
+    choices = Choices(data)
+    how = choices.number(1)
+    roll, pitch = ((choices.number(1) - 128) * 0.01 for _ in range(2))
+    tilt = Orientation(roll, pitch, np.eye(2) * 10.0 ** (choices.number(1) % 9 - 7), 0.03, bool(how & 1))
+    expected = None
+    if how & 2:
+        place = np.array([choices.real() if how & 4 else choices.signed(2) * 1e-3 for _ in range(3)])
+        if np.all(np.isfinite(place)):
+            expected = PadPose(Rotation.from_rpy(*((choices.number(1) - 128) * 0.02 for _ in range(3))), place)
+    reach_px = choices.number(1) * 0.5
+    px = np.full((HEIGHT, WIDTH, 3), choices.number(1) if how & 8 else 0, np.uint8)
+    if how & 16 and expected is not None:
+        _light(px, _camera().project(expected.points(points_of(_lit().lamps))), 255)
+    while choices:
+        _light(px, np.array([[choices.number(1) % WIDTH, choices.number(1) % HEIGHT]]), choices.number(1))
+    seen = detect_lamps(Frame(_AT, 1, px), _camera(), _lit(), tilt, expected, reach_px)
+    if seen is not None:
+        _check_sighting(seen)
+
+
+def _light(px: np.ndarray, uv: np.ndarray, value: int) -> None:
+    """Shine at places, as far as they are in the image, over two by two pixels."""
+    inside = np.all((uv >= 0.0) & (uv < [WIDTH - 1, HEIGHT - 1]), axis=1)
+    for u, v in uv[inside].astype(int):
+        px[v : v + 2, u : u + 2] = value
+
+
+@cache
+def _lit() -> Pad:
+    return Pad.from_mapping(read_toml(SHIPPED / "pads" / "lit.toml"))
+
+
+def lamps_seeds() -> Iterator[bytes]:
+    """Yield a lit pad straight below from three heights, with and without other lights, and lights alone."""
+    for height_mm in (400, 900, 2500):
+        place = struct.pack("<hhh", 0, 0, height_mm)
+        for how in (0x12, 0x13, 0x1B):
+            even = b"\x08" * (how >> 3 & 1)
+            yield bytes([how, 128, 128, 4]) + place + bytes([128, 128, 160, 16]) + even + bytes(range(40, 64))
+    yield bytes([1, 130, 120, 3]) + bytes(range(200))
 
 
 @cache
@@ -137,4 +192,8 @@ def vision_seeds() -> Iterator[bytes]:
         yield bytes([kind << 4 | 1, 128, 128, 150]) + bytes(range(1, 60))
 
 
-TARGETS = {"v4l2": Target(run_v4l2, v4l2_seeds, 8192), "vision": Target(run_vision, vision_seeds, 4096)}
+TARGETS = {
+    "v4l2": Target(run_v4l2, v4l2_seeds, 8192),
+    "vision": Target(run_vision, vision_seeds, 4096),
+    "lamps": Target(run_lamps, lamps_seeds),
+}

@@ -48,6 +48,7 @@ MODULES = {
     "ardrone_capture": "fuzz.imports",
     "v4l2": "fuzz.frames",
     "vision": "fuzz.frames",
+    "lamps": "fuzz.frames",
 }
 """Every target, and the module whose `TARGETS` holds it."""
 

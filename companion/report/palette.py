@@ -11,6 +11,7 @@ SERIES: dict[str, str] = {
     "arrow": "#e69f00",
     "corners": "#0a9d76",
     "registration": "#cc79a7",
+    "lamps": "#56b4e9",
     "selected": "#d55e00",
     "fused": "#8a63d2",
     "median_mean": "#56b4e9",

@@ -134,6 +134,9 @@
 #define EVIDENCE_EDGES_ASTRAY 24
 #define EVIDENCE_H_ASTRAY 25
 #define EVIDENCE_HALF_DISAGREES 26
+#define LAMPS 40
+#define LAMP_PAIRS 20
+#define LAMP_SPOTS 40
 #define SEARCH_BLOCK 16
 #define SEARCH_CELL 2
 #define SEARCH_RADII 12
@@ -796,6 +799,32 @@ typedef struct {
 } looked_pad;
 
 typedef struct {
+    int64_t lamps;
+    int64_t pairs;
+    int64_t pair[40];
+    double x_m[40];
+    double y_m[40];
+    double radius_m[40];
+    double size_sigma_m;
+    double t_body_cam[3];
+} lamp_pattern;
+
+typedef struct {
+    pad_pose pose;
+    double reach_px;
+} lamps_expected;
+
+typedef struct {
+    int64_t lit;
+    pad_pose pose;
+    level_sighting seen;
+    double cov[36];
+    double confidence;
+    double log10_odds;
+    double uv_px[80];
+} lamps_seen;
+
+typedef struct {
     int64_t width;
     int64_t height;
     int64_t stride;
@@ -1193,6 +1222,10 @@ int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis);
 void kalman_predict(int32_t n, const double *P, const double *F, const double *Q, double *P_after);
 int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx, double *P_after, double *S, double *nis);
 
+/* lamps.c */
+int64_t lamps_room(const camera_lens *camera);
+int32_t find_lamps(const camera_lens *camera, const uint8_t *frame, const uint16_t *light, const lamp_pattern *pad, const tilt_prior *prior, const lamps_expected *at, uint32_t *scratch, lamps_seen *out);
+
 /* law.c */
 void law_step(const law_params *o, const law_gains *gains, const law_gains *gains_before, const double *observer, const law_cycle *in, const double *horizons_s, const double *rates_m_s, const law_memory *before, law_memory *after, law_command *out);
 
@@ -1294,7 +1327,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 4064248998u
+#define INTERFACE_DIGEST 416170499u
 #endif
 
 #endif

@@ -7,6 +7,7 @@ from collections import Counter
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import get_args
 
 import av
 import cv2
@@ -32,12 +33,12 @@ from companion.report.flight_log import (
 from companion.report.layers import SPANS, Layer, Plot, thinned
 from companion.report.overlay import Overlay, annotate, annotated_size
 from companion.report.page import render, write_report
-from companion.report.palette import OUTLINE, bgr, colour
+from companion.report.palette import MARKERS, OTHER, OUTLINE, bgr, colour
 from companion.report.ship_plots import ship
 from companion.report.video import FILM_BYTES, FilmFile, FlightVideo, film_of
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, RelativeState, Sighting, Verdict
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, Method, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
@@ -441,3 +442,9 @@ def test_an_estimate_behind_or_beside_the_lens_draws_nothing():
         estimate = RelativeState(ns(1), "ekf", np.array(d), np.zeros(3), 0.0, np.eye(7), ns(1), True)
         canvas = annotate(np.full((180, 320, 3), 60, np.uint8), Overlay((), estimate), CAMERA, PAD)
         assert (canvas[:180] == 60).mean() > 0.9
+
+
+def test_every_method_has_a_colour_and_a_mark_of_its_own():
+    single = [method for method in get_args(Method) if method != "fused"]
+    assert len({colour(method) for method in (*single, "fused")} | {OTHER}) == len(single) + 2
+    assert sorted(MARKERS) == sorted(single)

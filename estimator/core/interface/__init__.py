@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import zlib
 
-from . import eyes, filter, guidance, look, registration, render, search, sim, video
+from . import eyes, filter, guidance, lamps, look, registration, render, search, sim, video
 from .describe import Field, Function
 
-_PARTS = (filter, guidance, registration, eyes, look, search, render, sim, video)
+_PARTS = (filter, guidance, registration, eyes, look, lamps, search, render, sim, video)
 CONSTANTS = {name: value for part in _PARTS for name, value in part.CONSTANTS.items()}
 """Numbers that C and Python share, by their names in the header."""
 STRUCTS: dict[str, tuple[Field, ...]] = {name: members for part in _PARTS for name, members in part.STRUCTS.items()}

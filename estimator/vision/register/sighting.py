@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 
-from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, Pose6, Sighting
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, Method, Pose6, Sighting
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Frame
 from estimator.core.interface import places_of, size_of
@@ -36,7 +36,7 @@ def sighting_of_look(frame: Frame, found: Looked, confidence: float) -> Sighting
         Feature("outline" if kind is not EdgeKind.H else "point", _NAMES[kind], uv)
         for kind, uv in zip(EdgeKind, found.outlines, strict=True)
     )
-    return _sighting(frame, found.in_level, found.yaw_ambiguous, confidence, features)
+    return sighting_in_level(frame, found.in_level, found.yaw_ambiguous, confidence, features)
 
 
 def sighting_of(
@@ -60,10 +60,18 @@ def sighting_of(
     """
     words = np.empty(_SIZE)
     _IN_LEVEL(_packed(pose, cov_pose, camera, orientation), start_of(words))
-    return _sighting(frame, words, ambiguous, confidence, ())
+    return sighting_in_level(frame, words, ambiguous, confidence)
 
 
-def _sighting(frame: Frame, words: F64, ambiguous: bool, sure: float, features: tuple[Feature, ...]) -> Sighting:
+def sighting_in_level(
+    frame: Frame, words: F64, ambiguous: bool, confidence: float, features: tuple[Feature, ...] = (),
+    method: Method = "registration",
+) -> Sighting:  # fmt: skip
+    """Return the sighting of a pose that the core has brought to level; arguments as for `sighting_of`.
+
+    Args:
+        words: the core's `level_sighting`; they become read-only.
+    """
     words.setflags(write=False)
     d, R_level_pad, cov_pose6, cov = (words[_PLACES[name]] for name in ("d", "R_level_pad", "cov_pose", "cov"))
     cov = cov.reshape(4, 4)
@@ -73,7 +81,7 @@ def _sighting(frame: Frame, words: F64, ambiguous: bool, sure: float, features: 
         cov[3, :] = cov[:, 3] = 0.0
         cov[3, 3] = UNKNOWN_YAW_VAR
     pose6 = Pose6(d, Rotation(R_level_pad.reshape(3, 3)), cov_pose6.reshape(6, 6))
-    return Sighting(frame.stamp, frame.seq, "registration", pose6.d_body_pad_level, yaw, ambiguous, cov, sure, pose6, features)
+    return Sighting(frame.stamp, frame.seq, method, pose6.d_body_pad_level, yaw, ambiguous, cov, confidence, pose6, features)
 
 
 def _packed(pose: PadPose, cov_pose: F64, camera: Camera, orientation: Orientation) -> bytes:

@@ -278,6 +278,7 @@ static void gate(int m, double poison)
 #include "exercise_sim.h"
 #include "exercise_align.h"
 #include "exercise_look.h"
+#include "exercise_lamps.h"
 #include "exercise_search.h"
 #include "exercise_video.h"
 #include "exercise_law.h"
@@ -285,7 +286,7 @@ static void gate(int m, double poison)
 static void fuzz_one(const uint8_t *bytes, size_t size)
 {
     begin(bytes, size);
-    const int what = fuzzed_byte() % 11;
+    const int what = fuzzed_byte() % 12;
     if (what == 0) {
         const int n = 1 + draw() % ORDER_MAX, m = 1 + draw() % ROWS_MAX;
         algebra(n, m, 1.0);
@@ -308,6 +309,8 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
         law(1 + draw() % 20, 1.0);
     } else if (what == 10) {
         looks(1);
+    } else if (what == 11) {
+        lamps(1);
     } else {
         sail(draw() % 7, 1 + draw() % 200, 1.0);
     }
@@ -380,6 +383,8 @@ int main(int count, char **files)
     report("align_view align_arrow_view align_move align_fit align_cover frame_noise");
     looks(60);
     report("look_at_pad");
+    lamps(120);
+    report("lamps_room find_lamps");
     searches(40);
     report("search_room search_circles search_heading search_guesses search_strokes_room search_strokes search_blobs_room "
            "search_blobs");

@@ -1,4 +1,7 @@
-"""A pad that is found and measured by its lamps: rules of its file, the fit, night frames, other lights."""
+"""A pad that is found and measured by its lamps: rules of its file, the fit, night frames, other lights.
+
+The steps are tested on the oracle, which the core is held to in `test_lamps_core.py`, and night frames on the core.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +18,19 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.lamp import places_of
+from estimator.vision.lamp import places_of, points_of
 from estimator.vision.lamps.accuracy import CENTRE_PX, lamp_accuracy
 from estimator.vision.lamps.detect import detect_lamps
-from estimator.vision.lamps.fit import fit
-from estimator.vision.lamps.pattern import Assignment, assign
-from estimator.vision.lamps.search import search
-from estimator.vision.lamps.spots import Spots, find_spots
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pad_rules import check_for_detection
 from estimator.vision.pose import Orientation, OrientedCamera
 from estimator.vision.register.camera_pose import camera_pose
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from tests.estimator.vision.oracle.lamps.fit import fit
+from tests.estimator.vision.oracle.lamps.pattern import Assignment, assign
+from tests.estimator.vision.oracle.lamps.search import search
+from tests.estimator.vision.oracle.lamps.spots import Spots, find_spots
 from tests.support.night_scenes import NIGHTS, NightCondition, NightScene, night_scene
 from tests.support.pad_scenes import ROOT, load_camera, load_pad, pad_scene
 
@@ -51,7 +54,7 @@ def spots_at(uv_px: np.ndarray, sigma_px: float = 0.05) -> Spots:
 
 
 def spots_of(pose: PadPose, noise_px: float = 0.0, seed: int = 0) -> Spots:
-    uv = CAMERA.project(pose.points(np.pad(places_of(LIT.lamps), ((0, 0), (0, 1)))))
+    uv = CAMERA.project(pose.points(points_of(LIT.lamps)))
     return spots_at(uv + np.random.default_rng(seed).normal(0.0, noise_px, uv.shape) if noise_px else uv, noise_px or 0.05)
 
 
@@ -156,7 +159,7 @@ def test_a_search_proposes_the_pose_among_other_lights():
 
 def test_lamps_that_share_a_spot_count_once():
     far = straight_below(30.0)
-    uv = CAMERA.project(far.points(np.pad(places_of(LIT.lamps), ((0, 0), (0, 1)))))
+    uv = CAMERA.project(far.points(points_of(LIT.lamps)))
     spots = spots_at(np.array([*uv[:7], uv[7:].mean(axis=0)]))
 
     of = assign(spots, LIT.lamps, far, CAMERA, 1.5)
@@ -193,7 +196,7 @@ def test_other_lights_are_not_a_pad():
 
 def test_half_of_the_pad_in_view_is_enough_near_by():
     true = straight_below(0.55)
-    uv = CAMERA.project(true.points(np.pad(places_of(LIT.lamps), ((0, 0), (0, 1)))))
+    uv = CAMERA.project(true.points(points_of(LIT.lamps)))
     inside = np.all((uv > 5) & (uv < [635, 355]), axis=1)
     of = assign(spots_at(uv[inside]), LIT.lamps, true, CAMERA, 2.0)
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.vision.lamps.spots import Spots
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import OrientedCamera
+from tests.estimator.vision.oracle.lamps.spots import Spots
 
 _SPOTS = 18
 """The brightest so many spots are paired."""

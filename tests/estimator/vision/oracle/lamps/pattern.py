@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.lamp import Lamp, places_of
-from estimator.vision.lamps.spots import Spots
 from estimator.vision.pad_pose import PadPose
+from tests.estimator.vision.oracle.lamps.spots import Spots
 
 _ALONE, _SHARED = 0.06, 0.35
 """Part of a spot's radius by which its centre may differ from that of the one lamp, or of the lamps, in it, beyond the reach."""

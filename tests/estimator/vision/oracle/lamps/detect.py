@@ -1,0 +1,163 @@
+"""Find and measure a pad by its lamps in one frame: its sighting, with the confidence that these lights are its lamps.
+
+Confidence: how many poses would explain as many spots if lights lay anywhere (number of false alarms, Desolneux, Moisan and
+Morel, Meaningful alignments, IJCV 40(1), 2000), and how many lamps in view do not shine.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from msgspec.structs import replace
+
+from estimator.contracts.estimates import Feature, Sighting
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import Frame
+from estimator.vision.camera import Camera
+from estimator.vision.lamp import places_of, points_of
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import Orientation, OrientedCamera
+from estimator.vision.register.sighting import sighting_of
+from tests.estimator.vision.oracle.lamps.fit import LampFit, fit
+from tests.estimator.vision.oracle.lamps.pattern import Assignment, assign
+from tests.estimator.vision.oracle.lamps.search import search
+from tests.estimator.vision.oracle.lamps.spots import Spots, find_spots
+
+_SEARCHED_PX, _FITTED_PX = 3.0, 0.8
+"""Reach of a lamp's spot about a searched pose, and about a fitted one."""
+_MARGIN, _MARGIN_PX = 0.25, 24.0
+"""Margin of the part of a frame about the expected lamps: as a part of their extent, and px."""
+_MOST_OF_FRAME = 0.5
+"""Share of the frame from which on such a part is taken as the whole."""
+_TILTED = 0.04
+"""What a deck's and an attitude's errors of tilt add to the first reach, as a part of the pattern's radius in the frame."""
+_WITHIN_PX = (0.25, 0.4, 0.6, 0.9, 1.3)
+"""Distances of spots from their lamps within which it is asked how many lie there by chance."""
+_LEAST_SEARCHED, _LEAST_TRACKED = 5, 3
+"""Least number of spots that are lamps, from a search and where the pad is expected."""
+_LEAST_SHARE = 0.6
+"""Least part of the spots that the lamps in view would make."""
+_TESTS = 6000.0
+"""Number of poses that a search tries."""
+_EXPECTED_TESTS = 20.0
+"""Number of different poses about an expected one."""
+_EVEN_LOG10 = -2.0
+"""Logarithm of the number of false alarms at which lights are as likely the pad's as not: one frame in a hundred."""
+_WORTH_TELLING = 0.01
+"""Confidence below which lights are no sighting at all."""
+_TURNED_RAD = 0.2
+"""Angle by which two different answers are turned: less than a lamp's own step around the pad."""
+_STRANGER_LOG10 = 0.7
+"""What a light among the lamps that is none of them speaks against the pad."""
+_MISSING_LOG10 = 0.5
+"""What a lamp in view that does not shine speaks against the pad."""
+
+
+def detect_lamps(
+    frame: Frame, camera: Camera, pad: Pad, orientation: Orientation, expected: PadPose | None = None, reach_px: float = 0.0
+) -> Sighting | None:
+    """Return the sighting of a pad by its lamps, of method "lamps"; None if its lamps are not seen.
+
+    Args:
+        orientation: the attitude at the exposure.
+        expected: where the pad is expected; if it is not seen there, or with None, the whole frame is searched.
+        reach_px: how far the pad may be from there in the frame.
+    """
+    found: list[_Explained] = []
+    spots = Spots.none()
+    if expected is not None:
+        spots = _spots_about(expected, frame, camera, pad, reach_px)
+        found += _at(spots, expected, reach_px, camera, pad, orientation, _EXPECTED_TESTS, _LEAST_TRACKED)
+    if not found or found[0].log10_odds < 0.0:
+        found, spots = [], find_spots(frame.px)
+        for pose in search(spots, places_of(pad.lamps), OrientedCamera(camera, orientation)):
+            if all(_differs(pose, one.fit.pose) for one in found):
+                found += _at(spots, pose, _SEARCHED_PX, camera, pad, orientation, _TESTS, _LEAST_SEARCHED)
+    if not found:
+        return None
+    best = max(found, key=lambda one: one.log10_odds)
+    # What explains the frame nearly as well in another place or heading is as likely the pad.
+    others = [one.log10_odds - best.log10_odds for one in found if _differs(one.fit.pose, best.fit.pose)]
+    sure = 1.0 / ((1.0 + 10.0 ** -min(12.0, best.log10_odds)) * (1.0 + sum(10.0**odds for odds in others)))
+    if sure < _WORTH_TELLING:
+        return None
+    seen = sighting_of(frame, best.fit.pose, best.fit.cov, camera, orientation, False, sure)
+    lit = spots.uv_px[np.unique(best.lamps.spot)]
+    return replace(seen, method="lamps", features=(Feature("point", "lamp", lit),))
+
+
+def _spots_about(pose: PadPose, frame: Frame, camera: Camera, pad: Pad, reach_px: float) -> Spots:
+    """Return the spots of the part of a frame where a pad is expected, as far as others speak against it."""
+    uv = camera.project(pose.points(points_of(pad.lamps)))
+    if not np.all(np.isfinite(uv)):
+        return Spots.none()
+    low, high = uv.min(axis=0), uv.max(axis=0)
+    margin = reach_px + _MARGIN_PX + _MARGIN * float(np.linalg.norm(high - low))
+    (left, top), (right, below) = np.floor(low - margin).tolist(), np.ceil(high + margin).tolist()
+    window = (int(max(0, left)), int(max(0, top)), int(min(camera.width, right)), int(min(camera.height, below)))
+    if window[2] - window[0] < _MARGIN_PX or window[3] - window[1] < _MARGIN_PX:
+        return Spots.none()
+    area = (window[2] - window[0]) * (window[3] - window[1])
+    return find_spots(frame.px, None if area > _MOST_OF_FRAME * camera.width * camera.height else window)
+
+
+class _Explained(NamedTuple):
+    """A pose of the pad, the spots that its lamps are, and how likely these are its lamps."""
+
+    fit: LampFit
+    lamps: Assignment
+    log10_odds: float
+
+
+def _differs(a: PadPose, b: PadPose) -> bool:
+    """Return whether two poses are two answers: apart by a tenth of the range, or turned."""
+    apart_m = float(np.linalg.norm(a.t_cam_pad - b.t_cam_pad))
+    return apart_m > 0.1 * b.range_m or a.R_cam_pad.angle_to(b.R_cam_pad) > _TURNED_RAD
+
+
+def _at(
+    spots: Spots, start: PadPose, reach_px: float, camera: Camera, pad: Pad, orientation: Orientation,
+    tests: float, least: int,
+) -> list[_Explained]:  # fmt: skip
+    """Return the pose fitted from a start; none if too few spots are lamps."""
+    pose, lamps_m = start, places_of(pad.lamps)
+    explained: list[_Explained] = []
+    if len(spots) < least:
+        return []
+    size_px = camera.fx * float(np.linalg.norm(lamps_m, axis=1).max()) / start.range_m
+    for reach in (max(reach_px, _SEARCHED_PX + _TILTED * size_px), _SEARCHED_PX, _FITTED_PX):
+        of = assign(spots, pad.lamps, pose, camera, reach)
+        if of.groups < least or of.groups < _LEAST_SHARE * of.expected:
+            return []
+        made = fit(spots, lamps_m, of, pose, camera, orientation, pad.size_sigma_m)
+        if made is None:
+            return []
+        pose, explained = made.pose, [_Explained(made, of, _log10_odds(of, made.off_px, tests))]
+    return explained
+
+
+def _log10_odds(of: Assignment, off_px: F64, tests: float) -> float:
+    """Return the logarithm of the odds that these spots are the pad's lamps and no other lights.
+
+    Args:
+        off_px: distances of the spots from the lamps in them, (G,) px.
+    """
+    others, n = of.groups + of.strangers, max(of.expected, of.groups)
+    alarms = math.inf
+    for within_px in _WITHIN_PX:
+        chance = min(0.9, others * math.pi * within_px**2 / of.area_px2)
+        alarms = min(alarms, _log10_tail(n - 2, int(np.count_nonzero(off_px <= within_px)) - 2, chance))
+    alarms += math.log10(tests * len(_WITHIN_PX))
+    alarms += _STRANGER_LOG10 * of.strangers + _MISSING_LOG10 * (n - of.groups)
+    return max(-12.0, _EVEN_LOG10 - alarms)
+
+
+def _log10_tail(n: int, k: int, p: float) -> float:
+    """Return the logarithm of the probability that of n independent events of probability p at least k happen."""
+    if k <= 0:
+        return 0.0
+    tail = sum(math.comb(n, i) * p**i * (1.0 - p) ** (n - i) for i in range(k, n + 1))
+    return math.log10(max(tail, 1e-300))
