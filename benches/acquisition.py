@@ -29,6 +29,7 @@ sys.path.insert(0, str(ROOT))
 from estimator.contracts.geometry import F64  # noqa: E402
 from estimator.contracts.samples import Attitude  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
+from estimator.vision.by_paint import WORTH_A_TRY  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.detect.acquire import PadCandidate, acquire  # noqa: E402
 from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
@@ -36,7 +37,6 @@ from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
-from estimator.vision.tracker import WORTH_A_TRY  # noqa: E402
 from estimator.vision.verified import CLOSE, SURE, verified  # noqa: E402
 from tests.support.pad_claims import keeps_claim  # noqa: E402
 from tests.support.pad_scenes import (  # noqa: E402

@@ -31,13 +31,14 @@ from estimator.contracts.estimates import Method, Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.by_paint import together
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.pad import Pad
 from estimator.vision.pad_rules import check_for_detection
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS, ColourSet
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, together, track
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 
 U8 = NDArray[np.uint8]
 

@@ -1,6 +1,7 @@
-"""Look at one drawn frame, so that what is computed once for a camera and a pad exists before the first real frame.
+"""Look at drawn frames, so that what is computed once for a camera and a pad exists before the first real frame.
 
-The first look builds the drawing's maps, the camera's rays and the tables of light: ten times as much work as any later look.
+The first look builds the drawing's maps, the camera's rays and the tables of light: ten times as much work as any later look. For
+a pad with lamps, one frame is drawn by day and one by night.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.detect.template import paints_at
 from estimator.vision.detection import Detection
+from estimator.vision.lamp import places_of
 from estimator.vision.pad import Pad
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 
@@ -29,9 +31,15 @@ def rehearse(tracker: TrackerConfig) -> Detection:
     """Search a frame that is drawn for this camera and pad, then track the pad in it. No memory of it is kept.
 
     Returns:
-        The second detection.
+        The second detection of the pad's paint.
     """
-    frame = Frame(_AT, 0, drawn(tracker.camera, tracker.pad))
+    if tracker.pad.lamps:
+        _seen_twice(tracker, drawn_lamps(tracker.camera, tracker.pad))
+    return _seen_twice(tracker, drawn(tracker.camera, tracker.pad))
+
+
+def _seen_twice(tracker: TrackerConfig, px: NDArray[np.uint8]) -> Detection:
+    frame = Frame(_AT, 0, px)
     # The camera's axes are those of `ned` while it looks straight down with the top of its image to the west.
     attitude = Attitude(_AT, tracker.camera.T_body_cam.R.inv, 1e-4 * np.eye(3))
     searched, memory = track(tracker, TrackerMemory(), frame, attitude)
@@ -54,3 +62,13 @@ def drawn(camera: Camera, pad: Pad) -> NDArray[np.uint8]:
     for mask, colour in ((disc, disc_bgr), (ring | arrow, _ORANGE), (h_marking, h_bgr)):
         px[mask] = colour
     return np.asarray(cv2.GaussianBlur(px.reshape(camera.height, camera.width, 3), (0, 0), 0.8), np.uint8)
+
+
+def drawn_lamps(camera: Camera, pad: Pad) -> NDArray[np.uint8]:
+    """Return the pad's lamps in the dark, (height, width, 3) BGR, as the camera sees them straight below, without distortion."""
+    height_m = _RADII * pad.disc_radius_m
+    px = np.zeros((camera.height, camera.width, 3), np.uint8)
+    for x_m, y_m in places_of(pad.lamps).tolist():
+        centre = round(camera.cx + camera.fx * x_m / height_m), round(camera.cy + camera.fy * y_m / height_m)
+        cv2.circle(px, centre, 2, (255, 255, 255), -1)
+    return np.asarray(cv2.GaussianBlur(px, (0, 0), 0.8), np.uint8)

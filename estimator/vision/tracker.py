@@ -1,148 +1,25 @@
-"""Track the pad in the frames of a flight: follow it where the filter expects it, else search the whole frame.
+"""Track the pad in the frames of a flight, by its paint or by its lamps.
 
-Tracking starts `registration` from the filter's belief at the exposure. If there is no belief, or the drawing does not fit there,
-acquisition searches the whole frame and registration refines its candidates. In both cases the classifier of `fit_verification`
-scores the whole drawing and the agreement of its edges at the registered pose, and that score is the sighting's confidence. If
-one of the thesis' methods reports a pose on its own, the drawing is verified there too, because a green disc is not yet a pad; if
-it fits, registration starts from it. A pad with lamps is seen by them where its paint is not, and the lamps come first as long as
-they are what shows.
-
-A fresh belief weighs in. What is found in a place that it excludes does not take the tracked pad's place, however sure it is: it
-is reported beside it (`Detection.elsewhere`), because a belief can be wrong, and the guard judges it.
+A pad with lamps is seen by them where its paint is not: the lamps come first in a dark frame, and as long as they are what shows.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Callable
-from dataclasses import dataclass
 from types import MappingProxyType
 
-import numpy as np
 from msgspec.structs import replace
 
-from estimator.contracts.estimates import IntegrityAlert, Method, RelativeState, Sighting
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.estimates import Method, RelativeState, Sighting
 from estimator.contracts.samples import Attitude, Frame
-from estimator.integrity.guard import excludes
-from estimator.integrity.options import IntegrityOptions
-from estimator.vision.camera import Camera
-from estimator.vision.detect import verification
-from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
-from estimator.vision.detect.heading import heading
-from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
-from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.detection import Detection, Opinions
-from estimator.vision.fusion import agree, fuse
-from estimator.vision.learned.second_opinion import WORTH_ASKING, lowered, probability
-from estimator.vision.pad import Pad
-from estimator.vision.pad_information import alike_headings
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
-from estimator.vision.register.letter_alone import nearest_of_four
-from estimator.vision.register.registration import RegistrationOptions
-from estimator.vision.register.sighting import sighting_of_look
+from estimator.vision.believed import expected, near_enough, sigma_of
+from estimator.vision.by_lamps import by_lamps, is_dark
+from estimator.vision.by_paint import by_paint, by_thesis
+from estimator.vision.detection import Detection
 from estimator.vision.rolling import at_one_instant
-from estimator.vision.thesis.detection import detect
-from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.tracker_config import TrackerConfig as TrackerConfig
-from estimator.vision.verified import CLOSE, CODED_PX, ROUGH, SURE, Verified, verified
-
-_CLOSE_PX = 1.0
-"""Largest standard deviation of the believed position in the frame at which registration starts directly from it."""
-_CANDIDATES = 2
-"""Number of candidates of acquisition that are registered."""
-WORTH_A_TRY = 0.03
-"""Score of a candidate of acquisition, or of a drawing at a method's pose, below which it is not registered."""
-_HEADING_PX = 28.0
-"""Smallest radius of the disc in the frame that a heading is searched in."""
-_EXPECTED_SIGMAS = 3.0
-"""Standard deviations of the believed position within which a candidate of acquisition counts as expected."""
-_LAMPS_REACH_PX = 40.0
-"""Largest reach about the believed position in which lamps are assigned to spots; beyond it the frame is searched for them."""
-_FRESH_S = 1.0
-"""Age of the newest fused sighting up to which a belief excludes places."""
-_SUPPORTED = 0.2
-"""Confidence from which on what is found at the expected place is the tracked pad although something else is surer."""
-_REACH_OF_DISC, _REACH_OF_HEIGHT = 0.6, 0.04
-"""Reach of tracking, as fractions of the disc's radius and of the height. Tracking is tried if two standard deviations of the
-believed position lie within the sum.
-
-Much of the belief's uncertainty comes from the attitude and does not show in the frame. A start that is too far off only costs a
-search.
-"""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrackerMemory:
-    """The state that vision keeps from frame to frame."""
-
-    paint: PaintMemory = FRESH
-    search: SearchMemory = FRESH_SEARCH
-    alike_yaw_rad: float | None = None
-    """The heading at which a pad that looks the same from several was last registered: the belief does not take it."""
-    lit: bool = False
-    """Whether the pad was last seen by its lamps."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Registered:
-    sighting: Sighting
-    paint: PaintMemory
-    opinions: Opinions | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """The best registrations of one frame."""
-
-    tracked: _Registered | None = None
-    """The surest one that may be the tracked pad."""
-    elsewhere: _Registered | None = None
-    """The surest one in a place that the belief excludes."""
-
-    def having(self, of: _Registered | None, belief: _Belief) -> _Seen:
-        """Return the best with one more registration; of two that are equally sure the first stays."""
-        if of is None:
-            return self
-        if belief.excludes(of.sighting):
-            return self if _surer(self.elsewhere, of) else dataclasses.replace(self, elsewhere=of)
-        return self if _surer(self.tracked, of) else dataclasses.replace(self, tracked=of)
-
-    @property
-    def is_sure(self) -> bool:
-        return self.tracked is not None and self.tracked.sighting.confidence >= SURE
-
-    def settled(self) -> _Seen:
-        """Return the tracked pad with what is surer elsewhere; without it if the frame hardly supports it beside that."""
-        if self.elsewhere is None or _surer(self.tracked, self.elsewhere):
-            return _Seen(self.tracked)
-        supported = self.tracked is not None and self.tracked.sighting.confidence >= _SUPPORTED
-        return self if supported else _Seen(None, self.elsewhere)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Belief:
-    """What the filter's belief says about places in the frame."""
-
-    state: RelativeState | None
-    """None if it is not fresh, not consistent or not sharp: then it excludes no place."""
-    integrity: IntegrityOptions
-
-    @staticmethod
-    def of(belief: RelativeState | None, frame: Frame, tracker: TrackerConfig, memory: TrackerMemory) -> _Belief:
-        """Return what a belief says. That a pad is seen elsewhere makes it no less consistent here."""
-        if belief is not None:
-            consistent = belief.consistent or belief.alerts == (IntegrityAlert.ELSEWHERE,)
-            fresh = belief.age_s(frame.stamp.measured_at) <= _FRESH_S
-            if consistent and fresh and _near_enough(belief, _sigma_m(belief), tracker.pad, memory.alike_yaw_rad):
-                return _Belief(belief, tracker.integrity)
-        return _Belief(None, tracker.integrity)
-
-    def excludes(self, seen: Sighting) -> bool:
-        """Return whether a pad in that place is not the tracked one."""
-        return self.state is not None and excludes(self.state, seen, self.integrity)
+from estimator.vision.tracker_memory import TrackerMemory as TrackerMemory
+from estimator.vision.verified import SURE
 
 
 def track(
@@ -159,66 +36,25 @@ def track(
     """
     frame = _of_one_instant(tracker, memory, frame, attitude, belief)
     if tracker.options.method == "thesis":
-        return _by_thesis(tracker, frame, attitude), memory
+        return by_thesis(tracker, frame, attitude), memory
     if not tracker.pad.lamps:
-        return _by_paint(tracker, memory, frame, attitude, belief)
-    lit = _by_lamps(tracker, memory, frame, attitude, belief) if memory.lit or not tracker.pad.is_identifiable_by_paint else None
+        return by_paint(tracker, memory, frame, attitude, belief)
+    first = memory.lit or not tracker.pad.is_identifiable_by_paint or is_dark(frame)
+    lit = by_lamps(tracker, memory, frame, attitude, belief) if first else None
     seen, left = Detection(None, None, MappingProxyType({})), memory
-    if tracker.pad.is_identifiable_by_paint and (lit is None or lit.confidence < SURE):
-        seen, left = _by_paint(tracker, memory, frame, attitude, belief)
-        if lit is None and (seen.selected is None or seen.selected.confidence < SURE):
-            lit = _by_lamps(tracker, memory, frame, attitude, belief)
+    if tracker.pad.is_identifiable_by_paint and not _is_sure(lit):
+        seen, left = by_paint(tracker, memory, frame, attitude, belief)
+        if not first and not _is_sure(seen.selected):
+            lit = by_lamps(tracker, memory, frame, attitude, belief)
     if lit is None or (seen.selected is not None and seen.selected.confidence >= lit.confidence):
         return seen, dataclasses.replace(left, lit=False)
     methods: dict[Method, Sighting | None] = {**seen.methods, "lamps": lit}
-    left = dataclasses.replace(left, lit=lit.confidence >= SURE)
+    left = dataclasses.replace(left, lit=_is_sure(lit))
     return Detection(lit, "lamps", MappingProxyType(methods), seen.opinions, seen.elsewhere), left
 
 
-def _by_lamps(
-    tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
-) -> Sighting | None:
-    from estimator.vision.lamps.detect import detect_lamps  # of few pads, and the start of the others need not wait for it
-
-    orientation, start, reach_px = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad), None, 0.0
-    if belief is not None and attitude is not None:
-        start = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
-        if start is not None and start.t_cam_pad[2] > 0.05:
-            reach_px = _EXPECTED_SIGMAS * _sigma_m(belief) * tracker.camera.fx / float(start.t_cam_pad[2])
-    near = start is not None and 0.0 < reach_px < _LAMPS_REACH_PX
-    return detect_lamps(frame, tracker.camera, tracker.pad, orientation, start if near else None, reach_px)
-
-
-def _by_paint(
-    tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
-) -> tuple[Detection, TrackerMemory]:
-    """Return the detection of the painted pad, and the new memory."""
-    pyramid = Pyramid(frame.px)
-    place = _Belief.of(belief, frame, tracker, memory)
-    registered, left = _registered(tracker, memory, frame, pyramid, attitude, belief, place)
-    if tracker.options.method == "registration":
-        best = registered.settled().tracked
-        found = None if best is None else best.sighting
-        methods: dict[Method, Sighting | None] = {"registration": found}
-        opinions = None if best is None else best.opinions
-        seen = Detection(found, None if found is None else "registration", MappingProxyType(methods), opinions)
-    else:
-        thesis = _by_thesis(tracker, frame, attitude)
-        thesis, registered = _verify_cues(tracker, memory.paint, frame, pyramid, attitude, thesis, registered, place)
-        best = registered.settled().tracked
-        opinions = None if best is None else best.opinions
-        seen = together(thesis, None if best is None else best.sighting, opinions, place.excludes)
-    elsewhere = registered.settled().elsewhere
-    if elsewhere is not None:
-        seen = replace(seen, elsewhere=elsewhere.sighting)
-    sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= SURE
-    yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
-    return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad)
-
-
-def _by_thesis(tracker: TrackerConfig, frame: Frame, attitude: Attitude | None) -> Detection:
-    o = tracker.options
-    return detect(frame, attitude, tracker.camera, tracker.pad, COLOUR_SETS[o.colours], sigma_deck_rad=o.deck_tilt_sigma_rad)
+def _is_sure(seen: Sighting | None) -> bool:
+    return seen is not None and seen.confidence >= SURE
 
 
 def _of_one_instant(
@@ -227,187 +63,7 @@ def _of_one_instant(
     """Return the frame without the readout of a rolling shutter; as it is where the pad's place is hardly known."""
     if tracker.motion is None or belief is None or attitude is None:
         return frame
-    if not _near_enough(belief, _sigma_m(belief), tracker.pad, memory.alike_yaw_rad):
+    if not near_enough(belief, sigma_of(belief), tracker.pad, memory.alike_yaw_rad):
         return frame
     about = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
     return frame if about is None else replace(frame, px=at_one_instant(frame.px, tracker.camera, about, tracker.motion))
-
-
-def together(
-    thesis: Detection,
-    registered: Sighting | None,
-    opinions: Opinions | None = None,
-    excludes: Callable[[Sighting], bool] = lambda seen: False,
-) -> Detection:
-    """Combine the thesis' methods and registration into one detection whose sighting is their fusion.
-
-    Args:
-        opinions: on the registration.
-        excludes: whether a belief excludes the place of a sighting, which then takes no part.
-    """
-    methods: dict[Method, Sighting | None] = {**thesis.methods, "registration": registered}
-    fused = fuse(s for s in methods.values() if s is not None and not excludes(s))
-    if fused is None:
-        return Detection(None, None, MappingProxyType(methods), opinions)
-    return Detection(fused.sighting, "fused", MappingProxyType(methods), opinions)
-
-
-def expected(belief: RelativeState, attitude: Attitude, camera: Camera, alike_yaw_rad: float | None = None) -> PadPose | None:
-    """Return the pose in camera coordinates that the belief predicts for a level deck; None without a heading.
-
-    Args:
-        alike_yaw_rad: the heading if the belief has none.
-    """
-    yaw_rad = alike_yaw_rad if belief.yaw_rad is None else belief.yaw_rad
-    if yaw_rad is None:
-        return None
-    return _in_camera(belief.d_body_pad_level, yaw_rad, attitude.R_ned_body.without_heading(), camera)
-
-
-def _in_camera(d_body_pad_level: F64, yaw_rad: float, R_level_body: Rotation, camera: Camera) -> PadPose:
-    R_cam_level = camera.T_body_cam.R.inv @ R_level_body.inv
-    t = R_cam_level @ d_body_pad_level - camera.T_body_cam.R.inv @ camera.T_body_cam.t
-    return PadPose(R_cam_level @ Rotation.from_rpy(0.0, 0.0, -yaw_rad), t)
-
-
-def _registered(
-    tracker: TrackerConfig,
-    memory: TrackerMemory,
-    frame: Frame,
-    pyramid: Pyramid,
-    attitude: Attitude | None,
-    belief: RelativeState | None,
-    place: _Belief,
-) -> tuple[_Seen, SearchMemory]:
-    """Register where the belief expects the pad, else where a search finds it; return the best, and what the search leaves."""
-    paint, left = memory.paint, FRESH_SEARCH
-    orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
-    best = _Seen()
-    start: PadPose | None = None
-    sigma_m = math.inf if belief is None else _sigma_m(belief)
-    if belief is not None and attitude is not None and _near_enough(belief, sigma_m, tracker.pad, memory.alike_yaw_rad):
-        start = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
-        if start is not None and start.t_cam_pad[2] > 0.05:
-            options = CLOSE if sigma_m * tracker.camera.fx < _CLOSE_PX * start.t_cam_pad[2] else ROUGH
-            tracked = verification.TRACKED_LOG_ODDS
-            here = _register_from(tracker, paint, frame, pyramid, start, orientation, options, tracked, searched=False)
-            best = best.having(here, place)
-    if not best.is_sure:
-        R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
-        budget = tracker.search_work
-        found = search(frame.px, tracker.camera, tracker.pad, R_level_body, paint, memory.search, budget=budget, pyramid=pyramid)
-        left = found.memory
-        for candidate in found.candidates[:_CANDIDATES]:
-            if candidate.score < WORTH_A_TRY:
-                break
-            off_m = math.inf if start is None else float(np.linalg.norm(candidate.pose.t_cam_pad - start.t_cam_pad))
-            prior = verification.TRACKED_LOG_ODDS if off_m < _EXPECTED_SIGMAS * sigma_m else 0.0
-            pose = candidate.pose
-            if tracker.pad.markings.is_letter_alone and alike_headings(tracker.pad) == 4:
-                R_level_cam = orientation.R_level_body.matrix @ tracker.camera.T_body_cam.R.matrix
-                pose = nearest_of_four(pose, R_level_cam, memory.alike_yaw_rad or 0.0)
-            there = _register_from(tracker, paint, frame, pyramid, pose, orientation, CLOSE, prior, candidate.cut)
-            best = best.having(there, place)
-            if best.is_sure:
-                break
-    return best, left
-
-
-def _verify_cues(
-    tracker: TrackerConfig,
-    paint: PaintMemory,
-    frame: Frame,
-    pyramid: Pyramid,
-    attitude: Attitude | None,
-    thesis: Detection,
-    best: _Seen,
-    place: _Belief,
-) -> tuple[Detection, _Seen]:
-    """Verify the cues of the thesis' methods, and return them with the best registrations.
-
-    A cue's confidence is limited to that of the drawing registered at the cue's pose, unless it agrees with a confident
-    registration. The returned registrations are the best of the given ones and those started from cues.
-    """
-    orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
-    sure = best.tracked.sighting if best.tracked is not None and best.is_sure else None
-    methods: dict[Method, Sighting | None] = dict(thesis.methods)
-    for method, cue in thesis.methods.items():
-        if cue is None or (sure is not None and agree(cue, sure)):
-            continue
-        candidate = _verified(tracker, pyramid, cue, orientation)
-        aligned = None
-        if candidate is not None and candidate.score >= WORTH_A_TRY:
-            aligned = _register_from(tracker, paint, frame, pyramid, candidate.pose, orientation, CLOSE)
-        methods[method] = replace(cue, confidence=0.0 if aligned is None else min(cue.confidence, aligned.sighting.confidence))
-        best = best.having(aligned, place)
-    return replace(thesis, methods=MappingProxyType(methods)), best
-
-
-def _verified(tracker: TrackerConfig, pyramid: Pyramid, cue: Sighting, orientation: Orientation) -> PadCandidate | None:
-    """Align the drawing at a cue's pose. A cue without a heading is aligned at the heading that fits best."""
-    flat = _in_camera(cue.d_body_pad_level, cue.yaw_rad or 0.0, orientation.R_level_body, tracker.camera)
-    if flat.t_cam_pad[2] < 0.05:
-        return None
-    if cue.yaw_rad is None:
-        radius_px = tracker.camera.fx * tracker.pad.disc_radius_m / float(flat.t_cam_pad[2])
-        level = max(0, math.floor(math.log2(radius_px / _HEADING_PX)))
-        found = heading(pyramid[level], 1 << level, tracker.camera, tracker.pad, flat)
-        if found is None:
-            return None
-        flat = flat.turned(found.turn_rad)
-    return align_at(flat, orientation.measured, pyramid, tracker.camera, tracker.pad)
-
-
-def _surer(a: _Registered | None, b: _Registered) -> bool:
-    """Return whether the first of two registrations is as sure as the second, or surer."""
-    return a is not None and a.sighting.confidence >= b.sighting.confidence
-
-
-def _register_from(
-    tracker: TrackerConfig,
-    paint: PaintMemory,
-    frame: Frame,
-    pyramid: Pyramid,
-    start: PadPose,
-    orientation: Orientation,
-    options: RegistrationOptions,
-    prior_log_odds: float = 0.0,
-    cut: F64 | None = None,
-    *,
-    searched: bool = True,
-) -> _Registered | None:
-    """Register from a start pose and verify the drawing at the result; arguments as for `verified`.
-
-    Args:
-        searched: whether the start comes from a search or a cue and not from the belief: then the second opinion is asked.
-    """
-    if frame.coded:
-        options = dataclasses.replace(options, coded_px=CODED_PX)
-    of = verified(pyramid, tracker.camera, tracker.pad, start, orientation, options, prior_log_odds, cut, paint)
-    if of is None:
-        return None
-    opinions = _second_opinion(tracker, pyramid, of) if searched else None
-    sure = of.confidence if opinions is None else lowered(of.confidence, opinions.learned)
-    learned = learn(paint, of.found.paint(), sure) if sure >= SURE else missed(paint)
-    return _Registered(sighting_of_look(frame, of.found, sure), learned, opinions)
-
-
-def _second_opinion(tracker: TrackerConfig, pyramid: Pyramid, of: Verified) -> Opinions | None:
-    """Return both opinions on a registration; None if the second is not asked or sees too little of the pad."""
-    if tracker.second_opinion is None or of.confidence < WORTH_ASKING:
-        return None
-    log_odds = tracker.second_opinion.log_odds(pyramid, tracker.camera, tracker.pad, of.found.pose, of.cut)
-    return None if log_odds is None else Opinions(of.confidence, probability(log_odds))
-
-
-def _near_enough(belief: RelativeState, sigma_m: float, pad: Pad, alike_yaw_rad: float | None) -> bool:
-    """Return whether the belief is certain enough to start tracking from."""
-    remembered = belief.yaw_rad is None and alike_yaw_rad is not None
-    sigma_yaw = 0.0 if remembered else math.sqrt(float(belief.cov[6, 6]))
-    reach_m = _REACH_OF_DISC * pad.disc_radius_m + _REACH_OF_HEIGHT * belief.height_m
-    return 2.0 * sigma_m < reach_m and sigma_yaw < 0.3
-
-
-def _sigma_m(belief: RelativeState) -> float:
-    """Return the standard deviation of the pad's position along its worst direction, metres."""
-    return math.sqrt(float(np.linalg.eigvalsh(belief.cov[:3, :3])[-1]))

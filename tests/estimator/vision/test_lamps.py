@@ -18,6 +18,8 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision import tracker
+from estimator.vision.by_lamps import is_dark
 from estimator.vision.lamp import places_of, points_of
 from estimator.vision.lamps.accuracy import CENTRE_PX, lamp_accuracy
 from estimator.vision.lamps.detect import detect_lamps
@@ -215,6 +217,19 @@ def test_a_track_goes_from_paint_to_lamps_when_night_falls_and_back():
 
     assert [lit for _, lit in chosen] == [False, True, True, False]
     assert [by == "lamps" for by, _ in chosen] == [False, True, True, False]
+
+
+def test_a_dark_frame_is_searched_for_lamps_first_and_a_frame_by_day_for_paint(monkeypatch: pytest.MonkeyPatch) -> None:
+    night = night_scene(np.random.default_rng([31, 0, 1]), CAMERA, LIT, 3.0, "lamps")
+    day = pad_scene(np.random.default_rng(8), CAMERA, LIT, 3.0, "plain", 0.0)
+    assert is_dark(Frame(STAMP, 0, night.px))
+    assert not is_dark(Frame(STAMP, 0, day.px))
+    measured = Attitude(STAMP, night.measured, np.eye(3) * math.radians(1.0) ** 2)
+    monkeypatch.setattr(tracker, "by_paint", lambda *_: pytest.fail("the paint was searched for"))
+    assert track(TrackerConfig(CAMERA, LIT), TrackerMemory(), Frame(STAMP, 0, night.px), measured)[0].chosen == "lamps"
+    monkeypatch.undo()
+    monkeypatch.setattr(tracker, "by_lamps", lambda *_: pytest.fail("lamps were searched for"))
+    assert track(TrackerConfig(CAMERA, LIT), TrackerMemory(), Frame(STAMP, 0, day.px), None)[0].chosen == "registration"
 
 
 def test_a_frame_without_light_has_no_spots():

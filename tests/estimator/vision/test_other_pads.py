@@ -10,7 +10,7 @@ import pytest
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
-from estimator.vision import tracker as tracker_module
+from estimator.vision import by_paint
 from estimator.vision.camera import Camera
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.drawing import EdgeKind
@@ -68,7 +68,7 @@ def test_a_pad_of_several_headings_is_followed_without_a_search(name: str, monke
     assert seen.selected.yaw_ambiguous
     d, cov = seen.selected.d_body_pad_level, np.diag([1e-4] * 6 + [3.0])
     belief = RelativeState(STAMP.measured_at, "ekf", d, np.zeros(3), None, cov, STAMP.measured_at, True)
-    monkeypatch.setattr(tracker_module, "search", None)
+    monkeypatch.setattr(by_paint, "search", None)
     again = track(config, memory, Frame(STAMP, 0, px), attitude, belief)[0].selected
     assert again is not None
     assert again.yaw_rad == pytest.approx(seen.selected.yaw_rad, abs=0.01)

@@ -12,8 +12,9 @@ from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sightin
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs
+from estimator.vision.believed import expected
 from estimator.vision.options import TrackerMethod, TrackerOptions
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, expected, track
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from sitl.light import Light
 from sitl.surroundings import Decal, Surroundings
 from tests.support.deck_images import Shown, covered, shown
