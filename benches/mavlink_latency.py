@@ -4,6 +4,7 @@ The service is the one that flies: samples, guidance cycles, the thread of visio
 given, and its autopilot is a miniature. A decoder is left out.
 
 python -m benches.mavlink_latency        p50 and p99 at 30 and 60 frames a second: the pad tracked, and searched for in each frame
+python -m benches.mavlink_latency --scenario night      the same of a pad that shows by its lamps
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import Stamp, after, seconds_between
 from sitl.autopilots.body import Body
 from sitl.autopilots.miniature import MiniatureAutopilot
-from sitl.scenario import load
+from sitl.one_flight import following
+from sitl.scenario import Scenario, load
 from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"
@@ -72,12 +74,12 @@ class Timed(NullObserver):
             self.speech_ms.append(1e3 * seconds_between(told, done))
 
 
-async def measure(rate_hz: float, gyro_mrad_s: tuple[int, int, int], seconds: float) -> None:
+async def measure(scenario: Scenario, rate_hz: float, gyro_mrad_s: tuple[int, int, int], seconds: float) -> None:
     """Measure and print one frame rate with one gyro beside a camera that stands still."""
     clock = SystemClock()
-    settings = settings_of.load("sim")
-    pilot = make_pilot(settings)
-    body = Body(load("calm"), 1, 0.005)
+    pilot = make_pilot(following(scenario, settings_of.load("sim")))
+    pilot.rehearse()
+    body = Body(scenario, 1, 0.005)
     images = [body.expose()().px for _ in range(4)]
     state = body.state()
     x, y, z = state.f_body
@@ -127,11 +129,12 @@ async def measure(rate_hz: float, gyro_mrad_s: tuple[int, int, int], seconds: fl
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=6.0)
+    parser.add_argument("--scenario", default="calm", help="whose frames the camera shows")
     parser.add_argument("--tracked", action="store_true", help="only the tracked pad at 30 frames a second")
     args = parser.parse_args()
     for gyro in ((0, 0, 0),) if args.tracked else ((0, 0, 0), TURNS):
         for rate in (30.0,) if args.tracked else (30.0, 60.0):
-            asyncio.run(measure(rate, gyro, args.seconds))
+            asyncio.run(measure(load(args.scenario), rate, gyro, args.seconds))
 
 
 if __name__ == "__main__":

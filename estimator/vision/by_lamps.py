@@ -13,7 +13,7 @@ from estimator.vision.tracker_memory import TrackerMemory
 
 _EXPECTED_SIGMAS = 3.0
 """Standard deviations of the believed position within which the pad is expected."""
-_REACH_PX = 40.0
+REACH_PX = 40.0
 """Largest reach about the believed position in which lamps are assigned to spots; beyond it the frame is searched for them."""
 _EVERY_PX = 16
 """Every so many columns and rows tell whether a frame is dark."""
@@ -38,5 +38,5 @@ def by_lamps(
         start = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
         if start is not None and start.t_cam_pad[2] > 0.05:
             reach_px = _EXPECTED_SIGMAS * sigma_of(belief) * tracker.camera.fx / float(start.t_cam_pad[2])
-    near = start is not None and 0.0 < reach_px < _REACH_PX
+    near = start is not None and 0.0 < reach_px < REACH_PX
     return detect_lamps(frame, tracker.camera, tracker.pad, orientation, start if near else None, reach_px)

@@ -21,6 +21,9 @@ from estimator.vision.tracker_config import TrackerConfig as TrackerConfig
 from estimator.vision.tracker_memory import TrackerMemory as TrackerMemory
 from estimator.vision.verified import SURE
 
+_LAMPS_WORK = 3.0
+"""Work of a search for lamps, in the unit of `TrackerConfig.search_work`, of which it leaves the paint's the rest."""
+
 
 def track(
     tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None = None
@@ -43,7 +46,8 @@ def track(
     lit = by_lamps(tracker, memory, frame, attitude, belief) if first else None
     seen, left = Detection(None, None, MappingProxyType({})), memory
     if tracker.pad.is_identifiable_by_paint and not _is_sure(lit):
-        seen, left = by_paint(tracker, memory, frame, attitude, belief)
+        rest = dataclasses.replace(tracker, search_work=tracker.search_work - _LAMPS_WORK) if first else tracker
+        seen, left = by_paint(rest, memory, frame, attitude, belief)
         if not first and not _is_sure(seen.selected):
             lit = by_lamps(tracker, memory, frame, attitude, belief)
     if lit is None or (seen.selected is not None and seen.selected.confidence >= lit.confidence):
