@@ -12,6 +12,8 @@
 #include "rotation.h"
 
 enum { CROWDED = -1, CHANNELS = 3 };
+/* The brightest so many spots are tried in a shift of an expected pose. */
+enum { SHIFTED = 18 };
 /* Reach of a lamp's spot about a searched pose, and about a fitted one, px. */
 static const double SEARCHED_PX = 3.0, FITTED_PX = 0.8;
 /* Margin of the part of a frame about the expected lamps: as a part of their extent, and px. */
@@ -24,10 +26,10 @@ static const double TILTED = 0.04;
 enum { DISTANCES = 5 };
 static const double WITHIN_PX[DISTANCES] = {0.25, 0.4, 0.6, 0.9, 1.3};
 /* Least number of spots that are lamps, and least part of those that the lamps in view would make. */
-enum { LEAST_SEARCHED = 5, LEAST_TRACKED = 3 };
+enum { LEAST_SEARCHED = 4, LEAST_TRACKED = 3 };
 static const double LEAST_SHARE = 0.6;
-/* Number of poses that a search tries, and of different poses about an expected one. */
-static const double TESTS = 6000.0, EXPECTED_TESTS = 20.0;
+/* Number of different poses about an expected one. */
+static const double EXPECTED_TESTS = 20.0;
 /* Logarithm of the number of false alarms at which lights are as likely the pad's as not: one frame in a hundred. */
 static const double EVEN_LOG10 = -2.0;
 /* What a light among the lamps that is none of them speaks against the pad, and a lamp in view that does not shine. */
@@ -99,20 +101,20 @@ static double range_of(const pad_pose *pose)
     return sqrt(dot(pose->t, pose->t));
 }
 
-/* Radius of the pattern about the pad's centre, px. */
-static double size_px(const dark_frame *f, const pad_pose *pose)
+/* Reach of a lamp's spot about a pose that is not fitted, px: by the radius of the pattern about the pad's centre. */
+static double first_reach(const dark_frame *f, const pad_pose *pose)
 {
     double reach = 0.0;
     for (int k = 0; k < (int)f->pad->lamps; k++) {
         reach = fmax(reach, hypot(f->pad->x_m[k], f->pad->y_m[k]));
     }
-    return f->camera->fx * reach / range_of(pose);
+    return SEARCHED_PX + TILTED * f->camera->fx * reach / range_of(pose);
 }
 
 /* Fit the pose from a start; 0 if too few spots are lamps. */
-static int explain(const dark_frame *f, const pad_pose *start, double reach_px, double tests, int least, explained_lamps *out)
+static int explain(const dark_frame *f, const pad_pose *start, double tests, int least, explained_lamps *out)
 {
-    const double first = fmax(reach_px, SEARCHED_PX + TILTED * size_px(f, start)), reaches[] = {first, SEARCHED_PX, FITTED_PX};
+    const double reaches[] = {first_reach(f, start), SEARCHED_PX, FITTED_PX};
     pad_pose pose = *start;
     for (int k = 0; k < 3; k++) {
         assign_lamps(f->camera, f->pad, &f->spots, &pose, reaches[k], &out->of);
@@ -220,9 +222,7 @@ static int part_about(const camera_lens *camera, const lamp_pattern *pad, const 
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY}, p[3], uv[2];
     const double most[2] = {(double)camera->width, (double)camera->height};
     for (int k = 0; k < (int)pad->lamps; k++) {
-        for (int i = 0; i < 3; i++) {
-            p[i] = at->pose.R[3 * i] * pad->x_m[k] + at->pose.R[3 * i + 1] * pad->y_m[k] + at->pose.t[i];
-        }
+        pad_point(&at->pose, pad->x_m[k], pad->y_m[k], p);
         camera_project(camera, p, uv);
         if (!isfinite(uv[0]) || !isfinite(uv[1])) {
             return 0;
@@ -242,10 +242,49 @@ static int part_about(const camera_lens *camera, const lamp_pattern *pad, const 
     return 1;
 }
 
+/* How many spots lie near lamps that are shifted in the frame, one that lies just there counting as one. */
+static double near_spots(const lamp_spots *spots, int n, const double uv[LAMPS][2], double du, double dv, double within_px)
+{
+    double sum = 0.0;
+    for (int k = 0; k < n; k++) {
+        double least2 = within_px * within_px;
+        for (int s = 0; s < spots->n && s < SHIFTED; s++) {
+            const double u = uv[k][0] + du - spots->spot[s].uv[0], v = uv[k][1] + dv - spots->spot[s].uv[1];
+            least2 = fmin(least2, u * u + v * v);
+        }
+        sum += 1.0 - least2 / (within_px * within_px);
+    }
+    return sum;
+}
+
+/* Shift an expected pose so that its lamps lie near the most spots: each shift within reach that puts a lamp on a spot is tried. */
+static void shift(const dark_frame *f, double reach_px, double within_px, pad_pose *pose)
+{
+    double uv[LAMPS][2], best = 0.0, to[2] = {0.0, 0.0};
+    const int n = (int)f->pad->lamps;
+    for (int k = 0; k < n; k++) {
+        double p[3];
+        pad_point(pose, f->pad->x_m[k], f->pad->y_m[k], p);
+        camera_project(f->camera, p, uv[k]);
+    }
+    for (int k = 0; k < n; k++) {
+        for (int s = 0; s < f->spots.n && s < SHIFTED; s++) {
+            const double du = f->spots.spot[s].uv[0] - uv[k][0], dv = f->spots.spot[s].uv[1] - uv[k][1];
+            const double sum = du * du + dv * dv <= reach_px * reach_px ? near_spots(&f->spots, n, uv, du, dv, within_px) : 0.0;
+            if (sum > best) {
+                best = sum, to[0] = du, to[1] = dv;
+            }
+        }
+    }
+    pose->t[0] += to[0] * pose->t[2] / f->camera->fx, pose->t[1] += to[1] * pose->t[2] / f->camera->fy;
+}
+
 /* Look where the pad is expected; returns the number of answers, none if these lights are hardly the pad's. */
 static int look(dark_frame *f, const lamps_expected *at, explained_lamps *out)
 {
-    return explain(f, &at->pose, at->reach_px, EXPECTED_TESTS, LEAST_TRACKED, out) && out->log10_odds >= 0.0;
+    pad_pose pose = at->pose;
+    shift(f, at->reach_px, first_reach(f, &pose), &pose);
+    return explain(f, &pose, EXPECTED_TESTS, LEAST_TRACKED, out) && out->log10_odds >= 0.0;
 }
 
 /* Search the spots of the whole frame; returns the number of answers. */
@@ -253,13 +292,14 @@ static int search(const dark_frame *f, uint32_t *scratch, explained_lamps found[
 {
     pad_pose guesses[LAMP_GUESSES];
     const int tried = guess_lamps(f->camera, f->pad, f->prior, &f->spots, scratch, guesses);
+    const double tests = guesses_tried(f->pad, &f->spots);
     int n = 0;
     for (int k = 0; k < tried; k++) {
         int is_new = 1;
         for (int i = 0; i < n; i++) {
             is_new &= differ(&guesses[k], &found[i].fit.pose);
         }
-        n += is_new && explain(f, &guesses[k], SEARCHED_PX, TESTS, LEAST_SEARCHED, &found[n]);
+        n += is_new && explain(f, &guesses[k], tests, LEAST_SEARCHED, &found[n]);
     }
     return n;
 }

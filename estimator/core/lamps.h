@@ -62,6 +62,8 @@ int bright_places(const lit_part *part, uint32_t *scratch, bright_part *out);
 /* The spots that the pieces make: those that are cut by the part's edge, too large or too long are none. */
 void spots_of(const bright_part *part, const lit_part *of, lamp_spots *out);
 
+/* A point of the pad's plane in `cam`, m. */
+void pad_point(const pad_pose *pose, double x, double y, double p[3]);
 /* Assign the lamps in view to the nearest spots. `reach_px` is the largest distance of a lamp from its spot's centre, or of the
  * lamps that share a spot from it on average. */
 void assign_lamps(const camera_lens *camera, const lamp_pattern *pad, const lamp_spots *spots, const pad_pose *pose, double reach_px,
@@ -76,6 +78,9 @@ int64_t guess_room(void);
 /* Poses that two spots tell, those that explain the most spots first; returns their number. */
 int guess_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_prior *prior, const lamp_spots *spots, uint32_t *scratch,
                 pad_pose out[LAMP_GUESSES]);
+
+/* Number of poses that are tried. */
+double guesses_tried(const lamp_pattern *pad, const lamp_spots *spots);
 
 /* R_level_cam */
 void level_of_camera(const camera_lens *camera, const tilt_prior *prior, double R[9]);

@@ -20,7 +20,7 @@ typedef struct {
     int in_view[LAMPS];
 } shown_lamps;
 
-static void on_pad(const pad_pose *pose, double x, double y, double p[3])
+void pad_point(const pad_pose *pose, double x, double y, double p[3])
 {
     for (int i = 0; i < 3; i++) {
         p[i] = pose->R[3 * i] * x + pose->R[3 * i + 1] * y + pose->t[i];
@@ -31,7 +31,7 @@ static void show(const camera_lens *camera, const lamp_pattern *pad, const pad_p
 {
     for (int k = 0; k < (int)pad->lamps; k++) {
         double p[3];
-        on_pad(pose, pad->x_m[k], pad->y_m[k], p);
+        pad_point(pose, pad->x_m[k], pad->y_m[k], p);
         camera_project(camera, p, out->uv[k]);
         const double inset = INSET_PX + INSET_RADII * camera->fx * pad->radius_m[k] / fmax(p[2], NEAREST_M);
         const double u = out->uv[k][0], v = out->uv[k][1];
@@ -115,7 +115,7 @@ static void look_about(const camera_lens *camera, const lamp_pattern *pad, const
         reach_m = fmax(reach_m, hypot(pad->x_m[k] - x, pad->y_m[k] - y));
     }
     out->strangers = 0, out->area_px2 = 1.0;
-    on_pad(pose, x, y, p);
+    pad_point(pose, x, y, p);
     if (!(p[2] > NEAREST_M)) {
         return;
     }

@@ -9,14 +9,14 @@ enum { CHANNELS = 3, BACKGROUND = 15, WINDOW = 2 * BACKGROUND + 1, RING = 32, BL
 /* A Gaussian of 0.7 px. */
 static const float GAUSSIAN[BLUR + 1] = {37346.0f / 65536.0f, 13461.0f / 65536.0f, 630.0f / 65536.0f, 4.0f / 65536.0f};
 /* A pixel is bright above a part of the brightest within so many. Rows are compared in segments. */
-enum { PEAK = 4, SEGMENT = 32 };
+enum { PEAK = 3, SEGMENT = 32 };
 /* Every so many rows and columns tell the noise. */
 enum { NOISE_STEP = 4 };
 /* Least brightness over the background: linear light, and in standard deviations of the noise; as a part of the brightest one's, for
  * the halo of a lamp near by has faint peaks; and of the peak's beside it, so that two lamps are two spots down to some 3 px. */
 static const double FULL = 65535.0, LEAST = 0.004, NOISES = 7.0, BRIGHTEST = 0.03;
-/* 0.45 */
-enum { OF_PEAK = 9, OF_PEAKS = 20 };
+/* 0.6 */
+enum { OF_PEAK = 3, OF_PEAKS = 5 };
 /* Median of the absolute value of a standard normal number. */
 static const double NORMAL = 0.6745;
 

@@ -10,9 +10,11 @@
 #include "lamps.h"
 #include "rotation.h"
 
-/* The brightest so many spots are paired. A lamp explains spots within `REACH` cells, a focal length having as many as pixels; what lies
- * `CELLS` from the first spot's side of the frame is left out. */
-enum { PAIRED = 18, REACH = 2, CELLS = 8192, MARGIN = REACH + 1, LEAST_EXPLAINED = 3 };
+/* The brightest so many spots are paired. A lamp explains spots within `REACH` cells, a focal length having as many as pixels, and one of
+ * a small pattern those within `CLOSE`; what lies `CELLS` from the first spot's side of the frame is left out. */
+enum { PAIRED = 18, REACH = 2, CLOSE = 1, CELLS = 8192, MARGIN = REACH + 1, LEAST_EXPLAINED = 3 };
+/* Largest distance of a small pattern's lamps from its centre, along the worse axis of the pad, px. */
+static const double SMALL_PX = 30.0;
 /* Heights of the camera that are tried. */
 static const double LOWEST_M = 0.1, HIGHEST_M = 40.0;
 /* Cosine of the flattest ray that is looked at. */
@@ -30,11 +32,13 @@ typedef struct {
     level_place by, at;
 } similarity;
 
-/* Spots in the level plane, and for each column and row of cells which of them it is near: bit k is spot k, those `REACH` away are
- * in the upper half. */
+/* Where in a word the bits of spots are that lie within `REACH`, just `REACH` away, and within `CLOSE`. */
+enum { WITHIN = 0, EDGE = 20, BESIDE = 40, ALL = (1 << PAIRED) - 1 };
+
+/* Spots in the level plane, and for each column and row of cells which of them it is near, in three parts of a word. */
 typedef struct {
     int n, columns, rows;
-    double focal_px, left, top;
+    double focal_px, reach_m, left, top;
     level_place spot[PAIRED];
     uint64_t *column, *row;
 } spot_table;
@@ -87,13 +91,18 @@ static void put_level(const camera_lens *camera, const double R_level_cam[9], co
 static void mark(uint64_t *cells, double cell, int k)
 {
     for (int i = -REACH; i <= REACH; i++) {
-        cells[(int)cell + i] |= ((uint64_t)1 << k) | (i == -REACH || i == REACH ? (uint64_t)1 << (32 + k) : 0);
+        const uint64_t edge = i == -REACH || i == REACH, beside = i >= -CLOSE && i <= CLOSE;
+        cells[(int)cell + i] |= ((uint64_t)1 << WITHIN | edge << EDGE | beside << BESIDE) << k;
     }
 }
 
 /* Fill the table; spots beyond its cells are left out. */
-static void fill(double focal_px, uint32_t *scratch, spot_table *t)
+static void fill(const lamp_pattern *pad, double focal_px, uint32_t *scratch, spot_table *t)
 {
+    t->reach_m = 0.0;
+    for (int k = 0; k < (int)pad->lamps; k++) {
+        t->reach_m = fmax(t->reach_m, fmax(fabs(pad->x_m[k]), fabs(pad->y_m[k])));
+    }
     t->focal_px = focal_px, t->left = INFINITY, t->top = INFINITY;
     t->column = (uint64_t *)(void *)(scratch + ((uintptr_t)scratch / sizeof *scratch) % 2), t->row = t->column + CELLS;
     double right = -INFINITY, low = -INFINITY;
@@ -123,16 +132,17 @@ static int bits_of(uint32_t x)
 /* How many different spots a similarity explains. A spot that is `REACH` away along both axes is farther than that. */
 static int explained(const spot_table *t, const lamp_pattern *pad, const similarity *s)
 {
-    uint32_t spots = 0;
+    const int is_small = hypot(s->by.re, s->by.im) * t->reach_m * t->focal_px < SMALL_PX;
+    uint64_t spots = 0;
     for (int k = 0; k < (int)pad->lamps; k++) {
         const level_place lamp = times(s->by, lamp_at(pad, k));
         const double column = rint((s->at.re + lamp.re) * t->focal_px) - t->left, row = rint((s->at.im + lamp.im) * t->focal_px) - t->top;
         if (column >= 0.0 && row >= 0.0 && column < t->columns && row < t->rows) {
             const uint64_t near = t->column[(int)column] & t->row[(int)row];
-            spots |= (uint32_t)near & ~(uint32_t)(near >> 32);
+            spots |= is_small ? near >> BESIDE : near >> WITHIN & ~(near >> EDGE);
         }
     }
-    return bits_of(spots);
+    return bits_of((uint32_t)(spots & ALL));
 }
 
 /* The similarity by which two spots are a pair of lamps. */
@@ -235,11 +245,17 @@ int guess_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_p
     if (table.n < LEAST_EXPLAINED) {
         return 0;
     }
-    fill(camera->fx, scratch, &table);
+    fill(pad, camera->fx, scratch, &table);
     uint8_t *counts = (uint8_t *)(table.row + CELLS);
     const int n = choose(&table, pad, counts, rate(&table, pad, counts), guesses);
     for (int k = 0; k < n; k++) {
         pose_of(R_level_cam, &guesses[k], &out[k]);
     }
     return n;
+}
+
+double guesses_tried(const lamp_pattern *pad, const lamp_spots *spots)
+{
+    const int n = spots->n < PAIRED ? spots->n : PAIRED;
+    return fmax(1.0, (double)(n * (n - 1)) * (double)pad->pairs);
 }

@@ -11,6 +11,8 @@ static const double LARGEST = 0.02, LONGEST = 4.0, LONGER_PX = 3.0;
 static const double MUCH_SMALLER = 0.4, HALO = 2.7, HALO_PX = 4.0;
 /* Standard deviation of a spot's centre that saturation and the lens leave besides noise: px, and as a part of its radius. */
 static const double CENTRE_PX = 0.06, OF_RADIUS = 0.015;
+/* Standard deviation that the light of another spot in the same place would leave, px, and the distance from which on it leaves none. */
+static const double CROWDED_PX = 0.3, CROWDED_WITHIN_PX = 7.0;
 static const double PI = 3.14159265358979323846;
 /* The brightest so many are looked at. */
 enum { COMPARED = 128 };
@@ -124,6 +126,19 @@ static int in_halo(const lamp_spot *spot, const brightest *all)
     return 0;
 }
 
+/* Take the light of its nearest neighbour into each spot's standard deviation. */
+static void allow_for_neighbours(lamp_spots *spots)
+{
+    for (int k = 0; k < spots->n; k++) {
+        double least = CROWDED_WITHIN_PX;
+        for (int i = 0; i < spots->n; i++) {
+            const double away = hypot(spots->spot[i].uv[0] - spots->spot[k].uv[0], spots->spot[i].uv[1] - spots->spot[k].uv[1]);
+            least = i != k && away < least ? away : least;
+        }
+        spots->spot[k].sigma = hypot(spots->spot[k].sigma, CROWDED_PX * (1.0 - least / CROWDED_WITHIN_PX));
+    }
+}
+
 void spots_of(const bright_part *part, const lit_part *of, lamp_spots *out)
 {
     brightest all = {.n = 0};
@@ -144,4 +159,5 @@ void spots_of(const bright_part *part, const lit_part *of, lamp_spots *out)
             out->spot[out->n++] = all.spot[k];
         }
     }
+    allow_for_neighbours(out);
 }

@@ -23,7 +23,7 @@ from estimator.vision.pose import Orientation, OrientedCamera
 from estimator.vision.register.sighting import sighting_of
 from tests.estimator.vision.oracle.lamps.fit import LampFit, fit
 from tests.estimator.vision.oracle.lamps.pattern import Assignment, assign
-from tests.estimator.vision.oracle.lamps.search import search
+from tests.estimator.vision.oracle.lamps.search import SPOTS, search, tried
 from tests.estimator.vision.oracle.lamps.spots import Spots, find_spots
 
 _SEARCHED_PX, _FITTED_PX = 3.0, 0.8
@@ -36,12 +36,10 @@ _TILTED = 0.04
 """What a deck's and an attitude's errors of tilt add to the first reach, as a part of the pattern's radius in the frame."""
 _WITHIN_PX = (0.25, 0.4, 0.6, 0.9, 1.3)
 """Distances of spots from their lamps within which it is asked how many lie there by chance."""
-_LEAST_SEARCHED, _LEAST_TRACKED = 5, 3
+_LEAST_SEARCHED, _LEAST_TRACKED = 4, 3
 """Least number of spots that are lamps, from a search and where the pad is expected."""
 _LEAST_SHARE = 0.6
 """Least part of the spots that the lamps in view would make."""
-_TESTS = 6000.0
-"""Number of poses that a search tries."""
 _EXPECTED_TESTS = 20.0
 """Number of different poses about an expected one."""
 _EVEN_LOG10 = -2.0
@@ -70,12 +68,15 @@ def detect_lamps(
     spots = Spots.none()
     if expected is not None:
         spots = _spots_about(expected, frame, camera, pad, reach_px)
-        found += _at(spots, expected, reach_px, camera, pad, orientation, _EXPECTED_TESTS, _LEAST_TRACKED)
+        start = _shifted(spots, expected, reach_px, camera, pad)
+        found += _at(spots, start, camera, pad, orientation, _EXPECTED_TESTS, _LEAST_TRACKED)
     if not found or found[0].log10_odds < 0.0:
         found, spots = [], find_spots(frame.px)
+        paired = min(SPOTS, len(spots))
+        tests = max(1.0, paired * (paired - 1.0) * len(tried(tuple(map(tuple, places_of(pad.lamps).tolist())))))
         for pose in search(spots, places_of(pad.lamps), OrientedCamera(camera, orientation)):
             if all(_differs(pose, one.fit.pose) for one in found):
-                found += _at(spots, pose, _SEARCHED_PX, camera, pad, orientation, _TESTS, _LEAST_SEARCHED)
+                found += _at(spots, pose, camera, pad, orientation, tests, _LEAST_SEARCHED)
     if not found:
         return None
     best = max(found, key=lambda one: one.log10_odds)
@@ -104,6 +105,28 @@ def _spots_about(pose: PadPose, frame: Frame, camera: Camera, pad: Pad, reach_px
     return find_spots(frame.px, None if area > _MOST_OF_FRAME * camera.width * camera.height else window)
 
 
+def _first_reach_px(pose: PadPose, camera: Camera, pad: Pad) -> float:
+    """Return the reach of a lamp's spot about a pose that is not fitted."""
+    return _SEARCHED_PX + _TILTED * camera.fx * float(np.linalg.norm(places_of(pad.lamps), axis=1).max()) / pose.range_m
+
+
+def _shifted(spots: Spots, expected: PadPose, reach_px: float, camera: Camera, pad: Pad) -> PadPose:
+    """Return an expected pose shifted so that its lamps lie near the most spots.
+
+    Each shift within reach that puts a lamp on a spot is tried.
+    """
+    uv, within_px = camera.project(expected.points(points_of(pad.lamps))), _first_reach_px(expected, camera, pad)
+    lit = spots.uv_px[:SPOTS]
+    shifts = (lit[None] - uv[:, None]).reshape(-1, 2)
+    shifts = shifts[(shifts**2).sum(axis=1) <= reach_px**2]
+    if not len(shifts):
+        return expected
+    away2 = ((uv[None, :, None] + shifts[:, None, None] - lit[None, None]) ** 2).sum(axis=-1).min(axis=-1)
+    du, dv = shifts[np.argmax((1.0 - np.minimum(away2, within_px**2) / within_px**2).sum(axis=1))]
+    z = expected.t_cam_pad[2]
+    return PadPose(expected.R_cam_pad, expected.t_cam_pad + [du * z / camera.fx, dv * z / camera.fy, 0.0])
+
+
 class _Explained(NamedTuple):
     """A pose of the pad, the spots that its lamps are, and how likely these are its lamps."""
 
@@ -119,16 +142,14 @@ def _differs(a: PadPose, b: PadPose) -> bool:
 
 
 def _at(
-    spots: Spots, start: PadPose, reach_px: float, camera: Camera, pad: Pad, orientation: Orientation,
-    tests: float, least: int,
-) -> list[_Explained]:  # fmt: skip
+    spots: Spots, start: PadPose, camera: Camera, pad: Pad, orientation: Orientation, tests: float, least: int
+) -> list[_Explained]:
     """Return the pose fitted from a start; none if too few spots are lamps."""
     pose, lamps_m = start, places_of(pad.lamps)
     explained: list[_Explained] = []
     if len(spots) < least:
         return []
-    size_px = camera.fx * float(np.linalg.norm(lamps_m, axis=1).max()) / start.range_m
-    for reach in (max(reach_px, _SEARCHED_PX + _TILTED * size_px), _SEARCHED_PX, _FITTED_PX):
+    for reach in (_first_reach_px(start, camera, pad), _SEARCHED_PX, _FITTED_PX):
         of = assign(spots, pad.lamps, pose, camera, reach)
         if of.groups < least or of.groups < _LEAST_SHARE * of.expected:
             return []

@@ -19,14 +19,16 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import OrientedCamera
 from tests.estimator.vision.oracle.lamps.spots import Spots
 
-_SPOTS = 18
+SPOTS = 18
 """The brightest so many spots are paired."""
 _PAIRS = 10
 """Pairs of lamps that are tried among the outer lamps, and as many among the inner ones: near the pad only these are in view."""
 _LOWEST_M, _HIGHEST_M = 0.1, 40.0
 """Heights of the camera that are tried."""
-_REACH_PX = 2.5
-"""Largest distance of a lamp from its spot in a pose that two spots tell."""
+_REACH_PX, _CLOSE_PX = 2.5, 1.5
+"""Largest distance of a lamp from its spot in a pose that two spots tell, and of a lamp of a small pattern."""
+_SMALL_PX = 30.0
+"""Largest distance of a small pattern's lamps from its centre, along the worse axis of the pad."""
 _MARGIN = 4
 """Cells of the table of spots beyond the outermost: what lies there is near none of them."""
 _KEPT = 6
@@ -40,19 +42,19 @@ def search(spots: Spots, lamps_m: F64, view: OrientedCamera) -> list[PadPose]:
     Args:
         lamps_m: places of the lamps on the pad, (L, 2) m.
     """
-    q = _complex(view.plane(spots.uv_px[:_SPOTS]))
+    q = _complex(view.plane(spots.uv_px[:SPOTS]))
     q = q[np.isfinite(q)]
     if len(q) < 3:
         return []
     lamps = _complex(lamps_m)
-    pairs = _tried(tuple(map(tuple, lamps_m.tolist())))
+    pairs = tried(tuple(map(tuple, lamps_m.tolist())))
     i, j = (at.ravel() for at in np.nonzero(~np.eye(len(q), dtype=bool)))
     k, m = pairs.T
     by = (q[j] - q[i])[:, None] / (lamps[m] - lamps[k])[None]
     start = q[i][:, None] - by * lamps[k][None]
     height = 1.0 / np.maximum(np.abs(by), 1e-9)
-    tried = np.flatnonzero((height > _LOWEST_M) & (height < _HIGHEST_M))
-    by, start = by.ravel()[tried], start.ravel()[tried]
+    kept = np.flatnonzero((height > _LOWEST_M) & (height < _HIGHEST_M))
+    by, start = by.ravel()[kept], start.ravel()[kept]
     explained = _explained(q, lamps, by, start, view.camera.fx)
     found: list[PadPose] = []
     for at in np.argsort(-explained, kind="stable"):
@@ -72,20 +74,23 @@ def _explained(q: C128, lamps: C128, by: C128, start: C128, focal_px: float) -> 
     column, row = np.rint(q.real * focal_px), np.rint(q.imag * focal_px)
     left, top = column.min() - _MARGIN, row.min() - _MARGIN
     width, height = (int(x.max() - x.min()) + 2 * _MARGIN + 1 for x in (column, row))
-    table = np.zeros((width, height), np.int64)
+    table = np.zeros((2, width, height), np.int64)
     around = np.arange(-math.ceil(_REACH_PX), math.ceil(_REACH_PX) + 1)
-    near = around[:, None] ** 2 + around[None] ** 2 <= _REACH_PX**2
+    away2 = around[:, None] ** 2 + around[None] ** 2
     for n, (c, r) in enumerate(zip((column - left).astype(int), (row - top).astype(int), strict=True)):
-        table[np.ix_(c + around, r + around)] |= np.where(near, np.int64(1) << n, 0)
+        for of, reach_px in zip(table, (_REACH_PX, _CLOSE_PX), strict=True):
+            of[np.ix_(c + around, r + around)] |= np.where(away2 <= reach_px**2, np.int64(1) << n, 0)
     at = (start[:, None] + by[:, None] * lamps[None]) * focal_px
     i = np.clip(np.rint(at.real - left), 0, width - 1).astype(np.int64)
     j = np.clip(np.rint(at.imag - top), 0, height - 1).astype(np.int64)
-    bits = np.bitwise_or.reduce(table.ravel()[i * height + j], axis=1)
+    size_px = np.abs(by) * max(float(np.abs(lamps.real).max()), float(np.abs(lamps.imag).max())) * focal_px
+    small = (size_px < _SMALL_PX).astype(np.int64)[:, None]
+    bits = np.bitwise_or.reduce(table.reshape(2, -1)[small, i * height + j], axis=1)
     return np.asarray(np.bitwise_count(bits), np.int64)
 
 
 @lru_cache(maxsize=8)
-def _tried(places: tuple[tuple[float, ...], ...]) -> NDArray[np.int64]:
+def tried(places: tuple[tuple[float, ...], ...]) -> NDArray[np.int64]:
     """Return pairs of lamps, (P, 2): the farthest apart among all of them, and among the inner half."""
     lamps = np.array(places)
     order = np.argsort(np.linalg.norm(lamps - np.median(lamps, axis=0), axis=1))

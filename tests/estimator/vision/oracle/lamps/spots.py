@@ -19,8 +19,8 @@ _LEAST, _NOISES = 0.004, 7.0
 """Least brightness of a spot over its background: linear light, full scale 1, and in standard deviations of the noise."""
 _BRIGHTEST = 0.03
 """A spot's least brightness, as a part of the brightest one's: the halo of a lamp near by has faint peaks."""
-_PEAK_PX = 9
-_OF_PEAK = 0.45
+_PEAK_PX = 7
+_OF_PEAK = 0.6
 """A spot's pixels have more than this part of the brightest within `_PEAK_PX`: two lamps are two spots down to some 3 px."""
 _EDGE_PX = 3
 """Distance from the frame's edge within which a spot counts as cut."""
@@ -34,6 +34,8 @@ _MOST = 40
 """The brightest so many are kept."""
 _CENTRE_PX, _OF_RADIUS = 0.06, 0.015
 """Standard deviation of a spot's centre that saturation and the lens leave besides noise: px, and as a part of its radius."""
+_CROWDED_PX, _CROWDED_WITHIN_PX = 0.3, 7.0
+"""Standard deviation that the light of another spot in the same place would leave, and the distance from which on it leaves none."""
 _NORMAL = 0.6745
 """Median of the absolute value of a standard normal variable."""
 _NEIGHBOURS = np.ones((_PEAK_PX, _PEAK_PX), np.uint8)
@@ -101,7 +103,14 @@ def _spots(px: NDArray[np.uint8]) -> Spots:
     order = np.flatnonzero(kept)
     order = order[np.argsort(-flux[order], kind="stable")]
     order = order[~_in_halo(centre[order], radius[order])][:_MOST]
-    return Spots(centre[order], sigma[order], radius[order])
+    return Spots(centre[order], np.hypot(sigma[order], _crowded(centre[order])), radius[order])
+
+
+def _crowded(centre: F64) -> F64:
+    """Return the standard deviation that the light of its nearest neighbour leaves to each spot's centre, px."""
+    away = np.linalg.norm(centre[:, None] - centre[None], axis=2)
+    np.fill_diagonal(away, _CROWDED_WITHIN_PX)
+    return np.asarray(_CROWDED_PX * np.maximum(0.0, 1.0 - away.min(axis=1, initial=_CROWDED_WITHIN_PX) / _CROWDED_WITHIN_PX))
 
 
 def _in_halo(centre: F64, radius: F64) -> NDArray[np.bool_]:
