@@ -20,11 +20,11 @@ static const double SEARCHED_PX = 3.0, FITTED_PX = 0.8;
 static const double MARGIN = 0.25, MARGIN_PX = 24.0;
 /* Share of the frame from which on such a part is taken as the whole, whose spots serve for a search, too. */
 static const double MOST_OF_FRAME = 0.5;
-/* What a deck's and an attitude's errors of tilt add to the first reach, as a part of the pattern's radius in the frame. */
+/* A deck's and an attitude's errors of tilt, rad: what they add to the first reach, as a part of the pattern's radius in the frame. */
 static const double TILTED = 0.04;
 /* Distances of spots from their lamps within which it is asked how many lie there by chance, px. */
-enum { DISTANCES = 5 };
-static const double WITHIN_PX[DISTANCES] = {0.25, 0.4, 0.6, 0.9, 1.3};
+enum { DISTANCES = 6 };
+static const double WITHIN_PX[DISTANCES] = {0.1, 0.25, 0.4, 0.6, 0.9, 1.3};
 /* Least number of spots that are lamps, and least part of those that the lamps in view would make. */
 enum { LEAST_SEARCHED = 4, LEAST_TRACKED = 3 };
 static const double LEAST_SHARE = 0.6;
@@ -34,6 +34,8 @@ static const double EXPECTED_TESTS = 20.0;
 static const double EVEN_LOG10 = -2.0;
 /* What a light among the lamps that is none of them speaks against the pad, and a lamp in view that does not shine. */
 static const double STRANGER_LOG10 = 0.7, MISSING_LOG10 = 0.5;
+/* What each standard deviation by which the middle spot is farther off than so many speaks against the pad. */
+static const double ASTRAY_SIGMAS = 3.0, ASTRAY_LOG10 = 1.0;
 /* Limits of the odds. */
 static const double LEAST_LOG10 = -12.0, MOST_LOG10 = 12.0, MOST_CHANCE = 0.9, LEAST_TAIL = 1e-300;
 /* Confidence below which lights are no sighting at all. */
@@ -79,20 +81,30 @@ static double log10_tail(int n, int k, double p)
     return log10(fmax(tail, LEAST_TAIL));
 }
 
-/* The logarithm of the odds that these spots are the pad's lamps and no other lights. */
-static double log10_odds(const lamp_assignment *of, const double *off_px, double tests)
+/* The probability that one of the spots about the pad lies this near to a place by chance. */
+static double chance(const lamp_assignment *of, double within_px)
 {
-    const int others = of->groups + of->strangers, n = of->expected > of->groups ? of->expected : of->groups;
+    const double spots = of->groups + of->strangers;
+    return fmin(MOST_CHANCE, spots * PI * within_px * within_px / of->area_px2);
+}
+
+/* The logarithm of the odds that these spots are the pad's lamps and no other lights. Two spots tell a similarity; a third one lies
+ * within reach of a tilt that is not known. */
+static double log10_odds(const dark_frame *f, const lamp_assignment *of, const lamp_fit *fit, double tests)
+{
+    const int n = of->expected > of->groups ? of->expected : of->groups;
+    const double tilt_px = TILTED * fit->extent_px * fit->extent_px / f->camera->fx;
     double alarms = INFINITY;
     for (int k = 0; k < DISTANCES; k++) {
         int within = 0;
         for (int g = 0; g < of->groups; g++) {
-            within += off_px[g] <= WITHIN_PX[k];
+            within += fit->off_px[g] <= WITHIN_PX[k];
         }
-        const double chance = fmin(MOST_CHANCE, others * PI * WITHIN_PX[k] * WITHIN_PX[k] / of->area_px2);
-        alarms = fmin(alarms, log10_tail(n - 2, within - 2, chance));
+        const double third = within > 2 ? log10((n - 2) * chance(of, WITHIN_PX[k] + tilt_px)) : 0.0;
+        alarms = fmin(alarms, fmin(0.0, third) + log10_tail(n - 3, within - 3, chance(of, WITHIN_PX[k])));
     }
     alarms += log10(tests * DISTANCES) + STRANGER_LOG10 * of->strangers + MISSING_LOG10 * (n - of->groups);
+    alarms += ASTRAY_LOG10 * fmax(0.0, fit->middle_sigmas - ASTRAY_SIGMAS);
     return fmax(LEAST_LOG10, EVEN_LOG10 - alarms);
 }
 
@@ -124,7 +136,7 @@ static int explain(const dark_frame *f, const pad_pose *start, double tests, int
         }
         pose = out->fit.pose;
     }
-    out->log10_odds = log10_odds(&out->of, out->fit.off_px, tests);
+    out->log10_odds = log10_odds(f, &out->of, &out->fit, tests);
     return isfinite(out->log10_odds) != 0;
 }
 

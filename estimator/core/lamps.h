@@ -49,10 +49,11 @@ typedef struct {
     double area_px2;
 } lamp_assignment;
 
-/* A pose, the covariance of its place and of a small rotation in `cam`, and how far each spot with a lamp is from its lamps. */
+/* A pose, the covariance of its place and of a small rotation in `cam`, and how far each spot with a lamp is from its lamps: px, and
+ * the middle one in its standard deviations. `extent_px` is the largest distance of these spots from their middle. */
 typedef struct {
     pad_pose pose;
-    double cov[36], off_px[LAMP_SPOTS];
+    double cov[36], off_px[LAMP_SPOTS], middle_sigmas, extent_px;
 } lamp_fit;
 
 /* The room that the bright places of a part take, numbers of four bytes. */

@@ -205,6 +205,19 @@ static int covariance(const lamp_pattern *pad, const lamp_groups *groups, const 
     return finite;
 }
 
+/* The largest distance of the spots from their middle, px. */
+static double extent_px(const lamp_groups *groups, double focal_px)
+{
+    double middle[2] = {0.0, 0.0}, most = 0.0;
+    for (int g = 0; g < groups->n; g++) {
+        middle[0] += groups->group[g].ray[0] / groups->n, middle[1] += groups->group[g].ray[1] / groups->n;
+    }
+    for (int g = 0; g < groups->n; g++) {
+        most = fmax(most, hypot(groups->group[g].ray[0] - middle[0], groups->group[g].ray[1] - middle[1]));
+    }
+    return focal_px * most;
+}
+
 int fit_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_prior *prior, const lamp_spots *spots,
               const lamp_assignment *of, const pad_pose *start, lamp_fit *out)
 {
@@ -237,5 +250,6 @@ int fit_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_pri
     for (int g = 0; g < groups.n; g++) {
         out->off_px[g] = focal_px * hypot(groups.group[g].off[0], groups.group[g].off[1]);
     }
+    out->middle_sigmas = median_sigmas(&groups), out->extent_px = extent_px(&groups, focal_px);
     return covariance(pad, &groups, A, &out->pose, out->cov);
 }

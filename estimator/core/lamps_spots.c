@@ -11,7 +11,7 @@ static const double LARGEST = 0.02, LONGEST = 4.0, LONGER_PX = 3.0;
 static const double MUCH_SMALLER = 0.4, HALO = 2.7, HALO_PX = 4.0;
 /* Standard deviation of a spot's centre that saturation and the lens leave besides noise: px, and as a part of its radius. */
 static const double CENTRE_PX = 0.06, OF_RADIUS = 0.015;
-/* Standard deviation that the light of another spot in the same place would leave, px, and the distance from which on it leaves none. */
+/* Standard deviation that the light of another spot in the same place would leave, px; from this distance on it leaves none. */
 static const double CROWDED_PX = 0.3, CROWDED_WITHIN_PX = 7.0;
 static const double PI = 3.14159265358979323846;
 /* The brightest so many are looked at. */

@@ -196,6 +196,41 @@ def test_other_lights_are_not_a_pad():
         assert found is None or found.confidence < 0.2
 
 
+def ring(centre: np.ndarray, lights: int, radius_px: float, turned_rad: float) -> np.ndarray:
+    angles = turned_rad + math.tau / lights * np.arange(lights)
+    return np.asarray(centre + radius_px * np.stack([np.cos(angles), np.sin(angles)], axis=1))
+
+
+def test_even_rings_of_lights_like_those_of_other_pads_are_not_this_pad():
+    for n in range(120):
+        rng = np.random.default_rng([19, n])
+        centre, radius_px = rng.uniform([160, 90], [480, 270]), float(rng.uniform(6.0, 160.0))
+        outer = ring(centre, int(rng.integers(4, 13)), radius_px, float(rng.uniform(0.0, 6.0)))
+        inner = ring(centre, int(rng.integers(3, 8)), 0.34 * radius_px, float(rng.uniform(0.0, 6.0)))
+        px = rng.integers(0, 8, (CAMERA.height, CAMERA.width, 3)).astype(float)
+        v, u = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
+        for x, y in np.concatenate([outer, inner] if n % 2 else [outer]):
+            rows, columns = (slice(max(0, int(at) - 8), max(0, int(at) + 9)) for at in (y, x))
+            away2 = (u[rows, columns] - x) ** 2 + (v[rows, columns] - y) ** 2
+            px[rows, columns] += (rng.uniform(60.0, 600.0) * np.exp(-0.5 * away2 / rng.uniform(0.7, 2.0) ** 2))[:, :, None]
+        found = detect_lamps(Frame(STAMP, 0, px.clip(0, 255).astype(np.uint8)), CAMERA, LIT, LEVEL)
+        assert found is None or found.confidence < 0.2
+
+
+@pytest.mark.parametrize("height_m", [1.0, 4.0, 10.0, 18.0])
+def test_lamps_are_told_apart_although_the_pad_is_expected_farther_off_than_they_are_from_each_other(height_m: float):
+    scene = night_scene(np.random.default_rng([31, 0, 4]), CAMERA, LIT, height_m, "lamps")
+    for way in np.arange(6) * math.tau / 6:
+        off_m = 12.0 * height_m / CAMERA.fx * np.array([math.cos(way), math.sin(way), 0.0])
+        expected = PadPose(scene.truth.R_cam_pad, scene.truth.t_cam_pad + off_m)
+        found = detect_lamps(Frame(STAMP, 0, scene.px), CAMERA, LIT, scene.orientation, expected, 16.0)
+        assert found is not None
+        assert found.confidence > 0.99
+        by_camera = camera_pose(found, CAMERA, scene.orientation)
+        assert by_camera is not None
+        assert np.linalg.norm(by_camera.t_cam_pad - scene.truth.t_cam_pad) < 0.05 * height_m
+
+
 def test_half_of_the_pad_in_view_is_enough_near_by():
     true = straight_below(0.55)
     uv = CAMERA.project(true.points(points_of(LIT.lamps)))

@@ -34,7 +34,7 @@ _MOST_OF_FRAME = 0.5
 """Share of the frame from which on such a part is taken as the whole."""
 _TILTED = 0.04
 """What a deck's and an attitude's errors of tilt add to the first reach, as a part of the pattern's radius in the frame."""
-_WITHIN_PX = (0.25, 0.4, 0.6, 0.9, 1.3)
+_WITHIN_PX = (0.1, 0.25, 0.4, 0.6, 0.9, 1.3)
 """Distances of spots from their lamps within which it is asked how many lie there by chance."""
 _LEAST_SEARCHED, _LEAST_TRACKED = 4, 3
 """Least number of spots that are lamps, from a search and where the pad is expected."""
@@ -50,6 +50,8 @@ _TURNED_RAD = 0.2
 """Angle by which two different answers are turned: less than a lamp's own step around the pad."""
 _STRANGER_LOG10 = 0.7
 """What a light among the lamps that is none of them speaks against the pad."""
+_ASTRAY_SIGMAS, _ASTRAY_LOG10 = 3.0, 1.0
+"""What each standard deviation by which the middle spot is farther off than so many speaks against the pad."""
 _MISSING_LOG10 = 0.5
 """What a lamp in view that does not shine speaks against the pad."""
 
@@ -124,7 +126,7 @@ def _shifted(spots: Spots, expected: PadPose, reach_px: float, camera: Camera, p
     away2 = ((uv[None, :, None] + shifts[:, None, None] - lit[None, None]) ** 2).sum(axis=-1).min(axis=-1)
     du, dv = shifts[np.argmax((1.0 - np.minimum(away2, within_px**2) / within_px**2).sum(axis=1))]
     z = expected.t_cam_pad[2]
-    return PadPose(expected.R_cam_pad, expected.t_cam_pad + [du * z / camera.fx, dv * z / camera.fy, 0.0])
+    return PadPose(expected.R_cam_pad, expected.t_cam_pad + np.array([du * z / camera.fx, dv * z / camera.fy, 0.0]))
 
 
 class _Explained(NamedTuple):
@@ -156,24 +158,30 @@ def _at(
         made = fit(spots, lamps_m, of, pose, camera, orientation, pad.size_sigma_m)
         if made is None:
             return []
-        pose, explained = made.pose, [_Explained(made, of, _log10_odds(of, made.off_px, tests))]
+        pose, explained = made.pose, [_Explained(made, of, _log10_odds(of, made, camera, tests))]
     return explained
 
 
-def _log10_odds(of: Assignment, off_px: F64, tests: float) -> float:
+def _log10_odds(of: Assignment, made: LampFit, camera: Camera, tests: float) -> float:
     """Return the logarithm of the odds that these spots are the pad's lamps and no other lights.
 
-    Args:
-        off_px: distances of the spots from the lamps in them, (G,) px.
+    Two spots tell a similarity; a third one lies within reach of a tilt that is not known.
     """
-    others, n = of.groups + of.strangers, max(of.expected, of.groups)
+    n, tilt_px = max(of.expected, of.groups), _TILTED * made.extent_px**2 / camera.fx
     alarms = math.inf
     for within_px in _WITHIN_PX:
-        chance = min(0.9, others * math.pi * within_px**2 / of.area_px2)
-        alarms = min(alarms, _log10_tail(n - 2, int(np.count_nonzero(off_px <= within_px)) - 2, chance))
+        within = int(np.count_nonzero(made.off_px <= within_px))
+        third = math.log10((n - 2) * _chance(of, within_px + tilt_px)) if within > 2 else 0.0
+        alarms = min(alarms, min(0.0, third) + _log10_tail(n - 3, within - 3, _chance(of, within_px)))
     alarms += math.log10(tests * len(_WITHIN_PX))
     alarms += _STRANGER_LOG10 * of.strangers + _MISSING_LOG10 * (n - of.groups)
+    alarms += _ASTRAY_LOG10 * max(0.0, made.middle_sigmas - _ASTRAY_SIGMAS)
     return max(-12.0, _EVEN_LOG10 - alarms)
+
+
+def _chance(of: Assignment, within_px: float) -> float:
+    """Return the probability that one of the spots about the pad lies this near to a place by chance."""
+    return min(0.9, (of.groups + of.strangers) * math.pi * within_px**2 / of.area_px2)
 
 
 def _log10_tail(n: int, k: int, p: float) -> float:

@@ -33,6 +33,10 @@ class LampFit:
     """(6, 6): [t_cam_pad (m), small rotation of the pad written in `cam` (rad)]."""
     off_px: F64
     """Distance of each spot from the lamps in it, (G,) px."""
+    middle_sigmas: float
+    """The middle one of these distances in the spots' standard deviations."""
+    extent_px: float
+    """Largest distance of these spots from their middle."""
 
 
 def fit(
@@ -94,7 +98,10 @@ def fit(
     chi2 = float((trust * np.sum(off**2, axis=1) / sigma**2).sum()) / max(1.0, 2.0 * float(trust.sum()) - 4.0)
     cov *= max(1.0, chi2)
     cov[:3, :3] += (size_sigma_m / reach) ** 2 * np.outer(t, t)
-    return LampFit(PadPose(known_rotation(orthonormalised(R)), t), 0.5 * (cov + cov.T), focal * np.linalg.norm(off, axis=1))
+    off_rays = np.linalg.norm(off, axis=1)
+    extent = float(np.linalg.norm(rays - rays.mean(axis=0), axis=1).max())
+    pose = PadPose(known_rotation(orthonormalised(R)), t)
+    return LampFit(pose, 0.5 * (cov + cov.T), focal * off_rays, float(np.median(off_rays / sigma)), focal * extent)
 
 
 def _by_pose(p_cam: F64, arm_cam: F64) -> F64:

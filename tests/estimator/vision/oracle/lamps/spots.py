@@ -35,7 +35,7 @@ _MOST = 40
 _CENTRE_PX, _OF_RADIUS = 0.06, 0.015
 """Standard deviation of a spot's centre that saturation and the lens leave besides noise: px, and as a part of its radius."""
 _CROWDED_PX, _CROWDED_WITHIN_PX = 0.3, 7.0
-"""Standard deviation that the light of another spot in the same place would leave, and the distance from which on it leaves none."""
+"""Standard deviation that the light of another spot in the same place would leave; from this distance on it leaves none."""
 _NORMAL = 0.6745
 """Median of the absolute value of a standard normal variable."""
 _NEIGHBOURS = np.ones((_PEAK_PX, _PEAK_PX), np.uint8)
