@@ -13,7 +13,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from estimator.contracts.estimates import Feature, Sighting
-from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Frame
 from estimator.vision.camera import Camera
 from estimator.vision.lamp import places_of, points_of
