@@ -1,6 +1,7 @@
 """Track the pad in the frames of a flight, by its paint or by its lamps.
 
 A pad with lamps is seen by them where its paint is not: the lamps come first in a dark frame, and as long as they are what shows.
+A belief excludes places for both.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from msgspec.structs import replace
 
 from estimator.contracts.estimates import Method, RelativeState, Sighting
 from estimator.contracts.samples import Attitude, Frame
-from estimator.vision.believed import expected, near_enough, sigma_of
+from estimator.vision.believed import BelievedPlace, expected, near_enough, sigma_of
 from estimator.vision.by_lamps import by_lamps, is_dark
 from estimator.vision.by_paint import by_paint, by_thesis
 from estimator.vision.detection import Detection
@@ -52,9 +53,10 @@ def track(
             lit = by_lamps(tracker, memory, frame, attitude, belief)
     if lit is None or (seen.selected is not None and seen.selected.confidence >= lit.confidence):
         return seen, dataclasses.replace(left, lit=False)
-    methods: dict[Method, Sighting | None] = {**seen.methods, "lamps": lit}
-    left = dataclasses.replace(left, lit=_is_sure(lit))
-    return Detection(lit, "lamps", MappingProxyType(methods), seen.opinions, seen.elsewhere), left
+    methods = MappingProxyType[Method, Sighting | None]({**seen.methods, "lamps": lit})
+    if BelievedPlace.of(belief, frame, tracker, memory.alike_yaw_rad).excludes(lit):
+        return replace(seen, methods=methods, elsewhere=lit), dataclasses.replace(left, lit=memory.lit)
+    return Detection(lit, "lamps", methods, seen.opinions, seen.elsewhere), dataclasses.replace(left, lit=_is_sure(lit))
 
 
 def _is_sure(seen: Sighting | None) -> bool:

@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
@@ -265,6 +266,26 @@ def test_a_dark_frame_is_searched_for_lamps_first_and_a_frame_by_day_for_paint(m
     monkeypatch.undo()
     monkeypatch.setattr(tracker, "by_lamps", lambda *_: pytest.fail("lamps were searched for"))
     assert track(TrackerConfig(CAMERA, LIT), TrackerMemory(), Frame(STAMP, 0, day.px), None)[0].chosen == "registration"
+
+
+def test_another_lit_pad_does_not_take_the_tracked_ones_place_but_is_reported():
+    night = night_scene(np.random.default_rng([31, 0, 1]), CAMERA, LIT, 3.0, "lamps")
+    measured = Attitude(STAMP, night.measured, np.eye(3) * math.radians(1.0) ** 2)
+    frame, config = Frame(STAMP, 0, night.px), TrackerConfig(CAMERA, LIT)
+    cold, memory = track(config, TrackerMemory(), frame, measured)
+    assert cold.selected is not None
+    place = cold.selected.d_body_pad_level
+    for aside_m, is_tracked in ((0.0, True), (1.6, False)):
+        d = place + np.array([aside_m, 0.0, 0.0])
+        belief = RelativeState(
+            STAMP.measured_at, "ekf", d, np.zeros(3), cold.selected.yaw_rad, 1e-4 * np.eye(7), STAMP.measured_at, True
+        )
+        seen, left = track(config, memory, frame, measured, belief)
+        at, other = (seen.selected, seen.elsewhere) if is_tracked else (seen.elsewhere, seen.selected)
+        assert at is not None
+        assert other is None
+        assert np.linalg.norm(at.d_body_pad_level - place) < 0.05
+        assert left.lit
 
 
 def test_a_frame_without_light_has_no_spots():
