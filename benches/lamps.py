@@ -3,8 +3,7 @@
 Frames are rendered (tests/support/night_scenes.py): heights from 0.4 to 20 m, tilted by up to 15 degrees with an attitude that is
 off by one degree at one sigma. Found from cold counts confidence 0.5, an error below a tenth of the height and a heading within
 0.2 rad; tracked starts from the true place, off by 2 cm or 1 % of the height at one sigma, with a reach of three sigma as in
-flight. NEES is of a sighting's four numbers,
-over four. "No pad" frames show 4 to 25 lights and no pad.
+flight. NEES is of a sighting's four numbers, over four. "No pad" frames show 4 to 25 lights and no pad.
 """
 
 from __future__ import annotations
