@@ -20,7 +20,7 @@ from estimator.core.interface.render import GAIN_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.drops import Drops, wet_lens
-from sitl.light import FULL_SCALE, I16, U16, Development, Light, PadInImage, Sensor, counts, scene_of
+from sitl.light import FULL_SCALE, I16, U16, Development, Light, PadBlur, PadInImage, Sensor, counts, scene_of
 from sitl.projection import F32, lens_of
 from sitl.render_deck import DeckPainter, Part, bounds, draw, drone_shadow
 from sitl.render_lens import moved, moved_scene, row_map, smear, vignette
@@ -133,7 +133,8 @@ class Renderer:
         development = development or self._development
         view = self._view(shot, development)
         if self.lamps.floods or self._has_small_lamps or self.drops is not None or view.added is not None:
-            return development.sensor_image(self._light_on_sensor(shot, development, view), rng)
+            light, blur = self._light_on_sensor(shot, development, view)
+            return development.sensor_image(light, rng, blur)
         return development.image(view.scene, view.gain, view.pad, self._pad_scene, rng)
 
     def order(self, shot: Exposure, rng: np.random.Generator) -> Callable[[], U8]:
@@ -143,8 +144,8 @@ class Renderer:
     def radiance(self, shot: Exposure) -> F32:
         """Return the linear light on the sensor before noise and tone curve, (H, W, 3) BGR; 1 is full scale, clipped at 4."""
         development = self._development
-        light = self._light_on_sensor(shot, development, self._view(shot, development))
-        return development.blur(light) * np.float32(1.0 / FULL_SCALE)
+        light, blur = self._light_on_sensor(shot, development, self._view(shot, development))
+        return development.blur(light, blur) * np.float32(1.0 / FULL_SCALE)
 
     def _view(self, shot: Exposure, development: Development) -> _View:
         """Return what the camera sees during an exposure, before the light is counted."""
@@ -165,14 +166,18 @@ class Renderer:
                 added = None if added is None else np.asarray(moved(added, rows), np.float32)
         return _View(poses[0], scene, gain, added, rows, self._place(shot, poses[0], ends, development.sensor))
 
-    def _light_on_sensor(self, shot: Exposure, development: Development, view: _View) -> I16:
-        """Return the light before the blur of the lens, (H, W, 3) in counts."""
+    def _light_on_sensor(self, shot: Exposure, development: Development, view: _View) -> tuple[I16, PadBlur | None]:
+        """Return the light before the blur of the lens, (H, W, 3) in counts, and what that blur makes of the pad's edges."""
         gain, added, rows = view.gain, view.added, view.rows
         # Floodlights differ in colour from the sky: their light and the sky's are added up for each channel.
         even = self._even if self.lamps.floods else gain
         light = development.expose(view.scene, even, view.pad, self._pad_scene, self._room)
+        # Drops refract what is blurred, and blur more than the lens does.
+        blur = development.pad_blur(view.scene, even, view.pad, self._pad_scene) if self.drops is None else None
         if self.lamps.floods:
-            cv2.multiply(light, self._gains(gain, development, *view.pose), dst=light, scale=1.0 / GAIN_ONE)
+            gains = self._gains(gain, development, *view.pose)
+            cv2.multiply(light, gains, dst=light, scale=1.0 / GAIN_ONE)
+            blur = blur.under(gains) if blur is not None else None
         if added is not None:
             cv2.add(light, counts(cv2.merge([added * g for g in development.gains_bgr])), dst=light)
         if self._has_small_lamps:
@@ -183,7 +188,7 @@ class Renderer:
             cv2.add(light, counts(cv2.merge([own * g * level for g in development.gains_bgr])), dst=light)
         if self.drops is not None:
             wet_lens(light, self.drops.present(shot.t_s, self.camera.width, self.camera.height))
-        return light
+        return light, blur
 
     def _gains(self, gain: I16, development: Development, R_cam_pad: F64, t_cam_pad: F64) -> I16:
         """Return the factors (H, W, 3) on the light of sky and floodlights from those under the sky alone (H, W)."""

@@ -21,14 +21,16 @@ from estimator.contracts.errors import BadInput
 from estimator.core.interface.render import (
     CELL_PX,
     COUNTS_BY_EIGHT,
+    GAIN_ONE,
     GRAIN_LEVELS,
+    LENS_BLOCK,
     LEVELS_BY_EIGHT,
     LEVELS_BY_ONE,
     LIGHT_LEVELS,
     PAINTS,
     SCENE_ONE,
 )
-from sitl.native import address, render_blur, render_expose, render_frame, render_image, render_mix
+from sitl.native import address, render_blur, render_expose, render_frame, render_image, render_mix, render_pad_lens
 from sitl.projection import F32
 
 U8 = NDArray[np.uint8]
@@ -258,6 +260,52 @@ class PadInImage:
     """(N,) numbers of the pixels that edges touch, by bands of `CELL_PX` rows from the top of the frame to its bottom."""
     shares: F32
     """(N, 5) coverage of these by the paints in the order of `PAINTS`; each row sums to 1."""
+    fine: int = 1
+    """Each of these is divided into `fine` x `fine` parts."""
+    parts: F32 | None = None
+    """(N, 5, fine * fine) coverage of these parts, row by row; None if they are not divided."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PadBlur:
+    """What the blur of the lens makes of the pad's edges beyond what a blur of pixels makes of them, in a part of the frame."""
+
+    window: NDArray[np.int32]
+    """(4,) first column and row of the part, and their numbers."""
+    added: I16
+    """(rows, 3, columns) light to add to the blurred one, in counts."""
+
+    def under(self, gains: I16) -> PadBlur:
+        """Return the same under a light that differs by factors (H, W, 3), parts of `GAIN_ONE`."""
+        x, y, columns, rows = self.window.tolist()
+        here = gains[y : y + rows, x : x + columns].transpose(0, 2, 1) * np.float32(1.0 / GAIN_ONE)
+        return PadBlur(self.window, np.asarray(np.round(self.added * here), dtype=np.int16))
+
+
+_LENS_PX_MOST = 12_000
+"""Parts of the frame up to so large are blurred exactly: pads from three metres on. Nearer by edges are so long, and cross pixels
+in so many ways, that their aliasing averages out, and the exact blur would cost more than all else."""
+
+
+@lru_cache(maxsize=64)
+def _lens_kernels(sigma_px: float, fine: int) -> tuple[F32, F32]:
+    """Return the kernel of the lens and the square pixel on parts of pixels (fine, 2 reach + 1), and `_taps` (2, 2 reach + 1).
+
+    The first row of the latter is for sums over parts, the second is negative.
+
+    Parts are squares, as are the steps of the kernel: the variance of both is taken off the Gaussian's.
+    """
+    half = _taps(sigma_px) / 65536.0
+    sampled = np.concatenate([[0.0], half[:0:-1], half, [0.0]])
+    reach = len(half)
+    s = math.sqrt(max(sigma_px**2 - 1.0 / (6 * fine**2), 1e-6))
+    x = (np.arange((2 * reach + 1) * fine + 1) / fine - reach - 0.5) / s
+    below = np.array([[0.5 * math.erfc(-(v + a) * math.sqrt(0.5)) for v in x] for a in (0.5 / s, -0.5 / s)])
+    z = x + np.array([[0.5 / s], [-0.5 / s]])
+    whole = z * below + np.exp(-0.5 * z**2) / math.sqrt(math.tau)
+    exact = np.diff(s * (whole[0] - whole[1]))
+    exact = (exact / exact.sum()).reshape(-1, fine).T
+    return np.ascontiguousarray(exact, np.float32), np.stack([sampled / fine, -sampled]).astype(np.float32)
 
 
 class Development:
@@ -303,8 +351,35 @@ class Development:
         """Return `sensor_image` of the light that `expose` returns, which is not kept."""
         h, w = gain.shape
         frame = np.empty((h, w, 3), np.uint8)
-        render_image(h, w, *self._seen(scene, gain, pad, pad_scene), *self._onto_sensor(frame, rng))
+        blur = self.pad_blur(scene, gain, pad, pad_scene)
+        render_image(h, w, *self._seen(scene, gain, pad, pad_scene), *self._onto_sensor(frame, rng, blur))
         return frame
+
+    def pad_blur(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None) -> PadBlur | None:
+        """Return what the exact blur of the pad's edges adds; None if they are too many, too coarse, or not blurred at all."""
+        if pad is None or pad.parts is None or not len(pad.edges) or len(self._taps) == 1:
+            return None
+        h, w = gain.shape
+        exact, sampled = _lens_kernels(self.sensor.psf_sigma_px, pad.fine)
+        reach = sampled.shape[1] // 2
+        rows, columns = np.divmod(pad.edges, w)
+        x0, y0 = max(0, int(columns.min()) - reach), max(0, int(rows.min()) - reach)
+        wide, high = min(w, int(columns.max()) + reach + 1) - x0, min(h, int(rows.max()) + reach + 1) - y0
+        if wide * high > _LENS_PX_MOST:
+            return None
+        window, added = np.array([x0, y0, wide, high], np.int32), np.empty((high, 3, wide), np.int16)
+        blocks = -(-wide // LENS_BLOCK)
+        places = np.empty(high * blocks * (LENS_BLOCK + 1), np.int32)
+        room = np.empty((pad.fine + 1) * (LENS_BLOCK * blocks * (high + 1) + 2 * reach), np.float32)
+        render_pad_lens(
+            w, address(window, np.int32), address(pad.kinds, np.uint8),
+            len(pad.edges), address(pad.edges, np.int32), address(pad.shares, np.float32),
+            pad.fine, address(pad.parts, np.float32), reach, address(exact, np.float32), address(sampled, np.float32),
+            address(scene, np.uint16, (*gain.shape, 4)), address(gain, np.int16),
+            address(self._exposure, np.float32), address(pad_scene, np.uint16, (len(PAINTS), 4)),
+            address(places, np.int32), address(room, np.float32), address(added, np.int16),
+        )  # fmt: skip
+        return PadBlur(window, added)
 
     def _seen(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None) -> tuple[int, ...]:
         """Return the core's view of a scene: scene, kinds, gain, exposure, paints, number of edge pixels, where, shares."""
@@ -321,26 +396,27 @@ class Development:
             address(pad.shares if pad is not None else None, np.float32, (edges, len(PAINTS))),
         )
 
-    def blur(self, light: I16) -> I16:
+    def blur(self, light: I16, pad: PadBlur | None = None) -> I16:
         """Return the light (H, W, 3) after the blur of the lens."""
         h, w = light.shape[:2]
         blurred, taps = np.empty_like(light), address(self._taps, np.uint16)
         scratch = address(self._scratch(w), np.uint16)
-        render_blur(h, w, address(light, np.int16), len(self._taps) - 1, taps, scratch, address(blurred, np.int16))
+        radius, out = len(self._taps) - 1, address(blurred, np.int16)
+        render_blur(h, w, address(light, np.int16), radius, taps, *_part(pad), scratch, out)
         return blurred
 
-    def sensor_image(self, light: I16, rng: np.random.Generator) -> U8:
+    def sensor_image(self, light: I16, rng: np.random.Generator, pad: PadBlur | None = None) -> U8:
         """Return the frame of eight bits: blur the light (H, W, 3), add shot and read noise and apply the tone curve.
 
         One number is drawn from `rng`.
         """
         h, w = light.shape[:2]
         frame = np.empty((h, w, 3), np.uint8)
-        render_frame(h, w, address(light, np.int16), *self._onto_sensor(frame, rng))
+        render_frame(h, w, address(light, np.int16), *self._onto_sensor(frame, rng, pad))
         return frame
 
-    def _onto_sensor(self, frame: U8, rng: np.random.Generator) -> tuple[int, ...]:
-        """Return the core's view of lens and sensor: radius and weights of the blur, noise, tone curve, room, and the frame."""
+    def _onto_sensor(self, frame: U8, rng: np.random.Generator, pad: PadBlur | None) -> tuple[int, ...]:
+        """Return the core's view of lens and sensor: weights of the blur, the pad's edges, noise, tone curve, room, and frame."""
         part, codes = None, self._clean
         if self._noisy is not None:
             bank, codes = _noise_bank(), self._noisy
@@ -349,6 +425,7 @@ class Development:
         return (
             len(self._taps) - 1,
             address(self._taps, np.uint16),
+            *_part(pad),
             address(part, np.uint8),
             address(codes, np.uint8),
             address(self._scratch(frame.shape[1]), np.uint16),
@@ -362,6 +439,11 @@ class Development:
             self._room = np.zeros((2 * radius + 4 + CELL_PX) * values + 6 * radius + 1, np.uint16)
             self._room_width = width
         return self._room
+
+
+def _part(pad: PadBlur | None) -> tuple[int, int]:
+    """Return the core's view of what the pad's edges add."""
+    return (address(pad.window, np.int32), address(pad.added, np.int16)) if pad is not None else (0, 0)
 
 
 def counts(light: F32) -> I16:

@@ -86,14 +86,17 @@ class PadPainter:
         where = address(edges, np.int32)
         division = address(self._lens.coarse, np.float32), address(whole, np.float32), int(rolling)
         count = render_pad_kinds(*seen, *division, *drawn, address(kinds, np.uint8), where)
-        shares = np.empty((count, len(PAINTS)), np.float32)
+        shares, fine, parts = np.empty((count, len(PAINTS)), np.float32), 1, None
         if count:
             samples = _BUDGET / (count * len(strokes))
             fine = 8 if samples >= 64 else 5 if samples >= 20 else 3 if samples >= 7 else 2 if samples >= 5 else 1
             numbers = _numbers(strokes) if len(strokes) > 1 else whole
-            parts = len(strokes), address(numbers, np.float32), int(rolling)
-            render_pad_shares(*seen, *parts, *drawn, fine, count, where, address(shares, np.float32))
-        return PadInImage(kinds, edges[:count], shares)
+            if fine > 1:
+                parts = np.empty((count, len(PAINTS), fine * fine), np.float32)
+            exposed = len(strokes), address(numbers, np.float32), int(rolling)
+            room = address(shares, np.float32), address(parts, np.float32)
+            render_pad_shares(*seen, *exposed, *drawn, fine, count, where, *room)
+        return PadInImage(kinds, edges[:count], shares, fine, parts)
 
     def travel_px(self, first: Pose, last: Pose) -> F64:
         """Return the longest ways (2,) px to the right and down that a point of the pad moves in the frame between two poses."""

@@ -159,6 +159,7 @@
 #define PAD_PAINTS 5
 #define PAD_EDGE 255
 #define STROKE_NUMBERS 36
+#define LENS_BLOCK 16
 #define PAD_REGION 9
 #define PAD_REGIONS_MOST 336
 #define PAD_NONE 0
@@ -181,6 +182,10 @@
 #define PAD_ANNULUS 0
 #define PAD_RECTANGLE 1
 #define PAD_ARROW 2
+#define LENS_X 0
+#define LENS_Y 1
+#define LENS_COLUMNS 2
+#define LENS_ROWS 3
 #define PAD_ANNULUS_INNER 5
 #define PAD_ANNULUS_OUTER 6
 #define PAD_RECTANGLE_U0 5
@@ -1247,9 +1252,9 @@ void render_deck(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, cons
 void render_fill(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *mask, const uint16_t *colour, uint16_t *scene);
 
 /* render_lens.c */
-void render_blur(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, uint16_t *scratch, int16_t *out);
-void render_frame(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
-void render_image(int32_t h, int32_t w, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int32_t edges, const int32_t *where, const float *shares, int32_t radius, const uint16_t *taps, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
+void render_blur(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window, const int16_t *added, uint16_t *scratch, int16_t *out);
+void render_frame(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window, const int16_t *added, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
+void render_image(int32_t h, int32_t w, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int32_t edges, const int32_t *where, const float *shares, int32_t radius, const uint16_t *taps, const int32_t *window, const int16_t *added, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
 
 /* render_light.c */
 void render_expose(int32_t pixels, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int16_t *light);
@@ -1261,8 +1266,11 @@ void render_meet(int32_t count, const float *rays, const double *plane_from_ray,
 /* render_pad.c */
 int32_t render_pad_kinds(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *middles, const float *whole, int32_t rolling, int32_t regions, const float *pad, uint8_t *kinds, int32_t *edges);
 
+/* render_pad_lens.c */
+void render_pad_lens(int32_t w, const int32_t *window, const uint8_t *kinds, int32_t edges, const int32_t *where, const float *shares, int32_t fine, const float *parts, int32_t reach, const float *exact, const float *sampled, const uint16_t *scene, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int32_t *places, float *room, int16_t *added);
+
 /* render_pad_shares.c */
-void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes, const float *stroke_numbers, int32_t rolling, int32_t regions, const float *pad, int32_t fine, int32_t count, const int32_t *edges, float *shares);
+void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes, const float *stroke_numbers, int32_t rolling, int32_t regions, const float *pad, int32_t fine, int32_t count, const int32_t *edges, float *shares, float *parts);
 
 /* render_sea.c */
 void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const int16_t *small_texels, const int16_t *large_texels, const int16_t *caps_texels, const int16_t *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, const double *outlines, const int32_t *outline_points, const float *soft_m, uint8_t *codes);
@@ -1327,7 +1335,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 416170499u
+#define INTERFACE_DIGEST 3963045721u
 #endif
 
 #endif

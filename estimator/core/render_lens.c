@@ -14,12 +14,15 @@ typedef struct {
     int32_t h, w, values, radius;
     const uint16_t *taps;
     uint16_t *ring, *wide, *counts, *places, *band;
+    const int32_t *window;
+    const int16_t *added;
 } lens;
 
-static lens lens_of(int32_t h, int32_t w, int32_t radius, const uint16_t *taps, uint16_t *scratch)
+static lens lens_of(int32_t h, int32_t w, int32_t radius, const uint16_t *taps, const int32_t *window, const int16_t *added,
+                    uint16_t *scratch)
 {
     const int32_t values = CHANNELS * w;
-    lens made = {h, w, values, radius, taps, scratch, 0, 0, 0, 0};
+    lens made = {h, w, values, radius, taps, scratch, 0, 0, 0, 0, window, added};
     made.wide = made.ring + (2 * radius + 1) * (int64_t)values;
     made.counts = made.wide + w + 2 * radius;
     made.places = made.counts + values;
@@ -120,6 +123,28 @@ static void enter_pixels(const lens *l, int32_t row, const int16_t *light)
     }
 }
 
+static inline uint16_t lesser(uint16_t a, uint16_t b)
+{
+    return a < b ? a : b;
+}
+
+/* Add what the exact blur of the pad's edges differs by to a blurred row. */
+static void add_exact(const lens *l, int32_t row)
+{
+    const int32_t *v = l->window, inside = row - v[LENS_Y], columns = v[LENS_COLUMNS];
+    if (inside < 0 || inside >= v[LENS_ROWS]) {
+        return;
+    }
+    for (int c = 0; c < CHANNELS; c++) {
+        const int16_t *added = l->added + (CHANNELS * (int64_t)inside + c) * columns;
+        uint16_t *counts = l->counts + (int64_t)c * l->w + v[LENS_X];
+        for (int32_t x = 0; x < columns; x++) {
+            const int32_t sum = counts[x] + added[x];
+            counts[x] = (uint16_t)(sum > 0 ? sum : 0);
+        }
+    }
+}
+
 /* The blurred row in counts; the rows of the ring outside the frame are its first and its last one. */
 static const uint16_t *blurred(const lens *l, int32_t row)
 {
@@ -132,18 +157,16 @@ static const uint16_t *blurred(const lens *l, int32_t row)
         return before[0];
     }
     weigh(l->values, l->radius, before, after, l->taps, l->counts);
+    if (l->added) {
+        add_exact(l, row);
+    }
     return l->counts;
 }
 
-static inline uint16_t lesser(uint16_t a, uint16_t b)
+void render_blur(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window,
+                 const int16_t *added, uint16_t *scratch, int16_t *out)
 {
-    return a < b ? a : b;
-}
-
-void render_blur(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, uint16_t *scratch,
-                 int16_t *out)
-{
-    const lens l = lens_of(h, w, radius, taps, scratch);
+    const lens l = lens_of(h, w, radius, taps, window, added, scratch);
     for (int32_t row = 0, entered = 0; row < h; row++) {
         for (; entered < h && entered <= row + radius; entered++) {
             enter_pixels(&l, entered, light + (int64_t)entered * l.values);
@@ -199,10 +222,10 @@ static void develop(const lens *l, const uint16_t *counts, const uint8_t *grain,
     }
 }
 
-void render_frame(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const uint8_t *noise,
-                  const uint8_t *codes, uint16_t *scratch, uint8_t *frame)
+void render_frame(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window,
+                  const int16_t *added, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame)
 {
-    const lens l = lens_of(h, w, radius, taps, scratch);
+    const lens l = lens_of(h, w, radius, taps, window, added, scratch);
     for (int32_t row = 0, entered = 0; row < h; row++) {
         for (; entered < h && entered <= row + radius; entered++) {
             enter_pixels(&l, entered, light + (int64_t)entered * l.values);
@@ -214,9 +237,10 @@ void render_frame(int32_t h, int32_t w, const int16_t *light, int32_t radius, co
 
 void render_image(int32_t h, int32_t w, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure,
                   const uint16_t *pad_scene, int32_t edges, const int32_t *where, const float *shares, int32_t radius,
-                  const uint16_t *taps, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame)
+                  const uint16_t *taps, const int32_t *window, const int16_t *added, const uint8_t *noise, const uint8_t *codes,
+                  uint16_t *scratch, uint8_t *frame)
 {
-    const lens l = lens_of(h, w, radius, taps, scratch);
+    const lens l = lens_of(h, w, radius, taps, window, added, scratch);
     const exposure16 exposed = exposure_of(exposure, pad_scene);
     const lit_scene whole = {scene, kinds, gain};
     const int64_t plane = CELL_PX * (int64_t)w;

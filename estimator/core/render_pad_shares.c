@@ -228,12 +228,27 @@ static void place(float right, float down, grid *s)
     }
 }
 
+/* Add what a subpixel of each of n pixels has of each paint to the sums of the pixels, and to the subpixels where they are kept. */
+static void keep_part(const sums *one, int32_t n, int part, int parts, sums *total, float *kept)
+{
+    for (int paint = 0; paint < PAD_PAINTS; paint++) {
+        for (int k = 0; k < TOGETHER; k++) {
+            total->of[paint][k] += one->of[paint][k];
+        }
+        for (int32_t k = 0; kept && k < n; k++) {
+            kept[(PAD_PAINTS * (int64_t)k + paint) * parts + part] += one->of[paint][k];
+        }
+    }
+}
+
 /* Add the shares of all subpixels of some pixels during one of the parts of the exposure. The plane is linear within a pixel. */
-static void add_pixels(const view *v, const stroke *k, int32_t n, const int32_t *pixels, int fine, const painting *pad, sums *total)
+static void add_pixels(const view *v, const stroke *k, int32_t n, const int32_t *pixels, int fine, const painting *pad, sums *total,
+                       float *kept)
 {
     float radius[TOGETHER], way[TOGETHER];
     sheaf rays;
     grid s;
+    sums one;
     choice c;
     begin_rays(v, k, &rays);
     take_rays(v, n, pixels, &rays);
@@ -245,37 +260,45 @@ static void add_pixels(const view *v, const stroke *k, int32_t n, const int32_t 
     }
     choose(pad, &s.met, radius, &c);
     look_along_edges(&c, &s);
-    for (int paint = 0; paint < PAD_PAINTS; paint++) {
-        add_all((float)(fine * fine) * c.whole[paint], total->of[paint]);
-    }
     for (int part = 0; part < fine * fine; part++) {
         place((float)(part % fine) - 0.5f * (float)(fine - 1), (float)(part / fine) - 0.5f * (float)(fine - 1), &s);
-        memset(total->ring, 0, sizeof total->ring);
-        for (int i = 0; i < c.count; i++) {
-            add_region(c.near[i], &s, total);
+        memset(&one, 0, sizeof one);
+        for (int paint = 0; paint < PAD_PAINTS; paint++) {
+            add_all(c.whole[paint], one.of[paint]);
         }
+        for (int i = 0; i < c.count; i++) {
+            add_region(c.near[i], &s, &one);
+        }
+        keep_part(&one, n, part, fine * fine, total, kept);
     }
 }
 
 void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes,
                        const float *stroke_numbers, int32_t rolling, int32_t regions, const float *pad, int32_t fine, int32_t count,
-                       const int32_t *edges, float *shares)
+                       const int32_t *edges, float *shares, float *parts)
 {
     const view seen = {h, w, rays, change, bent, 0};
     const painting drawn = {regions, pad};
     const float each = 1.0f / (float)(strokes * fine * fine);
+    const int64_t numbers = PAD_PAINTS * (int64_t)fine * fine;
     sums total;
+    if (parts) {
+        memset(parts, 0, (size_t)(count * numbers) * sizeof *parts);
+    }
     for (int32_t first = 0; first < count; first += TOGETHER) {
         const int32_t n = count - first < TOGETHER ? count - first : TOGETHER;
         memset(&total, 0, sizeof total);
         for (int i = 0; i < strokes; i++) {
             const stroke k = stroke_at(stroke_numbers, rolling, i);
-            add_pixels(&seen, &k, n, edges + first, fine, &drawn, &total);
+            add_pixels(&seen, &k, n, edges + first, fine, &drawn, &total, parts ? parts + first * numbers : 0);
         }
         for (int32_t e = 0; e < n; e++) {
             for (int k = 0; k < PAD_PAINTS; k++) {
                 shares[PAD_PAINTS * (int64_t)(first + e) + k] = total.of[k][e] * each;
             }
         }
+    }
+    for (int64_t i = 0; parts && strokes > 1 && i < count * numbers; i++) {
+        parts[i] *= 1.0f / (float)strokes;
     }
 }

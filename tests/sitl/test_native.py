@@ -55,9 +55,10 @@ def imaged(library: Core, rng: np.random.Generator) -> NDArray[Any]:
     paints, noise = rng.integers(0, 65536, (5, 4)).astype(np.uint16), rng.integers(0, 32, (H, W, 3)).astype(np.uint8)
     codes, scratch = rng.integers(0, 256, 65536).astype(np.uint8), np.zeros(20 * 3 * W, np.uint16)
     light, frame, again = np.zeros(H * W * 3, np.int16), np.zeros((H, W, 3), np.uint8), np.zeros((H, W, 3), np.uint8)
+    window, added = np.array([3, 2, 20, 5], np.int32), rng.integers(-400, 400, (5, 3, 20)).astype(np.int16)
     seen = [array.ctypes.data for array in (scene, kinds, gain, exposure, paints)]
     mixed = [len(edges), edges.ctypes.data, shares.ctypes.data]
-    lens = [2, *(array.ctypes.data for array in (TAPS, noise, codes, scratch))]
+    lens = [2, *(array.ctypes.data for array in (TAPS, window, added, noise, codes, scratch))]
     library.function("render_image")(H, W, *seen, *mixed, *lens, frame.ctypes.data)
     library.function("render_expose")(H * W, *seen, light.ctypes.data)
     library.function("render_mix")(*mixed, seen[0], *seen[2:], light.ctypes.data)

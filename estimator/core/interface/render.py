@@ -48,6 +48,10 @@ SEA_OUTLINES = 3
 """The number of outlines of a ship on the water: her shadow, her hull, and her wake."""
 SEA_OUTLINE_POINTS = 48
 """The largest number of points of one of them."""
+LENS_WINDOW = ("LENS_X", "LENS_Y", "LENS_COLUMNS", "LENS_ROWS")
+"""A part of the frame, px: its first column and row, and their numbers."""
+LENS_BLOCK = 16
+"""So many columns of a row are blurred exactly together, or left as they are."""
 STROKE_NUMBERS = 36
 """Numbers of one part of an exposure: homographies in its middle, their change during it, in the first row and in the last."""
 
@@ -56,9 +60,9 @@ CONSTANTS = {
     "LEVELS_BY_ONE": LEVELS_BY_ONE, "COUNTS_BY_EIGHT": COUNTS_BY_EIGHT, "LEVELS_BY_EIGHT": LEVELS_BY_EIGHT,
     "LIGHT_LEVELS": LIGHT_LEVELS, "GRAIN_LEVELS": GRAIN_LEVELS,
     "TILE_ONE": TILE_ONE, "SEA_OUTLINES": SEA_OUTLINES, "SEA_OUTLINE_POINTS": SEA_OUTLINE_POINTS,
-    "PAD_PAINTS": len(PAINTS), "PAD_EDGE": PAD_EDGE, "STROKE_NUMBERS": STROKE_NUMBERS,
+    "PAD_PAINTS": len(PAINTS), "PAD_EDGE": PAD_EDGE, "STROKE_NUMBERS": STROKE_NUMBERS, "LENS_BLOCK": LENS_BLOCK,
     "PAD_REGION": REGION_NUMBERS, "PAD_REGIONS_MOST": REGIONS_MOST,
-    **{name: value for names in (PAINTS, SEA_WEIGHTS, REGION, SHAPES) for value, name in enumerate(names)},
+    **{name: value for names in (PAINTS, SEA_WEIGHTS, REGION, SHAPES, LENS_WINDOW) for value, name in enumerate(names)},
     **{name: value for names in SHAPES.values() for value, name in enumerate(names, len(REGION))},
 }  # fmt: skip
 """Numbers by their names in the header: what simulated frames are made of."""
@@ -146,8 +150,17 @@ FUNCTIONS = (
         "void",
         "int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes, "
         "const float *stroke_numbers, int32_t rolling, int32_t regions, const float *pad, int32_t fine, int32_t count, "
-        "const int32_t *edges, float *shares",
+        "const int32_t *edges, float *shares, float *parts",
         "render_pad_shares.c",
+    ),
+    Function(
+        "render_pad_lens",
+        "void",
+        "int32_t w, const int32_t *window, const uint8_t *kinds, int32_t edges, const int32_t *where, "
+        "const float *shares, int32_t fine, const float *parts, int32_t reach, const float *exact, const float *sampled, "
+        "const uint16_t *scene, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int32_t *places, "
+        "float *room, int16_t *added",
+        "render_pad_lens.c",
     ),
     Function(
         "render_expose",
@@ -166,14 +179,15 @@ FUNCTIONS = (
     Function(
         "render_blur",
         "void",
-        "int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, uint16_t *scratch, int16_t *out",
+        "int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window, "
+        "const int16_t *added, uint16_t *scratch, int16_t *out",
         "render_lens.c",
     ),
     Function(
         "render_frame",
         "void",
-        "int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const uint8_t *noise, "
-        "const uint8_t *codes, uint16_t *scratch, uint8_t *frame",
+        "int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window, "
+        "const int16_t *added, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame",
         "render_lens.c",
     ),
     Function(
@@ -181,7 +195,8 @@ FUNCTIONS = (
         "void",
         "int32_t h, int32_t w, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure, "
         "const uint16_t *pad_scene, int32_t edges, const int32_t *where, const float *shares, int32_t radius, "
-        "const uint16_t *taps, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame",
+        "const uint16_t *taps, const int32_t *window, const int16_t *added, const uint8_t *noise, const uint8_t *codes, "
+        "uint16_t *scratch, uint8_t *frame",
         "render_lens.c",
     ),
 )

@@ -375,7 +375,7 @@ int main(int count, char **files)
     report("filter_run filter_propagate filter_settle filter_answer filter_forecast bank_reach sighting_model bank_begin bank_observe");
     scenes(24);
     report("render_deck render_fill render_smear render_average render_shadow render_sea render_swell "
-           "render_water render_pad_kinds render_pad_shares render_expose "
+           "render_water render_pad_kinds render_pad_shares render_pad_lens render_expose "
            "render_mix render_image render_frame render_blur render_meet render_bounds");
     registrations(60);
     report("register_pad sighting_in_level");

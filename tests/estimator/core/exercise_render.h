@@ -110,20 +110,31 @@ static void pad_in_light(int h, int w, float height_m, int rolling, int radius)
     uint8_t *noise = room((size_t)h * values);
     const int count = render_pad_kinds(h, w, rays, change, 0, middles, strokes, rolling, regions, drawing[0], kinds, edges);
     float *shares = malloc((size_t)count * PAD_PAINTS * sizeof(float) + 1);
-    render_pad_shares(h, w, rays, change, 0, 2, strokes, rolling, regions, drawing[0], 3, count, edges, shares);
+    float *parts = malloc((size_t)count * PAD_PAINTS * 9 * sizeof(float) + 1);
+    render_pad_shares(h, w, rays, change, 0, 2, strokes, rolling, regions, drawing[0], 3, count, edges, shares, parts);
     render_expose(h * w, scene, kinds, gain, exposure, pad_scene, light);
     render_mix(count, edges, shares, scene, gain, exposure, pad_scene, light);
     for (int t = 0; t <= radius; t++) {
         taps[t] = (uint16_t)(65535 / (2 * radius + 1));
     }
-    render_frame(h, w, light, radius, taps, radius % 2 ? noise : 0, codes, scratch, frame);
+    const int32_t window[4] = {0, 0, w, h}, reach = radius + 1;
+    float *kernels = floats(5 * (2 * reach + 1), 0.1f);
+    const int blocks = (w + LENS_BLOCK - 1) / LENS_BLOCK;
+    float *blur_room = malloc((size_t)(4 * (LENS_BLOCK * blocks * (h + 1) + 2 * reach)) * sizeof(float));
+    int32_t *places = malloc((size_t)(h * blocks * (LENS_BLOCK + 1)) * sizeof *places);
+    int16_t *added = (int16_t *)room((size_t)h * values * 2);
+    render_pad_lens(w, window, kinds, count, edges, shares, 3, parts, reach, kernels, kernels + 3 * (2 * reach + 1), scene, gain, exposure,
+                    pad_scene, places, blur_room, added);
+    fold_bytes(added, (size_t)h * values * 2);
+    render_frame(h, w, light, radius, taps, window, rolling ? added : 0, radius % 2 ? noise : 0, codes, scratch, frame);
     fold_bytes(frame, (size_t)h * values), fold_bytes(kinds, (size_t)h * w);
-    render_image(h, w, scene, rolling ? kinds : 0, gain, exposure, pad_scene, count, edges, shares, radius, taps, radius % 2 ? noise : 0,
-                 codes, scratch, frame);
+    render_image(h, w, scene, rolling ? kinds : 0, gain, exposure, pad_scene, count, edges, shares, radius, taps, window, added,
+                 radius % 2 ? noise : 0, codes, scratch, frame);
     fold_bytes(frame, (size_t)h * values);
-    render_blur(h, w, light, radius, taps, scratch, blurred);
+    render_blur(h, w, light, radius, taps, window, added, scratch, blurred);
     fold_bytes(blurred, (size_t)h * values * 2);
-    void *all[] = {rays, middles, strokes, kinds, frame, codes, edges, scene, pad_scene, taps, scratch, gain, light, noise, blurred, shares};
+    void *all[] = {rays, middles, strokes, kinds, frame, codes, edges, scene, pad_scene, taps, scratch, gain, light, noise, blurred, shares, parts,
+                   kernels, blur_room, places, added};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
     }

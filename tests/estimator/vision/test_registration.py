@@ -49,7 +49,7 @@ def test_accuracy_and_covariance(
     assert abs(mean[2]) < bias_mm
     assert float(np.std(turn)) < heading_deg
     # Never overconfident; the floor under edges' places makes it modest where noise hardly matters.
-    assert 1.0 < float(np.mean(nees)) < chi2.ppf(0.999, 6 * len(nees)) / len(nees)
+    assert 0.4 < float(np.mean(nees)) < chi2.ppf(0.999, 6 * len(nees)) / len(nees)
 
 
 @pytest.mark.parametrize("height_m", [20.0, 30.0])
@@ -270,7 +270,7 @@ def test_through_a_distorting_lens(pad: Pad) -> None:
         view = stage.view(height_m, lateral=0.3)
         found = register(view.px, camera, pad, stage.start(view, 0.7), view.orientation())
         assert found is not None
-        assert np.linalg.norm(found.pose.t_cam_pad - view.pose.t_cam_pad) < 5e-4 * height_m + 1e-4
+        assert np.linalg.norm(found.pose.t_cam_pad - view.pose.t_cam_pad) < 6e-4 * height_m + 1e-4
 
 
 def test_refusals(camera: Camera, pad: Pad) -> None:
