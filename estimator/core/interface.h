@@ -63,7 +63,7 @@
 #define FIGURE_CUTS 64
 #define FIGURE_RECTANGLES 320
 #define WEDGE_SIDES 4
-#define FIT_ROWS 136
+#define FIT_ROWS 148
 #define POINTER_MARKS 4
 #define FRAME_LEVELS 5
 #define TEMPLATE_BLURS 5
@@ -1335,7 +1335,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 3963045721u
+#define INTERFACE_DIGEST 3013005896u
 #endif
 
 #endif

@@ -380,7 +380,7 @@ int linearise_dense(const pad_shape *pad, const patch *cut, const fit_state *s, 
     }
     for (int c = 0; c < CHANNELS; c++) {
         scale_noise(cut, c, d, &all);
-        if (!add_channel(cut, c, m_per_px2, d, &all, fit) || (last && !add_meat(pad, cut, c, m_per_px2, d, &all, fit))) {
+        if (!add_channel(cut, c, m_per_px2, d, &all, fit)) {
             return 0;
         }
         left += typical(cut, c, 0, d->judged[c], d) / CHANNELS;
@@ -391,6 +391,9 @@ int linearise_dense(const pad_shape *pad, const patch *cut, const fit_state *s, 
         }
     }
     mirror(STATES, STATES, fit->H);
+    if (last && !add_meat(pad, cut, m_per_px2, d, &all, fit)) {
+        return 0;
+    }
     mirror(STATES, STATES, fit->meat);
     fit->noise = fmax(left, LEAST_NOISE), fit->noise_on_pad = on_pad;
     fit->reflection = reflection.radius > 0.0 ? glare_moved(&reflection, amplitudes, pad->disc_radius_m) : reflection;

@@ -11,7 +11,7 @@
 #include "register_sums.h"
 
 /* Coefficients before those of the regions: the surroundings' light and its change across the patch. */
-enum { FIRST_REGION = 3, DENSE_SPARE = 20 };
+enum { FIRST_REGION = 3, DENSE_SPARE = 33 };
 
 /* Times the noise expected from the frame that residuals may have more: what is known of it is an estimate. */
 #define NOISE_DOUBT 1.5
@@ -65,13 +65,13 @@ int linearise_dense(const pad_shape *pad, const patch *cut, const fit_state *s, 
 /* The derivatives of a block of a channel's light by the state, plain and weighted; notes the light's squared change over a pixel. */
 void dense_derivatives(const dense_rows *d, const dense_sums *s, int c, int start, int length, float m_per_px2,
                        float J[STATES][SUM_BLOCK], float Jw[STATES][SUM_BLOCK]);
-/* Add a channel's part of the gradient's covariance, and find the variances of its paints. */
-int add_meat(const pad_shape *pad, const patch *cut, int c, float m_per_px2, dense_rows *d, const dense_sums *s, dense_fit *fit);
+/* Add the gradient's covariance from the residuals of all channels, and find the variances of the paints. */
+int add_meat(const pad_shape *pad, const patch *cut, float m_per_px2, dense_rows *d, const dense_sums *s, dense_fit *fit);
 /* Add the effect on the gradient of displaced sectors by a block of a channel's pixels: its derivatives along the pad's axes, and the
  * projected scores of all pixels. */
 void add_sectors(const dense_rows *d, int c, int start, int length, const float *along_x, const float *along_y,
                  float *const projected[STATES], float m_per_px, dense_fit *fit);
 /* Add to the gradient's covariance sectors that are displaced independently, and all of them outward alike by the size's sigma. */
-void displace_sectors(double usual_px, double least_px, double size_px, dense_fit *fit);
+void displace_sectors(double least_px, double size_px, dense_fit *fit);
 
 #endif

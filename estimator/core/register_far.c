@@ -15,10 +15,6 @@ static const double STEP_PX = 1.5, AT_REST_PX = 0.02, BLUR_AT_REST_PX = 0.04;
 static const double NOISE_DOUBTED = 5e-4;
 /* Sigma of the distant disc's edges in that case, px: hiding half of the disc moves it this far. */
 static const double EDGE_DOUBTED_PX = 2.0;
-/* Sigma of the distant disc's edges times the square of its radius, px^3, and the largest sigma, px: the effect of wear, stains and
- * uneven light on merged edges. On rendered worn decks, at 10 to 30 m, it makes the errors as large as their covariance says; on an
- * even floor they are smaller. */
-static const double MERGED_EDGES_PX3 = 4.0, MERGED_EDGES_MOST_PX = 0.08;
 /* The mean of Tukey's weights under Gaussian noise. */
 static const double MEAN_WEIGHT = 0.9;
 /* Coverage beyond which a pixel sees the paint under the pointer alone; sum of coverages from which a pointer is in view. */
@@ -55,13 +51,6 @@ edge_support pointer_support(double amplitude, double sigma, const double contra
 int support_is_seen(const edge_support *e)
 {
     return e->snr > SNR_SEEN && e->inliers > 0.5 && e->in_view > 0.0 && e->likeness > LIKENESS_SEEN;
-}
-
-/* Add to the gradient's covariance the places of edges that noise and pose do not explain. */
-static void displace_edges(const fit_state *s, const pad_shape *pad, const fit_options *o, dense_fit *fit)
-{
-    const double scale = s->m_per_px / pad->disc_radius_m, merged_px = fmin(MERGED_EDGES_PX3 * scale * scale, MERGED_EDGES_MOST_PX);
-    displace_sectors(merged_px, o->dense_edge_sigma_px, o->size_sigma_m / s->m_per_px, fit);
 }
 
 /* Add to a covariance what hides the disc: its sectors and strokes may lie anywhere within some pixels, and the pad farther away or
@@ -263,7 +252,7 @@ static int converge(const pad_shape *pad, const patch *cut, const fit_options *o
             return 0;
         }
         if (last) {
-            displace_edges(s, pad, o, fit);
+            displace_sectors(o->dense_edge_sigma_px, o->size_sigma_m / s->m_per_px, fit);
         }
         if ((last && !robust_sums(fit, H, g)) ||
             !step_state(v, s, last ? H : fit->H, last ? g : fit->g, STEP_PX, n > 0, &next, moved_px)) {

@@ -4,9 +4,9 @@
 
 /* One over the distance from the centre, 1/m, within which a direction outward has no meaning. */
 static const float LEAST_M = 1e-3f;
-/* Information on a sector's place, 1/px^2 over the noise's factor, from which on it counts, and how many sectors' evidence the usual
- * variance is worth. */
-static const double KNOWN_LEAST = 1.0, USUAL_WEIGHT = 2.0;
+/* Information on a sector's place, 1/px^2 over the noise's factor, from which on it counts, and how many sectors' evidence it is worth
+ * that drawings are right. */
+static const double KNOWN_LEAST = 1.0, RIGHT_WEIGHT = 2.0;
 
 /* The sector of a place on the pad: its eighth of a turn. */
 static int sector_of(float x, float y)
@@ -32,9 +32,9 @@ void add_sectors(const dense_rows *d, int c, int start, int length, const float 
     }
 }
 
-/* The variance of the sectors' places, px^2, that neither noise nor pose explains; `usual` is what it is without evidence.
+/* The variance of the sectors' places, px^2, that neither noise nor pose explains.
  * Source of the estimate from the moments: DerSimonian, Laird, Meta-analysis in clinical trials, Controlled Clinical Trials 7(3), 1986. */
-static double sector_variance(const dense_fit *fit, double usual)
+static double sector_variance(const dense_fit *fit)
 {
     double noise = 0.0, squares = 0.0, known = 0.0;
     int n = 0;
@@ -49,16 +49,16 @@ static double sector_variance(const dense_fit *fit, double usual)
     }
     const double free = n - STATES;
     if (n <= STATES) {
-        return usual;
+        return 0.0;
     }
     const double seen = fmax(0.0, (squares - noise * free) / (known * free / n));
-    return (USUAL_WEIGHT * usual + free * seen) / (USUAL_WEIGHT + free);
+    return free * seen / (RIGHT_WEIGHT + free);
 }
 
-void displace_sectors(double usual_px, double least_px, double size_px, dense_fit *fit)
+void displace_sectors(double least_px, double size_px, dense_fit *fit)
 {
     double all[STATES] = {0.0};
-    const double var = sector_variance(fit, usual_px * usual_px) + least_px * least_px;
+    const double var = sector_variance(fit) + least_px * least_px;
     for (int k = 0; k < SECTOR_MOVES; k++) {
         const double *pull = fit->pull[k];
         for (int i = 0; i < STATES * STATES; i++) {

@@ -27,6 +27,8 @@ SURROUNDINGS = ("even", "patchy", "wet", "edge of the deck", "asphalt", "sea", "
 SIGMA_ATTITUDE_RAD, SIGMA_DECK_RAD = math.radians(0.5), math.radians(1.0)
 _EDGES_M = (0.48, 0.62)
 """Distances of the deck's edge from the pad's centre; the disc ends at 0.39 m."""
+_TILE_M = 1.15
+"""Half of the length after which wear repeats itself."""
 _STONE_M, _STONES, _STAINS = 0.008, 0.55, 0.15
 """Size of asphalt's stones, and standard deviations of its light over their size and over patches of decimetres: five photographs
 of asphalt have 0.47 to 0.65 of the mean light from pixel to pixel and 0.10 to 0.29 in squares of 64 pixels, some two stones wide.
@@ -50,10 +52,14 @@ class SurroundedView:
 class _Asphalt(Renderer):
     """Draws asphalt in place of the deck; the pad on it is what it was."""
 
+    around_from_pad: F64
+    """Homography (3, 3) from the pad's plane to the asphalt's."""
+
     def _scenery(self, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64) -> tuple[U16, I16, F32 | None]:
         scene, gain, added = super()._scenery(shot, R_cam_pad, t_cam_pad)
         plane = self._lens.plane_from_ray(np.stack([R_cam_pad[:, 0], R_cam_pad[:, 1], t_cam_pad], axis=1))
         if plane is not None:
+            plane = self.around_from_pad @ plane
             whole = slice(0, self.camera.height), slice(0, self.camera.width)
             places, px_m = self._lens.meet(plane, whole), float(R_cam_pad[:, 2] @ t_cam_pad) / self.camera.fx
             light = 1.0 + _STONES * _STONE_TILE.read(places, px_m) + _STAINS * _STAIN_TILE.read(places, px_m)
@@ -77,15 +83,35 @@ def _light(rng: np.random.Generator, shadow: float = 0.0, wetness: float = 0.0, 
     )  # fmt: skip
 
 
+def _moved(rng: np.random.Generator, turn_rad: float, most_m: tuple[float, float]) -> F64:
+    """Return a homography (3, 3) from the pad's plane to another place on what lies around it."""
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    x, y = (float(rng.uniform(-most, most)) for most in most_m)
+    return np.array([[c, -s, x], [s, c, y], [0.0, 0.0, 1.0]])
+
+
+def _somewhere(renderer: Renderer, deck_from_pad: F64) -> Renderer:
+    """Put the pad elsewhere on the deck: decks are drawn once, and their wear would be the same on all pads."""
+    deck = renderer._deck
+    assert deck is not None
+    deck._R_deck_pad = deck_from_pad
+    deck.rim_pad = (deck._rim - [*deck_from_pad[:2, 2], 0.0]) @ np.block(
+        [[deck_from_pad[:2, :2], np.zeros((2, 1))], [np.zeros((1, 2)), np.ones((1, 1))]]
+    )
+    return renderer
+
+
 def _renderer(rng: np.random.Generator, camera: Camera, pad: Pad, name: str) -> Renderer:
-    """Return what draws a pad in these surroundings; where the deck's edge, the sun and the puddles lie is drawn by chance."""
+    """Return what draws a pad in these surroundings; where deck edge, sun, wear and puddles lie is drawn by chance."""
     sensor = Sensor(0.0, float(rng.uniform(0.5, 0.9)))
     deck = Deck(26.0, 20.0, seed=int(rng.integers(2)))
     if name == "even":
         return Renderer(camera, pad, PLAIN, FLAT, sensor)
     if name == "asphalt":
         floor = Surroundings(Deck(26.0, 20.0, paint=(128, 126, 126), seed=1))
-        return _Asphalt(camera, pad, floor, _light(rng), sensor)
+        asphalt = _Asphalt(camera, pad, floor, _light(rng), sensor)
+        asphalt.around_from_pad = _moved(rng, float(rng.uniform(0.0, math.tau)), (50.0, 50.0))
+        return _somewhere(asphalt, _moved(rng, float(rng.uniform(0.0, math.tau)), (_TILE_M, _TILE_M)))
     if name == "sea":
         waves = Waves.draw(SEA_STATES[int(rng.integers(2, 6))], int(rng.integers(6)))
         return Renderer(camera, pad, Surroundings(None, waves), _light(rng, wear=0.0), sensor)
@@ -93,11 +119,12 @@ def _renderer(rng: np.random.Generator, camera: Camera, pad: Pad, name: str) -> 
         edge_m, side = float(rng.choice(_EDGES_M)), float(rng.choice([-1.0, 1.0]))
         waves = Waves.draw(SEA_STATES[3], int(rng.integers(6)))
         deck = Deck(8.0, 3.0, (0.0, side * (1.5 - edge_m)))
-        return Renderer(camera, pad, Surroundings(deck, waves), _light(rng), sensor)
+        return _somewhere(Renderer(camera, pad, Surroundings(deck, waves), _light(rng), sensor), _moved(rng, 0.0, (_TILE_M, 0.0)))
     light = {
         "patchy": _light(rng, wear=0.10), "wet": _light(rng, wetness=float(rng.uniform(0.4, 1.0))), "shadow": _light(rng, 0.6),
     }[name]  # fmt: skip
-    return Renderer(camera, pad, Surroundings(deck), light, sensor)
+    renderer = Renderer(camera, pad, Surroundings(deck), light, sensor)
+    return _somewhere(renderer, _moved(rng, float(rng.uniform(0.0, math.tau)), (_TILE_M, _TILE_M)))
 
 
 def _off(rng: np.random.Generator, camera: Camera, pad: Pad, truth: PadPose, off_px: float) -> PadPose:

@@ -22,7 +22,7 @@ POINTER_MARKS = 4
 """Number of points of the pointer, one of which is in the frame if it can be seen."""
 PROFILE_PIXELS = 24
 """The largest number of pixels of a profile and of what fills its group up."""
-FIT_ROWS = 136
+FIT_ROWS = 148
 """Rows of floats, each as long as the largest number of pixels, that a registration works on."""
 
 CONSTANTS = {

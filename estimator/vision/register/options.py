@@ -21,7 +21,7 @@ class RegistrationOptions:
     """Initial sigma of the lens' point spread; it is estimated."""
     edge_sigma_px: float = 0.004
     """Smallest sigma of an edge's place in the frame as predicted by drawing, lens and blur model."""
-    dense_edge_sigma_px: float = 0.01
+    dense_edge_sigma_px: float = 0.004
     """The same where edges merge."""
     coded_px: float = 0.0
     """Sigma of the place of a patch of the frame that a video codec has moved; 0 of a frame that no codec has predicted."""

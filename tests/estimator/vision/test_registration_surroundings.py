@@ -43,7 +43,7 @@ def test_a_blur_that_a_tilt_slants_does_not_turn_the_pad(camera: Camera, pad: Pa
 def test_the_tilt_is_no_more_certain_than_the_frame(camera: Camera, pad: Pad, name: str, height_m: float) -> None:
     off, cov = errors(camera, pad, name, height_m, 12.0, 16)
     squares = off[:, 3:5] ** 2 / np.array([np.diag(c)[3:5] for c in cov])
-    assert 0.2 < float(squares.mean()) < 2.3
+    assert 0.2 < float(squares.mean()) < 2.2
 
 
 @pytest.mark.parametrize("name", ["even", "patchy", "wet", "edge of the deck", "asphalt", "sea"])
@@ -52,6 +52,14 @@ def test_a_distant_pads_covariance_holds_in_all_directions(camera: Camera, pad: 
     nees = np.array([e @ np.linalg.solve(c, e) for e, c in zip(off, cov, strict=True)]) / 6.0
     assert 0.15 < float(np.median(nees)) < 1.9
     assert float(np.sort(nees)[-2]) < 6.0
+
+
+@pytest.mark.parametrize("name", ["asphalt", "wet", "patchy"])
+def test_what_all_channels_see_is_one_witness_and_wider_than_a_pixel(camera: Camera, pad: Pad, name: str) -> None:
+    """Stones, puddles and wear darken blue, green and red together, and pass through the lens, as a sensor's noise does not."""
+    off, cov = errors(camera, pad, name, 10.0, 12.0, 24)
+    nees = np.array([e @ np.linalg.solve(c, e) for e, c in zip(off, cov, strict=True)]) / 6.0
+    assert 0.5 < float(nees.mean()) < 1.6
 
 
 @pytest.mark.parametrize("name", ["asphalt", "edge of the deck", "sea"])

@@ -259,21 +259,33 @@ def fit(
         px_m = state.m_per_px / np.maximum(np.hypot(x, at_y), 1e-3)
         sector = 4 * (at_y < 0) + 2 * (x < 0) + (np.abs(at_y) > np.abs(x))
         cov = np.linalg.inv(M).diagonal(axis1=1, axis2=2).T[:K]
+        # The weights have a fixed shape, so that a wrong start cannot adapt them to itself; the covariance uses the actual noise.
+        fractions = _fractions(painted)
+        seen = np.array([_noise_of_paints(r[c], fractions, inside[c], float(spent[c])) for c in range(3)])
+        u = r / np.sqrt(seen)
+        shared = _correlation_of_channels(u, fractions, inside.all(axis=0))
+        common = np.zeros((N_STATE, n))
         for c in range(3):
-            # The weights have a fixed shape, so that a wrong start cannot adapt them to itself; the covariance uses the actual
-            # noise.
-            seen = _noise_of_paints(r[c], painted, inside[c], float(spent[c])) / NOISE_LEFT
             projected = Jw[:, c] - out[c].T @ (values * w[c])
             for k, move in enumerate((px_m * (x * J[0, c] + at_y * J[1, c]), px_m * (x * J[1, c] - at_y * J[0, c]))):
                 for of in range(8):
                     there = sector == of
                     pull[:, 2 * of + k] += projected[:, there] @ move[there]
                     place[:, 2 * of + k] += (w[c] * r[c] * move)[there].sum(), (w[c] * move * move)[there].sum()
-            # Smoothing shares noise between neighbours; its transpose, which is itself, maps the sums back to pixels.
-            spread = np.zeros((cut.grid[0] * cut.grid[1], N_STATE))
-            spread[cut.at] = projected.T
-            alone = smooth(spread.reshape(*cut.grid, N_STATE)).reshape(-1, N_STATE)[cut.at].T
-            meat += (alone * seen) @ alone.T
+            alone = _shared_back(cut, projected, 1)
+            meat += (alone * (seen[c] * (1.0 - shared) / NOISE_LEFT)) @ alone.T
+            common += alone * np.sqrt(seen[c] * shared)
+        times = _grain(cut, np.where(inside, u, 0.0), shared)
+        for k in range(times // 4 + times % 4):
+            common = _shared_back(cut, common, 2 if k < times // 4 else 1)
+        kernel = np.array([1.0])
+        for _ in range(2 * (1 + times)):
+            kernel = np.convolve(kernel, [0.5, 0.5])
+        meat += common @ common.T / float(kernel @ kernel) ** 2
+        # Paints and pose follow what is coarse in the noise: they take more of it than their share.
+        taken = len(values) + 3
+        ratio = max(1.0, float(np.mean(np.diag(meat) / np.maximum(np.diag(H), 1e-300))))
+        meat *= max(n - taken, 0.3 * n) / max(n - ratio * taken, 0.3 * n)
     left = np.mean([median(x) for x in _each(r2 / level, judged)]) / 0.4549
     # What lies around the pad says nothing of what lies on it.
     covered = judged & (painted[3] + (painted[6] if K > 6 else 0.0) > 0.98)
@@ -299,22 +311,70 @@ def _each(rows: F64, of: NDArray[np.bool_]) -> list[F64]:
     return [row[chosen] for row, chosen in zip(rows, of, strict=True)]
 
 
-def _noise_of_paints(r: F64, values: F64, inside: NDArray[np.bool_], grow: float) -> F64:
+def _fractions(values: F64) -> F64:
+    """Return the (5, N) fraction of each pixel that surroundings, disc, orange, white and rim cover."""
+    paints = np.clip(values[3:], 0.0, 1.0)
+    disc, orange, white = paints[:3]
+    rim = paints[3] if len(paints) > 3 else np.zeros_like(disc)
+    return np.maximum(np.stack([1.0 - disc - rim, disc - orange - white, orange, white, rim]), 0.0)
+
+
+def _by_paint(fractions: F64, of: F64, inside: NDArray[np.bool_]) -> F64:
+    """Return the (N,) mean over a pixel's paints of the paints' means; a paint that is hardly in view takes the mean of all."""
+    total, sums = fractions @ inside, fractions @ np.where(inside, of, 0.0)
+    mean = np.where(total > 4.0, sums / np.maximum(total, 1.0), sums.sum() / max(1.0, float(total.sum())))
+    return np.asarray(mean @ fractions)
+
+
+def _noise_of_paints(r: F64, fractions: F64, inside: NDArray[np.bool_], grow: float) -> F64:
     """Return the (N,) variance of light, from residuals: each paint has its own, and a pixel the mean over its paints.
 
     Args:
         grow: factor for the degrees of freedom that the fit has removed from the residuals.
     """
-    paints = np.clip(values[3:], 0.0, 1.0)
-    disc, orange, white = paints[:3]
-    rim = paints[3] if len(paints) > 3 else np.zeros_like(disc)
-    coverages = np.maximum(np.stack([1.0 - disc - rim, disc - orange - white, orange, white, rim]), 0.0)
-    q = np.where(inside, r * r, 0.0) * grow
-    total = coverages @ inside
-    var = (coverages @ q) / np.maximum(total, 1.0)
-    # A paint that is hardly in view takes the mean variance.
-    var = np.where(total > 4.0, var, float(q.sum()) / max(1.0, float(inside.sum())))
-    return np.asarray(np.maximum(var @ coverages, 1e-10))
+    return np.maximum(_by_paint(fractions, r * r * grow, inside), 1e-10)
+
+
+def _correlation_of_channels(u: F64, fractions: F64, inside: NDArray[np.bool_]) -> F64:
+    """Return the (N,) correlation of the channels' normalised residuals (3, N), 0 to 1."""
+    products = (u.sum(axis=0) ** 2 - (u * u).sum(axis=0)) / 6.0
+    return np.clip(_by_paint(fractions, products, inside), 0.0, 1.0)
+
+
+def _shared_back(cut: Patch, rows: F64, step: int) -> F64:
+    """Return the (K, N) sums over neighbours `step` apart, by (1, 2, 1) / 4 in both directions.
+
+    Smoothing shares noise between neighbours; its transpose, which is itself, maps the sums back to pixels.
+    """
+    grid = np.zeros((len(rows), cut.grid[0] * cut.grid[1]))
+    grid[:, cut.at] = rows
+    wide = np.pad(grid.reshape(len(rows), *cut.grid), ((0, 0), (step, step), (step, step)))
+    h, w = cut.grid
+    out = np.zeros((len(rows), h, w))
+    for dy, by in ((0, 0.25), (1, 0.5), (2, 0.25)):
+        for dx, bx in ((0, 0.25), (1, 0.5), (2, 0.25)):
+            out += by * bx * wide[:, dy * step : dy * step + h, dx * step : dx * step + w]
+    return np.asarray(out.reshape(len(rows), -1)[:, cut.at])
+
+
+def _grain(cut: Patch, u: F64, shared: F64) -> int:
+    """Return how often what all channels see has been smoothed before the patch is.
+
+    Of n smoothings in all, (1, 2, 1) / 4, the correlation over two pixels is (2n - 1) / (2n + 2) of that over one.
+    """
+    if float(shared.mean()) < 0.05:
+        return 0
+    sums = np.zeros(2)
+    for sign, row in ((1.0, u.sum(axis=0)), *((-1.0, x) for x in u)):
+        grid = np.zeros(cut.grid[0] * cut.grid[1])
+        grid[cut.at] = row
+        g = grid.reshape(cut.grid)
+        for k in (1, 2):
+            sums[k - 1] += sign * float((g[:, k:] * g[:, :-k]).sum() + (g[k:] * g[:-k]).sum())
+    if sums[0] <= 0.0:
+        return 0
+    ratio = min(sums[1] / sums[0], 0.95)
+    return int(np.clip((2.0 * ratio + 1.0) / (2.0 * (1.0 - ratio)) - 0.5, 0.0, 8.0))
 
 
 def arrow_amplitudes(state: RegistrationState, cut: Patch, pad: Pad, fit: DenseFit) -> tuple[float, float, float] | None:

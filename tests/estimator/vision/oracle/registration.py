@@ -38,13 +38,8 @@ _NOISE_DOUBTED = 5e-4
 """Limit on the variance of smoothed light over light: four times that of worn paint on a patchy deck. More means an object on the
 pad.
 """
-_MERGED_EDGES_PX3, _MERGED_EDGES_MOST_PX = 4.0, 0.08
-"""Sigma of the distant disc's edges times the square of its radius, and the largest sigma, px: the effect of wear, stains and
-uneven light on merged edges. On rendered worn decks, at 10 to 30 m, it makes the errors as large as their covariance says; on an
-even floor they are smaller.
-"""
-_KNOWN_LEAST, _USUAL_WEIGHT = 1.0, 2.0
-"""Information on a sector's place, 1/px^2 over the noise's factor, from which on it counts, and the usual variance's weight."""
+_KNOWN_LEAST, _RIGHT_WEIGHT = 1.0, 2.0
+"""Information on a sector's place, 1/px^2 over the noise's factor, from which on it counts, and the weight of no displacement."""
 _EDGE_DOUBTED_PX = 2.0
 """Sigma of the distant disc's edges in that case: hiding half of the disc moves it this far."""
 
@@ -140,7 +135,7 @@ def _dense_fit(
             # These correspond to the robust covariance: by the plain ones the frame would count too much against the prior.
             spread = np.diag(fit.H)
             outward = fit.pull[:, ::2].sum(axis=1) * (pad.size_sigma_m / state.m_per_px)
-            meat = fit.meat + _edge_variance_far(fit, state, pad, options) * (fit.pull @ fit.pull.T) + np.outer(outward, outward)
+            meat = fit.meat + _edge_variance_far(fit, options) * (fit.pull @ fit.pull.T) + np.outer(outward, outward)
             H, g = np.split(fit.H @ np.linalg.solve(meat + 1e-9 * np.diag(spread), np.c_[fit.H, fit.g]), [N_STATE], axis=1)
             g = g[:, 0]
         state, moved = solver.step(state, H, g, 1.5, blur_too=n > 0)
@@ -264,17 +259,16 @@ def _growth(fit: profiles_.ProfileFit, samples: int) -> float:
     return max(1.0, together / alone) if alone > 0 else 1.0
 
 
-def _edge_variance_far(fit: dense.DenseFit, state: RegistrationState, pad: Pad, options: RegistrationOptions) -> float:
-    """Return the variance (px^2) of the sectors' places that neither noise nor pose explains, the usual one weighed in."""
-    usual = min(_MERGED_EDGES_PX3 * (state.m_per_px / pad.disc_radius_m) ** 2, _MERGED_EDGES_MOST_PX) ** 2
+def _edge_variance_far(fit: dense.DenseFit, options: RegistrationOptions) -> float:
+    """Return the variance (px^2) of the sectors' places that neither noise nor pose explains."""
     least = options.dense_edge_sigma_px**2
     noise = float((np.diag(fit.meat)[:3] / np.diag(fit.H)[:3]).mean())
     score, known = fit.place[:, fit.place[1] > _KNOWN_LEAST * noise]
     n, free = len(known), len(known) - N_STATE
     if free <= 0:
-        return usual + least
+        return least
     seen = max(0.0, (float((score**2 / known).sum()) - noise * free) / (float(known.sum()) * free / n))
-    return (_USUAL_WEIGHT * usual + free * seen) / (_USUAL_WEIGHT + free) + least
+    return free * seen / (_RIGHT_WEIGHT + free) + least
 
 
 def _doubt(state: RegistrationState, pad: Pad) -> F64:
