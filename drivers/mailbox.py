@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
@@ -57,10 +57,15 @@ class Line(Generic[T]):
     """A bounded queue that drops the oldest when full, and counts the drops. One reader.
 
     Cancelling the reader loses nothing. After `fail` the reader gets what is left, then the error.
+
+    Args:
+        capacity: the largest number of items that wait.
+        fetch: offers what has come elsewhere, as in a socket; it is called before what waits is taken.
     """
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, capacity: int, fetch: Callable[[], None] = lambda: None) -> None:
         self._items: deque[T] = deque()
+        self._fetch = fetch
         self.capacity = capacity
         self._end: BaseException | None = None
         self._ready = asyncio.Event()
@@ -96,9 +101,15 @@ class Line(Generic[T]):
 
     def waiting(self) -> list[T]:
         """Take all items that wait, the oldest first, without waiting for one."""
+        self._fetch()
         items = list(self._items)
         self._items.clear()
         return items
+
+    def check(self) -> None:
+        """Check that more items may come or some are left; raise the error of `fail` otherwise."""
+        if self._end is not None and not self._items:
+            raise self._end
 
     async def together(self) -> AsyncIterator[list[T]]:
         """Wait for items, and yield all that wait together, the oldest first."""

@@ -45,6 +45,8 @@ log = logging.getLogger(__name__)
 
 _NUMBER = re.compile(r"\d+(\.\d+)?")
 _ATTITUDE_TRIES, _ATTITUDE_PAUSE_S = 10, 0.005
+_UNASKED_S = 0.1
+"""Time between two looks for samples that neither guidance nor vision took, because one of them waits or is being restarted."""
 
 
 class VehicleLink(Protocol):
@@ -173,13 +175,14 @@ class Daemon:
 
         Most of the time that the loop spends on a datagram is spent on waking for it, hundreds of times a second.
         """
-        async for samples in link.samples.together():
-            self._take(samples)
-            await self._clock.sleep(self._period_s)
+        while True:
+            self._take_waiting()
+            link.samples.check()
+            await self._clock.sleep(_UNASKED_S)
 
     def _take_waiting(self) -> None:
-        if self._link is not None and len(self._link.samples):
-            self._take(self._link.samples.waiting())
+        if self._link is not None and (samples := self._link.samples.waiting()):
+            self._take(samples)
 
     async def _read_reports(self, reports: Line[Sample]) -> None:
         async for samples in reports.together():

@@ -69,6 +69,7 @@ class CommandChannel:
         opened = due = self._clock.now()
         try:
             while True:
+                self._navdata.take_waiting()
                 now = self._clock.now()
                 self._sender.update(self._streamer.command(now))
                 if seconds_between(self._last_sign(opened), now) > self._o.reopen_after_s:

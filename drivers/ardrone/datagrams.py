@@ -1,10 +1,13 @@
-"""A connected UDP socket in the event loop."""
+"""Connected UDP sockets: one that wakes the event loop for each datagram, and one whose datagrams wait until they are taken."""
 
 from __future__ import annotations
 
 import asyncio
+import socket
+import struct
+import time
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 from estimator.contracts.errors import Recoverable
@@ -13,6 +16,17 @@ from estimator.contracts.time import MonoNs
 
 _BUFFER_MAX = 16384
 """The number of bytes waiting to be sent beyond which a datagram is dropped."""
+_DATAGRAM_MAX = 1 << 14
+_MOST_AT_ONCE = 64
+"""The number of datagrams that are taken at once: a flood of them must not keep the event loop."""
+_SO_TIMESTAMPNS = 35
+"""The option of Linux that gives each datagram the wall time at which it was received (socket(7))."""
+_TIMESPEC = struct.Struct("@ll")
+_ANCILLARY_MAX = socket.CMSG_SPACE(_TIMESPEC.size)
+_TRIES, _APART_NS = 3, 100_000
+"""How often the two clocks are read, until the thread has not stood still between them."""
+_WALL_STEP_NS = 1_000_000
+"""A wall clock that moved by more than this against the monotonic one between two looks was set meanwhile."""
 
 
 class Datagrams(asyncio.DatagramProtocol):
@@ -67,3 +81,109 @@ async def open_datagrams(
         yield protocol
     finally:
         transport.close()
+
+
+class WaitingDatagrams:
+    """A connected UDP socket whose datagrams wait in the kernel until `take` passes them to `received`, in order.
+
+    Each comes with the instant at which the kernel received it. Waking the event loop for a datagram takes as long as reading it.
+
+    Args:
+        connected: the socket, which does not block.
+    """
+
+    def __init__(self, connected: socket.socket, clock: Clock, received: Callable[[bytes, MonoNs], None]) -> None:
+        self._socket = connected
+        self._clock = clock
+        self._received = received
+        self._lost: Exception | None = None
+        self._taken_at = clock.now()
+        self._wall_ahead_ns: int | None = None
+        """The wall clock less the monotonic one at the newest look."""
+        self.errors = 0
+        with suppress(OSError):  # without it the datagrams count as received when they are taken
+            connected.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+
+    def take(self) -> None:
+        """Pass on all datagrams that wait, at most some dozens. Never raises; `check` says what went wrong."""
+        if self._lost is not None:
+            return
+        wall_ns, now = self._clocks()
+        wall_was_set = self._wall_ahead_ns is None or abs(wall_ns - now - self._wall_ahead_ns) > _WALL_STEP_NS
+        self._wall_ahead_ns = wall_ns - now
+        try:
+            for _ in range(_MOST_AT_ONCE):
+                try:
+                    data, ancillary, _, _ = self._socket.recvmsg(_DATAGRAM_MAX, _ANCILLARY_MAX)
+                except BlockingIOError:
+                    break
+                except ConnectionRefusedError:
+                    self.errors += 1
+                    continue
+                age_ns = 0 if wall_was_set or not ancillary else wall_ns - _wall_ns(ancillary)
+                self._received(data, MonoNs(max(self._taken_at, now - max(0, age_ns))))
+        except Exception as why:
+            self.errors += 1
+            self._lost = why
+        self._taken_at = now
+
+    def _clocks(self) -> tuple[int, MonoNs]:
+        """Return the wall time and the instant of the same moment, ns.
+
+        The instant is read last: if this thread stood still in between, datagrams count as received later, not earlier.
+        """
+        for _ in range(_TRIES):
+            before, wall_ns, now = self._clock.now(), time.time_ns(), self._clock.now()
+            if now - before <= _APART_NS:
+                break
+        return wall_ns, now
+
+    def check(self) -> None:
+        """Check that the socket works.
+
+        Raises:
+            Recoverable: it is broken.
+            Whatever `received` raised.
+        """
+        if isinstance(self._lost, OSError):
+            raise Recoverable(f"socket: {self._lost}") from self._lost
+        if self._lost is not None:
+            raise self._lost
+
+    def send(self, data: bytes) -> None:
+        """Send now or drop; never blocks.
+
+        Raises:
+            Recoverable: the socket is broken; a peer that refuses does not break it, as it may start later.
+        """
+        self.check()
+        try:
+            self._socket.send(data)
+        except (BlockingIOError, ConnectionRefusedError):
+            self.errors += 1
+        except OSError as why:
+            self._lost = why
+            self.check()
+
+
+def _wall_ns(ancillary: list[tuple[int, int, bytes]]) -> int:
+    """Return the wall time in the message of `SO_TIMESTAMPNS`, ns."""
+    seconds, ns = _TIMESPEC.unpack_from(ancillary[0][2])
+    return int(seconds * 1_000_000_000 + ns)
+
+
+@asynccontextmanager
+async def open_waiting(
+    host: str, port: int, clock: Clock, received: Callable[[bytes, MonoNs], None]
+) -> AsyncIterator[WaitingDatagrams]:
+    """Open a socket that talks to one peer only and holds its datagrams, and close it on leaving.
+
+    Raises:
+        OSError: the host is not known or not reachable.
+    """
+    found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+    family, kind, protocol, _, address = found[0]
+    with socket.socket(family, kind, protocol) as connected:
+        connected.setblocking(False)
+        connected.connect(address)
+        yield WaitingDatagrams(connected, clock, received)

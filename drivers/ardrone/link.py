@@ -43,11 +43,11 @@ class ArDrone:
         self.counters = Counters()
         self.frames: Latest[Frame] = Latest()
         """The newest frame of the bottom camera."""
-        self.samples: Line[Sample] = Line(sample_queue_items)
         self.down: dict[str, str] = {}
         """The channels that wait to be started again, each with the reason."""
         self._streamer = CommandStreamer(options, self.counters)
         self._navdata = NavdataChannel(options, clock, self.counters, self._received_at, self._restarted)
+        self.samples: Line[Sample] = Line(sample_queue_items, self._navdata.take_waiting)
         self._commands = CommandChannel(options, clock, self.counters, self._streamer, self._navdata)
         self._setup = Setup(options, clock, self.counters, self._commands, self._navdata)
         self._control = ControlChannel(options, self.counters, self._commands, self._setup)

@@ -114,6 +114,7 @@ class Setup:
             await self._clock.sleep(_LOOK_S)
 
     def _state(self) -> int:
+        self._navdata.take_waiting()
         newest = self._navdata.newest
         return 0 if newest is None else newest.state
 

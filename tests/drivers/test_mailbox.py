@@ -156,3 +156,28 @@ async def test_what_waits_is_taken_in_order_and_leaves_an_empty_line():
     assert line.waiting() == []
     line.offer(5)
     assert await line.get() == 5
+
+
+async def test_what_has_come_elsewhere_is_fetched_before_what_waits_is_taken():
+    socket = [1, 2]
+
+    def fetch() -> None:
+        while socket:
+            line.offer(socket.pop(0))
+
+    line = Line[int](3, fetch)
+    assert len(line) == 0
+    assert line.waiting() == [1, 2]
+    socket.append(3)
+    assert line.waiting() == [3]
+
+
+def test_a_line_that_has_failed_says_so_when_nothing_is_left():
+    line = Line[int](3)
+    line.check()
+    line.offer(1)
+    line.fail(Recoverable("gone"))
+    line.check()
+    assert line.waiting() == [1]
+    with pytest.raises(Recoverable, match="gone"):
+        line.check()
