@@ -11,7 +11,7 @@ from enum import Enum
 
 from msgspec import Struct
 
-from drivers.ardrone.navdata import ControlState, Demo, Navdata, NavdataState, control_state_of
+from drivers.ardrone.navdata import ControlState, Navdata, NavdataState, control_state_of
 from estimator.contracts.time import MonoNs, seconds_between
 
 GAP_S = 1.0
@@ -57,10 +57,10 @@ class DroneReport(Struct, frozen=True):
     @staticmethod
     def of(navdata: Navdata) -> DroneReport:
         """Return the report that a datagram holds."""
-        demo = navdata.get(Demo)
-        if demo is None:
+        readings = navdata.readings
+        if readings.ctrl_state is None or readings.altitude_mm is None:
             return DroneReport(navdata.state, None, None)
-        return DroneReport(navdata.state, control_state_of(demo), 1e-3 * demo.altitude_mm)
+        return DroneReport(navdata.state, control_state_of(readings.ctrl_state), 1e-3 * readings.altitude_mm)
 
     @property
     def flying(self) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from enum import IntEnum
 from typing import Any, NamedTuple, TypeVar
 
@@ -28,6 +28,7 @@ from drivers.ardrone.navdata_flight import (
     Trims,
 )
 from drivers.ardrone.navdata_layout import LAYOUT_OF_CLASS, OPTION_HEADER, TAG_OF_CLASS, OptionLayout
+from drivers.ardrone.navdata_readings import Readings, reader, readings_of
 from drivers.ardrone.navdata_sensors import (
     AdcDataFrame,
     Gps,
@@ -165,9 +166,9 @@ class ControlState(IntEnum):
 _CONTROL_STATES = {state.value: state for state in ControlState}
 
 
-def control_state_of(demo: Demo) -> ControlState | None:
-    """Return the control state of the option; None if its number is not known."""
-    return _CONTROL_STATES.get(demo.ctrl_state >> 16)
+def control_state_of(ctrl_state: int) -> ControlState | None:
+    """Return the control state of `Demo.ctrl_state`; None if its number is not known."""
+    return _CONTROL_STATES.get(ctrl_state >> 16)
 
 
 NO_OPTIONS: Mapping[int, Any] = {}
@@ -177,15 +178,25 @@ class _Bodies(Mapping[int, Any]):
     """The options of a datagram by tag; each is unpacked when somebody reads it. The service reads eight of the 28.
 
     Args:
-        bodies: the layout of each option, and the place of its body, which is whole.
+        outline: the layout of each option, and the place of its body, which is whole.
     """
 
-    __slots__ = ("_bodies", "_datagram", "_unpacked")
+    __slots__ = ("_bodies", "_datagram", "_read", "_readings", "_unpacked")
 
-    def __init__(self, datagram: bytes, bodies: dict[int, tuple[OptionLayout, int]]) -> None:
+    def __init__(self, datagram: bytes, outline: _Outline) -> None:
         self._datagram = datagram
-        self._bodies = bodies
+        self._bodies = outline.bodies
+        self._read = outline.read
+        self._readings: Readings | None = None
         self._unpacked: dict[int, Any] = {}
+
+    @property
+    def readings(self) -> Readings:
+        """The fields that the service reads of every datagram."""
+        found = self._readings
+        if found is None:
+            found = self._readings = self._read(self._datagram)
+        return found
 
     def __getitem__(self, tag: int) -> Any:
         found = self.get(tag)
@@ -227,10 +238,16 @@ class Navdata(Struct, frozen=True):
         return found if type(found) is cls else None
 
     @property
+    def readings(self) -> Readings:
+        """The fields that the service reads of every datagram."""
+        options = self.options
+        return options.readings if type(options) is _Bodies else readings_of(options)
+
+    @property
     def control_state(self) -> ControlState | None:
         """The control state of the `Demo` option; None if the option is absent or its number is not known."""
         demo = self.options.get(0)
-        return None if demo is None else control_state_of(demo)
+        return None if demo is None else control_state_of(demo.ctrl_state)
 
     @staticmethod
     def of(state: int, sequence: int, options: tuple[Any, ...] = (), vision_defined: int = 1) -> Navdata:
@@ -243,11 +260,12 @@ class _Outline(NamedTuple):
     """Which options a datagram holds and where. A drone that flies sends datagrams of few outlines."""
 
     headers: struct.Struct
-    """The headers of all options and the checksum, without what lies between them."""
-    tags_and_sizes: tuple[int, ...]
+    """The headers of all options, each as four bytes, and the checksum, without what lies between them."""
+    tags_and_sizes: tuple[bytes, ...]
     """The values of these headers."""
     bodies: dict[int, tuple[OptionLayout, int]]
     skipped: tuple[int, ...]
+    read: Callable[[bytes], Readings]
 
 
 _OUTLINES_MOST = 16
@@ -267,7 +285,7 @@ def decode(datagram: bytes) -> Navdata | Refusal:
                 return Refusal.BAD_MAGIC
             if checksum != _sum_before_checksum(datagram):
                 return Refusal.BAD_CHECKSUM
-            return Navdata(state, sequence, vision_defined, _Bodies(datagram, outline.bodies), outline.skipped)
+            return Navdata(state, sequence, vision_defined, _Bodies(datagram, outline), outline.skipped)
     return _walked(datagram, end)
 
 
@@ -280,7 +298,7 @@ def _walked(datagram: bytes, end: int) -> Navdata | Refusal:
         return Refusal.BAD_MAGIC
     bodies: dict[int, tuple[OptionLayout, int]] = {}
     skipped: list[int] = []
-    format_, tags_and_sizes = "<", list[int]()
+    format_, tags_and_sizes = "<", list[bytes]()
     at = _HEADER.size
     while at + OPTION_HEADER.size <= end:
         tag, size = OPTION_HEADER.unpack_from(datagram, at)
@@ -294,17 +312,18 @@ def _walked(datagram: bytes, end: int) -> Navdata | Refusal:
                 return Refusal.BAD_CHECKSUM
             if len(_outlines) >= _OUTLINES_MOST:
                 _outlines.clear()
-            headers = struct.Struct(f"{format_}HHI")
-            _outlines[end] = _Outline(headers, (*tags_and_sizes, tag, size), bodies, tuple(skipped))
-            return Navdata(state, sequence, vision_defined, _Bodies(datagram, bodies), tuple(skipped))
+            tags_and_sizes.append(datagram[at : at + OPTION_HEADER.size])
+            headers = struct.Struct(f"{format_}4sI")
+            _outlines[end] = outline = _Outline(headers, tuple(tags_and_sizes), bodies, tuple(skipped), reader(bodies))
+            return Navdata(state, sequence, vision_defined, _Bodies(datagram, outline), outline.skipped)
         for layout in _LAYOUTS.get(tag, ()):
             if layout.size <= size and tag not in bodies:
                 bodies[tag] = layout, at + OPTION_HEADER.size
                 break
         else:
             skipped.append(tag)
-        format_ += f"HH{size - OPTION_HEADER.size}x"
-        tags_and_sizes += (tag, size)
+        format_ += f"4s{size - OPTION_HEADER.size}x"
+        tags_and_sizes.append(datagram[at : at + OPTION_HEADER.size])
         at += size
     return Refusal.TORN
 

@@ -35,6 +35,7 @@ class OptionLayout:
         self.names: tuple[str, ...] = cls.__struct_fields__
         self.body = struct.Struct("<" + "".join(codes))
         self.size = OPTION_HEADER.size + self.body.size
+        self._codes = dict(zip(self.names, codes, strict=True))
         self._plan: list[tuple[int, int | None]] = []
         at = 0
         for code in codes:
@@ -42,6 +43,11 @@ class OptionLayout:
             self._plan.append((at, at + count if count else None))
             at += count or 1
         self._flat = all(stop is None for _, stop in self._plan)
+
+    def field(self, name: str) -> tuple[int, str]:
+        """Return where a field begins in the body, bytes, and its letters of the `struct` module."""
+        before = "".join(self._codes[other] for other in self.names[: self.names.index(name)])
+        return struct.calcsize(f"<{before}"), self._codes[name]
 
     def unpack(self, data: bytes, offset: int) -> Any:
         """Return the option whose body begins at `offset`; the caller has checked that the body is whole."""

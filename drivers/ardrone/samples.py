@@ -11,18 +11,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from drivers.ardrone.navdata import (
-    Altitude,
-    ControlState,
-    Demo,
-    Gps,
-    Navdata,
-    NavdataState,
-    NavdataTime,
-    PhysMeasures,
-    PressureRaw,
-    RawMeasures,
-)
+from drivers.ardrone.navdata import ControlState, Gps, Navdata, NavdataState, NavdataTime, control_state_of
+from drivers.ardrone.navdata_readings import Readings
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vector
@@ -65,20 +55,18 @@ AS_REPORTED = ArDroneOptions(velocity_scale=1.0, sigma_velocity_fraction=0.2)
 """Options that take velocities as the drone reports them; the covariance covers the uncertainty of their scale."""
 
 
-def _of_every_datagram(navdata: Navdata, stamp: Stamp, options: ArDroneOptions, attitude_cov: F64) -> list[Sample]:
+def _of_every_datagram(r: Readings, stamp: Stamp, options: ArDroneOptions, attitude_cov: F64) -> list[Sample]:
     """Return the samples whose sensors are read anew for every datagram."""
     out: list[Sample] = []
-    imu = _imu(navdata, stamp)
+    imu = _imu(r, stamp)
     if imu is not None:
         out.append(imu)
-    demo = navdata.get(Demo)
-    if demo is not None:
-        roll, pitch, yaw = demo.phi_mdeg, demo.theta_mdeg, demo.psi_mdeg
-        if _finite((roll, pitch, yaw)):
-            angles = math.radians(roll * 1e-3), math.radians(pitch * 1e-3), math.radians(yaw * 1e-3)
-            out.append(known_attitude(stamp, Rotation.from_rpy(*angles), attitude_cov))
-        if _finite((demo.vx_mm_s, demo.vy_mm_s)):
-            out.append(_velocity(demo, stamp, options))
+    roll, pitch, yaw, vx, vy = r.phi_mdeg, r.theta_mdeg, r.psi_mdeg, r.vx_mm_s, r.vy_mm_s
+    if roll is not None and pitch is not None and yaw is not None and _finite((roll, pitch, yaw)):
+        angles = math.radians(roll * 1e-3), math.radians(pitch * 1e-3), math.radians(yaw * 1e-3)
+        out.append(known_attitude(stamp, Rotation.from_rpy(*angles), attitude_cov))
+    if vx is not None and vy is not None and _finite((vx, vy)):
+        out.append(_velocity(vx, vy, stamp, options))
     return out
 
 
@@ -118,16 +106,17 @@ class NavdataSampler:
             Range (along the body's down axis), Baro (height over the 1013.25 hPa level), GeoFix (by the flight
             recorder, where there is one), VehicleStatus, in this order.
         """
-        out = _of_every_datagram(navdata, stamp, self._options, self._attitude_cov)
+        readings = navdata.readings
+        out = _of_every_datagram(readings, stamp, self._options, self._attitude_cov)
         measured_at = stamp.measured_at
         for kind, (make, source) in _REPEATED.items():
-            key = source(navdata)
+            key = source(navdata, readings)
             if key is None:
                 continue
             given = self._given.get(kind)
             if given is not None and given[0] == key and 0.0 <= (measured_at - given[1]) / NS_PER_S < self._repeat_s:
                 continue
-            made = make(navdata, stamp, self._options)
+            made = make(navdata, readings, stamp, self._options)
             if made is not None:
                 self._given[kind] = key, measured_at
                 out.append(made)
@@ -136,8 +125,8 @@ class NavdataSampler:
 
 def time_us(navdata: Navdata) -> int | None:
     """Return the drone's clock at this datagram, microseconds modulo 2048 s; None if the datagram does not hold it."""
-    option = navdata.get(NavdataTime)
-    return None if option is None else option.time_us
+    time = navdata.readings.time
+    return None if time is None else NavdataTime(time).time_us
 
 
 def _finite(values: tuple[float, ...]) -> bool:
@@ -145,77 +134,75 @@ def _finite(values: tuple[float, ...]) -> bool:
     return math.isfinite(sum(values)) or all(map(math.isfinite, values))
 
 
-def _imu(navdata: Navdata, stamp: Stamp) -> Imu | None:
-    measures = navdata.get(PhysMeasures)
-    if measures is None or not _finite(measures.phys_accs_mg + measures.phys_gyros_deg_s):
+def _imu(r: Readings, stamp: Stamp) -> Imu | None:
+    ax, ay, az, wx, wy, wz = r.ax_mg, r.ay_mg, r.az_mg, r.wx_deg_s, r.wy_deg_s, r.wz_deg_s
+    if ax is None or ay is None or az is None or wx is None or wy is None or wz is None or not _finite((ax, ay, az, wx, wy, wz)):
         return None
-    wx, wy, wz = measures.phys_gyros_deg_s
-    fx, fy, fz = measures.phys_accs_mg
     w_body = fixed_vector(math.radians(wx), math.radians(wy), math.radians(wz))
-    return known_imu(stamp, w_body, fixed_vector(fx * _M_S2_PER_MG, fy * _M_S2_PER_MG, fz * _M_S2_PER_MG))
+    return known_imu(stamp, w_body, fixed_vector(ax * _M_S2_PER_MG, ay * _M_S2_PER_MG, az * _M_S2_PER_MG))
 
 
-def _velocity(demo: Demo, stamp: Stamp, options: ArDroneOptions) -> BodyVelocity:
+def _velocity(vx_mm_s: float, vy_mm_s: float, stamp: Stamp, options: ArDroneOptions) -> BodyVelocity:
     scale = 1e-3 / options.velocity_scale
-    ahead, aside = scale * demo.vx_mm_s, scale * demo.vy_mm_s
+    ahead, aside = scale * vx_mm_s, scale * vy_mm_s
     var = options.sigma_velocity_m_s**2 + (options.sigma_velocity_fraction * min(math.hypot(ahead, aside), 1e6)) ** 2
     cov = fixed_matrix(var, 0.0, 0.0, 0.0, var, 0.0, 0.0, 0.0, UNKNOWN_VAR)
     return known_velocity(stamp, fixed_vector(ahead, aside, 0.0), cov)
 
 
-def _range(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> Range | None:
-    distance_m = _range_m(navdata)
+def _range(navdata: Navdata, r: Readings, stamp: Stamp, options: ArDroneOptions) -> Range | None:
+    distance_m = _range_m(navdata, r)
     if distance_m is None:
         return None
     return Range(stamp, distance_m, math.hypot(options.sigma_range_m, options.sigma_range_fraction * distance_m))
 
 
-def _baro(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> Baro | None:
-    pressure = navdata.get(PressureRaw)
-    if pressure is None or pressure.pressure_pa <= 0:
+def _baro(navdata: Navdata, r: Readings, stamp: Stamp, options: ArDroneOptions) -> Baro | None:
+    if r.pressure_pa is None or r.pressure_pa <= 0:
         return None
-    return Baro(stamp, height_of_pressure_m(pressure.pressure_pa), options.sigma_baro_m)
+    return Baro(stamp, height_of_pressure_m(r.pressure_pa), options.sigma_baro_m)
 
 
-def _range_m(navdata: Navdata) -> float | None:
+def _range_m(navdata: Navdata, r: Readings) -> float | None:
     """Return the ultrasound's own reading, metres; in demo mode, the drone's height rotated back to the body's down axis."""
     if navdata.state & NavdataState.ULTRASOUND_DEAF:
         return None
-    altitude = navdata.get(Altitude)
-    if altitude is not None:
-        return altitude.altitude_raw_mm * 1e-3 if altitude.altitude_raw_mm > 0 else None
-    demo = navdata.get(Demo)
-    if demo is None or demo.altitude_mm <= 0 or not _finite((demo.phi_mdeg, demo.theta_mdeg)):
+    if r.altitude_raw_mm is not None:
+        return r.altitude_raw_mm * 1e-3 if r.altitude_raw_mm > 0 else None
+    roll, pitch, altitude_mm = r.phi_mdeg, r.theta_mdeg, r.altitude_mm
+    if roll is None or pitch is None or altitude_mm is None or altitude_mm <= 0 or not _finite((roll, pitch)):
         return None
-    upright = math.cos(math.radians(demo.phi_mdeg * 1e-3)) * math.cos(math.radians(demo.theta_mdeg * 1e-3))
-    return demo.altitude_mm * 1e-3 / upright if upright > 0.5 else None
+    upright = math.cos(math.radians(roll * 1e-3)) * math.cos(math.radians(pitch * 1e-3))
+    return altitude_mm * 1e-3 / upright if upright > 0.5 else None
 
 
-def _range_key(navdata: Navdata) -> tuple[Any, ...]:
-    altitude = navdata.get(Altitude)
-    if altitude is None:
-        return (_range_m(navdata),)
-    raw = navdata.get(RawMeasures)
-    return (altitude.altitude_raw_mm, None, None) if raw is None else (altitude.altitude_raw_mm, raw.nb_echo, raw.sum_echo)
+def _range_key(navdata: Navdata, r: Readings) -> tuple[Any, ...]:
+    if r.altitude_raw_mm is None:
+        return (_range_m(navdata, r),)
+    return (r.altitude_raw_mm, r.nb_echo, r.sum_echo)
 
 
-def _status(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> VehicleStatus:
-    demo, mode = navdata.get(Demo), navdata.control_state
+def _baro_key(navdata: Navdata, r: Readings) -> tuple[Any, ...] | None:
+    return None if r.pressure_pa is None else (r.up, r.ut, r.temperature_dc, r.pressure_pa)
+
+
+def _status(navdata: Navdata, r: Readings, stamp: Stamp, options: ArDroneOptions) -> VehicleStatus:
+    mode = navdata.control_state
     return VehicleStatus(
         stamp,
         flying=bool(navdata.state & NavdataState.FLYING),
         mode="unknown" if mode is None else _MODES[mode],
-        battery_fraction=min(1.0, demo.battery_percent / 100.0) if demo is not None else None,
+        battery_fraction=min(1.0, r.battery_percent / 100.0) if r.battery_percent is not None else None,
         emergency=bool(navdata.state & NavdataState.EMERGENCY),
         link_ok=not navdata.state & (NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST),
     )
 
 
-def _status_key(navdata: Navdata) -> tuple[int, ControlState | None]:
-    return navdata.state & ~_COMMAND_ACK, navdata.control_state
+def _status_key(navdata: Navdata, r: Readings) -> tuple[int, ControlState | None]:
+    return navdata.state & ~_COMMAND_ACK, None if r.ctrl_state is None else control_state_of(r.ctrl_state)
 
 
-def _fix(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> GeoFix | None:
+def _fix(navdata: Navdata, r: Readings, stamp: Stamp, options: ArDroneOptions) -> GeoFix | None:
     """Return the place by the flight recorder; None without one, before its first fix, and for a place that cannot be."""
     gps = navdata.get(Gps)
     if gps is None or not gps.gps_plugged or not gps.data_available or gps.nb_satellites < _SATELLITES_LEAST:
@@ -229,15 +216,14 @@ def _fix(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> GeoFix | No
     return GeoFix(stamp, "vehicle", place, max(1.0, gps.hdop) * options.sigma_fix_m)
 
 
-def _receiver(navdata: Navdata) -> Gps | None:
-    gps = navdata.get(Gps)
-    return None if gps is None or not gps.gps_plugged else gps
+def _receiver(navdata: Navdata, r: Readings) -> Gps | None:
+    return navdata.get(Gps) if r.gps_plugged else None
 
 
-_Maker = Callable[[Navdata, Stamp, ArDroneOptions], Sample | None]
-_REPEATED: dict[type[Sample], tuple[_Maker, Callable[[Navdata], Any]]] = {
+_Maker = Callable[[Navdata, Readings, Stamp, ArDroneOptions], Sample | None]
+_REPEATED: dict[type[Sample], tuple[_Maker, Callable[[Navdata, Readings], Any]]] = {
     Range: (_range, _range_key),
-    Baro: (_baro, lambda navdata: navdata.get(PressureRaw)),
+    Baro: (_baro, _baro_key),
     GeoFix: (_fix, _receiver),
     VehicleStatus: (_status, _status_key),
 }

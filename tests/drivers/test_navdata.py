@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.navdata_layout import LAYOUT_OF_CLASS, OptionLayout
+from drivers.ardrone.navdata_readings import readings_of
 from drivers.ardrone.refusal import Refusal
 from drivers.ardrone.samples import NavdataSampler
 from estimator.contracts.time import MonoNs, Stamp
@@ -197,12 +198,14 @@ def test_any_bodies_under_a_good_checksum_become_samples_or_nothing(bodies: list
 def outcome(decoded: nd.Navdata | Refusal) -> object:
     if isinstance(decoded, Refusal):
         return decoded
-    return repr((decoded.state, decoded.sequence, decoded.vision_defined, decoded.skipped, list(decoded.options.items())))
+    options = list(decoded.options.items())
+    assert repr(decoded.readings) == repr(readings_of(dict(options))), "read at once and from the options one by one"
+    return repr((decoded.state, decoded.sequence, decoded.vision_defined, decoded.skipped, options))
 
 
 @settings(max_examples=300)
 @given(
-    st.lists(st.tuples(st.sampled_from([0, 1, 2, 3, 9, 27, 77]), st.binary(max_size=230)), max_size=6),
+    st.lists(st.tuples(st.sampled_from([0, 1, 2, 3, 9, 10, 21, 27, 77]), st.binary(max_size=230)), max_size=6),
     st.lists(st.tuples(st.integers(0, 2000), st.integers(1, 255)), max_size=3),
 )
 def test_a_datagram_of_a_known_outline_is_decoded_as_option_by_option(
