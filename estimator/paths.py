@@ -16,6 +16,7 @@ from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import GeoFix, GimbalAttitude, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.ekf import Forecast
+from estimator.late import Late
 
 Event = Sample | Sighting
 
@@ -29,7 +30,7 @@ class Path(Protocol):
     @property
     def name(self) -> PathName: ...
 
-    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, list[FusionResult | None]]:
+    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, Sequence[FusionResult | None]]:
         """Process samples in the order in which they were received; return the next path and each sample's result.
 
         The result is None for a kind of sample that this path does not use. Otherwise it holds the verdict and, if the path
@@ -71,7 +72,7 @@ class MedianMeanPath:
     def name(self) -> PathName:
         return "median_mean"
 
-    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, list[FusionResult | None]]:
+    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, Sequence[FusionResult | None]]:
         return self, [None] * len(samples)
 
     def step(self, sighting: Sighting) -> tuple[Self, FusionResult]:
@@ -121,7 +122,7 @@ class DeadReckoningPath:
     def name(self) -> PathName:
         return "dead_reckoning"
 
-    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, list[FusionResult | None]]:
+    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, Sequence[FusionResult | None]]:
         state = self.state
         for sample in samples:
             state, _ = dead_reckoning.step(state, sample)
@@ -153,15 +154,19 @@ class EkfPath(Struct, frozen=True):
     def name(self) -> PathName:
         return "ekf"
 
-    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, list[FusionResult | None]]:
+    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, Sequence[FusionResult | None]]:
         used: list[ekf.Event] = [s for s in samples if type(s) not in _UNUSED_BY_EKF]  # type: ignore[misc]
         if not used:
             return self, [None] * len(samples)
         memory, made = ekf.step_all(self.filter, used)
-        results = iter(made)
         if len(used) == len(samples):
-            return type(self)(memory), list(results)
-        return type(self)(memory), [None if type(s) in _UNUSED_BY_EKF else next(results) for s in samples]
+            return type(self)(memory), made
+
+        def results() -> list[FusionResult | None]:
+            of_used = iter(made)
+            return [None if type(s) in _UNUSED_BY_EKF else next(of_used) for s in samples]
+
+        return type(self)(memory), Late(len(samples), results)
 
     def step(self, sighting: Sighting) -> tuple[Self, FusionResult]:
         memory, results = ekf.step(self.filter, sighting)

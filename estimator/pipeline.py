@@ -8,6 +8,7 @@ comparison.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from msgspec import Struct, field, structs
 
@@ -20,6 +21,7 @@ from estimator.contracts.samples import Attitude, Frame, GimbalAttitude, Sample
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf import Forecast
 from estimator.gimbal_history import GimbalHistory, HeldCamera
+from estimator.late import Late
 from estimator.options import EstimatorOptions
 from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
 
@@ -81,29 +83,47 @@ def step_seen(memory: Memory, tracked: Sighting, elsewhere: Sighting) -> tuple[M
     return step(structs.replace(after, guard=guard), tracked)
 
 
-def step_samples(memory: Memory, samples: Sequence[Sample]) -> tuple[Memory, list[tuple[FusionResult, ...]]]:
+def step_samples(memory: Memory, samples: Sequence[Sample]) -> tuple[Memory, Sequence[tuple[FusionResult, ...]]]:
     """Process the samples of one datagram, or all that wait; return the new memory and each sample's results, path by path.
 
     Memory and results are those of `step` with one sample after the other.
     """
     guard, admitted = integrity.admit(memory.guard, samples)
     passed = [sample for sample in admitted if not isinstance(sample, Verdict)]
-    attitudes, paths, by_path = memory.attitudes.add(*[s for s in passed if type(s) is Attitude]), [], []
+    attitudes = memory.attitudes.add(*[s for s in passed if type(s) is Attitude])
     gimbal = memory.gimbal.add(*[s for s in passed if type(s) is GimbalAttitude])
-    results: list[tuple[FusionResult, ...]]
-    for path in memory.paths:
-        stepped, of_path = path.step_samples(passed)
-        paths.append(stepped)
-        by_path.append(of_path)
+    stepped = [path.step_samples(passed) for path in memory.paths]
+    by_path = [results for _, results in stepped]
+    after = Memory(memory.options, attitudes, tuple([path for path, _ in stepped]), guard, gimbal)
     if len(passed) == len(samples) and len(by_path) == 1:
-        results = [() if r is None else (r,) for r in by_path[0]]
-        return Memory(memory.options, attitudes, tuple(paths), guard, gimbal), results
+        return after, Late(len(samples), partial(_alone, by_path[0]))
+    names = [path.name for path in memory.paths]
+    return after, Late(len(samples), partial(_by_sample, names, samples, admitted, by_path))
+
+
+def _alone(of_path: Sequence[FusionResult | None]) -> list[tuple[FusionResult, ...]]:
+    """Return each sample's results from those of the only path."""
+    return [() if r is None else (r,) for r in of_path]
+
+
+def _by_sample(
+    names: list[PathName],
+    samples: Sequence[Sample],
+    admitted: list[Sample | Verdict],
+    by_path: list[Sequence[FusionResult | None]],
+) -> list[tuple[FusionResult, ...]]:
+    """Return each sample's results, path by path.
+
+    Args:
+        names: the names of the paths.
+        admitted: what the guard made of each sample.
+        by_path: of each path the results of the samples that passed.
+    """
     by_sample = zip(*by_path, strict=True)
-    results = [
-        _refused(memory, sample, found) if isinstance(found, Verdict) else tuple([r for r in next(by_sample) if r is not None])
+    return [
+        _refused(names, sample, found) if isinstance(found, Verdict) else tuple([r for r in next(by_sample) if r is not None])
         for sample, found in zip(samples, admitted, strict=True)
     ]
-    return Memory(memory.options, attitudes, tuple(paths), guard, gimbal), results
 
 
 def _sighted(memory: Memory, sighting: Sighting) -> tuple[Memory, tuple[FusionResult, ...]]:
@@ -113,17 +133,17 @@ def _sighted(memory: Memory, sighting: Sighting) -> tuple[Memory, tuple[FusionRe
         before = memory.paths[0].at(sighting.stamp.measured_at)
         guard, refusal = integrity.admit_sighting(guard, sighting, attitude, before)
     if refusal is not None:
-        return structs.replace(memory, guard=guard), _refused(memory, sighting, refusal)
+        return structs.replace(memory, guard=guard), _refused([path.name for path in memory.paths], sighting, refusal)
     paths, results = zip(*[path.step(sighting) for path in memory.paths], strict=True)
     if results[0].verdict is Verdict.FUSED:
         guard = integrity.fused(guard, sighting, attitude)
     return Memory(memory.options, memory.attitudes, paths, guard, memory.gimbal), results
 
 
-def _refused(memory: Memory, event: Event, verdict: Verdict) -> tuple[FusionResult, ...]:
-    """Return the results of an event that reaches no path."""
+def _refused(names: list[PathName], event: Event, verdict: Verdict) -> tuple[FusionResult, ...]:
+    """Return the results of an event that reaches none of the paths of these names."""
     source, stamp = source_of(event), event.stamp
-    return tuple([FusionResult(path.name, source, verdict, stamp.measured_at, stamp.received_at) for path in memory.paths])
+    return tuple([FusionResult(name, source, verdict, stamp.measured_at, stamp.received_at) for name in names])
 
 
 def steer_by(memory: Memory, name: PathName) -> Memory:

@@ -98,6 +98,11 @@ class Audience:
         self._decisions = [(guard(o, "on_decision"), o.on_decision) for o in observers]
         self._orders = [(guard(o, "on_order"), o.on_order) for o in observers]
 
+    @property
+    def takes_fusion(self) -> bool:
+        """Whether an observer takes the results of measurements."""
+        return bool(self._results)
+
     def on_samples(self, samples: Sequence[Sample]) -> None:
         for guard, method in self._samples:
             for sample in samples:

@@ -129,6 +129,8 @@ class Daemon:
             self._extras["ship_reports"] = partial(self._read_reports, reports)
         self.health = health or Health(clock)
         self._audience = Audience(observers, self.health)
+        if not self._audience.takes_fusion:
+            self.health.completed_by(lambda: self._count(pilot.processed()))
         pilot.operator.on_order = self._on_order
 
     async def run(self) -> FlightOutcome | None:
@@ -195,11 +197,18 @@ class Daemon:
             self.health.beat(SHIP_PLACE if place_of_ship else type(sample).__name__, now)
         self._audience.on_samples(samples)
         if waiting >= WAITING_MOST:
-            self._report_fused()
+            self._count(self._pilot.fused())
 
     def _report_fused(self) -> None:
-        """Tell health and observers of the samples that the estimator has processed."""
-        for sample, results in self._pilot.fused():
+        """Tell health and observers of the samples that the estimator has processed.
+
+        Where no observer takes them, health counts many at once: when so many have come, and before it is read.
+        """
+        if self._audience.takes_fusion:
+            self._count(self._pilot.fused())
+
+    def _count(self, fused: Sequence[tuple[Sample, tuple[FusionResult, ...]]]) -> None:
+        for sample, results in fused:
             self.health.fused(sample, results)
             for result in results:
                 self._audience.on_fusion(sample.stamp.received_at, result)

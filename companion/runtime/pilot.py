@@ -157,7 +157,10 @@ class Pilot:
         self._memory = pipeline.start(options, shadows)
         self._waiting: list[Sample] = []
         """Samples that the estimator has not processed yet."""
-        self._fused: list[tuple[Sample, tuple[FusionResult, ...]]] = []
+        self._fused: list[tuple[Sequence[Sample], Sequence[tuple[FusionResult, ...]]]] = []
+        """Rows of samples that it has processed, with the results of each, for `processed`."""
+        self._fused_n = 0
+        """Number of these samples."""
         self._guidance = guidance
         self._mission = Progress.start(automatic=automatic)
         self._make_law = law or _law_for_ardrone
@@ -383,7 +386,7 @@ class Pilot:
                 continue
             self._heard = received_at
         self._keep(fused)
-        return len(self._waiting) + len(self._fused)
+        return len(self._waiting) + self._fused_n
 
     def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
         """Process one sample. Return its fusion results, path by path."""
@@ -414,8 +417,12 @@ class Pilot:
     def fused(self) -> list[tuple[Sample, tuple[FusionResult, ...]]]:
         """Process what waits; return all samples that were processed since the last call, each with its results, path by path."""
         self._settle()
-        fused, self._fused = self._fused, []
-        return fused
+        return self.processed()
+
+    def processed(self) -> list[tuple[Sample, tuple[FusionResult, ...]]]:
+        """Return all samples that the estimator has processed since the last call, as `fused`; what waits goes on waiting."""
+        rows, self._fused, self._fused_n = self._fused, [], 0
+        return [one for samples, results in rows for one in zip(samples, results, strict=True)]
 
     def _keep(self, samples: Sequence[Sample]) -> None:
         """Keep samples for the estimator."""
@@ -427,7 +434,8 @@ class Pilot:
             return
         samples, self._waiting = self._waiting, []
         self._memory, results = pipeline.step_samples(self._memory, samples)
-        self._fused += zip(samples, results, strict=True)
+        self._fused.append((samples, results))
+        self._fused_n += len(samples)
 
     def attitude_at(self, stamp: Stamp) -> Attitude | None:
         """Return the attitude at the exposure of a frame; None when no sample covers it."""

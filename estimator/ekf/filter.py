@@ -63,12 +63,12 @@ def start(options: EkfOptions | None = None, limits: IntegrityOptions | None = _
     return Ekf(parameters(options or EkfOptions()), History(), limits)
 
 
-def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[FusionResult]]:
+def step(ekf: Ekf, event: Event) -> tuple[Ekf, Sequence[FusionResult]]:
     """Process one sample or sighting, as `step_all` does."""
     return step_all(ekf, (event,))
 
 
-def step_all(ekf: Ekf, events: Sequence[Event]) -> tuple[Ekf, list[FusionResult]]:
+def step_all(ekf: Ekf, events: Sequence[Event]) -> tuple[Ekf, Sequence[FusionResult]]:
     """Process samples and sightings in the order in which they were received; they may be out of sequence.
 
     Returns:
@@ -93,7 +93,8 @@ def step_all(ekf: Ekf, events: Sequence[Event]) -> tuple[Ekf, list[FusionResult]
             admitted.append(event)
         else:
             refused[n] = result(event, Outcome(refusal))
-    history, results = put_all(ekf.history, admitted, ekf.params)
+    history, made = put_all(ekf.history, admitted, ekf.params)
+    results = list(made)
     for n, one in refused.items():
         results.insert(n, one)
     return Ekf(ekf.params, history, ekf.limits, imu), results

@@ -7,6 +7,7 @@ The result equals the one of events received in order: the history keeps every r
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import chain, repeat, starmap
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from estimator.ekf.packed_event import Event, PackedEvent, packed_event
 from estimator.ekf.process_event import process_event
 from estimator.ekf.propagate import FilterParams, result
 from estimator.ekf.state import Belief
+from estimator.late import Late
 
 _RANK = {Imu: 0, Attitude: 1, BodyVelocity: 2, Range: 3, Baro: 4, VesselReport: 5, Sighting: 6}
 
@@ -154,7 +156,7 @@ def put(history: History, event: Event, params: FilterParams) -> tuple[History, 
     return history, result(event, outcomes[0])
 
 
-def put_all(history: History, events: Sequence[Event], params: FilterParams) -> tuple[History, list[FusionResult]]:
+def put_all(history: History, events: Sequence[Event], params: FilterParams) -> tuple[History, Sequence[FusionResult]]:
     """Insert events in the order of their reception, as `put` does one by one.
 
     What follows the history in its order is processed in one row: most of the time that one sample takes is spent around it.
@@ -164,11 +166,17 @@ def put_all(history: History, events: Sequence[Event], params: FilterParams) -> 
         entries, received_at = _in_order(history, events[len(results) :], params)
         if len(entries) > 1:
             history, outcomes = _extended(history, history.chunks, entries, len(entries), received_at, params)
-            results += [result(entry.event, outcome) for entry, outcome in zip(entries, outcomes, strict=True)]
+            if len(entries) == len(events):
+                return history, Late(len(events), partial(_results, entries, outcomes))
+            results += _results(entries, outcomes)
         else:
             history, one = put(history, events[len(results)], params)
             results.append(one)
     return history, results
+
+
+def _results(entries: list[Entry], outcomes: Sequence[Outcome]) -> list[FusionResult]:
+    return [result(entry.event, outcome) for entry, outcome in zip(entries, outcomes, strict=True)]
 
 
 def _in_order(history: History, events: Sequence[Event], params: FilterParams) -> tuple[list[Entry], int]:
@@ -198,7 +206,7 @@ def _key(event: Event, rank: int) -> Key:
 
 def _extended(
     history: History, chunks: Chunks, entries: list[Entry], wanted: int, received_at: int, params: FilterParams
-) -> tuple[History, list[Outcome]]:
+) -> tuple[History, Sequence[Outcome]]:
     """Return the history whose chunks go on with these events, and the outcomes of the first `wanted` of them."""
     again, outcomes = _processed(_after(chunks, history.base), entries, wanted, params)
     chunks = _joined(chunks, again)
@@ -269,7 +277,7 @@ def _trimmed(base: PackedBelief | None, chunks: Chunks, forgotten: int, oldest: 
 
 def _processed(
     packed: PackedBelief | None, entries: list[Entry], wanted: int, params: FilterParams
-) -> tuple[list[_Place], list[Outcome]]:
+) -> tuple[list[_Place], Sequence[Outcome]]:
     """Return the events with the beliefs after them, and the outcomes of the first `wanted` events.
 
     The core processes events in a row; what begins a belief, and an attitude that sets one outright, stop it.
@@ -281,6 +289,8 @@ def _processed(
         followed: Sequence[PackedBelief | None] = ()
         if packed is not None:
             row = packed.follow(params.process_noise, [entry.record for entry in rest])
+            if len(row) == len(entries):
+                return list(zip(entries, repeat(row), range(len(row)), strict=False)), row.outcomes(wanted)
             if len(outcomes) < wanted and row:
                 outcomes += row.outcomes(min(len(row), wanted - len(outcomes)))
             followed = row

@@ -7,6 +7,7 @@ a block that later beliefs share until an event changes it. It becomes a `Belief
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from estimator.ekf.deck_motion_bank import SEA_SIZE, PackedSea
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.packed_event import PackedEvent
 from estimator.ekf.state import SAMPLE_COLUMNS, Aid, Belief, Gathered, InnovationExcesses, N, RejectionStreak
+from estimator.late import Late
 
 if TYPE_CHECKING:
     from estimator.ekf.motion import ProcessNoise
@@ -189,16 +191,11 @@ class Followed(Sequence[PackedBelief]):
             made = self._made[i] = self._belief(i % len(self._made))
         return made
 
-    def outcomes(self, n: int) -> list[Outcome]:
+    def outcomes(self, n: int) -> Sequence[Outcome]:
         """Return what became of the first events."""
         rows = self._numbers.block[: n * _OUTCOME_SIZE].copy()
         rows.setflags(write=False)
-        table = rows.reshape(n, _OUTCOME_SIZE)
-        heads, compared = table[:, :_HEAD].view(np.int64).tolist(), table[:, _NIS_AT : _NIS_AT + 2].tolist()
-        return [
-            _outcome(rows, _OUTCOME_SIZE * i, head, *compared[i]) if head[1] else _UNCOMPARED[head[0]]
-            for i, head in enumerate(heads)
-        ]
+        return Late(n, partial(_outcomes, rows, n))
 
     def first(self, n: int) -> tuple[PackedBelief, ...]:
         """Return the first beliefs in memory of their own, so that the rest of the row can be freed."""
@@ -227,6 +224,15 @@ class Followed(Sequence[PackedBelief]):
             part = seas.part(slot * SEA_SIZE)
             self._seas_made[slot] = PackedSea(part.block, part.at, part.address)
         return self._seas_made[slot]
+
+
+def _outcomes(rows: F64, n: int) -> list[Outcome]:
+    """Return the core's `outcome`s of so many events."""
+    table = rows.reshape(n, _OUTCOME_SIZE)
+    heads, compared = table[:, :_HEAD].view(np.int64).tolist(), table[:, _NIS_AT : _NIS_AT + 2].tolist()
+    return [
+        _outcome(rows, _OUTCOME_SIZE * i, head, *compared[i]) if head[1] else _UNCOMPARED[head[0]] for i, head in enumerate(heads)
+    ]
 
 
 def _outcome(rows: F64, first: int, head: list[int], nis: float, nis_max: float) -> Outcome:

@@ -21,6 +21,7 @@ from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command, Hover
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
@@ -196,6 +197,37 @@ async def test_samples_are_taken_together_and_none_waits_while_guidance_decides(
     assert pilot.given <= 3 + 2 * len(diary.decisions), "or the loop wakes for each datagram"
     assert pilot.given < 100
     assert pilot.waiting == 0
+
+
+class FusionDiary(NullObserver):
+    def __init__(self) -> None:
+        self.received_at: list[MonoNs] = []
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        self.received_at.append(at)
+
+
+@pytest.mark.parametrize("diary", [None, FusionDiary()])
+async def test_every_result_of_a_sample_is_in_the_health_that_is_read(diary: FusionDiary | None) -> None:
+    """An observer is told of them in each guidance cycle; where there is none they are counted when health is read."""
+    vehicle = FakeVehicle()
+    daemon = daemon_of(vehicle.open, diary=diary)
+    async with asyncio.TaskGroup() as group:
+        group.create_task(daemon.run())
+        await until(lambda: vehicle.opened == 1)
+        for n in (70, 140, 210):
+            for _ in range(70):
+                vehicle.say(flying=True)
+                await asyncio.sleep(0)
+            counted = daemon.health.flows["Decision"].count
+            await until(lambda counted=counted: daemon.health.flows["Decision"].count >= counted + 2)
+            if diary is not None:
+                assert len(diary.received_at) == n
+            said = daemon.health.snapshot()
+            assert sum(said.inputs["Attitude"].values()) == n
+            assert [sum(one.verdicts.values()) for one in said.fusion] == [n]
+        daemon.stop()
+    assert diary is None or diary.received_at == sorted(diary.received_at)
 
 
 class SlowPilot(Pilot):
