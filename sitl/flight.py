@@ -20,7 +20,7 @@ from companion.guidance.mission import FLOWN
 from companion.operator.orders import HandledOrder
 from companion.operator.precedence import ControlSituation
 from companion.runtime.health import Health
-from companion.runtime.observer import Observer, ProcessedFrame
+from companion.runtime.observer import NullObserver, Observer, ProcessedFrame
 from companion.runtime.pilot import WAITING_MOST, Pilot
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
@@ -33,6 +33,7 @@ from drivers.ardrone.samples import NavdataSampler
 from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 from estimator.contracts.estimates import Verdict
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
@@ -131,6 +132,7 @@ class Flight:
         self._reporter = VesselReporter(self.world)
         self._views: dict[int, RenderedFrame] = {}
         self._observers = tuple(observers)
+        self._on_fusion = [o.on_fusion for o in observers if getattr(type(o), "on_fusion", None) is not NullObserver.on_fusion]
         self._timing = timing or Timing()
         self._limit_s, self._overtime_s = scenario.duration_limit_s, overtime_s
         self._options = ardrone_options(settings)
@@ -152,6 +154,8 @@ class Flight:
         self._gone = False
         self._begin_service(pilot)
         self.health = Health(self._clock)
+        if not self._on_fusion:
+            self.health.completed_by(self._count_processed)
         self._drone = Drone(self.world, DroneClock(start), generation=self._generation)
         for key, commands in configuration_commands(self._options):
             for command in [*commands, at.Ctrl(at.CTRL_ACK)]:
@@ -223,7 +227,7 @@ class Flight:
         """Whether the service's process is gone; after a restart it is a new process."""
         if self.world.active("service_killed"):
             if not self._gone:
-                self._report_fused()
+                self._count(self._pilot.fused())
                 self._arbiter.lost(self._clock.t)
                 self._send(self._options.timeouts(self._options.hold_com_watchdog_s))
             self._gone = True
@@ -300,18 +304,25 @@ class Flight:
             for sample in samples:
                 observer.on_sample(sample)
         if waiting >= WAITING_MOST:
-            self._report_fused()
+            self._count(self._pilot.fused())
 
     def _report_fused(self) -> None:
-        """Tell health and observers of the samples that the estimator has processed."""
-        fused, count = self._pilot.fused(), self.health.fused
+        """Tell health and observers of the samples that the estimator has processed, as the daemon does."""
+        if self._on_fusion:
+            self._count(self._pilot.fused())
+
+    def _count_processed(self) -> None:
+        self._count(self._pilot.processed())
+
+    def _count(self, fused: Sequence[tuple[Sample, tuple[FusionResult, ...]]]) -> None:
+        count = self.health.fused
         for sample, results in fused:
             if results:
                 count(sample, results)
-        for observer in self._observers:
+        for on_fusion in self._on_fusion:
             for sample, results in fused:
                 for result in results:
-                    observer.on_fusion(sample.stamp.received_at, result)
+                    on_fusion(sample.stamp.received_at, result)
 
     def _film(self, now: MonoNs) -> None:
         if now < self._due_frame:
@@ -386,5 +397,5 @@ class Flight:
 
     def result(self) -> FlightResult:
         """Return the result of the flight: final if it has ended, else the result so far."""
-        self._report_fused()
+        self._count(self._pilot.fused())
         return self._grader.result(self._pilot.outcome, self._pilot.operator.situation(self._clock.t), self.health)

@@ -122,6 +122,8 @@ class Daemon:
         """Set after the first guidance cycle, which nothing is to delay."""
         self._wrong_size_logged = False
         self._logged = ("", "")
+        self._taken_at = MonoNs(0)
+        """When the samples that wait were last asked for."""
         self._newest_fused: Stamp | None = None
         """Stamp of the newest frame in the estimate that no command has used."""
         self._extras = dict(extras or {})
@@ -178,11 +180,13 @@ class Daemon:
         Most of the time that the loop spends on a datagram is spent on waking for it, hundreds of times a second.
         """
         while True:
-            self._take_waiting()
+            if seconds_between(self._taken_at, self._clock.now()) >= _UNASKED_S:
+                self._take_waiting()
             link.samples.check()
             await self._clock.sleep(_UNASKED_S)
 
     def _take_waiting(self) -> None:
+        self._taken_at = self._clock.now()
         if self._link is not None and (samples := self._link.samples.waiting()):
             self._take(samples)
 
@@ -192,9 +196,13 @@ class Daemon:
 
     def _take(self, samples: Sequence[Sample]) -> None:
         waiting, now = self._pilot.take_samples(samples), self._clock.now()
+        arrived: dict[str, int] = {}
         for sample in samples:
             place_of_ship = type(sample) is GeoFix and sample.whose == "vessel"
-            self.health.beat(SHIP_PLACE if place_of_ship else type(sample).__name__, now)
+            name = SHIP_PLACE if place_of_ship else type(sample).__name__
+            arrived[name] = arrived.get(name, 0) + 1
+        for name, n in arrived.items():
+            self.health.beat(name, now, n)
         self._audience.on_samples(samples)
         if waiting >= WAITING_MOST:
             self._count(self._pilot.fused())
@@ -208,10 +216,12 @@ class Daemon:
             self._count(self._pilot.fused())
 
     def _count(self, fused: Sequence[tuple[Sample, tuple[FusionResult, ...]]]) -> None:
+        told = self._audience.takes_fusion
         for sample, results in fused:
             self.health.fused(sample, results)
-            for result in results:
-                self._audience.on_fusion(sample.stamp.received_at, result)
+            if told:
+                for result in results:
+                    self._audience.on_fusion(sample.stamp.received_at, result)
 
     async def _read_frames(self, link: VehicleLink) -> None:
         await self._load_vision()

@@ -46,9 +46,12 @@ class Flow:
     count: int = 0
     _recent: deque[MonoNs] = field(default_factory=lambda: deque(maxlen=50))
 
-    def beat(self, at: MonoNs) -> None:
-        self.count += 1
-        self._recent.append(at)
+    def beat(self, at: MonoNs, n: int = 1) -> None:
+        self.count += n
+        if n == 1:
+            self._recent.append(at)
+        else:
+            self._recent.extend([at] * n)
 
     def age_s(self, now: MonoNs) -> float | None:
         """Return the seconds since the last arrival; None before the first."""
@@ -291,19 +294,22 @@ class Health:
         )
 
     def delay(self, stage: str, seconds: float) -> None:
-        self.delays.setdefault(stage, Delays()).add(seconds)
+        delays = self.delays.get(stage)
+        if delays is None:
+            delays = self.delays[stage] = Delays()
+        delays.add(seconds)
 
     def frame_times(self, times: FrameTimes) -> None:
         """Note how long each stage of one frame took."""
         for stage, seconds in times.by_stage():
             self.delay(stage, seconds)
 
-    def beat(self, name: str, now: MonoNs | None = None) -> None:
-        """Count one arrival of a kind of data, at this instant if none is given."""
+    def beat(self, name: str, now: MonoNs | None = None, n: int = 1) -> None:
+        """Count arrivals of a kind of data, at this instant if none is given."""
         flow = self.flows.get(name)
         if flow is None:
             flow = self.flows[name] = Flow()
-        flow.beat(self._clock.now() if now is None else now)
+        flow.beat(self._clock.now() if now is None else now, n)
 
     def counters(self, part: str, read: Callable[[], Mapping[str, float]]) -> None:
         """Register `read`, which each snapshot calls to get the part's counters."""

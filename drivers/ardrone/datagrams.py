@@ -138,6 +138,11 @@ class WaitingDatagrams:
                 break
         return wall_ns, now
 
+    @property
+    def taken_at(self) -> MonoNs:
+        """When somebody last took what waits."""
+        return self._taken_at
+
     def check(self) -> None:
         """Check that the socket works.
 

@@ -57,10 +57,10 @@ class DroneReport(Struct, frozen=True):
     @staticmethod
     def of(navdata: Navdata) -> DroneReport:
         """Return the report that a datagram holds."""
-        readings = navdata.readings
-        if readings.ctrl_state is None or readings.altitude_mm is None:
+        found = navdata.state_and_height
+        if found is None:
             return DroneReport(navdata.state, None, None)
-        return DroneReport(navdata.state, control_state_of(readings.ctrl_state), 1e-3 * readings.altitude_mm)
+        return DroneReport(navdata.state, control_state_of(found[0]), 1e-3 * found[1])
 
     @property
     def flying(self) -> bool:

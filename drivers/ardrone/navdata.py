@@ -244,6 +244,15 @@ class Navdata(Struct, frozen=True):
         return options.readings if type(options) is _Bodies else readings_of(options)
 
     @property
+    def state_and_height(self) -> tuple[int, int] | None:
+        """`Demo.ctrl_state` and `Demo.altitude_mm`; None if the option is absent."""
+        options = self.options
+        found = options.readings if type(options) is _Bodies else self.get(Demo)
+        if found is None or found.ctrl_state is None or found.altitude_mm is None:
+            return None
+        return found.ctrl_state, found.altitude_mm
+
+    @property
     def control_state(self) -> ControlState | None:
         """The control state of the `Demo` option; None if the option is absent or its number is not known."""
         demo = self.options.get(0)

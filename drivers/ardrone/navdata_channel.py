@@ -20,6 +20,8 @@ from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 OPENING = b"\x01\x00\x00\x00"
 """The datagram that requests the unicast stream."""
 _LOOK_S = 0.05
+_UNASKED_S = 0.04
+"""Time after which the channel itself takes what nobody asked for."""
 
 
 class NavdataChannel:
@@ -87,9 +89,10 @@ class NavdataChannel:
         socket.send(OPENING)
         while True:
             await self._clock.sleep(min(_LOOK_S, self._o.navdata_silence_s / 4))
-            socket.take()
-            socket.check()
             now = self._clock.now()
+            if seconds_between(socket.taken_at, now) >= _UNASKED_S:
+                socket.take()
+            socket.check()
             received_at = opened if self._received_at is None else max(opened, self._received_at)
             if seconds_between(received_at, now) > self._o.reopen_after_s:
                 raise Recoverable(f"no navdata for {self._o.reopen_after_s} s")

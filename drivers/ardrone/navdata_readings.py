@@ -1,6 +1,6 @@
 """The fields of navdata that the service reads of every datagram, as plain numbers, unpacked at once.
 
-A datagram has 28 options, 200 times a second. The service reads some twenty fields of seven of them; making an object of each of
+A datagram has 28 options, 200 times a second. The service reads some twenty fields of six of them; making an object of each of
 these takes longer than the rest of decoding.
 """
 
@@ -12,7 +12,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from drivers.ardrone.navdata_flight import Altitude, Demo, NavdataTime, PhysMeasures, RawMeasures
+from drivers.ardrone.navdata_flight import Altitude, Demo, PhysMeasures, RawMeasures
 from drivers.ardrone.navdata_layout import TAG_OF_CLASS, OptionLayout
 from drivers.ardrone.navdata_sensors import Gps, PressureRaw
 
@@ -28,7 +28,6 @@ class Readings(Struct, frozen=True):
     altitude_mm: int | None
     vx_mm_s: float | None
     vy_mm_s: float | None
-    time: int | None
     nb_echo: int | None
     sum_echo: int | None
     ax_mg: float | None
@@ -47,7 +46,6 @@ class Readings(Struct, frozen=True):
 
 _READ: tuple[tuple[type[Any], tuple[str, ...]], ...] = (
     (Demo, ("ctrl_state", "battery_percent", "theta_mdeg", "phi_mdeg", "psi_mdeg", "altitude_mm", "vx_mm_s", "vy_mm_s")),
-    (NavdataTime, ("time",)),
     (RawMeasures, ("nb_echo", "sum_echo")),
     (PhysMeasures, ("phys_accs_mg", "phys_gyros_deg_s")),
     (Altitude, ("altitude_raw_mm",)),
@@ -56,20 +54,34 @@ _READ: tuple[tuple[type[Any], tuple[str, ...]], ...] = (
 )
 """The options with the fields that are read, in the order of `Readings`, which is that of the wire."""
 
+_DEMO, _RAW, _MEASURES, _ALTITUDE, _PRESSURE, _GPS = (
+    TAG_OF_CLASS[cls] for cls in (Demo, RawMeasures, PhysMeasures, Altitude, PressureRaw, Gps)
+)
+_NONE = (None, None, None)
+_NO_DEMO: Any = Readings(*[None] * 22)
+_NO_RAW = _NO_PRESSURE = _NO_DEMO
+"""In place of an option that a datagram does not hold."""
+
 
 def readings_of(options: Mapping[int, Any]) -> Readings:
     """Return the fields of options that were made one by one, as the simulator makes them."""
-    values: list[Any] = []
-    for cls, names in _READ:
-        option: Any = options.get(TAG_OF_CLASS[cls])
-        if type(option) is not cls:
-            values += [None] * (6 if cls is PhysMeasures else len(names))
-        elif cls is PhysMeasures:
-            values += option.phys_accs_mg
-            values += option.phys_gyros_deg_s
-        else:
-            values += [getattr(option, name) for name in names]
-    return Readings(*values)
+    get = options.get
+    demo, raw, measures, altitude = get(_DEMO), get(_RAW), get(_MEASURES), get(_ALTITUDE)
+    pressure, gps = get(_PRESSURE), get(_GPS)
+    ax, ay, az = measures.phys_accs_mg if type(measures) is PhysMeasures else _NONE
+    wx, wy, wz = measures.phys_gyros_deg_s if type(measures) is PhysMeasures else _NONE
+    if type(demo) is not Demo:
+        demo = _NO_DEMO
+    if type(raw) is not RawMeasures:
+        raw = _NO_RAW
+    if type(pressure) is not PressureRaw:
+        pressure = _NO_PRESSURE
+    return Readings(
+        demo.ctrl_state, demo.battery_percent, demo.theta_mdeg, demo.phi_mdeg, demo.psi_mdeg, demo.altitude_mm, demo.vx_mm_s,
+        demo.vy_mm_s, raw.nb_echo, raw.sum_echo, ax, ay, az, wx, wy, wz,
+        altitude.altitude_raw_mm if type(altitude) is Altitude else None,
+        pressure.up, pressure.ut, pressure.temperature_dc, pressure.pressure_pa, gps.gps_plugged if type(gps) is Gps else None,
+    )  # fmt: skip
 
 
 def reader(bodies: Mapping[int, tuple[OptionLayout, int]]) -> Callable[[bytes], Readings]:

@@ -125,8 +125,8 @@ class NavdataSampler:
 
 def time_us(navdata: Navdata) -> int | None:
     """Return the drone's clock at this datagram, microseconds modulo 2048 s; None if the datagram does not hold it."""
-    time = navdata.readings.time
-    return None if time is None else NavdataTime(time).time_us
+    option = navdata.get(NavdataTime)
+    return None if option is None else option.time_us
 
 
 def _finite(values: tuple[float, ...]) -> bool:

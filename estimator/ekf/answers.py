@@ -37,9 +37,15 @@ _INTEGERS = slice(_PLACES["has_pad"].start, _PLACES["heading_known"].stop)
 
 
 class FilterAnswer:
-    """The pad, the body's motion and the deck's motion at one instant; each is put together when it is first asked for."""
+    """The pad, the body's motion and the deck's motion at one instant; each is put together when it is first asked for.
+
+    Attributes:
+        before: the last belief before the instant.
+        noise: the process noise by which it was propagated.
+    """
 
     def __init__(self, before: PackedBelief, now: MonoNs, noise: ProcessNoise) -> None:
+        self.before, self.noise = before, noise
         self._now, self._options, self._evidence_of_rest = now, noise.options, before.sea.log_evidence_of_rest
         self._words = np.empty(_SIZE)
         _ANSWER(noise.packed_address, now, before.numbers.address, before.P.address, start_of(self._words))

@@ -28,7 +28,7 @@ from estimator.integrity import IntegrityOptions, sensors
 from estimator.integrity.sensors import SensorWatch
 
 _LIMITS = IntegrityOptions()
-_ANSWERS_KEPT = 4
+_ANSWERS_KEPT = 8
 """A filter of which many instants are asked forgets the first."""
 
 
@@ -43,8 +43,9 @@ class Ekf:
     """The limits that an IMU sample must keep; None if `estimator.integrity` checks the samples before the filter."""
     imu: SensorWatch = field(default_factory=SensorWatch)
     """The recent IMU samples, from which frozen ones are recognised."""
-    answers: dict[MonoNs, FilterAnswer] = field(default_factory=dict, init=False, repr=False)
-    """The newest answers: guidance, recorder and links each ask for the same instant."""
+    answers: dict[MonoNs, FilterAnswer] = field(default_factory=dict, repr=False)
+    """The newest answers of this filter and of those before it: guidance, recorder and links each ask for the same instant, and
+    vision for the one whose sighting comes later. An answer counts where the last belief before the instant is still the same."""
 
     @property
     def belief(self) -> Belief | None:
@@ -83,7 +84,7 @@ def step_all(ekf: Ekf, events: Sequence[Event]) -> tuple[Ekf, Sequence[FusionRes
     """
     if ekf.limits is None:
         history, results = put_all(ekf.history, events, ekf.params)
-        return Ekf(ekf.params, history, None, ekf.imu), results
+        return Ekf(ekf.params, history, None, ekf.imu, ekf.answers), results
     imu, refused, admitted = ekf.imu, dict[int, FusionResult](), list[Event]()
     for n, event in enumerate(events):
         refusal = None
@@ -97,17 +98,19 @@ def step_all(ekf: Ekf, events: Sequence[Event]) -> tuple[Ekf, Sequence[FusionRes
     results = list(made)
     for n, one in refused.items():
         results.insert(n, one)
-    return Ekf(ekf.params, history, ekf.limits, imu), results
+    return Ekf(ekf.params, history, ekf.limits, imu, ekf.answers), results
 
 
 def _answer(ekf: Ekf, now: MonoNs) -> FilterAnswer | None:
     """Return what the filter says of an instant, propagated from the last event before it; None before the first attitude."""
-    found = ekf.answers.get(now)
-    before = ekf.history.before(now) if found is None else None
-    if before is not None:
+    before = ekf.history.before(now)
+    if before is None:
+        return None
+    found, noise = ekf.answers.get(now), ekf.params.process_noise
+    if found is None or found.before is not before or found.noise is not noise:
         if len(ekf.answers) >= _ANSWERS_KEPT:
             ekf.answers.clear()
-        found = ekf.answers[now] = FilterAnswer(before, now, ekf.params.process_noise)
+        found = ekf.answers[now] = FilterAnswer(before, now, noise)
     return found
 
 

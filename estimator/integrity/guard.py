@@ -18,6 +18,8 @@ from estimator.integrity.options import IntegrityOptions
 _OLD_NS = 1_000_000_000
 """Age after which an alert about a silent stream is dropped, because the silence itself is reported."""
 _UNSEEN = sensors.SensorWatch()
+_UNCHECKED = (GeoFix, GimbalAttitude)
+"""Samples of which the arrival alone is checked here. Their union, written out, would be made anew for each sample."""
 
 
 class IntegrityGuard(Struct, frozen=True):
@@ -66,7 +68,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
         # By the type itself: a match asks one class after the other.
         if isinstance(sample, VehicleStatus):
             flying = sample.flying is not False
-        elif not isinstance(sample, GeoFix | GimbalAttitude):
+        elif not isinstance(sample, _UNCHECKED):
             seen[kind], verdict = sensors.watch(seen.get(kind, _UNSEEN), sample, o, flying)
             if verdict is None:
                 if type(sample) is Imu:
