@@ -28,7 +28,7 @@ from drivers.ardrone.navdata_flight import (
     Trims,
 )
 from drivers.ardrone.navdata_layout import LAYOUT_OF_CLASS, OPTION_HEADER, TAG_OF_CLASS, OptionLayout
-from drivers.ardrone.navdata_readings import Readings, reader, readings_of
+from drivers.ardrone.navdata_readings import NavdataReadings, reader, readings_of
 from drivers.ardrone.navdata_sensors import (
     AdcDataFrame,
     Gps,
@@ -187,11 +187,11 @@ class _Bodies(Mapping[int, Any]):
         self._datagram = datagram
         self._bodies = outline.bodies
         self._read = outline.read
-        self._readings: Readings | None = None
+        self._readings: NavdataReadings | None = None
         self._unpacked: dict[int, Any] = {}
 
     @property
-    def readings(self) -> Readings:
+    def readings(self) -> NavdataReadings:
         """The fields that the service reads of every datagram."""
         found = self._readings
         if found is None:
@@ -238,7 +238,7 @@ class Navdata(Struct, frozen=True):
         return found if type(found) is cls else None
 
     @property
-    def readings(self) -> Readings:
+    def readings(self) -> NavdataReadings:
         """The fields that the service reads of every datagram."""
         options = self.options
         return options.readings if type(options) is _Bodies else readings_of(options)
@@ -274,7 +274,7 @@ class _Outline(NamedTuple):
     """The values of these headers."""
     bodies: dict[int, tuple[OptionLayout, int]]
     skipped: tuple[int, ...]
-    read: Callable[[bytes], Readings]
+    read: Callable[[bytes], NavdataReadings]
 
 
 _OUTLINES_MOST = 16

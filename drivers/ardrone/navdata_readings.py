@@ -17,7 +17,7 @@ from drivers.ardrone.navdata_layout import TAG_OF_CLASS, OptionLayout
 from drivers.ardrone.navdata_sensors import Gps, PressureRaw
 
 
-class Readings(Struct, frozen=True):
+class NavdataReadings(Struct, frozen=True):
     """The fields, named as in their options; those of an option that a datagram does not hold are None."""
 
     ctrl_state: int | None
@@ -52,18 +52,18 @@ _READ: tuple[tuple[type[Any], tuple[str, ...]], ...] = (
     (PressureRaw, ("up", "ut", "temperature_dc", "pressure_pa")),
     (Gps, ("gps_plugged",)),
 )
-"""The options with the fields that are read, in the order of `Readings`, which is that of the wire."""
+"""The options with the fields that are read, in the order of `NavdataReadings`, which is that of the wire."""
 
 _DEMO, _RAW, _MEASURES, _ALTITUDE, _PRESSURE, _GPS = (
     TAG_OF_CLASS[cls] for cls in (Demo, RawMeasures, PhysMeasures, Altitude, PressureRaw, Gps)
 )
 _NONE = (None, None, None)
-_NO_DEMO: Any = Readings(*[None] * 22)
+_NO_DEMO: Any = NavdataReadings(*[None] * 22)
 _NO_RAW = _NO_PRESSURE = _NO_DEMO
 """In place of an option that a datagram does not hold."""
 
 
-def readings_of(options: Mapping[int, Any]) -> Readings:
+def readings_of(options: Mapping[int, Any]) -> NavdataReadings:
     """Return the fields of options that were made one by one, as the simulator makes them."""
     get = options.get
     demo, raw, measures, altitude = get(_DEMO), get(_RAW), get(_MEASURES), get(_ALTITUDE)
@@ -76,7 +76,7 @@ def readings_of(options: Mapping[int, Any]) -> Readings:
         raw = _NO_RAW
     if type(pressure) is not PressureRaw:
         pressure = _NO_PRESSURE
-    return Readings(
+    return NavdataReadings(
         demo.ctrl_state, demo.battery_percent, demo.theta_mdeg, demo.phi_mdeg, demo.psi_mdeg, demo.altitude_mm, demo.vx_mm_s,
         demo.vy_mm_s, raw.nb_echo, raw.sum_echo, ax, ay, az, wx, wy, wz,
         altitude.altitude_raw_mm if type(altitude) is Altitude else None,
@@ -84,14 +84,14 @@ def readings_of(options: Mapping[int, Any]) -> Readings:
     )  # fmt: skip
 
 
-def reader(bodies: Mapping[int, tuple[OptionLayout, int]]) -> Callable[[bytes], Readings]:
+def reader(bodies: Mapping[int, tuple[OptionLayout, int]]) -> Callable[[bytes], NavdataReadings]:
     """Return what reads the fields of every datagram whose options lie where this one's do.
 
     Args:
         bodies: the layout of each option by tag, and the place of its body in the datagram.
     """
     places: list[tuple[int, str, int]] = []
-    """Where a field begins, its letters, and where its numbers begin in `Readings`."""
+    """Where a field begins, its letters, and where its numbers begin in `NavdataReadings`."""
     size = 0
     for cls, names in _READ:
         layout, body = bodies.get(TAG_OF_CLASS[cls], (None, 0))
@@ -103,7 +103,7 @@ def reader(bodies: Mapping[int, tuple[OptionLayout, int]]) -> Callable[[bytes], 
             size += numbers
     places.sort()
     form, end, order = "<", 0, [-1] * size
-    """What is unpacked; and of each number of `Readings` which of the unpacked it is, the last one, None, if it is absent."""
+    """What is unpacked; and of each number of the result which of the unpacked it is, the last one, None, if it is absent."""
     n = 0
     for at, letters, first in places:
         form += f"{at - end}x{letters}"
@@ -113,10 +113,10 @@ def reader(bodies: Mapping[int, tuple[OptionLayout, int]]) -> Callable[[bytes], 
             n += 1
     unpack = struct.Struct(form).unpack_from
     if order == list(range(size)):
-        return lambda datagram: Readings(*unpack(datagram))
+        return lambda datagram: NavdataReadings(*unpack(datagram))
 
-    def read(datagram: bytes) -> Readings:
+    def read(datagram: bytes) -> NavdataReadings:
         found = (*unpack(datagram), None)
-        return Readings(*[found[i] for i in order])
+        return NavdataReadings(*[found[i] for i in order])
 
     return read

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from drivers.ardrone.navdata import ControlState, Gps, Navdata, NavdataState, NavdataTime, control_state_of
-from drivers.ardrone.navdata_readings import Readings
+from drivers.ardrone.navdata_readings import NavdataReadings
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vector
@@ -55,7 +55,7 @@ AS_REPORTED = ArDroneOptions(velocity_scale=1.0, sigma_velocity_fraction=0.2)
 """Options that take velocities as the drone reports them; the covariance covers the uncertainty of their scale."""
 
 
-def _of_every_datagram(r: Readings, stamp: Stamp, options: ArDroneOptions, attitude_cov: F64) -> list[Sample]:
+def _of_every_datagram(r: NavdataReadings, stamp: Stamp, options: ArDroneOptions, attitude_cov: F64) -> list[Sample]:
     """Return the samples whose sensors are read anew for every datagram."""
     out: list[Sample] = []
     imu = _imu(r, stamp)
@@ -134,7 +134,7 @@ def _finite(values: tuple[float, ...]) -> bool:
     return math.isfinite(sum(values)) or all(map(math.isfinite, values))
 
 
-def _imu(r: Readings, stamp: Stamp) -> Imu | None:
+def _imu(r: NavdataReadings, stamp: Stamp) -> Imu | None:
     ax, ay, az, wx, wy, wz = r.ax_mg, r.ay_mg, r.az_mg, r.wx_deg_s, r.wy_deg_s, r.wz_deg_s
     if ax is None or ay is None or az is None or wx is None or wy is None or wz is None or not _finite((ax, ay, az, wx, wy, wz)):
         return None
@@ -150,20 +150,20 @@ def _velocity(vx_mm_s: float, vy_mm_s: float, stamp: Stamp, options: ArDroneOpti
     return known_velocity(stamp, fixed_vector(ahead, aside, 0.0), cov)
 
 
-def _range(navdata: Navdata, r: Readings, stamp: Stamp, options: ArDroneOptions) -> Range | None:
+def _range(navdata: Navdata, r: NavdataReadings, stamp: Stamp, options: ArDroneOptions) -> Range | None:
     distance_m = _range_m(navdata, r)
     if distance_m is None:
         return None
     return Range(stamp, distance_m, math.hypot(options.sigma_range_m, options.sigma_range_fraction * distance_m))
 
 
-def _baro(navdata: Navdata, r: Readings, stamp: Stamp, options: ArDroneOptions) -> Baro | None:
+def _baro(navdata: Navdata, r: NavdataReadings, stamp: Stamp, options: ArDroneOptions) -> Baro | None:
     if r.pressure_pa is None or r.pressure_pa <= 0:
         return None
     return Baro(stamp, height_of_pressure_m(r.pressure_pa), options.sigma_baro_m)
 
 
-def _range_m(navdata: Navdata, r: Readings) -> float | None:
+def _range_m(navdata: Navdata, r: NavdataReadings) -> float | None:
     """Return the ultrasound's own reading, metres; in demo mode, the drone's height rotated back to the body's down axis."""
     if navdata.state & NavdataState.ULTRASOUND_DEAF:
         return None
@@ -176,17 +176,17 @@ def _range_m(navdata: Navdata, r: Readings) -> float | None:
     return altitude_mm * 1e-3 / upright if upright > 0.5 else None
 
 
-def _range_key(navdata: Navdata, r: Readings) -> tuple[Any, ...]:
+def _range_key(navdata: Navdata, r: NavdataReadings) -> tuple[Any, ...]:
     if r.altitude_raw_mm is None:
         return (_range_m(navdata, r),)
     return (r.altitude_raw_mm, r.nb_echo, r.sum_echo)
 
 
-def _baro_key(navdata: Navdata, r: Readings) -> tuple[Any, ...] | None:
+def _baro_key(navdata: Navdata, r: NavdataReadings) -> tuple[Any, ...] | None:
     return None if r.pressure_pa is None else (r.up, r.ut, r.temperature_dc, r.pressure_pa)
 
 
-def _status(navdata: Navdata, r: Readings, stamp: Stamp, options: ArDroneOptions) -> VehicleStatus:
+def _status(navdata: Navdata, r: NavdataReadings, stamp: Stamp, options: ArDroneOptions) -> VehicleStatus:
     mode = navdata.control_state
     return VehicleStatus(
         stamp,
@@ -198,11 +198,11 @@ def _status(navdata: Navdata, r: Readings, stamp: Stamp, options: ArDroneOptions
     )
 
 
-def _status_key(navdata: Navdata, r: Readings) -> tuple[int, ControlState | None]:
+def _status_key(navdata: Navdata, r: NavdataReadings) -> tuple[int, ControlState | None]:
     return navdata.state & ~_COMMAND_ACK, None if r.ctrl_state is None else control_state_of(r.ctrl_state)
 
 
-def _fix(navdata: Navdata, r: Readings, stamp: Stamp, options: ArDroneOptions) -> GeoFix | None:
+def _fix(navdata: Navdata, r: NavdataReadings, stamp: Stamp, options: ArDroneOptions) -> GeoFix | None:
     """Return the place by the flight recorder; None without one, before its first fix, and for a place that cannot be."""
     gps = navdata.get(Gps)
     if gps is None or not gps.gps_plugged or not gps.data_available or gps.nb_satellites < _SATELLITES_LEAST:
@@ -216,12 +216,12 @@ def _fix(navdata: Navdata, r: Readings, stamp: Stamp, options: ArDroneOptions) -
     return GeoFix(stamp, "vehicle", place, max(1.0, gps.hdop) * options.sigma_fix_m)
 
 
-def _receiver(navdata: Navdata, r: Readings) -> Gps | None:
+def _receiver(navdata: Navdata, r: NavdataReadings) -> Gps | None:
     return navdata.get(Gps) if r.gps_plugged else None
 
 
-_Maker = Callable[[Navdata, Readings, Stamp, ArDroneOptions], Sample | None]
-_REPEATED: dict[type[Sample], tuple[_Maker, Callable[[Navdata, Readings], Any]]] = {
+_Maker = Callable[[Navdata, NavdataReadings, Stamp, ArDroneOptions], Sample | None]
+_REPEATED: dict[type[Sample], tuple[_Maker, Callable[[Navdata, NavdataReadings], Any]]] = {
     Range: (_range, _range_key),
     Baro: (_baro, _baro_key),
     GeoFix: (_fix, _receiver),
