@@ -85,21 +85,6 @@ class AttitudeHistory(Struct, frozen=True):
         span_s = seconds_between(earlier.stamp.measured_at, later.stamp.measured_at)
         if span_s > gap_s:
             return None
-        return Attitude(stamp, _between(earlier, later, instant), later.cov_body)
-
-
-_newest: list[tuple[Attitude, Attitude, MonoNs, Rotation]] = []
-"""The newest rotation between two samples: vision asks for the one at an exposure, and the guard again with the sighting."""
-
-
-def _between(earlier: Attitude, later: Attitude, instant: MonoNs) -> Rotation:
-    """Return the rotation at an instant between two samples, on the great arc."""
-    for a, b, t, R in _newest:
-        if a is earlier and b is later and t == instant:
-            return R
-    span_s = seconds_between(earlier.stamp.measured_at, later.stamp.measured_at)
-    weight = seconds_between(earlier.stamp.measured_at, instant) / span_s
-    turned = (earlier.R_ned_body.inv @ later.R_ned_body).rotvec_rad * weight
-    R = earlier.R_ned_body @ Rotation.from_rotvec(turned)
-    _newest[:] = [(earlier, later, instant, R)]
-    return R
+        weight = seconds_between(earlier.stamp.measured_at, instant) / span_s
+        turned = (earlier.R_ned_body.inv @ later.R_ned_body).rotvec_rad * weight
+        return Attitude(stamp, earlier.R_ned_body @ Rotation.from_rotvec(turned), later.cov_body)

@@ -37,17 +37,6 @@ def test_between_samples_and_a_little_past_the_newest_it_is_the_true_attitude(t_
     assert found.R_ned_body.angle_to(turning(t_s).R_ned_body) < 1e-6
 
 
-def test_what_is_asked_again_is_the_same_and_another_instant_or_past_has_its_own() -> None:
-    history, other = filled(), AttitudeHistory(span_s=0.5).add(turning(0.7, 0.5), turning(0.705, 2.0))
-    asked = [(history, 0.7021), (history, 0.7021), (history, 0.7022), (other, 0.7021), (history, 0.7021)]
-    found = [of.at(MonoNs(round(t_s * 1e9)), stamp(t_s)) for of, t_s in asked]
-    R = [one.R_ned_body for one in found if one is not None]
-    assert len(R) == len(asked)
-    assert all(np.array_equal(R[0].matrix, R[i].matrix) for i in (1, 4))
-    assert R[0].angle_to(R[2]) == pytest.approx(0.5 * 1e-4, rel=1e-3)
-    assert R[0].angle_to(R[3]) > 0.1
-
-
 def test_it_says_none_rather_than_guess() -> None:
     history = filled()
     assert AttitudeHistory().at(MonoNs(0), stamp(0)) is None
