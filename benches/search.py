@@ -13,6 +13,7 @@ import argparse
 import math
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -27,7 +28,7 @@ from estimator.vision.detect.acquire import FRESH_SEARCH, acquire, search  # noq
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.tracker_config import FRAME_WORK  # noqa: E402
 from tests.support.hard_light import HARD, hard_scene  # noqa: E402
-from tests.support.pad_scenes import PadScene, empty_scene, load_camera  # noqa: E402
+from tests.support.pad_scenes import PadScene, empty_scene, load_camera, load_pad  # noqa: E402
 
 HEIGHTS_M = (0.3, 1.0, 3.0, 5.0, 10.0, 15.0)
 
@@ -46,13 +47,14 @@ def sure_within(scene: PadScene, camera: Camera, pad: Pad, budget: float, frames
     return False, False, took
 
 
-def cell(name: str, height_m: float, frames: int, seed: int) -> str:
-    camera = load_camera("sim")
-    pad = HARD["plain" if name == "empty" else name].pad
+def cell(name: str, height_m: float, frames: int, seed: int, pad_name: str = "") -> str:
+    camera, hard = load_camera("sim"), HARD["plain" if name == "empty" else name]
+    hard = replace(hard, pad=load_pad(pad_name)) if pad_name else hard
+    pad = hard.pad
     right, wrong, took, floors = [0, 0], 0, [], []
     for k in range(frames):
         rng = np.random.default_rng([seed, k, round(10 * height_m)])
-        scene = empty_scene(rng, camera, height_m) if name == "empty" else hard_scene(rng, camera, HARD[name], height_m)
+        scene = empty_scene(rng, camera, height_m) if name == "empty" else hard_scene(rng, camera, hard, height_m)
         for i, (budget, most) in enumerate(((math.inf, 1), (FRAME_WORK, 3))):
             sure, good, ms = sure_within(scene, camera, pad, budget, most)
             right[i] += sure and good
@@ -68,6 +70,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=8, help="at each height in each condition")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--pad", default="", help="name of a shipped pad in place of each condition's")
     parser.add_argument("--only", help="conditions, with commas in between")
     args = parser.parse_args()
     cv2.setNumThreads(1)
@@ -75,7 +78,7 @@ def main() -> None:
     acquire(np.zeros((360, 640, 3), np.uint8), load_camera("sim"), HARD["plain"].pad)
     print(" " * 16 + "".join(f"{f'{h:g} m':>18s}" for h in HEIGHTS_M))
     for name in names:
-        print(f"{name:16s}" + "".join(cell(name, h, args.frames, args.seed) for h in HEIGHTS_M), flush=True)
+        print(f"{name:16s}" + "".join(cell(name, h, args.frames, args.seed, args.pad) for h in HEIGHTS_M), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Measure how often the pad is found where the filter expects it: `python -m benches.tracked [--frames N] [--times]`.
+"""Measure how often the pad is found where the filter expects it: `python -m benches.tracked [--frames N] [--times] [--pad P]`.
 
 The pad tracker processes rendered frames with a prediction that is off by 0.4 % of the range along each axis at one sigma, 2 cm
 at least, the heading by 0.02 rad; the attitude is known to a degree. The output is the frames with a confidence of 0.5 or more,
@@ -86,9 +86,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=12, help="at each height in each condition")
     parser.add_argument("--times", action="store_true", help="measure what a whole look costs instead")
+    parser.add_argument("--pad", default="thesis", help="name of a shipped pad (default: %(default)s)")
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    tracker = TrackerConfig(load_camera("sim"), load_pad("thesis"), TrackerOptions(colours="simulator"))
+    tracker = TrackerConfig(load_camera("sim"), load_pad(args.pad), TrackerOptions(colours="simulator"))
     if args.times:
         times(tracker)
         return

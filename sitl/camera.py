@@ -390,7 +390,7 @@ def _pose(shot: Exposure, camera: Camera, later_s: float) -> tuple[F64, F64]:
 
 
 def _pad_scene(pad: Pad, blend: str) -> U16:
-    """Return the paints (5, 4) of the background (unused), rim, disc, orange, white, as pixels of a scene."""
+    """Return the paints (6, 4) of the background (unused), rim, disc, orange, white, upper lettering, as pixels of a scene."""
     c = pad.markings.colours
-    rim = c.rim if c.rim is not None else c.disc
-    return scene_of(np.array([(0, 0, 0), rim[::-1], c.disc[::-1], c.ring[::-1], c.h[::-1]]), blend)
+    rim, upper = c.rim if c.rim is not None else c.disc, c.upper if c.upper is not None else c.h
+    return scene_of(np.array([(0, 0, 0), rim[::-1], c.disc[::-1], c.ring[::-1], c.h[::-1], upper[::-1]]), blend)

@@ -259,11 +259,11 @@ class PadInImage:
     edges: NDArray[np.int32]
     """(N,) numbers of the pixels that edges touch, by bands of `CELL_PX` rows from the top of the frame to its bottom."""
     shares: F32
-    """(N, 5) coverage of these by the paints in the order of `PAINTS`; each row sums to 1."""
+    """(N, 6) coverage of these by the paints in the order of `PAINTS`; each row sums to 1."""
     fine: int = 1
     """Each of these is divided into `fine` x `fine` parts."""
     parts: F32 | None = None
-    """(N, 5, fine * fine) coverage of these parts, row by row; None if they are not divided."""
+    """(N, 6, fine * fine) coverage of these parts, row by row; None if they are not divided."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,19 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from estimator.core.interface.render import PAINTS, REGION_NUMBERS, SHAPES, STROKE_NUMBERS
 from estimator.vision.pad import Pad
-from estimator.vision.regions import PaintedArrowhead, PaintedDisc, PaintedPanel, PaintedRing, Rectangle, part_of, rectangles_of
+from estimator.vision.regions import (
+    PaintedArrowhead,
+    PaintedDisc,
+    PaintedPanel,
+    PaintedRing,
+    PaintedTriangle,
+    Rectangle,
+    Region,
+    convex_pieces_of,
+    is_slanted,
+    part_of,
+    rectangles_of,
+)
 from sitl.light import PadInImage
 from sitl.native import address, render_pad_kinds, render_pad_shares
 from sitl.projection import F32, Lens, planes_from_rays
@@ -22,9 +34,11 @@ from sitl.projection import F32, Lens, planes_from_rays
 _BUDGET = 16_000
 """Aim for the number of subsamples of a frame: 3 x 3 a pixel at 5 m, 5 x 5 at 20 m, 8 x 8 at 30 m, one from near by."""
 
-_ANNULUS, _RECTANGLE, _ARROW = (list(SHAPES).index(name) for name in ("PAD_ANNULUS", "PAD_RECTANGLE", "PAD_ARROW"))
-_PAINT_OF = {"rim": 1, "disc": 2, "panel": 2, "ring": 3, "arrow": 3, "letter": 4, "fiducial": 4}
+_ANNULUS, _RECTANGLE, _ARROW, _POLYGON = map(list(SHAPES).index, ("PAD_ANNULUS", "PAD_RECTANGLE", "PAD_ARROW", "PAD_POLYGON"))
+_PAINT_OF = {"rim": 1, "disc": 2, "panel": 2, "ring": 3, "arrow": 3, "triangle": 4, "letter": 4, "fiducial": 4}
 """Index in `PAINTS` of the paint of each part."""
+_UPPER = 5
+"""That of lettering of a second paint."""
 
 Pose = tuple[F64, F64]
 """Rotation (3, 3) of the pad and its centre (3,) m in `cam`."""
@@ -131,8 +145,29 @@ def regions_of(pad: Pad) -> F32:
                 rows.append((_ARROW, paint, below, base, far, region.tip_m, base, *sides))
             case _:
                 pass
-    rows += [(_RECTANGLE, _PAINT_OF["letter"], below, *_rectangle(limits)) for limits in rectangles_of(pad.markings.letters)]
+    marks, letter = pad.markings, _PAINT_OF["letter"]
+    rows += _lettering([*marks.letters, *([] if marks.triangle is None else [marks.triangle])], letter, below)
+    rows += _lettering(marks.upper, _UPPER, letter if marks.upper_on_letters else below)
     return np.array([(*row, *[0.0] * (REGION_NUMBERS - len(row))) for row in rows], np.float32)
+
+
+def _lettering(shapes: Sequence[Region], paint: int, below: int) -> list[tuple[float, ...]]:
+    """Return the rectangles and the convex pieces of lettering of one paint as regions."""
+    upright = [s for s in shapes if not isinstance(s, PaintedTriangle) and not is_slanted(s)]
+    pieces = [piece for s in shapes if is_slanted(s) for piece in convex_pieces_of(s)]
+    return [
+        *((_RECTANGLE, paint, below, *_rectangle(limits)) for limits in rectangles_of(upright)),  # type: ignore[arg-type]
+        *((_POLYGON, paint, below, *_polygon(piece)) for piece in pieces),
+    ]
+
+
+def _polygon(corners: F64) -> tuple[float, ...]:
+    """Return a convex polygon's bounds of the distance from the centre, m, its number of sides, their normals and distances."""
+    way = np.roll(corners, -1, axis=0) - corners
+    normal = np.stack([way[:, 1], -way[:, 0]], axis=1) / np.linalg.norm(way, axis=1)[:, None]
+    offset = np.sum(normal * corners, axis=1)
+    nearest = max(0.0, -float(offset.min()))
+    return nearest, float(np.hypot(*corners.T).max()), len(corners), *np.c_[normal, offset].ravel().tolist()
 
 
 def _rectangle(limits: Rectangle) -> tuple[float, ...]:

@@ -56,12 +56,13 @@
 #define WITH_COVARIANCE 1
 #define WITH_AIDING 2
 #define UNDER_WAY_MAX 132
-#define EDGE_KINDS 4
-#define PAD_CONTRASTS 4
+#define EDGE_KINDS 5
+#define PAD_CONTRASTS 5
 #define REGION_CIRCLES 2
-#define PAD_FIGURES 3
+#define PAD_FIGURES 4
 #define FIGURE_CUTS 64
 #define FIGURE_RECTANGLES 320
+#define FIGURE_SIDES 64
 #define WEDGE_SIDES 4
 #define FIT_ROWS 148
 #define POINTER_MARKS 4
@@ -156,17 +157,18 @@
 #define TILE_ONE 4096
 #define SEA_OUTLINES 3
 #define SEA_OUTLINE_POINTS 48
-#define PAD_PAINTS 5
+#define PAD_PAINTS 6
 #define PAD_EDGE 255
 #define STROKE_NUMBERS 36
 #define LENS_BLOCK 16
-#define PAD_REGION 9
-#define PAD_REGIONS_MOST 336
+#define PAD_REGION 18
+#define PAD_REGIONS_MOST 784
 #define PAD_NONE 0
 #define PAD_RIM 1
 #define PAD_DISC 2
 #define PAD_ORANGE 3
 #define PAD_WHITE 4
+#define PAD_UPPER 5
 #define SEA_SMALL 0
 #define SEA_LARGE 1
 #define SEA_CALM 2
@@ -182,6 +184,7 @@
 #define PAD_ANNULUS 0
 #define PAD_RECTANGLE 1
 #define PAD_ARROW 2
+#define PAD_POLYGON 3
 #define LENS_X 0
 #define LENS_Y 1
 #define LENS_COLUMNS 2
@@ -196,6 +199,19 @@
 #define PAD_ARROW_BASE 6
 #define PAD_ARROW_COS 7
 #define PAD_ARROW_SIN 8
+#define PAD_POLYGON_SIDES 5
+#define PAD_POLYGON_FIRST 6
+#define PAD_POLYGON_1 7
+#define PAD_POLYGON_2 8
+#define PAD_POLYGON_3 9
+#define PAD_POLYGON_4 10
+#define PAD_POLYGON_5 11
+#define PAD_POLYGON_6 12
+#define PAD_POLYGON_7 13
+#define PAD_POLYGON_8 14
+#define PAD_POLYGON_9 15
+#define PAD_POLYGON_10 16
+#define PAD_POLYGON_11 17
 #define ROTORS_MAX 6
 #define GUSTS_MAX 100
 #define COMMANDS_MAX 1024
@@ -554,12 +570,17 @@ typedef struct {
     int64_t rectangles;
     int64_t x_cuts;
     int64_t y_cuts;
+    int64_t sides;
     int64_t x0[320];
     int64_t x1[320];
     int64_t y0[320];
     int64_t y1[320];
     double x_m[64];
     double y_m[64];
+    double from_x_m[64];
+    double from_y_m[64];
+    double to_x_m[64];
+    double to_y_m[64];
 } pad_figure;
 
 typedef struct {
@@ -571,6 +592,8 @@ typedef struct {
 } pad_wedge;
 
 typedef struct {
+    int64_t on_figure;
+    int64_t beside_figure;
     double inside_m;
     double outside_m;
     double thinnest_m;
@@ -583,20 +606,20 @@ typedef struct {
     int64_t pointer_kind;
     int64_t pointer_contrast;
     int64_t pointer_figure;
-    int64_t lies_on[4];
-    int64_t contrast_of_kind[4];
-    int64_t paint_of_kind[4];
+    int64_t lies_on[5];
+    int64_t contrast_of_kind[5];
+    int64_t paint_of_kind[5];
     double disc_radius_m;
     double half_length_m;
     double pointer_clear_m;
     double gap_m;
     double pointer_marks_m[8];
-    double nominal[12];
-    pad_region contrasts[4];
-    pad_region kinds[4];
-    pad_figure figures[3];
+    double nominal[15];
+    pad_region contrasts[5];
+    pad_region kinds[5];
+    pad_figure figures[4];
     pad_wedge wedge;
-    edge_zone zones[4];
+    edge_zone zones[5];
 } pad_shape;
 
 typedef struct {
@@ -659,7 +682,7 @@ typedef struct {
     double inliers;
     double last_step_px;
     fit_state state;
-    edge_support edges[4];
+    edge_support edges[5];
 } fit_solved;
 
 typedef struct {
@@ -675,7 +698,7 @@ typedef struct {
     double visible;
     double inliers;
     double last_step_px;
-    edge_support edges[4];
+    edge_support edges[5];
 } registration;
 
 typedef struct {
@@ -1335,7 +1358,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 3013005896u
+#define INTERFACE_DIGEST 684657273u
 #endif
 
 #endif

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "exponential.h"
+#include "register_sides.h"
 #include "wide.h"
 
 /* sqrt(2 / pi), and the coefficient of the cube with it. Source of the form: Page, Approximations to the cumulative normal
@@ -202,22 +203,38 @@ static inline void points_at(const footprint *f, int begin, int count, int i, fl
     }
 }
 
+/* The sums of a figure's coverage and derivatives at `LANES` points of a footprint; returns whether it may cover any of them. */
+static inline int sum_figure(const pad_figure *g, const round_sides *sides, const footprint *f, const float *x, const float *y,
+                             const float *m, float sum[1 + BY][LANES])
+{
+    float per_x[LANES], per_y[LANES];
+    float *const by[BY] = {sum[1], sum[2], sum[3], sum[4], sum[5]};
+    const float reach = spread(f, m, per_x, per_y);
+    const int near = g->rectangles && is_near(g, x, y, reach);
+    if (near) {
+        add_rectangles(g, x, y, m, per_x, per_y, slant_of(f), reach, sum[0], by);
+    }
+    if (g->sides) {
+        add_sides(sides, x, y, m, sum[0], by);
+    }
+    return near || g->sides;
+}
+
 WIDE
 static void add_figure(const pad_figure *g, const footprint *f, int begin, int count, float *value, float *const d[BY])
 {
+    round_sides sides;
+    prepare_sides(g, f->blur_m2, &sides);
     for (int i = 0; i < count; i += LANES) {
-        float x[LANES], y[LANES], m[LANES], per_x[LANES], per_y[LANES], sum[1 + BY][LANES] = {{0.0f}};
-        float *const by[BY] = {sum[1], sum[2], sum[3], sum[4], sum[5]};
+        float x[LANES], y[LANES], m[LANES], sum[1 + BY][LANES] = {{0.0f}};
         points_at(f, begin, count, i, x, y, m);
-        const float reach = spread(f, m, per_x, per_y);
-        if (!is_near(g, x, y, reach)) {
+        if (!sum_figure(g, &sides, f, x, y, m, sum)) {
             continue;
         }
-        add_rectangles(g, x, y, m, per_x, per_y, slant_of(f), reach, sum[0], by);
         for (int l = 0; l < LANES && i + l < count; l++) {
             value[i + l] += sum[0][l];
             for (int k = 0; k < BY; k++) {
-                d[k][i + l] += by[k][l];
+                d[k][i + l] += sum[1 + k][l];
             }
         }
     }
@@ -291,28 +308,28 @@ void cover(const pad_shape *pad, const pad_region *region, const footprint *f, c
 void cover_figure(const pad_figure *g, const footprint *f, int begin, int count, int turned, float *value)
 {
     const float sign = turned ? -1.0f : 1.0f;
+    round_sides sides;
+    prepare_sides(g, f->blur_m2, &sides);
     memset(value, 0, (size_t)count * sizeof *value);
     for (int i = 0; i < count; i += LANES) {
-        float x[LANES], y[LANES], m[LANES], per_x[LANES], per_y[LANES], sum[1 + BY][LANES] = {{0.0f}};
-        float *const by[BY] = {sum[1], sum[2], sum[3], sum[4], sum[5]};
+        float x[LANES], y[LANES], m[LANES], sum[1 + BY][LANES] = {{0.0f}};
         points_at(f, begin, count, i, x, y, m);
         for (int l = 0; l < LANES; l++) {
             x[l] *= sign, y[l] *= sign;
         }
-        const float reach = spread(f, m, per_x, per_y);
-        if (is_near(g, x, y, reach)) {
-            add_rectangles(g, x, y, m, per_x, per_y, slant_of(f), reach, sum[0], by);
-        }
+        sum_figure(g, &sides, f, x, y, m, sum);
         for (int l = 0; l < LANES && i + l < count; l++) {
             value[i + l] = sum[0][l];
         }
     }
 }
 
-void cover_wedge(const pad_wedge *wedge, const footprint *f, const round_points *p, int begin, int count, float *value)
+void cover_pointer(const pad_shape *pad, const footprint *f, const round_points *p, int begin, int count, float *value)
 {
-    memset(value, 0, (size_t)count * sizeof *value);
-    if (wedge->sides) {
-        add_wedge(wedge, f, p, begin, count, value, 0);
+    if (!pad->wedge.sides) {
+        cover_figure(&pad->figures[pad->pointer_figure], f, begin, count, 0, value);
+        return;
     }
+    memset(value, 0, (size_t)count * sizeof *value);
+    add_wedge(&pad->wedge, f, p, begin, count, value, 0);
 }

@@ -2,7 +2,7 @@
  *
  * A pixel of a blurred frame mixes the paints; the weight of a paint is its region convolved with the point spread function. Across
  * a straight edge that is the normal distribution's integral. In a rectangle it is a product of two, because an isotropic Gaussian
- * separates into its axes. A circle's edge moves inward as it is blurred. For the heat equation in polar coordinates the drift is
+ * separates into its axes; `register_sides.h` says what it is between sides of other directions. A circle's edge moves inward as it is blurred. For the heat equation in polar coordinates the drift is
  * 1/r, whose characteristics are r0^2 = r^2 + sigma^2, so the coverage of a circle of radius R at radius r is
  * Phi((R - sqrt(r^2 + sigma^2)) / sigma). */
 #ifndef DECKLANDER_REGISTER_COVERAGE_H
@@ -27,7 +27,7 @@ void cover(const pad_shape *pad, const pad_region *region, const footprint *f, c
 /* The coverage by a figure alone, turned by half a turn if `turned`; without derivatives. */
 void cover_figure(const pad_figure *figure, const footprint *f, int begin, int count, int turned, float *value);
 
-/* The coverage by the wedge alone, beyond its circle; without derivatives. */
-void cover_wedge(const pad_wedge *wedge, const footprint *f, const round_points *p, int begin, int count, float *value);
+/* The coverage by the pointer alone, a wedge beyond its circle or a figure; without derivatives. */
+void cover_pointer(const pad_shape *pad, const footprint *f, const round_points *p, int begin, int count, float *value);
 
 #endif

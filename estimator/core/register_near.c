@@ -278,7 +278,7 @@ static int sample_and_fit(const view *v, const pad_shape *pad, const edge_points
         }
         d->f.n = p->n;
         look_at(s, p->ray_x, p->ray_y, &d->f);
-        drop_foreign(pad, s, &d->f, p);
+        drop_foreign(pad, s, &d->f, d->spare[0], p);
         cover_profiles(pad, s, p, 1, d);
         mix_channels(pad, p, d, mix);
         mix_light(p, mix, d);

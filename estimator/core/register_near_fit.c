@@ -306,7 +306,7 @@ void pointer_amplitude(const pad_shape *pad, const fit_state *s, const profiles 
         return;
     }
     cover_profiles(pad, s, p, 0, d);
-    cover_wedge(&pad->wedge, &d->f, &d->round, begin, end - begin, head);
+    cover_pointer(pad, &d->f, &d->round, begin, end - begin, head);
     for (int pass = 0; pass < 2; pass++) {
         for (int i = begin; i < end; i++) {
             const double row[3] = {1.0, (double)d->value[i] - head[i - begin], head[i - begin]}, w = p->usable[i];

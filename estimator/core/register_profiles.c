@@ -7,6 +7,8 @@
 
 /* Smallest distance between profiles along an edge, px; depth from which a point is in front of the camera, m. */
 static const double SPACING_PX = 1.3, NEAREST_M = 0.02;
+/* The coverage by another figure up to which a pixel shows none of it: a normal integral of three deviations. */
+static const float FOREIGN = 0.00135f;
 /* The fewest edge points in view. */
 enum { SEEN_MIN = 8, NUMBERS = 5, EMPTY = -1 };
 
@@ -177,7 +179,23 @@ int sample_profiles(const view *v, const fit_state *s, const edge_points *edges,
     return 1;
 }
 
-void drop_foreign(const pad_shape *pad, const fit_state *s, const footprint *f, profiles *p)
+/* Let no pixel of a kind count where another figure has an edge: it has to cover a pixel wholly, or none of it. */
+static void drop_beside(const pad_shape *pad, const footprint *f, int kind, float *spare, profiles *p)
+{
+    const edge_zone *zone = &pad->zones[kind];
+    const int begin = p->kind_begin[kind], count = p->kind_begin[kind + 1] - begin, on = zone->on_figure >= 0;
+    const int64_t figure = on ? zone->on_figure : zone->beside_figure;
+    if (figure < 0 || !count) {
+        return;
+    }
+    cover_figure(&pad->figures[figure], f, begin, count, 0, spare);
+    for (int i = 0; i < count; i++) {
+        const float other = on ? 1.0f - spare[i] : spare[i];
+        p->usable[begin + i] = other > FOREIGN ? 0.0f : p->usable[begin + i];
+    }
+}
+
+void drop_foreign(const pad_shape *pad, const fit_state *s, const footprint *f, float *spare, profiles *p)
 {
     const double clear = 3.0 * sigma_px(s) * s->m_per_px;
     for (int g = 0; g < p->groups; g++) {
@@ -190,5 +208,8 @@ void drop_foreign(const pad_shape *pad, const fit_state *s, const footprint *f, 
                 p->usable[i] = 0.0f;
             }
         }
+    }
+    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+        drop_beside(pad, f, kind, spare, p);
     }
 }

@@ -39,7 +39,7 @@ typedef struct {
  * afterwards: five rows, and ten. Returns 0 if there are too few for a fix. */
 int sample_profiles(const view *v, const fit_state *s, const edge_points *edges, int most, int half, int room, float *keys,
                     double *doubles, profiles *out);
-/* Let no pixel count that lies within three deviations of the blur of an edge of another kind. */
-void drop_foreign(const pad_shape *pad, const fit_state *s, const footprint *f, profiles *p);
+/* Let no pixel count that lies within three deviations of the blur of an edge of another kind. `spare`: a row that is written over. */
+void drop_foreign(const pad_shape *pad, const fit_state *s, const footprint *f, float *spare, profiles *p);
 
 #endif

@@ -93,6 +93,17 @@ static inline float in_arrow(const float *g, float u, float v)
     return lesser_of(u - g[PAD_ARROW_BASE], lesser_of(ahead - aside, ahead + aside));
 }
 
+static inline float in_polygon(const float *g, float u, float v)
+{
+    const int sides = (int)g[PAD_POLYGON_SIDES];
+    float depth = INFINITY;
+    for (int k = 0; k < sides; k++) {
+        const float *side = g + PAD_POLYGON_FIRST + 3 * k;
+        depth = lesser_of(depth, side[2] - side[0] * u - side[1] * v);
+    }
+    return depth;
+}
+
 /* How far the point (u, v) lies inside the nearest edge of a region, m; it is negative outside. */
 static inline float depth_in(const float *g, float u, float v)
 {
@@ -101,6 +112,8 @@ static inline float depth_in(const float *g, float u, float v)
         return in_annulus(g, u, v);
     case PAD_RECTANGLE:
         return in_rectangle(g, u, v);
+    case PAD_POLYGON:
+        return in_polygon(g, u, v);
     default:
         return in_arrow(g, u, v);
     }

@@ -117,6 +117,14 @@ static void depths_in_arrow(const float *g, const float *restrict u, const float
     }
 }
 
+WIDE
+static void depths_in_polygon(const float *g, const float *restrict u, const float *restrict v, float *restrict depth)
+{
+    for (int k = 0; k < TOGETHER; k++) {
+        depth[k] = in_polygon(g, u[k], v[k]);
+    }
+}
+
 void depths_in(const float *g, const float *u, const float *v, float *depth)
 {
     switch ((int)g[PAD_SHAPE]) {
@@ -125,6 +133,9 @@ void depths_in(const float *g, const float *u, const float *v, float *depth)
         break;
     case PAD_RECTANGLE:
         depths_in_rectangle(g, u, v, depth);
+        break;
+    case PAD_POLYGON:
+        depths_in_polygon(g, u, v, depth);
         break;
     default:
         depths_in_arrow(g, u, v, depth);

@@ -99,6 +99,21 @@ static void shares_of_arrow(const float *g, const grid *s, float *restrict share
     }
 }
 
+WIDE
+static void shares_of_polygon(const float *g, const grid *s, float *restrict share)
+{
+    const int sides = (int)g[PAD_POLYGON_SIDES];
+    boxes along;
+    for (int side = 0; side < sides; side++) {
+        const float *of = g + PAD_POLYGON_FIRST + 3 * side;
+        boxes_along(&s->met, of[0], of[1], &along);
+        for (int k = 0; k < TOGETHER; k++) {
+            const float within = covered(of[2] - of[0] * s->u[k] - of[1] * s->v[k], along.per_width[k], along.offset[k]);
+            share[k] = side ? share[k] * within : within;
+        }
+    }
+}
+
 static void shares_of(const float *g, const grid *s, float *share)
 {
     switch ((int)g[PAD_SHAPE]) {
@@ -107,6 +122,9 @@ static void shares_of(const float *g, const grid *s, float *share)
         break;
     case PAD_RECTANGLE:
         shares_of_rectangle(g, s, share);
+        break;
+    case PAD_POLYGON:
+        shares_of_polygon(g, s, share);
         break;
     default:
         shares_of_arrow(g, s, share);
@@ -207,7 +225,7 @@ static void look_along_edges(const choice *c, grid *s)
     int straight = 0;
     for (int i = 0; i < c->count; i++) {
         const float *g = c->near[i];
-        straight |= (int)g[PAD_SHAPE] != PAD_ANNULUS;
+        straight |= (int)g[PAD_SHAPE] == PAD_RECTANGLE || (int)g[PAD_SHAPE] == PAD_ARROW;
         if ((int)g[PAD_SHAPE] == PAD_ARROW) {
             boxes_along(&s->met, g[PAD_ARROW_COS], g[PAD_ARROW_SIN], &s->left);
             boxes_along(&s->met, g[PAD_ARROW_COS], -g[PAD_ARROW_SIN], &s->right);

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
@@ -14,7 +15,7 @@ from estimator.contracts.geometry import F64
 from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.markings import BARE, Markings, Rgb
 from estimator.vision.pad import Pad
-from estimator.vision.regions import depth_in
+from estimator.vision.regions import Lettering, depth_in
 from estimator.vision.srgb import LUMA, linear_light
 
 _SPACING_M = 0.004
@@ -30,9 +31,11 @@ class EdgeKind(IntEnum):
     RING = 1
     """The edges between the ring and the disc, on both sides of the ring."""
     ARROW = 2
-    """The edge between the disc and the part of the arrowhead beyond the ring."""
+    """The edge between the disc and the pointer: the part of the arrowhead beyond the ring, or a triangle around lettering."""
     H = 3
     """The edge between the lettering and the disc."""
+    UPPER = 4
+    """The edge between lettering of a second paint and what it lies on, the other lettering or the disc."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +50,8 @@ class Edges:
     """The `EdgeKind` of each point, (M,), ascending."""
     piece: NDArray[np.intp]
     """Index of the piece of each point, (M,), ascending: disc, ring inside, ring outside, the panel's sides, the arrow's two
-    sides, the lettering's. A piece is one circle, one straight side, or a closed line around cells of a fiducial.
+    sides or the triangle's, the lettering's, the upper lettering's. A piece is one circle, one straight side, or a closed line
+    around cells of a fiducial.
     """
     spacing_m: F64
     """Distance between neighbours, (M,)."""
@@ -69,7 +73,10 @@ def edges_of(pad: Pad) -> Edges:
     left out, as the deck may have its colour, and so is the ring beside the arrowhead, where another edge is too near.
     """
     marks = pad.markings
-    pieces = [*_circles(marks), *_panel_sides(marks), *_arrow_sides(marks), *_letter_sides(marks)]
+    pieces = [
+        *_circles(marks), *_panel_sides(marks), *_arrow_sides(marks), *_triangle_sides(marks),
+        *_letter_sides(EdgeKind.H, marks.letters), *_letter_sides(EdgeKind.UPPER, marks.upper),
+    ]  # fmt: skip
     paints, count = _paints(marks), [len(at) for _, at, _ in pieces]
     spacing = [float(np.linalg.norm(at[1] - at[0])) if len(at) > 1 else _SPACING_M for _, at, _ in pieces]
     kind = np.repeat([int(kind) for kind, _, _ in pieces], count)
@@ -94,8 +101,9 @@ def _paints(marks: Markings) -> dict[EdgeKind, tuple[Rgb, Rgb | None]]:
     return {
         EdgeKind.DISC: (c.disc, c.rim),
         EdgeKind.RING: (c.ring, below),
-        EdgeKind.ARROW: (c.ring, below),
+        EdgeKind.ARROW: (c.ring if marks.triangle is None else c.h, below),
         EdgeKind.H: (c.h, below),
+        EdgeKind.UPPER: (c.upper or BARE, c.h if marks.upper_on_letters else below),
     }
 
 
@@ -131,25 +139,33 @@ def _arrow_sides(marks: Markings) -> list[_Piece]:
     return pieces
 
 
-def _letter_sides(marks: Markings) -> list[_Piece]:
-    """Return the lettering's sides without what lies inside another letter or stroke."""
+def _triangle_sides(marks: Markings) -> list[_Piece]:
+    """Return the outer and the inner sides of a triangle around the lettering."""
+    if marks.triangle is None:
+        return []
+    sides = (_side(a, b) for line in marks.triangle.borders() for a, b in zip(line, np.roll(line, -1, axis=0), strict=True))
+    return [(EdgeKind.ARROW, at, normal) for at, normal in sides]
+
+
+def _letter_sides(kind: EdgeKind, letters: Sequence[Lettering]) -> list[_Piece]:
+    """Return the sides of lettering of one paint without what lies inside another letter or stroke."""
     pieces: list[_Piece] = []
-    for letter in marks.letters:
+    for letter in letters:
         if isinstance(letter, PaintedFiducial):
-            pieces += [(EdgeKind.H, *_around(line, _FIDUCIAL_STEP * letter.cell_m)) for line in letter.borders()]
+            pieces += [(kind, *_around(line, _FIDUCIAL_STEP * letter.cell_m)) for line in letter.borders()]
             continue
         corners = letter.corners()
         for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             at, normal = _side(a, b)
             free = np.ones(len(at), bool)
-            for other in marks.letters:
+            for other in letters:
                 if other is not letter:
                     free &= depth_in(other, at) < 1e-9
             if free.all():
-                pieces.append((EdgeKind.H, at, normal))
+                pieces.append((kind, at, normal))
             else:
                 borders = np.flatnonzero(np.diff(np.r_[False, free, False]))
-                pieces += [(EdgeKind.H, at[i:j], normal[i:j]) for i, j in borders.reshape(-1, 2).tolist()]
+                pieces += [(kind, at[i:j], normal[i:j]) for i, j in borders.reshape(-1, 2).tolist()]
     return pieces
 
 

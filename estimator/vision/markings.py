@@ -18,8 +18,10 @@ from estimator.vision.regions import (
     PaintedPolygon,
     PaintedRing,
     PaintedStroke,
+    PaintedTriangle,
     Region,
     borders_of,
+    depth_in,
     reach_of,
 )
 
@@ -39,6 +41,7 @@ class Colours:
     ring: Rgb
     h: Rgb
     rim: Rgb | None = None
+    upper: Rgb | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +69,16 @@ class Markings:
     colours: Colours
     letters: tuple[Lettering, ...]
     """The lettering, fiducials among it."""
+    upper: tuple[Lettering, ...]
+    """Lettering of a second paint, on the other or beside it."""
+    upper_on_letters: bool
+    """Whether it lies on the other."""
+    triangle: PaintedTriangle | None
+    """The pointer around lettering, of its paint."""
+    lettering_m: tuple[float, float]
+    """Extent of all lettering and of a triangle along and across the arrow: twice their farthest points."""
+    lettering_reach_m: float
+    """Distance of their farthest corner from the centre."""
     arrow: PaintedArrowhead | None
     panel: PaintedPanel | None
 
@@ -87,7 +100,8 @@ class Markings:
     @property
     def is_letter_alone(self) -> bool:
         """Whether there is nothing but one H or X on the bare deck."""
-        bare = not (self.has_ground or self.ring_outer_m or self.arrow is not None or len(self.letters) != 1)
+        others = self.arrow is not None or self.triangle is not None or bool(self.upper)
+        bare = not (self.has_ground or self.ring_outer_m or others or len(self.letters) != 1)
         return bare and isinstance(self.letters[0], PaintedLetter) and self.letters[0].letter in ("H", "X")
 
     @property
@@ -127,9 +141,12 @@ def markings_of(regions: Sequence[Region], paints: Mapping[str, Rgb]) -> Marking
     rings = {r.part: r for r in regions if isinstance(r, PaintedRing)}
     ring, rim = rings.get("ring"), rings.get("rim")
     arrow = next((r for r in regions if isinstance(r, PaintedArrowhead)), None)
-    letters = tuple(r for r in regions if isinstance(r, PaintedLetter | PaintedStroke | PaintedPolygon | PaintedFiducial))
+    triangle = next((r for r in regions if isinstance(r, PaintedTriangle)), None)
+    letters, upper = layers_of(regions)
     outer = max(reach_of(r)[1] for r in regions)
     corners = np.concatenate([letter.corners() for letter in letters]) if letters else np.zeros((1, 2))
+    everything = [corners, *(r.corners() for r in upper), *([] if triangle is None else [triangle.corners()])]
+    reach = np.concatenate(everything) if letters or triangle is not None else np.zeros((1, 2))
     leg, bar = _strokes(letters)
 
     def rgb(region: Region | None) -> Rgb:
@@ -150,12 +167,28 @@ def markings_of(regions: Sequence[Region], paints: Mapping[str, Rgb]) -> Marking
         leg_width_m=leg,
         bar_width_m=bar,
         colours=Colours(
-            rgb(disc or panel), rgb(ring or arrow), rgb(letters[0] if letters else None), None if rim is None else rgb(rim)
+            rgb(disc or panel),
+            rgb(ring or arrow),
+            rgb(letters[0] if letters else triangle),
+            None if rim is None else rgb(rim),
+            rgb(upper[0]) if upper else None,
         ),
         letters=letters,
+        upper=upper,
+        upper_on_letters=bool(upper) and any(depth_in(r, upper[0].corners()).min() > 0.0 for r in letters),
+        triangle=triangle,
+        lettering_m=(2.0 * float(np.abs(reach[:, 0]).max()), 2.0 * float(np.abs(reach[:, 1]).max())),
+        lettering_reach_m=float(np.hypot(*reach.T).max()),
         arrow=arrow,
         panel=panel,
     )
+
+
+def layers_of(regions: Sequence[Region]) -> tuple[tuple[Lettering, ...], tuple[Lettering, ...]]:
+    """Return the lettering of the first paint that lettering or a triangle has, and all lettering of other paints."""
+    letters = [r for r in regions if isinstance(r, PaintedLetter | PaintedStroke | PaintedPolygon | PaintedFiducial)]
+    first = next((r.paint for r in regions if isinstance(r, PaintedTriangle) or r in letters), "")
+    return tuple(r for r in letters if r.paint == first), tuple(r for r in letters if r.paint != first)
 
 
 def _strokes(letters: Sequence[Lettering]) -> tuple[float, float]:

@@ -6,7 +6,6 @@ import difflib
 import math
 import re
 from collections.abc import Mapping
-from itertools import combinations
 from typing import Annotated, Any, get_args
 
 import msgspec
@@ -21,7 +20,16 @@ from estimator.vision.file_numbers import shown
 from estimator.vision.lamp import MOST, Lamp, check_lamps
 from estimator.vision.pad_fiducials import check_marker
 from estimator.vision.pad_rules import check_regions
-from estimator.vision.regions import PaintedArrowhead, PaintedLetter, PaintedPolygon, PaintedRing, PaintedStroke, Region
+from estimator.vision.regions import (
+    PaintedArrowhead,
+    PaintedLetter,
+    PaintedPolygon,
+    PaintedRing,
+    PaintedStroke,
+    PaintedTriangle,
+    Region,
+    sides_meet,
+)
 
 SMALLEST_M, LARGEST_M = 0.001, 20.0
 """Limits of a length. The largest bounds memory: edges are sampled every few millimetres."""
@@ -139,33 +147,34 @@ def _check_shape(region: Region, where: str) -> None:
                 )
         case PaintedFiducial():
             check_marker(region, where)
+        case PaintedTriangle() if region.stroke_m >= 0.9 * region.inscribed_m():
+            raise BadInput(
+                f"{where}.stroke_m {region.stroke_m:g} leaves no room in a triangle of side_m {region.side_m:g}: its sides are "
+                f"{region.inscribed_m():.3g} m from the centre"
+            )
         case PaintedStroke():
-            if not _along_axes(np.array([region.from_m, region.to_m], dtype=float)):
-                raise BadInput(
-                    f"{where}: from_m and to_m must differ along x or along y alone, got {region.from_m} and {region.to_m}"
-                )
+            if not _length(np.array([region.from_m, region.to_m], dtype=float))[0] >= SMALLEST_M:
+                raise BadInput(f"{where}: from_m and to_m must differ, got {region.from_m} and {region.to_m}")
         case PaintedPolygon():
             points = np.array(region.points_m, dtype=float).reshape(-1, 2)
-            simple = 4 <= len(points) <= 60 and _along_axes(np.vstack([points, points[:1]])) and not _crosses_itself(points)
-            if not simple:
+            if not (3 <= len(points) <= 60 and _is_simple(points)):
                 raise BadInput(
-                    f"{where}.points_m must be 4 to 60 corners of a line that does not touch itself, with sides along x and y"
+                    f"{where}.points_m must be 3 to 60 corners of a line that does not touch itself, with sides of "
+                    f"{SMALLEST_M:g} m at least"
                 )
         case _:
             pass
 
 
-def _along_axes(points: F64) -> bool:
-    """Return whether each side of a line is along one axis, and neighbours along different ones."""
-    moved = np.abs(np.diff(points, axis=0)) > _TOUCH_M
-    return bool(np.all(moved.sum(axis=1) == 1) and not np.any(moved[1:] & moved[:-1]))
+def _length(points: F64) -> F64:
+    """Return the lengths of the sides of a line, (N - 1,) m."""
+    return np.asarray(np.linalg.norm(np.diff(points, axis=0), axis=1))
 
 
-def _crosses_itself(points: F64) -> bool:
-    """Return whether two sides of a closed line with sides along axes meet that are not neighbours."""
-    sides = list(zip(points, np.roll(points, -1, axis=0), strict=True))
-    for (i, (a, b)), (j, (c, d)) in combinations(enumerate(sides), 2):
-        low, high = np.minimum(a, b) - _TOUCH_M, np.maximum(a, b) + _TOUCH_M
-        if j - i not in (1, len(sides) - 1) and np.all(np.minimum(c, d) <= high) and np.all(np.maximum(c, d) >= low):
-            return True
-    return False
+def _is_simple(points: F64) -> bool:
+    """Return whether a closed line turns at each corner, and its sides meet their neighbours alone."""
+    way = np.roll(points, -1, axis=0) - points
+    before = np.roll(way, 1, axis=0)
+    turns = np.abs(before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0]) > _TOUCH_M * np.linalg.norm(way, axis=1)
+    long = _length(np.vstack([points, points[:1]])) >= SMALLEST_M
+    return bool(np.all(long) and np.all(turns)) and not sides_meet(points)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -21,6 +22,10 @@ _FINE, _FINE_TO_PX = 3, 100.0
 """Points along a pixel's side, and the radius in the frame beyond which one is enough."""
 _ALIKE = 0.02
 """Share of the painted ground that may differ between two headings that a camera cannot tell apart."""
+_NEARLY_ALIKE = 0.2
+"""The same for two headings that a search may confuse, of which a look at both tells the right one."""
+_TURNS = tuple(math.radians(degrees) for degrees in (60.0, 72.0, 90.0, 120.0, 144.0, 180.0))
+"""Turns one way after which regular shapes look the same, rad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +92,36 @@ def accuracy(pad: Pad, camera: Camera, height_m: float, deck: F64) -> PadAccurac
 @lru_cache(maxsize=8)
 def alike_headings(pad: Pad) -> int:
     """Return in how many headings the pad looks the same: 1 if its heading is unique, 0 if it has none, as a ring alone."""
-    n = 241
+    differs = _difference_of(pad, 241)
+
+    def turned(angle_rad: float) -> bool:
+        return differs(angle_rad) < _ALIKE
+
+    if turned(math.radians(37.0)) and turned(math.radians(71.0)):
+        return 0
+    return 1 + sum(turned(math.radians(degrees)) for degrees in (90.0, 180.0, 270.0))
+
+
+@lru_cache(maxsize=8)
+def confusable_turns(pad: Pad) -> tuple[float, ...]:
+    """Return the turns, rad, after which the pad looks nearly the same, and that only a look at both headings tells apart.
+
+    Those of a pad whose arrowhead or fiducial says which is right, those of a letter alone, and turns after which it looks the
+    same are none of them.
+    """
+    if pad.markings.arrow is not None or pad.markings.fiducials or pad.markings.is_letter_alone:
+        return ()
+    # A turn the other way differs by as much.
+    differs = _difference_of(pad, 121)
+    alike = [turn for turn in _TURNS if differs(turn) < _ALIKE]
+    near = [turn for turn in _TURNS if _ALIKE <= differs(turn) < _NEARLY_ALIKE]
+    # After half a turn more, a turn by a right angle is the one the other way.
+    both = [turn for turn in near if not (math.pi in alike and turn == 0.5 * math.pi)]
+    return (*near, *(-turn for turn in both if turn < math.pi))
+
+
+def _difference_of(pad: Pad, n: int) -> Callable[[float], float]:
+    """Return a function of a turn, rad: the share of the painted ground that differs after it, by n points across."""
     axis = (np.arange(n) - (n - 1) / 2) / ((n - 1) / 2) * pad.disc_radius_m
     gx, gy = np.meshgrid(axis, axis, indexing="ij")
     places = np.stack([gx.ravel(), gy.ravel()], axis=1)
@@ -96,14 +130,12 @@ def alike_headings(pad: Pad) -> int:
     own = paint_at(pad, places, grey)
     marked = max(1, int(np.count_nonzero(np.any(np.abs(own - _commonest(own)) > 0.02, axis=1))))
 
-    def turned(angle_rad: float) -> bool:
+    def differs(angle_rad: float) -> float:
         c, s = math.cos(angle_rad), math.sin(angle_rad)
         other = paint_at(pad, places @ np.array([[c, -s], [s, c]]), grey)
-        return int(np.count_nonzero(np.any(np.abs(own - other) > 0.02, axis=1))) < _ALIKE * marked
+        return int(np.count_nonzero(np.any(np.abs(own - other) > 0.02, axis=1))) / marked
 
-    if turned(math.radians(37.0)) and turned(math.radians(71.0)):
-        return 0
-    return 1 + sum(turned(math.radians(degrees)) for degrees in (90.0, 180.0, 270.0))
+    return differs
 
 
 def _commonest(colours: F64) -> F64:

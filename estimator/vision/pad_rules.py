@@ -8,11 +8,11 @@ import numpy as np
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from estimator.core.interface.registration import FIGURE_CUTS, FIGURE_RECTANGLES
+from estimator.core.interface.registration import FIGURE_CUTS, FIGURE_RECTANGLES, FIGURE_SIDES
 from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.file_numbers import shown
 from estimator.vision.lamp import Lamp
-from estimator.vision.markings import Rgb
+from estimator.vision.markings import Rgb, layers_of
 from estimator.vision.pad_fiducials import check_fiducials
 from estimator.vision.regions import (
     Lettering,
@@ -23,18 +23,25 @@ from estimator.vision.regions import (
     PaintedPolygon,
     PaintedRing,
     PaintedStroke,
+    PaintedTriangle,
     Region,
+    apart_m,
     borders_of,
     circle,
+    convex_pieces_of,
     depth_in,
+    is_slanted,
     part_of,
     reach_of,
     rectangles_of,
+    slanted_sides_of,
 )
 from estimator.vision.srgb import linear_light
 
-RECTANGLES_MOST, CUTS_MOST = FIGURE_RECTANGLES, FIGURE_CUTS
-"""The largest numbers of rectangles that the lettering is made of, and of their limits along one axis."""
+RECTANGLES_MOST, CUTS_MOST, SIDES_MOST = FIGURE_RECTANGLES, FIGURE_CUTS, FIGURE_SIDES
+"""The largest numbers of rectangles that lettering of one paint is made of, of their limits along one axis, and of the sides of
+what has slanted ones.
+"""
 _LEAST_CONTRAST = 0.03
 """Least distance of two paints in linear light, full scale 1 in each channel: less drowns in a worn deck's own variation."""
 _TOUCH_M = 1e-6
@@ -48,18 +55,21 @@ def check_regions(regions: Sequence[Region], paints: Mapping[str, Rgb], where: s
         BadInput: regions cross or hide one another, there is a second one of a part, or a paint does not stand out.
     """
     parts = [part_of(region) for region in regions]
-    for part in ("disc", "panel", "rim", "ring", "arrow"):
+    for part in ("disc", "panel", "rim", "ring", "arrow", "triangle"):
         if parts.count(part) > 1:
             first, second = [i for i, p in enumerate(parts) if p == part][:2]
             raise BadInput(f"{where}: regions[{second}] is a second {part} beside regions[{first}]; a pad has one: take one out")
     letters = [r for r in regions if isinstance(r, PaintedLetter | PaintedStroke | PaintedPolygon | PaintedFiducial)]
     if not letters and "ring" not in parts and "disc" not in parts:
         raise BadInput(f"{where}: regions has neither disc, ring nor lettering; a pad needs one of them")
-    _check_letters(letters, where)
     _check_parts(regions, letters, where)
+    _check_letters(regions, where)
     check_fiducials(regions, paints, where)
+    upper = layers_of(regions)[1]
     for i, region in enumerate(regions):
         below = _below(regions, i, where)
+        if region in upper:
+            _check_upper(regions, i, below, where)
         if below >= 0:
             _check_contrast(region, regions[below], paints, f"{where}: regions[{i}]")
 
@@ -93,20 +103,63 @@ def check_for_detection(regions: Sequence[Region], lamps: Sequence[Lamp], where:
         )
 
 
-def _check_letters(letters: Sequence[Lettering], where: str) -> None:
-    named = ", ".join(sorted({r.paint for r in letters}))
-    if len({r.paint for r in letters}) > 1:
+def _check_letters(regions: Sequence[Region], where: str) -> None:
+    letters, upper = layers_of(regions)
+    if len({r.paint for r in upper}) > 1:
+        named = ", ".join(sorted({r.paint for r in (*letters, *upper)}))
         raise BadInput(
-            f"{where}: the letters, strokes, polygons and fiducials have several paints ({shown(named)}); give them one"
+            f"{where}: the letters, strokes, polygons and fiducials have several paints ({shown(named)}); give them one, and a "
+            "second one to those that lie above"
         )
-    if not letters:
-        return
-    rectangles = rectangles_of(letters)
-    cuts = max((len({v for r in rectangles for v in r[at : at + 2]}) for at in (0, 2)), default=0)
-    if len(rectangles) > RECTANGLES_MOST or cuts > CUTS_MOST:
+    if upper and any(isinstance(r, PaintedFiducial) for r in (*letters, *upper)):
         raise BadInput(
-            f"{where}: the lettering is made of {len(rectangles)} rectangles between {cuts} lines along an axis, and at most "
-            f"{RECTANGLES_MOST} between {CUTS_MOST} are measured: paint fewer or simpler letters or fiducials"
+            f"{where}: fiducials and lettering of a second paint ({shown(upper[0].paint)}) are in regions: give them one"
+        )
+    triangle = [r for r in regions if isinstance(r, PaintedTriangle)]
+    for layer, more in ((letters, triangle), (upper, [])):
+        rectangles, sides = rectangles_of(layer), len(slanted_sides_of([*layer, *more])[0])
+        cuts = max((len({v for r in rectangles for v in r[at : at + 2]}) for at in (0, 2)), default=0)
+        if len(rectangles) > RECTANGLES_MOST or cuts > CUTS_MOST or sides > SIDES_MOST:
+            raise BadInput(
+                f"{where}: the lettering is made of {len(rectangles)} rectangles between {cuts} lines along an axis and of "
+                f"shapes with {sides} slanted or other sides, and at most {RECTANGLES_MOST} between {CUTS_MOST} and "
+                f"{SIDES_MOST} are measured: paint fewer or simpler letters or fiducials"
+            )
+        _check_slanted(regions, [*layer, *more], where)
+
+
+def _check_slanted(regions: Sequence[Region], layer: Sequence[Region], where: str) -> None:
+    """Check that shapes with slanted sides keep away from others of their paint: what both cover would count twice."""
+    for i, region in enumerate(regions):
+        for j, other in enumerate(regions[:i]):
+            if region not in layer or other not in layer or not (is_slanted(region) or is_slanted(other)):
+                continue
+            within = depth_in(region, other.corners()).max() > 0.0 or depth_in(other, region.corners()).max() > 0.0  # type: ignore[union-attr]
+            if within or apart_m(region, other) <= _TOUCH_M:
+                raise BadInput(
+                    f"{where}: regions[{i}] ({part_of(region)}) touches regions[{j}] ({part_of(other)}) of the same paint, and "
+                    "one of them has slanted sides: draw both as one polygon, or move them apart"
+                )
+
+
+def _check_upper(regions: Sequence[Region], i: int, below: int, where: str) -> None:
+    """Check that lettering of a second paint comes above the other, and that all of it lies on the same."""
+    letters, upper = layers_of(regions)
+    if any(r in letters or isinstance(r, PaintedTriangle) for r in regions[i:]):
+        raise BadInput(
+            f"{where}: regions[{i}] has the second paint {shown(regions[i].paint)} of lettering, and lettering of the first one "
+            "follows: what lies above comes last"
+        )
+    on = below >= 0 and regions[below] in letters
+    if on != any(depth_in(r, upper[0].corners()).min() > 0.0 for r in letters):
+        raise BadInput(
+            f"{where}: regions[{i}] of the second paint {shown(regions[i].paint)} lies {'on' if on else 'beside'} the other "
+            "lettering, and another region of this paint does not: draw all of them on it, or all beside it"
+        )
+    if below >= 0 and part_of(regions[below]) not in ("letter", "disc", "panel"):
+        raise BadInput(
+            f"{where}: regions[{i}] lies on regions[{below}] ({part_of(regions[below])}): lettering lies on a disc, a panel, the "
+            "bare deck or other lettering; move it"
         )
 
 
@@ -119,8 +172,19 @@ def _check_parts(regions: Sequence[Region], letters: Sequence[Lettering], where:
         raise BadInput(
             f"{where}: a panel and a {other} are in regions: a panel carries fiducials and lettering alone; take one out"
         )
+    triangle = by.get("triangle")
+    if isinstance(triangle, PaintedTriangle):
+        if arrow is not None:
+            raise BadInput(f"{where}: a triangle and an arrowhead are in regions: each tells the heading; take one out")
+        if letters and all(letter.paint != triangle.paint for letter in layers_of(regions)[0]):
+            raise BadInput(f"{where}: the triangle must have the lettering's paint, got {shown(triangle.paint)}")
     if not isinstance(ring, PaintedRing):
         return
+    if isinstance(triangle, PaintedTriangle) and reach_of(triangle)[1] >= ring.inner_m:
+        raise BadInput(
+            f"{where}: the triangle must fit inside of the ring, whose inner_m is {ring.inner_m:g}: its corners are "
+            f"{reach_of(triangle)[1]:.3g} m from the centre"
+        )
     if any(reach_of(letter)[1] >= ring.inner_m for letter in letters):
         raise BadInput(f"{where}: the lettering must fit inside of the ring, whose inner_m is {ring.inner_m:g}")
     if isinstance(arrow, PaintedArrowhead) and (arrow.tip_m <= ring.outer_m or arrow.paint != ring.paint):
@@ -175,6 +239,10 @@ def _inner(region: Region) -> F64:
             return np.asarray(region.corners().mean(axis=0, keepdims=True))
         case PaintedPanel():
             return np.zeros((1, 2))
+        case _ if is_slanted(region):
+            return np.array([piece.mean(axis=0) for piece in convex_pieces_of(region)])
+        case PaintedTriangle():
+            raise AssertionError("a triangle has slanted sides")
         case _:
             return np.array([(0.5 * (x0 + x1), 0.5 * (y0 + y1)) for x0, x1, y0, y1 in rectangles_of([region])])
 

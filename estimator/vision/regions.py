@@ -1,7 +1,7 @@
 """The shapes that a pad is painted with, in metres from its centre: x along the arrow, y to starboard of it.
 
-Discs, rings and panels lie about the centre, letters, polygons and fiducials have sides along x or y, the arrowhead points along
-x. Registration blurs each of these exactly.
+Discs, rings, panels and triangles lie about the centre, letters and fiducials have sides along x or y, strokes and polygons
+straight ones, the arrowhead points along x. Registration blurs each of these exactly.
 """
 
 from __future__ import annotations
@@ -19,12 +19,14 @@ from estimator.contracts.geometry import F64
 from estimator.vision.fiducial import PaintedFiducial
 
 Letter = Literal["H", "I", "L", "T", "X"]
-Part = Literal["disc", "panel", "rim", "ring", "arrow", "letter", "fiducial"]
-"""What a region is taken for: the disc or the panel that the rest is painted on, a disc's rim, a ring, the pointer, lettering, or
-a fiducial, which registration measures as lettering.
+Part = Literal["disc", "panel", "rim", "ring", "arrow", "triangle", "letter", "fiducial"]
+"""What a region is taken for: the disc or the panel that the rest is painted on, a disc's rim, a ring, the pointer beyond it, the
+pointer around lettering, lettering, or a fiducial, which registration measures as lettering.
 """
 Rectangle = tuple[float, float, float, float]
 """Limits x0, x1, y0, y1, m."""
+_TOUCH_M = 1e-6
+"""Ends of a side that differ by less along an axis lie in a line along the other."""
 
 
 class PaintedDisc(Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="disc"):
@@ -107,8 +109,33 @@ class PaintedLetter(Struct, frozen=True, forbid_unknown_fields=True, tag_field="
                 return np.array([(x, -y), (x, s - y), (b - x, s - y), (b - x, y), (-x, y), (-x, -y)])
 
 
+class PaintedTriangle(Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="triangle"):
+    """The outline of an equilateral triangle about the centre, its apex on +x. It says which of two headings is right."""
+
+    paint: str
+    side_m: float
+    """Length of an outer side."""
+    stroke_m: float
+    """Width of the painted line."""
+
+    def corners(self) -> F64:
+        """Return (3, 2) m: the outer corners, clockwise seen from above, from the apex."""
+        return self._corners(1.0)
+
+    def borders(self) -> tuple[F64, F64]:
+        """Return the outer corners, and the inner ones in the reversed order, (3, 2) m each."""
+        return self._corners(1.0), self._corners(1.0 - self.stroke_m / self.inscribed_m())[::-1]
+
+    def inscribed_m(self) -> float:
+        """Return the distance of the outer sides from the centre."""
+        return self.side_m / math.sqrt(12.0)
+
+    def _corners(self, size: float) -> F64:
+        return size * circle(2.0 * self.inscribed_m(), 3)
+
+
 class PaintedStroke(Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="stroke"):
-    """A straight stroke along x or y with square ends."""
+    """A straight stroke with square ends."""
 
     paint: str
     from_m: tuple[float, float]
@@ -124,7 +151,7 @@ class PaintedStroke(Struct, frozen=True, forbid_unknown_fields=True, tag_field="
 
 
 class PaintedPolygon(Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="polygon"):
-    """A polygon whose sides lie along x or y."""
+    """A polygon with straight sides."""
 
     paint: str
     points_m: tuple[tuple[float, float], ...]
@@ -136,7 +163,15 @@ class PaintedPolygon(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
 
 
 Region = (
-    PaintedDisc | PaintedPanel | PaintedRing | PaintedArrowhead | PaintedLetter | PaintedStroke | PaintedPolygon | PaintedFiducial
+    PaintedDisc
+    | PaintedPanel
+    | PaintedRing
+    | PaintedArrowhead
+    | PaintedTriangle
+    | PaintedLetter
+    | PaintedStroke
+    | PaintedPolygon
+    | PaintedFiducial
 )
 Lettering = PaintedLetter | PaintedStroke | PaintedPolygon | PaintedFiducial
 
@@ -154,6 +189,8 @@ def part_of(region: Region) -> Part:
             return "fiducial"
         case PaintedArrowhead():
             return "arrow"
+        case PaintedTriangle():
+            return "triangle"
         case _:
             return "letter"
 
@@ -171,7 +208,7 @@ def borders_of(region: Region, n: int = 72) -> tuple[F64, ...]:
             return (circle(region.radius_m, n),)
         case PaintedRing():
             return circle(region.outer_m, n), circle(region.inner_m, n)
-        case PaintedFiducial():
+        case PaintedFiducial() | PaintedTriangle():
             return region.borders()
         case _:
             return (region.corners(),)
@@ -180,9 +217,11 @@ def borders_of(region: Region, n: int = 72) -> tuple[F64, ...]:
 def outlines_of(region: Region, n: int = 72) -> tuple[F64, ...]:
     """Return closed lines, their corners (N, 2) m each, whose insides together are the region.
 
-    A ring's line goes once around and back within; so do those of a fiducial around its light cells.
+    A ring's and a triangle's line goes once around and back within; so do those of a fiducial around its light cells.
     """
     match region:
+        case PaintedTriangle():
+            return (np.vstack([np.vstack([line, line[:1]]) for line in borders_of(region)]),)
         case PaintedRing():
             outer, inner = (np.vstack([line, line[:1]]) for line in borders_of(region, n))
             return (np.vstack([outer, inner[::-1]]),)
@@ -211,6 +250,8 @@ def covers(region: Region, xy_m: F64) -> NDArray[np.bool_]:
             return region.covers(xy_m)
         case PaintedPanel():
             return np.asarray((np.abs(xy_m[:, 0]) < 0.5 * region.length_m) & (np.abs(xy_m[:, 1]) < 0.5 * region.width_m))
+        case PaintedTriangle() | PaintedStroke() | PaintedPolygon() if is_slanted(region):
+            return np.logical_or.reduce([_inside(piece, xy_m) for piece in convex_pieces_of(region)])
         case _:
             return depth_in(region, xy_m) > 0.0
 
@@ -233,9 +274,107 @@ def reach_of(region: Region) -> tuple[float, float]:
             return abs(float(depth_in(region, np.zeros((1, 2)))[0])), far
 
 
+def is_slanted(region: Region) -> bool:
+    """Return whether a region has straight sides that lie neither along x nor along y."""
+    match region:
+        case PaintedTriangle() | PaintedArrowhead():
+            return True
+        case PaintedStroke() | PaintedPolygon():
+            start, end = sides_of(region)
+            return bool(np.any(np.all(np.abs(end - start) > _TOUCH_M, axis=1)))
+        case _:
+            return False
+
+
+def slanted_sides_of(regions: Sequence[Region]) -> tuple[F64, F64]:
+    """Return the starts and the ends, (N, 2) m each, of all sides of those regions that have slanted ones."""
+    sides = [sides_of(region) for region in regions if is_slanted(region)]
+    return tuple(np.concatenate([np.empty((0, 2)), *(each[k] for each in sides)]) for k in (0, 1))  # type: ignore[return-value]
+
+
+def convex_pieces_of(region: Region) -> list[F64]:
+    """Return convex polygons of three or four corners, clockwise seen from above, that make up a region with straight sides.
+
+    They do not overlap.
+    Source of the cuts of a polygon: Meisters, Polygons have ears, American Mathematical Monthly 82(6), 1975.
+    """
+    match region:
+        case PaintedTriangle():
+            outer, inner = region.borders()
+            inner = inner[::-1]
+            return [np.array([outer[i], outer[j], inner[j], inner[i]]) for i, j in ((0, 1), (1, 2), (2, 0))]
+        case PaintedStroke():
+            return [region.corners()]
+        case PaintedPolygon():
+            return _ears(region.corners())
+        case _:
+            raise TypeError(f"no region of straight sides: {region}")
+
+
+def _inside(piece: F64, xy_m: F64) -> NDArray[np.bool_]:
+    """Return whether points (N, 2) m lie in a convex polygon, clockwise seen from above, or on its border."""
+    out, (x, y) = np.ones(len(xy_m), bool), xy_m.T
+    for a, b in zip(piece, np.roll(piece, -1, axis=0), strict=True):
+        out &= (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]) >= 0.0
+    return out
+
+
+def _ears(line: F64) -> list[F64]:
+    """Return triangles that cover a simple polygon, which runs clockwise seen from above."""
+    left, out = list(line), []
+    while len(left) > 3:
+        for i in range(len(left)):
+            corners = np.array([left[i - 1], left[i], left[(i + 1) % len(left)]])
+            others = [p for k, p in enumerate(left) if k not in ((i - 1) % len(left), i, (i + 1) % len(left))]
+            if _area(corners) > 0.0 and not np.any(_depth_within(corners, np.roll(corners, -1, axis=0), np.array(others)) > 0.0):
+                out.append(corners)
+                del left[i]
+                break
+        else:
+            del left[
+                int(
+                    np.argmin([abs(_area(np.array([left[i - 1], left[i], left[(i + 1) % len(left)]]))) for i in range(len(left))])
+                )
+            ]
+    return [*out, np.array(left)]
+
+
+def apart_m(one: Region, other: Region) -> float:
+    """Return the least distance of the borders of two regions with straight sides; 0 if they cross."""
+    (a, b), (c, d) = sides_of(one), sides_of(other)
+    if np.any(_cross(a, b, c, d)):
+        return 0.0
+    return float(min(_distance(a, b, c).min(), _distance(c, d, a).min()))
+
+
+def sides_meet(line: F64) -> bool:
+    """Return whether two sides of a closed line (N, 2) touch or cross that are not neighbours."""
+    start, end = line, np.roll(line, -1, axis=0)
+    n = len(line)
+    for i in range(n - 2):
+        others = np.arange(i + 2, n - 1 if i == 0 else n)
+        if len(others) == 0:
+            continue
+        a, b, c, d = start[[i]], end[[i]], start[others], end[others]
+        near = min(_distance(a, b, c).min(), _distance(a, b, d).min(), _distance(c, d, a).min(), _distance(c, d, b).min())
+        if near <= _TOUCH_M or np.any(_cross(a, b, c, d)):
+            return True
+    return False
+
+
+def _cross(a: F64, b: F64, c: F64, d: F64) -> NDArray[np.bool_]:
+    """Return whether sides from a to b, (N, 2), cross sides from c to d, (M, 2): (N, M)."""
+
+    def side(p: F64, q: F64, r: F64) -> F64:
+        way, to = (q - p)[:, None, :], r[None, :, :] - p[:, None, :]
+        return np.asarray(way[..., 0] * to[..., 1] - way[..., 1] * to[..., 0])
+
+    return np.asarray((side(a, b, c) * side(a, b, d) < 0.0) & (side(c, d, a) * side(c, d, b) < 0.0).T)
+
+
 def rectangles_of(letters: Sequence[Lettering]) -> list[Rectangle]:
-    """Return rectangles that do not overlap and cover all of the letters, the largest first."""
-    sides = [sides_of(letter) for letter in letters]
+    """Return rectangles that do not overlap and cover all letters without slanted sides, the largest first."""
+    sides = [sides_of(letter) for letter in letters if not is_slanted(letter)]
     if not sides:
         return []
     cuts = sorted({y_m for start, _ in sides for y_m in start[:, 1].tolist()})
@@ -269,11 +408,18 @@ def _area(points: F64) -> float:
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-def _depth_within(start: F64, end: F64, xy_m: F64) -> F64:
+def _distance(start: F64, end: F64, xy_m: F64) -> F64:
+    """Return the distances (M,) of points (M, 2) to the nearest of some sides, m."""
     a, b = start[None, :, :], end[None, :, :]
     p, way = xy_m[:, None, :], b - a
     s = np.clip(np.sum((p - a) * way, axis=2) / np.maximum(np.sum(way * way, axis=2), 1e-18), 0.0, 1.0)
-    away = np.linalg.norm(p - a - s[..., None] * way, axis=2).min(axis=1)
+    return np.asarray(np.linalg.norm(p - a - s[..., None] * way, axis=2).min(axis=1))
+
+
+def _depth_within(start: F64, end: F64, xy_m: F64) -> F64:
+    away = _distance(start, end, xy_m)
+    a, b = start[None, :, :], end[None, :, :]
+    p, way = xy_m[:, None, :], b - a
     above = (a[..., 1] > p[..., 1]) != (b[..., 1] > p[..., 1])
     x = a[..., 0] + (p[..., 1] - a[..., 1]) / np.where(way[..., 1] == 0.0, 1.0, way[..., 1]) * way[..., 0]
     inside = np.count_nonzero(above & (x > p[..., 0]), axis=1) % 2 == 1

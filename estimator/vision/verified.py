@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
+from estimator.vision.pad_information import confusable_turns
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.fiducial_cells import cells_log_odds
@@ -21,6 +23,7 @@ from estimator.vision.register.fit_verification import confidence
 from estimator.vision.register.letter_alone import letter_log_odds
 from estimator.vision.register.look import Looked, look
 from estimator.vision.register.options import RegistrationOptions
+from estimator.vision.register.turned import heading_told
 
 SURE = 0.5
 """Confidence from which on a pose is the pad's."""
@@ -32,6 +35,12 @@ _CERTAIN = 0.9
 """Confidence from which on it is not tried whether something covers a part of the pad."""
 _RINGLESS_LOG_ODDS = -4.0
 """Prior where the ring does not show beside what covers the pad: an H on something green, whose lack of a ring the line hides."""
+_WORTH_TURNING = 1e-4
+"""Confidence from which on the heading of a registration matters: its place may be the pad's then."""
+_TOLD, _UNTOLD_LOG_ODDS = 4.0, -12.0
+"""Standard deviations by which a heading is right from which on it is told, and the log-odds of a pose whose heading is not. On
+rendered frames from 0.5 to 20 m, in plain light, haze, grey and half covered, none was told wrongly by more than 3.0.
+"""
 _STEPS = 4
 """Steps of the alignment with what is not covered."""
 _STRAYS, _STRAYS_PX = 0.03, 0.3
@@ -49,6 +58,8 @@ class Verified:
     """0..1."""
     cut: F64 | None = None
     """The line beyond which something covers the pad, (3,); see `alignment.UNCUT`."""
+    prior_log_odds: float = 0.0
+    """The prior that the confidence holds."""
 
 
 def verified(
@@ -64,7 +75,9 @@ def verified(
 ) -> Verified | None:
     """Register the drawing from a start pose and verify it there; return None if nothing is found.
 
-    Where the whole drawing does not fit, it is tried whether something covers a part of the pad.
+    Where the whole drawing does not fit, it is tried whether something covers a part of the pad. Where no belief led to the
+    place, the heading of a pad that looks nearly the same after some turns is compared with those, and doubted if that does not
+    tell it.
 
     Args:
         orientation: the attitude at the exposure.
@@ -75,6 +88,45 @@ def verified(
     Raises:
         ValueError: the frame is not of the camera's size.
     """
+    turns = confusable_turns(pad) if prior_log_odds <= 0.0 else ()
+    if not turns:
+        return _verified_at(pyramid, camera, pad, start, orientation, options, prior_log_odds, cut, paint)
+    told = _headings_told(pyramid, camera, pad, start, turns)
+    start = start.turned(min(told, key=lambda turn: told[turn])) if min(told.values()) < -_TOLD else start
+    best = _verified_at(pyramid, camera, pad, start, orientation, options, prior_log_odds, cut, paint)
+    if best is None or best.confidence < _WORTH_TURNING:
+        return best
+    told = _headings_told(pyramid, camera, pad, best.found.pose, turns)
+    if min(told.values()) < 0.0:
+        turned, near = best.found.pose.turned(min(told, key=lambda turn: told[turn])), replace(options, coarse=False)
+        of, prior = UNCUT if best.cut is None else best.cut, best.prior_log_odds
+        best = _of_visible(pyramid, camera, pyramid.as_seen(pad), turned, orientation, near, prior, of, paint) or best
+        told = _headings_told(pyramid, camera, pad, best.found.pose, turns)
+    doubt = min(1.0, max(0.0, 1.0 - min(told.values()) / _TOLD))
+    return replace(best, confidence=confidence(_log_odds(best.confidence) + _UNTOLD_LOG_ODDS * doubt)) if doubt else best
+
+
+def _log_odds(of_confidence: float) -> float:
+    return math.log(max(of_confidence, 1e-13) / max(1.0 - of_confidence, 1e-13))
+
+
+def _headings_told(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, turns: tuple[float, ...]) -> dict[float, float]:
+    """Return for each turn how surely a heading is right, and not the one after that turn; see `heading_told`."""
+    return {turn: heading_told(pyramid[0], camera, pyramid.as_seen(pad), pose, turn) for turn in turns}
+
+
+def _verified_at(
+    pyramid: Pyramid,
+    camera: Camera,
+    pad: Pad,
+    start: PadPose,
+    orientation: Orientation,
+    options: RegistrationOptions,
+    prior_log_odds: float,
+    cut: F64 | None,
+    paint: PaintMemory,
+) -> Verified | None:
+    """Register the drawing from a start pose and verify it there, at its heading alone."""
     best, strayed, pad = None, False, pyramid.as_seen(pad)
     if cut is None:
         best = _of_visible(pyramid, camera, pad, start, orientation, options, prior_log_odds, UNCUT, paint)
@@ -129,4 +181,4 @@ def _of_visible(
         odds += cells_log_odds(pyramid[0], camera, pad, found.registration())
     elif pad.markings.is_letter_alone:
         odds += letter_log_odds(found.registration(), tracked)
-    return Verified(found, confidence(odds), None if cut is UNCUT else cut)
+    return Verified(found, confidence(odds), None if cut is UNCUT else cut, prior_log_odds)

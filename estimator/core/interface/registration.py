@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from .describe import Field, Function, doubles, integers
 
-EDGE_KINDS = 4
+EDGE_KINDS = 5
 """Kinds of edges, by the paints that meet."""
-PAD_CONTRASTS = 4
+PAD_CONTRASTS = 5
 """The largest number of regions whose paint differs from the one below."""
 REGION_CIRCLES = 2
 """The largest number of circles that bound a region."""
-PAD_FIGURES = 3
-"""The largest number of figures made of rectangles."""
+PAD_FIGURES = 4
+"""The largest number of figures made of rectangles and of what straight sides of any direction enclose."""
 FIGURE_CUTS = 64
 """The largest number of limits of a figure's rectangles along one axis."""
 FIGURE_RECTANGLES = 320
 """The largest number of rectangles of a figure."""
+FIGURE_SIDES = 64
+"""The largest number of a figure's straight sides of any direction."""
 WEDGE_SIDES = 4
 """The largest number of sides of a wedge."""
 POINTER_MARKS = 4
@@ -27,7 +29,8 @@ FIT_ROWS = 148
 
 CONSTANTS = {
     "EDGE_KINDS": EDGE_KINDS, "PAD_CONTRASTS": PAD_CONTRASTS, "REGION_CIRCLES": REGION_CIRCLES, "PAD_FIGURES": PAD_FIGURES,
-    "FIGURE_CUTS": FIGURE_CUTS, "FIGURE_RECTANGLES": FIGURE_RECTANGLES, "WEDGE_SIDES": WEDGE_SIDES, "FIT_ROWS": FIT_ROWS,
+    "FIGURE_CUTS": FIGURE_CUTS, "FIGURE_RECTANGLES": FIGURE_RECTANGLES, "FIGURE_SIDES": FIGURE_SIDES,
+    "WEDGE_SIDES": WEDGE_SIDES, "FIT_ROWS": FIT_ROWS,
     "POINTER_MARKS": POINTER_MARKS,
 }  # fmt: skip
 """Numbers by their names in the header: the largest sizes of a drawing."""
@@ -38,15 +41,20 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
         *doubles(radius_m=REGION_CIRCLES, sign=REGION_CIRCLES),
     ),
     "pad_figure": (
-        *integers("rectangles", "x_cuts", "y_cuts"),
+        *integers("rectangles", "x_cuts", "y_cuts", "sides"),
         Field("x0", "int64_t", FIGURE_RECTANGLES), Field("x1", "int64_t", FIGURE_RECTANGLES),
         Field("y0", "int64_t", FIGURE_RECTANGLES), Field("y1", "int64_t", FIGURE_RECTANGLES),
-        *doubles(x_m=FIGURE_CUTS, y_m=FIGURE_CUTS),
+        *doubles(
+            x_m=FIGURE_CUTS, y_m=FIGURE_CUTS, from_x_m=FIGURE_SIDES, from_y_m=FIGURE_SIDES, to_x_m=FIGURE_SIDES,
+            to_y_m=FIGURE_SIDES,
+        ),
     ),
     "pad_wedge": (
         *integers("sides"), *doubles(nx=WEDGE_SIDES, ny=WEDGE_SIDES, offset_m=WEDGE_SIDES, beyond_m=1),
     ),
-    "edge_zone": doubles(inside_m=1, outside_m=1, thinnest_m=1, box_m=4, box_radius_m=1),
+    "edge_zone": (
+        *integers("on_figure", "beside_figure"), *doubles(inside_m=1, outside_m=1, thinnest_m=1, box_m=4, box_radius_m=1),
+    ),
     "pad_shape": (
         *integers("contrast_count", "pointer_kind", "pointer_contrast", "pointer_figure"),
         Field("lies_on", "int64_t", PAD_CONTRASTS), Field("contrast_of_kind", "int64_t", EDGE_KINDS),
@@ -86,11 +94,13 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
     "level_sighting": doubles(d=3, R_level_pad=9, cov_pose=36, yaw_rad=1, cov=16),
 }  # fmt: skip
 """A `pad_region` is what its circles (sums with a sign), its figure's rectangles, and the wedge cover. A figure's rectangles lie
-between its limits along both axes, which ascend. A wedge is where all n p < offset, beyond a circle about the centre. A
+between its limits along both axes, which ascend; its sides, whose inside is to the right of their direction seen from above, go
+around what else it covers, which no rectangle does. A wedge is where all n p < offset, beyond a circle about the centre. A
 `pad_shape` has the regions as painted (`contrasts`: paint over the one that each `lies_on`, -1 for the surroundings) and the
 inside of each kind of edge (`kinds`); an `edge_zone` is where an edge of another kind is too near: within and outside of two
-radii, in a box, or anywhere if the blur is too wide for something thin. The `pointer` is the part of the drawing that tells its
-two headings apart. The other structures have what `Camera`, `Orientation`, `RegistrationOptions` and `Registration` have; the
+radii, in a box, anywhere if the blur is too wide for something thin, where the figure `on_figure` does not cover a pixel wholly,
+and where `beside_figure` covers any of it (-1 for neither). The `pointer` is the part of the drawing that tells its two headings
+apart. The other structures have what `Camera`, `Orientation`, `RegistrationOptions` and `Registration` have; the
 covariances of `fit_solved` are in `pad`. A `camera_sighting` is a pose in `cam` with the attitude and the mount; a
 `level_sighting` is the same pose in `level`: its place, rotation and their covariance, the body's heading against the arrow, and
 the covariance of place and heading."""

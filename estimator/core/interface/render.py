@@ -22,7 +22,7 @@ GRAIN_LEVELS = 32
 """The number of levels of noise."""
 BLUR_RADIUS_MAX = 30
 """The widest blur of the simulated lens, px."""
-PAINTS = ("PAD_NONE", "PAD_RIM", "PAD_DISC", "PAD_ORANGE", "PAD_WHITE")
+PAINTS = ("PAD_NONE", "PAD_RIM", "PAD_DISC", "PAD_ORANGE", "PAD_WHITE", "PAD_UPPER")
 """The paints of a pad, in the order of their shares; the first is what lies around it."""
 PAD_EDGE = 255
 """Kind of a pixel that shows several paints."""
@@ -34,11 +34,14 @@ SHAPES = {
     "PAD_ANNULUS": ("PAD_ANNULUS_INNER", "PAD_ANNULUS_OUTER"),
     "PAD_RECTANGLE": ("PAD_RECTANGLE_U0", "PAD_RECTANGLE_U1", "PAD_RECTANGLE_V0", "PAD_RECTANGLE_V1"),
     "PAD_ARROW": ("PAD_ARROW_TIP", "PAD_ARROW_BASE", "PAD_ARROW_COS", "PAD_ARROW_SIN"),
+    "PAD_POLYGON": ("PAD_POLYGON_SIDES", "PAD_POLYGON_FIRST", *(f"PAD_POLYGON_{k}" for k in range(1, 12))),
 }
-"""The shapes of regions, and their numbers: m from the centre, and the direction of the arrowhead's sides."""
+"""The shapes of regions, and their numbers: m from the centre, and the direction of the arrowhead's sides. A convex polygon of up
+to four sides has for each its normal outward and its distance from the centre, m, one after the other from the first.
+"""
 REGION_NUMBERS = len(REGION) + max(map(len, SHAPES.values()))
-REGIONS_MOST = 336
-"""The largest number of regions: disc, rim, ring, arrowhead, and the rectangles of the lettering."""
+REGIONS_MOST = 784
+"""The largest number of regions: disc, rim, ring, arrowhead, and the rectangles and convex pieces of lettering of two paints."""
 TILE_ONE = 4096
 """Value of one in a texture of the sea."""
 SEA_WEIGHTS = ("SEA_SMALL", "SEA_LARGE", "SEA_CALM", "SEA_CAP", "SEA_SHADE", "SEA_WASH", "SEA_WAKE")

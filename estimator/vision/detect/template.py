@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,8 +16,8 @@ from estimator.core.interface.eyes import TEMPLATE_ONE
 from estimator.core.interface.search import POLAR_ANGLES, POLAR_RADII
 from estimator.core.records import record
 from estimator.vision.pad import Pad
-from estimator.vision.regions import covers, rectangles_of
-from estimator.vision.srgb import linear_light
+from estimator.vision.regions import Lettering, covers, is_slanted, rectangles_of
+from estimator.vision.srgb import LUMA, linear_light
 
 F32 = NDArray[np.float32]
 I16 = NDArray[np.int16]
@@ -51,15 +52,19 @@ def disc_edge_m(pad: Pad) -> float:
 
 
 def paints_at(xy_m: F64, pad: Pad) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return disjoint masks of lettering, ring, arrowhead and disc or panel at (N, 2) positions on the pad, m."""
+    """Return disjoint masks of lettering, ring, arrowhead and disc or panel at (N, 2) positions on the pad, m.
+
+    Lettering of a second paint is in none of them.
+    """
     x, y = xy_m[:, 0], xy_m[:, 1]
     r = np.hypot(x, y)
     marks, nothing = pad.markings, np.zeros(len(r), bool)
     h_marking, ring, arrow = nothing, nothing, nothing
     for fiducial in marks.fiducials:
         h_marking = h_marking | fiducial.covers(xy_m)
-    for x0, x1, y0, y1 in rectangles_of([letter for letter in marks.letters if letter not in marks.fiducials]):
-        h_marking = h_marking | ((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1))
+    h_marking = h_marking | _lettered([letter for letter in marks.letters if letter not in marks.fiducials], xy_m)
+    if marks.triangle is not None:
+        h_marking = h_marking | covers(marks.triangle, xy_m)
     if marks.ring_outer_m:
         ring = (r >= marks.ring_inner_m) & (r <= marks.ring_outer_m)
     if marks.arrow_tip_m:
@@ -67,7 +72,37 @@ def paints_at(xy_m: F64, pad: Pad) -> tuple[NDArray[np.bool_], NDArray[np.bool_]
         slanted = np.abs(y) * marks.arrow_depth_m <= behind * marks.arrow_half_base_m
         arrow = (behind >= 0) & (behind <= marks.arrow_depth_m) & slanted & ~ring
     ground = r <= disc_edge_m(pad) if marks.panel is None else covers(marks.panel, xy_m)
+    if marks.upper:
+        above = _lettered(marks.upper, xy_m)
+        h_marking, ground = h_marking & ~above, ground & ~above
     return h_marking, ring, arrow, ground & ~h_marking & ~ring & ~arrow
+
+
+def _lettered(letters: Sequence[Lettering], xy_m: F64) -> NDArray[np.bool_]:
+    """Return whether positions (N, 2) m lie on some lettering."""
+    x, y = xy_m.T
+    out = np.zeros(len(xy_m), bool)
+    for x0, x1, y0, y1 in rectangles_of(letters):
+        out |= (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
+    for letter in letters:
+        if is_slanted(letter):
+            out |= covers(letter, xy_m)
+    return out
+
+
+def _shares_at(xy_m: F64, pad: Pad) -> tuple[F64, F64, F64, F64]:
+    """Return the shares of lettering, ring, arrowhead and disc or panel at (N, 2) positions on the pad, m.
+
+    The drawing has four paints: lettering of a second one is drawn as the mixture of lettering and ground that is as bright.
+    """
+    masks, marks = paints_at(xy_m, pad), pad.markings
+    h_marking, ring, arrow, disc = (np.asarray(mask, float) for mask in masks)
+    if marks.colours.upper is not None:
+        upper, letters, ground = (linear_light(rgb) @ LUMA for rgb in (marks.colours.upper, marks.colours.h, marks.colours.disc))
+        share = float(np.clip((upper - ground) / (letters - ground or 1.0), 0.0, 1.0))
+        above = _lettered(marks.upper, xy_m)
+        h_marking[above], disc[above] = share, (1.0 - share) * marks.has_ground
+    return h_marking, ring, arrow, disc
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +134,7 @@ def polar_drawing(pad: Pad) -> PolarDrawing:
 
     fine_r = (np.arange(_RADII * _FINE) + 0.5) / (_RADII * _FINE) * outer
     fine_a = (np.arange(ANGLES * _FINE) - (_FINE - 1) / 2) * math.tau / (ANGLES * _FINE)
-    masks = paints_at(places(fine_r, fine_a), pad)
+    masks = _shares_at(places(fine_r, fine_a), pad)
     h_marking, ring, arrow, disc = (m.reshape(_RADII, _FINE, ANGLES, _FINE).mean(axis=(1, 3)) for m in masks)
     inside = (h_marking + ring + arrow + disc).mean(axis=1, keepdims=True) > 0.5
     area = (r / r.mean()).astype(np.float32)[:, None]
@@ -147,8 +182,9 @@ def _sharp(pad: Pad) -> F32:
     n = 2 * half + 1
     fine = (np.arange(3 * n) - (3 * n - 1) / 2) * STEP_M / 3
     gx, gy = np.meshgrid(fine, fine, indexing="ij")
-    h_marking, ring, arrow, disc = paints_at(np.stack([gx.ravel(), gy.ravel()], axis=1), pad)
-    flat = np.stack([h_marking, ring | arrow, disc, ~(h_marking | ring | arrow | disc)], axis=1).astype(np.float32)
+    h_marking, ring, arrow, disc = _shares_at(np.stack([gx.ravel(), gy.ravel()], axis=1), pad)
+    orange = ring + arrow
+    flat = np.stack([h_marking, orange, disc, 1.0 - h_marking - orange - disc], axis=1).astype(np.float32)
     return np.asarray(flat.reshape(n, 3, n, 3, 4).mean(axis=(1, 3)))
 
 
@@ -163,7 +199,7 @@ def _packed(pad: Pad, n: int) -> F64:
         "disc_drawn": bool(pad.markings.field_radius_m),
         "per_m": 1.0 / STEP_M, "log_blur": np.log(BLURS_M), "local_m": LOCAL_M, "reach_m": REACH * pad.disc_radius_m,
         "disc_radius_m": pad.disc_radius_m, "disc_edge_m": disc_edge_m(pad),
-        "h_half_length_m": marks.h_length_m / 2, "h_half_width_m": marks.h_width_m / 2,
+        "h_half_length_m": marks.lettering_m[0] / 2, "h_half_width_m": marks.lettering_m[1] / 2,
         "ring_inner_m": marks.ring_inner_m, "ring_outer_m": marks.ring_outer_m,
         "arrow_tip_m": marks.arrow_tip_m, "arrow_depth_m": marks.arrow_depth_m, "arrow_half_base_m": marks.arrow_half_base_m,
         "arrow_margin_m": _ARROW_MARGIN_M, "arrow_pitch_m": _ARROW_PITCH_M, "orange_place": _orange_place(pad),

@@ -35,6 +35,7 @@ def sighting_of_look(frame: Frame, found: Looked, confidence: float) -> Sighting
     features = tuple(
         Feature("outline" if kind is not EdgeKind.H else "point", _NAMES[kind], uv)
         for kind, uv in zip(EdgeKind, found.outlines, strict=True)
+        if kind is not EdgeKind.UPPER or found.pad.markings.upper
     )
     return sighting_in_level(frame, found.in_level, found.yaw_ambiguous, confidence, features)
 

@@ -81,6 +81,8 @@ static void pad_in_light(int h, int w, float height_m, int rolling, int radius)
         {PAD_RECTANGLE, PAD_WHITE, PAD_DISC, 0.06f, 0.1721f, -0.14f, 0.14f, -0.1f, -0.06f},
         {PAD_RECTANGLE, PAD_WHITE, PAD_DISC, 0.06f, 0.1721f, -0.14f, 0.14f, 0.06f, 0.1f},
         {PAD_RECTANGLE, PAD_WHITE, PAD_DISC, 0.0f, 0.0633f, -0.02f, 0.02f, -0.06f, 0.06f},
+        {PAD_POLYGON, PAD_UPPER, PAD_WHITE, 0.0f, 0.015f, 4, 0.7071f, 0.7071f, 0.0106f, -0.7071f, 0.7071f, 0.0106f, -0.7071f, -0.7071f,
+         0.0106f, 0.7071f, -0.7071f, 0.0106f},
     };
     const int32_t regions = sizeof drawing / sizeof *drawing;
     const float change[4] = {1.0f / 100.0f, 0.0f, 0.0f, 1.0f / 100.0f}, exposure[4] = {0.2f, 0.2f, 0.2f, 0.0f};

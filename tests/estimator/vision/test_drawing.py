@@ -84,7 +84,7 @@ def test_edges_shares_together_are_those_of_each_by_itself(pad: Pad) -> None:
     rng = np.random.default_rng(3)
     edges = edges_of(pad)
     near = (edges.at_m[::7] + rng.normal(0.0, 0.003, edges.at_m[::7].shape)).astype(np.float32)
-    borders = np.searchsorted(edges.kind[::7], np.arange(len(EdgeKind) + 1)).tolist()
+    borders = np.searchsorted(edges.kind[::7], np.arange(EdgeKind.UPPER + 1)).tolist()
     disc, ring_, arrow, h = (slice(a, b) for a, b in itertools.pairwise(borders))
     b = Blurred(pad, near[:, 0], near[:, 1], (9e-6, 2e-6, 7e-6), np.linspace(0.8, 1.2, len(near), dtype=np.float32))
     share, d, head = b.edge_coverages(disc, ring_, arrow, h)

@@ -16,22 +16,24 @@ from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
-from estimator.vision.pad_information import accuracy, alike_headings
+from estimator.vision.pad_information import accuracy, alike_headings, confusable_turns
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.fit_verification import confidence
 from estimator.vision.register.look import look
 from estimator.vision.register.registration import RegistrationOptions, register
+from estimator.vision.register.turned import heading_told
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.verified import verified
 from sitl.camera import Renderer
 from tests.sitl.images import PLAIN, pad_pose, shot
 from tests.support.pad_images import STAMP
 from tests.support.shipped import shipped_pad
 
-NAMES = ("h", "helideck", "icao", "x")
+NAMES = ("h", "helideck", "hospital", "icao", "x")
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, "faa_triangle"])
 @pytest.mark.parametrize("height_m", [0.6, 2.0, 6.0, 10.0])
 def test_a_pad_of_any_shape_is_registered_and_verified(name: str, height_m: float) -> None:
     pad, camera, exposure = shipped_pad(name), PLAIN, shot(height_m, (0.05, -0.05))
@@ -44,7 +46,7 @@ def test_a_pad_of_any_shape_is_registered_and_verified(name: str, height_m: floa
     error, sigma = found.pose.t_cam_pad - truth.t_cam_pad, np.sqrt(np.diag(found.cov)[:3])
     assert np.all(np.abs(error) < 4.0 * sigma + 1e-5)
     assert abs(error[2]) < 0.005 * height_m
-    assert found.yaw_ambiguous, "none of them has an arrowhead"
+    assert found.yaw_ambiguous == (name != "faa_triangle"), "no other has an arrowhead or a triangle"
     lacking = [
         kind
         for kind, has in ((EdgeKind.DISC, pad.markings.field_radius_m), (EdgeKind.RING, pad.markings.ring_outer_m))
@@ -87,7 +89,39 @@ def test_a_pad_is_not_seen_in_another_one(name: str) -> None:
     assert sure < 0.5 or name == "h"
 
 
-@pytest.mark.parametrize(("name", "count"), [("thesis", 1), ("printed", 1), ("icao", 2), ("helideck", 2), ("h", 2), ("x", 4)])
+@pytest.mark.parametrize(("name", "turns_deg"), [("hospital", [90]), ("faa_triangle", [-120, 120]), ("icao", []), ("thesis", [])])
+@pytest.mark.parametrize("height_m", [0.9, 3.0, 9.0])
+def test_a_heading_that_the_drawing_hardly_shows_is_put_right(name: str, turns_deg: list[int], height_m: float) -> None:
+    """A cross looks the same after a quarter turn, a triangle after a third: the H within them tells."""
+    pad, exposure = shipped_pad(name), shot(height_m, (0.02, 0.03), (0.05, -0.02, 0.0))
+    assert sorted(round(math.degrees(turn)) for turn in confusable_turns(pad)) == turns_deg
+    px = Renderer(PLAIN, pad).render(exposure, np.random.default_rng(5))
+    truth, orientation = pad_pose(exposure, PLAIN), Orientation.of(Attitude(STAMP, exposure.R_ned_body, 1e-4 * np.eye(3)))
+    for turn in confusable_turns(pad):
+        assert heading_told(px, PLAIN, pad, truth, turn) > 4.0
+        assert heading_told(px, PLAIN, pad, truth.turned(turn), -turn) < -4.0
+        seen = verified(Pyramid(px), PLAIN, pad, truth.turned(turn), orientation)
+        assert seen is not None
+        assert seen.confidence > 0.5
+        off = abs((truth.R_cam_pad.inv @ seen.found.pose.R_cam_pad).rpy_rad[2])
+        assert min(off, math.pi - off if seen.found.yaw_ambiguous else off) < 0.02
+
+
+def test_a_triangle_tells_the_heading_that_its_h_does_not() -> None:
+    """From half a turn off, registration finds the apex on the other side."""
+    pad, exposure = shipped_pad("faa_triangle"), shot(1.5, (0.05, -0.05))
+    px = Renderer(PLAIN, pad).render(exposure, np.random.default_rng(6))
+    truth = pad_pose(exposure, PLAIN)
+    found = register(px, PLAIN, pad, truth.turned(math.pi), None, RegistrationOptions(coarse=False))
+    assert found is not None
+    assert not found.yaw_ambiguous
+    assert abs((truth.R_cam_pad.inv @ found.pose.R_cam_pad).rpy_rad[2]) < 0.005
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [("thesis", 1), ("printed", 1), ("icao", 2), ("helideck", 2), ("h", 2), ("x", 4), ("hospital", 2), ("faa_triangle", 1)],
+)
 def test_headings_that_look_alike_are_counted(name: str, count: int) -> None:
     assert alike_headings(shipped_pad(name)) == count
 

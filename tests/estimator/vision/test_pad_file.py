@@ -17,8 +17,12 @@ from estimator.vision.pad import Pad
 from estimator.vision.regions import PaintedLetter, PaintedPolygon, PaintedStroke, depth_in, outlines_of, part_of, rectangles_of
 from tests.support.shipped import CONFIGS, shipped_pad
 
-THESIS = tomllib.loads((CONFIGS / "pads" / "thesis.toml").read_text())
+THESIS, HOSPITAL, FAA = (
+    tomllib.loads((CONFIGS / "pads" / f"{name}.toml").read_text()) for name in ("thesis", "hospital", "faa_triangle")
+)
 SHIPPED = sorted(path.stem for path in (CONFIGS / "pads").glob("*.toml"))
+
+STROKE = {"shape": "stroke", "width_m": 0.04}
 
 
 def changed(region: int, **keys: Any) -> dict[str, Any]:
@@ -27,9 +31,22 @@ def changed(region: int, **keys: Any) -> dict[str, Any]:
     return data
 
 
-def beside(**region: Any) -> dict[str, Any]:
+def beside(*regions: dict[str, Any], **region: Any) -> dict[str, Any]:
     data = copy.deepcopy(THESIS)
-    data["regions"].append(region)
+    data["paints"]["red"] = [190, 25, 30]
+    data["regions"] += [*regions, *([region] if region else [])]
+    return data
+
+
+def upper(*regions: dict[str, Any]) -> dict[str, Any]:
+    """Return the hospital's pad with more regions above."""
+    return {**HOSPITAL, "regions": [*HOSPITAL["regions"], *regions]}
+
+
+def triangle(**keys: Any) -> dict[str, Any]:
+    """Return the pad with a triangle around the H, with other keys of the triangle."""
+    data = copy.deepcopy(FAA)
+    data["regions"][2] |= keys
     return data
 
 
@@ -54,8 +71,27 @@ def beside(**region: Any) -> dict[str, Any]:
         (changed(2, tip_m=0.41), r"regions[2] (arrow) crosses the border of regions[0] (disc)"),
         (changed(2, tip_m=0.25), "must have the ring's paint and point beyond it: its tip_m is 0.25"),
         (beside(shape="disc", paint="white", radius_m=0.1), "regions[4] is a second disc beside regions[0]"),
-        (beside(shape="stroke", paint="orange", from_m=[0, 0], to_m=[0.1, 0], width_m=0.02), "several paints ('orange, white')"),
-        (beside(shape="stroke", paint="white", from_m=[0, 0], to_m=[0.1, 0.1], width_m=0.02), "must differ along x or along y"),
+        (beside({**STROKE, "paint": "orange", "from_m": [0.1, 0.05], "to_m": [0.2, 0.05]}), "crosses the border of regions[3]"),
+        (
+            beside(*[{**STROKE, "paint": p, "from_m": [0.1, 0], "to_m": [0.12, 0]} for p in ("orange", "red")]),
+            "several paints ('orange, red, white'); give them one, and a second one to those that lie above",
+        ),
+        (beside(shape="stroke", paint="white", from_m=[0, 0], to_m=[0.1, 0.1], width_m=0.02), "draw both as one polygon"),
+        (beside(shape="stroke", paint="white", from_m=[0, 0.1], to_m=[0, 0.1], width_m=0.02), "from_m and to_m must differ"),
+        (beside(shape="polygon", paint="white", points_m=[[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]), "does not touch itself"),
+        (beside(shape="triangle", paint="white", side_m=0.2, stroke_m=0.01), "a triangle and an arrowhead are in regions"),
+        (triangle(stroke_m=0.3), "regions[2].stroke_m 0.3 leaves no room in a triangle of side_m 0.7"),
+        (triangle(side_m=1.0), "the triangle must fit inside of the ring, whose inner_m is 0.485"),
+        (triangle(paint="asphalt"), "the triangle must have the lettering's paint, got 'asphalt'"),
+        (triangle(side_m=0.3, stroke_m=0.02), "touches regions[2] (triangle) of the same paint"),
+        (
+            upper({"shape": "stroke", "paint": "red", "from_m": [-0.3, 0.3], "to_m": [-0.25, 0.3], "width_m": 0.02}),
+            "regions[4] of the second paint 'red' lies beside the other lettering",
+        ),
+        (
+            upper({"shape": "stroke", "paint": "white", "from_m": [-0.3, 0.3], "to_m": [-0.25, 0.3], "width_m": 0.02}),
+            "regions[3] has the second paint 'red' of lettering, and lettering of the first one follows",
+        ),
         (beside(shape="blob", paint="white"), "regions[4].shape: Invalid value 'blob', got 'blob'"),
         ({**THESIS, "regions": [*THESIS["regions"][1:], THESIS["regions"][0]]}, "regions[3] hides regions[0]"),
         ({**THESIS, "paints": THESIS["paints"] | {"white": [5, 104, 3]}}, "does not stand out from 'green' below it: 0.00"),

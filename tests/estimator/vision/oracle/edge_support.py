@@ -16,7 +16,7 @@ from estimator.vision.register.edge_support import EdgeSupport
 from estimator.vision.register.pixels import light_table
 from tests.estimator.vision.oracle import dense
 from tests.estimator.vision.oracle import profiles as profiles_
-from tests.estimator.vision.oracle.sampling import Profiles
+from tests.estimator.vision.oracle.sampling import KINDS, Profiles
 
 
 def profile_support(
@@ -28,7 +28,7 @@ def profile_support(
     enough = pixels > 8
     # The mean of Tukey's weights under Gaussian noise is 0.9.
     counted, agreed = (np.stack([pixels * enough, agree * enough]) @ measured_at.of_kind).tolist()
-    for kind, var in zip(EdgeKind, noise.mean(axis=1).tolist(), strict=True):
+    for kind, var in zip(tuple(EdgeKind)[:KINDS], noise.mean(axis=1).tolist(), strict=True):
         in_view = float(measured_at.in_view[kind])
         if not counted[kind]:
             out[kind] = EdgeSupport(np.zeros(3), 0.0, in_view, 0.0)

@@ -20,7 +20,8 @@ from estimator.vision.pad import Pad
 from estimator.vision.register.pixels import light_table
 from tests.estimator.vision.oracle.state import U8, Footprint, RegistrationState, pixel_rays
 
-KINDS = len(EdgeKind)
+KINDS = len(EdgeKind) - 1
+"""Kinds of edges of the pads that the oracle knows: none has lettering of two paints."""
 _IN_GROUP = 6
 _MIN_SPACING_PX = 1.3
 
