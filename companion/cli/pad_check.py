@@ -16,7 +16,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.lamps.accuracy import CENTRE_PX, LampAccuracy, lamp_accuracy
 from estimator.vision.pad import Pad
-from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings
+from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings, confusable_turns
 from estimator.vision.pad_rules import lacking_parts
 from estimator.vision.srgb import LUMA, linear_light
 
@@ -31,7 +31,10 @@ _LEAST_RADIUS_PX = 5.0
 """Least radius of a pad that is searched for: below it the parts merge into a spot."""
 _LETTER_RADIUS_PX = 20.0
 """The same of a letter on the bare deck: below it the edges merge, and it resembles what else is small and bright."""
-_NAMES = {EdgeKind.DISC: "disc", EdgeKind.RING: "ring", EdgeKind.ARROW: "arrowhead", EdgeKind.H: "lettering"}
+_NAMES = {
+    EdgeKind.DISC: "disc", EdgeKind.RING: "ring", EdgeKind.ARROW: "arrowhead", EdgeKind.H: "lettering",
+    EdgeKind.UPPER: "upper lettering",
+}  # fmt: skip
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -62,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     by_lamps = [lamp_accuracy(pad.lamps, camera, height_m) for height_m in _HEIGHTS_M] if pad.lamps else []
     headings, contrasts, lowest = alike_headings(pad), _contrasts(pad), _lowest(pad)
     farthest_m = 0.5 * (camera.fx + camera.fy) * pad.disc_radius_m / _LEAST_RADIUS_PX
-    warnings = [*_heading_warnings(headings), *_deck_warnings(lowest)]
+    warnings = [*_heading_warnings(headings), *_confusion_warnings(pad), *_deck_warnings(lowest)]
     if lacking := lacking_parts(pad.regions):
         fate = "it is seen by its lamps alone" if pad.lamps else "it is neither detected nor landed on"
         warnings.append(f"it has no {' and no '.join(lacking)}, and a deck's lines may pass for its paint: {fate}")
@@ -134,9 +137,9 @@ def _line(b: PadAccuracy) -> str:
 
 def _contrasts(pad: Pad) -> dict[str, float]:
     """Return the luminance of each part against the known paint below it."""
-    edges = edges_of(pad)
+    edges, names = edges_of(pad), _NAMES | ({} if pad.markings.triangle is None else {EdgeKind.ARROW: "triangle"})
     return {
-        _NAMES[kind]: float(edges.contrast[at].mean()) for kind in EdgeKind if (at := (edges.kind == kind) & ~edges.bare).any()
+        names[kind]: float(edges.contrast[at].mean()) for kind in EdgeKind if (at := (edges.kind == kind) & ~edges.bare).any()
     }
 
 
@@ -156,6 +159,14 @@ def _heading_warnings(headings: int) -> list[str]:
         turn = {2: "half a turn", 4: "a quarter turn"}.get(headings, f"1/{headings} of a turn")
         return [f"it looks the same after {turn}: its heading is ambiguous until a track resolves it; paint an arrowhead"]
     return []
+
+
+def _confusion_warnings(pad: Pad) -> list[str]:
+    turns = sorted({round(abs(math.degrees(turn))) for turn in confusable_turns(pad)})
+    if not turns:
+        return []
+    named = " or ".join(f"{turn} degrees" for turn in turns)
+    return [f"it looks nearly the same after a turn by {named}: where a search cannot tell these apart, the pad is doubted"]
 
 
 def _deck_warnings(lowest: dict[str, float]) -> list[str]:

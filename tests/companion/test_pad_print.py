@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from companion.calibrate.board import Board
 from companion.cli.main import main
 from companion.config.settings import SHIPPED, read_toml
-from companion.print_pad.drawing import Disc, board_drawing, pad_drawing
+from companion.print_pad.drawing import Disc, Polygon, board_drawing, pad_drawing
 from companion.print_pad.sheets import RULER_MM, sheets
 from estimator.vision.pad import Pad
+from tests.support.shipped import shipped_pad
 
 PAD = Pad.from_mapping(read_toml(SHIPPED / "pads" / "thesis.toml"))
 DPI = 100
@@ -181,6 +182,31 @@ def test_shipped_pads_are_listed_and_checked(capsys: pytest.CaptureFixture[str])
     said = capsys.readouterr().out
     assert "0.78 m across, 4 regions" in said
     assert "deck green" in said.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("name", "part", "headings", "warned"),
+    [
+        ("hospital", "upper lettering", 2, "nearly the same after a turn by 90 degrees"),
+        ("faa_triangle", "triangle", 1, "nearly the same after a turn by 120 degrees"),
+    ],
+)
+def test_upper_lettering_and_a_triangle_are_checked_and_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, part: str, headings: int, warned: str
+) -> None:
+    assert main(["pad", "check", name, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (part in found["contrasts"], found["alike_headings"]) == (True, headings)
+    assert any(warned in warning for warning in found["warnings"])
+    assert main(["pad", "print", name, "--out", str(tmp_path / "pad.pdf")]) == 0
+    pad = shipped_pad(name)
+    shapes = pad_drawing(pad).shapes
+    assert {shape.fill for shape in shapes} == {rgb for _, rgb in pad.paints}
+    if pad.markings.triangle is not None:
+        outer, inner = pad.markings.triangle.borders()
+        line = next(shape for shape in shapes if isinstance(shape, Polygon) and len(shape.points_mm) == 8)
+        painted = cv2.contourArea((1000 * outer).astype(np.float32)) - cv2.contourArea((1000 * inner).astype(np.float32))
+        assert cv2.contourArea(line.points_mm.astype(np.float32)) == pytest.approx(painted, rel=1e-5)
 
 
 @pytest.mark.parametrize("command", ["simulate calm --pad bar.toml", "detect frame.png --camera sim --pad bar.toml"])
