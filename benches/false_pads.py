@@ -14,6 +14,7 @@ import math
 import multiprocessing
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -32,7 +33,7 @@ from estimator.vision.detect.acquire import acquire  # noqa: E402
 from estimator.vision.options import TrackerOptions  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
-from tests.support.hard_light import HARD  # noqa: E402
+from tests.support.hard_light import HARD, Hard  # noqa: E402
 from tests.support.pad_scenes import DATA, PadScene, empty_scene, load_camera, load_pad  # noqa: E402
 
 CHUNK = 100
@@ -53,10 +54,15 @@ def sure_of(px: NDArray[np.uint8], camera: Camera, pad: Pad, R_level_body: Rotat
     return 0.0 if seen.selected is None else seen.selected.confidence
 
 
-def best_scores(chunk: int, condition: str = "plain") -> tuple[list[float], float]:
+def condition_of(name: str, pad: str) -> Hard:
+    """Return a condition, with the shipped pad of a name in place of its own unless that is empty."""
+    return replace(HARD[name], pad=load_pad(pad)) if pad else HARD[name]
+
+
+def best_scores(chunk: int, condition: str = "plain", pad: str = "") -> tuple[list[float], float]:
     """Return the best score of each frame of a chunk, and the processor time per frame without rendering, ms."""
     cv2.setNumThreads(1)
-    camera, hard = load_camera("sim"), HARD[condition]
+    camera, hard = load_camera("sim"), condition_of(condition, pad)
     scores, took = [], 0
     for i in range(CHUNK):
         scene = scene_of(chunk, i)
@@ -67,9 +73,8 @@ def best_scores(chunk: int, condition: str = "plain") -> tuple[list[float], floa
     return scores, took * 1e-6 / CHUNK
 
 
-def photographs(condition: str) -> list[tuple[str, float]]:
+def photographs(hard: Hard) -> list[tuple[str, float]]:
     """Return (name, best score) of each photograph over several frame sizes."""
-    hard = HARD[condition]
     mount = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.zeros(3))
     out: list[tuple[str, float]] = []
     for path in sorted([*(DATA / "sea").glob("*.jpg"), *(DATA / "not_pads").glob("*.jpg")]):
@@ -92,13 +97,14 @@ def main() -> int:
     parser.add_argument(
         "--condition", default="plain", choices=list(HARD), help="what happens to each frame, and which pad is looked for"
     )
+    parser.add_argument("--pad", default="", help="name of a shipped pad in place of the condition's")
     parser.add_argument("--worst", type=Path, help="write the highest-scoring frames into this folder")
     args = parser.parse_args()
     chunks = range(args.first, args.first + max(1, args.frames // CHUNK))
     scores: list[float] = []
     took: list[float] = []
     with multiprocessing.Pool(args.workers) as pool:
-        for part, ms in pool.imap(partial(best_scores, condition=args.condition), chunks):
+        for part, ms in pool.imap(partial(best_scores, condition=args.condition, pad=args.pad), chunks):
             scores += part
             took.append(ms)
             print(f"\r{len(scores)} frames, {sum(s >= 0.5 for s in scores)} at 0.5 or more", end="", file=sys.stderr, flush=True)
@@ -112,7 +118,7 @@ def main() -> int:
         print(f"  {level:.1f} or more: {int((all_ >= level).sum())}")
     order = np.argsort(-all_)[:24]
     print("  highest: " + ", ".join(f"{all_[k]:.2f} (chunk {chunks.start + k // CHUNK}, {k % CHUNK})" for k in order[:8]))
-    seen = photographs(args.condition)
+    seen = photographs(condition_of(args.condition, args.pad))
     if seen:
         name, top = max(seen, key=lambda s: s[1])
         print(

@@ -252,8 +252,13 @@ def covers(region: Region, xy_m: F64) -> NDArray[np.bool_]:
             return np.asarray((np.abs(xy_m[:, 0]) < 0.5 * region.length_m) & (np.abs(xy_m[:, 1]) < 0.5 * region.width_m))
         case PaintedTriangle() | PaintedStroke() | PaintedPolygon() if is_slanted(region):
             return np.logical_or.reduce([_inside(piece, xy_m) for piece in convex_pieces_of(region)])
-        case _:
+        case PaintedDisc() | PaintedRing():
             return depth_in(region, xy_m) > 0.0
+        case _:
+            start, end = sides_of(region)
+            out = _is_within(start, end, xy_m)
+            out[out] = _distance(start, end, xy_m[out]) > 0.0
+            return out
 
 
 def sides_of(region: Region) -> tuple[F64, F64]:
@@ -418,9 +423,13 @@ def _distance(start: F64, end: F64, xy_m: F64) -> F64:
 
 def _depth_within(start: F64, end: F64, xy_m: F64) -> F64:
     away = _distance(start, end, xy_m)
+    return np.asarray(np.where(_is_within(start, end, xy_m), away, -away))
+
+
+def _is_within(start: F64, end: F64, xy_m: F64) -> NDArray[np.bool_]:
+    """Return whether points (N, 2) are within sides, by the number of sides to one side of them."""
     a, b = start[None, :, :], end[None, :, :]
     p, way = xy_m[:, None, :], b - a
     above = (a[..., 1] > p[..., 1]) != (b[..., 1] > p[..., 1])
     x = a[..., 0] + (p[..., 1] - a[..., 1]) / np.where(way[..., 1] == 0.0, 1.0, way[..., 1]) * way[..., 0]
-    inside = np.count_nonzero(above & (x > p[..., 0]), axis=1) % 2 == 1
-    return np.asarray(np.where(inside, away, -away))
+    return np.asarray(np.count_nonzero(above & (x > p[..., 0]), axis=1) % 2 == 1)
