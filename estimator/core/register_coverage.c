@@ -203,38 +203,44 @@ static inline void points_at(const footprint *f, int begin, int count, int i, fl
     }
 }
 
-/* The sums of a figure's coverage and derivatives at `LANES` points of a footprint; returns whether it may cover any of them. */
-static inline int sum_figure(const pad_figure *g, const round_sides *sides, const footprint *f, const float *x, const float *y,
-                             const float *m, float sum[1 + BY][LANES])
-{
-    float per_x[LANES], per_y[LANES];
-    float *const by[BY] = {sum[1], sum[2], sum[3], sum[4], sum[5]};
-    const float reach = spread(f, m, per_x, per_y);
-    const int near = g->rectangles && is_near(g, x, y, reach);
-    if (near) {
-        add_rectangles(g, x, y, m, per_x, per_y, slant_of(f), reach, sum[0], by);
-    }
-    if (g->sides) {
-        add_sides(sides, x, y, m, sum[0], by);
-    }
-    return near || g->sides;
-}
-
 WIDE
 static void add_figure(const pad_figure *g, const footprint *f, int begin, int count, float *value, float *const d[BY])
+{
+    for (int i = 0; i < count; i += LANES) {
+        float x[LANES], y[LANES], m[LANES], per_x[LANES], per_y[LANES], sum[1 + BY][LANES] = {{0.0f}};
+        float *const by[BY] = {sum[1], sum[2], sum[3], sum[4], sum[5]};
+        points_at(f, begin, count, i, x, y, m);
+        const float reach = spread(f, m, per_x, per_y);
+        if (!is_near(g, x, y, reach)) {
+            continue;
+        }
+        add_rectangles(g, x, y, m, per_x, per_y, slant_of(f), reach, sum[0], by);
+        for (int l = 0; l < LANES && i + l < count; l++) {
+            value[i + l] += sum[0][l];
+            for (int k = 0; k < BY; k++) {
+                d[k][i + l] += by[k][l];
+            }
+        }
+    }
+}
+
+/* Add what straight sides of any direction enclose, at points turned by half a turn if `sign` is -1. */
+static void add_slanted(const pad_figure *g, const footprint *f, int begin, int count, float sign, float *value, float *const d[BY])
 {
     round_sides sides;
     prepare_sides(g, f->blur_m2, &sides);
     for (int i = 0; i < count; i += LANES) {
         float x[LANES], y[LANES], m[LANES], sum[1 + BY][LANES] = {{0.0f}};
+        float *const by[BY] = {sum[1], sum[2], sum[3], sum[4], sum[5]};
         points_at(f, begin, count, i, x, y, m);
-        if (!sum_figure(g, &sides, f, x, y, m, sum)) {
-            continue;
+        for (int l = 0; l < LANES; l++) {
+            x[l] *= sign, y[l] *= sign;
         }
+        add_sides(&sides, x, y, m, sum[0], by);
         for (int l = 0; l < LANES && i + l < count; l++) {
             value[i + l] += sum[0][l];
-            for (int k = 0; k < BY; k++) {
-                d[k][i + l] += sum[1 + k][l];
+            for (int k = 0; k < BY && d; k++) {
+                d[k][i + l] += by[k][l];
             }
         }
     }
@@ -298,7 +304,13 @@ void cover(const pad_shape *pad, const pad_region *region, const footprint *f, c
         add_change(f, p, begin, count, spare[0], spare[1], d);
     }
     if (region->figure >= 0) {
-        add_figure(&pad->figures[region->figure], f, begin, count, value, d);
+        const pad_figure *g = &pad->figures[region->figure];
+        if (g->rectangles) {
+            add_figure(g, f, begin, count, value, d);
+        }
+        if (g->sides) {
+            add_slanted(g, f, begin, count, 1.0f, value, d);
+        }
     }
     if (region->has_wedge) {
         add_wedge(&pad->wedge, f, p, begin, count, value, d);
@@ -308,19 +320,24 @@ void cover(const pad_shape *pad, const pad_region *region, const footprint *f, c
 void cover_figure(const pad_figure *g, const footprint *f, int begin, int count, int turned, float *value)
 {
     const float sign = turned ? -1.0f : 1.0f;
-    round_sides sides;
-    prepare_sides(g, f->blur_m2, &sides);
     memset(value, 0, (size_t)count * sizeof *value);
-    for (int i = 0; i < count; i += LANES) {
-        float x[LANES], y[LANES], m[LANES], sum[1 + BY][LANES] = {{0.0f}};
+    for (int i = 0; i < count && g->rectangles; i += LANES) {
+        float x[LANES], y[LANES], m[LANES], per_x[LANES], per_y[LANES], sum[1 + BY][LANES] = {{0.0f}};
+        float *const by[BY] = {sum[1], sum[2], sum[3], sum[4], sum[5]};
         points_at(f, begin, count, i, x, y, m);
         for (int l = 0; l < LANES; l++) {
             x[l] *= sign, y[l] *= sign;
         }
-        sum_figure(g, &sides, f, x, y, m, sum);
+        const float reach = spread(f, m, per_x, per_y);
+        if (is_near(g, x, y, reach)) {
+            add_rectangles(g, x, y, m, per_x, per_y, slant_of(f), reach, sum[0], by);
+        }
         for (int l = 0; l < LANES && i + l < count; l++) {
             value[i + l] = sum[0][l];
         }
+    }
+    if (g->sides) {
+        add_slanted(g, f, begin, count, sign, value, 0);
     }
 }
 
