@@ -251,7 +251,7 @@ def covers(region: Region, xy_m: F64) -> NDArray[np.bool_]:
         case PaintedPanel():
             return np.asarray((np.abs(xy_m[:, 0]) < 0.5 * region.length_m) & (np.abs(xy_m[:, 1]) < 0.5 * region.width_m))
         case PaintedTriangle() | PaintedStroke() | PaintedPolygon() if is_slanted(region):
-            return np.logical_or.reduce([_inside(piece, xy_m) for piece in convex_pieces_of(region)])
+            return np.asarray(np.any([_inside(piece, xy_m) for piece in convex_pieces_of(region)], axis=0))
         case PaintedDisc() | PaintedRing():
             return depth_in(region, xy_m) > 0.0
         case _:
