@@ -150,6 +150,12 @@ def _check_upper(regions: Sequence[Region], i: int, below: int, where: str) -> N
             f"{where}: regions[{i}] has the second paint {shown(regions[i].paint)} of lettering, and lettering of the first one "
             "follows: what lies above comes last"
         )
+    for j, other in enumerate(regions[:i]):
+        if (other in letters or isinstance(other, PaintedTriangle)) and apart_m(regions[i], other) <= _TOUCH_M:
+            raise BadInput(
+                f"{where}: regions[{i}] of the second paint {shown(regions[i].paint)} touches the border of regions[{j}] "
+                f"({part_of(other)}): move it wholly on or off"
+            )
     on = below >= 0 and regions[below] in letters
     if on != any(depth_in(r, upper[0].corners()).min() > 0.0 for r in letters):
         raise BadInput(

@@ -85,6 +85,10 @@ def triangle(**keys: Any) -> dict[str, Any]:
         (triangle(paint="asphalt"), "the triangle must have the lettering's paint, got 'asphalt'"),
         (triangle(side_m=0.3, stroke_m=0.02), "touches regions[2] (triangle) of the same paint"),
         (
+            upper({"shape": "stroke", "paint": "red", "from_m": [0.44, 0.0], "to_m": [0.0, 0.2352], "width_m": 0.002}),
+            "regions[4] of the second paint 'red' touches the border of regions[2]",
+        ),
+        (
             upper({"shape": "stroke", "paint": "red", "from_m": [-0.3, 0.3], "to_m": [-0.25, 0.3], "width_m": 0.02}),
             "regions[4] of the second paint 'red' lies beside the other lettering",
         ),
