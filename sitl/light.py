@@ -335,7 +335,7 @@ class Development:
             scene: (H, W, 4) what blue, green and red reflect, and the wear of the paint, parts of `SCENE_ONE`.
             gain: (H, W) factors on the light, parts of `GAIN_ONE`.
             pad: the pad on top of the scene, if it is in the frame.
-            pad_scene: (5, 4) the pad's paints, as pixels of a scene, if there is a pad.
+            pad_scene: (6, 4) the pad's paints, as pixels of a scene, if there is a pad.
             room: (H, W, 3) room for the result; a new one if it is None.
         """
         h, w = gain.shape
