@@ -6,7 +6,7 @@
 #include "vectors.h"
 #include "wide.h"
 
-enum { CELLS = POLAR_RADII * POLAR_ANGLES, VALUES = 4, LANES = 8 };
+enum { CELLS = POLAR_RADII * POLAR_ANGLES, VALUES = 4, LANES = 8, HALF_TURN = POLAR_ANGLES / 2 };
 /* Least depth of a cell, m. */
 static const double NEAREST_M = 1e-3;
 /* Area of a paint in view, as a fraction of the whole, below which the paint is ignored. */
@@ -87,18 +87,28 @@ typedef struct {
     uint32_t pixel[4][CELLS];
 } polar_corners;
 
-static inline uint32_t pixel(const uint8_t *at)
+/* A pixel and the one at its right, or itself twice at the image's edge. Eight bytes are read where the row has them. */
+static inline void read_two(int w, int i, const uint8_t *at, uint32_t *left, uint32_t *right)
 {
-    return (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16;
+    if (i + 2 < w) {
+        uint64_t both;
+        memcpy(&both, at, sizeof both);
+        *left = (uint32_t)both;
+        *right = (uint32_t)(both >> 24);
+    } else {
+        const uint8_t *beside = i + 1 < w ? at + 3 : at;
+        *left = (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16;
+        *right = (uint32_t)beside[0] | (uint32_t)beside[1] << 8 | (uint32_t)beside[2] << 16;
+    }
 }
 
 static void read_corners(int w, int h, const uint8_t *px, int32_t stride, const polar_places *at, polar_corners *out)
 {
     for (int k = 0; k < CELLS; k++) {
-        const int i = (int)at->u[k], j = (int)at->v[k], right = i + 1 < w ? 3 : 0;
+        const int i = (int)at->u[k], j = (int)at->v[k];
         const uint8_t *top = px + (size_t)j * (size_t)stride + 3 * (size_t)i, *low = j + 1 < h ? top + stride : top;
-        out->pixel[0][k] = pixel(top), out->pixel[1][k] = pixel(top + right);
-        out->pixel[2][k] = pixel(low), out->pixel[3][k] = pixel(low + right);
+        read_two(w, i, top, &out->pixel[0][k], &out->pixel[1][k]);
+        read_two(w, i, low, &out->pixel[2][k], &out->pixel[3][k]);
     }
 }
 
@@ -132,8 +142,17 @@ static void weigh(const polar_pad *pad, const polar_places *at, const float ligh
     }
 }
 
+/* Four floats in a row, as doubles. */
+static inline void four_doubles(const float *from, double4 *out)
+{
+    float4 four;
+    memcpy(&four, from, sizeof four);
+    *out = __builtin_convertvector(four, double4);
+}
+
 /* The sums of the whole disc, of its ring, and of what lies outside of the ring; and of the squares of light. */
-static void add_up(const polar_pad *pad, const polar_places *at, const float light[3][CELLS], const polar_view *seen, disc_sums *out)
+WIDE
+static void add_up(const polar_pad *pad, const float light[3][CELLS], const polar_view *seen, disc_sums *out)
 {
     int outermost = POLAR_RADII - 1;
     while (outermost > 0 && !(pad->ring[outermost] > 0.0)) {
@@ -141,25 +160,27 @@ static void add_up(const polar_pad *pad, const polar_places *at, const float lig
     }
     memset(out, 0, sizeof *out);
     for (int r = 0; r < POLAR_RADII; r++) {
-        const double area = pad->area_inside[r];
-        double sum[VALUES] = {0.0};
-        for (int k = POLAR_ANGLES * r; k < POLAR_ANGLES * (r + 1); k++) {
-            const double counted = at->counts[k] ? area : 0.0;
-            out->area += area;
-            out->in_view += counted;
-            for (int value = 0; value < VALUES; value++) {
-                sum[value] += (double)seen->of[value][k];
-            }
+        double4 sum[VALUES] = {{0.0}}, squares = {0.0}, weighed, bare;
+        for (int k = POLAR_ANGLES * r; k < POLAR_ANGLES * (r + 1); k += 4) {
+            four_doubles(seen->of[0] + k, &weighed);
+            sum[0] += weighed;
             for (int i = 0; i < 3; i++) {
-                out->squares += counted * (double)light[i][k] * (double)light[i][k];
+                four_doubles(seen->of[1 + i] + k, &weighed);
+                four_doubles(light[i] + k, &bare);
+                sum[1 + i] += weighed;
+                squares += weighed * bare;
             }
         }
+        out->area += POLAR_ANGLES * pad->area_inside[r];
+        out->squares += (squares[0] + squares[1]) + (squares[2] + squares[3]);
         for (int value = 0; value < VALUES; value++) {
-            out->whole[value] += sum[value];
-            out->ring[value] += sum[value] * pad->ring[r];
-            out->outside[value] += r > outermost ? sum[value] : 0.0;
+            const double all = (sum[value][0] + sum[value][1]) + (sum[value][2] + sum[value][3]);
+            out->whole[value] += all;
+            out->ring[value] += all * pad->ring[r];
+            out->outside[value] += r > outermost ? all : 0.0;
         }
     }
+    out->in_view = out->whole[0];
 }
 
 static void look(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int w, int h, const uint8_t *px,
@@ -181,45 +202,70 @@ static void look(const camera_lens *c, const polar_pad *pad, const pad_pose *pos
         between(&at, &of, i, light[i]);
     }
     weigh(pad, &at, (const float(*)[CELLS])light, out);
-    add_up(pad, &at, (const float(*)[CELLS])light, out, sums);
+    add_up(pad, (const float(*)[CELLS])light, out, sums);
 }
 
-/* A cell's numbers times those of a shape at eight turns, summed over every eighth cell of a ring. */
-static inline void eighths(const polar_view *seen, int ring, int first, const float *under, float8 out[VALUES])
+/* The cells of a ring that a shape covers, and their shares; half of them where half a turn brings the shape onto itself. */
+typedef struct {
+    int n, turns, cell[POLAR_ANGLES];
+    float share[POLAR_ANGLES];
+} ring_shape;
+
+static void shape_of(const double *shape, ring_shape *out)
 {
-    const float8 none = {0.0f};
-    for (int value = 0; value < VALUES; value++) {
-        out[value] = none;
+    int same = 1;
+    for (int a = 0; a < HALF_TURN; a++) {
+        same &= shape[a] == shape[a + HALF_TURN];
     }
-    for (int a = first; a < POLAR_ANGLES; a += LANES) {
-        const float8 shape = *eight_of(under - a);
-        for (int value = 0; value < VALUES; value++) {
-            out[value] += shape * seen->of[value][ring + a];
+    out->n = 0;
+    out->turns = same ? HALF_TURN : POLAR_ANGLES;
+    for (int a = 0; a < out->turns; a++) {
+        out->cell[out->n] = a;
+        out->share[out->n] = (float)shape[a];
+        out->n += shape[a] > 0.0;
+    }
+}
+
+/* Add the light of a ring under its shape, at all turns and eight of them at once. */
+WIDE
+static void add_turned(const ring_shape *of, const float *ring, float *out)
+{
+    float around[2 * POLAR_ANGLES];
+    float8 sum[POLAR_ANGLES / LANES] = {{0.0f}};
+    const int turns = of->turns;
+    if (turns == HALF_TURN) {
+        for (int a = 0; a < HALF_TURN; a++) {
+            around[a] = around[a + HALF_TURN] = ring[a] + ring[a + HALF_TURN];
+        }
+        for (int k = 0; k < of->n; k++) {
+            for (int i = 0; i < HALF_TURN / LANES; i++) {
+                sum[i] += of->share[k] * *eight_of(around + of->cell[k] + LANES * i);
+            }
+        }
+    } else {
+        memcpy(around, ring, POLAR_ANGLES * sizeof *around);
+        memcpy(around + POLAR_ANGLES, ring, POLAR_ANGLES * sizeof *around);
+        for (int k = 0; k < of->n; k++) {
+            for (int i = 0; i < POLAR_ANGLES / LANES; i++) {
+                sum[i] += of->share[k] * *eight_of(around + of->cell[k] + LANES * i);
+            }
         }
     }
+    for (int i = 0; i < POLAR_ANGLES / LANES; i++) {
+        *eight(out + LANES * i) += sum[i % (turns / LANES)];
+    }
 }
 
-/* Weighted light under a shape that is turned by every whole number of cells: correlation along the angle. */
-WIDE
+/* Weighted light under a shape that is turned by every whole number of cells: correlation along the angle. The drawing's shapes
+ * cover few cells, so those are added one by one. */
 static void turned_sums(const polar_view *seen, const double *shape, float out[VALUES][POLAR_ANGLES])
 {
     memset(out, 0, sizeof(float) * POLAR_ANGLES * VALUES);
     for (int ring = 0; ring < CELLS; ring += POLAR_ANGLES) {
-        /* Backwards, so that turns by one cell more lie one place further. */
-        float twice[2 * POLAR_ANGLES], any = 0.0f;
-        for (int a = 0; a < POLAR_ANGLES; a++) {
-            twice[POLAR_ANGLES - 1 - a] = twice[2 * POLAR_ANGLES - 1 - a] = (float)shape[ring + a];
-            any += (float)shape[ring + a];
-        }
-        for (int turn = 0; turn < POLAR_ANGLES && any > 0.0f; turn += LANES) {
-            float8 sum[LANES][VALUES];
-            for (int k = 0; k < LANES; k++) {
-                eighths(seen, ring, k, twice + POLAR_ANGLES - 1 + turn, sum[k]);
-            }
-            for (int value = 0; value < VALUES; value++) {
-                const float8 even = (sum[0][value] + sum[4][value]) + (sum[1][value] + sum[5][value]);
-                *eight(out[value] + turn) += even + ((sum[2][value] + sum[6][value]) + (sum[3][value] + sum[7][value]));
-            }
+        ring_shape of;
+        shape_of(shape + ring, &of);
+        for (int value = 0; value < VALUES && of.n > 0; value++) {
+            add_turned(&of, seen->of[value] + ring, out[value]);
         }
     }
 }
