@@ -36,9 +36,11 @@ _LOG = np.rint(np.log1p(LINEAR_LIGHT / _FLOOR) * _NAT).astype(np.uint8)
 def disc_colour(px: U8, pad: Pad) -> U8:
     """Return the measure, (h, w), of a BGR frame."""
     main = 2 - int(np.argmax(pad.markings.colours.disc))
-    channels = cv2.split(cv2.LUT(px, _LOG))
-    others = cv2.max(channels[(main + 1) % 3], channels[(main + 2) % 3])
-    return np.asarray(cv2.addWeighted(channels[main], 1.0, others, -1.0, float(_MIDDLE)), np.uint8)
+    channels = cv2.split(px)
+    others = cv2.LUT(cv2.max(channels[(main + 1) % 3], channels[(main + 2) % 3]), _LOG)
+    own = cv2.LUT(channels[main], _LOG)
+    more, less = cv2.subtract(own, others), cv2.subtract(others, own)
+    return np.asarray(cv2.subtract(cv2.add(more, float(_MIDDLE)), less), np.uint8)
 
 
 def is_coloured(measure: U8) -> bool:
