@@ -865,6 +865,7 @@ typedef struct {
 typedef struct {
     int64_t radii;
     int64_t most;
+    int64_t only_bright;
     double least;
     double ratio;
 } search_radii;
@@ -1358,7 +1359,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 684657273u
+#define INTERFACE_DIGEST 2222628277u
 #endif
 
 #endif

@@ -141,7 +141,8 @@ void search_votes(const search_image *image, const search_radii *radii, search_r
         t->plane[k] = -1;
     }
     outlines(image, &rows->blocks, t, unit);
-    for (int plane = 0; plane < planes; plane++) {
+    const int each = radii->only_bright ? 2 : 1;
+    for (int plane = each - 1; plane < planes; plane += each) {
         uint8_t *votes = rows->votes + plane_cells * (size_t)plane;
         const float radius = radius_of(radii, plane / 2);
         cells_of(&rows->edges, plane % 2 ? radius : -radius, (float)image->margin, columns, high, rows->chosen.edge);

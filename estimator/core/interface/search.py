@@ -25,7 +25,7 @@ CONSTANTS = {
 
 STRUCTS: dict[str, tuple[Field, ...]] = {
     "search_image": (*integers("width", "height", "stride", "room", "margin", "step"), *doubles(R_cam_plane=9)),
-    "search_radii": (*integers("radii", "most"), *doubles(least=1, ratio=1)),
+    "search_radii": (*integers("radii", "most", "only_bright"), *doubles(least=1, ratio=1)),
     "search_circle": (
         *integers("bright_inside", "points"), *doubles(centre=2, radius=1, support=1, outline_px=2 * SEARCH_SECTORS),
     ),
@@ -51,7 +51,8 @@ STRUCTS: dict[str, tuple[Field, ...]] = {
 
 A `search_image` is a grey image `step` times smaller than the frame, room for so many edges, the margin around it in which
 centres may lie, px, and the plane that the pad is taken to lie in, at unit distance from the lens. Radii of a search are
-`least` in that plane and those that follow, each `ratio` times the one before. A `search_circle` lies in the plane; `support`
+`least` in that plane and those that follow, each `ratio` times the one before; it may be for circles that are bright inside
+only. A `search_circle` lies in the plane; `support`
 is the fraction of its outline with an edge, and `outline_px` has their places in the frame, px.
 
 A `polar_pad` has the drawing in polar cells, radius by radius: places, area within the disc's paint, and coverage. `polarity`

@@ -51,10 +51,10 @@ _ARROW_SEEN = 0.3
 """Support of the arrowhead at which the heading is unambiguous."""
 _ARROW_MISSING = 0.5
 """How much surer it must be that no arrowhead is at its place than that there is none half a turn away."""
-_WORK_ALIGN, _WORK_ALIGN_FREE, _WORK_VERIFY = 1.6, 2.2, 0.8
+_WORK_ALIGN, _WORK_ALIGN_FREE, _WORK_VERIFY = 0.8, 1.0, 0.3
 """Work of an alignment with the tilt known and unknown, and of one without a step."""
-_WORK_COVER, _WORK_COVERED = 0.5, 2.2
-"""Work of looking for what covers a part of the pad, and of aligning the drawing with the rest, too."""
+_WORK_COVER, _WORK_COVERED, _WORK_TURNED = 0.3, 1.2, 1.8
+"""Work of looking for what covers a part of the pad, of aligning the drawing with the rest, and of doing so at other headings."""
 _SAME_PX, _SAME_RADII, _SAME_FAR = 4.0, 0.5, 0.15
 """What a place of one frame may be off from that of the next to be the same: px, radii of the disc, and by the logarithm of the
 distance.
@@ -227,14 +227,13 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
     """Align the drawing at the best guesses of a kind. Return whether that is enough, or None if the budget ends before."""
     guesses = task.guesses.get(kind.guesses)
     if guesses is None:
-        if task.work > 0.0 and task.work + kind.work > task.budget:
+        if task.work > 0.0 and task.work + kind.expected_work > task.budget:
             return None
         guesses = task.guesses[kind.guesses] = kind.guesses()
         task.work += kind.work + WORK_GUESS * len(guesses)
     aligned = kept = 0
-    for guess in sorted(guesses, key=lambda g: (_is_refused(g, task), -g.score)):
-        if id(guess) in task.tried or not kind.is_drawn(guess):
-            continue
+    drawn = [guess for guess in guesses if kind.is_drawn(guess) and id(guess) not in task.tried]
+    for guess in sorted(drawn, key=lambda g: (_is_refused(g, task), -g.score)):
         if task.found and any(_near(guess.t_cam_pad, c.pose) for c in _settled(kind, task)):
             continue
         if aligned == _TRIES * _ALIGNED or kept == _ALIGNED:
@@ -242,19 +241,15 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
         work = _WORK_ALIGN if guess.tilt_known else _WORK_ALIGN_FREE
         if task.work + work > task.budget and aligned > 0:
             return None
-        candidate = align_at(guess.pose, guess.tilt_known, task.pyramid, task.camera, task.pad, guess.side, kind.covered)
+        candidate, more = _aligned_at(guess.pose, guess.tilt_known, task.pyramid, task.camera, task.pad, guess.side, kind.covered)
         task.tried.add(id(guess))
         aligned += 1
-        task.work += work
+        task.work += work + more
         if candidate is not None:
             kept += 1
             task.found.append(candidate)
             if candidate.score >= task.sure:
                 return True
-        if candidate is not None and candidate.cut is not None:
-            task.work += _WORK_COVERED
-        elif candidate is not None or kind.covered:
-            task.work += _WORK_COVER
         if candidate is None or candidate.score < ENOUGH:
             task.refused.append(_place(guess, task.camera))
     # What covers a part, and the heading beside it, were chosen to fit: that alone is not enough.
@@ -276,30 +271,38 @@ def align_at(
         side: as for `align`.
         covered: where the whole drawing does not fit at all, look for what covers a part of it, too.
     """
+    return _aligned_at(pose, tilt_known, pyramid, camera, pad, side, covered)[0]
+
+
+def _aligned_at(
+    pose: PadPose, tilt_known: bool, pyramid: Pyramid, camera: Camera, pad: Pad, side: F64 | None, covered: bool
+) -> tuple[PadCandidate | None, float]:
+    """Return what `align_at` does, and the work of looking for what covers the pad."""
     sigma, steps = (SIGMA_TILT_RAD, _STEPS) if tilt_known else (SIGMA_TILT_FREE_RAD, _STEPS_FREE)
     aligned = align(pyramid, camera, pad, pose, sigma, steps, local=True, side=side)
     found = None if aligned is None else _with_arrow(aligned, pyramid, camera, pad, sigma, side)
     enough = not covered if found is None else found.score >= ENOUGH
     if enough or not pad.markings.is_searched_by_parts:
-        return found
-    other = _uncovered_at(pose if found is None else found.pose, pyramid, camera, pad, sigma, steps)
-    return other if found is None or (other is not None and other.score > found.score) else found
+        return found, 0.0
+    other, work = _uncovered_at(pose if found is None else found.pose, pyramid, camera, pad, sigma, steps)
+    return other if found is None or (other is not None and other.score > found.score) else found, work
 
 
 def _uncovered_at(
     pose: PadPose, pyramid: Pyramid, camera: Camera, pad: Pad, sigma_tilt_rad: float, steps: int
-) -> PadCandidate | None:
-    """Align the drawing with what nothing covers, and verify it; return None if nothing seems to be covered."""
+) -> tuple[PadCandidate | None, float]:
+    """Align the drawing with what nothing covers, and verify it; return None if nothing seems to be covered, and the work."""
     uncovered = align_uncovered(pyramid, camera, pad, pose, sigma_tilt_rad, steps)
     if uncovered is None:
-        return None
+        return None, _WORK_COVER
     aligned, cut = uncovered
     found = _candidate(aligned, arrow_support(aligned) < _ARROW_SEEN, cut)
     if found is not None and found.score >= ENOUGH:
-        return found
+        return found, _WORK_COVER + _WORK_COVERED
     turned = turned_uncovered(pyramid, camera, pad, aligned, cut, sigma_tilt_rad, steps)
     other = None if turned is None else _candidate(turned, arrow_support(turned) < _ARROW_SEEN, cut)
-    return other if found is None or (other is not None and other.score > found.score) else found
+    best = other if found is None or (other is not None and other.score > found.score) else found
+    return best, _WORK_COVER + _WORK_COVERED + _WORK_TURNED
 
 
 def _with_arrow(

@@ -64,7 +64,15 @@ class EdgeCircle:
 
 
 def edge_circles(
-    grey: U8, step: int, camera: Camera, plane: Plane, radii: Radii, most: int, margin_px: int = 0
+    grey: U8,
+    step: int,
+    camera: Camera,
+    plane: Plane,
+    radii: Radii,
+    most: int,
+    margin_px: int = 0,
+    *,
+    only_bright: bool = False,
 ) -> list[EdgeCircle]:
     """Return the circles with the most edges, most prominent first.
 
@@ -72,6 +80,7 @@ def edge_circles(
         grey: the frame, `step` times smaller than the camera's, (h, w).
         most: the largest number of circles.
         margin_px: how far beyond the frame's edge centres may lie, px of `grey`.
+        only_bright: look only for circles that are brighter inside.
     """
     h, w = grey.shape
     image = _image(w, h, grey.strides[0], margin_px, step).copy()
@@ -83,7 +92,7 @@ def edge_circles(
         start_of(image),
         address(grey, np.uint8),
         address(rays, np.float32),
-        start_of(_radii(radii, most, radii.least_px * step / camera.fx)),
+        start_of(_radii(radii, most, radii.least_px * step / camera.fx, only_bright)),
         start_of(scratch),
         start_of(out),
     )
@@ -100,9 +109,11 @@ def _image(width: int, height: int, stride: int, margin_px: int, step: int) -> F
 
 
 @lru_cache(maxsize=16)
-def _radii(radii: Radii, most: int, least: float) -> F64:
+def _radii(radii: Radii, most: int, least: float, only_bright: bool) -> F64:
     """Return the core's `search_radii`."""
-    return record("search_radii", {"radii": radii.count, "most": most, "least": least, "ratio": radii.ratio})
+    return record("search_radii", {
+        "radii": radii.count, "most": most, "only_bright": only_bright, "least": least, "ratio": radii.ratio,
+    })  # fmt: skip
 
 
 @lru_cache(maxsize=16)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -39,13 +40,14 @@ be covered, and one in thirty of the areas.
 """
 _ROUND = 0.8
 """Support at which an area's outline is an ellipse."""
-WORK_GUESS = 0.1
-"""Work of a guess; see `Kind`."""
+WORK_GUESS = 0.035
+"""Work of a guess; see `Kind`. This and the other amounts of work are means over frames without a pad, on a machine at rest."""
 _CIRCLES = 12
 """Number of circles of one image."""
-_MORE_CIRCLES, _MORE_GUESSES = {0: 32, 1: 16}, 60
-"""Number of circles of an image at full and at half size where half of the disc may be covered, and the largest number of guesses
-from them. Of ten half discs at 10 m the full size has nine among them, of ten at 15 m six.
+_MORE_CIRCLES, _MORE_GUESSES, _MORE_USUAL = {0: 32, 1: 16}, 60, 50
+"""Number of circles of an image at full and at half size where half of the disc may be covered, the largest number of guesses
+from one size, and how many there usually are from the full size. Of ten half discs at 10 m the full size has nine among them, of
+ten at 15 m six.
 """
 _MARGIN_PX = 8
 """How far beyond the edge of such an image centres are looked for, px: half of the disc may be out of the frame."""
@@ -58,20 +60,21 @@ _FULL_SIZE, _REDUCED, _LEAST_SIZE = Radii(4.5, 1.22, 5), Radii(5.0, 1.2, 7), Rad
 """Radii searched at full size, at half and a quarter of it, and at an eighth."""
 _BEYOND = 0.4
 """How far beyond the edge of the smallest image centres are looked for, in its widths."""
-_WORK_REDUCED, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_COLOUR = 4.0, 4.0, 3.0, 1.0
-WORK_COARSE, _WORK_LARGER = 1.0, 3.0
-_WORK_LETTERING, _WORK_OUTLINES, _WORK_MORE_CIRCLES = 3.0, 2.5, 5.5
+_WORK_GREEN, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_SMALL_GREEN = 2.2, 3.0, 2.2, 3.2
+WORK_COARSE, _WORK_LARGER = 1.5, 0.8
+_WORK_LETTERING, _WORK_OUTLINES, _WORK_MORE_OF_HALF = 3.0, 2.2, 0.3
 FULL_PIXELS = 640 * 360
 """Pixels of the frame that work is counted for."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Kind:
-    """One kind of hypotheses."""
+class Kind(NamedTuple):
+    """One kind of hypotheses. Each frame has all of them, whether they are looked for or not."""
 
     work: float
     """Work of looking for them, in the time of one BGR to HSV conversion and one inRange of a frame of 640x360."""
     guesses: Callable[[], list[Guess]]
+    usual: int = MOST
+    """Number of guesses that there usually are in a frame without a pad."""
     covered: bool = False
     """Whether guesses are of a pad of which a part may be covered."""
     exact: bool = False
@@ -83,13 +86,18 @@ class Kind:
     by_colour: bool = False
     """Whether guesses come from the disc's colour."""
 
+    @property
+    def expected_work(self) -> float:
+        """Work of looking for them and of comparing as many as there usually are with the drawing."""
+        return self.work + WORK_GUESS * self.usual
+
     def is_drawn(self, guess: Guess) -> bool:
         """Return whether a guess explains enough of the variance to be tried."""
         return guess.drawing >= (self.least_round if guess.support >= _ROUND else self.least_drawing)
 
     def clear(self, least: float = _CLEAR_DRAWING) -> Kind:
         """Return the same kind for guesses that explain at least this fraction of the variance: few of them are wrong."""
-        return replace(self, least_round=least, least_drawing=least)
+        return self._replace(least_round=least, least_drawing=least)
 
 
 def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: PaintMemory) -> list[Kind]:
@@ -98,7 +106,7 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
     Kinds whose guesses are often wrong are looked at twice: first for guesses that are clear, and for the others after all kinds.
     Those that only a pad of which a part is covered needs are the last ones.
     """
-    luminance, colour = _Images(_luminance, pyramid), _Images(lambda px: disc_colour(px, pad), pyramid)
+    luminance, colour = _Images(_luminance, pyramid, _MORE_CIRCLES), _Images(lambda px: disc_colour(px, pad), pyramid, {})
     frame = _Searched(pyramid, camera, pad, plane)
     size = camera.width * camera.height / FULL_PIXELS
 
@@ -106,9 +114,9 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
         if not is_coloured(colour[2]):
             return []
         of, most = (Outline.RING, _MORE_GUESSES) if of_ring else (Outline.DISC, MOST)
-        return frame.guesses(frame.circles(colour, levels), of, most)
+        return frame.guesses(frame.circles(colour, levels, only_bright=not of_ring), of, most)
 
-    strokes = Kind(_WORK_STROKES, frame.strokes)
+    strokes = Kind(_WORK_STROKES, frame.strokes, usual=0)
     if pad.markings.is_letter_alone:
         alone = [Kind(_WORK_LETTERING * size, lambda: lettering_blobs(pyramid, camera, pad, plane))]
         return [*alone, strokes] if pad.markings.is_h else alone
@@ -116,20 +124,18 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
     larger = Kind(_WORK_LARGER * size, lambda: frame.guesses_by_edges(luminance, _REDUCED_LEVELS))
     blobs = Kind(_WORK_OUTLINES * size, frame.blobs, exact=True, least_round=_LEAST_ROUND)
     full = Kind(_WORK_FULL_SIZE * size, lambda: frame.guesses(frame.circles(luminance, (0,)), Outline.EDGES))
-    green = Kind((_WORK_REDUCED + _WORK_COLOUR) * size, lambda: circles_of_colour(_REDUCED_LEVELS), by_colour=True)
-    small_green = Kind((_WORK_FULL_SIZE + _WORK_COLOUR) * size, lambda: circles_of_colour((0,)), by_colour=True)
+    green = Kind(_WORK_GREEN * size, lambda: circles_of_colour(_REDUCED_LEVELS), by_colour=True)
+    small_green = Kind(_WORK_SMALL_GREEN * size, lambda: circles_of_colour((0,)), by_colour=True)
     out = [coarse, larger, blobs, green, strokes, full, small_green]
     if pad.markings.is_searched_by_parts:
-        in_ring = replace(green, guesses=lambda: circles_of_colour(_REDUCED_LEVELS, of_ring=True), covered=True)
-        more = Kind(
-            _WORK_MORE_CIRCLES * size,
-            lambda: frame.guesses(frame.more_circles(luminance), Outline.EDGES, _MORE_GUESSES),
-            covered=True,
-        )
+        in_ring = green._replace(guesses=lambda: circles_of_colour(_REDUCED_LEVELS, of_ring=True), covered=True)
+        half = Kind(_WORK_MORE_OF_HALF * size, lambda: frame.more(luminance, 1), covered=True)
+        more = Kind(_WORK_FULL_SIZE * size, lambda: frame.more(luminance, 0), _MORE_USUAL, covered=True)
         out = [
-            coarse, larger.clear(), blobs.clear(_CLEAR_AREA), small_green.clear(_CLEAR_COLOUR), strokes,
-            green.clear(_CLEAR_COLOUR), more.clear(),
-            small_green, green, larger, blobs, full, in_ring, more, Kind(_WORK_STROKES, frame.beside_strokes, covered=True),
+            coarse, larger.clear(), half.clear(), green.clear(_CLEAR_COLOUR), small_green.clear(_CLEAR_COLOUR), strokes,
+            blobs.clear(_CLEAR_AREA), more.clear(),
+            small_green, green, larger, blobs, in_ring, half, more,
+            Kind(_WORK_STROKES, frame.beside_strokes, usual=0, covered=True),
         ]  # fmt: skip
     if not disc_has_colour(pad):
         return [kind for kind in out if not kind.by_colour]
@@ -147,9 +153,11 @@ class _Searched:
     pad: Pad
     plane: Plane
 
-    def guesses(self, circles: list[EdgeCircle], of: Outline, most: int = MOST) -> list[Guess]:
+    def guesses(
+        self, circles: list[EdgeCircle], of: Outline, most: int = MOST, rated: dict[int, F64] | None = None
+    ) -> list[Guess]:
         """Return guesses from circles."""
-        return guesses_from(circles, of, self.pyramid, self.camera, self.pad, self.plane, most)
+        return guesses_from(circles, of, self.pyramid, self.camera, self.pad, self.plane, most, rated)
 
     def plain(self, images: _Images) -> list[Guess]:
         """Return guesses from the circles of the smallest images that the drawing explains well."""
@@ -161,32 +169,31 @@ class _Searched:
         circles = self.circles(images, levels)
         return guesses_from(circles, Outline.EDGES, self.pyramid, self.camera, self.pad, self.plane, rated=images.rated)
 
-    def circles(self, images: _Images, levels: tuple[int, ...]) -> list[EdgeCircle]:
+    def circles(self, images: _Images, levels: tuple[int, ...], only_bright: bool = False) -> list[EdgeCircle]:
         """Return the circles at several sizes of an image: the most prominent at each size first."""
-        found = [(rank - one.support, one) for level in levels for rank, one in enumerate(self._circles(images, level))]
+        by_level = {level: self._circles(images, level, only_bright)[:_CIRCLES] for level in levels}
+        found = [(rank - one.support, one) for circles in by_level.values() for rank, one in enumerate(circles)]
         return [circle for _, circle in sorted(found, key=lambda of: of[0])]
 
-    def _circles(self, images: _Images, level: int) -> list[EdgeCircle]:
+    def _circles(self, images: _Images, level: int, only_bright: bool) -> list[EdgeCircle]:
         """Return the circles at one size of an image, most prominent first."""
-        if level not in images.circles:
+        if (level, only_bright) not in images.circles:
             image, least = images[level], level == _REDUCED_LEVELS[0]
             radii = _FULL_SIZE if level == 0 else _LEAST_SIZE if least else _REDUCED
-            beyond_px = round(_BEYOND * image.shape[1]) if least else 0
-            of_level = edge_circles(image, 1 << level, self.camera, self.plane, radii, _CIRCLES, beyond_px)
-            images.circles[level] = of_level
-        return images.circles[level]
+            beyond_px = round(_BEYOND * image.shape[1]) if least else _MARGIN_PX if level in images.more_circles else 0
+            most = images.more_circles.get(level, _CIRCLES)
+            images.circles[level, only_bright] = edge_circles(
+                image, 1 << level, self.camera, self.plane, radii, most, beyond_px, only_bright=only_bright
+            )
+        return images.circles[level, only_bright]
 
-    def more_circles(self, images: _Images) -> list[EdgeCircle]:
-        """Return more circles of the larger sizes of an image, those with most edges for their outline's chance first.
+    def more(self, images: _Images, level: int) -> list[Guess]:
+        """Return guesses from more circles of a larger size, those with most edges for their outline's chance first.
 
         Half a circle is one of them.
         """
-        found = []
-        for level, most in _MORE_CIRCLES.items():
-            radii = _REDUCED if level else _FULL_SIZE
-            of_level = edge_circles(images[level], 1 << level, self.camera, self.plane, radii, most, _MARGIN_PX)
-            found += [(circle.support * math.sqrt(circle.radius / (1 << level)), circle) for circle in of_level]
-        return [circle for _, circle in sorted(found, key=lambda of: -of[0])]
+        circles = sorted(self._circles(images, level, only_bright=False), key=lambda c: -c.support * math.sqrt(c.radius))
+        return self.guesses(circles, Outline.EDGES, _MORE_GUESSES, images.rated)
 
     def blobs(self) -> list[Guess]:
         """Return guesses from the outlines of what stands out from its surroundings."""
@@ -212,9 +219,11 @@ def _moved(guess: Guess, across_m: float) -> Guess:
 class _Images:
     """One measure of a frame at full, half, quarter ... size; each is computed on demand."""
 
-    def __init__(self, measure: Callable[[U8], U8], pyramid: Pyramid) -> None:
-        self.circles: dict[int, list[EdgeCircle]] = {}
-        """Circles by size, as far as they were looked for."""
+    def __init__(self, measure: Callable[[U8], U8], pyramid: Pyramid, more_circles: Mapping[int, int]) -> None:
+        self.more_circles = more_circles
+        """Sizes at which more circles are looked for than at others, beyond the frame's edge, too; and how many."""
+        self.circles: dict[tuple[int, bool], list[EdgeCircle]] = {}
+        """Circles by size and by whether only bright ones were looked for, as far as they were."""
         self.rated: dict[int, F64] = {}
         """Guesses from them as circles of edges; see `guesses_from`."""
         self._measure = measure

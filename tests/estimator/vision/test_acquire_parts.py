@@ -26,6 +26,7 @@ from estimator.vision.detect.strokes import h_markings
 from estimator.vision.detect.template import DISC, ORANGE, STEP_M, H, paints_at, polar_drawing, template
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
+from estimator.vision.srgb import LINEAR_LIGHT
 from sitl.light import Light
 from tests.estimator.vision.oracle.heading import searched_heading
 from tests.estimator.vision.oracle.tilted import circle_normals, tilted_circles
@@ -127,6 +128,23 @@ def test_a_bright_circle_does_not_hide_a_dark_one_about_it() -> None:
     found = edge_circles(px, 1, camera, Plane.of(camera, None), Radii(4.5, 1.22, 5), 6)
     sizes = {circle.bright_inside: circle.radius * camera.fx for circle in found}
     assert sizes == {True: pytest.approx(5.0, abs=0.5), False: pytest.approx(9.0, abs=0.5)}
+
+
+def test_a_search_for_bright_circles_finds_the_same_ones_and_no_dark_one() -> None:
+    camera = sim_camera((0.0, 0.0, 0.0))
+    plane, radii = Plane.of(camera, None), Radii(4.5, 1.22, 5)
+    px = discs_on_grey(camera, (328.0, 184.0), ((9.0, 60.0), (5.0, 200.0)))
+    both = edge_circles(px, 1, camera, plane, radii, 6)
+    bright = edge_circles(px, 1, camera, plane, radii, 6, only_bright=True)
+    assert [c.centre.tolist() for c in bright] == [c.centre.tolist() for c in both if c.bright_inside]
+    assert 0 < len(bright) < len(both)
+
+
+def test_the_disc_s_colour_is_the_logarithm_of_its_channel_less_that_of_the_stronger_of_the_others(pad: Pad) -> None:
+    px = np.random.default_rng(5).integers(0, 256, (360, 640, 3), np.uint8)
+    light = np.rint(np.log1p(LINEAR_LIGHT[px] / 0.01) * (255.0 / math.log1p(100.0)))
+    expected = (80 + light[:, :, 1] - np.maximum(light[:, :, 0], light[:, :, 2])).clip(0, 255)
+    assert np.array_equal(disc_colour(px, pad), expected)
 
 
 def test_half_a_disc_is_more_prominent_than_what_noise_makes_of_smaller_circles() -> None:
