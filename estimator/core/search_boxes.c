@@ -4,11 +4,11 @@
 #include "strokes.h"
 #include "wide.h"
 
-enum { BOXES = 4, BEST = 2, REACH_MAX = 80 };
+enum { BOXES = 4, REACH_MAX = 80 };
 /* Width of a stroke at which the mask is halved, thirded ..., px: strokes of the mask that is searched are 5 to 10 px wide. */
 static const double STROKE_PX = 5.0;
-/* Smallest fraction of the H that must be in view, and the least score. */
-static const float LEAST_FRACTION = 0.22f, LEAST_SCORE = 0.55f;
+/* Smallest fraction of the H that must be in view, and the least score: an H of which half is covered has a half. */
+static const float LEAST_FRACTION = 0.22f, LEAST_SCORE = 0.3f;
 
 /* A box about the H's centre, cells: rows from top to below, columns from left to right. */
 typedef struct {
@@ -129,7 +129,7 @@ static int best_place(int cells, const float *score)
 static int best_places(int cells, float *score, int across, int apart, stroke_place *out)
 {
     int n = 0;
-    for (; n < BEST; n++) {
+    for (; n < STROKES_BEST; n++) {
         const int best = best_place(cells, score);
         if (best < 0) {
             break;
@@ -145,7 +145,7 @@ static int best_places(int cells, float *score, int across, int apart, stroke_pl
     return n;
 }
 
-int strokes_fit(const pad_strokes *h, int n, const int8_t *mask, double width, int32_t *sums, float *score, stroke_place out[4])
+int strokes_fit(const pad_strokes *h, int n, const int8_t *mask, double width, int32_t *sums, float *score, stroke_place out[STROKES_PLACES])
 {
     const int step = width >= 2.0 * STROKE_PX ? (int)(width / STROKE_PX) : 1, cells = n / step;
     const double stroke = width / step, per_m = stroke / h->leg_m;

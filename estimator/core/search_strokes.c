@@ -154,7 +154,7 @@ int32_t search_strokes(const camera_lens *c, const strokes_image *image, const p
         mask_of((int)(n * n), upright, limits[k], mask);
         const int sizes = strokes_widths((int)n, mask, starts, widths);
         for (int i = 0; i < sizes; i++) {
-            stroke_place places[4];
+            stroke_place places[STROKES_PLACES];
             const int fits = strokes_fit(h, (int)n, mask, widths[i], sums, score, places);
             for (int j = 0; j < fits; j++) {
                 search_guess one;

@@ -4,6 +4,9 @@
 
 #include "interface.h"
 
+/* Places that are kept for each of two headings, and in all. */
+enum { STROKES_BEST = 3, STROKES_PLACES = 2 * STROKES_BEST };
+
 /* The frame seen from straight above, the H's strokes along its sides: pixels to the plane at unit distance and to the frame. */
 typedef struct {
     int size;
@@ -37,8 +40,8 @@ void strokes_upright(const strokes_image *image, const upright_view *view, const
 /* The commonest widths of strokes in a mask of 1, -1 and 0 outside of the frame, px. Returns how many, at most two. */
 int strokes_widths(int n, const int8_t *mask, int32_t *starts, double widths[2]);
 
-/* Find the best places of an H with strokes of a width in a mask, best first for each heading. Returns how many, at most four. */
-int strokes_fit(const pad_strokes *h, int n, const int8_t *mask, double width, int32_t *sums, float *score, stroke_place out[4]);
+/* Find the best places of an H with strokes of a width in a mask, best first for each heading. Returns how many. */
+int strokes_fit(const pad_strokes *h, int n, const int8_t *mask, double width, int32_t *sums, float *score, stroke_place out[STROKES_PLACES]);
 
 /* Room for the sums of a mask, in numbers. */
 int64_t strokes_sums(int64_t n);

@@ -55,6 +55,8 @@ _WORK_ALIGN, _WORK_ALIGN_FREE, _WORK_VERIFY = 0.8, 1.0, 0.3
 """Work of an alignment with the tilt known and unknown, and of one without a step."""
 _WORK_COVER, _WORK_COVERED, _WORK_TURNED = 0.3, 1.2, 1.8
 """Work of looking for what covers a part of the pad, of aligning the drawing with the rest, and of doing so at other headings."""
+_TURNED_PX = 30.0
+"""Radius of the disc, px, up to which what covers a part of it may turn a guess."""
 _SAME_PX, _SAME_RADII, _SAME_FAR = 4.0, 0.5, 0.15
 """What a place of one frame may be off from that of the next to be the same: px, radii of the disc, and by the logarithm of the
 distance.
@@ -297,7 +299,8 @@ def _uncovered_at(
         return None, _WORK_COVER
     aligned, cut = uncovered
     found = _candidate(aligned, arrow_support(aligned) < _ARROW_SEEN, cut)
-    if found is not None and found.score >= ENOUGH:
+    small = camera.fx * pad.disc_radius_m < _TURNED_PX * float(aligned.pose.t_cam_pad[2])
+    if found is not None and (found.score >= ENOUGH or not small):
         return found, _WORK_COVER + _WORK_COVERED
     turned = turned_uncovered(pyramid, camera, pad, aligned, cut, sigma_tilt_rad, steps)
     other = None if turned is None else _candidate(turned, arrow_support(turned) < _ARROW_SEEN, cut)

@@ -32,11 +32,11 @@ LEAST_DRAWING, _LEAST_ROUND = 0.04, 0.015
 """Smallest fraction of the variance that a guess must explain, and that of one from an area with an ellipse for its outline: of
 a pale pad from afar the drawing shows little more than the disc. No guess of another kind with less was the pad in 900 frames.
 """
-_CLEAR_DRAWING, _CLEAR_AREA, _CLEAR_COLOUR = 0.2, 0.3, 0.1
+_CLEAR_DRAWING, _CLEAR_AREA, _CLEAR_COLOUR, _CLEAR_STROKES = 0.2, 0.3, 0.1, 0.55
 """Fraction of the variance that a guess must explain to be tried before all kinds were looked at once; that of one from an area,
-and from the disc's colour, whose guesses are few. Of 920 pads in all lights, half of them partly hidden, 19 in 20 are found by
-such a guess. Of the guesses elsewhere one in seventy from the reduced images is one, one in twenty from circles of which half may
-be covered, and one in thirty of the areas.
+and from the disc's colour, whose guesses are few; and the score of the H's strokes, of which half has 0.3 to 0.55. Of 920 pads in
+all lights, half of them partly hidden, 19 in 20 are found by such a guess. Of the guesses elsewhere one in seventy from the
+reduced images is one, one in twenty from circles of which half may be covered, and one in thirty of the areas.
 """
 _ROUND = 0.8
 """Support at which an area's outline is an ellipse."""
@@ -62,7 +62,7 @@ _BEYOND = 0.4
 """How far beyond the edge of the smallest image centres are looked for, in its widths."""
 _WORK_GREEN, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_SMALL_GREEN = 2.2, 3.0, 2.2, 3.2
 WORK_COARSE, _WORK_LARGER = 1.5, 0.8
-_WORK_LETTERING, _WORK_OUTLINES, _WORK_MORE_OF_HALF = 3.0, 2.2, 0.3
+_WORK_LETTERING, _WORK_OUTLINES, _WORK_MORE_OF_HALF = 3.0, 2.2, 0.6
 FULL_PIXELS = 640 * 360
 """Pixels of the frame that work is counted for."""
 
@@ -116,7 +116,8 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
         of, most = (Outline.RING, _MORE_GUESSES) if of_ring else (Outline.DISC, MOST)
         return frame.guesses(frame.circles(colour, levels, only_bright=not of_ring), of, most)
 
-    strokes = Kind(_WORK_STROKES, frame.strokes, usual=0)
+    any_strokes = Kind(_WORK_STROKES, frame.strokes, usual=0, covered=True)
+    strokes = any_strokes.clear(_CLEAR_STROKES)._replace(covered=False)
     if pad.markings.is_letter_alone:
         alone = [Kind(_WORK_LETTERING * size, lambda: lettering_blobs(pyramid, camera, pad, plane))]
         return [*alone, strokes] if pad.markings.is_h else alone
@@ -131,9 +132,11 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
         in_ring = green._replace(guesses=lambda: circles_of_colour(_REDUCED_LEVELS, of_ring=True), covered=True)
         half = Kind(_WORK_MORE_OF_HALF * size, lambda: frame.more(luminance, 1), covered=True)
         more = Kind(_WORK_FULL_SIZE * size, lambda: frame.more(luminance, 0), _MORE_USUAL, covered=True)
+        # By its colour half a distant disc is found before all circles of the full size are needed, and without colour not.
+        last = [blobs.clear(_CLEAR_AREA), more.clear()]
+        last = [any_strokes, *last] if disc_has_colour(pad) else [*last, any_strokes]
         out = [
-            coarse, larger.clear(), half.clear(), green.clear(_CLEAR_COLOUR), small_green.clear(_CLEAR_COLOUR), strokes,
-            blobs.clear(_CLEAR_AREA), more.clear(),
+            coarse, larger.clear(), half.clear(), green.clear(_CLEAR_COLOUR), small_green.clear(_CLEAR_COLOUR), strokes, *last,
             small_green, green, larger, blobs, in_ring, half, more,
             Kind(_WORK_STROKES, frame.beside_strokes, usual=0, covered=True),
         ]  # fmt: skip

@@ -28,11 +28,13 @@ _ROOM, _STROKES = CORE.function("search_strokes_room"), CORE.function("search_st
 _WORDS = size_of("search_guess")
 _R_CAM_PLANE = places_of("strokes_image")["R_cam_plane"]
 
+MOST = 8
+"""Largest number of places of the H."""
 _MARGIN_M = 0.035
 """Width of the disc around the H that counts as background."""
 
 
-def h_markings(px: NDArray[np.uint8], step: int, camera: Camera, pad: Pad, plane: Plane, most: int = 3) -> list[Guess]:
+def h_markings(px: NDArray[np.uint8], step: int, camera: Camera, pad: Pad, plane: Plane, most: int = MOST) -> list[Guess]:
     """Return the likeliest positions of the H, best first; their headings are known up to 180 degrees.
 
     A guess's `drawing` is the mean of the marks' mask on the H minus the mean around it, halved, -1..1.
