@@ -20,6 +20,39 @@ int64_t strokes_sums(int64_t n)
     return 2 * (n + 2 * REACH_MAX + 1) * (n + 2 * REACH_MAX + 1);
 }
 
+/* Add a cell's pixels to a row's sums. */
+static inline void add_cell(const int8_t *corner, int n, int step, int32_t *sum, int32_t *count)
+{
+    for (int k = 0; k < step; k++, corner += n) {
+        for (int l = 0; l < step; l++) {
+            *sum += corner[l];
+            *count += corner[l] != 0;
+        }
+    }
+}
+
+/* The sums of one row of cells, added to those above. */
+static void add_row(const int8_t *from, int n, int step, int cells, int reach, int side, int32_t *here, int32_t *known)
+{
+    int32_t sum = 0, count = 0;
+    const int32_t *above = here - side, *known_above = known - side;
+    memset(here, 0, (size_t)(reach + 1) * sizeof *here);
+    memset(known, 0, (size_t)(reach + 1) * sizeof *known);
+    for (int i = 0, at = reach + 1; i < cells; i++, at++) {
+        if (step == 1) {
+            add_cell(from + i, n, 1, &sum, &count);
+        } else {
+            add_cell(from + i * step, n, step, &sum, &count);
+        }
+        here[at] = above[at] + sum;
+        known[at] = known_above[at] + count;
+    }
+    for (int at = reach + cells + 1; at < side; at++) {
+        here[at] = above[at] + sum;
+        known[at] = known_above[at] + count;
+    }
+}
+
 /* Sums of the mask, and of its cells in view, over all rows and columns before; cells are `step` px wide, with a border. */
 static void integrals(int n, const int8_t *mask, int step, int cells, int reach, int32_t *sums, int32_t *seen)
 {
@@ -28,21 +61,11 @@ static void integrals(int n, const int8_t *mask, int step, int cells, int reach,
     memset(seen, 0, (size_t)side * sizeof *seen);
     for (int row = 0; row < side - 1; row++) {
         int32_t *here = sums + (row + 1) * side, *known = seen + (row + 1) * side;
-        const int from = (row - reach) * step, inside = row >= reach && row < reach + cells;
-        int32_t sum = 0, count = 0;
-        here[0] = known[0] = 0;
-        for (int i = 0; i < side - 1; i++) {
-            if (inside && i >= reach && i < reach + cells) {
-                const int8_t *corner = mask + from * n + (i - reach) * step;
-                for (int k = 0; k < step; k++, corner += n) {
-                    for (int l = 0; l < step; l++) {
-                        sum += corner[l];
-                        count += corner[l] != 0;
-                    }
-                }
-            }
-            here[i + 1] = here[i + 1 - side] + sum;
-            known[i + 1] = known[i + 1 - side] + count;
+        if (row >= reach && row < reach + cells) {
+            add_row(mask + (row - reach) * step * n, n, step, cells, reach, side, here, known);
+        } else {
+            memcpy(here, here - side, (size_t)side * sizeof *here);
+            memcpy(known, known - side, (size_t)side * sizeof *known);
         }
     }
 }

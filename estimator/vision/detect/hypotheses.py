@@ -60,7 +60,7 @@ _FULL_SIZE, _REDUCED, _LEAST_SIZE = Radii(4.5, 1.22, 5), Radii(5.0, 1.2, 7), Rad
 """Radii searched at full size, at half and a quarter of it, and at an eighth."""
 _BEYOND = 0.4
 """How far beyond the edge of the smallest image centres are looked for, in its widths."""
-_WORK_GREEN, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_SMALL_GREEN = 2.2, 3.0, 2.2, 3.2
+_WORK_GREEN, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_SMALL_GREEN = 2.2, 3.0, 1.6, 3.2
 WORK_COARSE, _WORK_LARGER = 1.5, 0.8
 _WORK_LETTERING, _WORK_OUTLINES, _WORK_MORE_OF_HALF = 3.0, 2.2, 0.6
 FULL_PIXELS = 640 * 360
