@@ -51,8 +51,10 @@ _ARROW_SEEN = 0.3
 """Support of the arrowhead at which the heading is unambiguous."""
 _ARROW_MISSING = 0.5
 """How much surer it must be that no arrowhead is at its place than that there is none half a turn away."""
-_WORK_ALIGN, _WORK_ALIGN_FREE, _WORK_VERIFY = 0.8, 1.0, 0.3
-"""Work of an alignment with the tilt known and unknown, and of one without a step."""
+_WORK_ALIGN, _WORK_ALIGN_FREE, _WORK_VERIFY, _WORK_TURN = 1.0, 1.2, 0.3, 0.6
+"""Work of an alignment with the tilt known and unknown, of one without a step or one that is given up, and of one after a turn by
+180 degrees.
+"""
 _WORK_COVER, _WORK_COVERED, _WORK_TURNED = 0.3, 1.2, 1.8
 """Work of looking for what covers a part of the pad, of aligning the drawing with the rest, and of doing so at other headings."""
 _TURNED_PX = 30.0
@@ -243,10 +245,10 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
         work = _WORK_ALIGN if guess.tilt_known else _WORK_ALIGN_FREE
         if task.work + work > task.budget and aligned > 0:
             return None
-        candidate, more = _aligned_at(guess.pose, guess.tilt_known, task.pyramid, task.camera, task.pad, guess.side, kind.covered)
+        candidate, work = _aligned_at(guess.pose, guess.tilt_known, task.pyramid, task.camera, task.pad, guess.side, kind.covered)
         task.tried.add(id(guess))
         aligned += 1
-        task.work += work + more
+        task.work += work
         if candidate is not None:
             kept += 1
             task.found.append(candidate)
@@ -279,15 +281,18 @@ def align_at(
 def _aligned_at(
     pose: PadPose, tilt_known: bool, pyramid: Pyramid, camera: Camera, pad: Pad, side: F64 | None, covered: bool
 ) -> tuple[PadCandidate | None, float]:
-    """Return what `align_at` does, and the work of looking for what covers the pad."""
+    """Return what `align_at` does, and the work."""
     sigma, steps = (SIGMA_TILT_RAD, _STEPS) if tilt_known else (SIGMA_TILT_FREE_RAD, _STEPS_FREE)
     aligned = align(pyramid, camera, pad, pose, sigma, steps, local=True, side=side)
-    found = None if aligned is None else _with_arrow(aligned, pyramid, camera, pad, sigma, side)
+    found, work = None, _WORK_VERIFY
+    if aligned is not None:
+        found, turned = _with_arrow(aligned, pyramid, camera, pad, sigma, side)
+        work = (_WORK_ALIGN if tilt_known else _WORK_ALIGN_FREE) + turned
     enough = not covered if found is None else found.score >= ENOUGH
     if enough or not pad.markings.is_searched_by_parts:
-        return found, 0.0
-    other, work = _uncovered_at(pose if found is None else found.pose, pyramid, camera, pad, sigma, steps)
-    return other if found is None or (other is not None and other.score > found.score) else found, work
+        return found, work
+    other, more = _uncovered_at(pose if found is None else found.pose, pyramid, camera, pad, sigma, steps)
+    return other if found is None or (other is not None and other.score > found.score) else found, work + more
 
 
 def _uncovered_at(
@@ -310,11 +315,13 @@ def _uncovered_at(
 
 def _with_arrow(
     aligned: AlignedTemplate, pyramid: Pyramid, camera: Camera, pad: Pad, sigma_tilt_rad: float, side: F64 | None
-) -> PadCandidate | None:
-    """Return an aligned drawing as a candidate, turned by 180 degrees if its arrowhead is there, or can only be there."""
+) -> tuple[PadCandidate | None, float]:
+    """Return an aligned drawing as a candidate, turned by 180 degrees if its arrowhead is or can only be there; and the work."""
     arrow, (fore, aft) = arrow_support(aligned), aligned.arrow
     missing = fore.seen * (1.0 - fore.found) - aft.seen * (1.0 - aft.found)
+    work = 0.0
     if arrow < -0.5 * _ARROW_SEEN or missing > _ARROW_MISSING:
+        work = _WORK_TURN
         turned = align(
             pyramid,
             camera,
@@ -327,7 +334,7 @@ def _with_arrow(
         )
         if turned is not None:
             aligned, arrow = turned, arrow_support(turned)
-    return _candidate(aligned, ambiguous=arrow < _ARROW_SEEN and not pad.markings.fiducials)
+    return _candidate(aligned, ambiguous=arrow < _ARROW_SEEN and not pad.markings.fiducials), work
 
 
 def _candidate(aligned: AlignedTemplate | None, ambiguous: bool = False, cut: F64 | None = None) -> PadCandidate | None:
