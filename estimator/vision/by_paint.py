@@ -22,14 +22,18 @@ from estimator.contracts.estimates import Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.believed import BelievedPlace, expected, in_camera, near_enough, sigma_of
+from estimator.vision.camera import Camera
 from estimator.vision.detect import verification
+from estimator.vision.detect.about import pose_about
 from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.paint import PaintMemory, learn, missed
+from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detection import Detection, Opinions
 from estimator.vision.fusion import agree, fuse
 from estimator.vision.learned.second_opinion import WORTH_ASKING, lowered, probability
+from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
@@ -54,6 +58,10 @@ _EXPECTED_SIGMAS = 3.0
 """Standard deviations of the believed position within which a candidate of acquisition counts as expected."""
 _SUPPORTED = 0.2
 """Confidence from which on what is found at the expected place is the tracked pad although something else is surer."""
+_SMALL_PX, _LEAST_ABOUT = 15.0, 0.12
+"""Radius of the disc, px, below which a pad that is not found from the belief is looked for some pixels about it, and the least
+fraction of the variance that the drawing must explain there: of pads in glare or half covered it is 0.16 or more.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,6 +174,12 @@ def _registered(
             tracked = verification.TRACKED_LOG_ODDS
             here = _register_from(tracker, paint, frame, pyramid, start, orientation, options, tracked, searched=False)
             best = best.having(here, place)
+            if not best.is_sure and _is_small(start, tracker.camera, tracker.pad):
+                plane = Plane.of(tracker.camera, attitude.R_ned_body.without_heading())
+                about = pose_about(pyramid, tracker.camera, pyramid.as_seen(tracker.pad), plane, start)
+                if about is not None and about[1] >= _LEAST_ABOUT:
+                    here = _register_from(tracker, paint, frame, pyramid, about[0], orientation, CLOSE, tracked, searched=False)
+                    best = best.having(here, place)
     if not best.is_sure:
         R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
         budget = tracker.search_work
@@ -272,3 +286,9 @@ def _second_opinion(tracker: TrackerConfig, pyramid: Pyramid, of: Verified) -> O
         return None
     log_odds = tracker.second_opinion.log_odds(pyramid, tracker.camera, tracker.pad, of.found.pose, of.cut)
     return None if log_odds is None else Opinions(of.confidence, probability(log_odds))
+
+
+def _is_small(start: PadPose, camera: Camera, pad: Pad) -> bool:
+    """Return whether a pad has so few pixels that the belief may be too far off to begin with."""
+    searched = pad.markings.is_searched_by_parts and not pad.markings.is_letter_alone
+    return searched and camera.fx * pad.disc_radius_m < _SMALL_PX * float(start.t_cam_pad[2])
