@@ -65,8 +65,10 @@ distance.
 """
 _REMEMBERED = 24
 """Most places of refused hypotheses that are remembered."""
-Place = tuple[float, float, float]
-"""The pad's centre, px from the lens' axis, and the logarithm of its distance."""
+_BETTER = 0.05
+"""How much more of the variance than a refused guess another one in its place must explain not to come last."""
+Place = tuple[float, float, float, float]
+"""The pad's centre, px from the lens' axis, the logarithm of its distance, and the fraction of the variance that is explained."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -348,16 +350,19 @@ def _candidate(aligned: AlignedTemplate | None, ambiguous: bool = False, cut: F6
 
 def _place(guess: Guess, camera: Camera) -> Place:
     x, y, z = guess.t_cam_pad
-    return camera.fx * x / z, camera.fy * y / z, math.log(z)
+    return camera.fx * x / z, camera.fy * y / z, math.log(z), guess.drawing
 
 
 def _is_refused(guess: Guess, task: _Task) -> bool:
-    """Return whether a hypothesis near this one was refused in a frame before."""
+    """Return whether a hypothesis near this one that explained about as much, or more, was refused in a frame before."""
     if not task.refused_before:
         return False
-    u, v, far = _place(guess, task.camera)
+    u, v, far, drawing = _place(guess, task.camera)
     reach = _SAME_PX + _SAME_RADII * task.camera.fx * task.pad.disc_radius_m * math.exp(-far)
-    return any(abs(far - c) < _SAME_FAR and math.hypot(u - a, v - b) < reach for a, b, c in task.refused_before)
+    return any(
+        drawing < d + _BETTER and abs(far - c) < _SAME_FAR and math.hypot(u - a, v - b) < reach
+        for a, b, c, d in task.refused_before
+    )
 
 
 def _near(a_m: Sequence[float], b: PadPose) -> bool:
