@@ -40,7 +40,7 @@ def disc_colour(px: U8, pad: Pad) -> U8:
     others = cv2.LUT(cv2.max(channels[(main + 1) % 3], channels[(main + 2) % 3]), _LOG)
     own = cv2.LUT(channels[main], _LOG)
     more, less = cv2.subtract(own, others), cv2.subtract(others, own)
-    return np.asarray(cv2.subtract(cv2.add(more, float(_MIDDLE)), less), np.uint8)
+    return np.asarray(cv2.subtract(cv2.convertScaleAbs(more, alpha=1.0, beta=_MIDDLE), less), np.uint8)
 
 
 def is_coloured(measure: U8) -> bool:
