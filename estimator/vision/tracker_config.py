@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from estimator.vision.learned.second_opinion import SecondOpinion
     from estimator.vision.rolling import CameraMotion
 
-FRAME_WORK = 8.5
+FRAME_WORK = 8.0
 """Work that a search may do in one frame of a flight, in the time of one BGR to HSV conversion and one inRange of a frame of
 640x360."""
 

@@ -247,7 +247,10 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
         work = _WORK_ALIGN if guess.tilt_known else _WORK_ALIGN_FREE
         if task.work + work > task.budget and aligned > 0:
             return None
-        candidate, work = _aligned_at(guess.pose, guess.tilt_known, task.pyramid, task.camera, task.pad, guess.side, kind.covered)
+        left = task.budget - task.work
+        candidate, work = _aligned_at(
+            guess.pose, guess.tilt_known, task.pyramid, task.camera, task.pad, guess.side, kind.covered, left
+        )
         task.tried.add(id(guess))
         aligned += 1
         task.work += work
@@ -277,13 +280,20 @@ def align_at(
         side: as for `align`.
         covered: where the whole drawing does not fit at all, look for what covers a part of it, too.
     """
-    return _aligned_at(pose, tilt_known, pyramid, camera, pad, side, covered)[0]
+    return _aligned_at(pose, tilt_known, pyramid, camera, pad, side, covered, math.inf)[0]
 
 
 def _aligned_at(
-    pose: PadPose, tilt_known: bool, pyramid: Pyramid, camera: Camera, pad: Pad, side: F64 | None, covered: bool
+    pose: PadPose,
+    tilt_known: bool,
+    pyramid: Pyramid,
+    camera: Camera,
+    pad: Pad,
+    side: F64 | None,
+    covered: bool,
+    left: float,
 ) -> tuple[PadCandidate | None, float]:
-    """Return what `align_at` does, and the work."""
+    """Return what `align_at` does, and the work; other headings beside a cover are tried if so much work is left."""
     sigma, steps = (SIGMA_TILT_RAD, _STEPS) if tilt_known else (SIGMA_TILT_FREE_RAD, _STEPS_FREE)
     aligned = align(pyramid, camera, pad, pose, sigma, steps, local=True, side=side)
     found, work = None, _WORK_VERIFY
@@ -297,12 +307,12 @@ def _aligned_at(
     if not tilt_known and _is_small(pose, camera, pad):
         # Half of a small pad does not tell the tilt: what is fitted to it turns the heading, and goes away.
         start, sigma, steps = pose, SIGMA_TILT_RAD, _STEPS
-    other, more = _uncovered_at(start, pyramid, camera, pad, sigma, steps)
+    other, more = _uncovered_at(start, pyramid, camera, pad, sigma, steps, left - work)
     return other if found is None or (other is not None and other.score > found.score) else found, work + more
 
 
 def _uncovered_at(
-    pose: PadPose, pyramid: Pyramid, camera: Camera, pad: Pad, sigma_tilt_rad: float, steps: int
+    pose: PadPose, pyramid: Pyramid, camera: Camera, pad: Pad, sigma_tilt_rad: float, steps: int, left: float
 ) -> tuple[PadCandidate | None, float]:
     """Align the drawing with what nothing covers, and verify it; return None if nothing seems to be covered, and the work."""
     uncovered = align_uncovered(pyramid, camera, pad, pose, sigma_tilt_rad, steps)
@@ -310,12 +320,13 @@ def _uncovered_at(
         return None, _WORK_COVER
     aligned, cut = uncovered
     found = _candidate(aligned, arrow_support(aligned) < _ARROW_SEEN, cut)
-    if found is not None and (found.score >= ENOUGH or not _is_small(aligned.pose, camera, pad)):
-        return found, _WORK_COVER + _WORK_COVERED
+    work = _WORK_COVER + _WORK_COVERED
+    if found is not None and (found.score >= ENOUGH or work + _WORK_TURNED > left or not _is_small(aligned.pose, camera, pad)):
+        return found, work
     turned = turned_uncovered(pyramid, camera, pad, aligned, cut, sigma_tilt_rad, steps)
     other = None if turned is None else _candidate(turned, arrow_support(turned) < _ARROW_SEEN, cut)
     best = other if found is None or (other is not None and other.score > found.score) else found
-    return best, _WORK_COVER + _WORK_COVERED + _WORK_TURNED
+    return best, work + _WORK_TURNED
 
 
 def _is_small(pose: PadPose, camera: Camera, pad: Pad) -> bool:
