@@ -58,7 +58,7 @@ _WORK_ALIGN, _WORK_ALIGN_FREE, _WORK_VERIFY, _WORK_TURN = 1.0, 1.2, 0.3, 0.6
 _WORK_COVER, _WORK_COVERED, _WORK_TURNED = 0.3, 1.2, 1.8
 """Work of looking for what covers a part of the pad, of aligning the drawing with the rest, and of doing so at other headings."""
 _SMALL_PX = 30.0
-"""Radius of the disc, px, up to which what covers a part of it may turn and tilt a guess."""
+"""Radius of the disc, px, up to which what covers a part of it may turn a guess."""
 _SAME_PX, _SAME_RADII, _SAME_FAR = 4.0, 0.5, 0.15
 """What a place of one frame may be off from that of the next to be the same: px, radii of the disc, and by the logarithm of the
 distance.
@@ -303,11 +303,7 @@ def _aligned_at(
     enough = not covered if found is None else found.score >= ENOUGH
     if enough or not pad.markings.is_searched_by_parts:
         return found, work
-    start = pose if found is None else found.pose
-    if not tilt_known and _is_small(pose, camera, pad):
-        # Half of a small pad does not tell the tilt: what is fitted to it turns the heading, and goes away.
-        start, sigma, steps = pose, SIGMA_TILT_RAD, _STEPS
-    other, more = _uncovered_at(start, pyramid, camera, pad, sigma, steps, left - work)
+    other, more = _uncovered_at(pose if found is None else found.pose, pyramid, camera, pad, sigma, steps, left - work)
     return other if found is None or (other is not None and other.score > found.score) else found, work + more
 
 
@@ -330,7 +326,7 @@ def _uncovered_at(
 
 
 def _is_small(pose: PadPose, camera: Camera, pad: Pad) -> bool:
-    """Return whether half of a disc has so few pixels that what covers the rest may turn and tilt it."""
+    """Return whether half of a disc has so few pixels that what covers the rest may turn it."""
     return camera.fx * pad.disc_radius_m < _SMALL_PX * float(pose.t_cam_pad[2])
 
 
