@@ -41,9 +41,12 @@ def pose_about(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, expecte
         expected: its distance and heading are taken for about right.
 
     Returns:
-        None if no heading near the expected one fits best anywhere.
+        None if the lens does not show the expected place, or no heading near the expected one fits best anywhere.
     """
-    circles = _circles(camera, pad, plane, expected)
+    middle = camera.project(expected.t_cam_pad[None])[0]
+    if not np.isfinite(middle).all():
+        return None
+    circles = _circles(middle, camera, pad, plane, expected)
     guesses = guesses_from(circles, Outline.DISC, pyramid, camera, pad, plane, len(circles))
     for guess in sorted(guesses, key=lambda g: -g.drawing):
         turn = _turned(guess, expected)
@@ -70,10 +73,9 @@ def _offsets_px() -> F64:
     return out
 
 
-def _circles(camera: Camera, pad: Pad, plane: Plane, expected: PadPose) -> list[EdgeCircle]:
-    """Return the disc at each place, once as a whole and once with an outline on each side alone."""
+def _circles(middle: F64, camera: Camera, pad: Pad, plane: Plane, expected: PadPose) -> list[EdgeCircle]:
+    """Return the disc at each place about the middle, px, once as a whole and once with an outline on each side alone."""
     offsets = _offsets_px()
-    middle = camera.project(expected.t_cam_pad[None])[0]
     rays = camera.rays(middle + offsets[:, :2])
     on_plane = np.c_[rays, np.ones(len(rays))] @ plane.R_cam_plane
     radius_px = camera.fx * pad.disc_radius_m / float(expected.t_cam_pad[2])
