@@ -15,7 +15,16 @@ from companion.recorder.foxglove import Color, KeyValuePair, Pose, Quaternion, T
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.pad import Pad
-from estimator.vision.regions import PaintedArrowhead, PaintedDisc, PaintedRing, Region, borders_of, sides_of
+from estimator.vision.regions import (
+    PaintedArrowhead,
+    PaintedDisc,
+    PaintedRing,
+    Region,
+    borders_of,
+    convex_pieces_of,
+    is_slanted,
+    sides_of,
+)
 
 SIGMAS = 2.0
 """The half axes of the ellipsoid, in standard deviations."""
@@ -214,11 +223,18 @@ def filled(region: Region) -> tuple[F64, list[tuple[int, int, int]]]:
             n = len(outer)
             faces = [face for k in range(n) for face in ((k, (k + 1) % n, n + k), (n + k, (k + 1) % n, n + (k + 1) % n))]
             return np.vstack([outer, inner]), faces
+        case _ if is_slanted(region):
+            return _fans(convex_pieces_of(region))
         case _:
-            boxes = _slabs(*sides_of(region))
-            return np.vstack(boxes), [
-                face for k in range(len(boxes)) for face in ((4 * k, 4 * k + 1, 4 * k + 2), (4 * k, 4 * k + 2, 4 * k + 3))
-            ]
+            return _fans(_slabs(*sides_of(region)))
+
+
+def _fans(pieces: list[F64]) -> tuple[F64, list[tuple[int, int, int]]]:
+    """Return the points (n, 2) of convex polygons, and triangles that fill them, each from a polygon's first point."""
+    first = np.cumsum([0, *[len(piece) for piece in pieces]]).tolist()
+    return np.vstack(pieces), [
+        (f, f + k, f + k + 1) for f, piece in zip(first, pieces, strict=False) for k in range(1, len(piece) - 1)
+    ]
 
 
 def _slabs(corners: F64, ends: F64) -> list[F64]:

@@ -208,7 +208,7 @@ def test_a_pad_whose_arrowhead_is_not_where_it_is_in_view_is_turned_by_half_a_tu
 
 def test_looking_for_what_covers_a_pad_counts_as_work(camera: Camera, pad: Pad) -> None:
     """A frame's budget holds only if every step is counted: what resembles a half-covered pad is aligned more than once."""
-    scene = seen(camera, pad, "half covered", 10.0, 303)
+    scene = seen(camera, pad, "half covered", 10.0, 308)
     found = search(scene.px, camera, pad, scene.R_level_body)
     assert found.candidates[0].cut is not None
     assert found.work > 7.0
