@@ -130,10 +130,9 @@ static void project_scores(const patch *cut, int c, float m_per_px2, const dense
     }
 }
 
-/* Smoothing shares noise between neighbours `step` apart; its transpose, which is itself, maps the sums back to pixels. The grid has
- * two lines more on either side than the patch. */
-WIDE
-static void share_back(const patch *cut, int step, float *restrict grid, float *restrict row)
+/* Write a row's values to their places in the grid, which has two lines of zeros more on either side than the patch; return the place
+ * of the patch's first pixel. */
+static inline float *laid_out(const patch *cut, const float *row, float *grid)
 {
     const int columns = cut->columns;
     float *inside = grid + 2 * (columns + 1);
@@ -141,6 +140,15 @@ static void share_back(const patch *cut, int step, float *restrict grid, float *
     for (int i = 0; i < cut->n; i++) {
         inside[cut->at[i]] = row[i];
     }
+    return inside;
+}
+
+/* Smoothing shares noise between neighbours `step` apart; its transpose, which is itself, maps the sums back to pixels. */
+WIDE
+static void share_back(const patch *cut, int step, float *restrict grid, float *restrict row)
+{
+    const int columns = cut->columns;
+    const float *inside = laid_out(cut, row, grid);
     for (int i = 0; i < cut->n; i++) {
         const float *at = inside + cut->at[i], *above = at - step * columns, *below = at + step * columns;
         row[i] = 0.0625f * ((above[-step] + above[step]) + (below[-step] + below[step]) +
@@ -148,15 +156,11 @@ static void share_back(const patch *cut, int step, float *restrict grid, float *
     }
 }
 
-/* Add the products of a row's values `lag` pixels apart, along both axes, to sums for lags of one and two. */
+/* Add the products of a row's values one and two pixels apart, along both axes, to their sums. */
 static void add_lags(const patch *cut, double sign, float *grid, const float *row, double sums[2])
 {
     const int columns = cut->columns;
-    float *inside = grid + 2 * (columns + 1);
-    memset(grid, 0, (size_t)(columns * (cut->lines + 4) + 4) * sizeof *grid);
-    for (int i = 0; i < cut->n; i++) {
-        inside[cut->at[i]] = row[i];
-    }
+    const float *inside = laid_out(cut, row, grid);
     for (int i = 0; i < cut->n; i++) {
         const float *at = inside + cut->at[i];
         sums[0] += sign * at[0] * (at[1] + at[columns]);
