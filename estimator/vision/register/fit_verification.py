@@ -16,7 +16,7 @@ from estimator.core.interface.look import HAND_SET
 
 _HAND_SET = {
     "no_ring": -3.0,
-    "no_h": -2.0,
+    "no_h": -2.5,
     "disc_unseen": -1.5,
     "painted": 1.5,
     "no_disc": -4.0,
