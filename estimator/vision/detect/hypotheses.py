@@ -51,6 +51,8 @@ ten at 15 m six.
 """
 _MARGIN_PX = 8
 """How far beyond the edge of such an image centres are looked for, px: half of the disc may be out of the frame."""
+_NEAREST_M = 0.05
+"""Least distance of a guess along the optical axis."""
 _COARSE_LEVELS, _REDUCED_LEVELS = (3, 2), (3, 2, 1)
 _PLAIN_DRAWING = 0.3
 """Fraction of the variance that a guess from the smallest images must explain to be tried before the half-size image is searched:
@@ -210,7 +212,9 @@ class _Searched:
     def beside_strokes(self) -> list[Guess]:
         """Return guesses in which what was taken for one leg of the H is the other: where half of it is covered."""
         apart_m = self.pad.markings.h_width_m - self.pad.markings.leg_width_m
-        return [_moved(guess, side * apart_m) for guess in self.strokes() for side in (1.0, -1.0)]
+        moved = [_moved(guess, side * apart_m) for guess in self.strokes() for side in (1.0, -1.0)]
+        # Beside an H that is seen from near and very aslant the other leg may lie behind the camera.
+        return [guess for guess in moved if guess.t_cam_pad[2] > _NEAREST_M]
 
 
 def _moved(guess: Guess, across_m: float) -> Guess:
