@@ -15,6 +15,8 @@ enum { BLOCK = LENS_BLOCK };
 
 /* A coverage whose light is less than half a count of full scale. */
 static const float NONE = 5e-5f;
+/* The most light that is added or taken, counts. */
+static const float COUNTS_MOST = 32767.0f;
 
 /* Part of a frame around the pad; the number of each of its pixels among the edges, -1 for those that show one paint; what edges
  * have of each paint, whole and by parts; how far the blur reaches, px, and its kernels for parts and for pixels.
@@ -183,7 +185,8 @@ static void blur_down(const window *v, int32_t y, int32_t x, const space *s, flo
 
 static inline int16_t rounded(float counts)
 {
-    return (int16_t)(counts + (counts < 0.0f ? -0.5f : 0.5f));
+    const float limited = fmaxf(-COUNTS_MOST, fminf(counts, COUNTS_MOST));
+    return (int16_t)(limited + (limited < 0.0f ? -0.5f : 0.5f));
 }
 
 /* Add the light of some pixels in which a paint covers more than the blur of pixels says, in place of what is around the pad. */
