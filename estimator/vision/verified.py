@@ -23,7 +23,7 @@ from estimator.vision.register.fit_verification import confidence
 from estimator.vision.register.letter_alone import letter_log_odds
 from estimator.vision.register.look import Looked, look
 from estimator.vision.register.options import RegistrationOptions
-from estimator.vision.register.turned import heading_told
+from estimator.vision.register.turned import heading_z_scores
 
 SURE = 0.5
 """Confidence from which on a pose is the pad's."""
@@ -37,9 +37,9 @@ _RINGLESS_LOG_ODDS = -4.0
 """Prior where the ring does not show beside what covers the pad: an H on something green, whose lack of a ring the line hides."""
 _WORTH_TURNING = 1e-4
 """Confidence from which on the heading of a registration matters: its place may be the pad's then."""
-_TOLD, _UNTOLD_LOG_ODDS = 4.0, -12.0
-"""Standard deviations by which a heading is right from which on it is told, and the log-odds of a pose whose heading is not. On
-rendered frames from 0.5 to 20 m, in plain light, haze, grey and half covered, none was told wrongly by more than 3.0.
+_DECIDED, _UNDECIDED_LOG_ODDS = 4.0, -12.0
+"""Standard deviations from which on the comparison decides a heading, and the log-odds of a pose whose heading is undecided. On
+rendered frames from 0.5 to 20 m, in plain light, haze, grey and half covered, none was wrong by more than 3.0.
 """
 _STEPS = 4
 """Steps of the alignment with what is not covered."""
@@ -77,7 +77,7 @@ def verified(
 
     Where the whole drawing does not fit, it is tried whether something covers a part of the pad. Where no belief led to the
     place, the heading of a pad that looks nearly the same after some turns is compared with those, and doubted if that does not
-    tell it.
+    decide it.
 
     Args:
         orientation: the attitude at the exposure.
@@ -91,28 +91,27 @@ def verified(
     turns = confusable_turns(pad) if prior_log_odds <= 0.0 else ()
     if not turns:
         return _verified_at(pyramid, camera, pad, start, orientation, options, prior_log_odds, cut, paint)
-    told = _headings_told(pyramid, camera, pad, start, turns)
-    start = start.turned(min(told, key=lambda turn: told[turn])) if min(told.values()) < -_TOLD else start
+    z = _heading_z_scores(pyramid, camera, pad, start, turns)
+    start = start.turned(min(z, key=z.__getitem__)) if min(z.values()) < -_DECIDED else start
     best = _verified_at(pyramid, camera, pad, start, orientation, options, prior_log_odds, cut, paint)
     if best is None or best.confidence < _WORTH_TURNING:
         return best
-    told = _headings_told(pyramid, camera, pad, best.found.pose, turns)
-    if min(told.values()) < 0.0:
-        turned, near = best.found.pose.turned(min(told, key=lambda turn: told[turn])), replace(options, coarse=False)
+    z = _heading_z_scores(pyramid, camera, pad, best.found.pose, turns)
+    if min(z.values()) < 0.0:
+        turned, near = best.found.pose.turned(min(z, key=z.__getitem__)), replace(options, coarse=False)
         of, prior = UNCUT if best.cut is None else best.cut, best.prior_log_odds
         best = _of_visible(pyramid, camera, pyramid.as_seen(pad), turned, orientation, near, prior, of, paint) or best
-        told = _headings_told(pyramid, camera, pad, best.found.pose, turns)
-    doubt = min(1.0, max(0.0, 1.0 - min(told.values()) / _TOLD))
-    return replace(best, confidence=confidence(_log_odds(best.confidence) + _UNTOLD_LOG_ODDS * doubt)) if doubt else best
+        z = _heading_z_scores(pyramid, camera, pad, best.found.pose, turns)
+    doubt = min(1.0, max(0.0, 1.0 - min(z.values()) / _DECIDED))
+    return replace(best, confidence=confidence(_log_odds(best.confidence) + _UNDECIDED_LOG_ODDS * doubt)) if doubt else best
 
 
 def _log_odds(of_confidence: float) -> float:
     return math.log(max(of_confidence, 1e-13) / max(1.0 - of_confidence, 1e-13))
 
 
-def _headings_told(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, turns: tuple[float, ...]) -> dict[float, float]:
-    """Return for each turn how surely a heading is right, and not the one after that turn; see `heading_told`."""
-    return {turn: heading_told(pyramid[0], camera, pyramid.as_seen(pad), pose, turn) for turn in turns}
+def _heading_z_scores(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, turns: tuple[float, ...]) -> dict[float, float]:
+    return heading_z_scores(pyramid[0], camera, pyramid.as_seen(pad), pose, turns)
 
 
 def _verified_at(

@@ -1,4 +1,4 @@
-"""Tell which of two headings of a drawing that looks nearly the same at both is right.
+"""Compare headings at which a drawing looks nearly the same.
 
 The light of the pixels on the pad is fitted with the mean of both drawings and with half of their difference. If the first
 heading is right, the difference has the strength of the mean; if the second is, minus that. Uneven light and wear are in the
@@ -8,6 +8,7 @@ residuals.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import cv2
@@ -26,22 +27,27 @@ _LENS_PX = 0.75
 _MOST_PX = 160
 """Pixels along a side that are looked at; of a larger image every second one or fewer."""
 _FEWEST = 40
-"""Pixels that tell anything."""
+"""Least number of pixels for which headings are compared."""
 
 
-def heading_told(px: U8, camera: Camera, pad: Pad, pose: PadPose, turn_rad: float) -> float:
-    """Return by how many standard deviations a pose is right and not the one turned by an angle; negative if that is right.
+def heading_z_scores(px: U8, camera: Camera, pad: Pad, pose: PadPose, turns_rad: Sequence[float]) -> dict[float, float]:
+    """Return for each turn by how many standard deviations a pose is right and not the turned one; negative if that is right.
 
     Args:
         px: (H, W, 3) BGR.
     """
     uv, at = _places(camera, pad, pose)
     if len(uv) < _FEWEST:
-        return 0.0
+        return dict.fromkeys(turns_rad, 0.0)
     light = light_table(True)[px[uv[:, 1], uv[:, 0]]] @ LUMA[::-1]
     blur_m = _LENS_PX * pose.range_m / camera.fx
-    own, other = (_drawn(pad, at @ R, blur_m) for R in (np.eye(2), _turn(turn_rad)))
-    rows = np.stack([np.ones(len(at)), 0.5 * (own + other), 0.5 * (own - other)])
+    own = _drawn(pad, at, blur_m)
+    return {turn: _z_score(light, own, _drawn(pad, at @ _turn(turn), blur_m)) for turn in turns_rad}
+
+
+def _z_score(light: F64, own: F64, other: F64) -> float:
+    """Return by how many standard deviations light (N,) follows one drawing and not the other."""
+    rows = np.stack([np.ones(len(light)), 0.5 * (own + other), 0.5 * (own - other)])
     normal = rows @ rows.T + 1e-9 * np.eye(3)
     fitted = np.linalg.solve(normal, rows @ light)
     left = light - fitted @ rows

@@ -22,7 +22,7 @@ from estimator.vision.pose import Orientation
 from estimator.vision.register.fit_verification import confidence
 from estimator.vision.register.look import look
 from estimator.vision.register.registration import RegistrationOptions, register
-from estimator.vision.register.turned import heading_told
+from estimator.vision.register.turned import heading_z_scores
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.verified import verified
 from sitl.camera import Renderer
@@ -98,8 +98,8 @@ def test_a_heading_that_the_drawing_hardly_shows_is_put_right(name: str, turns_d
     px = Renderer(PLAIN, pad).render(exposure, np.random.default_rng(5))
     truth, orientation = pad_pose(exposure, PLAIN), Orientation.of(Attitude(STAMP, exposure.R_ned_body, 1e-4 * np.eye(3)))
     for turn in confusable_turns(pad):
-        assert heading_told(px, PLAIN, pad, truth, turn) > 4.0
-        assert heading_told(px, PLAIN, pad, truth.turned(turn), -turn) < -4.0
+        assert heading_z_scores(px, PLAIN, pad, truth, [turn])[turn] > 4.0
+        assert heading_z_scores(px, PLAIN, pad, truth.turned(turn), [-turn])[-turn] < -4.0
         seen = verified(Pyramid(px), PLAIN, pad, truth.turned(turn), orientation)
         assert seen is not None
         assert seen.confidence > 0.5
