@@ -326,22 +326,23 @@ def _inside(piece: F64, xy_m: F64) -> NDArray[np.bool_]:
 
 def _ears(line: F64) -> list[F64]:
     """Return triangles that cover a simple polygon, which runs clockwise seen from above."""
-    left, out = list(line), []
+    left, out = line, []
     while len(left) > 3:
-        for i in range(len(left)):
-            corners = np.array([left[i - 1], left[i], left[(i + 1) % len(left)]])
-            others = [p for k, p in enumerate(left) if k not in ((i - 1) % len(left), i, (i + 1) % len(left))]
-            if _area(corners) > 0.0 and not np.any(_depth_within(corners, np.roll(corners, -1, axis=0), np.array(others)) > 0.0):
-                out.append(corners)
-                del left[i]
-                break
+        around = [np.roll(left, 1 - i, axis=0) for i in range(len(left))]
+        ears = (i for i, corners in enumerate(around) if _is_ear(corners[:3], corners[3:]))
+        # What has no ear is nearly a line: its flattest corner goes.
+        cut = next(ears, None)
+        if cut is None:
+            cut = min(range(len(left)), key=lambda i: abs(_area(around[i][:3])))
         else:
-            del left[
-                int(
-                    np.argmin([abs(_area(np.array([left[i - 1], left[i], left[(i + 1) % len(left)]]))) for i in range(len(left))])
-                )
-            ]
-    return [*out, np.array(left)]
+            out.append(around[cut][:3])
+        left = np.delete(left, cut, axis=0)
+    return [*out, left]
+
+
+def _is_ear(corners: F64, others: F64) -> bool:
+    """Return whether three corners in a row turn clockwise about a triangle that none of the others lies in."""
+    return _area(corners) > 0.0 and not np.any(_depth_within(corners, np.roll(corners, -1, axis=0), others) > 0.0)
 
 
 def apart_m(one: Region, other: Region) -> float:
