@@ -237,7 +237,7 @@ def _verified(tracker: TrackerConfig, pyramid: Pyramid, cue: Sighting, orientati
     if flat.t_cam_pad[2] < 0.05:
         return None
     if cue.yaw_rad is None:
-        radius_px = tracker.camera.fx * tracker.pad.disc_radius_m / float(flat.t_cam_pad[2])
+        radius_px = flat.disc_px(tracker.camera, tracker.pad)
         level = max(0, math.floor(math.log2(radius_px / _HEADING_PX)))
         found = heading(pyramid[level], 1 << level, tracker.camera, tracker.pad, flat)
         if found is None:
@@ -291,4 +291,4 @@ def _second_opinion(tracker: TrackerConfig, pyramid: Pyramid, of: Verified) -> O
 def _is_small(start: PadPose, camera: Camera, pad: Pad) -> bool:
     """Return whether a pad has so few pixels that the belief may be too far off to begin with."""
     searched = pad.markings.is_searched_by_parts and not pad.markings.is_letter_alone
-    return searched and camera.fx * pad.disc_radius_m < _SMALL_PX * float(start.t_cam_pad[2])
+    return searched and start.disc_px(camera, pad) < _SMALL_PX

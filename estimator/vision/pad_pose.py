@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +35,10 @@ class PadPose:
     def range_m(self) -> float:
         """Distance from the lens to the pad's centre, metres."""
         return float(np.linalg.norm(self.t_cam_pad))
+
+    def disc_px(self, camera: Camera, pad: Pad) -> float:
+        """Return the radius of the pad's disc in the frame as if it faced the camera, px."""
+        return camera.fx * pad.disc_radius_m / float(self.t_cam_pad[2])
 
     def points(self, p_pad: F64) -> F64:
         """Transform (N, 3) points from `pad` to `cam`, m."""

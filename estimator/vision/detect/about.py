@@ -78,7 +78,7 @@ def _circles(middle: F64, camera: Camera, pad: Pad, plane: Plane, expected: PadP
     offsets = _offsets_px()
     rays = camera.rays(middle + offsets[:, :2])
     on_plane = np.c_[rays, np.ones(len(rays))] @ plane.R_cam_plane
-    radius_px = camera.fx * pad.disc_radius_m / float(expected.t_cam_pad[2])
+    radius_px = expected.disc_px(camera, pad)
     depth = float((plane.R_cam_plane.T @ expected.t_cam_pad)[2])
     words = np.zeros((len(offsets), _WORDS))
     half = np.isfinite(offsets[:, 2])

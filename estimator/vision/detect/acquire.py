@@ -327,7 +327,7 @@ def _uncovered_at(
 
 def _is_small(pose: PadPose, camera: Camera, pad: Pad) -> bool:
     """Return whether half of a disc has so few pixels that what covers the rest may turn it."""
-    return camera.fx * pad.disc_radius_m < _SMALL_PX * float(pose.t_cam_pad[2])
+    return pose.disc_px(camera, pad) < _SMALL_PX
 
 
 def _with_arrow(

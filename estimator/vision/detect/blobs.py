@@ -93,7 +93,7 @@ def _guess(component: _Component, pyramid: Pyramid, camera: Camera, pad: Pad, pl
         return None
     centre = np.array([of["m10"], of["m01"]]) / of["m00"]
     flat = plane.pose(centre, math.sqrt(abs(of["m00"])), math.sqrt(_shape(pad)[0]))
-    radius_px = camera.fx * pad.disc_radius_m / float(flat.t_cam_pad[2])
+    radius_px = flat.disc_px(camera, pad)
     level = max(0, math.floor(math.log2(max(radius_px, 1.0) / _HEADING_PX)))
     best = heading(pyramid[level], 1 << level, camera, pad, flat)
     if best is None:

@@ -129,7 +129,7 @@ def _off_px(reads: list[_Read], pose: PadPose, camera: Camera, pad: Pad) -> floa
     """Return what the farthest edge in view may be off by: the corners' error times the pad's size over that of what is read."""
     uv = np.concatenate([read.uv_px for read in reads])
     radius_px = float(np.linalg.norm(uv - uv.mean(axis=0), axis=1).max())
-    pad_px = camera.fx * pad.disc_radius_m / float(pose.t_cam_pad[2])
+    pad_px = pose.disc_px(camera, pad)
     return _CORNER_PX * min(pad_px, 0.5 * math.hypot(camera.width, camera.height)) / max(radius_px, 1.0)
 
 
