@@ -20,7 +20,7 @@ from companion.guidance.mission import FLOWN
 from companion.operator.orders import HandledOrder
 from companion.operator.precedence import ControlSituation
 from companion.runtime.health import Health
-from companion.runtime.observer import NullObserver, Observer, ProcessedFrame
+from companion.runtime.observer import Observer, ProcessedFrame, listens
 from companion.runtime.pilot import WAITING_MOST, Pilot
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
@@ -132,7 +132,7 @@ class Flight:
         self._reporter = VesselReporter(self.world)
         self._views: dict[int, RenderedFrame] = {}
         self._observers = tuple(observers)
-        self._on_fusion = [o.on_fusion for o in observers if getattr(type(o), "on_fusion", None) is not NullObserver.on_fusion]
+        self._on_fusion = [o.on_fusion for o in observers if listens(o, "on_fusion")]
         self._timing = timing or Timing()
         self._limit_s, self._overtime_s = scenario.duration_limit_s, overtime_s
         self._options = ardrone_options(settings)

@@ -13,7 +13,7 @@ from typing import ParamSpec, TypeVar
 
 from companion.operator.orders import HandledOrder
 from companion.runtime.health import Health
-from companion.runtime.observer import Decision, NullObserver, Observer, ProcessedFrame
+from companion.runtime.observer import Decision, Observer, ProcessedFrame, listens
 from estimator.contracts.errors import in_words
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample
@@ -87,10 +87,6 @@ class Audience:
     def __init__(self, observers: Sequence[Observer], health: Health) -> None:
         def guard(observer: Observer, method: str) -> CallGuard:
             return CallGuard(f"{name_of(observer)}.{method}", health)
-
-        def listens(observer: Observer, method: str) -> bool:
-            # There are hundreds of samples a second, and most observers take none of them.
-            return getattr(type(observer), method, None) is not getattr(NullObserver, method)
 
         self._samples = [(guard(o, "on_sample"), o.on_sample) for o in observers if listens(o, "on_sample")]
         self._results = [(guard(o, "on_fusion"), o.on_fusion) for o in observers if listens(o, "on_fusion")]
