@@ -1,9 +1,10 @@
-"""Measure how often the pad is found where the filter expects it: `python -m benches.tracked [--frames N] [--times] [--pad P]`.
+"""Measure how often the pad is found where the filter expects it: `python -m benches.tracked [--frames N] [--pad P]`.
 
 The pad tracker processes rendered frames with a prediction that is off by 0.4 % of the range along each axis at one sigma, 2 cm
 at least, the heading by 0.02 rad; the attitude is known to a degree. The output is the frames with a confidence of 0.5 or more,
 in %, and how many of all frames are off by more than a tenth of the height. With `--times` it is the processor time of the whole
-look by height, in floors (one BGR to HSV conversion and one inRange), the smallest of 25 of both, the median of six frames.
+look by height, in floors (one BGR to HSV conversion and one inRange), the smallest of 25 of both, the median of six frames. With
+`--lost` it is that of frames without a pad where one is believed, at the median and at most.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import argparse
 import math
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -27,7 +29,8 @@ from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.options import TrackerOptions  # noqa: E402
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
-from tests.support.pad_scenes import CONDITIONS, PadScene, load_camera, load_pad, pad_scene  # noqa: E402
+from estimator.vision.tracker_config import FRAME_WORK  # noqa: E402
+from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
 
 HEIGHTS_M = (0.2, 0.3, 0.5, 10.0, 15.0, 20.0, 30.0)
 TIMED_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
@@ -82,16 +85,45 @@ def times(tracker: TrackerConfig) -> None:
         print(f"{height_m:g} m: {np.median(ratios):.1f} floors", flush=True)
 
 
+def lost(tracker: TrackerConfig, frames: int) -> None:
+    """Print what whole looks cost, within a flight's budget of a search, where a pad is believed and none is there."""
+    attitude = Attitude(STAMP, Rotation.from_rpy(0.02, -0.03, 0.4), np.eye(3) * SIGMA_ATTITUDE_RAD**2)
+    for height_m in TIMED_M:
+        sigma_m = max(0.02, 0.004 * height_m)
+        belief = RelativeState(
+            STAMP.measured_at, "ekf", np.array([0.0, 0.0, height_m]), np.zeros(3), 0.2,
+            np.diag([sigma_m**2] * 3 + [0.01] * 3 + [SIGMA_YAW_RAD**2]), STAMP.measured_at, True,
+        )  # fmt: skip
+        ratios: list[float] = []
+        for k in range(-1, frames):
+            scene, memory = (
+                empty_scene(np.random.default_rng([78, k + 1, round(10 * height_m)]), tracker.camera, height_m),
+                TrackerMemory(),
+            )
+            for _ in range(3):
+                began = time.process_time_ns()
+                _, memory = track(tracker, memory, Frame(STAMP, 0, scene.px), attitude, belief)
+                took = (time.process_time_ns() - began) * 1e-6
+                if k >= 0:  # the first frame builds what later ones have
+                    ratios.append(took / floor_ms(scene.px))
+        print(f"{height_m:g} m: {np.median(ratios):.0f} floors, at most {max(ratios):.0f}", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=12, help="at each height in each condition")
-    parser.add_argument("--times", action="store_true", help="measure what a whole look costs instead")
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument("--times", action="store_true", help="measure what a whole look costs instead")
+    instead.add_argument("--lost", action="store_true", help="the same where the pad is believed and not there")
     parser.add_argument("--pad", default="thesis", help="name of a shipped pad (default: %(default)s)")
     args = parser.parse_args()
     cv2.setNumThreads(1)
     tracker = TrackerConfig(load_camera("sim"), load_pad(args.pad), TrackerOptions(colours="simulator"))
     if args.times:
         times(tracker)
+        return
+    if args.lost:
+        lost(replace(tracker, search_work=FRAME_WORK), args.frames)
         return
     wrong: list[str] = []
     print("called 0.5 or more, % " + "".join(f"{h:>7g} m" for h in HEIGHTS_M))
