@@ -296,7 +296,7 @@ static void rate(const float h[VALUES][POLAR_ANGLES], const float arrow[VALUES][
             apart = over_disc < apart ? over_disc : apart;
         }
         const double red_outside = (of->outside[VALUES - 1] - (double)arrow[VALUES - 1][k]) / n_outside;
-        const double beside = resolved | !(n_outside > least) ? red_disc : red_outside;
+        const double beside = (resolved | !(n_outside > least)) ? red_disc : red_outside;
         const int h_wrong = (n_h > least) & !(apart > 0.0), ring_wrong = (n_ring > least) & !(polarity * (red_ring - beside) > 0.0);
         score[k] = ((n_disc > least) & (h_wrong | ring_wrong) ? WRONG_SIDE : 1.0) * between / spread;
     }

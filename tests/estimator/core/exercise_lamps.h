@@ -34,7 +34,10 @@ static void light_frame(const camera_lens *c, const lamp_pattern *pad, const pad
         px[i] = (uint8_t)(next_random() % noise);
     }
     for (int k = 0; k < lights; k++) {
-        shine(c, 0.5 * (1.0 + uniform()) * (double)c->width, 0.5 * (1.0 + uniform()) * (double)c->height, kind % 11 == 10 ? 0 : kind % 4, px);
+        /* In statements of their own: compilers evaluate arguments in either order. */
+        const double u = 0.5 * (1.0 + uniform()) * (double)c->width;
+        const double v = 0.5 * (1.0 + uniform()) * (double)c->height;
+        shine(c, u, v, kind % 11 == 10 ? 0 : kind % 4, px);
     }
     for (int k = 0; k < (int)pad->lamps && kind % 3; k++) {
         shine(c, c->cx + c->fx * (pad->x_m[k] + pose->t[0]) / pose->t[2], c->cy + c->fy * (pad->y_m[k] + pose->t[1]) / pose->t[2],

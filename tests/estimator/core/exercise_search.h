@@ -4,7 +4,7 @@ static void look_for_circles(int kind)
 {
     search_image image = {3 + draw() % 70, 3 + draw() % 50, 0, 0, 0, 1 << kind % 4,
                           {1.0, 0.02, 0.1, -0.02, 1.0, 0.05, -0.1, -0.05, 1.0}};
-    search_radii radii = {1 + draw() % SEARCH_RADII, 1 + draw() % 6, 0.08, 1.2};
+    search_radii radii = {1 + draw() % SEARCH_RADII, 1 + draw() % 6, kind % 3 == 0, 0.08, 1.2};
     image.stride = image.width + draw() % 5;
     image.margin = draw() % 30;
     image.room = kind % 5 ? image.width * image.height / 2 + 1 : draw() % 20;
