@@ -30,6 +30,7 @@ def test_no_rendered_frame_without_a_pad_shows_one(chunk: int) -> None:
         pytest.param(41329, 92, id="an H of other strokes"),
         pytest.param(41426, 13, id="another helipad that the drawing lies beside"),
         pytest.param(41487, 72, id="an orange raft on a dark sea"),
+        pytest.param(54023, 28, id="a green disc with the pad's ring, cut by glare in the corner"),
     ],
 )
 def test_what_a_search_once_took_for_the_pad_is_none(chunk: int, i: int) -> None:
