@@ -104,8 +104,12 @@ def main() -> int:
     scores: list[float] = []
     took: list[float] = []
     with multiprocessing.Pool(args.workers) as pool:
-        for part, ms in pool.imap(partial(best_scores, condition=args.condition, pad=args.pad), chunks):
+        for chunk, (part, ms) in zip(
+            chunks, pool.imap(partial(best_scores, condition=args.condition, pad=args.pad), chunks), strict=True
+        ):
             scores += part
+            for i in np.flatnonzero(np.array(part) >= 0.5):
+                print(f"\rchunk {chunk}, {i}: {part[i]:.2f}", file=sys.stderr)
             took.append(ms)
             print(f"\r{len(scores)} frames, {sum(s >= 0.5 for s in scores)} at 0.5 or more", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)

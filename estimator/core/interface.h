@@ -107,7 +107,7 @@
 #define FEATURE_SIZE 28
 #define FEATURE_IN_VIEW 29
 #define FEATURE_TILT 30
-#define EVIDENCE 27
+#define EVIDENCE 29
 #define EVIDENCE_ONE 0
 #define EVIDENCE_TEMPLATE_SCORE 1
 #define EVIDENCE_INLIERS 2
@@ -135,6 +135,8 @@
 #define EVIDENCE_EDGES_ASTRAY 24
 #define EVIDENCE_H_ASTRAY 25
 #define EVIDENCE_HALF_DISAGREES 26
+#define EVIDENCE_NO_H_IN_VIEW 27
+#define EVIDENCE_H_DISAGREES 28
 #define LAMPS 40
 #define LAMP_PAIRS 20
 #define LAMP_SPOTS 40
@@ -798,11 +800,12 @@ typedef struct {
     int64_t has_field;
     int64_t has_ring;
     int64_t has_letters;
+    int64_t has_fiducials;
     int64_t disc_has_colour;
     double orange_side[3];
     double orange_place[3];
     double template_weights[31];
-    double weights[27];
+    double weights[29];
 } pad_judge;
 
 typedef struct {
@@ -822,7 +825,7 @@ typedef struct {
     aligned_pad aligned;
     level_sighting seen;
     pad_paint paint;
-    double evidence[27];
+    double evidence[29];
     double log_odds;
 } looked_pad;
 
@@ -1359,7 +1362,7 @@ int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *pict
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 2222628277u
+#define INTERFACE_DIGEST 2638785204u
 #endif
 
 #endif

@@ -29,6 +29,8 @@ static const double CORNER = 0.2, NO_CORNER = 0.3;
 static const double DISAGREES = 0.45, AGREES = 0.485;
 /* The same where the light hardly follows the drawing. A fit that does not settle leaves half of them. */
 static const double HALF_DISAGREES = 0.52, MOST_AGREE = 0.7;
+/* Share of a distant pad's pixels that agree with the drawing, up to which half of them disagree, and from which on fewer do. */
+static const double HALF_AGREES = 0.5, MORE_AGREES = 0.52;
 /* Score of the template up to which the light hardly follows the drawing, and from which on it does. */
 static const double HARDLY_FOLLOWS = 0.0, FOLLOWS = 1.0;
 /* Contrast of such a disc over its deviation up to which it does not speak against that doubt, and from which on it does. */
@@ -136,6 +138,9 @@ static void from_afar(const pad_judge *judge, const registration *found, const a
     if (judge->has_field && judge->has_letters) {
         out[EVIDENCE_NO_DISC] = no_disc(judge, found);
     }
+    if (judge->has_letters && judge->disc_has_colour) {
+        out[EVIDENCE_H_DISAGREES] = between(HALF_AGREES, MORE_AGREES, found->inliers) * (1.0 - found->edges[H].inliers);
+    }
     if (has_both) {
         double off[CHANNELS];
         orange_off(judge, found, off);
@@ -155,6 +160,8 @@ static void from_near(const pad_judge *judge, const registration *found, double 
     out[EVIDENCE_DISC_UNSEEN] = disc->snr < SNR_SEEN ? disc_shown : 0.0;
     out[EVIDENCE_CORNER] = judge->has_letters && is_seen(h) && !is_seen(disc) ? between(CORNER, NO_CORNER, h->in_view) : 0.0;
     out[EVIDENCE_EDGES_ASTRAY] = between(ASTRAY_PX, IN_PLACE_PX, found->edge_rms_px);
+    out[EVIDENCE_NO_H_IN_VIEW] = judge->has_letters && !judge->has_fiducials && h->in_view <= H_IN_VIEW && !is_seen(h) &&
+                                 !is_seen(&found->edges[ARROW]);
     out[EVIDENCE_H_ASTRAY] = other ? 0.0 : between(OTHER_H, THIS_H, h->inliers);
 }
 

@@ -35,9 +35,6 @@ _CERTAIN = 0.9
 """Confidence from which on it is not tried whether something covers a part of the pad."""
 _RINGLESS_LOG_ODDS = -4.0
 """Prior where the ring does not show beside what covers the pad: an H on something green, whose lack of a ring the line hides."""
-_HIDDEN_H_LOG_ODDS = -2.0
-"""Prior of a search where neither H nor arrowhead shows beside what covers the pad: a green disc with a ring in glare shows as
-much."""
 _WORTH_TURNING = 1e-4
 """Confidence from which on the heading of a registration matters: its place may be the pad's then."""
 _DECIDED, _UNDECIDED_LOG_ODDS = 4.0, -12.0
@@ -177,10 +174,8 @@ def _of_visible(
     if found is None:
         return None
     odds = found.log_odds + prior_log_odds
-    if cut is not UNCUT:
-        edges = found.edges
-        odds += 0.0 if edges[EdgeKind.RING].seen else _RINGLESS_LOG_ODDS
-        odds += 0.0 if tracked or edges[EdgeKind.H].seen or edges[EdgeKind.ARROW].seen else _HIDDEN_H_LOG_ODDS
+    if cut is not UNCUT and not found.edges[EdgeKind.RING].seen:
+        odds += _RINGLESS_LOG_ODDS
     if pad.markings.fiducials:
         odds += cells_log_odds(pyramid[0], camera, pad, found.registration())
     elif pad.markings.is_letter_alone:

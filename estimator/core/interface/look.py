@@ -12,7 +12,7 @@ FITTED = (
 """Names of the inputs of the verification of a registration whose weights are fitted, in order."""
 HAND_SET = (
     "no_ring", "no_h", "disc_unseen", "painted", "no_disc", "h_contrast_odd", "disagrees", "not_brighter", "corner",
-    "edges_astray", "h_astray", "half_disagrees",
+    "edges_astray", "h_astray", "half_disagrees", "no_h_in_view", "h_disagrees",
 )  # fmt: skip
 """Names of the further inputs, whose weights are set by hand; `estimator.vision.register.fit_verification` says what they are."""
 EVIDENCE = (*FITTED, *HAND_SET)
@@ -25,7 +25,7 @@ CONSTANTS = {
 
 STRUCTS: dict[str, tuple[Field, ...]] = {
     "pad_judge": (
-        *integers("has_field", "has_ring", "has_letters", "disc_has_colour"),
+        *integers("has_field", "has_ring", "has_letters", "has_fiducials", "disc_has_colour"),
         *doubles(orange_side=3, orange_place=3, template_weights=len(FEATURES), weights=len(EVIDENCE)),
     ),
     "look_options": (*integers("coarse"), *doubles(sigma_tilt_rad=1, t_body_cam=3)),

@@ -192,6 +192,7 @@ def _judge(pad: Pad, tracked: bool) -> F64:
     place = side * (ring - disc) / np.maximum(side * (h_marking - disc), 0.05)
     return record("pad_judge", {
         "has_field": bool(marks.field_radius_m), "has_ring": bool(marks.ring_outer_m), "has_letters": bool(marks.letters),
-        "disc_has_colour": disc_has_colour(pad), "orange_side": side, "orange_place": place,
-        "template_weights": verification.COEFFICIENTS, "weights": TRACKED if tracked else SEARCHED,
+        "has_fiducials": bool(marks.fiducials), "disc_has_colour": disc_has_colour(pad),
+        "orange_side": side, "orange_place": place, "template_weights": verification.COEFFICIENTS,
+        "weights": TRACKED if tracked else SEARCHED,
     })  # fmt: skip

@@ -24,6 +24,7 @@ _H_OVER_RING = (0.6, 3.0)
 _H_IN_VIEW = 0.02
 _CORNER_OF_H = (0.2, 0.3)
 _DENSE_INLIERS = (0.45, 0.485)
+_HALF_AGREES = (0.5, 0.52)
 _BRIGHTER = (-2.6, -2.1)
 _H_INLIERS = (0.8, 0.95)
 _ASTRAY_PX = (0.6, 0.9)
@@ -59,6 +60,8 @@ def evidence(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
         dense * _not_brighter(values, pad) * has_both, (1.0 - dense) * _corner(found) * bool(marks.letters),
         (1.0 - dense) * float(np.interp(found.edge_rms_px, _ASTRAY_PX, (0.0, 1.0))), (1.0 - dense) * _h_astray(found),
         dense * _half_disagrees(found, template_score),
+        (1.0 - dense) * _no_h_in_view(found) * bool(marks.letters and not marks.fiducials),
+        dense * _h_disagrees(found) * bool(marks.letters and disc_has_colour(pad)),
     ])  # fmt: skip
 
 
@@ -109,6 +112,16 @@ def _no_h(found: Registration) -> float:
     """Return whether an H that is in view does not show, nor the arrowhead, which no other helipad has."""
     h_marking = found.edges[EdgeKind.H]
     return float(h_marking.in_view > _H_IN_VIEW and not h_marking.seen and not found.edges[EdgeKind.ARROW].seen)
+
+
+def _no_h_in_view(found: Registration) -> bool:
+    h_marking = found.edges[EdgeKind.H]
+    return h_marking.in_view <= _H_IN_VIEW and not h_marking.seen and not found.edges[EdgeKind.ARROW].seen
+
+
+def _h_disagrees(found: Registration) -> float:
+    """Return 0..1: the fraction of the H's edges that disagree, as surely as half of the pixels do."""
+    return float(np.interp(found.inliers, _HALF_AGREES, (1.0, 0.0))) * (1.0 - found.edges[EdgeKind.H].inliers)
 
 
 def _painted(found: Registration, off: float) -> float:
