@@ -217,7 +217,7 @@ static void support_of(const profiles *p, int kind, const channel_mix *mix, cons
     memset(out, 0, sizeof *out);
     out->in_view = p->in_view[kind], out->likeness = 1.0;
     if (n) {
-        const double contrast = median_of(n, contrasts, spare), var = 0.5 * (fit->noise[kind][0] + fit->noise[kind][1]);
+        const double contrast = median_of(n, contrasts, spare), var = fit->mean_noise[kind];
         out->snr = var < 0.5 ? contrast / sqrt(var) : 0.0;
         out->inliers = fmin(1.0, agreed / (MEAN_WEIGHT * counted));
         for (int c = 0; c < CHANNELS; c++) {
@@ -232,9 +232,9 @@ static double noise_of_light(const channel_mix *mix, const near_fit *fit)
     double sum = 0.0;
     int shown = 0;
     for (int kind = 0; kind < EDGE_KINDS; kind++) {
-        const double *m = mix->mix[kind], size2 = m[0] * m[0] + m[1] * m[1] + m[2] * m[2], *noise = fit->noise[kind];
-        if (fmax(noise[0], noise[1]) < 1.0 && size2 > 0.0) {
-            sum += 0.5 * (noise[0] + noise[1]) / size2;
+        const double *m = mix->mix[kind], size2 = m[0] * m[0] + m[1] * m[1] + m[2] * m[2];
+        if (fit->mean_noise[kind] < 1.0 && size2 > 0.0) {
+            sum += fit->mean_noise[kind] / size2;
             shown++;
         }
     }

@@ -28,8 +28,9 @@ typedef struct {
     int accepted;
 } group_fit;
 
+/* A linearisation: information, gradient, the variance of each kind's pixels outside and inside of its edges, and their mean. */
 typedef struct {
-    double H[STATES * STATES], g[STATES], noise[EDGE_KINDS][2];
+    double H[STATES * STATES], g[STATES], noise[EDGE_KINDS][2], mean_noise[EDGE_KINDS];
     int has_noise;
     group_fit groups[GROUPS_MAX];
 } near_fit;

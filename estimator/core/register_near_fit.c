@@ -11,6 +11,14 @@ static const double TUKEY = 4.7, MEDIAN_SQUARE = 0.4549;
 static const double STILL_OFF_PX = 0.1;
 /* Limits on a group's contrast relative to its kind's: shade, sun and wear stay within them, a foreign edge does not. */
 static const double CONTRAST_LEAST = 0.4, CONTRAST_MOST = 2.5;
+/* Coverage varies within a group by more than this, as a variance, where an edge passes through it. */
+static const double SPREAD_LEAST = 0.02;
+/* Squares of residuals beyond so many variances are outliers; the least variance, part of the usual one. */
+static const double OUTLIER = 16.0, VARIANCE_LEAST = 0.05;
+/* The same for the mean over a kind, in usual variances. */
+static const double UNUSUAL = 9.0;
+/* The least variance, in squares of a contrast. */
+static const double NOISE_LEAST = 1e-9;
 /* The fewest pixels of a kind for its noise, and for its colours. */
 enum { NOISE_PIXELS = 12, COLOUR_PIXELS = 8 };
 
@@ -85,23 +93,59 @@ void mix_channels(const pad_shape *pad, const profiles *p, const near_rows *d, c
     }
 }
 
-/* Both variances of a kind from residuals r of n - inside pixels outside the edge and `inside` pixels inside it. */
-static void kind_noise(double n, double inside, double squares, double squares_inside, double usual, double grow, double out[2])
+/* The least squares of a line over coverage 0..1, by its values at both ends, neither of them below `least`. */
+static void fit_line(const double A[3], const double b[2], double least, double ends[2])
 {
-    const double total[2] = {n - inside, inside}, of[2] = {squares - squares_inside, squares_inside};
-    for (int side = 0; side < 2; side++) {
-        const double var = total[side] > 4.0 ? fmax(of[side] / total[side], 0.05 * usual) : usual;
-        out[side] = fmax(grow * var, 1e-9);
+    const double det = A[0] * A[2] - A[1] * A[1];
+    if (!(det > 1e-6 * A[0] * A[2])) {
+        return;
+    }
+    ends[0] = (A[2] * b[0] - A[1] * b[1]) / det, ends[1] = (A[0] * b[1] - A[1] * b[0]) / det;
+    if (ends[0] < least) {
+        ends[0] = least, ends[1] = fmax(least, (b[1] - A[1] * least) / A[2]);
+    } else if (ends[1] < least) {
+        ends[1] = least, ends[0] = fmax(least, (b[0] - A[1] * least) / A[0]);
     }
 }
 
-/* The variance on either side of the edges, from residuals and weights. */
-static void noise_of(const profiles *p, const float *r, const float *weight, near_rows *d, double noise[EDGE_KINDS][2])
+/* The variances of a kind outside and inside of its edges: of the line over coverage that the squares of its residuals follow. Means
+ * by side would mix both: paints as dark or bright as a frame can show have a fraction of the noise of the pixels between them. */
+static void fit_variances(const profiles *p, int kind, const float *r, const float *weight, const float *value, double usual,
+                          double var[2])
+{
+    var[0] = var[1] = usual;
+    for (int pass = 0; pass < 2; pass++) {
+        double A[3] = {0.0}, b[2] = {0.0};
+        for (int i = p->kind_begin[kind]; i < p->kind_begin[kind + 1]; i++) {
+            const double q = (double)r[i] * r[i], s = value[i], here = var[0] + (var[1] - var[0]) * s;
+            const double w = weight[i] > 0.0f && q < OUTLIER * here ? 1.0 / (here * here) : 0.0;
+            A[0] += w * (1.0 - s) * (1.0 - s), A[1] += w * (1.0 - s) * s, A[2] += w * s * s;
+            b[0] += w * (1.0 - s) * q, b[1] += w * s * q;
+        }
+        fit_line(A, b, VARIANCE_LEAST * usual, var);
+    }
+}
+
+/* The mean of the squares of a kind's residuals. */
+static double mean_square(const profiles *p, int kind, const float *r, const float *weight, double usual)
+{
+    double sum = 0.0;
+    int n = 0;
+    for (int i = p->kind_begin[kind]; i < p->kind_begin[kind + 1]; i++) {
+        const double q = (double)r[i] * r[i];
+        const int counts = weight[i] > 0.0f && q < UNUSUAL * usual;
+        sum += counts ? q : 0.0, n += counts;
+    }
+    return n ? sum / n : usual;
+}
+
+/* The variance of each kind's pixels, from residuals and weights. */
+static void noise_of(const profiles *p, const float *r, const float *weight, near_rows *d, near_fit *fit)
 {
     for (int kind = 0; kind < EDGE_KINDS; kind++) {
+        double *noise = fit->noise[kind];
         int count = 0;
-        double sums[4] = {0.0};
-        noise[kind][0] = noise[kind][1] = 1.0;
+        noise[0] = noise[1] = fit->mean_noise[kind] = 1.0;
         for (int i = p->kind_begin[kind]; i < p->kind_begin[kind + 1]; i++) {
             d->spare[1][count] = r[i] * r[i];
             count += weight[i] > 0.0f;
@@ -109,36 +153,40 @@ static void noise_of(const profiles *p, const float *r, const float *weight, nea
         if (count < NOISE_PIXELS) {
             continue;
         }
-        const double usual = median_of(count, d->spare[1], (uint32_t *)(void *)d->spare[2]) / MEDIAN_SQUARE;
         /* Each group spends two of its pixels on its light levels. */
         const int free = count - 2 * p->groups_of_kind[kind];
-        for (int i = p->kind_begin[kind]; i < p->kind_begin[kind + 1]; i++) {
-            const double q = (double)r[i] * r[i], good = weight[i] > 0.0f && q < 9.0 * usual ? 1.0 : 0.0, s = d->value[i];
-            sums[0] += good, sums[1] += good * s, sums[2] += good * q, sums[3] += good * q * s;
-        }
-        kind_noise(sums[0], sums[1], sums[2], sums[3], usual, (double)count / (free > 1 ? free : 1), noise[kind]);
+        const double usual = median_of(count, d->spare[1], (uint32_t *)(void *)d->spare[2]) / MEDIAN_SQUARE;
+        const double grow = (double)count / (free > 1 ? free : 1);
+        fit_variances(p, kind, r, weight, d->value, usual, noise);
+        noise[0] = fmax(grow * noise[0], NOISE_LEAST), noise[1] = fmax(grow * noise[1], NOISE_LEAST);
+        fit->mean_noise[kind] = fmax(grow * mean_square(p, kind, r, weight, usual), NOISE_LEAST);
     }
 }
 
-/* Sums over a group: weight, and with it coverage, light, and their products. */
+/* Sums over a group: weight, and with it coverage, light, and their products; then what counts of pixels whatever their noise, their
+ * coverage and its square. */
 typedef struct {
-    double w, s, y, ss, sy;
+    double w, s, y, ss, sy, n, ns, nss;
 } level_sums;
 
 WIDE
 static level_sums sum_levels(const near_rows *d, int begin, int end)
 {
     float w[LANES] = {0.0f}, s[LANES] = {0.0f}, y[LANES] = {0.0f}, ss[LANES] = {0.0f}, sy[LANES] = {0.0f};
+    float n[LANES] = {0.0f}, ns[LANES] = {0.0f}, nss[LANES] = {0.0f};
     for (int i = begin; i < end; i += LANES) {
         for (int l = 0; l < LANES; l++) {
             const float weight = d->w[i + l], covered = weight * d->value[i + l], light = d->mixed[i + l];
+            const float kept = d->weight[i + l], kept_covered = kept * d->value[i + l];
             w[l] += weight, s[l] += covered, y[l] += weight * light;
             ss[l] += covered * d->value[i + l], sy[l] += covered * light;
+            n[l] += kept, ns[l] += kept_covered, nss[l] += kept_covered * d->value[i + l];
         }
     }
-    level_sums out = {0.0, 0.0, 0.0, 0.0, 0.0};
+    level_sums out = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
     for (int l = 0; l < LANES; l++) {
         out.w += w[l], out.s += s[l], out.y += y[l], out.ss += ss[l], out.sy += sy[l];
+        out.n += n[l], out.ns += ns[l], out.nss += nss[l];
     }
     return out;
 }
@@ -151,7 +199,8 @@ static level_sums fit_levels(const group *g, near_rows *d, group_fit *fit)
     const double spread = sums.ss - sums.s * sums.s / sums.w;
     fit->contrast = (sums.sy - sums.s * sums.y / sums.w) / fmax(spread, 1e-6 * sums.w);
     fit->outside = (sums.y - fit->contrast * sums.s) / sums.w;
-    fit->accepted = CONTRAST_LEAST < fit->contrast && fit->contrast < CONTRAST_MOST && spread > 0.02 * sums.w;
+    fit->accepted = CONTRAST_LEAST < fit->contrast && fit->contrast < CONTRAST_MOST &&
+                    sums.n * sums.nss - sums.ns * sums.ns > SPREAD_LEAST * sums.n * sums.n;
     const float a = (float)fit->outside, b = (float)fit->contrast;
     for (int i = g->begin; i < g->end; i++) {
         d->residual[i] = d->mixed[i] - a - b * d->value[i];
@@ -192,7 +241,7 @@ static void weigh_first(const profiles *p, near_rows *d, near_fit *fit)
     for (int g = 0; g < p->groups; g++) {
         fit_levels(&p->each[g], d, &fit->groups[g]);
     }
-    noise_of(p, d->residual, d->weight, d, fit->noise);
+    noise_of(p, d->residual, d->weight, d, fit);
     for (int kind = 0; kind < EDGE_KINDS; kind++) {
         fit->noise[kind][0] = fit->noise[kind][1] = fmax(fit->noise[kind][0], fit->noise[kind][1]);
     }
@@ -289,7 +338,7 @@ void noise_after(const profiles *p, const double delta[STATES], near_rows *d, ne
             left[i] -= step * J[i];
         }
     }
-    noise_of(p, left, d->weight, d, fit->noise);
+    noise_of(p, left, d->weight, d, fit);
     fit->has_noise = 1;
 }
 

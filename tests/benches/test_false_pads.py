@@ -30,6 +30,8 @@ def test_no_rendered_frame_without_a_pad_shows_one(chunk: int) -> None:
         pytest.param(41329, 92, id="an H of other strokes"),
         pytest.param(41426, 13, id="another helipad that the drawing lies beside"),
         pytest.param(41487, 72, id="an orange raft on a dark sea"),
+        pytest.param(60010, 96, id="a small green disc with the pad's ring and glare"),
+        pytest.param(61582, 74, id="a corner of another helipad's H beside its edge"),
         pytest.param(54023, 28, id="a green disc with the pad's ring, cut by glare in the corner"),
     ],
 )

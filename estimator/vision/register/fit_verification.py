@@ -24,8 +24,8 @@ _HAND_SET = {
     "disagrees": -2.0,
     "not_brighter": -2.0,
     "corner": -3.0,
-    "edges_astray": -3.0,
-    "h_astray": -2.0,
+    "edges_astray": -8.0,
+    "h_astray": -3.5,
     "half_disagrees": -0.7,
     "no_h_in_view": -6.0,
     "h_disagrees": -8.0,
@@ -49,7 +49,8 @@ corner: a corner of a nearby H is in view, and the edge of the disc does not sho
 show as much.
 edges_astray: the edges of a nearby pad are displaced by more than its pose, its blur and their noise explain; of 473 right
 registrations one in a hundred had more than 0.5 px, none 0.9. A helipad in strong glare, whose ring and H fit nearly, had 1 px.
-h_astray: of a nearby pad only the H shows, and parts of it are not where the drawing has them; so was another H on green.
+h_astray: of a nearby pad only the H shows, or a fiftieth of the ring beside it, and parts of the H are not where the drawing has
+them; so was another H on green.
 half_disagrees: half of a distant pad's pixels disagree with the drawing, the light hardly follows it, and the disc's edge is not
 clear; of 218 sure and right registrations at most three, and another helipad and two life rafts.
 no_h_in_view: neither the H nor the arrowhead of a nearby pad is in view or shows, and it has no fiducials; so were 3 of 3,552

@@ -28,7 +28,7 @@ def profile_support(
     enough = pixels > 8
     # The mean of Tukey's weights under Gaussian noise is 0.9.
     counted, agreed = (np.stack([pixels * enough, agree * enough]) @ measured_at.of_kind).tolist()
-    for kind, var in zip(tuple(EdgeKind)[:KINDS], noise.mean(axis=1).tolist(), strict=True):
+    for kind, var in zip(tuple(EdgeKind)[:KINDS], noise[:, 2].tolist(), strict=True):
         in_view = float(measured_at.in_view[kind])
         if not counted[kind]:
             out[kind] = EdgeSupport(np.zeros(3), 0.0, in_view, 0.0)

@@ -22,6 +22,7 @@ _PLAIN_DISC = 0.1
 _SNR_GREY = (10.0, 20.0)
 _H_OVER_RING = (0.6, 3.0)
 _H_IN_VIEW = 0.02
+_RING_IN_VIEW = 0.02
 _CORNER_OF_H = (0.2, 0.3)
 _DENSE_INLIERS = (0.45, 0.485)
 _HALF_AGREES = (0.5, 0.52)
@@ -180,7 +181,8 @@ def _not_brighter(values: F64, pad: Pad) -> float:
 
 def _h_astray(found: Registration) -> float:
     """Return 0..1: how surely what shows, an H alone, is another H."""
-    if any(found.edges[kind].seen for kind in (EdgeKind.DISC, EdgeKind.RING, EdgeKind.ARROW)):
+    ring = found.edges[EdgeKind.RING]
+    if any(found.edges[kind].seen for kind in (EdgeKind.DISC, EdgeKind.ARROW)) or (ring.seen and ring.in_view > _RING_IN_VIEW):
         return 0.0
     return float(np.interp(found.edges[EdgeKind.H].inliers, _H_INLIERS, (1.0, 0.0)))
 

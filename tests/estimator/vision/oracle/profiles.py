@@ -134,7 +134,7 @@ def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Coverages) -> P
 
     Args:
         mixed: (N,) light through `Channels.mix`.
-        noise: (KINDS, 2) variance outside and inside; None in the first round.
+        noise: (KINDS, 3), of which the variance outside and inside; None in the first round.
         seen: coverage at the state.
     """
     s = seen.coverage
@@ -151,6 +151,7 @@ def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Coverages) -> P
         w = profiles.usable * per_var
     robust: F64 | None = None
     for round_ in range(2):
+        kept = profiles.usable if robust is None else profiles.usable * robust
         rows[0] = w
         np.multiply(w, s, out=rows[1])
         np.multiply(w, mixed, out=rows[2])
@@ -167,7 +168,7 @@ def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Coverages) -> P
         if round_ == 1:
             break
         if noise is None:
-            per_var = (1.0 / _noise(r, s, profiles.usable, profiles).max(axis=1)).take(profiles.kind)
+            per_var = (1.0 / _noise(r, s, profiles.usable, profiles)[:, :2].max(axis=1)).take(profiles.kind)
             w = profiles.usable * per_var
         else:
             # The state may still be slightly off; the residuals that this causes at an edge are no outliers.
@@ -182,7 +183,9 @@ def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Coverages) -> P
             np.maximum(robust, 0.0, out=robust)
             robust *= robust
             w = w * robust
-    accepted = (_CONTRAST_RATIO[0] < B) & (_CONTRAST_RATIO[1] > B) & (spread > 0.02 * W)
+    n_kept, in_kept, squares_kept = np.add.reduceat(np.stack([kept, kept * s, kept * s * s]), starts, axis=1)
+    passed = n_kept * squares_kept - in_kept * in_kept > 0.02 * n_kept * n_kept
+    accepted = (_CONTRAST_RATIO[0] < B) & (_CONTRAST_RATIO[1] > B) & passed
     on = accepted.astype(float).take(group)
     weight = profiles.usable * on
     if robust is not None:
@@ -235,36 +238,41 @@ def residual_after(fit: ProfileFit, profiles: Profiles, delta: F64) -> F64:
 
 
 def noise_of(left: F64, fit: ProfileFit, profiles: Profiles) -> F64:
-    """Return the (KINDS, 2) variance on either side of the edges, from the remaining residuals (N,)."""
+    """Return the (KINDS, 3) variance on either side of the edges and its mean, from the remaining residuals (N,)."""
     return _noise(left, fit.coverages.coverage, fit.weight, profiles)
 
 
 def _noise(r: F64, s: F64, weight: F64, profiles: Profiles) -> F64:
-    """Return the (KINDS, 2) variance on either side of the edges, from residuals."""
-    q = r * r
-    on = weight > 0.0
-    usual, grow = [1.0] * KINDS, [0.0] * KINDS
+    """Return the (KINDS, 3) variance on either side of the edges and its mean, from residuals."""
+    out = np.ones((KINDS, 3))
     for kind, part in enumerate(profiles.kind_parts):
-        some = q[part][on[part]]
-        count = len(some)
+        on = weight[part] > 0.0
+        q, at, count = (r[part] * r[part])[on], s[part][on], int(on.sum())
         if count >= 12:
-            usual[kind] = median(some) / 0.4549
             # Each group spends two of its pixels on its light levels.
-            grow[kind] = count / max(count - 2 * profiles.groups[kind], 1)
-    good = q < (9.0 * np.array(usual)).take(profiles.kind)
-    good &= on
-    rows = np.empty((4, len(q)))
-    rows[0] = good
-    np.multiply(good, s, out=rows[1])
-    np.multiply(rows[:2], q, out=rows[2:])
-    sums = (np.add.reduceat(rows, profiles.starts, axis=1) @ profiles.of_kind).T.tolist()
-    out = np.ones((KINDS, 2))
-    for kind, (n, inside, squares, squares_inside) in enumerate(sums):
-        if grow[kind]:
-            for side, (total, of) in enumerate(((n - inside, squares - squares_inside), (inside, squares_inside))):
-                var = max(of / total, 0.05 * usual[kind]) if total > 4.0 else usual[kind]
-                out[kind, side] = max(grow[kind] * var, 1e-9)
+            grow = count / max(count - 2 * profiles.groups[kind], 1)
+            usual = median(q) / 0.4549
+            usually = q[q < 9.0 * usual]
+            mean = float(usually.mean()) if len(usually) else usual
+            out[kind] = np.maximum(grow * np.append(_line(q, at, usual), mean), 1e-9)
     return out
+
+
+def _line(q: F64, s: F64, usual: float) -> F64:
+    """Return the values at 0 and 1 of the line over coverage that squares of residuals follow, none below a part of the usual."""
+    var, least = np.full(2, usual), 0.05 * usual
+    for _ in range(2):
+        basis = np.stack([1.0 - s, s])
+        here = var @ basis
+        w = np.where(q < 16.0 * here, here**-2, 0.0)
+        A, b = (basis * w) @ basis.T, (basis * w) @ q
+        if np.linalg.det(A) > 1e-6 * A[0, 0] * A[1, 1]:
+            var = np.linalg.solve(A, b)
+            if var[0] < least:
+                var = np.array([least, max(least, (b[1] - A[0, 1] * least) / A[1, 1])])
+            elif var[1] < least:
+                var = np.array([max(least, (b[0] - A[0, 1] * least) / A[0, 0]), least])
+    return var
 
 
 def arrow_amplitude(state: RegistrationState, profiles: Profiles, pad: Pad, mixed: F64) -> tuple[float, float]:

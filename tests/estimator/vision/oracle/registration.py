@@ -214,8 +214,8 @@ def _by_profiles(
             amplitude, sigma, mix.contrast[EdgeKind.RING], float(measured_at.in_view[EdgeKind.ARROW])
         )
     size2 = (mix.mix * mix.mix).sum(axis=1)
-    shown = (noise.max(axis=1) < 1.0) & (size2 > 0.0)
-    noise_light = math.sqrt(float((noise.mean(axis=1)[shown] / size2[shown]).mean())) if shown.any() else 0.0
+    shown = (noise[:, 2] < 1.0) & (size2 > 0.0)
+    noise_light = math.sqrt(float((noise[shown, 2] / size2[shown]).mean())) if shown.any() else 0.0
     visible, arrow = float(measured_at.in_view.mean()), evidence[EdgeKind.ARROW].seen
     return _Solved(state, H, cov, evidence, noise_light, rms, visible, inliers, moved, arrow, False, False)
 
