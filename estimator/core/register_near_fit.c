@@ -15,6 +15,8 @@ static const double CONTRAST_LEAST = 0.4, CONTRAST_MOST = 2.5;
 static const double SPREAD_LEAST = 0.02;
 /* Squares of residuals beyond so many variances are outliers; the least variance, part of the usual one. */
 static const double OUTLIER = 16.0, VARIANCE_LEAST = 0.05;
+/* The part of its greatest value below which a determinant is none. */
+static const double DEGENERATE = 1e-4;
 /* The same for the mean over a kind, in usual variances. */
 static const double UNUSUAL = 9.0;
 /* The least variance, in squares of a contrast. */
@@ -97,7 +99,7 @@ void mix_channels(const pad_shape *pad, const profiles *p, const near_rows *d, c
 static void fit_line(const double A[3], const double b[2], double least, double ends[2])
 {
     const double det = A[0] * A[2] - A[1] * A[1];
-    if (!(det > 1e-6 * A[0] * A[2])) {
+    if (!(det > DEGENERATE * A[0] * A[2])) {
         return;
     }
     ends[0] = (A[2] * b[0] - A[1] * b[1]) / det, ends[1] = (A[0] * b[1] - A[1] * b[0]) / det;
@@ -108,21 +110,42 @@ static void fit_line(const double A[3], const double b[2], double least, double 
     }
 }
 
+/* Sums of weights over a line's ends, products of both and squares, and of them with squares of residuals. */
+typedef struct {
+    double A[3], b[2];
+} line_sums;
+
+/* Over pixels n of which those with a weight count, by the variance of the line between `ends`. */
+WIDE
+static line_sums sum_line(int n, const float *restrict r, const float *restrict weight, const float *restrict value, const double ends[2])
+{
+    const float outside = (float)ends[0], more = (float)(ends[1] - ends[0]), outlier = (float)OUTLIER;
+    float oo[LANES] = {0.0f}, oi[LANES] = {0.0f}, ii[LANES] = {0.0f}, oq[LANES] = {0.0f}, iq[LANES] = {0.0f};
+    for (int i = 0; i < n; i += LANES) {
+        for (int l = 0; l < LANES; l++) {
+            const float s = value[i + l], per = 1.0f / (outside + more * s), q = r[i + l] * r[i + l] * per;
+            const float w = weight[i + l] > 0.0f && q < outlier ? per : 0.0f, in = w * s, out = w - in;
+            oo[l] += out * out, oi[l] += out * in, ii[l] += in * in, oq[l] += out * q, iq[l] += in * q;
+        }
+    }
+    line_sums sums = {{0.0, 0.0, 0.0}, {0.0, 0.0}};
+    for (int l = 0; l < LANES; l++) {
+        sums.A[0] += oo[l], sums.A[1] += oi[l], sums.A[2] += ii[l];
+        sums.b[0] += oq[l], sums.b[1] += iq[l];
+    }
+    return sums;
+}
+
 /* The variances of a kind outside and inside of its edges: of the line over coverage that the squares of its residuals follow. Means
  * by side would mix both: paints as dark or bright as a frame can show have a fraction of the noise of the pixels between them. */
 static void fit_variances(const profiles *p, int kind, const float *r, const float *weight, const float *value, double usual,
                           double var[2])
 {
-    var[0] = var[1] = usual;
+    const int begin = p->kind_begin[kind], n = p->kind_begin[kind + 1] - begin;
+    var[0] = var[1] = fmax(usual, NOISE_LEAST);
     for (int pass = 0; pass < 2; pass++) {
-        double A[3] = {0.0}, b[2] = {0.0};
-        for (int i = p->kind_begin[kind]; i < p->kind_begin[kind + 1]; i++) {
-            const double q = (double)r[i] * r[i], s = value[i], here = var[0] + (var[1] - var[0]) * s;
-            const double w = weight[i] > 0.0f && q < OUTLIER * here ? 1.0 / (here * here) : 0.0;
-            A[0] += w * (1.0 - s) * (1.0 - s), A[1] += w * (1.0 - s) * s, A[2] += w * s * s;
-            b[0] += w * (1.0 - s) * q, b[1] += w * s * q;
-        }
-        fit_line(A, b, VARIANCE_LEAST * usual, var);
+        const line_sums sums = sum_line(n, r + begin, weight + begin, value + begin, var);
+        fit_line(sums.A, sums.b, fmax(VARIANCE_LEAST * usual, NOISE_LEAST), var);
     }
 }
 

@@ -266,7 +266,7 @@ def _line(q: F64, s: F64, usual: float) -> F64:
         here = var @ basis
         w = np.where(q < 16.0 * here, here**-2, 0.0)
         A, b = (basis * w) @ basis.T, (basis * w) @ q
-        if np.linalg.det(A) > 1e-6 * A[0, 0] * A[1, 1]:
+        if np.linalg.det(A) > 1e-4 * A[0, 0] * A[1, 1]:
             var = np.linalg.solve(A, b)
             if var[0] < least:
                 var = np.array([least, max(least, (b[1] - A[0, 1] * least) / A[1, 1])])
