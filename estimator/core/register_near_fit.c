@@ -13,14 +13,12 @@ static const double STILL_OFF_PX = 0.1;
 static const double CONTRAST_LEAST = 0.4, CONTRAST_MOST = 2.5;
 /* Coverage varies within a group by more than this, as a variance, where an edge passes through it. */
 static const double SPREAD_LEAST = 0.02;
-/* Squares of residuals beyond so many variances are outliers; the least variance, part of the usual one. */
-static const double OUTLIER = 16.0, VARIANCE_LEAST = 0.05;
+/* Squares of residuals beyond so many variances are outliers, for the line over coverage and, in usual variances, for the mean. */
+static const double OUTLIER = 16.0, UNUSUAL = 9.0;
+/* The least variance, part of the usual one and in squares of a contrast. */
+static const double VARIANCE_LEAST = 0.05, NOISE_LEAST = 1e-9;
 /* The part of its greatest value below which a determinant is none. */
 static const double DEGENERATE = 1e-4;
-/* The same for the mean over a kind, in usual variances. */
-static const double UNUSUAL = 9.0;
-/* The least variance, in squares of a contrast. */
-static const double NOISE_LEAST = 1e-9;
 /* The fewest pixels of a kind for its noise, and for its colours. */
 enum { NOISE_PIXELS = 12, COLOUR_PIXELS = 8 };
 
@@ -110,12 +108,12 @@ static void fit_line(const double A[3], const double b[2], double least, double 
     }
 }
 
-/* Sums of weights over a line's ends, products of both and squares, and of them with squares of residuals. */
+/* The normal equations of a line by the values at its ends. */
 typedef struct {
     double A[3], b[2];
 } line_sums;
 
-/* Over pixels n of which those with a weight count, by the variance of the line between `ends`. */
+/* Of n pixels those with a weight count, by the variance that the line between `ends` gives them. */
 WIDE
 static line_sums sum_line(int n, const float *restrict r, const float *restrict weight, const float *restrict value, const double ends[2])
 {

@@ -62,6 +62,14 @@ def test_what_all_channels_see_is_one_witness_and_wider_than_a_pixel(camera: Cam
     assert 0.5 < float(nees.mean()) < 1.6
 
 
+@pytest.mark.parametrize("name", ["even", "sea", "shadow"])
+def test_the_noise_of_pixels_on_an_edge_is_their_own(camera: Camera, pad: Pad, name: str) -> None:
+    """Clipped paints hardly vary; at 5 m most of a profile's pixels lie between two of them."""
+    off, cov = errors(camera, pad, name, 5.0, 12.0, 40)
+    nees = np.array([e @ np.linalg.solve(c, e) for e, c in zip(off, cov, strict=True)]) / 6.0
+    assert 0.7 < float(nees.mean()) < 1.3
+
+
 @pytest.mark.parametrize("name", ["asphalt", "edge of the deck", "sea"])
 def test_what_lies_around_a_pad_does_not_have_it_doubted(camera: Camera, pad: Pad, name: str) -> None:
     """A doubted registration says half a metre at 10 m, and no heading."""
