@@ -1,4 +1,4 @@
-"""Count false pads: `python -m benches.false_pads [--frames N] [--first CHUNK] [--workers K] [--worst DIR]`.
+"""Count false pads: `python -m benches.false_pads [--frames N] [--first CHUNK] [--rings] [--workers K] [--worst DIR]`.
 
 The pad tracker of a flight that has not found the pad yet, with all methods and their fusion, processes rendered frames of sea,
 wake, decks, orange rafts, green awnings, other helipads, an H without a ring and a ring without an H (in the pad's own colours
@@ -34,16 +34,17 @@ from estimator.vision.options import TrackerOptions  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
 from tests.support.hard_light import HARD, Hard  # noqa: E402
-from tests.support.pad_scenes import DATA, PadScene, empty_scene, load_camera, load_pad  # noqa: E402
+from tests.support.pad_scenes import DATA, PadScene, empty_scene, load_camera, load_pad, ring_scene  # noqa: E402
 
 CHUNK = 100
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
 LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9)
 
 
-def scene_of(chunk: int, i: int) -> PadScene:
+def scene_of(chunk: int, i: int, rings: bool = False) -> PadScene:
     rng = np.random.default_rng([chunk, i, 0xFA15E])
-    return empty_scene(rng, load_camera("sim"), float(np.exp(rng.uniform(math.log(0.25), math.log(30.0)))))
+    scene, least_m = (ring_scene, 1.0) if rings else (empty_scene, 0.25)
+    return scene(rng, load_camera("sim"), float(np.exp(rng.uniform(math.log(least_m), math.log(30.0)))))
 
 
 def sure_of(px: NDArray[np.uint8], camera: Camera, pad: Pad, R_level_body: Rotation | None) -> float:
@@ -59,13 +60,13 @@ def condition_of(name: str, pad: str) -> Hard:
     return replace(HARD[name], pad=load_pad(pad)) if pad else HARD[name]
 
 
-def best_scores(chunk: int, condition: str = "plain", pad: str = "") -> tuple[list[float], float]:
+def best_scores(chunk: int, condition: str = "plain", pad: str = "", rings: bool = False) -> tuple[list[float], float]:
     """Return the best score of each frame of a chunk, and the processor time per frame without rendering, ms."""
     cv2.setNumThreads(1)
     camera, hard = load_camera("sim"), condition_of(condition, pad)
     scores, took = [], 0
     for i in range(CHUNK):
-        scene = scene_of(chunk, i)
+        scene = scene_of(chunk, i, rings)
         px = hard.change(scene.px, np.random.default_rng([chunk, i, 0xC4A9]))
         began = time.process_time_ns()
         scores.append(sure_of(px, camera, hard.pad, scene.R_level_body))
@@ -95,6 +96,9 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="chunk to begin with")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument(
+        "--rings", action="store_true", help="each frame holds what is mistaken most: a green disc with a ring, in glare"
+    )
+    parser.add_argument(
         "--condition", default="plain", choices=list(HARD), help="what happens to each frame, and which pad is looked for"
     )
     parser.add_argument("--pad", default="", help="name of a shipped pad in place of the condition's")
@@ -105,7 +109,7 @@ def main() -> int:
     took: list[float] = []
     with multiprocessing.Pool(args.workers) as pool:
         for chunk, (part, ms) in zip(
-            chunks, pool.imap(partial(best_scores, condition=args.condition, pad=args.pad), chunks), strict=True
+            chunks, pool.imap(partial(best_scores, condition=args.condition, pad=args.pad, rings=args.rings), chunks), strict=True
         ):
             scores += part
             for i in np.flatnonzero(np.array(part) >= 0.5):
@@ -136,7 +140,7 @@ def main() -> int:
         camera, pad = load_camera("sim"), load_pad("thesis")
         images = []
         for k in order:
-            scene = scene_of(chunks.start + int(k) // CHUNK, int(k) % CHUNK)
+            scene = scene_of(chunks.start + int(k) // CHUNK, int(k) % CHUNK, args.rings)
             best = acquire(scene.px, camera, pad, scene.R_level_body)
             images.append(
                 image_of(scene.px, camera, pad, None, best[0] if best else None, f"{all_[k]:.2f} {scene.height_m:.1f} m")

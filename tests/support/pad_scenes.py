@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -109,14 +110,18 @@ def _decals(rng: np.random.Generator, n: int, on_deck_at: tuple[float, float] | 
 GREEN, ORANGE = (0, 102, 0), (255, 149, 0)
 
 
-def cluster(rng: np.random.Generator, at: tuple[float, float], size_m: float, on_deck: bool) -> list[Decal]:
+_LIKE_PADS = (
+    "raft", "awning", "helipad", "green_helipad", "bare_h", "h_no_ring", "ring_no_h", "green_disc", "ring", "lifebuoy", "towel",
+)  # fmt: skip
+
+
+def cluster(
+    rng: np.random.Generator, at: tuple[float, float], size_m: float, on_deck: bool, kinds: Sequence[str] = _LIKE_PADS
+) -> list[Decal]:
     """One thing that resembles the pad, of one or several decals on top of each other."""
     on = "deck" if on_deck else "sea"
     yaw = float(rng.uniform(0, math.tau))
-    kind = str(
-        rng.choice(["raft", "awning", "helipad", "green_helipad", "bare_h", "h_no_ring", "ring_no_h", "green_disc", "ring",
-                    "lifebuoy", "towel"])
-    )  # fmt: skip
+    kind = str(rng.choice(kinds))
     green = tuple(int(c) for c in np.clip(np.array(GREEN) + rng.integers(-25, 26, 3), 0, 255))
 
     def one(name: str, scale: float = 1.0, colour: RGB | None = None) -> Decal:
@@ -251,10 +256,7 @@ def empty_scene(rng: np.random.Generator, camera: Camera, height_m: float) -> Pa
     R_ned_pad = Rotation.from_rpy(float(roll), float(pitch), float(rng.uniform(-math.pi, math.pi)))
     with_deck = rng.uniform() < 0.5
     p_pad = np.array([0.0, 0.0, -0.6 if with_deck else 0.0])
-    aim = rng.normal(0, 0.3 * height_m + 0.2, 2)
-    p_body = p_pad + np.array([aim[0], aim[1], -height_m])
-    v = rng.normal(0, 0.4, 3) * min(1.0, height_m)
-    shot = Exposure(float(rng.uniform(0, 100)), R_ned_body, p_body, R_ned_pad, p_pad, v, rng.normal(0, 0.1, 3))
+    shot = _exposure(rng, R_ned_body, R_ned_pad, p_pad, height_m, 0.3 * height_m + 0.2)
     decals: list[Decal] = []
     if rng.uniform() < 0.85:
         decals += _decals(rng, int(rng.integers(0, 6)), (0.0, 0.0) if with_deck else None, 0.8 * height_m)
@@ -262,6 +264,29 @@ def empty_scene(rng: np.random.Generator, camera: Camera, height_m: float) -> Pa
         decals += cluster(rng, (float(rng.normal(0, 0.1)), float(rng.normal(0, 0.1))), size, with_deck)
     renderer = Renderer(camera, None, _surroundings(rng, with_deck, tuple(decals)), random_light(rng, condition), _sensor(rng))
     return PadScene(renderer.render(shot, rng), None, _measured(rng, R_ned_body), height_m, 0.0, condition)
+
+
+def ring_scene(rng: np.random.Generator, camera: Camera, height_m: float) -> PadScene:
+    """No pad: a green disc with the pad's ring and without its H on a deck, in most frames with glare on it."""
+    condition = str(rng.choice(["glare", "glare", "glare", "light"]))
+    R_ned_body = _attitude(rng, math.radians(float(rng.uniform(0, 25))))
+    roll, pitch = rng.normal(0, math.radians(2.0), 2)
+    R_ned_pad = Rotation.from_rpy(float(roll), float(pitch), float(rng.uniform(-math.pi, math.pi)))
+    shot = _exposure(rng, R_ned_body, R_ned_pad, np.array([0.0, 0.0, -0.6]), height_m, 0.15 * height_m)
+    at, size_m = rng.normal(0, 0.05, 2), float(np.exp(rng.uniform(math.log(0.5), math.log(2.0))))
+    decals = cluster(rng, (float(at[0]), float(at[1])), size_m, True, ["ring_no_h"])
+    renderer = Renderer(camera, None, _surroundings(rng, True, tuple(decals)), random_light(rng, condition), _sensor(rng))
+    return PadScene(renderer.render(shot, rng), None, _measured(rng, R_ned_body), height_m, 0.0, condition)
+
+
+def _exposure(
+    rng: np.random.Generator, R_ned_body: Rotation, R_ned_pad: Rotation, p_pad: F64, height_m: float, aside_m: float
+) -> Exposure:
+    """Return an exposure over a place, aside of it by so much at one sigma, in motion."""
+    aim = rng.normal(0, aside_m, 2)
+    p_body = p_pad + np.array([aim[0], aim[1], -height_m])
+    v = rng.normal(0, 0.4, 3) * min(1.0, height_m)
+    return Exposure(float(rng.uniform(0, 100)), R_ned_body, p_body, R_ned_pad, p_pad, v, rng.normal(0, 0.1, 3))
 
 
 def photo_pose(row: dict[str, str]) -> PadPose:
@@ -278,6 +303,7 @@ __all__ = [
     "load_pad",
     "pad_scene",
     "photo_pose",
+    "ring_scene",
     "truth_of",
     "visible_fraction",
 ]
