@@ -96,10 +96,8 @@ def lost(tracker: TrackerConfig, frames: int) -> None:
         )  # fmt: skip
         ratios: list[float] = []
         for k in range(-1, frames):
-            scene, memory = (
-                empty_scene(np.random.default_rng([78, k + 1, round(10 * height_m)]), tracker.camera, height_m),
-                TrackerMemory(),
-            )
+            scene = empty_scene(np.random.default_rng([78, k + 1, round(10 * height_m)]), tracker.camera, height_m)
+            memory = TrackerMemory()
             for _ in range(3):
                 began = time.process_time_ns()
                 _, memory = track(tracker, memory, Frame(STAMP, 0, scene.px), attitude, belief)

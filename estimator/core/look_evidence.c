@@ -69,6 +69,12 @@ static double contrast(const edge_support *edge)
     return sqrt(bgr[0] * bgr[0] + bgr[1] * bgr[1] + bgr[2] * bgr[2]);
 }
 
+/* Whether the H does not show, nor the arrowhead, which no other helipad has. */
+static int no_h_shows(const registration *found)
+{
+    return !is_seen(&found->edges[H]) && !is_seen(&found->edges[ARROW]);
+}
+
 /* By channel the distance of the ring's light from its place between the disc's (0) and the H's (1), which no light changes. */
 static void orange_off(const pad_judge *judge, const registration *found, double off[CHANNELS])
 {
@@ -157,14 +163,12 @@ static void from_afar(const pad_judge *judge, const registration *found, const a
 /* What tells a pad whose edges are apart. */
 static void from_near(const pad_judge *judge, const registration *found, double disc_shown, double out[EVIDENCE])
 {
-    const edge_support *disc = &found->edges[DISC], *h = &found->edges[H];
-    const edge_support *ring = &found->edges[RING];
+    const edge_support *disc = &found->edges[DISC], *ring = &found->edges[RING], *h = &found->edges[H];
     const int other = is_seen(disc) || (is_seen(ring) && ring->in_view > RING_IN_VIEW) || is_seen(&found->edges[ARROW]);
     out[EVIDENCE_DISC_UNSEEN] = disc->snr < SNR_SEEN ? disc_shown : 0.0;
     out[EVIDENCE_CORNER] = judge->has_letters && is_seen(h) && !is_seen(disc) ? between(CORNER, NO_CORNER, h->in_view) : 0.0;
     out[EVIDENCE_EDGES_ASTRAY] = between(ASTRAY_PX, IN_PLACE_PX, found->edge_rms_px);
-    out[EVIDENCE_NO_H_IN_VIEW] = judge->has_letters && !judge->has_fiducials && h->in_view <= H_IN_VIEW && !is_seen(h) &&
-                                 !is_seen(&found->edges[ARROW]);
+    out[EVIDENCE_NO_H_IN_VIEW] = judge->has_letters && !judge->has_fiducials && h->in_view <= H_IN_VIEW && no_h_shows(found);
     out[EVIDENCE_H_ASTRAY] = other ? 0.0 : between(OTHER_H, THIS_H, h->inliers);
 }
 
@@ -194,7 +198,7 @@ void look_evidence(const pad_judge *judge, const registration *found, const alig
     evidence[EVIDENCE_RMS] = -fmin(1.0, found->edge_rms_px);
     evidence[EVIDENCE_VISIBLE] = found->visible;
     evidence[EVIDENCE_NO_RING] = judge->has_ring ? no_ring(found, aligned) : 0.0;
-    evidence[EVIDENCE_NO_H] = judge->has_letters && h->in_view > H_IN_VIEW && !is_seen(h) && !is_seen(&edges[ARROW]);
+    evidence[EVIDENCE_NO_H] = judge->has_letters && h->in_view > H_IN_VIEW && no_h_shows(found);
     if (found->dense) {
         from_afar(judge, found, aligned, score, evidence);
     } else {

@@ -115,7 +115,8 @@ typedef struct {
 
 /* Of n pixels those with a weight count, by the variance that the line between `ends` gives them. */
 WIDE
-static line_sums sum_line(int n, const float *restrict r, const float *restrict weight, const float *restrict value, const double ends[2])
+static line_sums sum_line(int n, const float *restrict r, const float *restrict weight, const float *restrict value,
+                          const double ends[2])
 {
     const float outside = (float)ends[0], more = (float)(ends[1] - ends[0]), outlier = (float)OUTLIER;
     float oo[LANES] = {0.0f}, oi[LANES] = {0.0f}, ii[LANES] = {0.0f}, oq[LANES] = {0.0f}, iq[LANES] = {0.0f};

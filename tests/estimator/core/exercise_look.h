@@ -11,7 +11,8 @@ typedef struct {
 static void draw_look(int kind, some_look *l)
 {
     memset(l, 0, sizeof *l);
-    l->judge.has_field = kind % 3 > 0, l->judge.has_ring = kind % 5 > 0, l->judge.has_letters = kind % 4 > 0, l->judge.has_fiducials = kind % 7 == 6;
+    l->judge.has_field = kind % 3 > 0, l->judge.has_ring = kind % 5 > 0, l->judge.has_letters = kind % 4 > 0;
+    l->judge.has_fiducials = kind % 7 == 6;
     l->judge.disc_has_colour = kind % 2, l->how.coarse = kind % 2, l->how.sigma_tilt_rad = 0.05;
     for (int i = 0; i < 3; i++) {
         l->judge.orange_side[i] = i == kind % 4 ? -1.0 : 1.0, l->judge.orange_place[i] = uniform();

@@ -111,13 +111,16 @@ def _no_ring(values: F64, found: Registration) -> float:
 
 def _no_h(found: Registration) -> float:
     """Return whether an H that is in view does not show, nor the arrowhead, which no other helipad has."""
-    h_marking = found.edges[EdgeKind.H]
-    return float(h_marking.in_view > _H_IN_VIEW and not h_marking.seen and not found.edges[EdgeKind.ARROW].seen)
+    return float(found.edges[EdgeKind.H].in_view > _H_IN_VIEW and _no_h_shows(found))
 
 
-def _no_h_in_view(found: Registration) -> bool:
-    h_marking = found.edges[EdgeKind.H]
-    return h_marking.in_view <= _H_IN_VIEW and not h_marking.seen and not found.edges[EdgeKind.ARROW].seen
+def _no_h_in_view(found: Registration) -> float:
+    """Return the same of an H that is out of view."""
+    return float(found.edges[EdgeKind.H].in_view <= _H_IN_VIEW and _no_h_shows(found))
+
+
+def _no_h_shows(found: Registration) -> bool:
+    return not found.edges[EdgeKind.H].seen and not found.edges[EdgeKind.ARROW].seen
 
 
 def _h_disagrees(found: Registration) -> float:
