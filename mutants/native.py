@@ -21,6 +21,8 @@ from mutants.operators import Mutant
 from mutants.tally import Tally, chosen
 from supply import core
 
+_CORE = "estimator/core"
+"""The folder of the core's sources."""
 _QUICK = ("-O1",)
 """How the tests' library is compiled."""
 _THOROUGH = ("-O2",)
@@ -58,13 +60,18 @@ class Replaceable:
 class Workshop:
     """The core's objects, and libraries in which one of them is another.
 
+    A file is named by its path below the sources.
+
     Raises:
         BuildError: the compiler refuses a source.
     """
 
     def __init__(self, folder: Path, sources: Path, changed: str) -> None:
         self._folder, self._sources, self._changed = folder, sources, changed
-        self._objects = [self.compiled(path.read_text(), path.name, _QUICK) for path in sorted(sources.glob("*.c"))]
+        self._objects = {
+            name: self.compiled((sources / name).read_text(), name.replace("/", "-"), _QUICK)
+            for name in sorted(path.relative_to(sources).as_posix() for path in sources.rglob("*.c"))
+        }
         self._originals: dict[tuple[str, ...], bytes] = {}
 
     def compiled(self, source: str, name: str, flags: Sequence[str] = _QUICK) -> Path:
@@ -97,8 +104,8 @@ class Workshop:
         """Link a library; `changed` is the object in place of the changed file's own."""
         made = self._folder / name
         made.unlink(missing_ok=True)  # a process may have it open
-        objects = [changed if changed and path.name == f"{self._changed}.o" else path for path in self._objects]
-        command = [*core.compiler(), "-shared", *map(str, objects), "-o", str(made), "-lm"]
+        objects = self._objects if changed is None else {**self._objects, self._changed: changed}
+        command = [*core.compiler(), "-shared", *map(str, objects.values()), "-o", str(made), "-lm"]
         subprocess.run(command, check=True, capture_output=True)
         return made
 
@@ -140,7 +147,7 @@ def judge_native(path: str, tests: Sequence[str], share: float, seed: int, *, ro
 
         def serve() -> str:
             tally = Tally(path, out=child.quiet())
-            shop = Workshop(Path(folder), root / "estimator/core", Path(path).name)
+            shop = Workshop(Path(folder), root / _CORE, path.removeprefix(f"{_CORE}/"))
             sys.path.insert(0, str(root))
             library = importlib.import_module("estimator.core.library")
             door = vars(library)["CORE"] = Replaceable(library.load, shop.linked("first.so"))

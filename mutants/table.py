@@ -33,6 +33,24 @@ _MISSION = ("tests/companion/test_mission_flights.py", "tests/companion/test_ren
 _LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py", "tests/companion/test_deck_turn.py")
 _LAW_CORE = "tests/companion/test_law_core.py"
 _AXIS = ("tests/companion/test_tilt_axis.py", "tests/companion/test_law.py")
+_ALIGNED = tuple(
+    f"tests/estimator/vision/{name}.py"
+    for name in ("test_verification", "test_acquire_parts", "test_alignment", "test_verification_registered")
+)
+_COVERED = ("tests/estimator/vision/test_acquire_cover.py", *_ALIGNED, "tests/estimator/vision/test_covered.py")
+_REGISTERED = tuple(
+    f"tests/estimator/vision/{name}.py"
+    for name in ("test_registration", "test_register_core", "test_verification_registered", "test_registration_surroundings")
+)
+_FIDUCIALS = ("tests/estimator/vision/test_fiducial_pads.py", "tests/estimator/vision/test_verification_registered.py")
+_LOOK = (*_REGISTERED[2:3], "tests/estimator/vision/test_paint.py", "tests/estimator/vision/test_detection.py")
+_SEARCHED = (
+    "tests/estimator/vision/test_acquire_parts.py",
+    "tests/estimator/vision/test_blob_circles.py",
+    "tests/estimator/vision/test_acquire.py",
+)
+_LETTER = (*_SEARCHED[:1], "tests/estimator/vision/test_letter_alone.py")
+_LAMPS = ("tests/estimator/vision/test_lamps_core.py", "tests/estimator/vision/test_lamps.py")
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/answer.c": _ANSWERS,
@@ -72,6 +90,57 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/estimator/ekf/test_process_event_bounds.py",
     ),
     "estimator/core/sighting_level.c": ("tests/estimator/vision/test_pose_in_level.py",),
+    "estimator/core/camera.c": (*_ALIGNED, *_REGISTERED[:1]),
+    "estimator/core/frame_noise.c": ("tests/estimator/vision/test_hard_light.py", *_ALIGNED),
+    "estimator/core/search_blobs.c": _SEARCHED,
+    "estimator/core/search_boxes.c": _LETTER,
+    "estimator/core/search_circles.c": _SEARCHED,
+    "estimator/core/search_edges.c": _SEARCHED,
+    "estimator/core/search_fit.c": _SEARCHED,
+    "estimator/core/search_guesses.c": _SEARCHED,
+    "estimator/core/search_heading.c": _SEARCHED,
+    "estimator/core/search_strokes.c": _LETTER,
+    "estimator/core/search_tilt.c": _SEARCHED,
+    "estimator/core/search_upright.c": _LETTER,
+    "estimator/core/search_votes.c": _SEARCHED,
+    "estimator/core/blob_outline.c": _SEARCHED,
+    "estimator/core/blob_peaks.c": _SEARCHED,
+    "estimator/core/align_arrow.c": _ALIGNED,
+    "estimator/core/align_cover.c": _COVERED,
+    "estimator/core/align_features.c": _ALIGNED,
+    "estimator/core/align_fit.c": _ALIGNED,
+    "estimator/core/align_move.c": _ALIGNED,
+    "estimator/core/align_paint.c": _ALIGNED,
+    "estimator/core/align_samples.c": _ALIGNED,
+    "estimator/core/align_sums.c": _ALIGNED,
+    "estimator/core/align_uncovered.c": _COVERED,
+    "estimator/core/align_view.c": _ALIGNED,
+    "estimator/core/look.c": _LOOK,
+    "estimator/core/look_evidence.c": _LOOK,
+    "estimator/core/look_paint.c": _LOOK,
+    "estimator/core/look_part.c": _LOOK,
+    "estimator/core/register.c": _REGISTERED,
+    "estimator/core/register_coded.c": _FIDUCIALS,
+    "estimator/core/register_coverage.c": _REGISTERED,
+    "estimator/core/register_dense.c": _REGISTERED,
+    "estimator/core/register_far.c": _REGISTERED,
+    "estimator/core/register_glare.c": _REGISTERED,
+    "estimator/core/register_meat.c": _REGISTERED,
+    "estimator/core/register_near.c": _REGISTERED,
+    "estimator/core/register_near_fit.c": _REGISTERED,
+    "estimator/core/register_patch.c": _REGISTERED,
+    "estimator/core/register_profiles.c": _REGISTERED,
+    "estimator/core/register_sectors.c": _REGISTERED,
+    "estimator/core/register_sides.c": _REGISTERED,
+    "estimator/core/register_solver.c": _REGISTERED,
+    "estimator/core/register_state.c": _REGISTERED,
+    "estimator/core/register_sums.c": _REGISTERED,
+    "estimator/core/lamps.c": _LAMPS,
+    "estimator/core/lamps_assign.c": _LAMPS,
+    "estimator/core/lamps_bright.c": _LAMPS,
+    "estimator/core/lamps_fit.c": _LAMPS,
+    "estimator/core/lamps_guess.c": _LAMPS,
+    "estimator/core/lamps_spots.c": _LAMPS,
     "estimator/ekf/gate.py": _GATE,
     "estimator/ekf/process_event.py": (
         "tests/estimator/ekf/test_process_event_bounds.py",
