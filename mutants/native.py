@@ -21,8 +21,6 @@ from mutants.operators import Mutant
 from mutants.tally import Tally, chosen
 from supply import core
 
-_CORE = "estimator/core"
-"""The folder of the core's sources."""
 _QUICK = ("-O1",)
 """How the tests' library is compiled."""
 _THOROUGH = ("-O2",)
@@ -60,18 +58,13 @@ class Replaceable:
 class Workshop:
     """The core's objects, and libraries in which one of them is another.
 
-    A file is named by its path below the sources.
-
     Raises:
         BuildError: the compiler refuses a source.
     """
 
-    def __init__(self, folder: Path, sources: Path, changed: str) -> None:
-        self._folder, self._sources, self._changed = folder, sources, changed
-        self._objects = {
-            name: self.compiled((sources / name).read_text(), name.replace("/", "-"), _QUICK)
-            for name in sorted(path.relative_to(sources).as_posix() for path in sources.rglob("*.c"))
-        }
+    def __init__(self, folder: Path, library: core.Library, changed: Path) -> None:
+        self._folder, self._library, self._changed = folder, library, changed
+        self._objects = {path: self.compiled(path.read_text(), f"{k}.c") for k, path in enumerate(library.sources)}
         self._originals: dict[tuple[str, ...], bytes] = {}
 
     def compiled(self, source: str, name: str, flags: Sequence[str] = _QUICK) -> Path:
@@ -81,7 +74,17 @@ class Workshop:
             BuildError: the compiler refuses it.
         """
         made = self._folder / f"{name}.o"
-        command = [*core.compiler(), *core.FLAGS, *flags, f"-I{self._sources}", "-xc", "-c", "-", "-o", str(made)]
+        command = [
+            *core.compiler(),
+            *core.FLAGS,
+            *flags,
+            *(f"-I{folder}" for folder in self._library.includes),
+            "-xc",
+            "-c",
+            "-",
+            "-o",
+            str(made),
+        ]
         done = subprocess.run(command, input=source, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise core.BuildError(done.stderr.strip())
@@ -91,21 +94,19 @@ class Workshop:
         """Return whether a text of the changed file is compiled to the instructions of the original."""
         key = tuple(flags)
         if key not in self._originals:
-            original = (self._sources / self._changed).read_text()
-            self._originals[key] = self.compiled(original, "original.c", flags).read_bytes()
+            self._originals[key] = self.compiled(self._changed.read_text(), "original.c", flags).read_bytes()
         return self.compiled(source, "mutant.c", flags).read_bytes() == self._originals[key]
 
     def original(self, flags: Sequence[str]) -> Path:
         """Link a library whose file that is to be changed is compiled in another way."""
-        source = (self._sources / self._changed).read_text()
-        return self.linked("original.so", self.compiled(source, "original.c", flags))
+        return self.linked("original.so", self.compiled(self._changed.read_text(), "original.c", flags))
 
     def linked(self, name: str, changed: Path | None = None) -> Path:
         """Link a library; `changed` is the object in place of the changed file's own."""
         made = self._folder / name
         made.unlink(missing_ok=True)  # a process may have it open
-        objects = self._objects if changed is None else {**self._objects, self._changed: changed}
-        command = [*core.compiler(), "-shared", *map(str, objects.values()), "-o", str(made), "-lm"]
+        objects = [changed if changed and path == self._changed else own for path, own in self._objects.items()]
+        command = [*core.compiler(), "-shared", *map(str, objects), "-o", str(made), "-lm"]
         subprocess.run(command, check=True, capture_output=True)
         return made
 
@@ -147,7 +148,7 @@ def judge_native(path: str, tests: Sequence[str], share: float, seed: int, *, ro
 
         def serve() -> str:
             tally = Tally(path, out=child.quiet())
-            shop = Workshop(Path(folder), root / _CORE, path.removeprefix(f"{_CORE}/"))
+            shop = Workshop(Path(folder), core.FLYING, root / path)
             sys.path.insert(0, str(root))
             library = importlib.import_module("estimator.core.library")
             door = vars(library)["CORE"] = Replaceable(library.load, shop.linked("first.so"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 _GATE = ("tests/estimator/ekf/test_gate_bounds.py",)
 _CORE = (
     "tests/estimator/ekf/test_core_edges.py",
@@ -33,114 +35,71 @@ _MISSION = ("tests/companion/test_mission_flights.py", "tests/companion/test_ren
 _LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py", "tests/companion/test_deck_turn.py")
 _LAW_CORE = "tests/companion/test_law_core.py"
 _AXIS = ("tests/companion/test_tilt_axis.py", "tests/companion/test_law.py")
-_ALIGNED = tuple(
-    f"tests/estimator/vision/{name}.py"
-    for name in ("test_verification", "test_acquire_parts", "test_alignment", "test_verification_registered")
-)
-_COVERED = ("tests/estimator/vision/test_acquire_cover.py", *_ALIGNED, "tests/estimator/vision/test_covered.py")
-_REGISTERED = tuple(
-    f"tests/estimator/vision/{name}.py"
-    for name in ("test_registration", "test_register_core", "test_verification_registered", "test_registration_surroundings")
-)
-_FIDUCIALS = ("tests/estimator/vision/test_fiducial_pads.py", "tests/estimator/vision/test_verification_registered.py")
-_LOOK = (*_REGISTERED[2:3], "tests/estimator/vision/test_paint.py", "tests/estimator/vision/test_detection.py")
-_SEARCHED = (
-    "tests/estimator/vision/test_acquire_parts.py",
-    "tests/estimator/vision/test_blob_circles.py",
-    "tests/estimator/vision/test_acquire.py",
-)
-_LETTER = (*_SEARCHED[:1], "tests/estimator/vision/test_letter_alone.py")
-_LAMPS = ("tests/estimator/vision/test_lamps_core.py", "tests/estimator/vision/test_lamps.py")
+_VISION = "tests/estimator/vision"
+_SEEN = (f"{_VISION}/test_equivariance.py", f"{_VISION}/test_verification_registered.py")
+_ROOMS = {
+    "align": (f"{_VISION}/test_verification.py", f"{_VISION}/test_acquire_parts.py", *_SEEN, f"{_VISION}/test_covered.py"),
+    "lamps": (f"{_VISION}/test_lamps_core.py", f"{_VISION}/test_lamps.py"),
+    "look": (*_SEEN, f"{_VISION}/test_paint.py", f"{_VISION}/test_detection.py"),
+    "register": (f"{_VISION}/test_registration.py", *_SEEN, f"{_VISION}/test_registration_surroundings.py"),
+    "search": (
+        f"{_VISION}/test_acquire_parts.py",
+        f"{_VISION}/test_blob_circles.py",
+        f"{_VISION}/test_letter_alone.py",
+        f"{_VISION}/test_acquire.py",
+    ),
+}
+"""Rooms of vision's C and their tests."""
+_CORE_OF_VISION = Path(__file__).parents[1] / "estimator/core/vision"
 
 TARGETS: dict[str, tuple[str, ...]] = {
-    "estimator/core/answer.c": _ANSWERS,
-    "estimator/core/jacobian.c": _ANSWERS,
-    "estimator/core/forecast.c": _FORECASTS,
-    "estimator/core/bank_ahead.c": _FORECASTS,
-    "estimator/core/filter.c": (
+    "estimator/core/filter/answer.c": _ANSWERS,
+    "estimator/core/filter/jacobian.c": _ANSWERS,
+    "estimator/core/filter/forecast.c": _FORECASTS,
+    "estimator/core/filter/bank_ahead.c": _FORECASTS,
+    "estimator/core/filter/run.c": (
         *_CORE,
         "tests/estimator/ekf/test_vision_update_bounds.py",
         f"{_BESIDE_THE_ORACLE}::test_a_row_of_all_kinds_in_one_call_is_one_call_for_each",
     ),
-    "estimator/core/aiding.c": _CORE,
-    "estimator/core/aiding_velocity.c": _CORE,
-    "estimator/core/gathering.c": _CORE,
-    "estimator/core/propagate.c": _CORE,
-    "estimator/core/kalman.c": (*_CORE, "tests/estimator/ekf/test_algebra.py"),
-    "estimator/core/oscillator.c": _CORE,
-    "estimator/core/bank.c": _BANK,
-    "estimator/core/bank_weights.c": _BANK,
-    "estimator/core/skill.c": (*_BANK, "tests/estimator/ekf/test_forecast.py"),
-    "estimator/core/sighting.c": _SIGHTINGS,
-    "estimator/core/symmetric.c": ("tests/estimator/ekf/test_remove_attitude.py",),
-    "estimator/core/vision.c": _SIGHTINGS,
-    "estimator/core/gate.c": (*_GATE, *_SIGHTINGS[:3]),
-    "estimator/core/deck_jolt.c": _SIGHTINGS,
-    "estimator/core/vessel.c": (f"{_BESIDE_THE_ORACLE}::test_each_report_of_a_vessel_has_the_oracle_s_outcome_and_belief",),
-    "estimator/core/law.c": (_LAW_CORE, "tests/companion/test_follow_deck.py"),
-    "estimator/core/law_axis.c": (_LAW_CORE, "tests/companion/test_margins.py"),
-    "estimator/core/law_climb.c": (_LAW_CORE,),
-    "estimator/core/law_deck.c": (_LAW_CORE, "tests/companion/test_deck_turn.py"),
-    "estimator/core/correction.c": (*_CORE, *_SIGHTINGS[1:]),
-    "estimator/core/rotation.c": (
+    "estimator/core/filter/aiding.c": _CORE,
+    "estimator/core/filter/aiding_velocity.c": _CORE,
+    "estimator/core/filter/gathering.c": _CORE,
+    "estimator/core/filter/propagate.c": _CORE,
+    "estimator/core/base/kalman.c": (*_CORE, "tests/estimator/ekf/test_algebra.py"),
+    "estimator/core/filter/oscillator.c": _CORE,
+    "estimator/core/filter/bank.c": _BANK,
+    "estimator/core/filter/bank_weights.c": _BANK,
+    "estimator/core/filter/skill.c": (*_BANK, "tests/estimator/ekf/test_forecast.py"),
+    "estimator/core/filter/sighting.c": _SIGHTINGS,
+    "estimator/core/base/symmetric.c": ("tests/estimator/ekf/test_remove_attitude.py",),
+    "estimator/core/filter/vision_update.c": _SIGHTINGS,
+    "estimator/core/filter/gate.c": (*_GATE, *_SIGHTINGS[:3]),
+    "estimator/core/filter/deck_jolt.c": _SIGHTINGS,
+    "estimator/core/filter/vessel.c": (
+        f"{_BESIDE_THE_ORACLE}::test_each_report_of_a_vessel_has_the_oracle_s_outcome_and_belief",
+    ),
+    "estimator/core/law/law.c": (_LAW_CORE, "tests/companion/test_follow_deck.py"),
+    "estimator/core/law/axis.c": (_LAW_CORE, "tests/companion/test_margins.py"),
+    "estimator/core/law/climb.c": (_LAW_CORE,),
+    "estimator/core/law/deck.c": (_LAW_CORE, "tests/companion/test_deck_turn.py"),
+    "estimator/core/filter/correction.c": (*_CORE, *_SIGHTINGS[1:]),
+    "estimator/core/base/rotation.c": (
         "tests/estimator/ekf/test_half_turn.py",
         "tests/estimator/vision/test_pose_in_level.py",
         "tests/estimator/ekf/test_core_edges.py",
         *_SIGHTINGS[1:3],
         "tests/estimator/ekf/test_process_event_bounds.py",
     ),
-    "estimator/core/sighting_level.c": ("tests/estimator/vision/test_pose_in_level.py",),
-    "estimator/core/camera.c": (*_ALIGNED, *_REGISTERED[:1]),
-    "estimator/core/frame_noise.c": ("tests/estimator/vision/test_hard_light.py", *_ALIGNED),
-    "estimator/core/search_blobs.c": _SEARCHED,
-    "estimator/core/search_boxes.c": _LETTER,
-    "estimator/core/search_circles.c": _SEARCHED,
-    "estimator/core/search_edges.c": _SEARCHED,
-    "estimator/core/search_fit.c": _SEARCHED,
-    "estimator/core/search_guesses.c": _SEARCHED,
-    "estimator/core/search_heading.c": _SEARCHED,
-    "estimator/core/search_strokes.c": _LETTER,
-    "estimator/core/search_tilt.c": _SEARCHED,
-    "estimator/core/search_upright.c": _LETTER,
-    "estimator/core/search_votes.c": _SEARCHED,
-    "estimator/core/blob_outline.c": _SEARCHED,
-    "estimator/core/blob_peaks.c": _SEARCHED,
-    "estimator/core/align_arrow.c": _ALIGNED,
-    "estimator/core/align_cover.c": _COVERED,
-    "estimator/core/align_features.c": _ALIGNED,
-    "estimator/core/align_fit.c": _ALIGNED,
-    "estimator/core/align_move.c": _ALIGNED,
-    "estimator/core/align_paint.c": _ALIGNED,
-    "estimator/core/align_samples.c": _ALIGNED,
-    "estimator/core/align_sums.c": _ALIGNED,
-    "estimator/core/align_uncovered.c": _COVERED,
-    "estimator/core/align_view.c": _ALIGNED,
-    "estimator/core/look.c": _LOOK,
-    "estimator/core/look_evidence.c": _LOOK,
-    "estimator/core/look_paint.c": _LOOK,
-    "estimator/core/look_part.c": _LOOK,
-    "estimator/core/register.c": _REGISTERED,
-    "estimator/core/register_coded.c": _FIDUCIALS,
-    "estimator/core/register_coverage.c": _REGISTERED,
-    "estimator/core/register_dense.c": _REGISTERED,
-    "estimator/core/register_far.c": _REGISTERED,
-    "estimator/core/register_glare.c": _REGISTERED,
-    "estimator/core/register_meat.c": _REGISTERED,
-    "estimator/core/register_near.c": _REGISTERED,
-    "estimator/core/register_near_fit.c": _REGISTERED,
-    "estimator/core/register_patch.c": _REGISTERED,
-    "estimator/core/register_profiles.c": _REGISTERED,
-    "estimator/core/register_sectors.c": _REGISTERED,
-    "estimator/core/register_sides.c": _REGISTERED,
-    "estimator/core/register_solver.c": _REGISTERED,
-    "estimator/core/register_state.c": _REGISTERED,
-    "estimator/core/register_sums.c": _REGISTERED,
-    "estimator/core/lamps.c": _LAMPS,
-    "estimator/core/lamps_assign.c": _LAMPS,
-    "estimator/core/lamps_bright.c": _LAMPS,
-    "estimator/core/lamps_fit.c": _LAMPS,
-    "estimator/core/lamps_guess.c": _LAMPS,
-    "estimator/core/lamps_spots.c": _LAMPS,
+    "estimator/core/vision/sighting_level.c": (f"{_VISION}/test_pose_in_level.py",),
+    "estimator/core/vision/camera.c": (*_SEEN, f"{_VISION}/test_registration.py"),
+    "estimator/core/vision/frame_noise.c": (f"{_VISION}/test_hard_light.py", *_SEEN),
+    **{
+        f"estimator/core/vision/{room}/{file.name}": tests
+        for room, tests in _ROOMS.items()
+        for file in sorted((_CORE_OF_VISION / room).glob("*.c"))
+    },
+    "estimator/core/vision/register/coded.c": (f"{_VISION}/test_fiducial_pads.py", *_SEEN),
     "estimator/ekf/gate.py": _GATE,
     "estimator/ekf/process_event.py": (
         "tests/estimator/ekf/test_process_event_bounds.py",
