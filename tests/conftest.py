@@ -81,7 +81,6 @@ SLOW = (
     "tests/companion/test_response_watch.py",
     "tests/sitl/ardrone/test_repeated_flights.py",
     "tests/docs/test_snippets.py",
-    "tests/estimator/ekf/test_sympy.py",
     "tests/sitl/test_core_step.py",
     "tests/companion/test_ship_reports.py",
     "tests/sitl/test_stream_faults.py",
