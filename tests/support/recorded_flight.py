@@ -16,8 +16,8 @@ from companion.recorder.setup import about, recorder_to_file
 from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import Decision, NullObserver, Observer, ProcessedFrame
 from estimator.contracts.samples import Sample
-from sitl.flight import Flight
-from sitl.scenario import load as load_scenario
+from sitl.flight.flight import Flight
+from sitl.scenario.scenario import load as load_scenario
 
 SCENARIO = "demo"
 

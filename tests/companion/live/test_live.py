@@ -35,8 +35,8 @@ from companion.runtime.observer import Observer
 from companion.runtime.worker import Worker
 from companion.video.frame_encoder import is_key_frame
 from drivers.clock import SystemClock
-from sitl.flight import Flight
-from sitl.scenario import load as load_scenario
+from sitl.flight.flight import Flight
+from sitl.scenario.scenario import load as load_scenario
 from tests.support.fake_ardrone import until
 from tests.support.recorded_flight import SCENARIO, sim_settings
 

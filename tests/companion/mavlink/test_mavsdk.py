@@ -18,7 +18,7 @@ from companion.mavlink.operator import LandingProgress
 from companion.mavlink.tunables import NAMES
 from companion.video.options import VideoStreamOptions
 from drivers.clock import SystemClock
-from sitl.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.miniature import MiniatureAutopilot
 from tests.companion.mavlink.stage import HOST, PAD_NED, Stage, staged
 
 mavsdk = pytest.importorskip("mavsdk.asyncio", reason="MAVSDK is not installed")
