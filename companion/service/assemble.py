@@ -15,11 +15,12 @@ from companion.base.beside import RestartablePart
 from companion.base.event_loop import heeded
 from companion.base.health import Health
 from companion.base.missing_inputs import SHIP_PLACE
+from companion.base.mission import FlightOutcome
 from companion.base.notify import Manager, Pulse, watchdog_interval_s
 from companion.base.observer import Observer
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.base.supervise import Body
-from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.operator.local_socket import OperatorSocket
 from companion.parts.operator.socket_path import OFF, socket_path

@@ -21,14 +21,14 @@ from companion.base.containment import Audience
 from companion.base.garbage import GroundedCollector, no_full_collections
 from companion.base.health import Health
 from companion.base.missing_inputs import SHIP_PLACE, missing_inputs
-from companion.base.mission import FAULTS
+from companion.base.mission import FAULTS, FlightOutcome
 from companion.base.observer import Decision, FrameTimes, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.base.response_in_use import ResponseState
 from companion.base.supervise import Body, run, uncancelled
 from companion.base.vision_share import VisionShare
 from companion.base.worker import Worker
-from companion.guidance.pilot import WAITING_MOST, FlightOutcome, Pilot
+from companion.guidance.pilot import WAITING_MOST, Pilot
 from companion.settings.restart import RestartOptions
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command

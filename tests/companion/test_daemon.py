@@ -8,8 +8,9 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 import numpy as np
 import pytest
 
+from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
-from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.guidance.pilot import Pilot
 from companion.recording import encode
 from companion.recording.decode import frame_times
 from companion.service.daemon import Daemon, VehicleLink

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
+from companion.base.mission import FlightOutcome
 from companion.guidance.mission_step import mission_step
-from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.guidance.pilot import Pilot
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
 from companion.settings.guidance import GuidanceOptions

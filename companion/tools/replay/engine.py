@@ -14,9 +14,9 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from companion.base.mission import FLOWN, State
+from companion.base.mission import FLOWN, FlightOutcome, State
 from companion.base.observer import Decision, Observer, ProcessedFrame
-from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.guidance.pilot import Pilot
 from companion.recording import encode
 from companion.recording.reading import Event, RecordedFrame, Recording, instant
 from companion.recording.records import FusionRecord, HealthRecord, LinkRecord, TruthRecord

@@ -13,14 +13,14 @@ import pytest
 
 import companion.settings.load as settings_of
 from companion.base.health import Health
+from companion.base.mission import FlightOutcome
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import FlightOutcome
 from companion.parts.mavlink.make import AutopilotPart
 from companion.service.daemon import Daemon, VehicleLink
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.options import AutopilotOptions
-from sitl.autopilots.lock_step import LockStepClock
+from sitl.emulators.autopilots.lock_step import LockStepClock
 from tests.companion.mavlink.aircraft import TICK_S, Aircraft, settled
 from tests.support.fake_ardrone import until
 
