@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.config.settings import shipped_response
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import FollowDeck
+from companion.settings.load import shipped_response
 from estimator.contracts.commands import Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation, wrap_pi

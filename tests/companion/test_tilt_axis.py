@@ -9,8 +9,9 @@ from scipy.linalg import solve_discrete_are
 
 from companion.guidance import disturbance
 from companion.guidance.disturbance import SIGMAS_P_M, ObserverNoise
-from companion.guidance.response import TiltResponse, tilt_model
 from companion.guidance.tilt_law import TiltWeights, tilt_gains
+from companion.guidance.tilt_model import tilt_model
+from companion.settings.response import TiltResponse
 
 TILT = TiltResponse(0.05, 9.0, 0.7, lag_s=0.08)
 DT = 0.02

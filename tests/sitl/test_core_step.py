@@ -11,21 +11,21 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from companion.config.settings import SHIPPED
+from companion.settings.load import SHIPPED
 from estimator.contracts.geometry import F64, Rotation
-from sitl.air import AirModel, GustOnce
-from sitl.airframe import Airframe, Avionics
-from sitl.contact import DeckShape, Ground
-from sitl.disturbances import Wind
-from sitl.physics import Physics, decks_of
-from sitl.rotors import rotors
-from sitl.sea import SeaState, Waves
-from sitl.seakeeping import Superstructure
-from sitl.sensor_settings import SensorSettings
-from sitl.sensors import Sensors
-from sitl.vehicle import SEA, Vehicle, VehiclePhase
-from sitl.vehicle_file import load
-from sitl.vessel import Mounted
+from sitl.sea.sea import SeaState, Waves
+from sitl.sensors.sensors import Sensors
+from sitl.sensors.settings import SensorSettings
+from sitl.vehicle.airframe import Airframe, Avionics
+from sitl.vehicle.disturbances import Wind
+from sitl.vehicle.file import load
+from sitl.vehicle.rotors import rotors
+from sitl.vehicle.vehicle import SEA, Vehicle, VehiclePhase
+from sitl.vessel.air import AirModel, GustOnce
+from sitl.vessel.contact import DeckShape, Ground
+from sitl.vessel.seakeeping import Superstructure
+from sitl.vessel.vessel import Mounted
+from sitl.world.physics import Physics, decks_of
 
 DT = 0.004
 SHAPES = (DeckShape(3.0, 2.0, 1.4, 1.4), DeckShape(3.0, 2.0, 1.0, 1.5, taper_m=1.0, pad_yaw_rad=0.6))

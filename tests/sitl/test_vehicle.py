@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from estimator.contracts.geometry import F64, Rotation
-from sitl.airframe import Airframe, Avionics, Loops
-from sitl.contact import DeckShape, Ground
-from sitl.disturbances import Wind
-from sitl.sea import GRAVITY_M_S2
-from sitl.vehicle import DECK, SEA, Vehicle, VehiclePhase
+from sitl.sea.sea import GRAVITY_M_S2
+from sitl.vehicle.airframe import Airframe, Avionics, Loops
+from sitl.vehicle.disturbances import Wind
+from sitl.vehicle.vehicle import DECK, SEA, Vehicle, VehiclePhase
+from sitl.vessel.contact import DeckShape, Ground
 
 DT = 0.004
 SHAPE = DeckShape(fore_m=3.0, aft_m=2.0, port_m=1.4, starboard_m=1.4)
