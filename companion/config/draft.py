@@ -20,7 +20,7 @@ from companion.config.browser_keys import refused_references, refused_values
 from companion.config.effect import without_effect
 from companion.config.model import Settings
 from companion.config.referenced_files import check_files
-from companion.config.settings import complete, from_mapping
+from companion.config.settings import complete, from_file
 from companion.config.ship_place import contradiction
 from estimator.contracts.errors import BadInput
 
@@ -99,7 +99,7 @@ def _every_fault(data: dict[str, Any], before: Mapping[str, Any]) -> tuple[list[
     seen: set[str] = set()
     while len(faults) < _FAULTS:
         try:
-            settings = from_mapping(tried, "")
+            settings = from_file(tried, "")
             break
         except BadInput as why:
             said = str(why).removeprefix(": ")

@@ -13,6 +13,7 @@ from pathlib import Path
 from msgspec import inspect
 
 from companion.cli.main import COMMANDS
+from companion.config.expert import EXPERT, in_file
 from companion.config.model import Settings
 from companion.config.refusal import variants
 from companion.mqtt.topics import Topics
@@ -38,10 +39,12 @@ def keys() -> frozenset[str]:
                 yield f"{path}.{struct.tag_field}"
             for field in struct.fields:
                 here = f"{path}.{field.encode_name}".lstrip(".")
-                yield here
+                yield in_file(here)
+                if variants(field.type):
+                    yield f"{EXPERT}.{here}"
                 yield from below(field.type, here)
 
-    return frozenset(below(inspect.type_info(Settings), ""))
+    return frozenset((EXPERT, *below(inspect.type_info(Settings), "")))
 
 
 @cache
