@@ -21,7 +21,7 @@ from typing import Any
 import msgspec
 
 from companion.base import event_loop
-from companion.guidance.pilot import FlightOutcome
+from companion.base.mission import FlightOutcome
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.autopilots.program import executable
 from sitl.faults import ServiceKilled

@@ -7,9 +7,8 @@ from functools import partial
 from typing import Protocol
 
 from companion.base.health import Health
-from companion.base.mission import State
+from companion.base.mission import REFUSALS, FlightOutcome, State
 from companion.base.observer import Decision
-from companion.guidance.pilot import REFUSALS, FlightOutcome
 from companion.guidance.precedence import ControlSituation
 from companion.settings.model import Settings
 from estimator.contracts.estimates import Verdict

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
 
-from companion.base.mission import CONTACT_INTENDED, State
+from companion.base.mission import CONTACT_INTENDED, REFUSALS, FlightOutcome, State
 from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON
-from companion.guidance.pilot import REFUSALS, FlightOutcome
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, after, seconds_between

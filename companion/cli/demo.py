@@ -20,13 +20,13 @@ import numpy as np
 
 from companion.base import event_loop
 from companion.base.health import Health
+from companion.base.mission import FlightOutcome
 from companion.base.observer import Observer
 from companion.base.signals import check, ending_signal
 from companion.cli import foxglove_option, page_option, record_option, report_option
 from companion.cli.progress import ProgressObserver
 from companion.cli.version import version
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import FlightOutcome
 from companion.service.assemble import live, make_daemon
 from companion.settings import whole_file
 from companion.settings.load import load, shipped

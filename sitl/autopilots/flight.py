@@ -20,8 +20,8 @@ import cv2
 import msgspec
 
 from companion.base.health import Health
+from companion.base.mission import FlightOutcome
 from companion.base.observer import Observer
-from companion.guidance.pilot import FlightOutcome
 from companion.settings.model import Settings
 from drivers.camera.exposure_law import ExposureSetting
 from drivers.mavlink.access import NamedSenders

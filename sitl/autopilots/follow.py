@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 
 from companion.base.health import Health
+from companion.base.mission import FlightOutcome
 from companion.base.observer import Observer
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import FlightOutcome
 from companion.settings.model import Settings
 from drivers.clock import SystemClock
 from drivers.mavlink.links import ReceivedMessage

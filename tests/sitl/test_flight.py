@@ -7,10 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.base.mission import State
+from companion.base.mission import FlightOutcome, State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import FlightOutcome
 from companion.settings.load import load
 from estimator.contracts.commands import Land, Lean, Velocity
 from estimator.contracts.estimates import Verdict

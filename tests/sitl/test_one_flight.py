@@ -6,10 +6,9 @@ import tomllib
 
 import pytest
 
-from companion.base.mission import State
+from companion.base.mission import FlightOutcome, State
 from companion.cli import main as cli
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import FlightOutcome
 from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
 from sitl.ardrone.repeated_flights import faulty

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.cli.main import main
-from companion.guidance.pilot import FlightOutcome
 from companion.settings.load import load
 from companion.settings.model import Settings
 from estimator.contracts.commands import Velocity

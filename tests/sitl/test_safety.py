@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.base.mission import FlightOutcome
 from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON
-from companion.guidance.pilot import FlightOutcome
 from companion.settings.guidance import GuidanceOptions, PidOptions
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.guidance.pilot import FlightOutcome as Outcome
+from companion.base.mission import FlightOutcome as Outcome
 from companion.guidance.precedence import ControlSituation
 from companion.settings.load import load as load_settings
 from estimator.contracts.time import MonoNs, after, seconds_between

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from companion.guidance.pilot import FlightOutcome
+from companion.base.mission import FlightOutcome
 from companion.settings.load import load as load_settings
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
