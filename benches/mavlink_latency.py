@@ -33,10 +33,10 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import Stamp, after, seconds_between
-from sitl.autopilots.body import Body
-from sitl.autopilots.miniature import MiniatureAutopilot
-from sitl.one_flight import following
-from sitl.scenario import Scenario, load
+from sitl.emulators.autopilots.body import Body
+from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.flight.one_flight import following
+from sitl.scenario.scenario import Scenario, load
 from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"

@@ -31,7 +31,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.drawing import edges_of
 from estimator.vision.pad import Pad
 from fuzz.target import SHARED_MEMORY, Choices, Target, block, refused
-from sitl import scenario as scenarios
+from sitl.scenario import scenario as scenarios
 
 Parsed = TypeVar("Parsed")
 

@@ -41,11 +41,11 @@ from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.generations import GENERATIONS
-from sitl.ardrone.truth_log import read as read_truth
-from sitl.ending import Contact, Ending
-from sitl.machine_load import Load
-from sitl.scenario import Scenario, camera_model, with_ardrone1
-from sitl.scenario import load as load_scenario
+from sitl.emulators.ardrone.truth_log import read as read_truth
+from sitl.flight.ending import Contact, Ending
+from sitl.flight.machine_load import Load
+from sitl.scenario.scenario import Scenario, camera_model, with_ardrone1
+from sitl.scenario.scenario import load as load_scenario
 
 SHADOWS: tuple[PathName, ...] = ("median_mean",)
 _READY_S = 30.0
@@ -186,7 +186,7 @@ async def _drone(scenario: str, seed: int, truth: Path, ardrone1: bool) -> Async
         *(
             sys.executable,
             "-m",
-            "sitl.ardrone.serve",
+            "sitl.emulators.ardrone.serve",
             scenario,
             f"--seed={seed}",
             f"--truth={truth}",

@@ -30,9 +30,9 @@ from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import Stamp, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
-from sitl.scenario import Scenario
-from sitl.truth import RenderedFrame
-from sitl.world import World
+from sitl.scenario.scenario import Scenario
+from sitl.world.truth import RenderedFrame
+from sitl.world.world import World
 
 _READY_S = 60.0
 _FILM_S = 2.0

@@ -17,7 +17,7 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.experiments.paths import Path, level_axes, thesis_yaw_rad
-from sitl.truth import Truth
+from sitl.world.truth import Truth
 
 _GAIN, _YAW_GAIN = 0.9, 1.2
 _FASTEST_M_S, _FASTEST_RAD_S = 0.7, 0.8

@@ -19,9 +19,9 @@ from companion.cli.soak_judge import Reading
 from companion.cli.soak_plot import plot
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
-from sitl.ardrone.repeated_flights import faulty
-from sitl.machine_load import Load
-from sitl.scenario import load
+from sitl.emulators.ardrone.repeated_flights import faulty
+from sitl.flight.machine_load import Load
+from sitl.scenario.scenario import load
 from tests.sitl.near import NEAR
 
 GOOD = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 50})

@@ -23,8 +23,8 @@ from estimator.vision.pose import Orientation
 from estimator.vision.register.registration import register
 from estimator.vision.rolling import CameraMotion, at_one_instant
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from sitl.camera import Exposure, Renderer
-from sitl.surroundings import Surroundings
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.surroundings import Surroundings
 from tests.sitl.images import BENT, PLAIN, pad, pad_pose, shot
 from tests.support.plain_light import FLAT, IDEAL
 

@@ -20,7 +20,7 @@ from companion.service.daemon import Daemon, DaemonOptions, VehicleLink
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.options import AutopilotOptions
-from sitl.autopilots.lock_step import LockStepClock
+from sitl.emulators.autopilots.lock_step import LockStepClock
 from tests.companion.mavlink.aircraft import TICK_S, Aircraft, settled
 from tests.support.fake_ardrone import until
 
