@@ -343,7 +343,7 @@ class Flight:
         while self._looking is None and (packet := self._frames_under_way.arrived(now)) is not None:
             if arrived is not None:
                 self.health.frame(Verdict.REPLACED)
-                self._pilot.on_verdict(Verdict.REPLACED)
+                self._pilot.landing.on_verdict(Verdict.REPLACED)
                 self._judge(arrived.seq, Verdict.REPLACED)
             received_at, exposed = packet
             image = exposed()
@@ -370,7 +370,7 @@ class Flight:
             self._report_fused()
             processed = replace(processed, verdict=verdict, results=results)
         self.health.frame(processed.verdict)
-        self._pilot.on_verdict(processed.verdict)
+        self._pilot.landing.on_verdict(processed.verdict)
         self._judge(processed.frame.seq, processed.verdict)
         self.health.delay("exposure_to_belief", seconds_between(processed.frame.stamp.measured_at, processed.done))
         for result in processed.results:

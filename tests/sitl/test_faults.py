@@ -327,7 +327,7 @@ def test_a_refusal_says_what_guidance_said_and_what_became_of_the_frames(monkeyp
     pilot = flight._pilot
 
     def gives_up(now: MonoNs) -> Decision:
-        pilot._mission = replace(pilot._mission, state=State.GAVE_UP)
+        pilot.landing.mission = replace(pilot.landing.mission, state=State.GAVE_UP)
         return Decision(now, "gave up", Hover(), None, (), "the pad was not found again")
 
     monkeypatch.setattr(pilot, "decide", gives_up)

@@ -11,7 +11,7 @@ import msgspec
 from companion.base.health import Health
 from companion.base.observer import Observer
 from companion.guidance.pilot import Pilot
-from companion.service.daemon import Daemon, VehicleLink
+from companion.service.daemon import Daemon, DaemonOptions, VehicleLink
 from companion.service.exposure_part import ExposurePart
 from companion.service.vehicle_parts import vehicle_parts
 from companion.settings.model import CameraSettings, Settings
@@ -49,11 +49,8 @@ class FlightDaemon:
             self._open,
             pilot,
             clock,
-            restart=settings.service,
-            guidance_rate_hz=settings.guidance.rate_hz,
-            threads=settings.vision.threads,
+            DaemonOptions(settings.service, settings.guidance.rate_hz, threads=settings.vision.threads, once=once),
             observers=observers,
-            once=once,
             health=health,
             extras=self._parts.extras,
         )
