@@ -72,7 +72,7 @@ class Kite:
         """Leave the kite to a person."""
 
     async def fly(self) -> None:
-        """Report attitude and IMU, each with the instant at which it was true, and with its noise: what never changes is broken."""
+        """Report attitude and IMU, each with its instant and its noise: what never changes counts as broken."""
         rng = np.random.default_rng(2)
         while True:
             now = CLOCK.now()
@@ -101,15 +101,14 @@ class Film(VideoSource):
 class Beacon(NullObserver):
     """A message out: called on the service's own thread, it must return at once."""
 
-    def __init__(self, port: int) -> None:
-        self._to = ("127.0.0.1", port)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    def __init__(self, out: socket.socket, to: tuple[str, int]) -> None:
+        self._out, self._to = out, to
 
     def on_decision(self, decision: Decision) -> None:
         """Send where the pad is."""
         if decision.belief is not None:
             d = [round(x, 2) for x in decision.belief.d_body_pad_level.tolist()]
-            self._socket.sendto(json.dumps({"phase": decision.phase, "pad_m": d}).encode(), self._to)
+            self._out.sendto(json.dumps({"phase": decision.phase, "pad_m": d}).encode(), self._to)
 
 
 def settings_of(folder: Path) -> Settings:
@@ -136,11 +135,12 @@ async def main(settings: Settings) -> int:
             for task in tasks:
                 task.cancel()
 
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as received:
+    datagrams = socket.AF_INET, socket.SOCK_DGRAM
+    with socket.socket(*datagrams) as received, socket.socket(*datagrams) as sent:
         received.bind(("127.0.0.1", 0))
         received.setblocking(False)
         options = DaemonOptions(settings.service, settings.guidance.rate_hz)
-        daemon = Daemon(opened, pilot, CLOCK, options, observers=[Beacon(received.getsockname()[1])])
+        daemon = Daemon(opened, pilot, CLOCK, options, observers=[Beacon(sent, received.getsockname())])
         running = asyncio.create_task(daemon.run())
         try:
             async with asyncio.timeout(10.0):
