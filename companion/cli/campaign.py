@@ -19,22 +19,20 @@ from companion.config.settings import shipped
 from companion.runtime.signals import Stopped
 from estimator.contracts.errors import BadInput
 from sitl.campaign import parquet
-from sitl.campaign.by_scenario import by_scenario, in_columns
-from sitl.campaign.by_value import as_json, by_value, in_rows
 from sitl.campaign.cluster import ClusterWorkers
 from sitl.campaign.code import code_version
 from sitl.campaign.design import SAMPLED, described, factorial, parse_axis, refuse_repeated, sampled
 from sitl.campaign.figures import VariedPoint, varied_point
 from sitl.campaign.lab import missing_from_lab, require_lab
 from sitl.campaign.local import LocalWorkers
-from sitl.campaign.object_store import ObjectStore
 from sitl.campaign.overrides import Overridable
 from sitl.campaign.plan import AnyPlan, CampaignPlan, Job, Point, SetPlan, make_plan, seeds_of
 from sitl.campaign.report import REPORT, fly_again, render_report
 from sitl.campaign.run import Session
 from sitl.campaign.search import Falsified, Search, refuse_search
-from sitl.campaign.store import FolderStore, ResultStore, manifest_of_plan
+from sitl.campaign.store import FolderStore, ObjectStore, ResultStore, manifest_of_plan
 from sitl.campaign.summary import CampaignTally, in_words
+from sitl.campaign.tables import as_json, by_scenario, by_value, in_columns, in_rows
 from sitl.campaign.task import Flight, job_of
 from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive

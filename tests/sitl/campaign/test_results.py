@@ -16,20 +16,18 @@ import pytest
 
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput
-from sitl.campaign.by_value import as_json, by_value, in_rows
 from sitl.campaign.causes import RULES, cause_of, severity
 from sitl.campaign.code import code_version
-from sitl.campaign.compare import bootstrap_interval, differences_of
 from sitl.campaign.design import described, factorial, parse_axis, sampled
-from sitl.campaign.figures import effect_of, figures_of, map_of, varied_point
-from sitl.campaign.object_store import ObjectStore
+from sitl.campaign.figures import bootstrap_interval, differences_of, effect_of, figures_of, map_of, varied_point
 from sitl.campaign.overrides import Overridable
 from sitl.campaign.parquet import table_bytes
 from sitl.campaign.plan import Job, Point
 from sitl.campaign.report import REPORT, fly_again, render_report
 from sitl.campaign.search import Search
-from sitl.campaign.store import FolderStore, flights_in, manifest_of, manifest_of_plan
+from sitl.campaign.store import FolderStore, ObjectStore, flights_in, manifest_of, manifest_of_plan
 from sitl.campaign.summary import in_words, tally
+from sitl.campaign.tables import as_json, by_value, in_rows
 from sitl.campaign.task import Flight, Order, fly_order
 from sitl.flight.one_flight import settings_for
 from tests.sitl.campaign.fakes import RAISES, fake_fly, near, plan

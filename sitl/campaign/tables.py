@@ -1,15 +1,32 @@
-"""The outcomes of a set of scenarios, one line for each."""
+"""Tables of a campaign's outcomes: one line for each scenario of a set, and one for each value of a varied key."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from sitl.campaign.causes import cause_of
-from sitl.campaign.columns import columns
+from sitl.campaign.figures import Effect, VariedPoint, effect_of
 from sitl.campaign.task import Flight
+
+
+def columns(lines: Sequence[Sequence[str]], texts: Collection[int]) -> str:
+    """Return lines of as many cells each, aligned.
+
+    Args:
+        lines: the cells; the first line has the headings.
+        texts: numbers of the columns that are aligned on the left; the others are on the right.
+    """
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(w) if i in texts else cell.rjust(w) for i, (cell, w) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
 
 
 @dataclass(slots=True)
@@ -88,3 +105,43 @@ def row(t: ScenarioTally) -> tuple[str, ...]:
 def in_columns(tallies: Iterable[ScenarioTally]) -> str:
     """Return a table for a terminal, a line for each scenario."""
     return columns([HEADINGS, *map(row, tallies)], texts=(0, 1, 2, len(HEADINGS) - 1))
+
+
+def by_value(points: list[VariedPoint]) -> list[Effect]:
+    """Return how success depends on each varied key, over all values of the others."""
+    return [effect_of(points, key) for key in points[0][0]] if points else []
+
+
+def as_json(effect: Effect) -> list[dict[str, Any]]:
+    """Return plain values, an object for each value of the key: shares of good flights are 0 to 1, errors in m."""
+    rows = zip(effect.values, effect.counts, effect.shares, effect.low, effect.high, effect.lateral_m, strict=True)
+    return [
+        {
+            "value": value,
+            "runs": runs,
+            "good": round(float(share), 6),
+            "good_interval": [round(float(low), 6), round(float(high), 6)],
+            "lateral_median_m": None if math.isnan(error_m) else round(float(error_m), 4),
+        }
+        for value, runs, share, low, high, error_m in rows
+    ]
+
+
+def in_rows(effects: Iterable[Effect]) -> str:
+    """Return a table for each key, a line for each value."""
+    return "\n".join(
+        columns([(effect.key, "flights", "good", "95 % interval", "error, median"), *_rows(effect)], ()) for effect in effects
+    )
+
+
+def _rows(effect: Effect) -> list[tuple[str, ...]]:
+    return [
+        (
+            f"{row['value']:g}" if isinstance(row["value"], float) else str(row["value"]),
+            str(row["runs"]),
+            f"{100 * row['good']:.0f} %",
+            "{:.0f} to {:.0f} %".format(*(100 * share for share in row["good_interval"])),
+            "-" if row["lateral_median_m"] is None else f"{100 * row['lateral_median_m']:.1f} cm",
+        )
+        for row in as_json(effect)
+    ]
