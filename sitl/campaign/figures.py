@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from sitl.campaign.causes import cause_of, severity
-from sitl.campaign.summary import CampaignTally, wilson
+from sitl.campaign.summary import CampaignTally, cause_of, severity, wilson
 from sitl.campaign.task import Flight, job_of
 
 WORST = 10

@@ -6,6 +6,8 @@ seed is flown again. A folder belongs to one campaign, one version of the code a
 A campaign is kept in a folder, or wherever fsspec reaches: a bucket (s3://, gs://), a folder (file://) or memory (memory://).
 Objects cannot be appended to. Flights are held back for some seconds and written as a new part, so that a process which is killed
 loses those seconds; their seeds are flown again. Nothing is ever overwritten but the manifest.
+
+A session flies the jobs that are not kept yet, and keeps each result before it passes it on.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import os
 import posixpath
 import time
 import uuid
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -405,3 +407,33 @@ class ObjectStore:
             lines = self._fs.cat_file(path).splitlines(keepends=True)
             for record, _ in records_in(lines, f"{self.place}/{posixpath.basename(path)}"):
                 yield record
+
+
+class Workforce(Protocol):
+    """Flies jobs somewhere: in processes of this machine, or on a cluster."""
+
+    def results(self, jobs: Iterator[Job]) -> Iterator[Flight]:
+        """Fly the jobs and return their results as they come, in any order."""
+        ...
+
+
+class Session:
+    """One session of a campaign: what it flies is kept in the store with the time since its beginning."""
+
+    def __init__(self, workforce: Workforce, store: ResultStore) -> None:
+        self._workforce, self._store = workforce, store
+        self._began_s = time.monotonic()
+
+    def fly(self, jobs: Iterable[Job], on_flight: Callable[[Flight], None]) -> None:
+        """Fly the jobs that are not kept yet.
+
+        Args:
+            on_flight: receives each result after it was kept.
+
+        Raises:
+            Recoverable: the results cannot be kept, or the cluster is gone; what was kept before still is.
+            OtherCode: a worker has other code.
+        """
+        for flight in self._workforce.results(jobs_left(self._store, iter(jobs))):
+            self._store.keep([flight], time.monotonic() - self._began_s)
+            on_flight(flight)

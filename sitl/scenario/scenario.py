@@ -27,8 +27,8 @@ from sitl.camera.settings import DropSettings, GimbalSettings, LampSettings, Lig
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import AnyFault, OperatorActs, ShipSpeed, ShipTurn, VesselReports, WeakRotor
 from sitl.faults.picture import OtherPad
-from sitl.sea.settings import EXCLUDES as SEA_EXCLUDES
-from sitl.sea.settings import Sea as Sea
+from sitl.sea.sea import EXCLUDES as SEA_EXCLUDES
+from sitl.sea.sea import Sea as Sea
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.airframe import VehicleFile
 from sitl.vehicle.airframe import VehicleSettings as VehicleSettings

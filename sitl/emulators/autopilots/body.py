@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from estimator.contracts.errors import BadInput
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.camera.camera import Exposure
 from sitl.camera.driven_exposure import SimulatedExposure, Taken
 from sitl.camera.film import Film
 from sitl.camera.gimbal import SimulatedGimbal
 from sitl.emulators.autopilots.motors import Motors, MotorVehicle
+from sitl.emulators.autopilots.station import OperatorView
 from sitl.scenario.scenario import Scenario, camera_model, pad_model
 from sitl.vehicle.vehicle import DECK, SEA, VehiclePhase
 from sitl.vessel.contact import Ground
@@ -292,3 +294,24 @@ class Silence:
             f"{self.lasted_s:.1f} s: {' -> '.join(self.modes)}, sank {self.sank_m:.2f} m, at least {self.lowest_m:.2f} m over "
             f"the deck, moved {self.moved_m:.1f} m over the ground, {stopped}{touched}"
         )
+
+
+def view_of(body: Body) -> OperatorView:
+    """Return the view at the newest step; the landing begins where the scenario's `start` says."""
+    state, start = body.state(), body.scenario.start
+    yaw = state.R_ned_body.rpy_rad[2]
+    heading = body.R_ned_pad.rpy_rad[2] + math.radians(start.heading_deg)
+    to_pad = Rotation.from_rpy(0.0, 0.0, heading) @ np.array([start.pad_forward_m, start.pad_right_m, start.height_m])
+    level = Rotation.from_rpy(0.0, 0.0, yaw).inv
+    # The ship's steady velocity, without the motion of the pad on the waves.
+    v_start = body.vessel.way_at(body.t_s)
+    return OperatorView(
+        level @ (body.p_pad_ned - to_pad - state.p_ned),
+        level @ v_start,
+        level @ (v_start - state.v_ned),
+        yaw,
+        wrap_pi(heading - yaw),
+        float(body.p_pad_ned[2] - state.p_ned[2]),
+        level @ body.v_pad_ned,
+        not start.with_vessel,
+    )
