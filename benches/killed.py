@@ -20,8 +20,8 @@ from typing import Any
 
 import msgspec
 
-from companion.runtime import event_loop
-from companion.runtime.pilot import FlightOutcome
+from companion.base import event_loop
+from companion.base.mission import FlightOutcome
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.emulators.autopilots.program import executable
 from sitl.faults.kinds import ServiceKilled

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import Any
 
+from companion.base.mission import REFUSALS, FlightOutcome
 from companion.cli.soak_records import Records
-from companion.runtime.pilot import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
 from sitl.flight.ending import Ending, Load
 from sitl.flight.safety import Grade, grade

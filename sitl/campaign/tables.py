@@ -1,7 +1,7 @@
 """Tables of a campaign's outcomes.
 
-One has a line for each scenario of a set, one a line for each value of a varied key, for a terminal and as plain values. A Parquet
-file has a row for each flight, for pandas, polars, DuckDB and the like.
+One has a line for each scenario of a set, one a line for each value of a varied key, for a terminal and as plain values. A
+Parquet file has a row for each flight, for pandas, polars, DuckDB and the like.
 """
 
 from __future__ import annotations

@@ -17,14 +17,14 @@ import cv2
 import numpy as np
 from msgspec.structs import replace
 
-from companion.config.model import Settings, ardrone_options
-from companion.guidance.mission import FLOWN
-from companion.operator.arbiter import OperatorArbiter
-from companion.operator.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
-from companion.operator.precedence import ControlSituation
-from companion.runtime.health import Health
-from companion.runtime.observer import Observer, ProcessedFrame, listens
-from companion.runtime.pilot import WAITING_MOST, Pilot
+from companion.base.health import Health
+from companion.base.mission import FLOWN
+from companion.base.observer import Observer, ProcessedFrame, listens
+from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.guidance.arbiter import OperatorArbiter
+from companion.guidance.pilot import WAITING_MOST, Pilot
+from companion.guidance.precedence import ControlSituation
+from companion.settings.model import Settings, ardrone_options
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.command_streamer import CommandStreamer
@@ -378,7 +378,7 @@ class Flight:
         while self._looking is None and (packet := self._frames_under_way.arrived(now)) is not None:
             if arrived is not None:
                 self.health.frame(Verdict.REPLACED)
-                self._pilot.on_verdict(Verdict.REPLACED)
+                self._pilot.landing.on_verdict(Verdict.REPLACED)
                 self._judge(arrived.seq, Verdict.REPLACED)
             received_at, exposed = packet
             image = exposed()
@@ -405,7 +405,7 @@ class Flight:
             self._report_fused()
             processed = replace(processed, verdict=verdict, results=results)
         self.health.frame(processed.verdict)
-        self._pilot.on_verdict(processed.verdict)
+        self._pilot.landing.on_verdict(processed.verdict)
         self._judge(processed.frame.seq, processed.verdict)
         self.health.delay("exposure_to_belief", seconds_between(processed.frame.stamp.measured_at, processed.done))
         for result in processed.results:

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
 
-from companion.config.model import Settings
-from companion.guidance.mission import State
-from companion.operator.precedence import ControlSituation
-from companion.runtime.health import Health
-from companion.runtime.observer import Decision
-from companion.runtime.pilot import REFUSALS, FlightOutcome
+from companion.base.health import Health
+from companion.base.mission import REFUSALS, FlightOutcome, State
+from companion.base.observer import Decision
+from companion.guidance.precedence import ControlSituation
+from companion.settings.model import Settings
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.faults.timer import FaultTimer

@@ -14,10 +14,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from companion.config.model import Settings
-from companion.recorder.reading import RecordedFrame, open_recording
-from companion.recorder.records import TruthRecord
-from companion.runtime.observer import Decision
+from companion.base.observer import Decision
+from companion.recording.reading import RecordedFrame, open_recording
+from companion.recording.records import TruthRecord
+from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64, skew

@@ -10,12 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
-from companion.config.settings import camera_model, load, pad_model
+from companion.base.mission import FlightOutcome
 from companion.guidance.mission_step import mission_step
-from companion.guidance.options import GuidanceOptions
+from companion.guidance.pilot import Pilot, PilotOptions
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
-from companion.runtime.pilot import FlightOutcome, Pilot
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.load import camera_model, load, pad_model
 from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geodesy import GeoPoint
@@ -38,7 +39,7 @@ class Cockpit:
 
     def __init__(self, *, automatic: bool = True, path: str = "dead_reckoning") -> None:
         options = EstimatorOptions(path=path)  # type: ignore[arg-type]
-        self.pilot = Pilot(EYES, options, GuidanceOptions(mission="thesis", controller="pid"), automatic=automatic)
+        self.pilot = Pilot(EYES, options, GuidanceOptions(mission="thesis", controller="pid"), PilotOptions(automatic=automatic))
         self.now = MonoNs(0)
         self.d = np.array([0.3, -0.2, 3.0])
         self.flying: bool | None = True
@@ -220,7 +221,7 @@ def test_the_ship_s_own_word_does_not_break_the_vehicle_s_silence(monkeypatch: p
         cycles.append(s)
         return mission_step(progress, s, *args, **kwargs)
 
-    monkeypatch.setattr("companion.runtime.pilot.mission_step", seen)
+    monkeypatch.setattr("companion.guidance.landing.mission_step", seen)
     for _ in range(50):
         cockpit.now = now = after(cockpit.now, TICK_S)
         stamp = Stamp(now, now, 0.001, "sim")

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from companion.base.mission import FlightOutcome
 from companion.cli import main as cli
-from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
 from sitl.flight.ending import Contact, Ending, FlightGrade

@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from companion.runtime.pilot import FlightOutcome
+from companion.base.mission import FlightOutcome
 from estimator.contracts.time import MonoNs
 from sitl.flight.ending import Contact, Ending, FlightGrade
 

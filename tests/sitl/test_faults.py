@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.config.settings import load as load_settings
-from companion.guidance.mission import State
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
+from companion.base.mission import State
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.guidance.make_pilot import make_pilot
+from companion.settings.load import load as load_settings
 from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.samples import Imu, Sample
@@ -328,7 +328,7 @@ def test_a_refusal_says_what_guidance_said_and_what_became_of_the_frames(monkeyp
     pilot = flight._pilot
 
     def gives_up(now: MonoNs) -> Decision:
-        pilot._mission = replace(pilot._mission, state=State.GAVE_UP)
+        pilot.landing.mission = replace(pilot.landing.mission, state=State.GAVE_UP)
         return Decision(now, "gave up", Hover(), None, (), "the pad was not found again")
 
     monkeypatch.setattr(pilot, "decide", gives_up)

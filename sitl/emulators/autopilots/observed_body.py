@@ -12,10 +12,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.config.model import Settings
-from companion.runtime.health import Health
-from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
-from companion.runtime.pilot import Pilot
+from companion.base.health import Health
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.guidance.pilot import Pilot
+from companion.settings.model import Settings
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.ports import Clock

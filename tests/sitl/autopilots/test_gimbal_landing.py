@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from companion.base.mission import FlightOutcome
 from companion.cli.main import main
-from companion.runtime.pilot import FlightOutcome
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.gimbal_options import GimbalOptions
 from estimator.contracts.estimates import Verdict

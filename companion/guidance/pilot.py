@@ -1,0 +1,299 @@
+"""The pilot: pad tracker, estimator and guidance as one object without clocks, threads or sockets.
+
+The daemon and the simulator run the same pilot, so tests in virtual time cover the code that flies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from msgspec import structs
+
+from companion.base.mission import FLOWN, REFUSALS, Event, FlightOutcome, State
+from companion.base.observer import Decision, DeckOutlook
+from companion.guidance.arbiter import OperatorArbiter
+from companion.guidance.controller import Controller, Knowledge
+from companion.guidance.controllers import ControllerSetup, make_controller
+from companion.guidance.estimation import Estimation
+from companion.guidance.landing import Landing
+from companion.guidance.search import PadSearch
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.limits import LimitOptions
+from companion.settings.load import shipped_response
+from companion.settings.operator import ManualOptions
+from companion.settings.rendezvous import ReportLimits
+from companion.settings.response import TiltResponse
+from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
+from estimator.contracts.fusion import FusionResult
+from estimator.contracts.motion import BodyMotion, DeckMotion
+from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.ekf import Forecast
+from estimator.gimbal_history import HeldCamera
+from estimator.options import EstimatorOptions
+from estimator.vision.camera import Camera
+from estimator.vision.detection import Detection
+from estimator.vision.pad import Pad
+from estimator.vision.tracker_config import TrackerConfig
+
+WAITING_MOST = 256
+"""Number of waiting samples, a third of a second of an AR.Drone's, at which whoever gives them calls `Pilot.fused`."""
+_NOT_FUSED = frozenset({VehicleStatus, GeoFix})
+_OUTCOMES = {State(outcome.value): outcome for outcome in FlightOutcome}
+
+
+def _law_for_ardrone(guidance: GuidanceOptions) -> Controller[Any]:
+    return make_controller(ControllerSetup(guidance, shipped_response("ardrone2")))
+
+
+@dataclass(frozen=True, slots=True)
+class PilotOptions:
+    """What a pilot needs beside the options of its tracker, its estimator and its guidance."""
+
+    automatic: bool = True
+    """Whether the approach begins as soon as the vehicle flies; otherwise it waits for `begin`."""
+    shadows: Sequence[PathName] = ()
+    """Estimator paths that run for comparison only and never steer."""
+    law: Callable[[GuidanceOptions], Controller[Any]] = _law_for_ardrone
+    """Makes the control law from guidance's options."""
+    manual: ManualOptions | None = None
+    """The options of manual flight."""
+    limits: LimitOptions | None = None
+    """The limits of every command."""
+    over_ground: bool = False
+    """Whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity."""
+    reports: ReportLimits | None = None
+    """What is believed of the places that ship and vehicle report."""
+    tilt: TiltResponse | None = None
+    """How the vehicle's tilt answers, by its file; by default an AR.Drone's."""
+    gimballed: bool = False
+    """Whether a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
+
+
+class Pilot:
+    """Takes samples and frames, and decides on commands: a step over search, estimation and landing."""
+
+    def __init__(
+        self,
+        tracker: TrackerConfig,
+        estimator: EstimatorOptions,
+        guidance: GuidanceOptions,
+        options: PilotOptions | None = None,
+    ) -> None:
+        given = options or PilotOptions()
+        self.search = PadSearch(tracker, given.gimballed)
+        self.estimation = Estimation(estimator, given.shadows)
+        self.landing = Landing(
+            guidance,
+            automatic=given.automatic,
+            law=given.law,
+            over_ground=given.over_ground,
+            reports=given.reports or ReportLimits(),
+            tilt=given.tilt or shipped_response("ardrone2").tilt,
+        )
+        self.engage: Callable[[], None] = lambda: None
+        """Called when the operator begins, so that the driver may take back a vehicle that a person had taken over."""
+        self.operator = OperatorArbiter(self, given.manual, given.limits)
+        """The arbiter of people's orders, which has the last word."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera on the body; one on a gimbal as it is while that points straight down."""
+        return self.search.camera
+
+    @property
+    def pad(self) -> Pad:
+        return self.search.pad
+
+    @property
+    def vehicle(self) -> VehicleStatus | None:
+        """The vehicle's latest status; None before the first."""
+        return self.landing.vehicle
+
+    @property
+    def state(self) -> State:
+        """The state of the mission."""
+        return self.landing.state
+
+    @property
+    def phase(self) -> str:
+        """The state of the mission as text."""
+        return self.landing.state.value
+
+    @property
+    def outcome(self) -> FlightOutcome | None:
+        """The outcome of the flight; None while it goes on."""
+        return _OUTCOMES.get(self.landing.state)
+
+    @property
+    def paused(self) -> bool:
+        """Whether a person paused guidance."""
+        return self.state is State.PAUSED
+
+    @property
+    def may_try_again(self) -> bool:
+        """Whether `begin` resumes the flight although it has an outcome."""
+        return self.outcome in REFUSALS
+
+    def begin(self) -> None:
+        """Start the approach for the operator, or resume it after a pause.
+
+        After another pad was seen, approach that one; after it gave up or refused, try again.
+        """
+        self.landing.order(Event.BEGIN)
+        self.engage()
+
+    def pause(self) -> None:
+        """Hold still for the operator until `begin` is called."""
+        self.landing.order(Event.PAUSE)
+
+    def abort(self) -> None:
+        """Hold still for the operator and end the flight. A landing already ordered is no longer repeated."""
+        self.landing.order(Event.ABORT)
+
+    def steer_by(self, path: PathName) -> str | None:
+        """Steer by another estimator path for the operator; return None on success, otherwise why it is refused.
+
+        A path that does not run yet has no belief to start from, so during an approach it is accepted only while paused.
+        """
+        if self.state in FLOWN and path not in self.estimation.paths:
+            return f"{path} does not run along; pause the approach first"
+        try:
+            self.estimation.steer_by(path)
+        except ValueError as why:
+            return str(why)
+        return None
+
+    def retune(self, guidance: GuidanceOptions, *, min_confidence: float, max_delay_s: float) -> None:
+        """Use other settings from now on; the present approach continues."""
+        self.landing.retune(guidance)
+        self.estimation.retune(min_confidence=min_confidence, max_delay_s=max_delay_s)
+
+    def belief(self, now: MonoNs) -> RelativeState | None:
+        """Return the estimate to steer by; it is marked inconsistent while nobody has agreed to land on the pad it refers to."""
+        believed = self.believed(now)
+        if believed is None or self.state is not State.ANOTHER_PAD:
+            return believed
+        alerts = (*(alert for alert in believed.alerts if alert is not IntegrityAlert.ELSEWHERE), IntegrityAlert.ELSEWHERE)
+        return structs.replace(believed, consistent=False, alerts=alerts)
+
+    def believed(self, now: MonoNs) -> RelativeState | None:
+        """Return the steering path's estimate as the estimator has it; None while there is none."""
+        return self.estimation.believed(now)
+
+    def all_believed(self, now: MonoNs) -> tuple[RelativeState, ...]:
+        """Return every path's estimate; the steering path's comes first if it has one."""
+        return self.estimation.all_believed(now)
+
+    def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
+        """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
+        return self.estimation.motion(now)
+
+    def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
+        """Return the deck at these times, s, after an instant by the steering path; None if it does not forecast."""
+        return self.estimation.forecast(now, horizons_s)
+
+    def on_samples(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
+        """Process samples in the order in which they were received. Return the fusion results of each, path by path."""
+        self.take_samples(samples)
+        results = {id(sample): results for sample, results in self.fused()}
+        return [results.get(id(sample), ()) for sample in samples]
+
+    def take_samples(self, samples: Sequence[Sample]) -> int:
+        """Take samples in the order in which they were received; return how many wait for `fused`.
+
+        The estimator processes them when somebody next asks it, those of several datagrams together: beliefs and results are the
+        same as one by one, and what surrounds each step costs once.
+        """
+        self.operator.on_samples(samples)
+        self.landing.on_samples(samples)
+        self._keep([sample for sample in samples if type(sample) not in _NOT_FUSED])
+        return self.estimation.kept
+
+    def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
+        """Process one sample. Return its fusion results, path by path."""
+        return self.on_samples((sample,))[0]
+
+    def _keep(self, samples: Sequence[Sample]) -> None:
+        """Keep samples for the estimator."""
+        self.estimation.keep(samples)
+
+    def fused(self) -> list[tuple[Sample, tuple[FusionResult, ...]]]:
+        """Process what waits; return all samples that were processed since the last call, each with its results, path by path."""
+        return self.estimation.fused()
+
+    def processed(self) -> list[tuple[Sample, tuple[FusionResult, ...]]]:
+        """Return all samples that the estimator has processed since the last call, as `fused`; what waits goes on waiting."""
+        return self.estimation.processed()
+
+    def attitude_at(self, stamp: Stamp) -> Attitude | None:
+        """Return the attitude at the exposure of a frame; None when no sample covers it."""
+        return self.estimation.attitude_at(stamp)
+
+    def held_at(self, stamp: Stamp, attitude: Attitude) -> HeldCamera | None:
+        """Return how the gimbal held the camera at the exposure of a frame.
+
+        None if no report of the gimbal covers it, if it did not point the camera down, and without a gimbal.
+
+        Args:
+            attitude: the vehicle's at the exposure.
+        """
+        if not self.search.gimballed:
+            return None
+        return self.search.pointed_down(self.estimation.held_at(stamp, attitude), attitude)
+
+    def awaits_gimbal(self, stamp: Stamp) -> bool:
+        """Return whether the gimbal's report that covers the exposure of a frame may still come."""
+        return self.search.gimballed and self.estimation.awaits_gimbal(stamp)
+
+    def admit(self, frame: Frame) -> Verdict | None:
+        """Register a frame before the search; return None if it may be searched, otherwise its verdict."""
+        return self.estimation.admit(frame)
+
+    def detect(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
+        """Search a frame for the pad, beginning where it is expected.
+
+        This may run on another thread, one call at a time: it reads only immutable estimator state and writes only its own.
+
+        Args:
+            held: how the gimbal held the camera at the exposure; None of a camera that is fixed on the body.
+        """
+        return self.search.detect(self.estimation.memory, frame, attitude, held)
+
+    def on_detection(self, seen: Detection) -> tuple[Verdict, tuple[FusionResult, ...]]:
+        """Process the detection of a frame.
+
+        Returns:
+            The frame's verdict, which is the steering path's, and the fusion results, path by path.
+        """
+        results = self.estimation.fuse(seen)
+        sighting = seen.selected or seen.elsewhere
+        if sighting is None:
+            return Verdict.NO_PAD, ()
+        self.landing.on_fused(results[0], sighting.stamp.sigma_s)
+        return results[0].verdict, results
+
+    def decide(self, now: MonoNs) -> Decision:
+        """Run one guidance cycle. The command is None while guidance and people leave the vehicle alone."""
+        self.operator.tick(now)
+        believed = self.all_believed(now)
+        steering = self.estimation.path
+        belief = next((b for b in believed if b.path == steering), None)
+        chosen = self.operator.choose(now, self.landing.command(self._knowledge(now, belief)), belief)
+        response = self.landing.on_command(now, chosen.command)
+        shadows = tuple(b for b in believed if b.path != steering)
+        changes = self.landing.changed()
+        phase, why = chosen.phase or self.phase, chosen.limit or chosen.reason or self._why(belief)
+        made = self.landing.forecast_made(now)
+        ahead = None if made is None else DeckOutlook.of(made)
+        return Decision(now, phase, chosen.command, belief, shadows, why, chosen.limit, changes, response, ahead)
+
+    def _knowledge(self, now: MonoNs, relative: RelativeState | None) -> Knowledge:
+        return self.landing.knowledge(now, relative, self.motion(now), self.forecast)
+
+    def _why(self, belief: RelativeState | None) -> str:
+        """Return the machine's reason and the estimate's alerts as text."""
+        alerts = () if belief is None else tuple(alert.value for alert in belief.alerts)
+        return "; ".join(dict.fromkeys((self.landing.reason, *alerts) if self.landing.reason else alerts))

@@ -1,0 +1,67 @@
+"""The recorder's options: the table [recorder] of the settings file."""
+
+from typing import Annotated, Literal
+
+from msgspec import Struct
+
+from estimator.contracts.keys import check_ranges, choice, number, text
+
+FrameForm = Literal["jpeg", "h264", "png", "none"]
+
+
+class RecorderOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """Recordings of everything the service hears, decides and says, as MCAP files (docs/recordings.md).
+
+    Raises:
+        ValueError: a number outside its range, or numbers that do not go together.
+    """
+
+    enabled: Annotated[bool, choice("whether the service records from its start on", public=True)] = False
+    folder: Annotated[
+        str, text("where recordings go, from the working directory; made when it is missing", 4096, public=True)
+    ] = "recordings"
+    frames: Annotated[
+        FrameForm,
+        choice(
+            "how frames are kept: as images; as a video, which takes about a twentieth of that; exactly, which takes ten times "
+            "as much; or not at all. What was seen in them is kept always",
+            public=True,
+        ),
+    ] = "jpeg"
+    frames_each: Annotated[int, number("keep the frame of each n-th frame only", "frames", 1, 1000)] = 1
+    jpeg_quality: Annotated[int, number("quality of JPEG frames, at full resolution of colour", "1", 50, 100)] = 90
+    max_file_mb: Annotated[float, number("a file that is larger ends, and a new one begins", "MB", 1.0, 100_000.0)] = 500.0
+    max_file_s: Annotated[float, number("a file that is longer ends, and a new one begins", "s", 1.0, 86_400.0)] = 600.0
+    max_total_mb: Annotated[
+        float,
+        number(
+            "while all recordings in the folder are larger than this, the oldest is deleted", "MB", 1.0, 10_000_000.0, public=True
+        ),
+    ] = 8000.0
+    min_free_mb: Annotated[
+        float, number("nothing is recorded while less than this is free on the disk", "MB", 0.0, 1_000_000.0, public=True)
+    ] = 500.0
+    flush_s: Annotated[
+        float, number("interval between written chunks, the most that a killed process loses", "s", 0.01, 60.0)
+    ] = 1.0
+    sync_s: Annotated[
+        float, number("interval between synchronisations with the disk, the most that a power cut loses", "s", 0.1, 600.0)
+    ] = 5.0
+    queue_records: Annotated[
+        int, number("records that may wait for the disk; further ones are dropped and counted", "records", 16, 1_000_000)
+    ] = 4096
+    queue_frames: Annotated[int, number("frames among them, about 0.7 MB each", "frames", 1, 1000)] = 15
+
+    retry_s: Annotated[
+        float, number("back-off before the disk or folder is tried again after a fault; it doubles each time", "s", 0.01, 60.0)
+    ] = 5.0
+    retry_cap_s: Annotated[float, number("longest such back-off", "s", 0.01, 600.0)] = 60.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if self.max_total_mb < self.max_file_mb:
+            raise ValueError(
+                f"max_total_mb ({self.max_total_mb:g} MB) must not be less than max_file_mb ({self.max_file_mb:g} MB)"
+            )
+        if self.retry_cap_s < self.retry_s:
+            raise ValueError(f"retry_cap_s ({self.retry_cap_s:g} s) must not be shorter than retry_s ({self.retry_s:g} s)")
