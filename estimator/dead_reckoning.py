@@ -22,6 +22,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from estimator.arrow import Arrow, arrow_after
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Details, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
@@ -85,11 +86,7 @@ class DeadReckoning:
     """The odometer's recent past, (n, 5): [s since `epoch`, odo (3), heading]."""
     epoch: MonoNs = _NEVER
     anchor: _Anchor | None = None
-    arrow_rad: float | None = None
-    """Heading of the arrow in the vehicle's own attitude frame."""
-    arrow_var: float = UNKNOWN_YAW_VAR
-    arrow_t: MonoNs = _NEVER
-    arrow_ambiguous: bool = False
+    arrow: Arrow | None = None
     agreed: tuple[bool, ...] = ()
     """Whether each of the last innovations lay inside the claimed covariance."""
     rest: RestCalibration | None = None
@@ -148,14 +145,13 @@ def at(state: DeadReckoning, now: MonoNs) -> RelativeState | None:
     c, n = math.cos(anchor.heading_rad - heading), math.sin(anchor.heading_rad - heading)
     turn = np.array([[c, -n, 0.0], [n, c, 0.0], [0.0, 0.0, 1.0]])
     cov[:3, :3] = turn.dot(anchor.cov[:3, :3]).dot(turn.T)
-    yaw: float | None = None
-    if state.arrow_rad is None:
+    yaw, arrow = None, state.arrow
+    if arrow is None:
         cov[6, 6] = UNKNOWN_YAW_VAR
     else:
-        yaw = wrap_pi(heading - state.arrow_rad)
-        drift_s = max(0.0, seconds_between(state.arrow_t, now))
-        cov[6, 6] = state.arrow_var + (o.sigma_heading_rate_rad_s * drift_s) ** 2
-        if state.arrow_t == anchor.t:
+        yaw = wrap_pi(heading - arrow.heading_rad)
+        cov[6, 6] = arrow.var_at(now, o.sigma_heading_rate_rad_s)
+        if arrow.at == anchor.t:
             cov[6, :3] = cov[:3, 6] = turn.dot(anchor.cov[:3, 3])
 
     _spread(cov, _cov_v(state, now), elapsed_s, 1.0)
@@ -188,7 +184,7 @@ def _figures(state: DeadReckoning) -> tuple[tuple[str, float], ...]:
     """Return the figures for the records."""
     v_bias, a_bias = _biases(state)
     return (
-        ("yaw_ambiguous", float(state.arrow_ambiguous)),
+        ("yaw_ambiguous", float(state.arrow is not None and state.arrow.ambiguous)),
         ("a_vertical_mean_m_s2", state.a_vertical_mean),
         ("calibrated", float(state.rest is not None and state.rest.done)),
         *((f"bias_v_{axis}_m_s", float(b)) for axis, b in zip("xyz", v_bias, strict=True)),
@@ -273,20 +269,7 @@ def sighted(state: DeadReckoning, sighting: Sighting) -> tuple[DeadReckoning, Ve
         cov=sighting.cov,
         blind_s=state.blind_s,
     )
-    state = replace(state, anchor=anchor)
-    if sighting.yaw_rad is not None:
-        arrow = wrap_pi(heading - sighting.yaw_rad)
-        still_ambiguous = sighting.yaw_ambiguous and (state.arrow_rad is None or state.arrow_ambiguous)
-        if sighting.yaw_ambiguous and state.arrow_rad is not None and abs(wrap_pi(arrow - state.arrow_rad)) > math.pi / 2:
-            arrow = wrap_pi(arrow + math.pi)
-        state = replace(
-            state,
-            arrow_rad=arrow,
-            arrow_var=float(sighting.cov[3, 3]),
-            arrow_t=measured_at,
-            arrow_ambiguous=still_ambiguous,
-        )
-    return state, Verdict.FUSED
+    return replace(state, anchor=anchor, arrow=arrow_after(state.arrow, heading, sighting)), Verdict.FUSED
 
 
 def _correct_vertical(state: DeadReckoning, measured_at: MonoNs, innov_m: float, since_last_s: float) -> DeadReckoning:

@@ -38,6 +38,7 @@ from companion.runtime.observer import Decision, DeckOutlook
 from companion.runtime.response_identifier import ResponseIdentifier
 from estimator import pipeline
 from estimator.contracts.commands import Command, Lean
+from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64
@@ -283,7 +284,7 @@ class Pilot:
         self._settle()
         try:
             self._memory = pipeline.steer_by(self._memory, path)
-        except ValueError as why:
+        except (ValueError, BadInput) as why:
             return str(why)
         return None
 
