@@ -22,7 +22,7 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 from msgspec import structs
 
-from estimator.arrow import Arrow, arrow_after
+from estimator.arrow_heading import ArrowHeading, heading_after
 from estimator.attitude_history import AttitudeHistory
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, components_of
@@ -64,7 +64,7 @@ class ConstantVelocityPath:
     sigma_heading_rate_rad_s: float = 0.01
     """Drift of the vehicle's heading against the pad's: one standard deviation."""
     belief: _Belief | None = None
-    arrow: Arrow | None = None
+    arrow: ArrowHeading | None = None
 
     @property
     def name(self) -> PathName:
@@ -90,7 +90,7 @@ class ConstantVelocityPath:
             P = self.sigma_v_m_s**2 * np.eye(6)
             P[:3, :3] = R
             first = _Belief(stamp.measured_at, np.concatenate([z, np.zeros(3)]), P)
-            return replace(self, belief=first, arrow=arrow_after(None, heading_rad, sighting)), result
+            return replace(self, belief=first, arrow=heading_after(None, heading_rad, sighting)), result
 
         kalman = self._predicted(last, elapsed_s)
         kalman.update(z, R)
@@ -109,7 +109,7 @@ class ConstantVelocityPath:
         if nis > GATE_NIS:
             return replace(self, belief=replace(last, agreed=agreed)), result
         belief = _Belief(stamp.measured_at, kalman.x, kalman.P, agreed)
-        return replace(self, belief=belief, arrow=arrow_after(self.arrow, heading_rad, sighting)), result
+        return replace(self, belief=belief, arrow=heading_after(self.arrow, heading_rad, sighting)), result
 
     def at(self, now: MonoNs) -> RelativeState | None:
         belief = self.belief

@@ -22,15 +22,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimator.arrow import Arrow, arrow_after
+from estimator.arrow_heading import ArrowHeading, heading_after
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Details, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.options import DeadReckoningOptions
 from estimator.rest_calibration import RestCalibration, add_acceleration, add_velocity
 
-GRAVITY_M_S2 = 9.80665
 _NIS_MAX = 16.27
 """Chi-square with 3 degrees of freedom, 99.9 %."""
 _NEVER = MonoNs(0)
@@ -86,7 +86,7 @@ class DeadReckoning:
     """The odometer's recent past, (n, 5): [s since `epoch`, odo (3), heading]."""
     epoch: MonoNs = _NEVER
     anchor: _Anchor | None = None
-    arrow: Arrow | None = None
+    arrow: ArrowHeading | None = None
     agreed: tuple[bool, ...] = ()
     """Whether each of the last innovations lay inside the claimed covariance."""
     rest: RestCalibration | None = None
@@ -231,7 +231,7 @@ def _imu(state: DeadReckoning, sample: Imu) -> DeadReckoning:
         return state
     R_level_body = state.R_ned_body.without_heading()
     state = _advance(state, sample.stamp.measured_at)
-    a_body = sample.f_body + R_level_body.inv @ np.array([0.0, 0.0, GRAVITY_M_S2])
+    a_body = sample.f_body + R_level_body.inv @ np.array([0.0, 0.0, G_M_S2])
     if state.rest is not None:
         state = replace(state, rest=add_acceleration(state.rest, sample.stamp.measured_at, a_body))
     a = R_level_body @ (a_body - _biases(state)[1])
@@ -269,7 +269,7 @@ def sighted(state: DeadReckoning, sighting: Sighting) -> tuple[DeadReckoning, Ve
         cov=sighting.cov,
         blind_s=state.blind_s,
     )
-    return replace(state, anchor=anchor, arrow=arrow_after(state.arrow, heading, sighting)), Verdict.FUSED
+    return replace(state, anchor=anchor, arrow=heading_after(state.arrow, heading, sighting)), Verdict.FUSED
 
 
 def _correct_vertical(state: DeadReckoning, measured_at: MonoNs, innov_m: float, since_last_s: float) -> DeadReckoning:

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from drivers.beside import running_beside
 from drivers.camera.exposure_drive import ExposureDrive
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import CameraLost, VideoSource
 from drivers.reconnect import BackOff, reconnect
+from drivers.running_beside import running_beside
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
 

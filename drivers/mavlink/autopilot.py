@@ -11,7 +11,6 @@ from functools import partial
 
 import numpy as np
 
-from drivers.beside import running_beside
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessLevel, NamedSenders, Source
 from drivers.mavlink.boot_clock import BootClock
@@ -26,6 +25,7 @@ from drivers.mavlink.setpoint_streamer import SetpointStreamer
 from drivers.mavlink.timesync import TimeSync, answer_to
 from drivers.mavlink.vehicle import Condition, Identity, Stack, is_autopilot, stack_of
 from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
+from drivers.running_beside import running_beside
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import F64, Rotation

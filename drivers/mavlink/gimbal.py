@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from drivers.beside import running_beside
 from drivers.mavlink.access import AccessLevel, Source
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import Message
@@ -19,6 +18,7 @@ from drivers.mavlink.gimbal_pointer import GimbalPointer
 from drivers.mavlink.gimbal_sampler import DEVICE_STATUS, MOUNT_ORIENTATION, MOUNT_STATUS, GimbalSampler
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.requests import Streams
+from drivers.running_beside import running_beside
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import GimbalAttitude
 from estimator.contracts.time import MonoNs, seconds_between

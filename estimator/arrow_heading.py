@@ -11,7 +11,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 
 @dataclass(frozen=True, slots=True)
-class Arrow:
+class ArrowHeading:
     """The heading of the arrow against the same north as the vehicle's own attitude."""
 
     heading_rad: float
@@ -27,7 +27,7 @@ class Arrow:
         return self.var + (sigma_rate_rad_s * drift_s) ** 2
 
 
-def arrow_after(arrow: Arrow | None, heading_rad: float, sighting: Sighting) -> Arrow | None:
+def heading_after(arrow: ArrowHeading | None, heading_rad: float, sighting: Sighting) -> ArrowHeading | None:
     """Return the arrow after a sighting; as it was if that has no heading.
 
     Args:
@@ -39,4 +39,4 @@ def arrow_after(arrow: Arrow | None, heading_rad: float, sighting: Sighting) -> 
     if sighting.yaw_ambiguous and arrow is not None and abs(wrap_pi(seen - arrow.heading_rad)) > math.pi / 2:
         seen = wrap_pi(seen + math.pi)
     ambiguous = sighting.yaw_ambiguous and (arrow is None or arrow.ambiguous)
-    return Arrow(seen, float(sighting.cov[3, 3]), sighting.stamp.measured_at, ambiguous)
+    return ArrowHeading(seen, float(sighting.cov[3, 3]), sighting.stamp.measured_at, ambiguous)
