@@ -13,6 +13,8 @@ Vertical: if the vehicle measures no vertical velocity (AR.Drone), it comes from
 sightings, and the velocity is corrected towards their rate within `vertical_tau_s`. In between the accelerometer drives it, and
 without sightings it decays to zero within `vertical_leak_s`. The accelerometer's mean over `vertical_mean_s` is taken for its
 bias: nothing accelerates one way for long, and biases of 0.6 m/s^2 are usual.
+
+At rest the means of velocity and specific force over `calibration_s` (ten seconds in the thesis) are their biases.
 """
 
 from __future__ import annotations
@@ -29,7 +31,53 @@ from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.options import DeadReckoningOptions
-from estimator.rest_calibration import RestCalibration, add_acceleration, add_velocity
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestCalibration:
+    """The sums so far; `done` is True once the means are final."""
+
+    options: DeadReckoningOptions = field(default_factory=DeadReckoningOptions)
+    since: MonoNs | None = None
+    v_sum: F64 = field(default_factory=lambda: np.zeros(3))
+    v_samples: int = 0
+    a_sum: F64 = field(default_factory=lambda: np.zeros(3))
+    a_samples: int = 0
+    done: bool = False
+
+    @property
+    def v_bias_level(self) -> F64:
+        """Return the bias of the velocity, (3,) m/s; zeros until done or without velocity samples."""
+        return self.v_sum / self.v_samples if self.done and self.v_samples else np.zeros(3)
+
+    @property
+    def a_bias_body(self) -> F64:
+        """Return the bias of the acceleration, (3,) m/s^2; zeros until done."""
+        return self.a_sum / self.a_samples if self.done else np.zeros(3)
+
+
+def add_velocity(state: RestCalibration, t: MonoNs, v_level: F64) -> RestCalibration:
+    """Add one measured velocity, (3,) m/s."""
+    if state.done:
+        return state
+    if float(np.abs(v_level).max()) > state.options.calibration_velocity_max_m_s:
+        return RestCalibration(state.options)
+    since = t if state.since is None else state.since
+    return replace(state, since=since, v_sum=state.v_sum + v_level, v_samples=state.v_samples + 1)
+
+
+def add_acceleration(state: RestCalibration, t: MonoNs, a_body: F64) -> RestCalibration:
+    """Add one measured specific force minus gravity, (3,) m/s^2 in `body`; a perfect sensor at rest gives zeros."""
+    o = state.options
+    if state.done:
+        return state
+    if float(np.abs(a_body).max()) > o.calibration_acceleration_max_m_s2:
+        return RestCalibration(o)
+    since = t if state.since is None else state.since
+    samples = state.a_samples + 1
+    done = samples >= o.calibration_samples and seconds_between(since, t) >= o.calibration_s
+    return replace(state, since=since, a_sum=state.a_sum + a_body, a_samples=samples, done=done)
+
 
 _NIS_MAX = 16.27
 """Chi-square with 3 degrees of freedom, 99.9 %."""
