@@ -189,6 +189,37 @@ def test_the_deck_is_followed_ahead_of_time() -> None:
     assert first(_forecast(MonoNs(0), 5.0, 0.0)) == pytest.approx(0.0), "only what changes in a forecast counts"
 
 
+def descended(target: Target, h: float, push: float) -> list[tuple[float, float]]:
+    """Return the course of a vehicle with the shipped response under a push for six seconds: heights and vertical speeds."""
+    law, climb = FollowDeck(RESPONSE, T), RESPONSE.climb
+    memory, v, course = law.start(), 0.0, []
+    waiting = [0.0] * max(1, round(climb.delay_s / T))
+    for k in range(300):
+        a = (waiting.pop(0) - v) / climb.lag_s + push
+        known = _known(k, np.array([0.0, 0.0, h]), np.array([0.0, 0.0, -v]), a=np.array([0.0, 0.0, a]))
+        memory, command = law.step(memory, known.at, known, target)
+        assert isinstance(command, Lean)
+        waiting.append(float(command.v_level[2]))
+        v += T * a
+        h -= T * v
+        course.append((h, v))
+    return course
+
+
+@pytest.mark.parametrize("rate", [0.45, -0.3])
+@pytest.mark.parametrize("push", [0.0, 0.3, -0.3])
+def test_a_wanted_rate_is_reached_within_a_second_whatever_pushes(rate: float, push: float) -> None:
+    course = descended(Target(OVER, rate), 6.0, push)
+    assert max(abs(v - rate) for _, v in course[75:]) < 0.03
+
+
+def test_a_wanted_height_is_flown_to_no_faster_than_allowed_and_held() -> None:
+    course = descended(Target(OVER, vertical_rate_max_m_s=0.6), 3.0, 0.0)
+    assert max(v for _, v in course) < 0.65
+    assert min(h for h, _ in course) > 0.98
+    assert course[-1] == pytest.approx((1.0, 0.0), abs=0.02)
+
+
 def test_the_velocity_of_a_lean_is_the_one_that_the_body_will_have() -> None:
     """An autopilot that ignores the acceleration still flies towards the pad."""
     law = FollowDeck(RESPONSE, T)
