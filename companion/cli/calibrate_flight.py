@@ -13,7 +13,7 @@ from companion.calibrate.flight_result import MountResult, flight_result, readou
 from companion.calibrate.flight_views import FlightViews, flight_views
 from companion.calibrate.touchdown_cost import TouchdownCost
 from companion.config.settings import load
-from companion.config.toml_edit import Value, with_values
+from companion.config.toml_edit import with_values
 from companion.recorder.reading import CAMERA, Recording, open_recording
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput, unusable
@@ -70,7 +70,7 @@ def _mount(args: argparse.Namespace, recording: Recording) -> int:
     why = result.mount_refusal()
     if why is None and args.out is not None:
         text = recording.attachments[CAMERA].decode("utf-8")
-        values: dict[str, Value] = {
+        values = {
             "rpy_body_cam_deg": [round(float(a), 3) for a in result.rpy_deg],
             "mount_cov_deg2": [[round(float(c), 6) for c in row] for row in result.cov_mount_deg2],
         }
