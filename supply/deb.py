@@ -1,6 +1,6 @@
 """Make a Debian package that carries every wheel the service needs: `python -m supply.deb`, or `make deb`.
 
-The package holds the wheels, not an environment: its scripts make one with `--no-index`, by the code of `decklander install`, so
+The package holds the wheels, not an environment: its scripts make one with `--no-index`, by the code of `decklander service install`, so
 that packaged and other installations update and roll back alike (docs/decisions/042). Two builds of one commit give the same
 bytes where SOURCE_DATE_EPOCH is the same; `make deb` takes the commit's.
 
@@ -73,18 +73,18 @@ Description: landing service for a drone on a moving ship
 """
 _RUN = 'PYTHONDONTWRITEBYTECODE=1 PYTHONPATH="/{carried}/{wheel}" python3 -m companion.cli.main'
 POSTINST = """#!/bin/sh
-# The code of `decklander install`, out of the wheel in this package. Where it refuses because the drone flies, the version that
+# The code of `decklander service install`, out of the wheel in this package. Where it refuses because the drone flies, the version that
 # runs stays; dpkg --configure decklander goes on.
 set -e
 if [ "$1" = configure ]; then
-    {run} install --packaged /{carried}
+    {run} service install --packaged /{carried}
 fi
 """
 PRERM = """#!/bin/sh
 # Settings, keys and recordings stay. Refuses while the drone flies.
 set -e
 if [ "$1" = remove ]; then
-    {run} uninstall --packaged
+    {run} service uninstall --packaged
 fi
 """
 POSTRM = """#!/bin/sh

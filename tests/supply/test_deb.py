@@ -78,8 +78,8 @@ def test_its_scripts_run_the_commands_that_a_user_runs(tmp_path: Path, carried: 
         program.write_text(f'#!/bin/sh\necho {name} "$PYTHONPATH" "$@" >> {told}\n')
         program.chmod(0o755)
     wanted = {
-        ("postinst", "configure"): f"python3 /{deb.CARRIED}/{OWN} -m companion.cli.main install --packaged /{deb.CARRIED}",
-        ("prerm", "remove"): f"python3 /{deb.CARRIED}/{OWN} -m companion.cli.main uninstall --packaged",
+        ("postinst", "configure"): f"python3 /{deb.CARRIED}/{OWN} -m companion.cli.main service install --packaged /{deb.CARRIED}",
+        ("prerm", "remove"): f"python3 /{deb.CARRIED}/{OWN} -m companion.cli.main service uninstall --packaged",
         ("postinst", "abort-upgrade"): "",
         ("prerm", "upgrade"): "",
         ("postrm", "remove"): "",
