@@ -1,7 +1,7 @@
 """Make a Debian package that carries every wheel the service needs: `python -m supply.deb`, or `make deb`.
 
-The package holds the wheels, not an environment: its scripts make one with `--no-index`, by the code of `decklander service install`, so
-that packaged and other installations update and roll back alike (docs/decisions/042). Two builds of one commit give the same
+The package holds the wheels, not an environment: its scripts make one with `--no-index`, by the code of `decklander service
+install`, so that packaged and other installations update and roll back alike (docs/decisions/042). Two builds of one commit give the same
 bytes where SOURCE_DATE_EPOCH is the same; `make deb` takes the commit's.
 
 Sources: Debian Policy 4.6, chapters 3, 5, 6 and 9; the specification of reproducible builds, SOURCE_DATE_EPOCH.
@@ -73,8 +73,8 @@ Description: landing service for a drone on a moving ship
 """
 _RUN = 'PYTHONDONTWRITEBYTECODE=1 PYTHONPATH="/{carried}/{wheel}" python3 -m companion.cli.main'
 POSTINST = """#!/bin/sh
-# The code of `decklander service install`, out of the wheel in this package. Where it refuses because the drone flies, the version that
-# runs stays; dpkg --configure decklander goes on.
+# The code of `decklander service install`, out of the wheel in this package. Where it refuses because the drone flies, the
+# version that runs stays; dpkg --configure decklander goes on.
 set -e
 if [ "$1" = configure ]; then
     {run} service install --packaged /{carried}

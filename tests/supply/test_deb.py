@@ -77,9 +77,10 @@ def test_its_scripts_run_the_commands_that_a_user_runs(tmp_path: Path, carried: 
         program.parent.mkdir(exist_ok=True)
         program.write_text(f'#!/bin/sh\necho {name} "$PYTHONPATH" "$@" >> {told}\n')
         program.chmod(0o755)
+    ours = f"python3 /{deb.CARRIED}/{OWN} -m companion.cli.main"
     wanted = {
-        ("postinst", "configure"): f"python3 /{deb.CARRIED}/{OWN} -m companion.cli.main service install --packaged /{deb.CARRIED}",
-        ("prerm", "remove"): f"python3 /{deb.CARRIED}/{OWN} -m companion.cli.main service uninstall --packaged",
+        ("postinst", "configure"): f"{ours} service install --packaged /{deb.CARRIED}",
+        ("prerm", "remove"): f"{ours} service uninstall --packaged",
         ("postinst", "abort-upgrade"): "",
         ("prerm", "upgrade"): "",
         ("postrm", "remove"): "",
