@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.interface.render import GAIN_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+from sitl.core.abi import GAIN_ONE
 from sitl.drops import Drops, wet_lens
 from sitl.light import FULL_SCALE, I16, U16, Development, Light, PadBlur, PadInImage, Sensor, counts, scene_of
 from sitl.projection import F32, lens_of

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.render import SCENE_ONE
+from sitl.core.abi import SCENE_ONE
 from sitl.light import I16, U16, Light, scene_of
 from sitl.native import address, render_bounds, render_deck, render_fill, render_shadow
 from sitl.projection import F32, SHIFT, Lens, fixed_point

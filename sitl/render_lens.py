@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.render import CELL_PX, GAIN_ONE
 from estimator.vision.camera import Camera
+from sitl.core.abi import CELL_PX, GAIN_ONE
 from sitl.light import I16, U16
 from sitl.native import address, render_average, render_deck, render_smear
 from sitl.projection import F32, Lens

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.core.interface.render import TILE_ONE
+from sitl.core.abi import TILE_ONE
 from sitl.projection import F32
 
 I16 = NDArray[np.int16]

@@ -11,10 +11,10 @@ import pytest
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.core.interface import places_of
 from sitl.air import AirModel, GustOnce
 from sitl.airframe import Airframe
 from sitl.contact import DeckShape, Ground, Vec
+from sitl.core.library import places_of
 from sitl.scenario import from_mapping, load
 from sitl.seakeeping import Superstructure
 from sitl.vehicle import Vehicle

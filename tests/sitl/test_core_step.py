@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from companion.config.settings import SHIPPED
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
-from estimator.core.interface import places_of
 from sitl.air import AirModel, GustOnce
 from sitl.airframe import Airframe, Avionics
 from sitl.autopilots.motors import MotorVehicle, wrench
 from sitl.contact import DeckShape, Ground
+from sitl.core.library import places_of
 from sitl.disturbances import Wind
 from sitl.physics import Physics, decks_of
 from sitl.rotors import rotors

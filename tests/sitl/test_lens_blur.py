@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.render import GAIN_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl import light
 from sitl.camera import Exposure, Renderer
+from sitl.core.abi import GAIN_ONE
 from sitl.light import Light, PadBlur, Sensor
 from sitl.render_light import Lamps
 from sitl.surroundings import Surroundings
