@@ -1,6 +1,6 @@
 """Beliefs as the native core holds them, and the calls of the core that make one of another.
 
-A packed belief is one in the layout of `estimator.core.interface`: its numbers, its covariance and its deck motion bank, each in
+A packed belief is one in the layout of the core's header: its numbers, its covariance and its deck motion bank, each in
 a block that later beliefs share until an event changes it. It becomes a `Belief` when one asks.
 """
 
