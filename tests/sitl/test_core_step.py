@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from companion.settings.load import SHIPPED
 from estimator.contracts.geometry import F64, Rotation
+from sitl.core.library import SIM
 from sitl.sea.sea import SeaState, Waves
 from sitl.sensors.sensors import Sensors
 from sitl.sensors.settings import SensorSettings
