@@ -179,11 +179,11 @@ class Door:
 
 def _fill(place: NDArray[Any], values: Mapping[str, Any]) -> None:
     for name, value in values.items():
-        member = place[name].reshape(-1)
+        member, each = place[name].reshape(-1), value
         if member.dtype.names is None:
             each = np.ravel(value)
-        else:
-            each = [value] if isinstance(value, Mapping) else value
+        elif isinstance(value, Mapping):
+            each = [value]
         if len(each) > len(member):
             raise ValueError(f"{name} holds {len(member)} elements, not {len(each)}")
         if member.dtype.names is None:

@@ -385,8 +385,10 @@ class Development:
             ValueError: arrays whose shapes do not meet.
         """
         h, w = gain.shape
-        if scene.shape != (h, w, 4) or (pad_scene is not None and pad_scene.shape != (PAD_PAINTS, 4)):
-            raise ValueError(f"a scene of {scene.shape} under factors of {gain.shape}, paints {np.shape(pad_scene)}")
+        if scene.shape != (h, w, 4):
+            raise ValueError(f"a scene of {scene.shape} under factors of {gain.shape}")
+        if pad_scene is not None and pad_scene.shape != (PAD_PAINTS, 4):
+            raise ValueError(f"paints of {pad_scene.shape}")
         seen = SIM.new("sim_lit_scene", h=h, w=w, scene=scene, gain=gain, exposure=self._exposure, pad_scene=pad_scene)
         if pad is not None:
             edges = len(pad.edges)

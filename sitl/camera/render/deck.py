@@ -179,8 +179,7 @@ def drone_shadow(
     lens: Lens,
     pad_from_ray: F64,
     cam_from_pad: tuple[F64, F64],
-    R_pad_body: F64,
-    p_body_pad: F64,
+    pad_from_body: tuple[F64, F64],
     to_sun_pad: F64,
     share: float,
     mask: U8 | None,
@@ -192,9 +191,11 @@ def drone_shadow(
 
     Args:
         cam_from_pad: rotation (3, 3) of the pad and its centre (3,) m in `cam`.
+        pad_from_body: the same of the body in `pad`.
         share: of the light, that is missing in the full shadow.
         mask: how much of each pixel, (H, W) 0..255, can be in shadow; None for all.
     """
+    R_pad_body, p_body_pad = pad_from_body
     if to_sun_pad[2] > -0.05 or p_body_pad[2] > -0.01:
         return None
     # A point of the body's plane falls onto the pad's plane along the sun.
