@@ -70,7 +70,7 @@ class _Version(argparse.Action):
         super().__init__(option_strings, dest, nargs=0, help="print the version and exit")
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from companion.cli.version import version
+        from companion.base.version import version
 
         sys.stdout.write(f"decklander {version()}\n")
         parser.exit()
