@@ -144,7 +144,8 @@ SLOW = (
     "tests/sitl/autopilots/test_follow.py",
     "tests/sitl/test_world.py",
 )
-"""Files and folders that take more than 0.8 s of processor time, the longest first. They are marked `slow`, and start first."""
+"""Files and folders that take more than 0.8 s of processor time, the longest first. They are marked `slow`, and start first.
+Not among them are the strongest tests of filter and registration, some seconds each, which run before each commit."""
 TOGETHER = ("tests/v4l2_vm/",)
 """Folders whose files share what is dear to make: one virtual machine is started for all of them."""
 APART = ("tests/packaging/test_installation.py",)
