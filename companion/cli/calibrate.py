@@ -1,6 +1,6 @@
 """`decklander calibrate`: `camera` writes a camera file from images of a board, grades it, and lists what the images lack.
 
-`mount`, `delay` and `readout` are in `companion.cli.calibrate_flight`, `vehicle` is `decklander identify`.
+`mount`, `delay` and `readout` are in `companion.cli.calibrate_flight`, `vehicle` in `companion.cli.identify`.
 """
 
 from __future__ import annotations
