@@ -37,7 +37,7 @@ from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
 from sitl.emulators.ardrone.repeated_flights import faulty
-from sitl.flight.one_flight import PERCEPTIONS, Perception, fly, perception_level, settings_for
+from sitl.flight.one_flight import PERCEPTIONS, FlyOptions, Perception, fly, perception_level, settings_for
 from sitl.perception.levels import perceive, represents
 from sitl.scenario.scenario import Scenario
 from sitl.scenario.scenario import load as load_scenario
@@ -244,7 +244,7 @@ def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings,
         )
         # A fault costs tries, and the scenario's time was chosen without it.
         longer_s = 0.0 if args.no_faults else overtime_s(settings.guidance.tries)
-        ending = fly(args.scenario, wanted, seed, settings, perception, overtime_s=longer_s)
+        ending = fly(args.scenario, wanted, seed, settings, perception, options=FlyOptions(overtime_s=longer_s))
         flight = virtual(time.monotonic() - tally.began, wanted.title, ending)
         tally.flown("time is up" if ending.outcome is None else ending.outcome.value, flight)
         tally.flown_s += ending.duration_s

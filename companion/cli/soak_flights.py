@@ -12,7 +12,7 @@ from companion.base.mission import REFUSALS, FlightOutcome
 from companion.cli.soak_records import Records
 from estimator.contracts.estimates import Verdict
 from sitl.flight.ending import Ending, Load
-from sitl.flight.safety import Grade, grade
+from sitl.flight.safety import AtEnd, Grade, grade
 
 STARVED_MAX = 0.5
 """Share of the flights that may go unjudged before the run itself means nothing."""
@@ -69,7 +69,7 @@ def real(
     if said["ended"] == "time is up" and outcome not in REFUSALS:
         outcome = None  # the simulator switched the drone off in the air, which the pilot takes for an emergency
     landed_m = said["lateral_m"] if said["on_pad"] else None
-    worth, because = grade(outcome, landed_m, said["unsafe"], said["expect"], left_alone=said["left_alone"])
+    worth, because = grade(outcome, landed_m, said["unsafe"], said["expect"], AtEnd(left_alone=said["left_alone"]))
     load = Load(said["duration_s"], said["frames_sent"], said["stood_still_s"], frames, guidance_late_s)
     kind = Class(worth.value)
     if kind is Class.FAILED and (slow := load.starved()) is not None:

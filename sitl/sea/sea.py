@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import choice, number
-from sitl.sea.spectra import GRAVITY_M_S2 as GRAVITY_M_S2
-from sitl.sea.spectra import fully_grown_period_s, jonswap, most_probable_ochi_hubble, ochi_hubble_part
+from sitl.sea.spectra import GRAVITY_M_S2, fully_grown_period_s, jonswap, most_probable_ochi_hubble, ochi_hubble_part
 
 Components = Literal["geometric", "equal_energy"]
 """The choice of the harmonics' frequencies: a random place inside each of geometric bins, or of bins of equal energy."""

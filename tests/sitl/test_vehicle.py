@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from estimator.contracts.geometry import F64, Rotation
-from sitl.sea.sea import GRAVITY_M_S2
+from sitl.sea.spectra import GRAVITY_M_S2
 from sitl.vehicle.airframe import Airframe, Avionics, Loops
 from sitl.vehicle.disturbances import Wind
 from sitl.vehicle.vehicle import DECK, SEA, Vehicle, VehiclePhase

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
-from sitl.sea.sea import GRAVITY_M_S2, SEA_STATES, SHELTERED_SLIGHT, Waves
+from sitl.sea.sea import SEA_STATES, SHELTERED_SLIGHT, Waves
+from sitl.sea.spectra import GRAVITY_M_S2
 from sitl.vessel.seakeeping import FERRY, HULLS, OTTER, SUPPLY_SHIP, Hull, hull, responses
 from sitl.vessel.vessel import Mooring, Vessel
 
