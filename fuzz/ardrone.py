@@ -26,8 +26,7 @@ from estimator.contracts.time import MonoNs
 from estimator.uvlc import UvlcDecoder
 from fuzz.target import Choices, Target, block
 from sitl.ardrone.config import Configuration
-from sitl.ardrone.drone import Drone
-from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.drone import Drone, DroneClock
 from sitl.ardrone.state import DroneState
 from sitl.ardrone.uvlc_encoder import encode
 from sitl.emulators.ardrone.wire_pictures import Encoder

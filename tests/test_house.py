@@ -33,7 +33,7 @@ DISTRIBUTION_NAMES = {
 }
 
 DRAWINGS = {
-    "sitl/experiments/figures.py",
+    "sitl/experiments/page.py",
     "companion/tools/report/svg.py",
     "sitl/campaign/plots.py",
     "companion/tools/calibrate/figures.py",

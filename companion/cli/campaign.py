@@ -20,13 +20,22 @@ from companion.settings.load import shipped
 from estimator import pipeline
 from estimator.contracts.errors import BadInput
 from sitl.campaign.code import code_version
-from sitl.campaign.design import SAMPLED, described, factorial, parse_axis, refuse_repeated, sampled
+from sitl.campaign.design import (
+    SAMPLED,
+    Falsified,
+    Search,
+    described,
+    factorial,
+    parse_axis,
+    refuse_repeated,
+    refuse_search,
+    sampled,
+)
 from sitl.campaign.figures import VariedPoint, varied_point
 from sitl.campaign.lab import missing_from_lab, require_lab
 from sitl.campaign.overrides import Overridable
 from sitl.campaign.plan import AnyPlan, CampaignPlan, Job, Point, SetPlan, make_plan, seeds_of
 from sitl.campaign.report import REPORT, fly_again, render_report
-from sitl.campaign.search import Falsified, Search, refuse_search
 from sitl.campaign.store import FolderStore, ObjectStore, ResultStore, Session, manifest_of_plan
 from sitl.campaign.summary import CampaignTally, in_words
 from sitl.campaign.tables import PARQUET, as_json, by_scenario, by_value, in_columns, in_rows, parquet_bytes

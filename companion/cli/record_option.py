@@ -81,7 +81,7 @@ def truth_record(truth: Truth) -> TruthRecord:
 
 
 def truth_from_log(record: Mapping[str, Any]) -> TruthRecord:
-    """Return the record of one line of the simulated drone's truth log (`sitl.emulators.ardrone.truth_log`)."""
+    """Return the record of one line of the simulated drone's truth log (`sitl.emulators.ardrone.server`)."""
     touched = record["touchdown"]
     touchdown = None if touched is None else ContactRecord(touched["at"], *(touched[n] for n in _CONTACT))
     yaw = math.remainder(record["yaw_rad"], math.tau)

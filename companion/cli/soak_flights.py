@@ -61,7 +61,7 @@ def real(
     """Return the result of a flight in real time.
 
     Args:
-        said: the line of `sitl.emulators.ardrone.repeated_flights` about it.
+        said: the line of `sitl.emulators.ardrone.serve` about it.
         outcome: the pilot's outcome when the flight had ended.
         frames: what the daemon made of its frames.
         guidance_late_s: median of what guidance cycles came late at the end of the flight, seconds.

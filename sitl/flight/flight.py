@@ -40,8 +40,7 @@ from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, after, seconds_between
 from sitl.ardrone.arriving_frames import ArrivingFrames, synced
-from sitl.ardrone.drone import TICK_S, Drone
-from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.drone import TICK_S, Drone, DroneClock
 from sitl.ardrone.generations import GENERATIONS
 from sitl.ardrone.state import refusal
 from sitl.camera.render_worker import RenderWorker
@@ -50,8 +49,7 @@ from sitl.faults.kinds import OperatorActs, ServiceKilled
 from sitl.faults.timer import FaultTimer
 from sitl.flight.grader import FlightGrader, FlightResult
 from sitl.flight.vessel_reports import VesselReporter
-from sitl.perception.pixels import Pixels
-from sitl.perception.port import Perception
+from sitl.perception.port import Perception, Pixels
 from sitl.scenario.scenario import Scenario, camera_model
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.stage import flight_seeds

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from estimator.contracts.errors import BadInput
 from sitl.faults.fault import Fault
 from sitl.perception.model import Model
-from sitl.perception.pixels import Pixels
-from sitl.perception.port import LEVELS, Level, Perception
+from sitl.perception.port import LEVELS, Level, Perception, Pixels
 from sitl.perception.truth import TruthLevel
 
 

@@ -25,14 +25,12 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.camera.settings import DropSettings, GimbalSettings, LampSettings, LightSettings, VideoSettings
 from sitl.faults.fault import Fault
-from sitl.faults.kinds import AnyFault, OperatorActs, ShipSpeed, ShipTurn, VesselReports, WeakRotor
-from sitl.faults.picture import OtherPad
+from sitl.faults.kinds import AnyFault, OperatorActs, OtherPad, ShipSpeed, ShipTurn, VesselReports, WeakRotor
 from sitl.sea.sea import EXCLUDES as SEA_EXCLUDES
 from sitl.sea.sea import Sea
 from sitl.sensors.settings import SensorSettings
-from sitl.vehicle.airframe import VehicleFile, VehicleSettings
+from sitl.vehicle.airframe import VehicleFile, VehicleSettings, rotors
 from sitl.vehicle.airframe import load as load_vehicle
-from sitl.vehicle.rotors import rotors
 from sitl.vessel.file import DEFAULT_HULL, Ship, VesselSettings
 from sitl.vessel.file import EXCLUDES as VESSEL_EXCLUDES
 from sitl.vessel.file import load as load_vessel

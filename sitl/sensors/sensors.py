@@ -41,9 +41,9 @@ from sitl.faults.timer import FaultTimer
 from sitl.native import Packed, sensors_read
 from sitl.sea.spectra import GRAVITY_M_S2
 from sitl.sensors.settings import SensorSettings
+from sitl.vehicle.airframe import rotors
 from sitl.vehicle.disturbances import keep_and_fresh
 from sitl.vehicle.noise import BLOCK, NoiseRows
-from sitl.vehicle.rotors import rotors
 from sitl.vehicle.vehicle import Vehicle
 
 Rng = np.random.Generator

@@ -17,10 +17,9 @@ from estimator.core.interface import CONSTANTS, places_of
 from estimator.core.interface.sim import COMMANDS_MAX, FLIGHT_NOISE, PHASES, ROTORS_MAX
 from sitl.native import Number, Numbers, Packed, vehicle_carry, vehicle_step, write
 from sitl.sea.spectra import GRAVITY_M_S2
-from sitl.vehicle.airframe import Airframe, StickLimits
+from sitl.vehicle.airframe import Airframe, StickLimits, rotors
 from sitl.vehicle.disturbances import Wind, keep_and_fresh
 from sitl.vehicle.noise import NoiseRows
-from sitl.vehicle.rotors import rotors
 from sitl.vessel.air import AirModel
 from sitl.vessel.contact import DeckShape, Ground
 
@@ -237,7 +236,7 @@ class Vehicle:
 
     @property
     def rotor_health(self) -> tuple[float, ...]:
-        """Share of its thrust that each rotor (in the order of `sitl.vehicle.rotors.rotors`) delivers."""
+        """Share of its thrust that each rotor (in the order of `sitl.vehicle.airframe.rotors`) delivers."""
         return self._rotor_health[: len(rotors(self.airframe))]
 
     @rotor_health.setter

@@ -19,8 +19,7 @@ from companion.settings.refusal import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from sitl.vessel.recorded_motion import RecordedMotion
-from sitl.vessel.response_table import MODES, ResponseTable
-from sitl.vessel.seakeeping import HULLS, Hull, Superstructure
+from sitl.vessel.seakeeping import HULLS, MODES, Hull, ResponseTable, Superstructure
 
 EXCLUDES: dict[str, tuple[str, ...]] = {"hull": ("file",), "file": ("hull",)}
 """Keys that take the place of those of a base when a scenario that is built on it says them."""

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from estimator.contracts.geometry import F64
 from sitl.sea.sea import Waves
 from sitl.vessel.recorded_motion import RecordedMotion
-from sitl.vessel.seakeeping import Hull, responses
-from sitl.vessel.turn import Course, Turn, TurningCourse, heel_rad
+from sitl.vessel.seakeeping import Course, Hull, Turn, TurningCourse, heel_rad, responses
 from sitl.vessel.vessel import Motion, Vessel, horizontal
 
 _HEADINGS = 96
@@ -55,7 +54,7 @@ class TurningVessel(Vessel):
     """A vessel that begins to turn at some instant, and meets the waves from another side as it does.
 
     At each instant it responds as it would to the same waves on a steady course of that heading; the derivatives are those of
-    what it does. Speed and heel follow the turn (`sitl.vessel.turn`).
+    what it does. Speed and heel follow the turn (`sitl.vessel.seakeeping`).
     """
 
     def __init__(self, hull: Hull, waves: Waves, turn: Turn, **course: Any) -> None:

@@ -26,13 +26,11 @@ from sitl.camera.film import Film
 from sitl.camera.picture_effects import PictureEffects
 from sitl.camera.render_worker import RenderWorker
 from sitl.faults.faulty_streams import VehicleStreams
-from sitl.faults.kinds import FramesMisstamped, FramesShifted, Gust, TiltLimited, WeakRotor
-from sitl.faults.picture import OtherPad, PictureFault
+from sitl.faults.kinds import FramesMisstamped, FramesShifted, Gust, OtherPad, PictureFault, TiltLimited, WeakRotor
 from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal
 from sitl.sensors.sensors import FaultySensors, Readings, Sensors
-from sitl.vehicle.airframe import StickLimits
-from sitl.vehicle.rotors import rotors
+from sitl.vehicle.airframe import StickLimits, rotors
 from sitl.vehicle.vehicle import SEA, Vehicle, VehiclePhase
 from sitl.vessel.contact import Ground
 from sitl.vessel.manoeuvre import Manoeuvre

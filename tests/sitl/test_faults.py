@@ -32,9 +32,9 @@ from sitl.faults.kinds import (
     LinkLost,
     LowBattery,
     NavdataMisstamped,
+    PictureFault,
     ServiceKilled,
 )
-from sitl.faults.picture import PictureFault
 from sitl.faults.sensors import (
     Accelerometer,
     AttitudeReading,

@@ -12,8 +12,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.camera.camera import Exposure
-from sitl.camera.driven_exposure import SimulatedExposure, Taken
-from sitl.camera.film import Film
+from sitl.camera.film import Film, SimulatedExposure, Taken
 from sitl.camera.gimbal import SimulatedGimbal
 from sitl.emulators.autopilots.motors import Motors, MotorVehicle
 from sitl.emulators.autopilots.station import OperatorView

@@ -32,7 +32,7 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.camera.driven_exposure import SimulatedExposure
+from sitl.camera.film import SimulatedExposure
 from sitl.emulators.autopilots import arducopter, px4
 from sitl.emulators.autopilots.ardupilot_json import CURVE, STEP_S, JsonBackend, serve_json
 from sitl.emulators.autopilots.beside import FlightDaemon, KillableService, beside_autopilot
@@ -50,8 +50,7 @@ from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.emulators.autopilots.station import STATION, GroundStation, Task
 from sitl.flight.grader import FlightResult
 from sitl.flight.vessel_reports import VesselReporter
-from sitl.perception.pixels import Pixels
-from sitl.perception.port import Perception
+from sitl.perception.port import Perception, Pixels
 from sitl.scenario.scenario import Scenario
 from sitl.world.truth import RenderedFrame, Touchdown, Truth
 

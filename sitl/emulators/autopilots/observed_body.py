@@ -26,7 +26,7 @@ from sitl.camera.camera import Exposure
 from sitl.camera.render_worker import RenderWorker
 from sitl.emulators.autopilots.body import Body, Landing
 from sitl.faults.faulty_streams import VehicleStreams
-from sitl.faults.picture import LightFalls
+from sitl.faults.kinds import LightFalls
 from sitl.faults.timer import FaultTimer
 from sitl.flight.grader import FlightGrader, FlightResult
 from sitl.scenario.scenario import Scenario
