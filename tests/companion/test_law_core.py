@@ -23,7 +23,7 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
-from estimator.core.interface.guidance import UNDER_WAY_MAX
+from estimator.core.abi import UNDER_WAY_MAX
 from estimator.ekf import Forecast
 from tests.companion.oracle.follow_deck import OracleLaw, OracleMemory
 from tests.companion.oracle.memory import packed, plain
