@@ -36,7 +36,7 @@ from companion.tools.report.drawing import require_drawing
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
-from sitl.emulators.ardrone.serve import faulty
+from sitl.emulators.ardrone.repeated_flights import faulty
 from sitl.flight.one_flight import PERCEPTIONS, FlyOptions, Perception, fly, perception_level, settings_for
 from sitl.perception.levels import perceive, represents
 from sitl.scenario.scenario import Scenario

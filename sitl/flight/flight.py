@@ -39,10 +39,10 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, after, seconds_between
-from sitl.ardrone.arriving_frames import ArrivingFrames, synced
 from sitl.ardrone.drone import TICK_S, Drone, DroneClock
 from sitl.ardrone.generations import GENERATIONS
 from sitl.ardrone.state import refusal
+from sitl.ardrone.uvlc import ArrivingFrames, synced
 from sitl.camera.render_worker import RenderWorker
 from sitl.faults.faulty_streams import InTransit
 from sitl.faults.kinds import OperatorActs, ServiceKilled

@@ -31,12 +31,12 @@ from sitl.sea.sea import Sea
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.airframe import VehicleFile, VehicleSettings, rotors
 from sitl.vehicle.airframe import load as load_vehicle
+from sitl.vessel.air import EXCLUDES as WIND_EXCLUDES
+from sitl.vessel.air import WindSettings
 from sitl.vessel.file import DEFAULT_HULL, Ship, VesselSettings
 from sitl.vessel.file import EXCLUDES as VESSEL_EXCLUDES
 from sitl.vessel.file import load as load_vessel
 from sitl.vessel.seakeeping import hull
-from sitl.vessel.wind_settings import EXCLUDES as WIND_EXCLUDES
-from sitl.vessel.wind_settings import WindSettings
 
 
 def never_begins(fault: Fault, duration_limit_s: float, start_height_m: float | None) -> str:

@@ -40,8 +40,7 @@ from sitl.faults.timer import FaultTimer
 from sitl.sea.spectra import GRAVITY_M_S2
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.airframe import rotors
-from sitl.vehicle.disturbances import keep_and_fresh
-from sitl.vehicle.noise import BLOCK, NoiseRows
+from sitl.vehicle.disturbances import BLOCK, NoiseRows, keep_and_fresh
 from sitl.vehicle.vehicle import Vehicle
 
 Rng = np.random.Generator

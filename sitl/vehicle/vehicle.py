@@ -18,8 +18,7 @@ from sitl.core.library import SIM
 from sitl.core.members import Number, Numbers
 from sitl.sea.spectra import GRAVITY_M_S2
 from sitl.vehicle.airframe import Airframe, StickLimits, rotors
-from sitl.vehicle.disturbances import Wind, keep_and_fresh
-from sitl.vehicle.noise import NoiseRows
+from sitl.vehicle.disturbances import NoiseRows, Wind, keep_and_fresh
 from sitl.vessel.air import AirModel
 from sitl.vessel.contact import DeckShape, Ground
 

@@ -26,8 +26,7 @@ from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.air import AirModel
 from sitl.vessel.contact import DeckShape, Ground
 from sitl.vessel.seakeeping import Hull, Turn
-from sitl.vessel.special import RecordedVessel, TurningVessel
-from sitl.vessel.vessel import Mooring, Vessel
+from sitl.vessel.vessel import Mooring, RecordedVessel, TurningVessel, Vessel
 
 
 class Seeds(NamedTuple):

@@ -19,7 +19,7 @@ from companion.cli.soak_judge import Reading
 from companion.cli.soak_plot import plot
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
-from sitl.emulators.ardrone.serve import faulty
+from sitl.emulators.ardrone.repeated_flights import faulty
 from sitl.flight.ending import Load
 from sitl.scenario.scenario import load
 from tests.sitl.near import NEAR

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sitl.emulators.ardrone.serve import faulty
+from sitl.emulators.ardrone.repeated_flights import faulty
 from sitl.flight.one_flight import FlyOptions, fly, settings_for
 from sitl.scenario.scenario import load
 

@@ -24,7 +24,7 @@ from sitl.vessel.air import AirModel, GustOnce
 from sitl.vessel.contact import DeckShape, Ground
 from sitl.vessel.seakeeping import Superstructure
 from sitl.vessel.vessel import Mounted
-from sitl.world.physics import Physics, decks_of
+from sitl.world.world import Physics, decks_of
 
 DT = 0.004
 SHAPES = (DeckShape(3.0, 2.0, 1.4, 1.4), DeckShape(3.0, 2.0, 1.0, 1.5, taper_m=1.0, pad_yaw_rad=0.6))

@@ -53,8 +53,8 @@ from sitl.scenario.scenario import Scenario, Start
 from sitl.sea.sea import Sea
 from sitl.sensors.sensors import Readings
 from sitl.vehicle.vehicle import VehiclePhase
+from sitl.vessel.air import WindSettings
 from sitl.vessel.file import VesselSettings
-from sitl.vessel.wind_settings import WindSettings
 from sitl.world.world import Stick, World
 
 CALM = Scenario(

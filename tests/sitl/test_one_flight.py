@@ -11,7 +11,7 @@ from companion.cli import main as cli
 from companion.guidance.make_pilot import make_pilot
 from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
-from sitl.emulators.ardrone.serve import faulty
+from sitl.emulators.ardrone.repeated_flights import faulty
 from sitl.flight.flight import Flight
 from sitl.flight.one_flight import TRUTH_EACH, FlyOptions, fly, perception_level, settings_for
 from sitl.flight.safety import Grade

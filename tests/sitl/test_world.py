@@ -21,8 +21,8 @@ from sitl.sea.sea import Sea
 from sitl.sensors.sensors import Readings
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.vehicle import VehiclePhase
+from sitl.vessel.air import WindSettings
 from sitl.vessel.file import VesselSettings
-from sitl.vessel.wind_settings import WindSettings
 from sitl.world.truth import RenderedFrame, Truth
 from sitl.world.world import Stick, World
 

@@ -37,8 +37,7 @@ from sitl.emulators.autopilots import arducopter, px4
 from sitl.emulators.autopilots.ardupilot_json import CURVE, STEP_S, JsonBackend, serve_json
 from sitl.emulators.autopilots.beside import FlightDaemon, KillableService, beside_autopilot
 from sitl.emulators.autopilots.body import Body, Landing, Silence, view_of
-from sitl.emulators.autopilots.faulty_link import FaultyLink
-from sitl.emulators.autopilots.lock_step import LockStepCamera, LockStepClock
+from sitl.emulators.autopilots.lock_step import FaultyLink, LockStepCamera, LockStepClock
 from sitl.emulators.autopilots.observed_body import GradedBody, PerceivedBody
 from sitl.emulators.autopilots.program import Program, free_udp_port, running
 from sitl.emulators.autopilots.px4_hil import HilBackend, serve_hil
