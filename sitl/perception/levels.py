@@ -1,9 +1,9 @@
 """The levels of perception by name, and the level `truth`, which needs neither vision nor filter.
 
 At the level `truth` guidance flies by the true state with an error as the filter's would be. The draw of whether the pad is seen
-is that of the level `model`, because the estimate ages without sight. The error is a Gauss-Markov process for each component, with
-the covariance that was fitted for the height and the time since the newest sighting; the estimate claims that same covariance, so
-it is honest. The motion of body and deck has an error in the same way.
+is that of the level `model`, because the estimate ages without sight. The error is a Gauss-Markov process for each component,
+with the covariance that was fitted for the height and the time since the newest sighting; the estimate claims that same
+covariance, so it is honest. The motion of body and deck has an error in the same way.
 """
 
 from __future__ import annotations

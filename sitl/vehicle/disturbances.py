@@ -1,4 +1,4 @@
-"""The random disturbances of the vehicle: gusts, drifting attitude errors, optical-flow noise, and the numbers they are drawn from.
+"""The random disturbances of the vehicle: gusts, drifting attitude errors, optical-flow noise, and the draw of their numbers.
 
 Standard normal numbers for the steps of the physics are rows, drawn in blocks and read by the core.
 """

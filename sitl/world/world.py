@@ -181,7 +181,8 @@ class World:
 
     @property
     def phase(self) -> VehiclePhase:
-        return _PHASES[self._vehicle.state.phase]
+        phase: int = self._vehicle.state.phase
+        return _PHASES[phase]
 
     @property
     def limits(self) -> StickLimits:

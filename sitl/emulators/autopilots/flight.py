@@ -36,7 +36,7 @@ from sitl.camera.film import SimulatedExposure
 from sitl.emulators.autopilots import arducopter, px4
 from sitl.emulators.autopilots.ardupilot_json import CURVE, STEP_S, JsonBackend, serve_json
 from sitl.emulators.autopilots.beside import FlightDaemon, KillableService, beside_autopilot
-from sitl.emulators.autopilots.body import Body, Landing, Silence, view_of
+from sitl.emulators.autopilots.body import Body, BodyTouchdown, Silence, view_of
 from sitl.emulators.autopilots.lock_step import FaultyLink, LockStepCamera, LockStepClock
 from sitl.emulators.autopilots.observed_body import GradedBody, PerceivedBody
 from sitl.emulators.autopilots.program import Program, free_udp_port, running
@@ -89,7 +89,7 @@ class FlightEnd:
 
     outcome: FlightOutcome | None
     """The pilot's outcome, and of an unaided flight a landing where the motors stopped; None if the flight ended otherwise."""
-    landing: Landing | None
+    landing: BodyTouchdown | None
     duration_s: float
     """Time since the landing was commanded."""
     health: Health
