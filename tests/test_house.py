@@ -26,8 +26,6 @@ DISTRIBUTION_NAMES = {
     "pytest-xdist": "xdist",
     "pupil-apriltags": "pupil_apriltags",
     "pyserial": "serial",
-    "cyclonedx-python-lib": "cyclonedx",
-    "packageurl-python": "packageurl",
     "paho-mqtt": "paho",
     "prometheus-client": "prometheus_client",
 }
@@ -38,7 +36,6 @@ DRAWINGS = {
     "sitl/campaign/plots.py",
     "companion/tools/calibrate/figures.py",
     "companion/tools/calibrate/response_figure.py",
-    "companion/cli/soak_plot.py",
 }
 """What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""
 

@@ -19,8 +19,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.exposure_drive import ExposureDrive
-from drivers.camera.exposure_law import ExposureRange, ExposureSetting
+from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
 from sitl.camera.automatic import Adjusted, Automatics, adjust, settings

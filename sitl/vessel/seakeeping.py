@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from sitl.sea.spectra import GRAVITY_M_S2
+from estimator.contracts.motion import G_M_S2
 
 MODES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 _ODD = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
@@ -175,7 +175,7 @@ def encounter_rad_s(w_rad_s: F64, beta_rad: F64, speed_m_s: float) -> F64:
     `beta_rad` is as in `responses`.
     """
     w = np.asarray(w_rad_s, dtype=float)
-    return np.asarray(w - w**2 / GRAVITY_M_S2 * speed_m_s * np.cos(beta_rad))
+    return np.asarray(w - w**2 / G_M_S2 * speed_m_s * np.cos(beta_rad))
 
 
 def responses(
@@ -195,7 +195,7 @@ def responses(
     """
     w = np.asarray(w_rad_s, dtype=float)
     beta = np.asarray(beta_rad, dtype=float)
-    k = w**2 / GRAVITY_M_S2
+    k = w**2 / G_M_S2
     kx, ky = k * np.cos(beta), k * np.sin(beta)
     we = encounter_rad_s(w, beta, speed_m_s) if encounter is None else encounter
     if hull.table is not None:
@@ -258,7 +258,7 @@ def heel_rad(hull: Hull, speed_m_s: F64, rate_rad_s: F64) -> F64:
     """
     assert hull.gm_m is not None
     assert hull.kg_m is not None
-    return np.asarray(-speed_m_s * rate_rad_s * (hull.kg_m - 0.5 * hull.draught_m) / (GRAVITY_M_S2 * hull.gm_m))
+    return np.asarray(-speed_m_s * rate_rad_s * (hull.kg_m - 0.5 * hull.draught_m) / (G_M_S2 * hull.gm_m))
 
 
 @dataclass(frozen=True, slots=True)
