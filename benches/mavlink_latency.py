@@ -22,7 +22,7 @@ from benches.service_loop import Vehicle
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
-from companion.parts.mavlink.pilot_operator import PilotTower
+from companion.parts.mavlink.operator import PilotTower
 from companion.service.daemon import Daemon, DaemonOptions
 from companion.settings.restart import RestartOptions
 from drivers.clock import SystemClock

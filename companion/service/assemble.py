@@ -69,8 +69,7 @@ def make_daemon(
     recording: Callable[[bool], str | None] | None = None
     tap: Tap | None = None
     if settings.recorder.enabled or settings.mqtt.transport != "off" or isinstance(settings.vehicle, AutopilotOptions):
-        from companion.parts.recorder.beside import RecorderBeside
-        from companion.parts.recorder.setup import recorder_of
+        from companion.parts.recorder.setup import RecorderBeside, recorder_of
 
         recorder = RecorderBeside(lambda: recorder_of(settings, ticking, health), health)
         watching.append(recorder)
@@ -96,7 +95,7 @@ def make_daemon(
     if settings.vessel.nmea or settings.vessel.mqtt:
         reports = Line(_REPORTS_MAX)
     if settings.vessel.nmea and reports is not None:
-        from companion.base.sentences import SentencesPart
+        from companion.service.vehicle_parts import SentencesPart
 
         sentences = SentencesPart(settings.vessel, reports, ticking)
         extras["sentences"] = sentences.run
@@ -105,7 +104,7 @@ def make_daemon(
         health.awaited |= {SHIP_PLACE}
         health.counters("ship_place", pilot.landing.vessel_counts)
     if settings.mqtt.transport != "off":
-        from companion.parts.mqtt.make import make_mqtt
+        from companion.parts.mqtt.part import make_mqtt
 
         ship = reports if settings.vessel.mqtt else None
         mqtt = RestartablePart("mqtt", lambda: make_mqtt(settings.mqtt, pilot, health, ticking, recording, ship))

@@ -18,7 +18,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from companion.base.health import NIS_WINDOW, Health
 from companion.base.observer import NullObserver
 from companion.guidance.make_pilot import make_pilot
-from companion.parts.metrics.exposition import text
+from companion.parts.metrics.endpoint import text
 from companion.parts.mqtt import encode as mqtt_encode
 from companion.parts.mqtt import messages
 from companion.parts.recorder.recorder import Recorder

@@ -262,4 +262,4 @@ def test_samples_together_fly_as_samples_one_by_one(cuts: list[int], flies_from:
         assert [told.get(id(sample), []) for sample in some] == [[r.verdict for r in of_one] for of_one in together]
         known = [pilot._knowledge(now, pilot.believed(now)) for pilot in pilots]
         assert repr(known[0]) == repr(known[1]) == repr(known[2])
-        assert pilots[0].vessel_counts() == pilots[1].vessel_counts()
+        assert pilots[0].landing.vessel_counts() == pilots[1].landing.vessel_counts()

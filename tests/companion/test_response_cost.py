@@ -10,8 +10,7 @@ import pytest
 from msgspec import structs
 
 from companion.guidance.margins import margins
-from companion.guidance.response_file import text
-from companion.guidance.response_fit import STEP_S, FlightCourse, fit_climb, fit_tilt
+from companion.guidance.response_fit import STEP_S, FlightCourse, fit_climb, fit_tilt, text
 from companion.settings.load import shipped_response
 from companion.settings.response import Response, response_from_mapping
 from companion.tools.calibrate.response_cost import ResponseCost, of_file, of_sigma

@@ -11,10 +11,10 @@ from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.camera_component import ShowCamera, showing
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
 from companion.parts.mavlink.deck_velocity import DeckVelocity
-from companion.parts.mavlink.pilot_operator import PilotTower
+from companion.parts.mavlink.operator import PilotTower
+from companion.parts.mavlink.parameters import Tunables
 from companion.parts.mavlink.refusals import link_counters
 from companion.parts.mavlink.signed_links import signed_links
-from companion.parts.mavlink.tunables import Tunables
 from companion.settings.model import Settings
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.gimbal import Gimbal, tending

@@ -11,9 +11,8 @@ from msgspec.structs import replace
 from companion.guidance import disturbance
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.disturbance import ObserverNoise
-from companion.guidance.follow_deck import FollowDeck
+from companion.guidance.follow_deck import AS_GIVEN, FollowDeck, TuningChoice
 from companion.guidance.tilt_law import TiltGains
-from companion.guidance.tuning import AS_GIVEN, TuningChoice
 from companion.guidance.view import FieldOfView
 from companion.settings.response import Response
 from estimator.contracts.commands import Command, Hover, Lean
