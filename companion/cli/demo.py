@@ -42,8 +42,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.generations import GENERATIONS
 from sitl.emulators.ardrone.truth_log import read as read_truth
-from sitl.flight.ending import Contact, Ending
-from sitl.flight.machine_load import Load
+from sitl.flight.ending import Contact, Ending, Load
 from sitl.scenario.scenario import Scenario, camera_model, with_ardrone1
 from sitl.scenario.scenario import load as load_scenario
 

@@ -30,8 +30,7 @@ from sitl.faults.kinds import FramesMisstamped, FramesShifted, Gust, TiltLimited
 from sitl.faults.picture import OtherPad, PictureFault
 from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal
-from sitl.sensors.faulty_sensors import FaultySensors
-from sitl.sensors.sensors import Readings, Sensors
+from sitl.sensors.sensors import FaultySensors, Readings, Sensors
 from sitl.vehicle.airframe import StickLimits
 from sitl.vehicle.rotors import rotors
 from sitl.vehicle.vehicle import SEA, Vehicle, VehiclePhase

@@ -16,9 +16,8 @@ from estimator.contracts.geometry import F64, Rotation
 from sitl.sea.sea import SeaState, Waves
 from sitl.sensors.sensors import Sensors
 from sitl.sensors.settings import SensorSettings
-from sitl.vehicle.airframe import Airframe, Avionics
+from sitl.vehicle.airframe import Airframe, Avionics, load
 from sitl.vehicle.disturbances import Wind
-from sitl.vehicle.file import load
 from sitl.vehicle.rotors import rotors
 from sitl.vehicle.vehicle import SEA, Vehicle, VehiclePhase
 from sitl.vessel.air import AirModel, GustOnce

@@ -22,10 +22,12 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import (
     KINDS,
+    STREAMS,
     FlowBlind,
     FramesFrozen,
     FramesMisstamped,
     FramesShifted,
+    FrameStream,
     LensCovered,
     LinkLost,
     LowBattery,
@@ -44,7 +46,6 @@ from sitl.faults.sensors import (
     Ultrasound,
     VelocityReading,
 )
-from sitl.faults.streams import STREAMS, FrameStream
 from sitl.faults.timer import FaultTimer
 from sitl.flight.flight import Flight
 from sitl.flight.safety import Grade

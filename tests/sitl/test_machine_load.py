@@ -17,8 +17,7 @@ from companion.service.daemon import Daemon, DaemonOptions
 from companion.settings.restart import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
-from sitl.flight.ending import Contact, Ending
-from sitl.flight.machine_load import GUIDANCE_LATE_MAX_S, Load
+from sitl.flight.ending import GUIDANCE_LATE_MAX_S, Contact, Ending, Load
 from tests.companion.virtual_flight import FakeFlight, SeeingPilot, VirtualClock, fly
 
 SAID: dict[str, Any] = {"event": "ended", "phase": "hovering", "stood_still_s": 0.25, "counters": {"video_sent": 880}}
