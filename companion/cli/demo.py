@@ -7,6 +7,7 @@ import asyncio
 import json
 import math
 import signal
+import socket
 import sys
 import tempfile
 from collections.abc import AsyncIterator
@@ -17,20 +18,24 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Observer
 from companion.base.signals import check, ending_signal
-from companion.cli import foxglove_option, page_option, record_option, report_option
+from companion.cli import record_option, report_option
 from companion.cli.progress import ProgressObserver
 from companion.cli.version import version
 from companion.guidance.make_pilot import make_pilot
+from companion.parts.page.access import make_token
 from companion.service.assemble import live, make_daemon
 from companion.settings import whole_file
+from companion.settings.live import FoxgloveSettings
 from companion.settings.load import load, shipped
 from companion.settings.model import CameraSettings, PadSettings, Settings
+from companion.settings.page import PageSettings
 from companion.settings.video import VideoStreamOptions
 from companion.tools.report.flight_log import FlightLog, TruthSample
 from companion.tools.report.log_observer import LogObserver
@@ -45,6 +50,83 @@ from sitl.emulators.ardrone.truth_log import read as read_truth
 from sitl.flight.ending import Contact, Ending, Load
 from sitl.scenario.scenario import Scenario, camera_model, with_ardrone1
 from sitl.scenario.scenario import load as load_scenario
+
+_PAGE_PORT = PageSettings().port
+
+
+def _add_page(parser: argparse.ArgumentParser) -> None:
+    """Add `--page` to the parser."""
+    parser.add_argument(
+        "--page",
+        type=int,
+        nargs="?",
+        const=_PAGE_PORT,
+        metavar="PORT",
+        help="serve the operator page on loopback and print its address; the landing begins by a button there, and the flight "
+        f"goes on until Ctrl-C (default port: {_PAGE_PORT})",
+    )
+
+
+def with_page(settings: Settings, port: int, folder: Path) -> Settings:
+    """Return the settings with the page on this port, and print its address, which holds a token made for this run.
+
+    The approach waits for the operator: whoever opens the page sees it from its beginning.
+
+    Args:
+        folder: where the token is written; its user's alone.
+
+    Raises:
+        BadInput: the port is no port, or is taken.
+    """
+    if not 1 <= port <= 65535:
+        raise BadInput(f"--page: a port lies in 1..65535, got {port}")
+    page = PageSettings(endpoint="http", port=port, token_file=str(folder / "page.token"))
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((page.host, port))
+        except OSError as why:
+            raise BadInput(f"--page: port {port} cannot be used ({why.strerror}); name another: --page PORT") from why
+    token = make_token()
+    Path(page.token_file).write_text(token)
+    Path(page.token_file).chmod(0o600)
+    sys.stderr.write(f"operator page: http://{page.host}:{port}/#token={token}\n")
+    return replace(settings, page=page, guidance=replace(settings.guidance, start="signal"))
+
+
+_LIVE_PORT = FoxgloveSettings().port
+
+
+def _add_foxglove(parser: argparse.ArgumentParser) -> None:
+    """Add `--foxglove` to the parser."""
+    parser.add_argument(
+        "--foxglove",
+        type=int,
+        nargs="?",
+        const=_LIVE_PORT,
+        metavar="PORT",
+        help=f"serve the flight live to Foxglove or Lichtblick on loopback and print the address (default port: {_LIVE_PORT})",
+    )
+
+
+def with_foxglove(settings: Settings, port: int) -> Settings:
+    """Return the settings with live data on this port, and print its address.
+
+    Raises:
+        BadInput: the port is no port, or is taken.
+    """
+    if not 1 <= port <= 65535:
+        raise BadInput(f"--foxglove: a port lies in 1..65535, got {port}")
+    live = FoxgloveSettings(endpoint="websocket", port=port)
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((live.host, port))
+        except OSError as why:
+            raise BadInput(f"--foxglove: port {port} cannot be used ({why.strerror}); name another: --foxglove PORT") from why
+    sys.stderr.write(f"live for Foxglove (Open connection, Foxglove WebSocket): ws://{live.host}:{port}\n")
+    return replace(settings, foxglove=live)
+
 
 SHADOWS: tuple[PathName, ...] = ("median_mean",)
 _READY_S = 30.0
@@ -77,8 +159,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--no-report", action="store_true", help="write no report")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of progress")
-    page_option.add_argument(parser)
-    foxglove_option.add_argument(parser)
+    _add_page(parser)
+    _add_foxglove(parser)
     parser.add_argument(
         "--video",
         metavar="ADDRESS:PORT",
@@ -114,9 +196,9 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
             child = await drone.enter_async_context(_drone(args.scenario, args.seed, truth_path, args.ardrone1))
             settings = _profile(scenario, child.ports)
             if args.page is not None:
-                settings = page_option.with_page(settings, args.page, Path(folder))
+                settings = with_page(settings, args.page, Path(folder))
             if args.foxglove is not None:
-                settings = foxglove_option.with_foxglove(settings, args.foxglove)
+                settings = with_foxglove(settings, args.foxglove)
             if args.video is not None:
                 settings = msgspec.structs.replace(settings, video_stream=_video(args.video))
             pilot = make_pilot(settings, shadows=SHADOWS)

@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None:
         _write(args.out, text(response, recording.name, tilt, climb))
     if args.plot is not None:
-        from companion.tools.calibrate.response_figure import write_response
+        from companion.tools.calibrate.figures import write_response
 
         assert courses.tilt is not None
         write_response(args.plot, recording.name, courses, tilt, climb)

@@ -31,8 +31,7 @@ from companion.guidance.flight_state import FlightWatch
 from companion.guidance.pilot import Pilot
 from companion.parts.page import recordings
 from companion.parts.page.access import HEADERS, same_origin, token_of
-from companion.parts.page.assets import assets
-from companion.parts.page.file_answer import send_file
+from companion.parts.page.file_answer import assets, send_file
 from companion.parts.page.messages import (
     MESSAGE_MAX,
     Level,

@@ -10,17 +10,59 @@ pad's poses in place of splines.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.tools.calibrate.flight_views import FlightViews
-from companion.tools.calibrate.noise_search import likeliest
 from companion.tools.calibrate.rotations import GyroAttitude, exp, exps, interpolated, logs, transposed
 from companion.tools.calibrate.whitening import Noise, whiten
 from estimator.contracts.geometry import F64
+
+_LIMITS = {
+    "view": (0.2, 50.0),
+    "gyro_rad_sqrt_s": (1e-5, 0.3),
+    "tilt_rad": (1e-4, 0.3),
+    "tilt_s": (0.1, 30.0),
+    "heading_rad": (1e-4, 1.0),
+    "deck_rad": (1e-5, 0.3),
+}
+"""The numbers that are searched, with their ranges."""
+_FACTORS = (4.0, 1.7, 1.25)
+_WORTH = 0.5
+"""Twice the logarithm of the likelihood that a step has to gain."""
+_MOST_STEPS = 15
+
+
+def likeliest(start: Noise, scores: Callable[[Sequence[Noise]], F64]) -> Noise:
+    """Return the noise of the lowest score: the best of all steps of one number by a factor, again and again, coarse, then fine.
+
+    Args:
+        scores: minus twice the logarithm of the likelihood of each noise.
+    """
+    best, value = start, float(scores([start])[0])
+    for factor in _FACTORS:
+        for _ in range(_MOST_STEPS):
+            near = _neighbours(best, factor)
+            found = scores(near)
+            i = int(np.argmin(found))
+            if float(found[i]) > value - _WORTH:
+                break
+            best, value = near[i], float(found[i])
+    return best
+
+
+def _neighbours(of: Noise, factor: float) -> list[Noise]:
+    out = []
+    for name, (low, high) in _LIMITS.items():
+        for by in (factor, 1.0 / factor):
+            size = getattr(of, name) * by
+            if low <= size <= high:
+                out.append(of._replace(**{name: size}))
+    return out
+
 
 MOUNT, DELAY, GYRO, PAD, LEVEL, READOUT = slice(0, 3), 3, slice(4, 7), slice(7, 10), slice(10, 12), 12
 """Places of the parameters: the mount (rad, a turn of the camera from its file, in `body`), the delay (s), the gyro's bias

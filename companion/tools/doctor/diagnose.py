@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from companion.tools.doctor import rules_ardupilot, rules_arming, rules_failsafes, rules_links, rules_log, rules_px4, rules_values
+from companion.tools.doctor import rules_ardupilot, rules_failsafes, rules_links, rules_log, rules_px4, rules_values
 from companion.tools.doctor.finding import Finding, Rule
 from companion.tools.doctor.snapshot import Snapshot
 
 RULES: tuple[Rule, ...] = (
-    *rules_links.RULES, *rules_arming.RULES, *rules_log.RULES, *rules_ardupilot.RULES, *rules_px4.RULES, *rules_failsafes.RULES,
-    *rules_values.RULES,
+    *rules_links.RULES, *rules_failsafes.ARMING, *rules_log.RULES, *rules_ardupilot.RULES, *rules_px4.RULES,
+    *rules_failsafes.RULES, *rules_values.RULES,
 )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from companion.base.orders import HandledOrder
 from companion.recording.frame_video import VideoImage
 from companion.recording.reading import Recording
 from companion.recording.records import TruthRecord
-from companion.tools.replay.truth_log import add_truth
+from companion.tools.replay.recorded_log import add_truth
 from companion.tools.report.expected_place import expected_in_body, held_rotation
 from companion.tools.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange
 from estimator.contracts.estimates import PathName, RelativeState

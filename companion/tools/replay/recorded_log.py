@@ -2,20 +2,52 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
 from companion.base.mission import ENDED, State
 from companion.base.observer import Decision
 from companion.recording import decode
 from companion.recording.reading import SETTINGS, RecordedFrame, Recording, instant
-from companion.recording.records import FusionRecord, TruthRecord
-from companion.tools.replay.truth_log import add_truth
+from companion.recording.records import ContactRecord, FusionRecord, TruthRecord
 from companion.tools.report.expected_place import less_innovation
-from companion.tools.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange, StageTime
+from companion.tools.report.figures import body_over_pad
+from companion.tools.report.flight_log import (
+    CommandRecord,
+    FlightLog,
+    FrameRecord,
+    LoggedContact,
+    PhaseChange,
+    StageTime,
+    TruthSample,
+)
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
+
+
+def add_truth(log: FlightLog, truth: TruthRecord) -> None:
+    """Append the truth of one instant, and its newest contact if that is another one than before."""
+    d, v = np.array(truth.d_body_pad_level), np.array(truth.v_pad_level)
+    p = None if truth.p_pad_ned is None else np.array(truth.p_pad_ned)
+    R = None if truth.R_ned_pad is None else Rotation(np.array(truth.R_ned_pad).reshape(3, 3))
+    log.truth.append(TruthSample(MonoNs(truth.at_ns), d, v, truth.yaw_rad, p, R))
+    if truth.touchdown is not None and all(contact.at != truth.touchdown.at_ns for contact in log.contacts):
+        log.contacts.append(_contact(truth.touchdown, truth))
+
+
+def _contact(of: ContactRecord, truth: TruthRecord) -> LoggedContact:
+    """Return a contact; its place is that of the first truth which names it."""
+    lateral_m, yaw_rad, down_m_s, aside_m_s = (
+        math.nan if x is None else x for x in (of.lateral_m, of.yaw_rad, of.vertical_speed_m_s, of.lateral_speed_m_s)
+    )
+    along, starboard, _ = body_over_pad(np.array([truth.d_body_pad_level]), np.array([truth.yaw_rad]))[0].tolist()
+    where = (along, starboard)
+    return LoggedContact(MonoNs(of.at_ns), lateral_m, down_m_s, aside_m_s, of.on_pad, of.surface, where, yaw_rad)
 
 
 def log_of(recording: Recording, title: str, *, images: bool = True) -> FlightLog:

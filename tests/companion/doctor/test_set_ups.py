@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from companion.tools.doctor import rules_failsafes, rules_values
 from companion.tools.doctor.diagnose import PARAMETERS, diagnose
-from companion.tools.doctor.gather_log import examine_log
+from companion.tools.doctor.gather import examine_log
 from companion.tools.doctor.renamed import RENAMED, names_in
 from companion.tools.doctor.snapshot import Snapshot
 from tests.companion.doctor.test_rules import ARDUPILOT, GOOD, PX4
