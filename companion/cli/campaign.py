@@ -17,6 +17,7 @@ from companion.cli import perception_option
 from companion.cli.campaign_progress import CampaignProgress
 from companion.cli.campaign_report import compared_with, report, require_report
 from companion.settings.load import shipped
+from estimator import pipeline
 from estimator.contracts.errors import BadInput
 from sitl.campaign.code import code_version
 from sitl.campaign.design import SAMPLED, described, factorial, parse_axis, refuse_repeated, sampled
@@ -178,6 +179,7 @@ def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str
     given = Overridable(scenario, settings)
     overrides = [given.parse(text, "--set") for text in args.set]
     scenario, settings = given.with_values(overrides, "--set")
+    pipeline.start(settings.estimator)  # a path that lacks its library is refused before any flight
     plan = make_plan(name, scenario, settings, perception, args.perception_model, tuple(_options(args)))
     return plan, Overridable(scenario, settings)
 

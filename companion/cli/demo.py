@@ -26,6 +26,7 @@ from companion.base.mission import FlightOutcome
 from companion.base.observer import Observer
 from companion.base.signals import check, ending_signal
 from companion.cli import record_option, report_option
+from companion.cli.kept_flight import compared_paths
 from companion.cli.progress import ProgressObserver
 from companion.cli.version import version
 from companion.guidance.make_pilot import make_pilot
@@ -42,7 +43,6 @@ from companion.tools.report.log_observer import LogObserver
 from companion.tools.report.page import PAGE, write_report
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
-from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.generations import GENERATIONS
@@ -128,7 +128,6 @@ def with_foxglove(settings: Settings, port: int) -> Settings:
     return replace(settings, foxglove=live)
 
 
-SHADOWS: tuple[PathName, ...] = ("median_mean",)
 _READY_S = 30.0
 _SETTLE_S = 0.5
 """Time for which the demo continues after the landing, s, so that the recording shows the drone on the ground."""
@@ -201,7 +200,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                 settings = with_foxglove(settings, args.foxglove)
             if args.video is not None:
                 settings = msgspec.structs.replace(settings, video_stream=_video(args.video))
-            pilot = make_pilot(settings, shadows=SHADOWS)
+            pilot = make_pilot(settings, shadows=compared_paths())
             log = FlightLog(scenario.title, clock.now(), pilot.pad, pilot.camera, steering=settings.estimator.path)
             log.settings = whole_file.toml(settings)
             progress = None if args.json else ProgressObserver()

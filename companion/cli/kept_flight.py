@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.util import find_spec
 
 from companion.base.health import Health
 from companion.base.observer import Decision, Observer, ProcessedFrame
@@ -67,8 +68,9 @@ class HeldBack:
             self._waiting.append(tell)
 
 
-SHADOWS: tuple[PathName, ...] = ("median_mean",)
-"""Estimator paths that run beside the steering one, for the comparison in the report."""
+def compared_paths() -> tuple[PathName, ...]:
+    """Return the estimator paths that run beside the steering one, for the comparison in the report."""
+    return ("median_mean", "constant_velocity") if find_spec("filterpy") else ("median_mean",)
 
 
 @dataclass(slots=True)
@@ -85,7 +87,7 @@ class KeptFlight:
     shadows: tuple[PathName, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.shadows = () if self.log is None and self.recorder is None else SHADOWS
+        self.shadows = () if self.log is None and self.recorder is None else compared_paths()
 
     @property
     def on_start(self) -> Callable[[Health], None] | None:

@@ -25,6 +25,7 @@ from companion.settings.load import shipped_response
 from companion.settings.operator import ManualOptions
 from companion.settings.rendezvous import ReportLimits
 from companion.settings.response import TiltResponse
+from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.motion import BodyMotion, DeckMotion
@@ -162,7 +163,7 @@ class Pilot:
             return f"{path} does not run along; pause the approach first"
         try:
             self.estimation.steer_by(path)
-        except ValueError as why:
+        except (ValueError, BadInput) as why:
             return str(why)
         return None
 

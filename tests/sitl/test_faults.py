@@ -49,9 +49,10 @@ from sitl.faults.sensors import (
 from sitl.faults.timer import FaultTimer
 from sitl.flight.flight import Flight
 from sitl.flight.safety import Grade
-from sitl.scenario.scenario import Scenario, Sea, Start, VesselSettings, WindSettings
+from sitl.scenario.scenario import Scenario, Sea, Start, WindSettings
 from sitl.sensors.sensors import Readings
 from sitl.vehicle.vehicle import VehiclePhase
+from sitl.vessel.file import VesselSettings
 from sitl.world.world import Stick, World
 
 CALM = Scenario(

@@ -13,7 +13,7 @@ from companion.guidance.pilot_operator import PilotOperator
 from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.ports import Clock
 
-PATHS: tuple[PathName, ...] = ("median_mean", "dead_reckoning", "ekf")
+PATHS: tuple[PathName, ...] = ("median_mean", "dead_reckoning", "ekf", "constant_velocity")
 """Estimator paths by the number that a command carries."""
 
 
