@@ -17,19 +17,60 @@ import msgspec
 from msgspec.structs import replace
 
 from companion.base import event_loop
-from companion.cli.doctor_links import GivenLinks, given_links
-from companion.settings.load import load
+from companion.parts.mavlink.signed_links import signed_links
+from companion.settings.load import Settings, load
 from companion.tools.doctor.diagnose import RULES, diagnose
 from companion.tools.doctor.finding import Finding, Severity
 from companion.tools.doctor.gather import examine, examine_log, wait_until
 from companion.tools.doctor.gather_service import examine_service
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot, decode, encode
-from companion.tools.doctor.undo import PlannedWrite, UndoFile, decode_undo, encode_undo, same
-from companion.tools.doctor.write_parameters import OnResult, WriteResult, why_not_written, write_parameters
+from companion.tools.doctor.undo import (
+    OnResult,
+    PlannedWrite,
+    UndoFile,
+    WriteResult,
+    decode_undo,
+    encode_undo,
+    same,
+    why_not_written,
+    write_parameters,
+)
 from drivers.clock import SystemClock
 from drivers.imports.log_history import LogHistory
 from drivers.mavlink.autopilot import open_autopilot
+from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.signing import Signing, load_key
+from drivers.mavlink.signing_times import SigningTimes
 from estimator.contracts.errors import BadInput
+
+GivenLinks = tuple[AutopilotOptions, tuple[LinkOptions, ...]]
+
+
+def given_links(args: argparse.Namespace, settings: Settings | None) -> GivenLinks | None:
+    """Return the options and the links with their keys, as given or as the settings have them; None if there is no link.
+
+    Raises:
+        BadInput: a link, the system id or the key is wrong.
+    """
+    if args.system is not None and not 1 <= args.system <= 255:
+        raise BadInput(f"--system must lie in 1 to 255, got {args.system}")
+    if not args.link:
+        vehicle = None if settings is None else settings.vehicle
+        if not isinstance(vehicle, AutopilotOptions):
+            return None
+        return vehicle if args.system is None else replace(vehicle, system_id=args.system), signed_links(vehicle)
+    try:
+        options = AutopilotOptions(", ".join(args.link), system_id=args.system or 0)
+    except ValueError as why:
+        raise BadInput(str(why).replace("links:", "--link:", 1)) from why
+    key = load_key(args.signing_key) if args.signing_key else None
+    times = SigningTimes(None)
+    return options, tuple(
+        LinkOptions(endpoint, None if key is None else Signing(key, times, number))
+        for number, endpoint in enumerate(options.endpoints())
+    )
+
 
 AT_BOOT = frozenset({
     "PLND_ENABLED", "PLND_TYPE", "PLND_LAG", "EK3_SRC1_POSZ", "EKF2_HGT_REF", "EKF2_EV_CTRL", "EKF2_OF_CTRL", "EKF2_RNG_CTRL",

@@ -27,9 +27,8 @@ from companion.recording.reading import RecordedFrame, Recording, open_recording
 from companion.recording.records import TruthRecord
 from companion.settings.load import Settings
 from companion.settings.overrides import with_overrides
-from companion.tools.replay.engine import Replay
-from companion.tools.replay.log_observer import BeliefLogObserver, Difference, differences, recorded_beliefs
-from companion.tools.replay.pilots import pilot_of, settings_of
+from companion.tools.replay.engine import Replay, pilot_of, settings_of
+from companion.tools.replay.recorded_log import BeliefLogObserver, Difference, differences, recorded_beliefs
 from companion.tools.report.figures import DeckRow, ErrorRow, all_series, deck_rows, error_rows
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.page import PAGE, write_report

@@ -56,7 +56,7 @@ _BY_REPORTS = (State.SEARCH, State.RENDEZVOUS)
 _FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
 
 
-class Landing:
+class LandingGuidance:
     """Decides on commands by what is sensed and believed.
 
     Args:

@@ -197,7 +197,7 @@ def _ardrone(
     options, queue_items, decoder = ardrone_options(settings), settings.service.sample_queue_items, UvlcDecoder()
     if not settings.bridge.links:
         return VehicleParts(lambda: open_ardrone(options, clock, queue_items, decoder))
-    from companion.parts.mavlink.bridge_part import BridgePart
+    from companion.parts.mavlink.bridge import BridgePart
     from companion.parts.mavlink.signed_links import signed_links
 
     bridge = BridgePart(

@@ -18,7 +18,7 @@ from companion.base.health import Health
 from companion.base.notify import Pulse
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
-from companion.parts.mavlink.bridge_part import BridgePart
+from companion.parts.mavlink.bridge import BridgePart
 from companion.parts.metrics.endpoint import MetricsEndpoint
 from companion.parts.mqtt.part import MqttPart
 from companion.parts.page.endpoint import PageEndpoint

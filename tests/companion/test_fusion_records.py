@@ -30,8 +30,7 @@ from companion.recording.records import FusionRecord
 from companion.recording.rewriting import Cut, rewrite
 from companion.settings.load import camera_model
 from companion.settings.recorder import RecorderOptions
-from companion.tools.replay.engine import Replay
-from companion.tools.replay.pilots import pilot_of
+from companion.tools.replay.engine import Replay, pilot_of
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.innovations import innovation_series
 from companion.tools.report.page import render

@@ -46,9 +46,8 @@ from companion.parts.page.messages import (
     request_in,
     text_of,
 )
-from companion.parts.page.picture import AHEAD_S, jpeg, picture_lines, video_quality
 from companion.parts.page.recordings import Recordings, ReportMaker
-from companion.parts.page.state import HORIZONS_S, page_health, place
+from companion.parts.page.state import AHEAD_S, HORIZONS_S, jpeg, page_health, picture_lines, place, video_quality
 from companion.parts.page.tool import Tool, flying
 from companion.parts.page.tool_messages import ToolRequest
 from companion.parts.page.viewer import ORDERS, PageViewer
