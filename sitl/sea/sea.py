@@ -9,15 +9,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import choice, number
+from sitl.core.library import SIM
 from sitl.sea.spectra import GRAVITY_M_S2 as GRAVITY_M_S2
 from sitl.sea.spectra import fully_grown_period_s, jonswap, most_probable_ochi_hubble, ochi_hubble_part
 
@@ -219,11 +220,12 @@ class Waves:
         """Return the surface's height (B, ...), m above mean water, at places (..., 2) m north and east and times (...)."""
         return np.asarray((self.amplitude_m * np.cos(self._angle(p_ne, t_s))).sum(axis=-1).transpose(self._order(p_ne, t_s)))
 
-    def packed(self, index: int = 0) -> F64:
-        """Return one sea as the core's `wave`s: (N, 5) amplitude, wave number north and east, frequency as seen, phase."""
-        i = index
-        columns = (self.amplitude_m[i], *self.k_ne[i].T, self.seen_rad_s[i], self.phase_rad[i])
-        return np.stack([np.asarray(column) for column in columns], axis=-1)
+    def packed(self, index: int = 0) -> NDArray[Any]:
+        """Return one sea as the core's `sim_wave`s, (N,), with frequencies as seen."""
+        waves = np.empty(self.amplitude_m.shape[1], SIM.dtype("sim_wave"))
+        waves["amplitude_m"], waves["k"] = self.amplitude_m[index], self.k_ne[index]
+        waves["w_rad_s"], waves["phase_rad"] = self.seen_rad_s[index], self.phase_rad[index]
+        return waves
 
     def slope(self, p_ne: ArrayLike, t_s: ArrayLike = 0.0) -> F64:
         """Return the slope (B, ..., 2): rise of the surface per metre north and east; shapes as in `elevation`."""

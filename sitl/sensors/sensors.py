@@ -20,9 +20,8 @@ from msgspec.structs import replace
 
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs, after
-from estimator.core.interface import size_of
-from estimator.core.interface.sim import ECHOES_MAX, SENSOR_NOISE
-from estimator.core.library import start_of
+from sitl.core.abi import ECHOES_MAX, SENSOR_NOISE
+from sitl.core.library import SIM
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import LowBattery, NavdataMisstamped
 from sitl.faults.sensors import (
@@ -38,7 +37,6 @@ from sitl.faults.sensors import (
     VelocityReading,
 )
 from sitl.faults.timer import FaultTimer
-from sitl.native import Packed, sensors_read
 from sitl.sea.spectra import GRAVITY_M_S2
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.disturbances import keep_and_fresh
@@ -54,7 +52,6 @@ _PRESSURE_TIME_S = 60.0
 """Correlation time of the pressure's drift."""
 _MOTORS = ("front_left", "front_right", "rear_right", "rear_left")
 """The four motors that an AR.Drone's telemetry has; those at the sides of a hexacopter are not told."""
-_READINGS = size_of("readings")
 
 
 class Readings(Struct, frozen=True, eq=False):
@@ -104,8 +101,8 @@ class Sensors:
             )
         each = rotors(vehicle.airframe)
         names = [rotor.name for rotor in each]
-        self.params = Packed(
-            "sensor_params",
+        self.params = SIM.new(
+            "sim_sensor_params",
             echo_every=echo_every, echo_delay=echo_delay, motor=[names.index(name) for name in _MOTORS], step_s=step_s,
             accel_sigma=(s.accel_rest_sigma_m_s2, s.accel_noise_sigma_m_s2),
             gyro_sigma=(s.gyro_rest_sigma_rad_s, s.gyro_noise_sigma_rad_s),
@@ -119,27 +116,26 @@ class Sensors:
             echo_min_m=s.ultrasound_min_m, echo_max_m=s.ultrasound_max_m, battery_life_s=s.battery_life_s,
             hover_n=vehicle.airframe.mass_kg * GRAVITY_M_S2 / len(each),
         )  # fmt: skip
-        """The core's `sensor_params`."""
+        """The core's `sim_sensor_params`."""
         block = _NoiseBlocks(imu, field, pressure, heading, ultrasound, echo_every)
         drift = heading_sigma * heading.standard_normal()
         self.noise = NoiseRows(block.draw)
         """The numbers of all sensors."""
         row = self.noise.next()
-        self.state = Packed(
-            "sensors", heading_drift=drift, noise=row, battery=s.battery_start, echo_m=math.nan,
+        self.state = SIM.new(
+            "sim_sensors", heading_drift=drift, noise=row, battery=s.battery_start, echo_m=math.nan,
             pressure_drift=s.pressure_drift_sigma_pa * block.first,
         )  # fmt: skip
-        """The core's `sensors`."""
-        self._read = np.empty(_READINGS)
-        self._read_at = start_of(self._read)
+        """The core's `sim_sensors`."""
+        self._read = SIM.new("sim_readings")
 
     def read(self, at: MonoNs) -> Readings:
         """Return the readings of the newest step. Reading changes nothing."""
-        v = self._vehicle
-        sensors_read(v.params.address, v.state.address, self.params.address, self.state.address, self._read_at)
-        numbers = self._read.tolist()
-        fx, fy, fz, p, q, r, roll, pitch, yaw, ahead, aside, mx, my, mz = numbers[:14]
-        echo_m, pressure_pa, battery, front_left, front_right, rear_right, rear_left = numbers[14:]
+        v, read = self._vehicle, self._read
+        SIM.lib.sim_sensors_read(v.params, v.state, self.params, self.state, read)
+        (fx, fy, fz), (p, q, r), (roll, pitch, yaw), (ahead, aside) = read.f_body, read.w_body, read.rpy_rad, read.v_level_m_s
+        (mx, my, mz), (front_left, front_right, rear_right, rear_left) = read.magnetometer, read.motors_pwm
+        echo_m = read.ultrasound_m
         return Readings(
             at,
             (fx, fy, fz),
@@ -147,10 +143,10 @@ class Sensors:
             (roll, pitch, yaw),
             (ahead, aside),
             None if echo_m != echo_m else echo_m,
-            pressure_pa,
+            read.pressure_pa,
             BOARD_TEMPERATURE_C,
             (mx, my, mz),
-            battery,
+            read.battery,
             (int(front_left), int(front_right), int(rear_right), int(rear_left)),
         )
 
@@ -172,7 +168,7 @@ class _NoiseBlocks:
 
     def draw(self) -> F64:
         """Return the next (BLOCK, SENSOR_NOISE) numbers; the ultrasound has one where it measures."""
-        rows = np.zeros((BLOCK, sum(SENSOR_NOISE.values())))
+        rows = np.zeros((BLOCK, SENSOR_NOISE))
         rows[:, 0:6] = self._imu.standard_normal((BLOCK, 6))
         rows[:, 6:9] = self._field.standard_normal((BLOCK, 3))
         rows[:, 9] = self._pressure.standard_normal(BLOCK)

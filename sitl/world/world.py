@@ -122,7 +122,7 @@ class World:
 
     @property
     def phase(self) -> VehiclePhase:
-        return _PHASES[self._vehicle.phase_word[0]]
+        return _PHASES[self._vehicle.state.phase]
 
     @property
     def limits(self) -> StickLimits:
@@ -324,7 +324,7 @@ class World:
         v = self._vehicle
         done = self._physics.run(self._decks, self._deck_next, min(at_most, self._deck_end - self._deck_next))
         self._deck_next += done
-        if v.touched_word[0] and v.touched_s != self._touched_s:
+        if v.state.touched_what and v.touched_s != self._touched_s:
             self._touched_s = v.touched_s
             self._contacts.append(self._contact())
         return done

@@ -11,7 +11,7 @@ import pytest
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.core.interface import places_of
+from sitl.core.library import SIM
 from sitl.scenario.scenario import from_mapping, load
 from sitl.vehicle.airframe import Airframe
 from sitl.vehicle.vehicle import Vehicle
@@ -33,10 +33,9 @@ def held(model: AirModel, p: Vec, v: Vec, seconds: float, batch: int, step_s: fl
     for i in range(batch):
         vehicle = Vehicle(Airframe(), shape, step_s, np.random.SeedSequence([7, i]), air=model)
         vehicle.place(np.array(p), np.array(v), 0.0)
-        place = slice(places_of("vehicle")["p"].start, places_of("vehicle")["v"].stop)
-        before = np.array([*(x - step_s * u for x, u in zip(p, v, strict=True)), *v])
+        before = [x - step_s * u for x, u in zip(p, v, strict=True)]
         for row in rows[:, i]:
-            vehicle.state.words[place] = before
+            SIM.fill(vehicle.state, p=before, v=v)
             vehicle.step(ground)
             row[:] = vehicle.air_ned
     return rows
