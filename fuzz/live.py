@@ -18,8 +18,7 @@ from companion.base.orders import HandledOrder
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.parts.live import part
-from companion.parts.live.feed import Encoded, LiveFeed, topics
-from companion.parts.live.part import FoxgloveEndpoint
+from companion.parts.live.part import Encoded, FoxgloveEndpoint, LiveFeed, topics
 from companion.recording.foxglove_protocol import CHANNELS, SUBPROTOCOLS
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.live import FoxgloveSettings

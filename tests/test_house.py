@@ -32,7 +32,6 @@ DISTRIBUTION_NAMES = {
 
 DRAWINGS = {
     "sitl/experiments/figures.py",
-    "companion/tools/report/svg.py",
     "sitl/campaign/plots.py",
     "companion/tools/calibrate/figures.py",
     "companion/cli/soak_plot.py",

@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import TypeVar
 
 from companion.parts.mqtt.connection import Connection
-from companion.parts.mqtt.events import PendingEvent
+from companion.parts.mqtt.encode import PendingEvent
 from companion.parts.mqtt.messages import EventMessage, encode
 from companion.parts.mqtt.spool import Fsync, Record, Spool
 from drivers.mailbox import Line

@@ -26,7 +26,7 @@ from companion.base.health import Health
 from companion.base.observer import Observer
 from companion.base.worker import Worker
 from companion.guidance.make_pilot import make_pilot
-from companion.parts.live import feed, part
+from companion.parts.live import part
 from companion.parts.live.part import FoxgloveEndpoint
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file
@@ -307,7 +307,7 @@ async def test_a_thread_that_is_behind_costs_events_and_never_memory(monkeypatch
         return []
 
     monkeypatch.setattr(Worker, "run", stuck)
-    monkeypatch.setattr(feed, "_EVENTS", 50)
+    monkeypatch.setattr(part, "_EVENTS", 50)
     async with serving() as service, watching(service) as client:
         await client.told("advertise")
         await client.subscribe("/sample/imu", "/camera/image", "/decision")
