@@ -1,4 +1,4 @@
-"""Keep the service small: memory that is free goes back to the system, where the C library is glibc.
+"""Memory of the process: what is free goes back to the system (glibc), and no full collection stops a flight.
 
 glibc keeps what is freed for later, in one arena for each thread. What the first look at a frame needs beside the maps that it
 leaves behind is 25 MB, and no later look needs as much.

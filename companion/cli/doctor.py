@@ -1,4 +1,4 @@
-"""`decklander doctor`: diagnose the setup and print the fix for each fault."""
+"""`decklander doctor`: diagnose the setup and print the fix for each fault; `--fix` and `--undo` write parameters."""
 
 from __future__ import annotations
 

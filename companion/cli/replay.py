@@ -1,4 +1,4 @@
-"""`decklander replay`: replay a recording through vision, estimator and guidance."""
+"""`decklander replay`: replay a recording through vision, estimator and guidance, or at its own pace over MAVLink."""
 
 from __future__ import annotations
 

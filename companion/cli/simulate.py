@@ -1,4 +1,4 @@
-"""`decklander simulate`: simulate one flight in virtual time."""
+"""`decklander simulate`: simulate one flight in virtual time, alone, with an autopilot program or after another simulator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a vehicle answers, from what was asked of it and what it reported: delay, tilt frequency and damping, vertical lag.
+"""How a vehicle answers, from what was asked of it and what it reported: delay, tilt frequency, damping, vertical lag.
 
 The model's output is computed from the asked course alone (output error) and compared with the reported one. Gauss-Newton steps
 from the delay of the largest correlation minimise the squared residuals, which are whitened by a first-order autoregression: the

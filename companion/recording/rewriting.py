@@ -1,4 +1,4 @@
-"""Rewrite a recording: repair it, shorten it, thin it, or reduce it to its inputs."""
+"""Rewrite a recording: repair it, shorten it, thin it, reduce it to its inputs, or export it as tables."""
 
 from __future__ import annotations
 

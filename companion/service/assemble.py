@@ -1,4 +1,4 @@
-"""Make the daemon from settings, and run it as a process with signals and logs."""
+"""Make the daemon from settings, and run it as a process with signals and logs. Settings that have worked are `Proven`."""
 
 from __future__ import annotations
 

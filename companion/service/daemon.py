@@ -4,7 +4,7 @@ Every frame that the driver offers gets exactly one counted verdict. Vision runs
 on the event loop. When the service ends, for whatever reason, the driver leaves the vehicle in its own hover.
 
 Vehicle and guidance are vital; observers and every further part run beside the flight and cannot touch it (`supervise`,
-`containment`).
+`containment`). On a machine too slow for every frame some are skipped (`VisionShare`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Make the vehicle that the settings describe: its link, its observers, and the tasks that run beside it."""
+"""Make the vehicle that the settings describe: its link, with or without a camera beside it, its observers, and its parts."""
 
 from __future__ import annotations
 

@@ -205,7 +205,7 @@ class LiveServer(Protocol):
 
 
 class LiveViewer:
-    """See the module's docstring."""
+    """One viewer that is connected: what it asked for, and what is sent to it without ever waiting for it."""
 
     def __init__(self, served: LiveServer, socket: web.WebSocketResponse) -> None:
         self._served = served

@@ -212,7 +212,7 @@ _TICK_S = 0.02
 
 
 class BridgePart(NullObserver):
-    """The bridge and its links; see the module's docstring.
+    """The bridge as a part of the service: its links, an observer of the drone, and a supervised body.
 
     Args:
         options: who the drone is shown as, and who may command it.

@@ -1,4 +1,4 @@
-"""The operations that a ground station may request. The daemon implements them; MAVLink commands end here."""
+"""The operations that a ground station may request, and the operator that passes them to the pilot. MAVLink commands end here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The messages about the pad that each kind of autopilot is sent. No I/O; each call brings the time."""
+"""The messages about the pad that each kind of autopilot obeys, and when each is sent. No I/O; each call brings the time."""
 
 from __future__ import annotations
 

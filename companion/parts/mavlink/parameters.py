@@ -1,5 +1,6 @@
-"""A server of the parameter protocol: it lists, reads and sets values and broadcasts every change. No I/O.
+"""The settings that may be tuned in flight, and a server of the parameter protocol for them. No I/O.
 
+The server lists, reads and sets values and broadcasts every change.
 All values are REAL32, so both encodings of the protocol (C cast and bytewise) mean the same bytes. Source: mavlink.io,
 "Parameter Protocol".
 """

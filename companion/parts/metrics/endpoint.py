@@ -1,4 +1,4 @@
-"""Serve the metrics over HTTP, as a supervised part."""
+"""Format health in Prometheus' text format, and serve it over HTTP as a supervised part."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Encode the service's state as the messages that it publishes. No I/O."""
+"""Encode the service's state as the messages that it publishes, and find the changes that are worth an event. No I/O."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Send a file to a browser: read on a thread of its own, piece by piece, so that a slow disk never holds up guidance."""
+"""Files for a browser: the page's own, read once, and recordings, sent piece by piece so that guidance never waits."""
 
 from __future__ import annotations
 

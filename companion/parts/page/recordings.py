@@ -1,4 +1,4 @@
-"""The recordings that the page offers: which there are, and one-time addresses from which a browser may load one.
+"""The recordings that the page offers: which there are, their reports, and one-time addresses from which a browser may load one.
 
 A browser's download carries no token, so the page asks for an address over its own connection first.
 """
@@ -53,7 +53,7 @@ _OOM_SCORE = 500
 
 
 class ReportMaker:
-    """See the module's docstring.
+    """Makes the reports of recordings, one at a time.
 
     Args:
         folder: the recorder's folder.

@@ -1,4 +1,4 @@
-"""What the page shows of the flight: the place of drone and deck, and the causes of what is wrong. Values in, values out."""
+"""What the page shows of the flight: the place of drone and deck, what is wrong, the live picture. Values in, values out."""
 
 from __future__ import annotations
 

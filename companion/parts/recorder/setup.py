@@ -1,4 +1,4 @@
-"""Make the recorders that the settings describe, and the metadata of every recording."""
+"""Make the recorders that the settings describe, restartable beside a flight, and the metadata of every recording."""
 
 from __future__ import annotations
 

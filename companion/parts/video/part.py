@@ -1,4 +1,4 @@
-"""The video stream as a part of the service: an observer of the frames and a supervised body beside the flight."""
+"""The video stream as a part of the service: frames by RTP from an observer and a supervised body beside the flight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draw the figures for checking a calibration: the coverage by corners, and the residuals."""
+"""Draw a calibration's figures: coverage by corners, residuals, a vehicle's response as reported and identified."""
 
 from __future__ import annotations
 

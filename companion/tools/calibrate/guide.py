@@ -1,4 +1,4 @@
-"""Guide a person who moves the board before a live camera: what is covered and missing, and how well the views agree."""
+"""Collect views of the board from files or a live camera, and guide the person who moves it."""
 
 from __future__ import annotations
 

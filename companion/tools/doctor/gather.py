@@ -1,4 +1,4 @@
-"""Take a snapshot: open the links, listen, send requests, and record the answers. It judges nothing and changes nothing."""
+"""Take a snapshot of an autopilot, over its links or from its flight log. It judges nothing and changes nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rules for single parameters of both stacks that can spoil or endanger a landing: the range in which a value does no harm.
+"""Rules for parameters that can spoil or endanger a landing: harmless ranges, failsafes together, arming.
 
 Each row is one rule. The limits are meant for a landing by setpoints on a deck that moves; a value inside them is not praised,
 only not named. Sources: parameter references of ArduCopter 4.5 and PX4 1.16, and flights of both on a deck (docs/ardupilot.md,

@@ -1,4 +1,4 @@
-"""The undo file of `doctor --fix`: what each parameter was and what it was set to, of one autopilot. No I/O."""
+"""The writes of `doctor --fix`: an undo file of what each parameter was, and the writing itself, on the ground and read back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Divide a drawing over overlapping sheets of paper, with marks for cutting and joining and a ruler for checking the printer."""
+"""Divide a drawing over overlapping sheets of paper, with marks for cutting and joining and a ruler; write one as SVG."""
 
 from __future__ import annotations
 

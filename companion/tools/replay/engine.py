@@ -1,4 +1,4 @@
-"""Replay every recorded sample, frame and guidance cycle through a pilot, in the order in which the service processed them.
+"""Make a pilot for a recording and replay every sample, frame and guidance cycle through it, in the order of the service.
 
 Nothing here reads a clock: instants are the recording's. The same recording through the same pilot gives bit-identical outputs,
 and a hash over them proves it.

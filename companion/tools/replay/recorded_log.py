@@ -1,4 +1,4 @@
-"""The log of a recorded flight as it was decided then, without running anything again."""
+"""The logs of a recorded flight for figures and report: as it was decided then, and as a replay decides."""
 
 from __future__ import annotations
 

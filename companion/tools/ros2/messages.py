@@ -1,4 +1,4 @@
-"""One event of a recording as standard messages of ROS 2, in the frames and axes of `companion.tools.ros2.messages`.
+"""One event of a recording as standard messages of ROS 2, in the frames and axes of REP-103.
 
 A message's header has the instant of the measurement; the bag has the instant at which the service processed it. Both are on
 the time axis of the recording. What was not measured is left out as the message's own definition says: a first element of -1
