@@ -34,7 +34,6 @@ DRAWINGS = {
     "sitl/experiments/figures.py",
     "sitl/campaign/plots.py",
     "companion/tools/calibrate/figures.py",
-    "companion/cli/soak_plot.py",
 }
 """What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""
 

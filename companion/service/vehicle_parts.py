@@ -19,14 +19,13 @@ from companion.settings.load import camera_model
 from companion.settings.model import Settings, ardrone_options
 from companion.settings.vessel import VesselOptions
 from drivers.ardrone.link import open_ardrone
-from drivers.camera.exposure_drive import ExposureDrive
+from drivers.camera.exposure import ExposureDrive
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import VideoSource
 from drivers.camera.video_source import open_camera
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.options import AutopilotOptions
-from drivers.nmea.listener import SentenceListener, listening
-from drivers.nmea.sentences import NmeaReader
+from drivers.nmea.sentences import NmeaReader, SentenceListener, listening
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock

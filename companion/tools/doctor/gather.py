@@ -18,7 +18,7 @@ from companion.tools.doctor.snapshot import (
     Snapshot,
     TimeSyncSnapshot,
 )
-from drivers.imports import dataflash, dataflash_history, px4_ulog, ulog_history
+from drivers.imports import dataflash, px4_ulog
 from drivers.imports.log_history import AutopilotLog
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import mav
@@ -49,9 +49,9 @@ def examine_log(path: Path) -> Snapshot:
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     if head.startswith(dataflash.MAGIC):
-        return _log_snapshot(path, dataflash_history.read_history(path))
+        return _log_snapshot(path, dataflash.read_history(path))
     if head == px4_ulog.MAGIC:
-        return _log_snapshot(path, ulog_history.read_history(path))
+        return _log_snapshot(path, px4_ulog.read_history(path))
     raise BadInput(f"{path}: neither a dataflash log (.bin) nor a PX4 log (.ulg)")
 
 
