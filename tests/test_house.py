@@ -39,7 +39,7 @@ DRAWINGS = {
 
 LAB = {
     "companion/cli/campaign_progress.py",
-    *(f"sitl/campaign/{name}.py" for name in ("cluster", "design", "object_store", "parquet", "search")),
+    *(f"sitl/campaign/{name}.py" for name in ("design", "search", "store", "tables")),
 }
 """What needs the extra `lab`. It asks `require_lab` first, or does without."""
 

@@ -27,7 +27,7 @@ from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.operator.local_socket import OperatorSocket
 from companion.parts.operator.socket_path import OFF, socket_path
-from companion.service.daemon import Daemon, DaemonOptions
+from companion.service.daemon import Daemon, DaemonSetup
 from companion.service.vehicle_parts import vehicle_parts
 from companion.settings import whole_file
 from companion.settings.model import Settings
@@ -211,7 +211,7 @@ def make_daemon(
         vehicle.open_link,
         pilot,
         ticking,
-        DaemonOptions(
+        DaemonSetup(
             settings.service,
             settings.guidance.rate_hz,
             health_period_s=settings.service.health_period_s,

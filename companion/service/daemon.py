@@ -102,7 +102,7 @@ OpenLink = Callable[[], AbstractAsyncContextManager[VehicleLink]]
 
 
 @dataclass(frozen=True, slots=True)
-class DaemonOptions:
+class DaemonSetup:
     """How the daemon runs."""
 
     restart: RestartOptions
@@ -136,7 +136,7 @@ class Daemon:
         open_link: OpenLink,
         pilot: Pilot,
         clock: Clock,
-        options: DaemonOptions,
+        options: DaemonSetup,
         *,
         observers: Sequence[Observer] = (),
         health: Health | None = None,
