@@ -1,6 +1,6 @@
 """`decklander calibrate`: `camera` writes a camera file from images of a board, grades it, and lists what the images lack.
 
-`mount`, `delay` and `readout` are in `companion.cli.calibrate_flight`, `vehicle` is `decklander identify`.
+`mount`, `delay` and `readout` are in `companion.cli.calibrate_flight`, `vehicle` in `companion.cli.identify`.
 """
 
 from __future__ import annotations
@@ -27,40 +27,6 @@ from companion.tools.report.drawing import require_drawing
 from drivers.camera.options import FORMATS, CameraOptions, Size, check_size
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
-
-_LACKS = 6
-
-
-def block(state: GuideState) -> list[str]:
-    """Return the parts of the image that hold a corner (`#`), with what is known and missing beside them."""
-    error = "" if state.rms_px is None else f", error {state.rms_px:.2f} px, {state.grade}"
-    told = [
-        f"{state.images} images, {state.views} views{error}" + ("" if state.board_seen else "; the board is not in sight"),
-        "nothing is missing" if not state.lacks else "show:",
-        *(f"- {lack}" for lack in state.lacks[:_LACKS]),
-    ]
-    told += [""] * (2 + _LACKS - len(told))
-    grid = ["".join("#" if count else "." for count in row) for row in state.cells]
-    grid += [" " * len(state.cells[0])] * (len(told) - len(grid))
-    return [f"  {cells}   {line}" for cells, line in zip(grid, told, strict=True)]
-
-
-class ProgressBlock:
-    """Draws the block over the one before. Draws nothing where standard error is no terminal."""
-
-    def __init__(self, *, quiet: bool) -> None:
-        self._quiet = quiet or not sys.stderr.isatty()
-        self._drawn = 0
-
-    def show(self, state: GuideState) -> None:
-        if self._quiet:
-            return
-        width = shutil.get_terminal_size().columns - 1
-        lines = [line[:width] for line in block(state)]
-        up = f"\x1b[{self._drawn}A" if self._drawn else ""
-        sys.stderr.write(up + "".join(f"\r{line}\x1b[K\n" for line in lines))
-        sys.stderr.flush()
-        self._drawn = len(lines)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -270,3 +236,38 @@ def _record(
             "rms_px": solution.rms_px, "model": solution.model, "left_out": [f.view.name for f in solution.left_out],
         }  # fmt: skip
     return record
+
+
+_LACKS = 6
+
+
+def block(state: GuideState) -> list[str]:
+    """Return the parts of the image that hold a corner (`#`), with what is known and missing beside them."""
+    error = "" if state.rms_px is None else f", error {state.rms_px:.2f} px, {state.grade}"
+    told = [
+        f"{state.images} images, {state.views} views{error}" + ("" if state.board_seen else "; the board is not in sight"),
+        "nothing is missing" if not state.lacks else "show:",
+        *(f"- {lack}" for lack in state.lacks[:_LACKS]),
+    ]
+    told += [""] * (2 + _LACKS - len(told))
+    grid = ["".join("#" if count else "." for count in row) for row in state.cells]
+    grid += [" " * len(state.cells[0])] * (len(told) - len(grid))
+    return [f"  {cells}   {line}" for cells, line in zip(grid, told, strict=True)]
+
+
+class ProgressBlock:
+    """Draws the block over the one before. Draws nothing where standard error is no terminal."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._quiet = quiet or not sys.stderr.isatty()
+        self._drawn = 0
+
+    def show(self, state: GuideState) -> None:
+        if self._quiet:
+            return
+        width = shutil.get_terminal_size().columns - 1
+        lines = [line[:width] for line in block(state)]
+        up = f"\x1b[{self._drawn}A" if self._drawn else ""
+        sys.stderr.write(up + "".join(f"\r{line}\x1b[K\n" for line in lines))
+        sys.stderr.flush()
+        self._drawn = len(lines)
