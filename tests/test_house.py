@@ -35,7 +35,6 @@ DRAWINGS = {
     "companion/tools/report/svg.py",
     "sitl/campaign/plots.py",
     "companion/tools/calibrate/figures.py",
-    "companion/tools/calibrate/response_figure.py",
 }
 """What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""
 

@@ -10,6 +10,7 @@ import struct
 from functools import lru_cache
 
 import numpy as np
+from estimator.core.abi import UNDER_WAY_MAX
 
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.disturbance import ObserverGains
@@ -18,7 +19,6 @@ from companion.guidance.view import FieldOfView
 from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import BodyMotion
-from estimator.core.abi import UNDER_WAY_MAX
 from estimator.core.interface import size_of
 from estimator.core.library import address
 from estimator.core.records import record

@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 
 from msgspec import Struct, structs
 
-from companion.guidance.follow_deck import FollowDeckMemory
-from companion.guidance.tuning import TuningChoice
+from companion.guidance.follow_deck import FollowDeckMemory, TuningChoice
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 from estimator.core.interface import places_of, size_of

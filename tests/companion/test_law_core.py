@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from estimator.core.abi import UNDER_WAY_MAX
 from msgspec import structs
 
 from companion.base.response_in_use import ResponseInUse
@@ -18,7 +19,6 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
-from estimator.core.abi import UNDER_WAY_MAX
 from estimator.ekf import Forecast
 from tests.companion.law_memory import packed, plain
 

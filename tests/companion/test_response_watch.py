@@ -17,14 +17,22 @@ from msgspec import structs
 from companion.base.mission import State
 from companion.base.response_in_use import ResponseInUse, ResponseState  # fmt: skip
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.follow_deck import FollowDeck, FollowDeckMemory
+from companion.guidance.follow_deck import AS_GIVEN, FollowDeck, FollowDeckMemory, TuningChoice, chosen_tuning, tuned
 from companion.guidance.margins import margins
 from companion.guidance.response_fit import TiltFit, fit_tilt
-from companion.guidance.response_identifier import ResponseIdentifier
-from companion.guidance.response_watch import CONTRADICTION_S, DELAY_MAX_S, ResponseWatch, asked, begun, judged, landed, reported
+from companion.guidance.response_watch import (
+    CONTRADICTION_S,
+    DELAY_MAX_S,
+    ResponseIdentifier,
+    ResponseWatch,
+    asked,
+    begun,
+    judged,
+    landed,
+    reported,
+)
 from companion.guidance.tilt_law import TiltWeights
 from companion.guidance.tilt_model import tilt_model
-from companion.guidance.tuning import AS_GIVEN, TuningChoice, chosen_tuning, tuned
 from companion.settings.follow_deck import FollowDeckOptions
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import load, shipped, shipped_response
