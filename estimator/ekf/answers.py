@@ -16,9 +16,9 @@ from estimator.core.interface import places_of, size_of
 from estimator.core.library import CORE, start_of
 from estimator.ekf import gate
 from estimator.ekf.forecast import probability_of_motion
-from estimator.ekf.motion import ProcessNoise
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.packed_belief import PackedBelief
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import (
     ACCEL_BIAS,
     BARO_OFFSET,
@@ -41,14 +41,14 @@ class FilterAnswer:
 
     Attributes:
         before: the last belief before the instant.
-        noise: the process noise by which it was propagated.
+        params: the parameters by which it was propagated.
     """
 
-    def __init__(self, before: PackedBelief, now: MonoNs, noise: ProcessNoise) -> None:
-        self.before, self.noise = before, noise
-        self._now, self._options, self._evidence_of_rest = now, noise.options, before.sea.log_evidence_of_rest
+    def __init__(self, before: PackedBelief, now: MonoNs, params: FilterParams) -> None:
+        self.before, self.params = before, params
+        self._now, self._options, self._evidence_of_rest = now, params.options, before.sea.log_evidence_of_rest
         self._words = np.empty(_SIZE)
-        _ANSWER(noise.packed_address, now, before.numbers.address, before.P.address, start_of(self._words))
+        _ANSWER(params.packed_address, now, before.numbers.address, before.P.address, start_of(self._words))
         self._words.setflags(write=False)
         integers = self._words[_INTEGERS].view(np.int64).tolist()
         self._has_pad, self._has_body, self._sighted, self._agreed, self._velocity_fused, self._heading_known = integers

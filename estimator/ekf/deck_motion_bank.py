@@ -1,6 +1,14 @@
 """What is learned of the deck's motion: a bank of oscillators for each direction, weighed by what each foretold.
 
 The core learns (estimator/core/bank.h) and forecasts (estimator/core/bank_ahead.h); here are the members that it compares.
+
+A member models the deck's motion in one direction as a damped oscillator driven by the rate of a second, equal one:
+
+    x'' = -w^2 x - 2 zeta w x' + f'        f'' = -w^2 f - 2 zeta w f' + white noise
+
+A single oscillator driven by white noise has a discontinuous acceleration, which no hull has. Driven by f instead of f' it would
+have power at low frequencies, where a sea has none (docs/estimator.md). The noise intensity is such that x has the standard
+deviation `sigma`. The states are [x, x', f, f'].
 """
 
 from __future__ import annotations
@@ -15,8 +23,6 @@ from estimator.contracts.geometry import F64
 from estimator.core.interface import places_of, size_of
 from estimator.core.interface.filter import DIRECTIONS, MEMBER_PAIRS, MEMBER_STATES, MEMBERS
 from estimator.core.library import CORE, address, start_of
-from estimator.ekf import skill
-from estimator.ekf.oscillator import stationary
 
 PERIODS_S = np.geomspace(2.2, 14.0, 9)
 ZETAS = np.array([0.2, 0.35, 0.55])
@@ -25,6 +31,8 @@ SIGMAS_RAD = np.radians([0.25, 0.7, 2.0, 5.5, 15.0])
 STATIC_PRIOR = 0.5
 """Probability, before the first sighting, that the deck stands still."""
 REST_ODDS = math.log(STATIC_PRIOR / (1.0 - STATIC_PRIOR))
+HORIZONS_S = np.array([1.0, 2.0, 3.0])
+"""Horizons at which past forecasts are compared with what happened."""
 
 
 def _grid() -> tuple[F64, F64, F64, F64]:
@@ -52,6 +60,23 @@ SEA_SIZE = size_of("sea")
 """Size of the core's `sea`, in words of eight bytes."""
 
 
+def stationary(w_rad_s: F64, zeta: F64) -> F64:
+    """Return the stationary covariance of the states for sigma = 1, (..., 4, 4), for parameters of any one shape (...).
+
+    It is the closed-form solution of the Lyapunov equation; see docs/estimator.md, section "Waves".
+    """
+    w, delta = np.asarray(w_rad_s), np.asarray(zeta * w_rad_s)
+    w2, force = w * w, 8.0 * delta * delta
+    P = np.zeros((*w.shape, 4, 4))
+    P[..., 0, 0] = 1.0
+    P[..., 1, 1] = w2
+    P[..., 2, 2] = force
+    P[..., 3, 3] = force * w2
+    P[..., 0, 2] = P[..., 2, 0] = 2.0 * delta
+    P[..., 1, 3] = P[..., 3, 1] = 2.0 * delta * w2
+    return P
+
+
 class Carrying(NamedTuple):
     """The errors of the position propagated by the IMU, (5,) by direction; a deck's roll and pitch are measured directly."""
 
@@ -77,6 +102,35 @@ def carrying(asd_accel_m_s2: float, asd_gyro_rad_s: float, asd_accel_bias_m_s3: 
     )
 
 
+class IssuedForecast(NamedTuple):
+    """The forecast that was made at one instant."""
+
+    t: int
+    """Instant of the forecast, ns."""
+    waves: F64
+    """(3, 5, 2) displacement and rate by horizon and direction (m, m/s; rad, rad/s for roll and pitch)."""
+
+
+class Skill(NamedTuple):
+    """The sums over past comparisons of forecast and observed waves, which fade with time.
+
+    A sea with two wave systems is no single oscillator, so the member of the bank that fits the recent motion best may forecast
+    the next seconds badly, with full amplitude. The regression slope of the observed on the forecast motion is the factor that
+    minimises the squared error. What the scaled forecasts have missed nonetheless widens the bands of the next ones.
+    """
+
+    issued: tuple[IssuedForecast, ...]
+    """The forecasts whose longest horizon has not passed yet, oldest first."""
+    n: F64
+    """(3,) faded number of comparisons by horizon."""
+    product: F64
+    """(3, 5, 2) faded sum of forecast times observed motion."""
+    square: F64
+    """(3, 5, 2) faded sum of the squared forecast motion."""
+    came: F64
+    """(3, 5, 2) faded sum of the squared motion that came."""
+
+
 class DeckMotionBank(NamedTuple):
     """What has been learned. `w_rad_s`, `zeta`, `sigma` are its summary: (5,), for north, east, down in m, roll, pitch in rad."""
 
@@ -88,7 +142,7 @@ class DeckMotionBank(NamedTuple):
     """(5, G, 7) each member's [displacement, rate, force, its rate, offset of the IMU's carrying on, its rate, acceleration]."""
     pairs: F64
     """(5, 28, G) the upper triangle of each member's covariance, in rows."""
-    skill: skill.Skill
+    skill: Skill
     """The skill of the bank's past forecasts."""
     weight: F64
     """(5, G), sums to one."""
@@ -171,15 +225,15 @@ def _read(words: F64) -> DeckMotionBank:
     words.setflags(write=False)
     known = words[_SEA["skill"]]
     issued = known[_SKILL["issued"]].reshape(-1, _ISSUED_SIZE)[: known[_SKILL["issued_n"]].view(np.int64).item()]
-    waves = (skill.HORIZONS_S.size, DIRECTIONS, 2)
+    waves = (HORIZONS_S.size, DIRECTIONS, 2)
     product, square, came = (known[_SKILL[name]].reshape(waves) for name in ("product", "square", "came"))
     return DeckMotionBank(
         words[_SEA["t"]].view(np.int64).item(),
         words[_SEA["log_weight"]].reshape(DIRECTIONS, MEMBERS),
         words[_SEA["x"]].reshape(DIRECTIONS, MEMBER_STATES, MEMBERS).transpose(0, 2, 1),
         words[_SEA["P"]].reshape(DIRECTIONS, MEMBER_PAIRS, MEMBERS),
-        skill.Skill(
-            tuple([skill.IssuedForecast(one[:1].view(np.int64).item(), one[1:].reshape(waves)) for one in issued]),
+        Skill(
+            tuple([IssuedForecast(one[:1].view(np.int64).item(), one[1:].reshape(waves)) for one in issued]),
             known[_SKILL["n"]],
             product,
             square,

@@ -14,8 +14,8 @@ from estimator.contracts.time import MonoNs
 from estimator.core.interface import places_of, size_of
 from estimator.core.library import CORE, address, start_of
 from estimator.ekf.deck_motion_bank import packed_members
-from estimator.ekf.motion import ProcessNoise
 from estimator.ekf.packed_belief import PackedBelief
+from estimator.ekf.params import FilterParams
 
 _FORECAST, _REACH = CORE.function("filter_forecast"), CORE.function("bank_reach")
 _PLACES, _SIZE, _REACH_SIZE = places_of("deck_ahead"), size_of("deck_ahead"), size_of("horizon_reach")
@@ -70,7 +70,7 @@ class Forecast:
         return mean - z * sigma, mean + z * sigma
 
 
-def forecast(before: PackedBelief, at: MonoNs, horizons_s: F64, noise: ProcessNoise) -> Forecast | None:
+def forecast(before: PackedBelief, at: MonoNs, horizons_s: F64, params: FilterParams) -> Forecast | None:
     """Return the forecast from a belief that is not newer than `at`, by the core (estimator/core/forecast.c).
 
     The waves come from the bank: their means and covariances are those of the mixture over its members. It is None if no pad is
@@ -79,7 +79,7 @@ def forecast(before: PackedBelief, at: MonoNs, horizons_s: F64, noise: ProcessNo
     n = horizons_s.size
     reach, found = _reach(horizons_s.tobytes()), np.empty(max(n, 1) * _SIZE)
     there = _FORECAST(
-        noise.packed_address, at, before.numbers.address, before.P.address, before.sea.address, n, address(horizons_s),
+        params.packed_address, at, before.numbers.address, before.P.address, before.sea.address, n, address(horizons_s),
         start_of(reach), start_of(found),
     )  # fmt: skip
     if not there:

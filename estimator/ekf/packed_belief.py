@@ -25,7 +25,7 @@ from estimator.ekf.state import SAMPLE_COLUMNS, Aid, Belief, Gathered, Innovatio
 from estimator.late import Late
 
 if TYPE_CHECKING:
-    from estimator.ekf.motion import ProcessNoise
+    from estimator.ekf.params import FilterParams
 
 STATE_ALONE, WITH_COVARIANCE, WITH_AIDING = (CONSTANTS[name] for name in ("STATE_ALONE", "WITH_COVARIANCE", "WITH_AIDING"))
 """How far `propagate` goes: the covariance as often as the options ask, to the instant, or with all gathered samples fused."""
@@ -116,7 +116,7 @@ class PackedBelief:
             self._belief = _read(self.numbers.read(_SIZE), self.P.read(_P_SIZE).reshape(N, N), self.sea)
         return self._belief
 
-    def follow(self, noise: ProcessNoise, events: Sequence[PackedEvent]) -> Followed:
+    def follow(self, params: FilterParams, events: Sequence[PackedEvent]) -> Followed:
         """Return the beliefs after each of the events, which are in order.
 
         They are fewer than the events where the next one is not the core's to process.
@@ -131,7 +131,7 @@ class PackedBelief:
         at = n * _OUTCOME_SIZE
         index = start + 8 * at
         done = _RUN(
-            noise.packed_address, n, b"".join([one.record for one in events]), b"".join(seen),
+            params.packed_address, n, b"".join([one.record for one in events]), b"".join(seen),
             self.numbers.address, self.P.address, self.sea.address, index + 16 * n, P_start, sea_start,
             index, index + 8 * n, start,
         )  # fmt: skip
@@ -143,19 +143,19 @@ class PackedBelief:
             sea = _kept(seas, (slots[n + done - 1] + 1) * SEA_SIZE)
         return Followed(self, done, slots, Words(block, at + 2 * n, index + 16 * n), P, sea)
 
-    def propagated(self, t: int, noise: ProcessNoise, how_far: int) -> PackedBelief:
+    def propagated(self, t: int, params: FilterParams, how_far: int) -> PackedBelief:
         """Return the belief at instant `t`, ns; `how_far` is one of `STATE_ALONE`, `WITH_COVARIANCE`, `WITH_AIDING`."""
         block = np.empty(_SIZE + _P_SIZE)
         start = start_of(block)
         P = Words(block, _SIZE, start + 8 * _SIZE)
-        changed = _PROPAGATE(noise.packed_address, how_far, t, self.numbers.address, self.P.address, start, P.address)
+        changed = _PROPAGATE(params.packed_address, how_far, t, self.numbers.address, self.P.address, start, P.address)
         return PackedBelief(Words(block, 0, start), P if changed else self.P, self.sea)
 
-    def settled(self, noise: ProcessNoise) -> tuple[Belief, F64, F64]:
+    def settled(self, params: FilterParams) -> tuple[Belief, F64, F64]:
         """Return the belief with everything but `P` propagated from `t_cov` to `t`, and the (N, N) F and Q that propagate `P`."""
         block, F, Q = np.empty(_SIZE), np.empty((N, N)), np.empty((N, N))
         start = start_of(block)
-        _SETTLE(noise.packed_address, self.numbers.address, start, start_of(F), start_of(Q))
+        _SETTLE(params.packed_address, self.numbers.address, start, start_of(F), start_of(Q))
         return PackedBelief(Words(block, 0, start), self.P, self.sea).belief, F, Q
 
 

@@ -10,12 +10,11 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64
 from estimator.core.library import CORE, address, start_of
 from estimator.ekf.deck_motion_bank import SEA_SIZE, DeckMotionBank, PackedSea
-from estimator.ekf.motion import ProcessNoise
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import packed_event
+from estimator.ekf.params import FilterParams
 from estimator.ekf.process_event import process_event
-from estimator.ekf.propagate import FilterParams
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import Belief, N
 from tests.estimator.ekf.hand import belief
@@ -57,9 +56,9 @@ def sighting(
 
 
 def observe(
-    bank: DeckMotionBank, t: int, y: F64, var: F64, noise: ProcessNoise, reach_m: float, ins_var: float = 0.0
+    bank: DeckMotionBank, t: int, y: F64, var: F64, params: FilterParams, reach_m: float, ins_var: float = 0.0
 ) -> DeckMotionBank:
     """Return the core's bank after one look."""
     before, block = PackedSea.of(bank), np.empty(SEA_SIZE)
-    _OBSERVE(noise.packed_address, t, address(y), address(var), ins_var, reach_m, before.address, start_of(block))
+    _OBSERVE(params.packed_address, t, address(y), address(var), ins_var, reach_m, before.address, start_of(block))
     return PackedSea(block, 0, address(block)).bank

@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from estimator.contracts.estimates import Pose6, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import deck_motion_bank, motion
+from estimator.ekf import deck_motion_bank
 from estimator.ekf.options import EkfOptions
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import (
     ATT_ERR,
     CAMERA_DELAY,
@@ -42,7 +43,7 @@ from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement
 
 OPTIONS = EkfOptions()
 ALGEBRA = Algebra(N)
-WALK = motion.ProcessNoise(OPTIONS)
+WALK = FilterParams(OPTIONS)
 
 
 def random_belief(seed: int) -> Belief:

@@ -17,8 +17,8 @@ from estimator.core.interface import size_of
 from estimator.ekf import Forecast, deck_motion_bank, state
 from estimator.ekf.deck_motion_bank import PackedSea, carrying, log_evidence_of_rest
 from estimator.ekf.forecast import probability_of_motion
-from estimator.ekf.motion import NOT_MEASURED_VAR
 from estimator.ekf.packed_event import Event, _kind, packed_event
+from estimator.ekf.params import NOT_MEASURED_VAR
 from tests.estimator.ekf.hand import T, imu, learned, params, sighting, stamp
 
 
@@ -88,7 +88,7 @@ def test_every_state_s_noise_is_its_option_squared() -> None:
     }  # fmt: skip
     noise = params(
         **{name: value for name, (_, value) in given.items()}, asd_accel_m_s2=0.31, asd_coast_m_s2=0.32, asd_coast_rad_s=0.33
-    ).process_noise
+    )
     expected = np.zeros(state.N)
     for place, value in given.values():
         expected[place] = value**2

@@ -12,7 +12,7 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu
 from estimator.ekf import Ekf, EkfOptions, at, gate, start, step
-from estimator.ekf.propagate import parameters
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -132,7 +132,7 @@ def test_the_first_sighting_s_heading_is_the_belief_s(yaw: float) -> None:
 
 
 def test_while_the_velocity_is_poorly_known_the_delay_is_noise_and_nothing_is_learned_of_it() -> None:
-    params = parameters(OPTIONS)
+    params = FilterParams(OPTIONS)
     b = random_belief(2)._replace(heading_known=True)
     seen, _ = sighting(2, pose6=False)
     P = b.P.copy()

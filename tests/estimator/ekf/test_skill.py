@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from estimator.ekf.skill import HORIZONS_S, Skill
+from estimator.ekf.deck_motion_bank import HORIZONS_S, Skill
 from tests.estimator.ekf.oracle import skill
 from tests.estimator.ekf.oracle.skill import factor
 

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64, rpy_matrix
 from estimator.ekf import deck_motion_bank
-from estimator.ekf.propagate import FilterParams
+from estimator.ekf.params import FilterParams
 from estimator.ekf.so3 import about_down, heading
 from estimator.ekf.state import CAMERA_DELAY, CAMERA_MOUNT, VEL, Belief
 from tests.estimator.ekf.hand import LEVEL, MS, TILTED, TOOLS, S, T, belief, diagonal, learned, sighting, under, whole
@@ -70,7 +70,7 @@ def test_the_sea_is_shown_the_place_less_the_delay_s_part_and_how_far_away_it_is
     assert reach_m == pytest.approx(np.linalg.norm(there))
     np.testing.assert_allclose(var[:3], 1e-4, atol=1e-9)
     assert np.all(var[3:] >= 1e6), "how the deck stands was not seen"
-    assert by is TOOLS.process_noise.carrying
+    assert by is TOOLS.carrying
 
 
 def test_the_sea_is_shown_north_east_down_and_the_noise_along_them(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,7 +118,7 @@ def test_a_velocity_that_became_doubtful_is_spread_over_the_time_since_the_last_
         b = belief(x=under(), P=diagonal(d=0.01), sea=learned()._replace(t=t), ins_var_m2_s2=var)
         assert show(b, sighting((0.0, 0.0, 2.0))).ins_var_m2_s2 == 0.0
     (jolted, *others) = [shown[3] for shown in look.shown]
-    known = TOOLS.process_noise.carrying
+    known = TOOLS.carrying
     np.testing.assert_allclose(jolted.asd_accel**2 - known.asd_accel**2, [0.04, 0.04, 0.04, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(jolted.asd_drift, known.asd_drift)
     assert others == [known, known]
