@@ -1,6 +1,6 @@
 """What is learned of the deck's motion: a bank of oscillators for each direction, weighed by what each foretold.
 
-The core learns (estimator/core/bank.h) and forecasts (estimator/core/bank_ahead.h); here are the members that it compares.
+The core learns (estimator/core/filter/bank.h) and forecasts (estimator/core/filter/bank_ahead.h); here are the members that it compares.
 
 A member models the deck's motion in one direction as a damped oscillator driven by the rate of a second, equal one:
 

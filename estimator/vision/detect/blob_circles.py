@@ -1,7 +1,7 @@
 """Find pads of some pixels by their area: what differs from its surroundings as a whole, with an ellipse for its outline.
 
 A pad of 12 to 40 px across that is seen obliquely has too few pixels for its edges to tell the centre. Its area tells it, and
-the ellipse of the area's second moments tells the tilt. The native core finds them (`estimator/core/search_blobs.c`).
+the ellipse of the area's second moments tells the tilt. The native core finds them (`estimator/core/vision/search/blobs.c`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Guess poses of the pad from circles of edges: which of its circles one may be, at which heading, and how well it fits.
 
-The native core computes them (`estimator/core/search_guesses.c`, `search_tilt.c`).
+The native core computes them (`estimator/core/vision/search/guesses.c`, `tilt.c` there).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 In a plane parallel to the pad the H has two perpendicular directions and strokes of one width. The directions follow from the
 gradients (four times their angles agree), and the width from the commonest run of white along either direction. With both known,
 correlation with the H at one size and two headings gives its position. All of this runs on a frame a quarter the size, in the
-native core (`estimator/core/search_strokes.c`).
+native core (`estimator/core/vision/search/strokes.c`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Find and measure a pad by its lamps in one frame; the native core does all of it in one call (`estimator/core/lamps.c`)."""
+"""Find and measure a pad by its lamps in one frame; the core does it in one call (`estimator/core/vision/lamps/lamps.c`)."""
 
 from __future__ import annotations
 
