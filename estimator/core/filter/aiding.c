@@ -1,3 +1,5 @@
+/* Compare attitude, range and height with the belief, and gather them. Models: docs/estimator.md, section "Measurements". */
+
 #include "filter/aiding.h"
 
 #include <math.h>
@@ -11,6 +13,7 @@ void take_attitude(const filter_params *o, belief *b, covariance *c, const doubl
 {
     double gap[9], innov[3];
     aid begun = b->aids[ATTITUDE];
+    begun.m = 3;
     product_of_transposed(b->R, R_ned_body, gap);
     log_rotation(gap, innov);
     innov[0] -= b->x[ATT_BIAS];
@@ -23,7 +26,7 @@ void take_attitude(const filter_params *o, belief *b, covariance *c, const doubl
         for (int i = 0; i < 2; i++) {
             H[i * COLUMNS_MAX + 3 + i] = 1.0;
         }
-        begin_gathering(&begun, b, c, ATTITUDE, 3, 0, 0.0, H, NULL);
+        begin_gathering(&begun, b, c, ATTITUDE, H, NULL);
     }
     gather(o, b, c, ATTITUDE, &begun, innov, cov, out);
     memcpy(b->levelled_by, R_ned_body, sizeof b->levelled_by);
@@ -35,6 +38,7 @@ void take_height(const filter_params *o, belief *b, covariance *c, double height
 {
     const double T = seconds(b->t_cov, b->t), var = sigma_m * sigma_m;
     aid begun = b->aids[HEIGHT];
+    begun.m = 1;
     if (b->sighted < 0) {
         out->verdict = GATED;
         return;
@@ -43,7 +47,7 @@ void take_height(const filter_params *o, belief *b, covariance *c, double height
     const double innov = height_m - (depth + b->x[BARO_OFFSET]);
     if (!still_gathers(o, b, HEIGHT, 0, 0.0)) {
         const double H[3 * COLUMNS_MAX] = {1.0, -1.0, 1.0};
-        begin_gathering(&begun, b, c, HEIGHT, 1, 0, 0.0, H, NULL);
+        begin_gathering(&begun, b, c, HEIGHT, H, NULL);
     }
     gather(o, b, c, HEIGHT, &begun, &innov, &var, out);
 }
@@ -102,8 +106,9 @@ void take_range(const filter_params *o, belief *b, covariance *c, double range_m
     }
     const double innov = range_m - r - x[RANGE_OFFSET];
     aid begun = b->aids[RANGE];
+    begun.m = 1;
     if (!still_gathers(o, b, RANGE, 0, 0.0)) {
-        begin_gathering(&begun, b, c, RANGE, 1, 0, 0.0, H, NULL);
+        begin_gathering(&begun, b, c, RANGE, H, NULL);
     }
     gather(o, b, c, RANGE, &begun, &innov, &var, out);
 }

@@ -1,3 +1,5 @@
+/* Compare a velocity with the belief, over the ground or over the deck, whichever the evidence says, and gather it. */
+
 #include <math.h>
 #include <string.h>
 
@@ -200,12 +202,13 @@ static void ambiguity_of(const belief *b, const double *P, const double x[N], in
 /* Whether a sample is refused because it contradicts the surface that is believed in and not the other one: the body has come over
  * an edge. Fused, it would be taken for a leap of the body's velocity before the odds have turned. */
 static int refused_at_an_edge(const filter_params *o, const belief *b, const double *P, const double v[3], const double cov[9],
-                              const aid *begun, const double innov[3], const double R[9], outcome *out)
+                              const aid *begun, const double innov[3], outcome *out)
 {
     const int m = (int)begun->m, axes = (int)begun->axes;
     double S[9], nis, x[N];
+    pick(axes, cov, S);
     for (int i = 0; i < m * m; i++) {
-        S[i] = begun->spread[i] + R[i];
+        S[i] += begun->spread[i];
     }
     if (!nis_of(m, innov, S, &nis) || nis < REFUTED) {
         return 0;
@@ -252,9 +255,10 @@ void take_velocity(const filter_params *o, belief *b, covariance *c, const doubl
         if (deck_weight > 0.0 && deck_weight < 1.0) {
             ambiguity_of(b, c->P, x, axes, deck_weight, ambiguity);
         }
-        begin_gathering(&begun, b, c, VELOCITY, m, axes, deck_weight, H, ambiguity);
+        begun.m = m, begun.axes = axes, begun.deck_weight = deck_weight;
+        begin_gathering(&begun, b, c, VELOCITY, H, ambiguity);
     }
-    if (is_open && refused_at_an_edge(o, b, c->P, v, cov, &begun, innov, R, out)) {
+    if (is_open && refused_at_an_edge(o, b, c->P, v, cov, &begun, innov, out)) {
         return;
     }
     gather(o, b, c, VELOCITY, &begun, innov, R, out);

@@ -1,3 +1,5 @@
+/* Move every member of the bank on to a sighting, correct it, and weigh it by how well it predicted. */
+
 #include "filter/bank.h"
 
 #include <math.h>

@@ -1,3 +1,5 @@
+/* Forecast the waves of one direction as the mixture over the bank's members. */
+
 #include "filter/bank_ahead.h"
 
 #include <math.h>

@@ -1,3 +1,5 @@
+/* Turn the members' evidence into weights, and the weights into one oscillator for each direction. */
+
 #include <math.h>
 
 #include "filter/bank.h"

@@ -1,3 +1,5 @@
+/* Apply a correction to the belief and rewrite its covariance about the turned attitude. */
+
 #include "filter/correction.h"
 
 #include <math.h>

@@ -1,3 +1,5 @@
+/* Find from the newest innovations how much of the deck's motion the filter does not know, and widen the belief by it. */
+
 #include "filter/deck_jolt.h"
 
 #include <math.h>

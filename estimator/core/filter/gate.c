@@ -1,3 +1,5 @@
+/* Count rejected sightings that agree with one another, and average the consistency of all. */
+
 #include "filter/gate.h"
 
 #include <math.h>

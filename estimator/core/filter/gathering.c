@@ -1,3 +1,5 @@
+/* Gather the samples of one kind over the aiding period, gate them, and fuse their means. */
+
 #include "filter/gathering.h"
 
 #include <math.h>
@@ -146,14 +148,11 @@ static void inflate(const belief *b, covariance *c, int kind, const double *inno
     }
 }
 
-void begin_gathering(aid *a, const belief *b, const covariance *c, int kind, int m, int axes, double deck_weight, const double *H,
-                     const double *ambiguity)
+void begin_gathering(aid *a, const belief *b, const covariance *c, int kind, const double *H, const double *ambiguity)
 {
+    const int m = (int)a->m;
     a->n = 0;
     a->since = b->t;
-    a->m = m;
-    a->axes = axes;
-    a->deck_weight = deck_weight;
     memset(a->innov, 0, sizeof a->innov);
     memset(a->R, 0, sizeof a->R);
     memcpy(a->H, H, sizeof a->H);

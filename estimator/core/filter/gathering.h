@@ -13,9 +13,9 @@ void fuse_gathered(const filter_params *o, belief *b, covariance *c);
 void spread_of(int m, int kind, const double *H, const double *P, double *out);
 /* Whether a kind still gathers against the same axes and surface. */
 int still_gathers(const filter_params *o, const belief *b, int kind, int axes, double deck_weight);
-/* Begin to gather a kind of sample: the prediction's Jacobian and covariance hold for the whole period. */
-void begin_gathering(aid *a, const belief *b, const covariance *c, int kind, int m, int axes, double deck_weight, const double *H,
-                     const double *ambiguity);
+/* Begin to gather a kind of sample, of which m, axes and deck_weight are set: the prediction's Jacobian and covariance hold for the
+ * whole period. */
+void begin_gathering(aid *a, const belief *b, const covariance *c, int kind, const double *H, const double *ambiguity);
 /* Add a sample to those that are fused at the end of the aiding period, unless the gate rejects it.
  *
  * `begun` is the kind's gathering with this sample's prediction if it begins a period, else as it is in the belief. */

@@ -1,3 +1,5 @@
+/* Rotate Jacobians of the whole state to level, and move the deck from the camera's time to the body's. */
+
 #include "filter/jacobian.h"
 
 #include <math.h>

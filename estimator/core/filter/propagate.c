@@ -1,3 +1,5 @@
+/* Propagate the belief by the IMU, the waves and the vessel's motion, and its covariance with it. */
+
 #include "filter/propagate.h"
 
 #include <math.h>

@@ -1,3 +1,5 @@
+/* Compare a sighting with the belief: innovation, Jacobian and noise of place and orientation. */
+
 #include "filter/sighting.h"
 
 #include <math.h>

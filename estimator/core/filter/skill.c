@@ -1,3 +1,5 @@
+/* Compare past forecasts with the waves that came, and scale new ones by the regression of the two. */
+
 #include "filter/skill.h"
 
 #include <math.h>

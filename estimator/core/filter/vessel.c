@@ -1,3 +1,5 @@
+/* Fuse a vessel's report of her velocity and heading. */
+
 #include "filter/vessel.h"
 
 #include <string.h>

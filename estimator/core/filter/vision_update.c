@@ -1,3 +1,5 @@
+/* Fuse a sighting: gate, reset, correct, and teach the bank. */
+
 #include "filter/vision_update.h"
 
 #include <math.h>
