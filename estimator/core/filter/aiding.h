@@ -11,6 +11,6 @@ void take_velocity(const filter_params *o, belief *b, covariance *c, const doubl
 void take_range(const filter_params *o, belief *b, covariance *c, double range_m, double sigma_m, outcome *out);
 void take_height(const filter_params *o, belief *b, covariance *c, double height_m, double sigma_m, outcome *out);
 /* The distance from the pad's centre at which the body's down axis meets the deck, and its sigma, m. */
-void foot_of(const belief *b, const double *P, const double x[N], double *away, double *spread);
+void foot_of(const belief *b, const double *P, const double x[DL_N], double *away, double *spread);
 
 #endif

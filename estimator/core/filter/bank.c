@@ -293,8 +293,8 @@ void bank_begin(const bank_members *m, sea *after)
 }
 
 WIDE
-void bank_observe(const filter_params *o, int64_t t, const double *y, const double *var, double ins_var, double reach_m,
-                  const sea *before, sea *after)
+void bank_observe(const filter_params *o, int64_t t, const double y[DIRECTIONS], const double var[DIRECTIONS], double ins_var,
+                  double reach_m, const sea *before, sea *after)
 {
     const bank_members *m = &o->members;
     const double T = seconds(before->t, t);

@@ -15,6 +15,11 @@
 /* Members look at most this often, s; a wave is seen dozens of times anyway. */
 #define LOOK_PERIOD_S 0.2
 
+/* Move the bank on to instant t, ns, and correct it by what was seen: y and its variance by direction.
+ *
+ * ins_var, (m/s)^2, is what the IMU's velocity gained beyond its noise since the last look; reach_m is the distance to the pad. */
+void bank_observe(const filter_params *o, int64_t t, const double y[DIRECTIONS], const double var[DIRECTIONS], double ins_var,
+                  double reach_m, const sea *before, sea *after);
 /* The weights of one direction's members for a forecast, with `rest` for the member at rest.
  *
  * No sea is exactly one of the members, so the evidence counts for less than if one of them were the truth.

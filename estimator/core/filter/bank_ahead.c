@@ -286,6 +286,7 @@ void scale_by_skill(const waves_now *now, const double factors[2], waves_then *t
 void bank_reach(const bank_members *m, int32_t n, const double *horizons_s, horizon_reach *out)
 {
     for (int h = 0; h < n; h++) {
+        out[h].horizon_s = horizons_s[h];
         for (int o = 0; o < OSCILLATORS; o++) {
             double A[STATES][STATES], q[STATES][STATES], rows[3][STATES];
             oscillator_transition(m->w[first_member(o)], m->zeta[first_member(o)], horizons_s[h], A, q);

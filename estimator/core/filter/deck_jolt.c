@@ -77,13 +77,13 @@ int jolt_missing(const innovation_excesses *excesses, double missing[3])
     return some;
 }
 
-void jolt_widen(const double x[N], const double missing[3], double *P)
+void jolt_widen(const double x[DL_N], const double missing[3], double *P)
 {
     /* White acceleration for T seconds: displacement T^3 / 3, rate T, both together T^2 / 2. */
     const double across = 1.5 / ACTED_S, rate = 3.0 / (ACTED_S * ACTED_S);
     for (int axis = 0; axis < 3; axis++) {
-        const int wave = WAVES + 4 * axis, states[5] = {POS_REL + axis, wave, wave + 1, POS_REL, POS_REL + 1};
-        const double displaced[5] = {1.0, 1.0, 0.0, x[SWAY_PER_HEAVE], x[SWAY_PER_HEAVE + 1]};
+        const int wave = DL_WAVES + 4 * axis, states[5] = {DL_POS_REL + axis, wave, wave + 1, DL_POS_REL, DL_POS_REL + 1};
+        const double displaced[5] = {1.0, 1.0, 0.0, x[DL_SWAY_PER_HEAVE], x[DL_SWAY_PER_HEAVE + 1]};
         const double hastened[5] = {0.0, 0.0, 1.0, 0.0, 0.0};
         const int n = axis == 2 ? 5 : 3;
         if (missing[axis] <= 0.0) {

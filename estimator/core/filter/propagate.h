@@ -24,6 +24,6 @@ void propagate_covariance(const filter_params *o, belief *b, covariance *c);
 /* Propagate to t by the IMU sample that holds, and the covariance as often as the parameters ask. */
 void propagate_to(const filter_params *o, belief *b, covariance *c, int64_t t);
 /* x = the state at t without propagating the covariance; the sea's motion has an error of order (t - t_cov)^2. */
-void peek(const belief *b, double x[N]);
+void peek(const belief *b, double x[DL_N]);
 
 #endif

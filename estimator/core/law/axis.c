@@ -42,7 +42,7 @@ void under_way_note(int64_t remembered, double command, double *under_way)
 
 /* p, w, d and b of the observer after dt: its rows hold the gains of p, w, d and b, its columns those by place, speed and
  * acceleration. */
-static void observe(const double *observer, double dt, double a_lean, const law_axis *before, const axis_measured *z,
+static void observe(const law_observer *observer, double dt, double a_lean, const law_axis *before, const axis_measured *z,
                     law_axis *after)
 {
     const double push = z->a_deck - a_lean - before->d;
@@ -51,7 +51,7 @@ static void observe(const double *observer, double dt, double a_lean, const law_
     const double was[4] = {p, w, before->d, before->b};
     double is[4];
     for (int i = 0; i < 4; i++) {
-        const double *gains = observer + 3 * i;
+        const double *gains = observer->gains[i];
         is[i] = was[i] + gains[0] * off[0] + gains[1] * off[1] + gains[2] * off[2];
     }
     after->p = is[0], after->w = is[1], after->d = law_limited(is[2], DISTURBANCE_MAX_M_S2), after->b = is[3];
@@ -64,11 +64,10 @@ static double rate_after(const law_params *o, double dt, double rate, double lea
     return rate + dt * (w * w * (lag - lean) - 2.0 * o->damping * w * rate);
 }
 
-/* The memory after dt with this cycle's measurement; the command that has arrived is an acceleration. */
-void law_observe(const law_params *o, const double *observer, double dt, double arrived, const law_axis *before,
-                 const axis_measured *z, law_axis *after)
+void axis_observe(const law_in_use *law, double dt, double arrived, const law_axis *before, const axis_measured *z, law_axis *after)
 {
-    observe(observer, dt, 0.5 * (z->lean + before->lean), before, z, after);
+    const law_params *o = &law->params;
+    observe(&law->observer, dt, 0.5 * (z->lean + before->lean), before, z, after);
     const double keep = o->lag_s > 1e-4 ? exp(-dt / o->lag_s) : 0.0;
     const double rate = rate_after(o, dt, before->rate, before->lean, before->lag);
     after->lag = keep * before->lag + (1.0 - keep) * arrived;
@@ -82,8 +81,7 @@ double axis_reference(const law_axis *x, double a_deck)
     return a_deck - x->d;
 }
 
-/* The tilt to command, m/s^2, not limited yet: the later reference less what is off now, the commands under way included. */
-double law_tilt(const law_axis *x, const law_gains *gains, double off_m, double a_deck, double a_deck_then)
+double axis_tilt(const law_axis *x, const law_gains *gains, double off_m, double a_deck, double a_deck_then)
 {
     const double now = axis_reference(x, a_deck);
     double off = gains->p * off_m + gains->w * x->w + gains->a * (x->lean - now) + gains->rate * x->rate;
@@ -92,6 +90,15 @@ double law_tilt(const law_axis *x, const law_gains *gains, double off_m, double 
         off += gains->under_way[k] * (x->under_way[k] - now);
     }
     return axis_reference(x, a_deck_then) - off;
+}
+
+double law_axis_step(const law_in_use *law, double dt, double arrived, const law_axis *before, const axis_measured *z, law_axis *after)
+{
+    if (!law_fits(law)) {
+        return NAN;
+    }
+    axis_observe(law, dt, arrived, before, z, after);
+    return axis_tilt(after, &law->gains, after->p, 0.0, 0.0);
 }
 
 void own_flown(const law_params *o, double dt, const law_axis *x, const law_own *before, law_own *after)

@@ -9,6 +9,8 @@ typedef struct {
     double v[3], a[3], moved[3];
 } deck_then;
 
+/* Return whether every number of commands is one that the law has room for. */
+int law_fits(const law_in_use *law);
 double law_limited(double value, double most);
 /* A number of the gains that are flown by: while they change, one between the earlier and the later. */
 double law_between(const law_cycle *in, double later, double earlier);
@@ -17,6 +19,10 @@ double law_between(const law_cycle *in, double later, double earlier);
 void axis_begin(int64_t remembered, const axis_measured *z, const law_axis *before, law_axis *after);
 /* Another command under way. */
 void under_way_note(int64_t remembered, double command, double *under_way);
+/* The memory of one axis after dt with a measurement; the command that has arrived is an acceleration. */
+void axis_observe(const law_in_use *law, double dt, double arrived, const law_axis *before, const axis_measured *z, law_axis *after);
+/* The tilt to command, m/s^2, not limited yet: the later reference less what is off now, the commands under way included. */
+double axis_tilt(const law_axis *x, const law_gains *gains, double off_m, double a_deck, double a_deck_then);
 /* The tilt that keeps the body over the deck, m/s^2: its acceleration less the disturbance. */
 double axis_reference(const law_axis *x, double a_deck);
 /* The lean that the vehicle adds by itself, after a cycle in which the law steered or somebody else did. */
@@ -24,8 +30,7 @@ void own_flown(const law_params *o, double dt, const law_axis *x, const law_own 
 void own_hovered(double dt, double lean, const law_own *before, law_own *after);
 
 /* The deck so many seconds ahead; still where nothing is known of its motion. */
-void deck_ahead_of(const law_params *o, const law_cycle *in, const double *horizons_s, const double *rates_m_s, double ahead_s,
-                   deck_then *out);
+void deck_ahead_of(const law_params *o, const law_cycle *in, const law_course *course, double ahead_s, deck_then *out);
 /* The deck's turn, by the course of the heading against the arrow. */
 void turn_observe(const law_cycle *in, const law_memory *before, law_memory *after);
 /* The turn to command, rad/s; 0 where no heading is wanted or none is known. */

@@ -97,7 +97,7 @@ static void parameters(filter_params *o, int surface)
     for (int i = 0; i < ROWS_MAX; i++) {
         o->nis_max[i] = 15.0 + 2.0 * i;
     }
-    for (int i = 0; i < N; i++) {
+    for (int i = 0; i < DL_N; i++) {
         o->psd[i] = 1e-4;
     }
     o->reopen_count = 3, o->reopen_s = 0.1, o->sighting_has_attitude_error = 1;
@@ -123,16 +123,16 @@ static void hover(belief *b, double *P)
     for (int i = 0; i < 3; i++) {
         b->R[4 * i] = b->R_cov[4 * i] = b->levelled_by[4 * i] = 1.0;
     }
-    b->x[VEL_SCALE] = 1.0;
-    b->x[POS_REL + 2] = 2.0;
+    b->x[DL_VEL_SCALE] = 1.0;
+    b->x[DL_POS_REL + 2] = 2.0;
     for (int i = 0; i < 5; i++) {
         b->wave_w[i] = 0.8, b->wave_zeta[i] = 0.3, b->wave_sigma[i] = 0.2;
     }
     for (int i = 0; i < KINDS; i++) {
         b->aids[i].fused = b->aids[i].refused = -1;
     }
-    for (int i = 0; i < N * N; i++) {
-        P[i] = i % (N + 1) == 0 ? 1e-3 : 0.0;
+    for (int i = 0; i < DL_N * DL_N; i++) {
+        P[i] = i % (DL_N + 1) == 0 ? 1e-3 : 0.0;
     }
 }
 
@@ -140,18 +140,18 @@ static void hover(belief *b, double *P)
 static void sample(event *e, int64_t t)
 {
     const double size = draw() % 10 == 0 ? 1e3 : 0.1;
-    e->kind = draw() % (SIGHTING + 2);
+    e->kind = draw() % (DL_SIGHTING + 2);
     e->t = t;
     for (int i = 0; i < 18; i++) {
         e->value[i] = size * uniform();
     }
-    if (e->kind == ATTITUDE) {
+    if (e->kind == DL_ATTITUDE) {
         for (int i = 0; i < 9; i++) {
             e->value[i] = i % 4 == 0;
         }
     }
-    if (e->kind == ATTITUDE || e->kind == VELOCITY) {
-        double *cov = e->value + (e->kind == ATTITUDE ? 9 : 3);
+    if (e->kind == DL_ATTITUDE || e->kind == DL_VELOCITY) {
+        double *cov = e->value + (e->kind == DL_ATTITUDE ? 9 : 3);
         for (int i = 0; i < 9; i++) {
             cov[i] = i % 4 == 0 ? (draw() % 5 == 0 ? 1e6 : 1e-3) : 0.0;
         }
@@ -185,7 +185,7 @@ static void look(sighting *s)
 /* The model of a sighting and the bank by themselves. */
 static void parts(const filter_params *o, const belief *b, const sighting *s, const sea *bank, int64_t t)
 {
-    double *innov = numbers(6), *H = numbers(6 * N), *R = numbers(36), *by_rate = numbers(3 * N);
+    double *innov = numbers(6), *H = numbers(6 * DL_N), *R = numbers(36), *by_rate = numbers(3 * DL_N);
     double *y = numbers(DIRECTIONS), *var = numbers(DIRECTIONS);
     sea *after = malloc(sizeof *after);
     const int m = sighting_model(b, s, b->cov_levelled_by, 0.3, draw() % 2, innov, H, R, by_rate);
@@ -206,7 +206,7 @@ static void fly(int surface, int rounds, double poison)
     filter_params *o = malloc(sizeof *o);
     event *events = malloc(LENGTH * sizeof *events);
     belief *before = malloc(sizeof *before), *after = malloc(LENGTH * sizeof *after);
-    double *P = numbers(N * N), *P_after = numbers(LENGTH * N * N), *F = numbers(N * N), *Q = numbers(N * N);
+    double *P = numbers(DL_N * DL_N), *P_after = numbers(LENGTH * DL_N * DL_N), *F = numbers(DL_N * DL_N), *Q = numbers(DL_N * DL_N);
     int64_t *index = malloc(LENGTH * sizeof *index), *sea_index = malloc(LENGTH * sizeof *sea_index), t = 0;
     sighting *seen = malloc(LENGTH * sizeof *seen);
     sea *bank = malloc(sizeof *bank), *banks = malloc(LENGTH * sizeof *banks);
@@ -220,8 +220,8 @@ static void fly(int surface, int rounds, double poison)
     hover(before, P);
     bank_begin(&o->members, bank);
     bank_reach(&o->members, HORIZONS, horizons_s, there);
-    P[N + 1] *= poison;
-    poisoned(P, N * N), poisoned(before->x, N), poisoned(before->R, 9), poisoned(before->f, 3);
+    P[DL_N + 1] *= poison;
+    poisoned(P, DL_N * DL_N), poisoned(before->x, DL_N), poisoned(before->R, 9), poisoned(before->f, 3);
     for (int round = 0; round < rounds; round++) {
         for (int i = 0; i < LENGTH; i++) {
             t += draw() % 10 == 0 ? 200000000 : draw() % 5000000;
@@ -235,9 +235,9 @@ static void fly(int surface, int rounds, double poison)
                 *bank = banks[sea_index[done - 1]];
             }
             if (index[done - 1] >= 0) {
-                memcpy(P, P_after + index[done - 1] * N * N, N * N * sizeof *P);
+                memcpy(P, P_after + index[done - 1] * DL_N * DL_N, DL_N * DL_N * sizeof *P);
             }
-            fold(before->x, N), fold(P, N * N), fold(first->innov, 3), fold(&first->nis, 1);
+            fold(before->x, DL_N), fold(P, DL_N * DL_N), fold(first->innov, 3), fold(&first->nis, 1);
         }
         filter_settle(o, before, after, F, Q);
         parts(o, before, &seen[0], bank, t);
@@ -248,7 +248,7 @@ static void fly(int surface, int rounds, double poison)
         fold(said->d, 3), fold(said->cov, 49), fold(said->a_body, 3), fold(said->cov_deck, 36);
         if (filter_propagate(o, round % 3, t + 1000, before, P, after, P_after)) {
             *before = after[0];
-            memcpy(P, P_after, N * N * sizeof *P);
+            memcpy(P, P_after, DL_N * DL_N * sizeof *P);
         }
         if (round % 20 == 19) {
             hover(before, P);
@@ -293,7 +293,7 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
     } else if (what == 1) {
         gate(1 + draw() % ROWS_MAX, 1.0);
     } else if (what == 2) {
-        const int surface = draw() % (OVER_EITHER + 1);
+        const int surface = draw() % (DL_OVER_EITHER + 1);
         fly(surface, 2, 1.0);
     } else if (what == 3) {
         scenes(1);
@@ -367,7 +367,7 @@ int main(int count, char **files)
         attitudes(m, 1.0), attitudes(m, NAN), attitudes(m, -1e300);
     }
     report("remove_attitude");
-    for (int surface = OVER_GROUND; surface <= OVER_EITHER; surface++) {
+    for (int surface = DL_OVER_GROUND; surface <= DL_OVER_EITHER; surface++) {
         fly(surface, 200, 1.0);
         fly(surface, 3, NAN);
         fly(surface, 3, -1e300);
