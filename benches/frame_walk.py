@@ -22,20 +22,20 @@ from types import CodeType, FrameType
 import av
 import numpy as np
 
-import companion.config.settings as settings_of
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import ProcessedFrame
-from companion.runtime.service import make_daemon
+import companion.settings.load as settings_of
+from companion.base.observer import ProcessedFrame
+from companion.guidance.make_pilot import make_pilot
+from companion.service.assemble import make_daemon
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame
 from estimator.vision.detection import Detection
-from sitl.autopilots.body import Body
-from sitl.autopilots.miniature import MiniatureAutopilot
-from sitl.autopilots.program import free_udp_port
-from sitl.scenario import load
+from sitl.emulators.autopilots.body import Body
+from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.program import free_udp_port
+from sitl.scenario.scenario import load
 from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"

@@ -20,15 +20,15 @@ from typing import Any
 
 import msgspec
 
-from companion.config.model import CameraSettings, PadSettings, Settings
-from companion.config.settings import load
-from companion.mqtt.settings import MqttSettings
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import NullObserver, Observer
-from companion.runtime.service import make_daemon
+from companion.base.observer import NullObserver, Observer
+from companion.guidance.make_pilot import make_pilot
+from companion.service.assemble import make_daemon
+from companion.settings.load import load
+from companion.settings.model import CameraSettings, PadSettings, Settings
+from companion.settings.mqtt import MqttSettings
 from drivers.clock import SystemClock
 from estimator.contracts.time import MonoNs, after, seconds_between
-from sitl.scenario import load as load_scenario
+from sitl.scenario.scenario import load as load_scenario
 from tests.support.certificates import make_certificates
 from tests.support.mosquitto import MOSQUITTO, Broker, free_port
 from tests.support.mqtt_service import decision, event, running, until
@@ -44,7 +44,15 @@ async def fly(settings: Settings, folder: Path) -> dict[str, Any]:
     """Fly for `FLOWN_S` and return what it took."""
     ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
     drone = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "sitl.ardrone.serve", SCENARIO, "--seed=1", f"--truth={folder / 'truth.jsonl'}", *ports),
+        *(
+            sys.executable,
+            "-m",
+            "sitl.emulators.ardrone.serve",
+            SCENARIO,
+            "--seed=1",
+            f"--truth={folder / 'truth.jsonl'}",
+            *ports,
+        ),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
     )

@@ -10,9 +10,9 @@ from unittest.mock import patch
 import av
 import numpy as np
 
-from companion.config.model import Settings
-from companion.config.settings import load
-from companion.runtime.make_pilot import make_pilot
+from companion.guidance.make_pilot import make_pilot
+from companion.settings.load import load
+from companion.settings.model import Settings
 from drivers.ardrone import at, control, navdata
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata_channel import NavdataChannel
@@ -30,11 +30,11 @@ from sitl.ardrone.drone import Drone
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.state import DroneState
 from sitl.ardrone.uvlc_encoder import encode
-from sitl.ardrone.video import Encoder
-from sitl.autopilots.lock_step import LockStepClock
-from sitl.scenario import load as load_scenario
-from sitl.vehicle import VehiclePhase
-from sitl.world import World
+from sitl.emulators.ardrone.video import Encoder
+from sitl.emulators.autopilots.lock_step import LockStepClock
+from sitl.scenario.scenario import load as load_scenario
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.world import World
 
 _START = MonoNs(1_000_000_000_000)
 _CHECKSUM_BYTES = 8

@@ -11,8 +11,8 @@ import cv2
 import msgspec
 import numpy as np
 
-from companion.config.settings import SHIPPED, load, read_toml
-from companion.runtime.make_pilot import tracker
+from companion.guidance.make_pilot import tracker
+from companion.settings.load import SHIPPED, load, read_toml
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import Rotation
@@ -28,9 +28,9 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from fuzz.target import Choices, Target, block
-from sitl.ardrone.video import Encoder
-from sitl.scenario import load as load_scenario
-from sitl.world import World
+from sitl.emulators.ardrone.video import Encoder
+from sitl.scenario.scenario import load as load_scenario
+from sitl.world.world import World
 
 _FORMATS = ("MJPG", "YUYV", "NV12", "GREY")
 WIDTH, HEIGHT = 96, 72

@@ -20,13 +20,13 @@ from unittest.mock import patch
 
 import numpy as np
 
-from companion.config.model import Settings
-from companion.config.settings import from_mapping
-from companion.mavlink.bridge_part import BridgePart
-from companion.mavlink.make import AutopilotPart
-from companion.mavlink.options import BridgeOptions
-from companion.runtime.health import Health
-from companion.runtime.make_pilot import make_pilot
+from companion.base.health import Health
+from companion.guidance.make_pilot import make_pilot
+from companion.parts.mavlink.bridge_part import BridgePart
+from companion.parts.mavlink.make import AutopilotPart
+from companion.settings.load import from_mapping
+from companion.settings.mavlink import BridgeOptions
+from companion.settings.model import Settings
 from drivers.mailbox import Line
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
@@ -42,7 +42,7 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, BodyVelocity, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from fuzz.target import SHARED_MEMORY, Choices, Target, block
-from sitl.autopilots.lock_step import LockStepClock
+from sitl.emulators.autopilots.lock_step import LockStepClock
 
 SETTINGS = {
     "vehicle": {"kind": "mavlink", "links": "udpin://127.0.0.1:14550, udpout://127.0.0.1:14551, tcp://127.0.0.1:5760"},

@@ -11,15 +11,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, get_args
 
-from companion.config.settings import Settings, body_camera
-from companion.recorder.options import FrameForm
-from companion.recorder.recorder import Recorder
-from companion.recorder.records import ContactRecord, TruthRecord
-from companion.recorder.setup import about, recorder_to_file, wall_offset_ns
+from companion.parts.recorder.recorder import Recorder
+from companion.parts.recorder.setup import about, recorder_to_file, wall_offset_ns
+from companion.recording.records import ContactRecord, TruthRecord
+from companion.settings.load import Settings, body_camera
+from companion.settings.recorder import FrameForm
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
-from sitl.truth import Touchdown, Truth
+from sitl.world.truth import Touchdown, Truth
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,7 +81,7 @@ def truth_record(truth: Truth) -> TruthRecord:
 
 
 def truth_from_log(record: Mapping[str, Any]) -> TruthRecord:
-    """Return the record of one line of the simulated drone's truth log (`sitl.ardrone.truth_log`)."""
+    """Return the record of one line of the simulated drone's truth log (`sitl.emulators.ardrone.truth_log`)."""
     touched = record["touchdown"]
     touchdown = None if touched is None else ContactRecord(touched["at"], *(touched[n] for n in _CONTACT))
     yaw = math.remainder(record["yaw_rad"], math.tau)

@@ -14,9 +14,9 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from itertools import chain
 
-from companion.config.model import Settings, ardrone_options
-from companion.runtime.daemon import Daemon, VehicleLink
-from companion.runtime.make_pilot import make_pilot
+from companion.guidance.make_pilot import make_pilot
+from companion.service.daemon import Daemon, VehicleLink
+from companion.settings.model import Settings, ardrone_options
 from drivers.ardrone import at
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.samples import NavdataSampler
@@ -30,9 +30,9 @@ from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import Stamp, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
-from sitl.scenario import Scenario
-from sitl.truth import RenderedFrame
-from sitl.world import World
+from sitl.scenario.scenario import Scenario
+from sitl.world.truth import RenderedFrame
+from sitl.world.world import World
 
 _READY_S = 60.0
 _FILM_S = 2.0

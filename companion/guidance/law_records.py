@@ -13,13 +13,13 @@ import numpy as np
 
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.disturbance import ObserverGains
-from companion.guidance.response import ClimbResponse, TiltResponse
 from companion.guidance.tilt_law import TiltGains
 from companion.guidance.view import FieldOfView
+from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import BodyMotion
+from estimator.core.abi import UNDER_WAY_MAX
 from estimator.core.interface import size_of
-from estimator.core.interface.guidance import UNDER_WAY_MAX
 from estimator.core.library import address
 from estimator.core.records import record
 from estimator.ekf import Forecast

@@ -9,7 +9,7 @@ from html import escape
 from types import MappingProxyType
 from typing import Any
 
-from companion.report.page_parts import document
+from companion.tools.report.page_parts import document
 from estimator.contracts.errors import BadInput
 from estimator.vision.pad import Pad
 from sitl.campaign.by_scenario import HEADINGS, by_scenario, row
@@ -18,7 +18,7 @@ from sitl.campaign.compare import PairedDifference, differences_of
 from sitl.campaign.figures import CampaignFigures, effect_of, figures_of, map_of
 from sitl.campaign.summary import name_of, wilson
 from sitl.campaign.task import Flight
-from sitl.scenario import from_mapping, pad_model
+from sitl.scenario.scenario import from_mapping, pad_model
 
 REPORT = "report.html"
 _MAPS_MAX = 10

@@ -9,19 +9,19 @@ from dataclasses import dataclass, field
 import msgspec
 import numpy as np
 
-from companion.config.model import Settings
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
-from companion.runtime.pilot import Pilot
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import Pilot
+from companion.settings.model import Settings
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.experiments.hand import HandPilot
 from sitl.experiments.paths import HeldPose, Path, level_axes, thesis_axes, thesis_yaw_rad
-from sitl.flight import Flight, Timing
-from sitl.flight_grader import FlightResult
-from sitl.scenario import Scenario, load
-from sitl.truth import Truth
+from sitl.flight.flight import Flight, Timing
+from sitl.flight.grader import FlightResult
+from sitl.scenario.scenario import Scenario, load
+from sitl.world.truth import Truth
 
 METHODS = ("ellipse", "arrow", "corners", "registration", "best")
 """The thesis' three methods as they are here, the fourth, and the estimate that all of them make together."""

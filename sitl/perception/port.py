@@ -8,19 +8,19 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.config.model import Settings
-from companion.runtime.pilot import Pilot
+from companion.guidance.pilot import Pilot
+from companion.settings.model import Settings
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from sitl.camera import Exposure
-from sitl.fault import Fault
-from sitl.fault_timer import FaultTimer
-from sitl.render_worker import RenderWorker
-from sitl.scenario import Scenario
-from sitl.truth import RenderedFrame, Truth
-from sitl.vessel import Mounted, Vessel
+from sitl.camera.camera import Exposure
+from sitl.camera.render_worker import RenderWorker
+from sitl.faults.fault import Fault
+from sitl.faults.timer import FaultTimer
+from sitl.scenario.scenario import Scenario
+from sitl.vessel.vessel import Mounted, Vessel
+from sitl.world.truth import RenderedFrame, Truth
 
 Level = Literal["pixels", "model", "truth"]
 LEVELS: tuple[Level, ...] = ("pixels", "model", "truth")

@@ -14,16 +14,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.config.settings import from_mapping
-from companion.guidance.mission import State
-from companion.metrics import exposition
+from companion.base.mission import State
+from companion.parts.metrics import exposition
+from companion.settings.load import from_mapping
 from drivers.clock import SystemClock
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, open_links
 from drivers.nmea.sentences import KNOT_M_S
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from sitl.autopilots.miniature import global_position
+from sitl.emulators.autopilots.miniature import global_position
 from tests.companion.ship_flights import HOST, SHIP, SHIP_NED, Flying, flying, free_port, rmc, sentence, settings_of
 from tests.support.fake_ardrone import until
 

@@ -11,14 +11,14 @@ import pytest
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.core.interface import places_of
-from sitl.air import AirModel, GustOnce
-from sitl.airframe import Airframe
-from sitl.contact import DeckShape, Ground, Vec
-from sitl.scenario import from_mapping, load
-from sitl.seakeeping import Superstructure
-from sitl.vehicle import Vehicle
-from sitl.world import World
+from sitl.core.library import places_of
+from sitl.scenario.scenario import from_mapping, load
+from sitl.vehicle.airframe import Airframe
+from sitl.vehicle.vehicle import Vehicle
+from sitl.vessel.air import AirModel, GustOnce
+from sitl.vessel.contact import DeckShape, Ground, Vec
+from sitl.vessel.seakeeping import Superstructure
+from sitl.world.world import World
 from tests.sitl.oracle.air import gust_share
 
 STEP_S = 0.01

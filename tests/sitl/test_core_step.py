@@ -14,24 +14,24 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from companion.config.settings import SHIPPED
+from companion.settings.load import SHIPPED
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
-from estimator.core.interface import places_of
-from sitl.air import AirModel, GustOnce
-from sitl.airframe import Airframe, Avionics
-from sitl.autopilots.motors import MotorVehicle, wrench
-from sitl.contact import DeckShape, Ground
-from sitl.disturbances import Wind
-from sitl.physics import Physics, decks_of
-from sitl.rotors import rotors
-from sitl.sea import SeaState, Waves
-from sitl.seakeeping import Superstructure
-from sitl.sensor_settings import SensorSettings
-from sitl.sensors import Sensors
-from sitl.vehicle import SEA, Vehicle, VehiclePhase
-from sitl.vehicle_file import load
-from sitl.vessel import Mounted
+from sitl.core.library import places_of
+from sitl.emulators.autopilots.motors import MotorVehicle, wrench
+from sitl.sea.sea import SeaState, Waves
+from sitl.sensors.sensors import Sensors
+from sitl.sensors.settings import SensorSettings
+from sitl.vehicle.airframe import Airframe, Avionics
+from sitl.vehicle.disturbances import Wind
+from sitl.vehicle.file import load
+from sitl.vehicle.rotors import rotors
+from sitl.vehicle.vehicle import SEA, Vehicle, VehiclePhase
+from sitl.vessel.air import AirModel, GustOnce
+from sitl.vessel.contact import DeckShape, Ground
+from sitl.vessel.seakeeping import Superstructure
+from sitl.vessel.vessel import Mounted
+from sitl.world.physics import Physics, decks_of
 from tests.sitl.oracle.algebra import rotation_of
 from tests.sitl.oracle.sensors import PlainSensors
 from tests.sitl.oracle.vehicle import PlainVehicle

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.config.settings import load
+from companion.settings.load import load
 from sitl.experiments.chapter5 import QUANTITIES, error_of, spread
 from sitl.experiments.flown import Estimate, ExperimentFlight, calm_scenario, fly_by_hand
 from sitl.experiments.paths import (
@@ -26,7 +26,7 @@ from sitl.experiments.paths import (
     up_and_down,
 )
 from sitl.experiments.printed import HEIGHTS_M, printed
-from sitl.world import World
+from sitl.world.world import World
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.1, 10), st.floats(-3.1, 3.1))

@@ -11,17 +11,16 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.config.settings import load as load_settings
-from companion.guidance.mission import State
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
+from companion.base.mission import State
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.guidance.make_pilot import make_pilot
+from companion.settings.load import load as load_settings
 from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.samples import Imu, Sample
 from estimator.contracts.time import MonoNs, after, seconds_between
-from sitl.fault import Fault
-from sitl.fault_timer import FaultTimer
-from sitl.faults import (
+from sitl.faults.fault import Fault
+from sitl.faults.kinds import (
     KINDS,
     FlowBlind,
     FramesFrozen,
@@ -33,11 +32,8 @@ from sitl.faults import (
     NavdataMisstamped,
     ServiceKilled,
 )
-from sitl.flight import Flight
-from sitl.picture_faults import PictureFault
-from sitl.safety import Grade
-from sitl.scenario import Scenario, Sea, Start, VesselSettings, WindSettings
-from sitl.sensor_faults import (
+from sitl.faults.picture import PictureFault
+from sitl.faults.sensors import (
     Accelerometer,
     AttitudeReading,
     Barometer,
@@ -48,10 +44,14 @@ from sitl.sensor_faults import (
     Ultrasound,
     VelocityReading,
 )
-from sitl.sensors import Readings
-from sitl.stream_faults import STREAMS, FrameStream
-from sitl.vehicle import VehiclePhase
-from sitl.world import Stick, World
+from sitl.faults.streams import STREAMS, FrameStream
+from sitl.faults.timer import FaultTimer
+from sitl.flight.flight import Flight
+from sitl.flight.safety import Grade
+from sitl.scenario.scenario import Scenario, Sea, Start, VesselSettings, WindSettings
+from sitl.sensors.sensors import Readings
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.world import Stick, World
 
 CALM = Scenario(
     title="bench",

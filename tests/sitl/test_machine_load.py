@@ -10,15 +10,15 @@ from typing import Any
 
 import pytest
 
+from companion.base.health import Health
+from companion.base.mission import FlightOutcome
 from companion.cli import demo
-from companion.runtime.daemon import Daemon
-from companion.runtime.health import Health
-from companion.runtime.pilot import FlightOutcome
-from companion.runtime.restart_options import RestartOptions
+from companion.service.daemon import Daemon
+from companion.settings.restart import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
-from sitl.ending import Contact, Ending
-from sitl.machine_load import GUIDANCE_LATE_MAX_S, Load
+from sitl.flight.ending import Contact, Ending
+from sitl.flight.machine_load import GUIDANCE_LATE_MAX_S, Load
 from tests.companion.virtual_flight import FakeFlight, SeeingPilot, VirtualClock, fly
 
 SAID: dict[str, Any] = {"event": "ended", "phase": "hovering", "stood_still_s": 0.25, "counters": {"video_sent": 880}}

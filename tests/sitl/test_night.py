@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 
-from companion.runtime.observer import NullObserver, ProcessedFrame
-from sitl.one_flight import fly, perception_level, settings_for
-from sitl.scenario import load
+from companion.base.observer import NullObserver, ProcessedFrame
+from sitl.flight.one_flight import fly, perception_level, settings_for
+from sitl.scenario.scenario import load
 
 
 class Chosen(NullObserver):

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.config.settings import load
-from companion.runtime.make_pilot import make_pilot
+from companion.guidance.make_pilot import make_pilot
+from companion.settings.load import load
 from estimator import pipeline
 from estimator.camera_motion import camera_motion
 from estimator.contracts.estimates import RelativeState
@@ -23,8 +23,8 @@ from estimator.vision.pose import Orientation
 from estimator.vision.register.registration import register
 from estimator.vision.rolling import CameraMotion, at_one_instant
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from sitl.camera import Exposure, Renderer
-from sitl.surroundings import Surroundings
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.surroundings import Surroundings
 from tests.sitl.images import BENT, PLAIN, pad, pad_pose, shot
 from tests.support.plain_light import FLAT, IDEAL
 

@@ -12,16 +12,16 @@ import pytest
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import MonoNs
-from sitl.airframe import Airframe
-from sitl.contact import DeckShape, Ground
-from sitl.physics import Physics, decks_of
-from sitl.scenario import Scenario
-from sitl.sea import Waves
-from sitl.sensor_settings import SensorSettings
-from sitl.sensors import Readings, Sensors
-from sitl.stage import airframe
-from sitl.vehicle import Vehicle
-from sitl.vessel import Mounted
+from sitl.scenario.scenario import Scenario
+from sitl.sea.sea import Waves
+from sitl.sensors.sensors import Readings, Sensors
+from sitl.sensors.settings import SensorSettings
+from sitl.vehicle.airframe import Airframe
+from sitl.vehicle.vehicle import Vehicle
+from sitl.vessel.contact import DeckShape, Ground
+from sitl.vessel.vessel import Mounted
+from sitl.world.physics import Physics, decks_of
+from sitl.world.stage import airframe
 from tests.sitl.oracle.sensors import EARTH_FIELD_NED_T
 
 DT = 0.004

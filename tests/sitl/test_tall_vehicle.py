@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from companion.guidance.mission import State
-from companion.runtime.observer import Decision, NullObserver
-from sitl.one_flight import fly, settings_for
-from sitl.scenario import load
+from companion.base.mission import State
+from companion.base.observer import Decision, NullObserver
+from sitl.flight.one_flight import fly, settings_for
+from sitl.scenario.scenario import load
 
 FEET_M = 0.25
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from estimator.contracts.geometry import F64, Rotation
-from sitl.airframe import Airframe, Avionics, Loops
-from sitl.contact import DeckShape, Ground
-from sitl.disturbances import Wind
-from sitl.sea import GRAVITY_M_S2
-from sitl.vehicle import DECK, SEA, Vehicle, VehiclePhase
+from sitl.sea.sea import GRAVITY_M_S2
+from sitl.vehicle.airframe import Airframe, Avionics, Loops
+from sitl.vehicle.disturbances import Wind
+from sitl.vehicle.vehicle import DECK, SEA, Vehicle, VehiclePhase
+from sitl.vessel.contact import DeckShape, Ground
 from tests.sitl.oracle.rotors import thrusts
 
 DT = 0.004

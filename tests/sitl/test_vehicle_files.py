@@ -11,18 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.config.settings import SHIPPED, response_model, shipped, shipped_response
+from companion.settings.load import SHIPPED, response_model, shipped, shipped_response
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
-from sitl.airframe import Airframe, StickLimits
-from sitl.contact import DeckShape, Ground
-from sitl.one_flight import fly, settings_for
-from sitl.rotors import rotors
-from sitl.scenario import load as load_scenario
-from sitl.vehicle import Vehicle
-from sitl.vehicle_file import VehicleFile, load
-from sitl.world import Stick, World
+from sitl.flight.one_flight import fly, settings_for
+from sitl.scenario.scenario import load as load_scenario
+from sitl.vehicle.airframe import Airframe, StickLimits
+from sitl.vehicle.file import VehicleFile, load
+from sitl.vehicle.rotors import rotors
+from sitl.vehicle.vehicle import Vehicle
+from sitl.vessel.contact import DeckShape, Ground
+from sitl.world.world import Stick, World
 from tests.sitl.oracle.contact import coverage, relative
 from tests.sitl.oracle.rotors import delivered, ground_effect, ground_effect_by_rotor, thrusts
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.lamps import LAMP_PAIRS
+from estimator.core.abi import LAMP_PAIRS
 from estimator.core.records import record
 from estimator.vision.camera import Camera
 from estimator.vision.lamp import Lamp, places_of

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from estimator.core.abi import PROFILE_PIXELS
 from estimator.core.interface import places_of, size_of
-from estimator.core.interface.registration import PROFILE_PIXELS
 from estimator.core.library import address
 from estimator.core.records import record
 from estimator.vision.camera import Camera

@@ -17,8 +17,8 @@ from types import MappingProxyType
 import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
+from estimator.core.abi import FIT_ROWS
 from estimator.core.interface import places_of, size_of
-from estimator.core.interface.registration import FIT_ROWS
 from estimator.core.library import CORE, address, start_of
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT, approach

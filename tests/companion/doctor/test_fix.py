@@ -14,17 +14,17 @@ import pytest
 
 from companion.cli import doctor
 from companion.cli.main import Parser
-from companion.doctor import rules_values
-from companion.doctor.diagnose import PARAMETERS
-from companion.doctor.undo import decode_undo
+from companion.tools.doctor import rules_values
+from companion.tools.doctor.diagnose import PARAMETERS
+from companion.tools.doctor.undo import decode_undo
 from drivers.clock import SystemClock
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
-from sitl.autopilots.miniature import MiniatureAutopilot
-from sitl.autopilots.stand_in.arducopter import CopterStandIn
-from sitl.autopilots.stand_in.px4 import Px4StandIn
+from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
+from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from companion.doctor import live, rules_values
-from companion.doctor.diagnose import PARAMETERS
+from companion.tools.doctor import live, rules_values
+from companion.tools.doctor.diagnose import PARAMETERS
 from drivers.clock import SystemClock
 from drivers.mavlink import inertial_delay
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
-from sitl.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.miniature import MiniatureAutopilot
 from tests.companion.doctor.test_rules import ARDUPILOT
 from tests.support.fake_ardrone import until
 from tests.support.page_service import browsing, serving

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
+from estimator.core.abi import TEMPLATE_ONE
 from estimator.core.interface import places_of
-from estimator.core.interface.eyes import TEMPLATE_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.colour import disc_colour, is_coloured
@@ -27,7 +27,7 @@ from estimator.vision.detect.template import DISC, ORANGE, STEP_M, H, paints_at,
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.srgb import LINEAR_LIGHT
-from sitl.light import Light
+from sitl.camera.light import Light
 from tests.estimator.vision.oracle.heading import searched_heading
 from tests.estimator.vision.oracle.tilted import circle_normals, tilted_circles
 from tests.support.deck_images import shown

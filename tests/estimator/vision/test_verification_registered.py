@@ -24,7 +24,7 @@ from estimator.vision.register.look import Looked, look
 from estimator.vision.register.options import RegistrationOptions
 from estimator.vision.register.registration import register
 from estimator.vision.register.sighting import sighting_of, sighting_of_look
-from sitl.surroundings import Decal
+from sitl.camera.surroundings import Decal
 from tests.estimator.vision.oracle.evidence import evidence
 from tests.support.deck_images import covered, disc_of, shown
 from tests.support.hard_light import HARD

@@ -1,4 +1,4 @@
-"""The air over a ship, as `sitl.air` describes it."""
+"""The air over a ship, as `sitl.vessel.air` describes it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from sitl.air import AirModel, GustOnce
-from sitl.contact import Ground
-from sitl.seakeeping import Superstructure
+from sitl.vessel.air import AirModel, GustOnce
+from sitl.vessel.contact import Ground
+from sitl.vessel.seakeeping import Superstructure
 from tests.sitl.oracle.algebra import Vec, clip, inverse_rotate
 from tests.sitl.oracle.contact import Relative
 from tests.sitl.oracle.disturbances import Noise

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sitl.airframe import Airframe
-from sitl.contact import DeckShape, Ground, Rows
-from sitl.spectra import GRAVITY_M_S2
+from sitl.sea.spectra import GRAVITY_M_S2
+from sitl.vehicle.airframe import Airframe
+from sitl.vessel.contact import DeckShape, Ground, Rows
 from tests.sitl.oracle.algebra import Vec, clip, cross, inverse_rotate, rotate, rpy_of, where
 
 DEEPEST_M = 0.3

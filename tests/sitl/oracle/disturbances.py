@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from sitl.airframe import Avionics
-from sitl.disturbances import Wind
+from sitl.vehicle.airframe import Avionics
+from sitl.vehicle.disturbances import Wind
 from tests.sitl.oracle.algebra import Vec
 
 

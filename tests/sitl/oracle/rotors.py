@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from functools import cache
 
-from sitl.airframe import Airframe
-from sitl.contact import DeckShape
-from sitl.rotors import Layout, rotors, rotors_of
+from sitl.vehicle.airframe import Airframe
+from sitl.vehicle.rotors import Layout, rotors, rotors_of
+from sitl.vessel.contact import DeckShape
 from tests.sitl.oracle.algebra import Vec, clip, rotate, where
 from tests.sitl.oracle.contact import Relative, coverage
 

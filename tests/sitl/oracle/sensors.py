@@ -9,11 +9,11 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs
-from sitl.contact import DeckShape, Ground
-from sitl.rotors import rotors
-from sitl.sensor_settings import SensorSettings
-from sitl.sensors import BOARD_TEMPERATURE_C, Readings
-from sitl.spectra import GRAVITY_M_S2
+from sitl.sea.spectra import GRAVITY_M_S2
+from sitl.sensors.sensors import BOARD_TEMPERATURE_C, Readings
+from sitl.sensors.settings import SensorSettings
+from sitl.vehicle.rotors import rotors
+from sitl.vessel.contact import DeckShape, Ground
 from tests.sitl.oracle.algebra import Vec, inverse_rotate, rotate, rotation_of, rpy_of
 from tests.sitl.oracle.vehicle import PlainVehicle
 

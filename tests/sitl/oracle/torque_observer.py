@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sitl.airframe import Airframe
+from sitl.vehicle.airframe import Airframe
 from tests.sitl.oracle.algebra import Vec, clip, where
 
 

@@ -7,13 +7,13 @@ from collections import deque
 
 import numpy as np
 
-from sitl.air import AirModel
-from sitl.airframe import Airframe, StickLimits
-from sitl.contact import DeckShape, Ground, Rows
-from sitl.disturbances import Wind
-from sitl.rotors import rotors
-from sitl.spectra import GRAVITY_M_S2
-from sitl.vehicle import DECK, SEA, VehiclePhase
+from sitl.sea.spectra import GRAVITY_M_S2
+from sitl.vehicle.airframe import Airframe, StickLimits
+from sitl.vehicle.disturbances import Wind
+from sitl.vehicle.rotors import rotors
+from sitl.vehicle.vehicle import DECK, SEA, VehiclePhase
+from sitl.vessel.air import AirModel
+from sitl.vessel.contact import DeckShape, Ground, Rows
 from tests.sitl.oracle.air import Air
 from tests.sitl.oracle.algebra import (
     Vec,
@@ -40,7 +40,7 @@ _NONE: Command = (0.0, 0.0, 0.0, 0.0, False)
 
 
 class PlainVehicle:
-    """One vehicle, with the same numbers by the same names as `sitl.vehicle.Vehicle`; its arguments are those too."""
+    """One vehicle, with the same numbers by the same names as `sitl.vehicle.vehicle.Vehicle`; its arguments are those too."""
 
     def __init__(
         self,

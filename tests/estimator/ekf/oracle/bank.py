@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.filter import MEMBER_STATES
+from estimator.core.abi import MEMBER_STATES
 from estimator.ekf.deck_motion_bank import (
     HORIZONS_S,
     LOG_PRIOR,

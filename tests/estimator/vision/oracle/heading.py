@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.search import POLAR_ANGLES
+from estimator.core.abi import POLAR_ANGLES
 from estimator.vision.camera import Camera
 from estimator.vision.detect.heading import Heading
 from estimator.vision.detect.template import polar_drawing
