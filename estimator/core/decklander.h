@@ -40,14 +40,15 @@ int32_t dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_uvlc_picture
 
 /* The parts of the filter's state by their first index, and its size. estimator.ekf.state says what they are. */
 enum filter_state {
-    ATT_ERR = 0, POS_REL = 3, VEL = 6, GYRO_BIAS = 9, ACCEL_BIAS = 12, VEL_SCALE = 15, VESSEL_VEL = 16, WAVES = 18,
-    PAD_YAW = 38, YAW_RATE = 39, DECK_TRIM = 40, CAMERA_DELAY = 42, CAMERA_MOUNT = 43, BARO_OFFSET = 46, ATT_BIAS = 47,
-    RANGE_OFFSET = 49, WAVE_YAW = 50, TURN_RATE = 51, SWAY_PER_HEAVE = 52, N = 54,
+    DL_ATT_ERR = 0, DL_POS_REL = 3, DL_VEL = 6, DL_GYRO_BIAS = 9, DL_ACCEL_BIAS = 12, DL_VEL_SCALE = 15, DL_VESSEL_VEL = 16,
+    DL_WAVES = 18, DL_PAD_YAW = 38, DL_YAW_RATE = 39, DL_DECK_TRIM = 40, DL_CAMERA_DELAY = 42, DL_CAMERA_MOUNT = 43,
+    DL_BARO_OFFSET = 46, DL_ATT_BIAS = 47, DL_RANGE_OFFSET = 49, DL_WAVE_YAW = 50, DL_TURN_RATE = 51, DL_SWAY_PER_HEAVE = 52,
+    DL_N = 54,
 };
 
 enum {
     /* The largest number of states that a linear-algebra function takes. */
-    ORDER_MAX = N,
+    ORDER_MAX = DL_N,
     /* The largest number of measured numbers that a linear-algebra function takes. */
     ROWS_MAX = 9,
     /* The largest number of states on which one kind of aiding depends. */
@@ -80,140 +81,193 @@ enum {
 
 /* Kinds of samples; the first KINDS are those of aiding. */
 enum event_kind {
-    ATTITUDE, VELOCITY, RANGE, HEIGHT, IMU, VESSEL, SIGHTING,
+    DL_ATTITUDE, DL_VELOCITY, DL_RANGE, DL_HEIGHT, DL_IMU, DL_VESSEL, DL_SIGHTING,
 };
 
 enum verdict {
-    FUSED, GATED, SINGULAR, LOW_CONFIDENCE,
+    DL_FUSED, DL_GATED, DL_SINGULAR, DL_LOW_CONFIDENCE,
 };
 
 /* The surface below a velocity sensor. */
 enum velocity_surface {
-    OVER_GROUND, OVER_PAD, OVER_EITHER,
+    DL_OVER_GROUND, DL_OVER_PAD, DL_OVER_EITHER,
 };
 
-/* How far filter_propagate goes: the covariance as often as the options ask, to the instant, or with all gathered samples fused. */
+/* How far dl_filter_propagate goes: state and covariance to the instant, or with the means of all gathered samples fused as well. */
 enum propagation {
-    STATE_ALONE, WITH_COVARIANCE, WITH_AIDING,
+    DL_WITH_COVARIANCE, DL_WITH_AIDING,
 };
 
 /* Members mean what those of Belief, Aid and Gathered in estimator.ekf.state, of DeckMotionBank and Skill of the same
- * names mean; matrices are in rows, instants are in ns. In sea and bank_members, arrays are by direction, then by state or
+ * names mean; matrices are in rows, instants are in ns. In a bank and its members, arrays are by direction, then by state or
  * pair of states, then by member of the bank. An answer has numbers of pad and deck where it has a pad, and of the body
  * where it has a body; estimator.ekf.answers says what they are. A horizon_reach has, for one horizon and by oscillator,
  * the rows of the transition to displacement and rate, their noise, and the products of the numbers of these rows and of
  * the first one's change. A deck_ahead has what Forecast has for one horizon. */
 typedef struct {
     double w[MEMBERS], zeta[MEMBERS], log_zeta[MEMBERS], log_prior[MEMBERS], sigma[DIRECTIONS * MEMBERS];
-} bank_members;
+} dl_bank_members;
 
 typedef struct {
     int64_t t;
     double waves[SKILL_HORIZONS * DIRECTIONS * 2];
-} issued_forecast;
+} dl_issued_forecast;
 
 typedef struct {
     int64_t issued_n;
-    issued_forecast issued[ISSUED_MAX];
+    dl_issued_forecast issued[ISSUED_MAX];
     double n[SKILL_HORIZONS], product[SKILL_HORIZONS * DIRECTIONS * 2], square[SKILL_HORIZONS * DIRECTIONS * 2],
         came[SKILL_HORIZONS * DIRECTIONS * 2];
-} forecast_skill;
+} dl_forecast_skill;
 
 typedef struct {
     int64_t t;
     double w_rad_s[DIRECTIONS], zeta[DIRECTIONS], sigma[DIRECTIONS];
-    forecast_skill skill;
+    dl_forecast_skill skill;
     double log_weight[DIRECTIONS * MEMBERS], weight[DIRECTIONS * MEMBERS], x[DIRECTIONS * MEMBER_STATES * MEMBERS],
         P[DIRECTIONS * MEMBER_PAIRS * MEMBERS];
-} sea;
+} dl_bank;
 
 typedef struct {
     int64_t hold_ns, velocity_is_over, reopen_count, sighting_has_attitude_error;
     double tick_s, forget_s, aiding_period_s, accel_step_m_s2, gyro_step_rad_s, deck_radius_m, not_measured_var,
-        correlation_s[KINDS], nis_max[ROWS_MAX], psd[N], psd_accel, psd_coast, psd_coast_turn, wave_yaw_rad_s,
+        correlation_s[KINDS], nis_max[ROWS_MAX], psd[DL_N], psd_accel, psd_coast, psd_coast_turn, wave_yaw_rad_s,
         sigma_wave_yaw_rate_rad_s, carrying_psd_accel[DIRECTIONS], carrying_psd_drift[DIRECTIONS],
         carrying_psd_tilt[DIRECTIONS], min_confidence, reopen_s, heading_memory_s, sigma_sway_per_heave,
         sigma_turn_rate_rad_s, pad_yaw_in_vessel_rad;
-    bank_members members;
-} filter_params;
+    dl_bank_members members;
+} dl_filter_params;
 
 typedef struct {
     int64_t fused, refused, n, since, m, axes;
     double deck_weight, innov[3], R[9], ambiguity[9], spread[9], H[3 * COLUMNS_MAX];
-} aid;
+} dl_aid;
 
 typedef struct {
     int64_t n, t[EXCESSES_MAX];
     double values[3 * EXCESSES_MAX];
-} innovation_excesses;
+} dl_innovation_excesses;
 
 typedef struct {
-    int64_t t, t_cov, t_imu, t_velocity, sighted, agreed, is_levelled, heading_is_given, rejected_n, rejected_since,
-        rejected_last, heading_known, heading_seen;
-    double rejected_offset_ned[3], rejected_var_m2, R[9], x[N], R_cov[9], dv[3], dp[3], turned[9], coast_s, w[3], w_smooth[3],
+    int64_t n, since, last;
+    double offset_ned[3], var_m2;
+} dl_rejection_streak;
+
+typedef struct {
+    int64_t t, t_cov, t_imu, t_velocity, sighted, agreed, is_levelled, heading_is_given, heading_known, heading_seen;
+    double R[9], x[DL_N], R_cov[9], dv[3], dp[3], turned[9], coast_s, w[3], w_smooth[3],
         f[3], levelled_by[9], cov_levelled_by[9], ins_p[3], ins_v[3], ins_var_m2_s2, jolt_var_m2_s2, jolt_var_rad2, over_pad,
         wave_w[5], wave_zeta[5], wave_sigma[5], nis_mean, heading_held_s;
-    aid aids[KINDS];
-    innovation_excesses excesses;
-} belief;
+    dl_rejection_streak rejections;
+    dl_aid aids[KINDS];
+    dl_innovation_excesses excesses;
+} dl_belief;
 
 typedef struct {
+    double w_body[3], f_body[3];
+} dl_imu;
+
+typedef struct {
+    double R_ned_body[9], cov_body[9];
+} dl_attitude;
+
+typedef struct {
+    double v_level[3], cov_level[9];
+} dl_velocity;
+
+/* A range or a height, m. */
+typedef struct {
+    double measured_m, sigma_m;
+} dl_distance;
+
+typedef struct {
+    int64_t has_velocity, has_heading;
+    double v_ned[3], cov_v_ned[9], heading_rad, sigma_heading_rad;
+} dl_vessel_report;
+
+/* A sample, by its kind. A sighting is an event without a sample; the sighting itself is beside it. */
+typedef struct {
     int64_t kind, t;
-    double value[18];
-} event;
+    union {
+        dl_imu imu;
+        dl_attitude attitude;
+        dl_velocity velocity;
+        dl_distance distance;
+        dl_vessel_report vessel;
+    } sample;
+} dl_event;
 
 typedef struct {
     int64_t has_yaw, yaw_ambiguous, has_pose6;
     double confidence, sigma_s, d_level[3], yaw_rad, cov[16], pose_d_level[3], pose_R[9], pose_cov[36];
-} sighting;
+} dl_sighting;
 
 typedef struct {
     int64_t verdict, m, axes, has_S;
     double innov[6], S[36], nis, nis_max;
-} outcome;
+} dl_outcome;
 
 typedef struct {
-    double row[2 * WAVE_STATES * OSCILLATORS], noise[2 * OSCILLATORS], squares[3 * WAVE_PAIRS * OSCILLATORS];
-} horizon_reach;
+    double horizon_s, row[2 * WAVE_STATES * OSCILLATORS], noise[2 * OSCILLATORS], squares[3 * WAVE_PAIRS * OSCILLATORS];
+} dl_horizon_reach;
 
 typedef struct {
     double d[3], cov_d[9], v_pad[3], height, sigma_height, rise, sigma_rise, roll, sigma_roll, pitch, sigma_pitch;
-} deck_ahead;
+} dl_deck_ahead;
 
 typedef struct {
     int64_t has_pad, has_body, sighted, agreed, velocity_fused, heading_known;
     double nis_mean, heading, d[3], v[3], yaw, cov[49], a_body[3], cov_a_body[9], w_body[3], levelled_by[9],
-        cov_levelled_by[9], v_deck[3], a_deck[3], cov_deck[36], tilt[4], cov_tilt[16], x[N], var[N], cov_vessel,
+        cov_levelled_by[9], v_deck[3], a_deck[3], cov_deck[36], tilt[4], cov_tilt[16], x[DL_N], var[DL_N], cov_vessel,
         wave_w[DIRECTIONS], wave_zeta[DIRECTIONS], wave_sigma[DIRECTIONS];
-} answer;
+} dl_answer;
 
-/* Functions of the filter's algebra, of the bank and of the filter. */
-int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis);
-void kalman_predict(int32_t n, const double *P, const double *F, const double *Q, double *P_after);
-int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx,
-    double *P_after, double *S, double *nis);
-void remove_attitude(int32_t m, double *cov, const double *J, const double *cov_attitude);
-void bank_begin(const bank_members *m, sea *after);
-void bank_observe(const filter_params *o, int64_t t, const double *y, const double *var, double ins_var, double reach_m,
-    const sea *before, sea *after);
-int32_t filter_run(const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before,
-    const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after, int64_t *P_index,
-    int64_t *sea_index, outcome *outcomes);
-int32_t filter_propagate(const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before,
-    belief *after, double *P_after);
-void filter_settle(const filter_params *o, const belief *before, belief *after, double *F, double *Q);
-int32_t sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only,
-    double *innov, double *H, double *R, double *by_rate);
-void bank_reach(const bank_members *m, int32_t n, const double *horizons_s, horizon_reach *out);
-int32_t filter_forecast(const filter_params *o, int64_t t, const belief *before, const double *P_before, const sea *bank,
-    int32_t n, const double *horizons_s, const horizon_reach *reach, deck_ahead *out);
-void filter_answer(const filter_params *o, int64_t t, const belief *before, const double *P_before, answer *out);
+/* A belief with its covariance (N, N) and its bank, each in memory of its own: later beliefs share what no event changed. */
+typedef struct {
+    const dl_belief *numbers;
+    const double *P;
+    const dl_bank *bank;
+} dl_whole_belief;
+
+/* The belief after an event, the event's outcome, and the indices of the belief's covariance and bank among those that dl_filter_run
+ * wrote; -1 for the ones before all events. */
+typedef struct {
+    dl_belief after;
+    dl_outcome outcome;
+    int64_t P_index, bank_index;
+} dl_filter_step;
+
+/* Where dl_filter_run writes: a step and room for a covariance for each event, and room for a bank for each sighting. */
+typedef struct {
+    dl_filter_step *steps;
+    double *P;
+    dl_bank *banks;
+} dl_filter_row;
+
+/* Write the bank before any sighting. */
+void dl_bank_begin(const dl_bank_members *m, dl_bank *out);
+/* Write what a forecast needs of n horizons. It depends on nothing but them and the members, and serves any number of forecasts. */
+void dl_bank_reach(const dl_bank_members *m, int32_t n, const double *horizons_s, dl_horizon_reach *out);
+/* Process events in their order; those of kind SIGHTING take the sightings one by one. Return how many were processed: the next
+ * one needs a belief that is set outright, or has no sighting left. A covariance or a bank that an event changed is written once. */
+int32_t dl_filter_run(const dl_filter_params *o, int32_t n, const dl_event *events, int32_t sightings_n, const dl_sighting *sightings,
+    const dl_whole_belief *before, const dl_filter_row *out);
+/* Write the belief at instant t and its covariance; what is one of enum propagation. */
+void dl_filter_propagate(const dl_filter_params *o, int32_t what, int64_t t, const dl_whole_belief *before, dl_belief *after,
+    double *P_after);
+/* Write the deck's forecast from instant t at n horizons; return 0 if no pad is tracked. */
+int32_t dl_filter_forecast(const dl_filter_params *o, int64_t t, const dl_whole_belief *before, int32_t n,
+    const dl_horizon_reach *reach, dl_deck_ahead *out);
+/* Write what the filter says of instant t. */
+void dl_filter_answer(const dl_filter_params *o, int64_t t, const dl_whole_belief *before, dl_answer *out);
 
 /* ---- law/: the law that follows the deck ---- */
 
 enum {
     /* The largest number of commands that the law remembers: 0.65 s at 200 cycles a second. */
     UNDER_WAY_MAX = 132,
+    /* The largest number of horizons of a forecast that the law takes. */
+    HORIZONS_MAX = 16,
 };
 
 /* companion.guidance.law_records says what the members mean where their names do not. Vectors are written in level, axes
@@ -223,49 +277,69 @@ typedef struct {
     int64_t remembered, over_ground, keeps_in_view, looks_ahead;
     double period_s, frequency_rad_s, damping, lag_s, tilt_max_m_s2, climb_lag_s, climb_max_m_s, view_forward_m, view_right_m,
         half_forward_rad, half_right_rad;
-} law_params;
+} dl_law_params;
 
 typedef struct {
     int64_t n, tilt_delay, climb_delay;
     double slowness_s, p, w, a, rate, lag, under_way[UNDER_WAY_MAX];
-} law_gains;
+} dl_law_gains;
+
+/* The observer's gains: rows for p, w, d and b, columns by place, speed and acceleration. */
+typedef struct {
+    double gains[4][3];
+} dl_law_observer;
+
+/* The law as it is flown in one cycle; the command goes over from gains_before to gains. */
+typedef struct {
+    dl_law_params params;
+    dl_law_gains gains, gains_before;
+    dl_law_observer observer;
+} dl_law_in_use;
+
+/* The horizons of a forecast, and the pad's velocity there in level. */
+typedef struct {
+    int64_t n;
+    double horizons_s[HORIZONS_MAX], rates_m_s[HORIZONS_MAX][3];
+} dl_law_course;
 
 typedef struct {
     double p, w, d, b, lean, rate, lag, under_way[UNDER_WAY_MAX];
-} law_axis;
+} dl_law_axis;
 
 typedef struct {
     double p, w, lean, rate, a_body, a_deck;
-} axis_measured;
+} dl_axis_measured;
 
 typedef struct {
     double own, lean, rate;
-} law_own;
+} dl_law_own;
 
 typedef struct {
     int64_t begun, has_turn;
     double pushed_down_m_s2, turn_yaw_rad, turn_rate_rad_s, climbs[UNDER_WAY_MAX];
-    law_axis axes[2];
-    law_own own[2];
-} law_memory;
+    dl_law_axis axes[2];
+    dl_law_own own[2];
+} dl_law_memory;
 
 typedef struct {
-    int64_t goes_on, steers, has_deck, horizons, has_yaw, has_rate, has_wanted_yaw, has_lean_max;
+    int64_t goes_on, steers, has_deck, has_yaw, has_rate, has_wanted_yaw, has_lean_max;
     double dt, share, forecast_age_s, heading_rad, d[3], v[3], yaw_rad, a_body[3], w_body[3], lean[2], v_deck[3], a_deck[3],
         wanted[3], rate_m_s, rate_max_m_s, speed_max_m_s, wanted_yaw_rad, lean_max_rad;
-} law_cycle;
+} dl_law_cycle;
 
 typedef struct {
     double a[2], trim[2], v[3], yaw_rate_rad_s;
-} law_command;
+} dl_law_command;
 
-/* One axis of the law, which its stability margins ask too, and one whole cycle. */
-void law_observe(const law_params *o, const double *observer, double dt, double arrived, const law_axis *before,
-    const axis_measured *z, law_axis *after);
-double law_tilt(const law_axis *x, const law_gains *gains, double off_m, double a_deck, double a_deck_then);
-void law_step(const law_params *o, const law_gains *gains, const law_gains *gains_before, const double *observer,
-    const law_cycle *in, const double *horizons_s, const double *rates_m_s, const law_memory *before, law_memory *after,
-    law_command *out);
+/* Step one horizontal axis by dt with a measurement, and return the tilt to command over a still deck, m/s^2, by `gains` alone: what
+ * the law's stability margins query. The command that has arrived is an acceleration. Return NAN if the law has no room for its
+ * commands. */
+double dl_law_axis_step(const dl_law_in_use *law, double dt, double arrived, const dl_law_axis *before,
+    const dl_axis_measured *z, dl_law_axis *after);
+/* Run one cycle. Where no target steers, the memory notes what the vehicle does and the command is zero. Return 0, and write nothing,
+ * if the law has no room for its commands or for the horizons. */
+int32_t dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_course *course, const dl_law_memory *before,
+    dl_law_memory *after, dl_law_command *out);
 
 /* ---- vision/register/: the drawing registered with a frame ---- */
 

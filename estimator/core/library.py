@@ -23,7 +23,7 @@ FILE = f"{__file__.rpartition('/')[0]}/libdecklander.so.1"
 
 
 class Door:
-    """A loaded library. `lib` has its entries, `ffi` the types of its header.
+    """A loaded library. `lib` has its entries, `file` is where it lies, `ffi` the types of its header.
 
     Call entries as `door.lib.name(...)` each time: tests load another library in its place.
 
@@ -36,6 +36,7 @@ class Door:
     """
 
     lib: Any
+    file: str
 
     def __init__(self, made: ModuleType, file: str) -> None:
         self.ffi = made.ffi
@@ -60,7 +61,7 @@ class Door:
             raise SetupImpossible(
                 f"the native core {file} was built for interface {found:08x}, this code needs {self._digest:08x}; {CURE}"
             )
-        self.lib = lib
+        self.lib, self.file = lib, file
 
     def dtype(self, kind: str) -> np.dtype[Any]:
         """Return the layout of a C type as numpy's: of a number by its name, of a structure with its members."""

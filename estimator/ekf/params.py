@@ -5,14 +5,15 @@ Derivation: docs/estimator.md, section "Motion".
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from estimator.contracts.geometry import F64
+import numpy as np
+from numpy.typing import NDArray
+
 from estimator.contracts.samples import UNKNOWN_VAR
 from estimator.core import abi
 from estimator.core.abi import ROWS_MAX
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import address
+from estimator.core.library import CORE
 from estimator.ekf import gate
 from estimator.ekf.deck_motion_bank import carrying, packed_members
 from estimator.ekf.options import EkfOptions
@@ -60,47 +61,35 @@ class FilterParams:
         self.psd_coast = o.asd_coast_m_s2**2
         self.psd_coast_turn = o.asd_coast_rad_s**2
         self.not_measured_var = NOT_MEASURED_VAR
-        self._packed = _packed(self)
-        self.packed_address = address(self._packed)
-        """Address of the core's `filter_params`."""
+        self.core = CORE.array("dl_filter_params", _packed(self))
+        """The core's `dl_filter_params`."""
 
 
-def _packed(params: FilterParams) -> F64:
-    """Return the core's `filter_params` for these parameters."""
-    o, places = params.options, places_of("filter_params")
-    words = np.zeros(size_of("filter_params"))
-    integers = words.view(np.int64)
-    surface = {"auto": "OVER_EITHER", "either": "OVER_EITHER", "pad": "OVER_PAD"}.get(o.velocity_is_over, "OVER_GROUND")
-    integers[places["hold_ns"]] = round(o.hold_s * 1e9)
-    integers[places["velocity_is_over"]] = getattr(abi, surface)
-    for name in ("reopen_count", "sighting_has_attitude_error"):
-        integers[places[name]] = getattr(o, name)
-    for name in (
-        "tick_s",
-        "forget_s",
-        "aiding_period_s",
-        "accel_step_m_s2",
-        "gyro_step_rad_s",
-        "deck_radius_m",
-        "sigma_wave_yaw_rate_rad_s",
-        "min_confidence",
-        "reopen_s",
-        "heading_memory_s",
-        "sigma_sway_per_heave",
-        "sigma_turn_rate_rad_s",
-        "pad_yaw_in_vessel_rad",
-    ):
-        words[places[name]] = getattr(o, name)
-    for name in ("psd", "psd_accel", "psd_coast", "psd_coast_turn", "not_measured_var"):
-        words[places[name]] = getattr(params, name)
-    words[places["correlation_s"]] = (
-        o.attitude_correlation_s, o.velocity_correlation_s, o.range_correlation_s, o.baro_correlation_s,
-    )  # fmt: skip
-    words[places["nis_max"]] = [gate.nis_max(o.gate_probability, dof) for dof in range(1, ROWS_MAX + 1)]
-    by = params.carrying
-    for name, asd in (("accel", by.asd_accel), ("drift", by.asd_drift), ("tilt", by.asd_tilt)):
-        words[places[f"carrying_psd_{name}"]] = asd**2
-    words[places["members"]] = packed_members()
-    words[places["wave_yaw_rad_s"]] = 2.0 * np.pi / o.wave_yaw_period_s
-    words.setflags(write=False)
-    return words
+_SURFACES = {"auto": abi.DL_OVER_EITHER, "either": abi.DL_OVER_EITHER, "pad": abi.DL_OVER_PAD, "ground": abi.DL_OVER_GROUND}
+_FROM_OPTIONS = (
+    "reopen_count", "sighting_has_attitude_error", "tick_s", "forget_s", "aiding_period_s", "accel_step_m_s2", "gyro_step_rad_s",
+    "deck_radius_m", "sigma_wave_yaw_rate_rad_s", "min_confidence", "reopen_s", "heading_memory_s", "sigma_sway_per_heave",
+    "sigma_turn_rate_rad_s", "pad_yaw_in_vessel_rad",
+)  # fmt: skip
+_FROM_NOISE = ("psd", "psd_accel", "psd_coast", "psd_coast_turn", "not_measured_var")
+
+
+def _packed(params: FilterParams) -> NDArray[Any]:
+    """Return the core's `dl_filter_params` for these parameters."""
+    o, by = params.options, params.carrying
+    record = CORE.record(
+        "dl_filter_params",
+        **{name: getattr(o, name) for name in _FROM_OPTIONS},
+        **{name: getattr(params, name) for name in _FROM_NOISE},
+        hold_ns=round(o.hold_s * 1e9),
+        velocity_is_over=_SURFACES[o.velocity_is_over],
+        correlation_s=(o.attitude_correlation_s, o.velocity_correlation_s, o.range_correlation_s, o.baro_correlation_s),
+        nis_max=[gate.nis_max(o.gate_probability, dof) for dof in range(1, ROWS_MAX + 1)],
+        carrying_psd_accel=by.asd_accel**2,
+        carrying_psd_drift=by.asd_drift**2,
+        carrying_psd_tilt=by.asd_tilt**2,
+        wave_yaw_rad_s=2.0 * np.pi / o.wave_yaw_period_s,
+    )
+    record["members"] = packed_members()
+    record.setflags(write=False)
+    return record

@@ -9,7 +9,7 @@ import numpy as np
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, rpy_matrix
 from estimator.contracts.samples import Attitude, Imu
-from estimator.core.abi import WITH_COVARIANCE
+from estimator.core.abi import DL_WITH_COVARIANCE
 from estimator.ekf import deck_motion_bank, so3
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
@@ -48,7 +48,7 @@ def process_event(b: Belief | None, event: Event, params: FilterParams) -> tuple
     if followed:
         return followed[0].belief, followed.outcomes(1)[0]
     assert isinstance(event, Attitude)
-    return _set_by(packed.propagated(event.stamp.measured_at, params, WITH_COVARIANCE).belief, event, params)
+    return _set_by(packed.propagated(event.stamp.measured_at, params, DL_WITH_COVARIANCE).belief, event, params)
 
 
 def _first(event: Event, params: FilterParams) -> tuple[Belief | None, Outcome]:

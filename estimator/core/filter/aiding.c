@@ -9,12 +9,12 @@
 #include "filter/gathering.h"
 #include "base/rotation.h"
 
-void take_attitude(const filter_params *o, belief *b, covariance *c, const double *R_ned_body, const double *cov, outcome *out)
+void take_attitude(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_attitude *seen, dl_outcome *out)
 {
     double gap[9], innov[3];
-    aid begun = b->aids[DL_ATTITUDE];
+    dl_aid begun = b->aids[DL_ATTITUDE];
     begun.m = 3;
-    product_of_transposed(b->R, R_ned_body, gap);
+    product_of_transposed(b->R, seen->R_ned_body, gap);
     log_rotation(gap, innov);
     innov[0] -= b->x[DL_ATT_BIAS];
     innov[1] -= b->x[DL_ATT_BIAS + 1];
@@ -28,23 +28,23 @@ void take_attitude(const filter_params *o, belief *b, covariance *c, const doubl
         }
         begin_gathering(&begun, b, c, DL_ATTITUDE, H, NULL);
     }
-    gather(o, b, c, DL_ATTITUDE, &begun, innov, cov, out);
-    memcpy(b->levelled_by, R_ned_body, sizeof b->levelled_by);
-    memcpy(b->cov_levelled_by, cov, sizeof b->cov_levelled_by);
+    gather(o, b, c, DL_ATTITUDE, &begun, innov, seen->cov_body, out);
+    memcpy(b->levelled_by, seen->R_ned_body, sizeof b->levelled_by);
+    memcpy(b->cov_levelled_by, seen->cov_body, sizeof b->cov_levelled_by);
     b->is_levelled = b->heading_is_given = 1;
 }
 
-void take_height(const filter_params *o, belief *b, covariance *c, double height_m, double sigma_m, outcome *out)
+void take_height(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_distance *seen, dl_outcome *out)
 {
-    const double T = seconds(b->t_cov, b->t), var = sigma_m * sigma_m;
-    aid begun = b->aids[DL_HEIGHT];
+    const double T = seconds(b->t_cov, b->t), var = seen->sigma_m * seen->sigma_m;
+    dl_aid begun = b->aids[DL_HEIGHT];
     begun.m = 1;
     if (b->sighted < 0) {
         out->verdict = DL_GATED;
         return;
     }
     const double depth = b->x[DL_POS_REL + 2] - b->x[HEAVE] - b->x[DL_VEL + 2] * T - b->dp[2] - 0.5 * GRAVITY_M_S2 * T * T;
-    const double innov = height_m - (depth + b->x[DL_BARO_OFFSET]);
+    const double innov = seen->measured_m - (depth + b->x[DL_BARO_OFFSET]);
     if (!still_gathers(o, b, DL_HEIGHT, 0, 0.0)) {
         const double H[3 * COLUMNS_MAX] = {1.0, -1.0, 1.0};
         begin_gathering(&begun, b, c, DL_HEIGHT, H, NULL);
@@ -52,7 +52,7 @@ void take_height(const filter_params *o, belief *b, covariance *c, double height
     gather(o, b, c, DL_HEIGHT, &begun, &innov, &var, out);
 }
 
-void foot_of(const belief *b, const double *P, const double x[DL_N], double *away, double *spread)
+void foot_of(const dl_belief *b, const double *P, const double x[DL_N], double *away, double *spread)
 {
     const double c[3] = {b->R[2], b->R[5], b->R[8]}, reach = x[DL_POS_REL + 2] / fmax(c[2], 0.3);
     const double var = (AT(P, DL_POS_REL, DL_POS_REL) + AT(P, DL_POS_REL + 1, DL_POS_REL + 1)) / 2.0;
@@ -90,10 +90,10 @@ static int distance(const double R[9], const double x[DL_N], double *r, double H
     return 1;
 }
 
-void take_range(const filter_params *o, belief *b, covariance *c, double range_m, double sigma_m, outcome *out)
+void take_range(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_distance *seen, dl_outcome *out)
 {
     double x[DL_N], away, spread, r, H[3 * COLUMNS_MAX];
-    const double var = sigma_m * sigma_m;
+    const double var = seen->sigma_m * seen->sigma_m;
     out->verdict = DL_GATED;
     if (b->sighted < 0) {
         return;
@@ -104,8 +104,8 @@ void take_range(const filter_params *o, belief *b, covariance *c, double range_m
     if (away + 2.0 * spread > o->deck_radius_m || !distance(b->R, x, &r, H)) {
         return;
     }
-    const double innov = range_m - r - x[DL_RANGE_OFFSET];
-    aid begun = b->aids[DL_RANGE];
+    const double innov = seen->measured_m - r - x[DL_RANGE_OFFSET];
+    dl_aid begun = b->aids[DL_RANGE];
     begun.m = 1;
     if (!still_gathers(o, b, DL_RANGE, 0, 0.0)) {
         begin_gathering(&begun, b, c, DL_RANGE, H, NULL);

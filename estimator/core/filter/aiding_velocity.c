@@ -86,7 +86,7 @@ static void pick(int axes, const double A[9], double *out)
     }
 }
 
-static int measured_axes(const filter_params *o, const double cov[9])
+static int measured_axes(const dl_filter_params *o, const double cov[9])
 {
     int axes = 0;
     for (int i = 0; i < 3; i++) {
@@ -96,7 +96,7 @@ static int measured_axes(const filter_params *o, const double cov[9])
 }
 
 /* A velocity that is measured against a surface that moves with weight `deck_weight` as the deck does: innovation and H P H'. */
-static int compare_velocity(const belief *b, const double *P, const double x[DL_N], const double v[3], int axes, double deck_weight,
+static int compare_velocity(const dl_belief *b, const double *P, const double x[DL_N], const double v[3], int axes, double deck_weight,
                             double innov[3], double spread[9])
 {
     double over[3], H[3 * COLUMNS_MAX], expected[3];
@@ -116,7 +116,7 @@ static int compare_velocity(const belief *b, const double *P, const double x[DL_
 }
 
 /* The log-odds, -3..3, by which one sample favours a velocity over the deck against one over the ground. */
-static double evidence_for_the_deck(const belief *b, const double *P, const double x[DL_N], const double v[3], const double cov[9],
+static double evidence_for_the_deck(const dl_belief *b, const double *P, const double x[DL_N], const double v[3], const double cov[9],
                                     int axes)
 {
     double ground[3], deck[3], by_ground[9], by_deck[9], both[9], R[9], misfit_ground, misfit_deck, least = REFUTED;
@@ -144,14 +144,14 @@ static double evidence_for_the_deck(const belief *b, const double *P, const doub
 
 /* Whether samples can tell the deck from the water: once the pad was seen, or while the vessel's reports tell her velocity. A drone
  * that comes from astern is over a large deck before it sees the pad. */
-static int surface_is_open(const filter_params *o, const belief *b, const double *P)
+static int surface_is_open(const dl_filter_params *o, const dl_belief *b, const double *P)
 {
     const double *var = P + DL_VESSEL_VEL * (DL_N + 1);
     return o->velocity_is_over == DL_OVER_EITHER && (b->sighted >= 0 || var[0] + var[DL_N + 1] < KNOWN_VAR);
 }
 
 /* Update the log-odds between the two hypotheses about a velocity. Correlated samples count as one. */
-static void look_below(const filter_params *o, belief *b, const double *P, const double v[3], const double cov[9], int axes)
+static void look_below(const dl_filter_params *o, dl_belief *b, const double *P, const double v[3], const double cov[9], int axes)
 {
     const double since = b->t_velocity < 0 ? 1.0 : seconds(b->t_velocity, b->t);
     double x[DL_N], away, spread, expected = 0.0;
@@ -173,7 +173,7 @@ static void look_below(const filter_params *o, belief *b, const double *P, const
     b->t_velocity = b->t;
 }
 
-static double deck_weight_of(const filter_params *o, const belief *b, int is_open)
+static double deck_weight_of(const dl_filter_params *o, const dl_belief *b, int is_open)
 {
     if (!is_open) {
         return o->velocity_is_over == DL_OVER_PAD ? 1.0 : 0.0;
@@ -183,7 +183,7 @@ static double deck_weight_of(const filter_params *o, const belief *b, int is_ope
 }
 
 /* The noise that an uncertain deck weight adds, by the deck's velocity as a body at rest would measure it. */
-static void ambiguity_of(const belief *b, const double *P, const double x[DL_N], int axes, double deck_weight, double out[9])
+static void ambiguity_of(const dl_belief *b, const double *P, const double x[DL_N], int axes, double deck_weight, double out[9])
 {
     const double doubt = deck_weight * (1.0 - deck_weight);
     double H[3 * COLUMNS_MAX], v_pad[3], gap[3];
@@ -202,8 +202,8 @@ static void ambiguity_of(const belief *b, const double *P, const double x[DL_N],
 
 /* Whether a sample is refused because it contradicts the surface that is believed in and not the other one: the body has come over
  * an edge. Fused, it would be taken for a leap of the body's velocity before the odds have turned. */
-static int refused_at_an_edge(const filter_params *o, const belief *b, const double *P, const double v[3], const double cov[9],
-                              const aid *begun, const double innov[3], outcome *out)
+static int refused_at_an_edge(const dl_filter_params *o, const dl_belief *b, const double *P, const double v[3], const double cov[9],
+                              const dl_aid *begun, const double innov[3], dl_outcome *out)
 {
     const int m = (int)begun->m, axes = (int)begun->axes;
     double S[9], nis, x[DL_N];
@@ -224,8 +224,9 @@ static int refused_at_an_edge(const filter_params *o, const belief *b, const dou
     return 1;
 }
 
-void take_velocity(const filter_params *o, belief *b, covariance *c, const double v[3], const double *cov, outcome *out)
+void take_velocity(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_velocity *seen, dl_outcome *out)
 {
+    const double *v = seen->v_level, *cov = seen->cov_level;
     const int axes = measured_axes(o, cov), is_open = surface_is_open(o, b, c->P);
     if (is_open) {
         look_below(o, b, c->P, v, cov, axes);
@@ -247,7 +248,7 @@ void take_velocity(const filter_params *o, belief *b, covariance *c, const doubl
     }
     pick(axes, cov, R);
     const int m = pick_rows(axes, 1, innov);
-    aid begun = b->aids[DL_VELOCITY];
+    dl_aid begun = b->aids[DL_VELOCITY];
     if (!still_gathers(o, b, DL_VELOCITY, axes, deck_weight)) {
         double x[DL_N], H[3 * COLUMNS_MAX], ambiguity[9] = {0.0};
         peek(b, x);

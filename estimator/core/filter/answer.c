@@ -16,7 +16,7 @@ static const double IMU_HZ = 200.0;
 
 /* A settled belief, and what its parts are asked through. */
 typedef struct {
-    const belief *b;
+    const dl_belief *b;
     const double *P;
     /* The state with the deck at the body's time. */
     double x[DL_N];
@@ -24,7 +24,7 @@ typedef struct {
 } settled;
 
 /* Place and velocity of the pad in level and the body's heading against the arrow, with the covariance at the instant. */
-static void answer_pad(const settled *now, const double *F, const double *Q, answer *out)
+static void answer_pad(const settled *now, const double *F, const double *Q, dl_answer *out)
 {
     double J[7 * DL_N] = {0.0}, JF[7 * DL_N];
     for (int i = 0; i < 3; i++) {
@@ -53,9 +53,9 @@ static void answer_pad(const settled *now, const double *F, const double *Q, ans
 }
 
 /* Acceleration and rates of the body by the newest IMU sample. */
-static void answer_body(const filter_params *o, const settled *now, answer *out)
+static void answer_body(const dl_filter_params *o, const settled *now, dl_answer *out)
 {
-    const belief *b = now->b;
+    const dl_belief *b = now->b;
     double J[3 * DL_N] = {0.0}, force[3], cross[9], by_attitude[9];
     for (int i = 0; i < 3; i++) {
         force[i] = b->f[i] - b->x[DL_ACCEL_BIAS + i];
@@ -80,7 +80,7 @@ static void answer_body(const filter_params *o, const settled *now, answer *out)
 }
 
 /* The pad's acceleration in ned by the oscillators and the vessel's turn, and its three rows, added to J. */
-static void pad_acceleration(const belief *b, const double x[DL_N], double a[3], double *J)
+static void pad_acceleration(const dl_belief *b, const double x[DL_N], double a[3], double *J)
 {
     const double rate = x[DL_TURN_RATE];
     for (int k = 0; k < 3; k++) {
@@ -106,7 +106,7 @@ static void pad_acceleration(const belief *b, const double x[DL_N], double a[3],
 }
 
 /* Velocity and acceleration of the pad's centre over the ground, and the deck's tilt with its rates. */
-static void answer_deck(const settled *now, answer *out)
+static void answer_deck(const settled *now, dl_answer *out)
 {
     double J[6 * DL_N] = {0.0}, tilt[4 * DL_N] = {0.0};
     pad_velocity(now->x, out->v_deck);
@@ -129,11 +129,11 @@ static void answer_deck(const settled *now, answer *out)
     add_spread(4, tilt, now->P, out->cov_tilt);
 }
 
-void filter_answer(const filter_params *o, int64_t t, const whole_belief *before, answer *out)
+void dl_filter_answer(const dl_filter_params *o, int64_t t, const dl_whole_belief *before, dl_answer *out)
 {
     double places[2][DL_N * DL_N], F[DL_N * DL_N], Q[DL_N * DL_N];
     covariance c = {before->P, {places[0], places[1]}};
-    belief b = *before->numbers;
+    dl_belief b = *before->numbers;
     settled now;
     memset(out, 0, sizeof *out);
     propagate_to(o, &b, &c, t);

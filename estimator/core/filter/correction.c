@@ -59,7 +59,7 @@ static void turn_axes(const double dx[DL_N], double *P)
     add_attitude(P, DL_ATT_ERR, A);
 }
 
-void correct_belief(belief *b, covariance *c, const double dx[DL_N], double *P)
+void correct_belief(dl_belief *b, covariance *c, const double dx[DL_N], double *P)
 {
     double turn[9], R[9];
     lean(b->R, dx, P);
@@ -93,7 +93,7 @@ void forget_state(double *P, int state, double var)
     AT(P, state, state) = var;
 }
 
-void tell(outcome *out, int verdict, int m, int axes, const double *innov, const double *S)
+void tell(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S)
 {
     out->verdict = verdict;
     out->m = m;

@@ -20,7 +20,7 @@ static const int64_t NEEDED = 3, SPAN_NS = 120000000;
 static const double ACTED_S = 0.3;
 
 /* Drop the sightings that are too old, and at least one if there is no room for another. */
-static void drop_old(innovation_excesses *excesses, int64_t t)
+static void drop_old(dl_innovation_excesses *excesses, int64_t t)
 {
     int gone = excesses->n == EXCESSES_MAX;
     while (gone < excesses->n && excesses->t[gone] < t - MEMORY_NS) {
@@ -31,7 +31,7 @@ static void drop_old(innovation_excesses *excesses, int64_t t)
     memmove(excesses->values, excesses->values + 3 * gone, (size_t)excesses->n * 3 * sizeof *excesses->values);
 }
 
-void jolt_extend(innovation_excesses *excesses, int64_t t, const double innov_ned[3], const double cov_ned[9])
+void jolt_extend(dl_innovation_excesses *excesses, int64_t t, const double innov_ned[3], const double cov_ned[9])
 {
     double excess[3];
     for (int i = 0; i < 3; i++) {
@@ -48,7 +48,7 @@ void jolt_extend(innovation_excesses *excesses, int64_t t, const double innov_ne
 }
 
 /* The median along an axis, by insertion. */
-static double median(const innovation_excesses *excesses, int axis)
+static double median(const dl_innovation_excesses *excesses, int axis)
 {
     double ordered[EXCESSES_MAX];
     const int n = (int)excesses->n, half = n / 2;
@@ -64,7 +64,7 @@ static double median(const innovation_excesses *excesses, int axis)
     return n % 2 == 1 ? ordered[half] : 0.5 * (ordered[half - 1] + ordered[half]);
 }
 
-int jolt_missing(const innovation_excesses *excesses, double missing[3])
+int jolt_missing(const dl_innovation_excesses *excesses, double missing[3])
 {
     int some = 0;
     if (excesses->n < NEEDED || excesses->t[excesses->n - 1] - excesses->t[0] < SPAN_NS) {

@@ -15,8 +15,8 @@ enum { PER_DIRECTION = 4, DISP = DL_WAVES, RATE = DL_WAVES + 1, ALONG_DOWN = 2, 
 
 /* The belief at the instant from which the horizons count. */
 typedef struct {
-    const filter_params *o;
-    const belief *b;
+    const dl_filter_params *o;
+    const dl_belief *b;
     const double *P;
     /* The state with the deck at the body's time. */
     double x[DL_N];
@@ -48,7 +48,7 @@ static void noise_of(const present *now, double T, const double curving[2], cons
 }
 
 /* Place and velocity of the pad at a horizon if the body keeps its velocity. */
-static void forecast_place(const present *now, double T, const waves_then *waves, deck_ahead *out)
+static void forecast_place(const present *now, double T, const waves_then *waves, dl_deck_ahead *out)
 {
     const double *x = now->x, *sway = x + DL_SWAY_PER_HEAVE, *u = x + DL_VESSEL_VEL, half = 0.5 * T * T;
     const double curving[2] = {-half * u[1], half * u[0]}, heaved = waves[ALONG_DOWN].change;
@@ -85,7 +85,7 @@ static void forecast_place(const present *now, double T, const waves_then *waves
 }
 
 /* Height and rise of the pad's centre, positive up. */
-static void forecast_heave(const present *now, const waves_then *heave, deck_ahead *out)
+static void forecast_heave(const present *now, const waves_then *heave, dl_deck_ahead *out)
 {
     const double var_rate = AT(now->P, HEAVING, HEAVING);
     double *value[2] = {&out->height, &out->rise}, *sigma[2] = {&out->sigma_height, &out->sigma_rise};
@@ -117,13 +117,13 @@ static void widen_by_misses(const forecast_misses *misses, double horizon_s, int
     then->var_change = missed_var(misses, horizon_s, k, 0, then->var_change);
 }
 
-int32_t filter_forecast(const filter_params *o, int64_t t, const whole_belief *before, int32_t n, const horizon_reach *reach,
-                        deck_ahead *out)
+int32_t dl_filter_forecast(const dl_filter_params *o, int64_t t, const dl_whole_belief *before, int32_t n, const dl_horizon_reach *reach,
+                        dl_deck_ahead *out)
 {
     double places[2][DL_N * DL_N], factors[SKILL_HORIZONS][DIRECTIONS][2];
     covariance c = {before->P, {places[0], places[1]}};
-    const sea *bank = before->bank;
-    belief b = *before->numbers;
+    const dl_bank *bank = before->bank;
+    dl_belief b = *before->numbers;
     present now;
     oscillator_steps steps;
     waves_now sea_now[DIRECTIONS];

@@ -28,14 +28,14 @@ static double length(const double v[3])
     return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
 }
 
-void streak_end(belief *b)
+void streak_end(dl_belief *b)
 {
     memset(&b->rejections, 0, sizeof b->rejections);
 }
 
-void streak_extend(belief *b, int64_t t, const double offset_ned[3], double var_m2)
+void streak_extend(dl_belief *b, int64_t t, const double offset_ned[3], double var_m2)
 {
-    rejection_streak *streak = &b->rejections;
+    dl_rejection_streak *streak = &b->rejections;
     const double dt = seconds(streak->last, t);
     double step[3];
     for (int i = 0; i < 3; i++) {
@@ -53,7 +53,7 @@ void streak_extend(belief *b, int64_t t, const double offset_ned[3], double var_
     streak->var_m2 = var_m2;
 }
 
-int streak_resets(const filter_params *o, const belief *b)
+int streak_resets(const dl_filter_params *o, const dl_belief *b)
 {
     if (b->agreed < MANY) {
         return b->rejections.n > b->agreed;

@@ -48,17 +48,17 @@ void spread_of(int m, int kind, const double *H, const double *P, double *out)
 }
 
 /* Samples from before a pause: their innovations belong to a state long past. */
-static int is_stale(const filter_params *o, const aid *a, int64_t t)
+static int is_stale(const dl_filter_params *o, const dl_aid *a, int64_t t)
 {
     return seconds(a->since, t) > 2.0 * o->aiding_period_s;
 }
 
-void fuse_gathered(const filter_params *o, belief *b, covariance *c)
+void fuse_gathered(const dl_filter_params *o, dl_belief *b, covariance *c)
 {
     double innov[ROWS_MAX], H[ROWS_MAX * DL_N], R[ROWS_MAX * ROWS_MAX], S[ROWS_MAX * ROWS_MAX], dx[DL_N], nis;
     int m = 0;
     for (int kind = 0; kind < KINDS; kind++) {
-        const aid *a = &b->aids[kind];
+        const dl_aid *a = &b->aids[kind];
         m += a->n > 0 && !is_stale(o, a, b->t) ? (int)a->m : 0;
     }
     propagate_covariance(o, b, c);
@@ -66,7 +66,7 @@ void fuse_gathered(const filter_params *o, belief *b, covariance *c)
     memset(R, 0, sizeof R);
     int at = 0;
     for (int kind = 0; kind < KINDS; kind++) {
-        aid *a = &b->aids[kind];
+        dl_aid *a = &b->aids[kind];
         if (a->n > 0 && !is_stale(o, a, b->t)) {
             /* Errors with correlation time tau leave one independent sample in 2 tau, however many samples there are. */
             const double window = a->fused >= 0 ? seconds(a->fused, b->t) : INFINITY;
@@ -117,7 +117,7 @@ static void drift_together(double *P, const double *innov)
 }
 
 /* Make uncertain what a rejected sensor contradicts, in directions that leave the pad's position certain. */
-static void inflate(const belief *b, covariance *c, int kind, const double *innov)
+static void inflate(const dl_belief *b, covariance *c, int kind, const double *innov)
 {
     double *P = changeable(c), g[DL_N] = {0.0};
     const double *x = b->x;
@@ -150,7 +150,7 @@ static void inflate(const belief *b, covariance *c, int kind, const double *inno
     }
 }
 
-void begin_gathering(aid *a, const belief *b, const covariance *c, int kind, const double *H, const double *ambiguity)
+void begin_gathering(dl_aid *a, const dl_belief *b, const covariance *c, int kind, const double *H, const double *ambiguity)
 {
     const int m = (int)a->m;
     a->n = 0;
@@ -165,16 +165,16 @@ void begin_gathering(aid *a, const belief *b, const covariance *c, int kind, con
     }
 }
 
-int still_gathers(const filter_params *o, const belief *b, int kind, int axes, double deck_weight)
+int still_gathers(const dl_filter_params *o, const dl_belief *b, int kind, int axes, double deck_weight)
 {
-    const aid *a = &b->aids[kind];
+    const dl_aid *a = &b->aids[kind];
     return a->n > 0 && a->axes == axes && a->deck_weight == deck_weight && !is_stale(o, a, b->t);
 }
 
-void gather(const filter_params *o, belief *b, covariance *c, int kind, const aid *begun, const double *innov, const double *R,
-            outcome *out)
+void gather(const dl_filter_params *o, dl_belief *b, covariance *c, int kind, const dl_aid *begun, const double *innov, const double *R,
+            dl_outcome *out)
 {
-    aid *a = &b->aids[kind];
+    dl_aid *a = &b->aids[kind];
     const int m = (int)begun->m;
     double S[9], nis;
     for (int i = 0; i < m * m; i++) {

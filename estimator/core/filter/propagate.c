@@ -26,7 +26,7 @@ double *free_place(const covariance *c)
 }
 
 /* The velocity changes steadily by dv within dt. */
-static void move_by(belief *b, const double dv[3], double dt)
+static void move_by(dl_belief *b, const double dv[3], double dt)
 {
     for (int i = 0; i < 3; i++) {
         b->dp[i] += b->dv[i] * dt + dv[i] * 0.5 * dt;
@@ -34,7 +34,7 @@ static void move_by(belief *b, const double dv[3], double dt)
     }
 }
 
-void propagate_state(const filter_params *o, belief *b, int64_t t, const double w[3], const double f[3])
+void propagate_state(const dl_filter_params *o, dl_belief *b, int64_t t, const double w[3], const double f[3])
 {
     const double dt = seconds(b->t, t);
     if (dt <= 0.0) {
@@ -113,7 +113,7 @@ static void set_symmetric(double *M, int row, int column, double value)
 }
 
 /* The parts of F and Q that belong to sea and yaw, which are moved on. */
-static void move_deck(const filter_params *o, belief *b, double T, double moved[3], double *F, double *Q)
+static void move_deck(const dl_filter_params *o, dl_belief *b, double T, double moved[3], double *F, double *Q)
 {
     for (int k = 0; k < 5; k++) {
         const int at = DL_WAVES + 4 * k;
@@ -159,7 +159,7 @@ static void move_deck(const filter_params *o, belief *b, double T, double moved[
 }
 
 /* The vessel's turn and the sway in phase with its heave, after the sea was moved on by `moved`. */
-static void move_vessel(belief *b, double T, double moved[3], double *F, double *Q)
+static void move_vessel(dl_belief *b, double T, double moved[3], double *F, double *Q)
 {
     const int heave = DL_WAVES + 8;
     const double *heave_noise = &AT(Q, heave, heave);
@@ -198,7 +198,7 @@ static void move_vessel(belief *b, double T, double moved[3], double *F, double 
 }
 
 /* The body: its derivatives by attitude, velocity and the IMU's biases. */
-static void move_body(const belief *b, double T, double *F)
+static void move_body(const dl_belief *b, double T, double *F)
 {
     double back[9], cross[9], dv_R[9], dp_R[9], half[9];
     product_of_transposed(b->R, b->R_cov, back);
@@ -223,7 +223,7 @@ static void move_body(const belief *b, double T, double *F)
 }
 
 /* The noise of the random walks, and of the body's velocity and position. */
-static void add_noise(const filter_params *o, const belief *b, double T, double *Q)
+static void add_noise(const dl_filter_params *o, const dl_belief *b, double T, double *Q)
 {
     const double coast = b->coast_s, force = o->psd_accel * T + o->psd_coast * coast, jolt = b->jolt_var_m2_s2;
     for (int i = 0; i < DL_N; i++) {
@@ -240,7 +240,7 @@ static void add_noise(const filter_params *o, const belief *b, double T, double 
 
 /* The position of the body by the IMU alone. The downward accelerometer bias is not removed: a change of its estimate in flight
  * would look like a jerk of the deck. */
-static void move_dead_reckoning(const filter_params *o, belief *b, double T)
+static void move_dead_reckoning(const dl_filter_params *o, dl_belief *b, double T)
 {
     const double biased = dot(b->turned + 6, b->x + DL_ACCEL_BIAS), fall = 0.5 * GRAVITY_M_S2 * T * T;
     for (int i = 0; i < 3; i++) {
@@ -252,7 +252,7 @@ static void move_dead_reckoning(const filter_params *o, belief *b, double T)
     b->ins_var_m2_s2 += b->jolt_var_m2_s2 + o->psd_coast * b->coast_s;
 }
 
-void propagated_belief(const filter_params *o, belief *b, double *F, double *Q)
+void propagated_belief(const dl_filter_params *o, dl_belief *b, double *F, double *Q)
 {
     const double T = seconds(b->t_cov, b->t);
     double moved[3], v[3];
@@ -282,7 +282,7 @@ void propagated_belief(const filter_params *o, belief *b, double *F, double *Q)
     b->t_cov = b->t;
 }
 
-void propagate_covariance(const filter_params *o, belief *b, covariance *c)
+void propagate_covariance(const dl_filter_params *o, dl_belief *b, covariance *c)
 {
     double F[DL_N * DL_N], Q[DL_N * DL_N], *place = free_place(c);
     if (b->t <= b->t_cov) {
@@ -293,7 +293,7 @@ void propagate_covariance(const filter_params *o, belief *b, covariance *c)
     c->P = place;
 }
 
-void propagate_to(const filter_params *o, belief *b, covariance *c, int64_t t)
+void propagate_to(const dl_filter_params *o, dl_belief *b, covariance *c, int64_t t)
 {
     const int64_t held_until = b->t_imu + o->hold_ns;
     if (b->t_imu >= 0 && b->t < held_until && held_until < t) {
@@ -305,7 +305,7 @@ void propagate_to(const filter_params *o, belief *b, covariance *c, int64_t t)
     }
 }
 
-void peek(const belief *b, double x[DL_N])
+void peek(const dl_belief *b, double x[DL_N])
 {
     const double T = seconds(b->t_cov, b->t), heaving = b->x[DL_WAVES + 9];
     memcpy(x, b->x, sizeof b->x);

@@ -33,7 +33,7 @@ static double limit(double sample[3], const double before[3], double step, doubl
     return step * dt * step * dt;
 }
 
-static void forget_the_pad(const filter_params *o, belief *b)
+static void forget_the_pad(const dl_filter_params *o, dl_belief *b)
 {
     if (b->sighted >= 0 && seconds(b->sighted, b->t) > o->forget_s) {
         b->sighted = -1;
@@ -42,11 +42,11 @@ static void forget_the_pad(const filter_params *o, belief *b)
     }
 }
 
-static void take_imu(const filter_params *o, belief *b, covariance *c, const event *e)
+static void take_imu(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_event *e)
 {
     double w[3], f[3], smooth[3], mean_w[3], mean_f[3];
-    memcpy(w, e->value, sizeof w);
-    memcpy(f, e->value + 3, sizeof f);
+    memcpy(w, e->sample.imu.w_body, sizeof w);
+    memcpy(f, e->sample.imu.f_body, sizeof f);
     memcpy(smooth, w, sizeof smooth);
     if (b->t_imu >= 0 && e->t - b->t_imu <= o->hold_ns) {
         const double dt = seconds(b->t, e->t), weight = -expm1(-seconds(b->t_imu, e->t) / SMOOTH_S);
@@ -72,7 +72,7 @@ static void take_imu(const filter_params *o, belief *b, covariance *c, const eve
 }
 
 /* An attitude that sets the belief's own outright is none of ours. */
-static int sets_the_attitude(const belief *b, const double *P)
+static int sets_the_attitude(const dl_belief *b, const double *P)
 {
     double var = 0.0;
     for (int i = 0; i < 3; i++) {
@@ -82,7 +82,7 @@ static int sets_the_attitude(const belief *b, const double *P)
 }
 
 /* State and covariance at t, with the means of all gathered samples fused: otherwise another correction would count twice. */
-static void ready_to_fuse(const filter_params *o, belief *b, covariance *c, int64_t t)
+static void ready_to_fuse(const dl_filter_params *o, dl_belief *b, covariance *c, int64_t t)
 {
     propagate_to(o, b, c, t);
     propagate_covariance(o, b, c);
@@ -90,7 +90,7 @@ static void ready_to_fuse(const filter_params *o, belief *b, covariance *c, int6
 }
 
 /* One of the vehicle's samples; returns 0 if it is none of ours. */
-static int take_sample(const filter_params *o, belief *b, covariance *c, const event *e, outcome *out)
+static int take_sample(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_event *e, dl_outcome *out)
 {
     if (e->kind == DL_IMU) {
         take_imu(o, b, c, e);
@@ -102,30 +102,30 @@ static int take_sample(const filter_params *o, belief *b, covariance *c, const e
         if (sets_the_attitude(b, c->P)) {
             return 0;
         }
-        take_attitude(o, b, c, e->value, e->value + 9, out);
+        take_attitude(o, b, c, &e->sample.attitude, out);
         return 1;
     case DL_VELOCITY:
-        take_velocity(o, b, c, e->value, e->value + 3, out);
+        take_velocity(o, b, c, &e->sample.velocity, out);
         return 1;
     case DL_RANGE:
-        take_range(o, b, c, e->value[0], e->value[1], out);
+        take_range(o, b, c, &e->sample.distance, out);
         return 1;
     case DL_HEIGHT:
-        take_height(o, b, c, e->value[0], e->value[1], out);
+        take_height(o, b, c, &e->sample.distance, out);
         return 1;
     default:
         return 0;
     }
 }
 
-static int take(const filter_params *o, belief *b, covariance *c, sea_ref *bank, const event *e, const sighting *s, outcome *out)
+static int take(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_event *e, const dl_sighting *s, dl_outcome *out)
 {
     memset(out, 0, sizeof *out);
     out->nis = out->nis_max = NAN;
     out->verdict = DL_FUSED;
     if (e->kind == DL_VESSEL) {
         ready_to_fuse(o, b, c, e->t);
-        take_vessel(o, b, c, e->value, out);
+        take_vessel(o, b, c, &e->sample.vessel, out);
         return 1;
     }
     if (e->kind != DL_SIGHTING) {
@@ -141,15 +141,15 @@ static int take(const filter_params *o, belief *b, covariance *c, sea_ref *bank,
     return 1;
 }
 
-int32_t filter_run(const filter_params *o, int32_t n, const event *events, int32_t sightings_n, const sighting *sightings,
-                   const whole_belief *before, const filter_row *out)
+int32_t dl_filter_run(const dl_filter_params *o, int32_t n, const dl_event *events, int32_t sightings_n, const dl_sighting *sightings,
+                   const dl_whole_belief *before, const dl_filter_row *out)
 {
     double places[2][DL_N * DL_N];
     const double *P = before->P;
     sea_ref bank = {before->bank, out->banks};
     int32_t used = 0, seen = 0;
     for (int32_t i = 0; i < n; i++) {
-        filter_step *step = &out->steps[i];
+        dl_filter_step *step = &out->steps[i];
         covariance c = {P, {places[0], places[1]}};
         const int shows_the_pad = events[i].kind == DL_SIGHTING;
         step->after = i == 0 ? *before->numbers : out->steps[i - 1].after;
@@ -168,7 +168,7 @@ int32_t filter_run(const filter_params *o, int32_t n, const event *events, int32
     return n;
 }
 
-void filter_propagate(const filter_params *o, int32_t what, int64_t t, const whole_belief *before, belief *after, double *P_after)
+void dl_filter_propagate(const dl_filter_params *o, int32_t what, int64_t t, const dl_whole_belief *before, dl_belief *after, double *P_after)
 {
     double places[2][DL_N * DL_N];
     covariance c = {before->P, {places[0], places[1]}};

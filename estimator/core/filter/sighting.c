@@ -14,7 +14,7 @@ static const double KNOWN_YAW_VAR = 2.0;
 /* Sigma of the relative heading, rad, above which one of two opposite headings cannot be chosen. */
 static const double CHOOSING_SIGMA_RAD = 0.5;
 
-void levelling(const belief *b, double A[9])
+void levelling(const dl_belief *b, double A[9])
 {
     const double *source = b->is_levelled ? b->levelled_by : b->R;
     double turn[9];
@@ -22,12 +22,12 @@ void levelling(const belief *b, double A[9])
     product(turn, source, A);
 }
 
-void seen_from_body(const sighting *s, const double A[9], double seen[3])
+void seen_from_body(const dl_sighting *s, const double A[9], double seen[3])
 {
     rotated_back(A, s->has_pose6 ? s->pose_d_level : s->d_level, seen);
 }
 
-void camera_to_ned(const belief *b, double back[9])
+void camera_to_ned(const dl_belief *b, double back[9])
 {
     double mounted[9];
     exp_rotation(b->x + DL_CAMERA_MOUNT, mounted);
@@ -56,7 +56,7 @@ typedef struct {
     double shown[3], rates[3], v_b[3], d_b[3], w[3];
 } view;
 
-static void view_of(const belief *b, view *seen)
+static void view_of(const dl_belief *b, view *seen)
 {
     const double *x = b->x;
     double turning[9], moved[3], v_ned[3];
@@ -75,7 +75,7 @@ static void view_of(const belief *b, view *seen)
 }
 
 /* The place's rows of the Jacobian, and those of the rate of the place. */
-static void by_place(const belief *b, const view *seen, const double E[9], const double jl[9], double *H, double *by_rate)
+static void by_place(const dl_belief *b, const view *seen, const double E[9], const double jl[9], double *H, double *by_rate)
 {
     double back[9], ER[9], arm[9], turning[9], E_turning[9], M[9], skewed[9], column[3];
     transposed(b->R, back);
@@ -114,7 +114,7 @@ static void by_place(const belief *b, const view *seen, const double E[9], const
 }
 
 /* R_level_pad as the camera shows it, and its derivative G, (3, N), by small rotations in `level`. */
-static void by_orientation(const belief *b, const view *seen, const double A[9], const double E[9], const double jl[9], double M[9],
+static void by_orientation(const dl_belief *b, const view *seen, const double A[9], const double E[9], const double jl[9], double M[9],
                            double *G)
 {
     const double *x = b->x, late = x[DL_CAMERA_DELAY], pitch = x[PITCH] + x[DL_DECK_TRIM + 1];
@@ -148,7 +148,7 @@ static void by_orientation(const belief *b, const view *seen, const double A[9],
 }
 
 /* The row of a heading, of a sighting that shows no more of the orientation. */
-static void compare_heading(const sighting *s, const double M[9], const double *G, double *innov, double *H)
+static void compare_heading(const dl_sighting *s, const double M[9], const double *G, double *innov, double *H)
 {
     double row[3];
     heading_by_outer_rotation(M, row);
@@ -161,7 +161,7 @@ static void compare_heading(const sighting *s, const double M[9], const double *
     }
 }
 
-static void compare_orientation(const sighting *s, const double M[9], double innov[3])
+static void compare_orientation(const dl_sighting *s, const double M[9], double innov[3])
 {
     double gap[9], seen[9], half_turn[9];
     product_by_transposed(s->pose_R, M, gap);
@@ -173,7 +173,7 @@ static void compare_orientation(const sighting *s, const double M[9], double inn
     log_rotation(gap, innov);
 }
 
-static int measured_numbers(const sighting *s, double yaw_sigma, int place_only)
+static int measured_numbers(const dl_sighting *s, double yaw_sigma, int place_only)
 {
     if (place_only) {
         return 3;
@@ -204,7 +204,7 @@ static void by_exposure(const double x[DL_N], int m, const double *H, double sli
 
 /* Variance of the turn rate about each axis, (rad/s)^2, over the time by which a stamp may err: about as far as the gyro's newest
  * reading is from its recent mean. */
-static double rate_variance(const belief *b)
+static double rate_variance(const dl_belief *b)
 {
     double apart[3];
     for (int i = 0; i < 3; i++) {
@@ -214,7 +214,7 @@ static double rate_variance(const belief *b)
 }
 
 /* The noise of what is compared, (m, m): without the part of the attitude that levelled it, and with the stamp's own error. */
-static void noise_of(const belief *b, const sighting *s, int m, const double A[9], const double cov_levelled_by[9],
+static void noise_of(const dl_belief *b, const dl_sighting *s, int m, const double A[9], const double cov_levelled_by[9],
                      const double *H, double *R)
 {
     const double *d_level = s->has_pose6 ? s->pose_d_level : s->d_level, *cov = s->has_pose6 ? s->pose_cov : s->cov;
@@ -270,7 +270,7 @@ static void noise_of(const belief *b, const sighting *s, int m, const double A[9
     }
 }
 
-void sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int place_only,
+void sighting_model(const dl_belief *b, const dl_sighting *s, const double *cov_levelled_by, double yaw_sigma, int place_only,
                     sighting_rows *out)
 {
     double *innov = out->innov, *H = out->H;

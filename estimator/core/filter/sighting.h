@@ -15,11 +15,11 @@ typedef struct {
 } sighting_rows;
 
 /* R_level_body that vision used. */
-void levelling(const belief *b, double A[9]);
+void levelling(const dl_belief *b, double A[9]);
 /* The pad's position in body axes by the mounting in the camera's file, m. */
-void seen_from_body(const sighting *s, const double A[9], double seen[3]);
+void seen_from_body(const dl_sighting *s, const double A[9], double seen[3]);
 /* The rotation from the camera's axes, as its file has them in the body, to ned. */
-void camera_to_ned(const belief *b, double back[9]);
+void camera_to_ned(const dl_belief *b, double back[9]);
 
 /* The measurement of the pad's position in body axes, and of its heading or whole orientation.
  *
@@ -32,7 +32,7 @@ void camera_to_ned(const belief *b, double back[9]);
  *
  * cov_levelled_by (3, 3) is the part of the covariance that comes from the levelling attitude; yaw_sigma, rad: an ambiguous heading
  * is of use only when it is small. */
-void sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int place_only,
+void sighting_model(const dl_belief *b, const dl_sighting *s, const double *cov_levelled_by, double yaw_sigma, int place_only,
                     sighting_rows *out);
 
 #endif

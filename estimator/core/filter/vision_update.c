@@ -67,7 +67,7 @@ static void rate_covariance(const double *by_rate, const double *P, double cov[9
     }
 }
 
-static void compare(const filter_params *o, const belief *b, const double *P, const sighting *s, int place_only, comparison *out)
+static void compare(const dl_filter_params *o, const dl_belief *b, const double *P, const dl_sighting *s, int place_only, comparison *out)
 {
     static const double none[9] = {0.0};
     const double *cov_levelled_by = o->sighting_has_attitude_error ? b->cov_levelled_by : none;
@@ -95,14 +95,14 @@ static void compare(const filter_params *o, const belief *b, const double *P, co
 }
 
 /* The pad's heading by a sighting, with a uniform prior on it. */
-static void set_heading(belief *b, double *P, double yaw)
+static void set_heading(dl_belief *b, double *P, double yaw)
 {
     b->x[DL_PAD_YAW] = wrapped(heading_of(b->R) - yaw);
     forget_state(P, DL_PAD_YAW, uniform_var());
 }
 
 /* Forget what another pad's vessel does not share: its velocity, turn and waves. */
-static void reset_vessel(const filter_params *o, belief *b, double *P)
+static void reset_vessel(const dl_filter_params *o, dl_belief *b, double *P)
 {
     for (int i = 0; i < 2; i++) {
         forget_state(P, DL_VESSEL_VEL + i, RESET_VELOCITY_VAR);
@@ -128,7 +128,7 @@ static void reset_vessel(const filter_params *o, belief *b, double *P)
 
 /* Initialise the pad's position from a sighting; with `reset`, drop the rest of the belief about the pad as well. The states of
  * the body itself stay. */
-static void initialise(const filter_params *o, belief *b, covariance *c, const sighting *s, int reset)
+static void initialise(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_sighting *s, int reset)
 {
     double A[9], seen[3], back[9], *P = changeable(c);
     levelling(b, A);
@@ -149,7 +149,7 @@ static void initialise(const filter_params *o, belief *b, covariance *c, const s
 }
 
 /* Compare again with a wider belief if the last sightings missed the deck by more than the filter claims. */
-static comparison *compare_jolted(const filter_params *o, belief *b, covariance *c, const sighting *s, comparison *first,
+static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_sighting *s, comparison *first,
                                   comparison *second)
 {
     double back[9], innov_ned[3], cov[9], half[9], cov_ned[9], missing[3];
@@ -176,7 +176,7 @@ static comparison *compare_jolted(const filter_params *o, belief *b, covariance 
 }
 
 /* Count the time for which sightings agreed with the heading, minus the time for which they contradicted it. */
-static void weigh_heading(const filter_params *o, belief *b, int agrees)
+static void weigh_heading(const dl_filter_params *o, dl_belief *b, int agrees)
 {
     const double since = b->heading_seen < 0 ? 0.0 : fmin(seconds(b->heading_seen, b->t), COUNTED_S);
     b->heading_held_s = fmin(b->heading_held_s + (agrees ? since : -since), o->heading_memory_s);
@@ -184,7 +184,7 @@ static void weigh_heading(const filter_params *o, belief *b, int agrees)
 }
 
 /* Set the pad's yaw from a sighting, whatever was believed. */
-static void take_new_heading(belief *b, covariance *c, const sighting *s)
+static void take_new_heading(dl_belief *b, covariance *c, const dl_sighting *s)
 {
     if (!s->has_pose6 && !s->has_yaw) {
         return;
@@ -201,7 +201,7 @@ static void take_new_heading(belief *b, covariance *c, const sighting *s)
  * the smaller correction if the innovations are white. On waves they are alike for many sightings in a row, and a greater fraction
  * counts them as fewer.
  * Source: Brink, Partial-update Schmidt-Kalman filter, J. Guidance, Control, and Dynamics 40(9), 2017. */
-static void withhold(const belief *b, const double *before, double dx[DL_N], double *P)
+static void withhold(const dl_belief *b, const double *before, double dx[DL_N], double *P)
 {
     const double heave = b->wave_sigma[2] * b->wave_w[2], rough = heave * heave / (heave * heave + ROUGH_M_S * ROUGH_M_S);
     const int states[4] = {DL_CAMERA_DELAY, DL_CAMERA_MOUNT, DL_CAMERA_MOUNT + 1, DL_CAMERA_MOUNT + 2};
@@ -220,7 +220,7 @@ static void withhold(const belief *b, const double *before, double dx[DL_N], dou
 }
 
 /* Roll and pitch of a pad that was seen whole, and their variances. */
-static void see_tilt(const sighting *s, const double R_ned_level[9], const double *R, double y[DIRECTIONS], double var[DIRECTIONS])
+static void see_tilt(const dl_sighting *s, const double R_ned_level[9], const double *R, double y[DIRECTIONS], double var[DIRECTIONS])
 {
     double pad[9], into_pad[9];
     product(R_ned_level, s->pose_R, pad);
@@ -238,7 +238,7 @@ static void see_tilt(const sighting *s, const double R_ned_level[9], const doubl
 }
 
 /* Update the bank of wave oscillators with the pad's measured position and tilt. */
-static void learn(const filter_params *o, belief *b, sea_ref *bank, const sighting *s, const comparison *row)
+static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const dl_sighting *s, const comparison *row)
 {
     double A[9], back[9], seen[3], place[3], y[DIRECTIONS] = {0.0}, var[DIRECTIONS];
     if (bank->now->t >= 0 && seconds(bank->now->t, b->t) < 0.9 * LOOK_PERIOD_S) {
@@ -275,7 +275,7 @@ static void learn(const filter_params *o, belief *b, sea_ref *bank, const sighti
     b->ins_var_m2_s2 = 0.0;
 }
 
-static void reject(belief *b, const comparison *row)
+static void reject(dl_belief *b, const comparison *row)
 {
     double back[9], offset[3];
     camera_to_ned(b, back);
@@ -283,14 +283,14 @@ static void reject(belief *b, const comparison *row)
     streak_extend(b, b->t, offset, (row->seen.R[0] + row->seen.R[row->seen.m + 1] + row->seen.R[2 * row->seen.m + 2]) / 3.0);
 }
 
-static void tell_compared(outcome *out, int verdict, const comparison *row, double nis_max)
+static void tell_compared(dl_outcome *out, int verdict, const comparison *row, double nis_max)
 {
     tell(out, verdict, row->seen.m, 0, row->seen.innov, row->S);
     out->nis = row->nis;
     out->nis_max = nis_max;
 }
 
-static void fuse(belief *b, covariance *c, comparison *row, int fresh, int shows_heading)
+static void fuse(dl_belief *b, covariance *c, comparison *row, int fresh, int shows_heading)
 {
     const double var = AT(c->P, DL_POS_REL, DL_POS_REL) + AT(c->P, DL_POS_REL + 1, DL_POS_REL + 1) + AT(c->P, DL_POS_REL + 2, DL_POS_REL + 2);
     const int lost = sqrt(fmax(var / 3.0, 0.0)) > LOST_SIGMA_M;
@@ -302,7 +302,7 @@ static void fuse(belief *b, covariance *c, comparison *row, int fresh, int shows
     b->heading_known |= shows_heading;
 }
 
-void take_sighting(const filter_params *o, belief *b, covariance *c, sea_ref *bank, const sighting *s, outcome *out)
+void take_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_sighting *s, dl_outcome *out)
 {
     comparison rows[2], *row = &rows[0], *other = &rows[1];
     const int fresh = b->sighted < 0;

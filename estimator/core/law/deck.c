@@ -20,7 +20,7 @@ static const double POLE_RAD_S = 0.7;
 static const double HEADING_GAIN_1_S = 0.8, TURN_COMMAND_MAX_RAD_S = 0.6;
 
 /* The number of the horizon from which the straight line to the next one holds at t. */
-static int64_t span(const law_course *course, double t)
+static int64_t span(const dl_law_course *course, double t)
 {
     int64_t i = 0;
     while (i < course->n - 2 && course->horizons_s[i + 1] <= t) {
@@ -30,12 +30,12 @@ static int64_t span(const law_course *course, double t)
 }
 
 /* The slope of the rates from horizon i to the next one. */
-static double slope(const law_course *course, int64_t i, int axis)
+static double slope(const dl_law_course *course, int64_t i, int axis)
 {
     return (course->rates_m_s[i + 1][axis] - course->rates_m_s[i][axis]) / (course->horizons_s[i + 1] - course->horizons_s[i]);
 }
 
-void deck_ahead_of(const law_params *o, const law_cycle *in, const law_course *course, double ahead_s, deck_then *out)
+void deck_ahead_of(const dl_law_params *o, const dl_law_cycle *in, const dl_law_course *course, double ahead_s, deck_then *out)
 {
     memset(out, 0, sizeof *out);
     if (!o->looks_ahead || !in->has_deck) {
@@ -69,7 +69,7 @@ static double turned(double angle)
  * forward, it takes away the error with which a nose would follow a ship that turns, and unlike an integral it does not wind up
  * while the nose comes round to the arrow.
  * Source: Luenberger, An introduction to observers, IEEE Trans. Automatic Control 16(6), 1971. */
-void turn_observe(const law_cycle *in, const law_memory *before, law_memory *after)
+void turn_observe(const dl_law_cycle *in, const dl_law_memory *before, dl_law_memory *after)
 {
     after->has_turn = in->has_yaw != 0;
     after->turn_yaw_rad = in->yaw_rad;
@@ -84,7 +84,7 @@ void turn_observe(const law_cycle *in, const law_memory *before, law_memory *aft
     after->turn_rate_rad_s = law_limited(rate, TURN_MOST_RAD_S);
 }
 
-double turn_command(const law_cycle *in, const law_memory *memory)
+double turn_command(const dl_law_cycle *in, const dl_law_memory *memory)
 {
     if (!in->has_wanted_yaw || !memory->has_turn) {
         return 0.0;

@@ -37,25 +37,25 @@ static void to_level(nose n, const double ned[2], double level[2])
 }
 
 /* What is measured on both axes. */
-static void measure(nose n, const law_cycle *in, const deck_then *here, axis_measured z[2])
+static void measure(nose n, const dl_law_cycle *in, const deck_then *here, dl_axis_measured z[2])
 {
     const double turning[2] = {-GRAVITY_M_S2 * in->w_body[1], GRAVITY_M_S2 * in->w_body[0]};
     double p[2], w[2], lean[2], rate[2], a_body[2], a_deck[2];
     to_ned(n, in->d, p), to_ned(n, in->v, w), to_ned(n, in->lean, lean), to_ned(n, turning, rate);
     to_ned(n, in->a_body, a_body), to_ned(n, here->a, a_deck);
     for (int i = 0; i < 2; i++) {
-        z[i] = (axis_measured){p[i], w[i], lean[i], rate[i], a_body[i], a_deck[i]};
+        z[i] = (dl_axis_measured){p[i], w[i], lean[i], rate[i], a_body[i], a_deck[i]};
     }
 }
 
 /* Whether the pad is far from where the axes expect it after dt. */
-static int leapt(double dt, const law_axis was[2], const axis_measured z[2])
+static int leapt(double dt, const dl_law_axis was[2], const dl_axis_measured z[2])
 {
     return hypot(z[0].p - was[0].p - dt * was[0].w, z[1].p - was[1].p - dt * was[1].w) > LEAP_M;
 }
 
-static void observe_axes(const law_in_use *law, const law_cycle *in, const axis_measured z[2], const law_memory *before,
-                         law_axis after[2])
+static void observe_axes(const dl_law_in_use *law, const dl_law_cycle *in, const dl_axis_measured z[2], const dl_law_memory *before,
+                         dl_law_axis after[2])
 {
     const int anew = leapt(in->dt, before->axes, z);
     for (int i = 0; i < 2; i++) {
@@ -63,7 +63,7 @@ static void observe_axes(const law_in_use *law, const law_cycle *in, const axis_
             axis_begin(law->params.remembered, &z[i], before->begun ? &before->axes[i] : NULL, &after[i]);
             continue;
         }
-        law_axis was = before->axes[i];
+        dl_law_axis was = before->axes[i];
         if (anew) {
             was.p = z[i].p - in->dt * z[i].w, was.w = z[i].w;
         }
@@ -74,11 +74,11 @@ static void observe_axes(const law_in_use *law, const law_cycle *in, const axis_
 }
 
 /* What a vehicle with a velocity loop of its own adds to the lean. */
-static void observe_own(const law_params *o, const law_cycle *in, const law_axis axes[2], const law_own before[2], law_own after[2])
+static void observe_own(const dl_law_params *o, const dl_law_cycle *in, const dl_law_axis axes[2], const dl_law_own before[2], dl_law_own after[2])
 {
     for (int i = 0; i < 2 && o->over_ground; i++) {
         if (!in->goes_on) {
-            after[i] = (law_own){axes[i].lean, axes[i].lean, 0.0};
+            after[i] = (dl_law_own){axes[i].lean, axes[i].lean, 0.0};
         } else if (in->steers) {
             own_flown(o, in->dt, &axes[i], &before[i], &after[i]);
         } else {
@@ -88,7 +88,7 @@ static void observe_own(const law_params *o, const law_cycle *in, const law_axis
 }
 
 /* The tilt that one set of gains commands north and east, m/s^2, not limited yet. */
-static void regulate(const law_axis axes[2], const law_gains *gains, const double far_m[2], double speed_max_m_s,
+static void regulate(const dl_law_axis axes[2], const dl_law_gains *gains, const double far_m[2], double speed_max_m_s,
                      const double a_deck[2], const double a_deck_then[2], double u[2])
 {
     /* A place far off asks for no more than the speed that is allowed. */
@@ -108,7 +108,7 @@ static double within_view(double lean, double trim, double bearing_rad, double h
 
 /* Cut the lean so that the pad's centre stays in the picture. Leaning forward turns the camera astern, so the pad moves towards
  * the picture's forward edge by as much. */
-static void keep_in_view(const law_params *o, const double d[3], const double trim[2], double lean[2])
+static void keep_in_view(const dl_law_params *o, const double d[3], const double trim[2], double lean[2])
 {
     if (!o->keeps_in_view || d[2] < VIEW_FROM_M) {
         return;
@@ -117,7 +117,7 @@ static void keep_in_view(const law_params *o, const double d[3], const double tr
     lean[1] = within_view(lean[1], trim[1], atan2(d[1] - o->view_right_m, d[2]), o->half_right_rad);
 }
 
-static void shorten(const law_params *o, const law_cycle *in, double lean[2])
+static void shorten(const dl_law_params *o, const dl_law_cycle *in, double lean[2])
 {
     const double asked = in->has_lean_max ? GRAVITY_M_S2 * tan(in->lean_max_rad) : INFINITY;
     const double most = fmin(o->tilt_max_m_s2, asked), size = hypot(lean[0], lean[1]);
@@ -126,7 +126,7 @@ static void shorten(const law_params *o, const law_cycle *in, double lean[2])
 }
 
 /* The lean to command, m/s^2 forward and right, and the part of it that is trim; the deck now and when the command acts. */
-static void lean_to(const law_in_use *law, const law_cycle *in, nose n, const law_axis axes[2], const deck_then *here,
+static void lean_to(const dl_law_in_use *law, const dl_law_cycle *in, nose n, const dl_law_axis axes[2], const deck_then *here,
                     const deck_then *then, double lean[2], double trim[2])
 {
     double now[2], later[2], offset[2], u[2], earlier[2];
@@ -145,8 +145,8 @@ static void lean_to(const law_in_use *law, const law_cycle *in, nose n, const la
 }
 
 /* The vertical speed to command by one set of gains, m/s down. */
-static double climb_by(const law_params *o, const law_gains *gains, const law_cycle *in, const law_course *course,
-                       const law_memory *memory, double v_down)
+static double climb_by(const dl_law_params *o, const dl_law_gains *gains, const dl_law_cycle *in, const dl_law_course *course,
+                       const dl_law_memory *memory, double v_down)
 {
     double v = v_down;
     deck_then then;
@@ -156,7 +156,7 @@ static double climb_by(const law_params *o, const law_gains *gains, const law_cy
     return law_limited(climb_command(o, in, v, d, &then, height - in->wanted[2]), o->climb_max_m_s);
 }
 
-static void note(const law_params *o, double north, double east, double down, law_memory *memory)
+static void note(const dl_law_params *o, double north, double east, double down, dl_law_memory *memory)
 {
     under_way_note(o->remembered, north, memory->axes[0].under_way);
     under_way_note(o->remembered, east, memory->axes[1].under_way);
@@ -168,25 +168,25 @@ static int is_number_of_commands(int64_t n)
     return n >= 1 && n <= UNDER_WAY_MAX;
 }
 
-static int gains_fit(const law_gains *gains)
+static int gains_fit(const dl_law_gains *gains)
 {
     return gains->n >= 0 && gains->n <= UNDER_WAY_MAX && is_number_of_commands(gains->tilt_delay) &&
            is_number_of_commands(gains->climb_delay);
 }
 
-int law_fits(const law_in_use *law)
+int law_fits(const dl_law_in_use *law)
 {
     return is_number_of_commands(law->params.remembered) && gains_fit(&law->gains) && gains_fit(&law->gains_before);
 }
 
-int32_t law_step(const law_in_use *law, const law_cycle *in, const law_course *course, const law_memory *before, law_memory *after,
-                 law_command *out)
+int32_t dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_course *course, const dl_law_memory *before, dl_law_memory *after,
+                 dl_law_command *out)
 {
-    const law_params *o = &law->params;
-    const law_gains *gains = &law->gains, *gains_before = &law->gains_before;
+    const dl_law_params *o = &law->params;
+    const dl_law_gains *gains = &law->gains, *gains_before = &law->gains_before;
     const nose n = {cos(in->heading_rad), sin(in->heading_rad)};
     deck_then here, then;
-    axis_measured z[2];
+    dl_axis_measured z[2];
     if (!law_fits(law) || course->n < 0 || course->n > HORIZONS_MAX) {
         return 0;
     }

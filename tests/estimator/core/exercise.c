@@ -83,7 +83,7 @@ static void attitudes(int m, double poison)
     }
 }
 
-static void parameters(filter_params *o, int surface)
+static void parameters(dl_filter_params *o, int surface)
 {
     memset(o, 0, sizeof *o);
     o->hold_ns = 60000000;
@@ -117,7 +117,7 @@ static void parameters(filter_params *o, int surface)
     }
 }
 
-static void hover(belief *b, double *P)
+static void hover(dl_belief *b, double *P)
 {
     memset(b, 0, sizeof *b);
     b->sighted = b->is_levelled = b->heading_is_given = 1;
@@ -138,7 +138,7 @@ static void hover(belief *b, double *P)
 }
 
 /* A sample of any kind; one in ten is beyond anything. */
-static void sample(event *e, int64_t t)
+static void sample(dl_event *e, int64_t t)
 {
     const double size = draw() % 10 == 0 ? 1e3 : 0.1;
     e->kind = draw() % (DL_SIGHTING + 2);
@@ -161,7 +161,7 @@ static void sample(event *e, int64_t t)
 }
 
 /* A sighting of any kind, of a pad below or of anything. */
-static void look(sighting *s)
+static void look(dl_sighting *s)
 {
     const int far = draw() % 5 == 0;
     memset(s, 0, sizeof *s);
@@ -184,11 +184,11 @@ static void look(sighting *s)
 }
 
 /* The model of a sighting and the bank by themselves. */
-static void parts(const filter_params *o, const belief *b, const sighting *s, const sea *bank, int64_t t)
+static void parts(const dl_filter_params *o, const dl_belief *b, const dl_sighting *s, const dl_bank *bank, int64_t t)
 {
     double *innov = numbers(6), *H = numbers(6 * DL_N), *R = numbers(36), *by_rate = numbers(3 * DL_N);
     double *y = numbers(DIRECTIONS), *var = numbers(DIRECTIONS);
-    sea *after = malloc(sizeof *after);
+    dl_bank *after = malloc(sizeof *after);
     const int m = sighting_model(b, s, b->cov_levelled_by, 0.3, draw() % 2, innov, H, R, by_rate);
     for (int i = 0; i < DIRECTIONS; i++) {
         var[i] = i < m ? 1e-4 : 1e6;
@@ -204,23 +204,23 @@ static void parts(const filter_params *o, const belief *b, const sighting *s, co
 static void fly(int surface, int rounds, double poison)
 {
     enum { LENGTH = 60 };
-    filter_params *o = malloc(sizeof *o);
-    event *events = malloc(LENGTH * sizeof *events);
-    belief *before = malloc(sizeof *before), *after = malloc(LENGTH * sizeof *after);
+    dl_filter_params *o = malloc(sizeof *o);
+    dl_event *events = malloc(LENGTH * sizeof *events);
+    dl_belief *before = malloc(sizeof *before), *after = malloc(LENGTH * sizeof *after);
     double *P = numbers(DL_N * DL_N), *P_after = numbers(LENGTH * DL_N * DL_N), *F = numbers(DL_N * DL_N), *Q = numbers(DL_N * DL_N);
     int64_t *index = malloc(LENGTH * sizeof *index), *sea_index = malloc(LENGTH * sizeof *sea_index), t = 0;
-    sighting *seen = malloc(LENGTH * sizeof *seen);
-    sea *bank = malloc(sizeof *bank), *banks = malloc(LENGTH * sizeof *banks);
-    outcome *first = malloc(LENGTH * sizeof *first);
-    answer *said = malloc(sizeof *said);
+    dl_sighting *seen = malloc(LENGTH * sizeof *seen);
+    dl_bank *bank = malloc(sizeof *bank), *banks = malloc(LENGTH * sizeof *banks);
+    dl_outcome *first = malloc(LENGTH * sizeof *first);
+    dl_answer *said = malloc(sizeof *said);
     enum { HORIZONS = 3 };
     const double horizons_s[HORIZONS] = {0.0, 0.3, 2.5};
-    horizon_reach *there = malloc(HORIZONS * sizeof *there);
-    deck_ahead *ahead = malloc(HORIZONS * sizeof *ahead);
+    dl_horizon_reach *there = malloc(HORIZONS * sizeof *there);
+    dl_deck_ahead *ahead = malloc(HORIZONS * sizeof *ahead);
     parameters(o, surface);
     hover(before, P);
-    bank_begin(&o->members, bank);
-    bank_reach(&o->members, HORIZONS, horizons_s, there);
+    dl_bank_begin(&o->members, bank);
+    dl_bank_reach(&o->members, HORIZONS, horizons_s, there);
     P[DL_N + 1] *= poison;
     poisoned(P, DL_N * DL_N), poisoned(before->x, DL_N), poisoned(before->R, 9), poisoned(before->f, 3);
     for (int round = 0; round < rounds; round++) {
@@ -229,7 +229,7 @@ static void fly(int surface, int rounds, double poison)
             sample(&events[i], t);
             look(&seen[i]);
         }
-        const int done = filter_run(o, LENGTH, events, seen, before, P, bank, after, P_after, banks, index, sea_index, first);
+        const int done = dl_filter_run(o, LENGTH, events, seen, before, P, bank, after, P_after, banks, index, sea_index, first);
         if (done > 0) {
             *before = after[done - 1];
             if (sea_index[done - 1] >= 0) {
@@ -242,12 +242,12 @@ static void fly(int surface, int rounds, double poison)
         }
         filter_settle(o, before, after, F, Q);
         parts(o, before, &seen[0], bank, t);
-        filter_answer(o, t + draw() % 200000000, before, P, said);
-        if (filter_forecast(o, t + draw() % 200000000, before, P, bank, HORIZONS, horizons_s, there, ahead)) {
+        dl_filter_answer(o, t + draw() % 200000000, before, P, said);
+        if (dl_filter_forecast(o, t + draw() % 200000000, before, P, bank, HORIZONS, horizons_s, there, ahead)) {
             fold(ahead[2].d, 3), fold(ahead[1].cov_d, 9), fold(&ahead[2].rise, 2);
         }
         fold(said->d, 3), fold(said->cov, 49), fold(said->a_body, 3), fold(said->cov_deck, 36);
-        if (filter_propagate(o, round % 3, t + 1000, before, P, after, P_after)) {
+        if (dl_filter_propagate(o, round % 3, t + 1000, before, P, after, P_after)) {
             *before = after[0];
             memcpy(P, P_after, DL_N * DL_N * sizeof *P);
         }

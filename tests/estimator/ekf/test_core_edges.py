@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation, rpy_matrix
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
-from estimator.core.abi import EXCESSES_MAX, WITH_COVARIANCE
+from estimator.core.abi import DL_WITH_COVARIANCE, EXCESSES_MAX
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import PackedEvent, packed_event
 from estimator.ekf.so3 import about_down, wrap
@@ -223,14 +223,14 @@ def test_an_imu_sample_of_the_first_instant_holds_as_long_as_any_other(later_ms:
     chosen = params(hold_s=0.02)
     b = in_the_first_second(5, t_imu=0, w=(0.3, -0.2, 0.5), f=(0.5, 1.0, -9.0))._replace(P=correlated())
     t = (5 + later_ms) * MS
-    ours = PackedBelief.of(b).propagated(t, chosen, WITH_COVARIANCE).belief
+    ours = PackedBelief.of(b).propagated(t, chosen, DL_WITH_COVARIANCE).belief
     same(ours, propagated_with_covariance(b, t, chosen))
     assert ours.x[VEL][0] == pytest.approx(0.0005 * min(later_ms, 15), rel=0.05), "no force is known after its time"
 
 
 def test_no_time_changes_nothing_to_the_bit() -> None:
     b = belief(TILTED, x=state(), P=correlated(), jolt_var_m2_s2=0.3)
-    after = PackedBelief.of(b).propagated(T, TOOLS, WITH_COVARIANCE).belief
+    after = PackedBelief.of(b).propagated(T, TOOLS, DL_WITH_COVARIANCE).belief
     assert after.P.tobytes() == b.P.tobytes()
     assert after.jolt_var_m2_s2 == b.jolt_var_m2_s2
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.contracts.geometry import F64, skew
-from estimator.core.abi import WITH_AIDING
+from estimator.core.abi import DL_WITH_AIDING
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.params import FilterParams
@@ -41,7 +41,7 @@ def ready_to_fuse(b: Belief, t: int, params: FilterParams) -> Belief:
     Gathered samples must be fused before any other correction; otherwise that correction would be applied twice. The core does
     this; its samples are held to the oracle's by themselves.
     """
-    return PackedBelief.of(b).propagated(t, params, WITH_AIDING).belief
+    return PackedBelief.of(b).propagated(t, params, DL_WITH_AIDING).belief
 
 
 def forgotten(b: Belief, o: EkfOptions) -> Belief:
