@@ -44,8 +44,9 @@ class FilterAnswer:
     def __init__(self, before: PackedBelief, now: MonoNs, params: FilterParams) -> None:
         self.before, self.params = before, params
         self._now, self._options, self._evidence_of_rest = now, params.options, before.sea.log_evidence_of_rest
-        self._answer = np.empty((), CORE.dtype("dl_answer"))
-        CORE.lib.dl_filter_answer(params.core, now, before.whole, CORE.array("dl_answer", self._answer))
+        made, pointer = CORE.room("dl_answer", 1)
+        CORE.lib.dl_filter_answer(params.core, now, before.whole, pointer)
+        self._answer = made[0, ...]
         self._answer.setflags(write=False)
 
     @cached_property

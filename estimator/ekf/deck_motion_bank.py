@@ -161,29 +161,32 @@ class PackedSea:
 
     Attributes:
         record: the core's `dl_bank`.
+        pointer: C's pointer to it.
     """
 
-    __slots__ = ("_bank", "record")
+    __slots__ = ("_bank", "pointer", "record")
 
-    def __init__(self, record: NDArray[Any]) -> None:
-        self.record = record
+    def __init__(self, record: NDArray[Any], pointer: Any) -> None:
+        self.record, self.pointer = record, pointer
         self._bank: DeckMotionBank | None = None
 
     @classmethod
     def of(cls, bank: DeckMotionBank) -> PackedSea:
         """Return a bank as the core holds it."""
-        made = cls(_written(bank))
+        record = _written(bank)
+        made = cls(record, CORE.array("dl_bank", record, 1))
         made._bank = bank
         return made
 
     def apart(self) -> PackedSea:
         """Return the same bank in memory of its own."""
-        return PackedSea(self.record.copy())
+        record = self.record.copy()
+        return PackedSea(record, CORE.array("dl_bank", record, 1))
 
     @property
     def log_evidence_of_rest(self) -> float:
         """Log of how much likelier all that was seen is from a deck at rest than from one that moves."""
-        return _log_evidence_of(self.record["weight"].item(0))
+        return _log_evidence_of(self.pointer.weight[0])
 
     @property
     def bank(self) -> DeckMotionBank:
@@ -196,9 +199,9 @@ class PackedSea:
 @lru_cache(maxsize=1)
 def unknown() -> DeckMotionBank:
     """Return a bank that has received no sighting."""
-    made = np.empty((), CORE.dtype("dl_bank"))
-    CORE.lib.dl_bank_begin(CORE.array("dl_bank_members", packed_members()), CORE.array("dl_bank", made))
-    return _read(made)
+    made, pointer = CORE.room("dl_bank", 1)
+    CORE.lib.dl_bank_begin(CORE.array("dl_bank_members", packed_members(), 1), pointer)
+    return _read(made[0, ...])
 
 
 @lru_cache(maxsize=1)

@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
@@ -77,24 +76,20 @@ def forecast(before: PackedBelief, at: MonoNs, horizons_s: F64, params: FilterPa
     tracked.
     """
     n, reach = horizons_s.size, _reach(horizons_s.tobytes())
-    found = np.empty(n, CORE.dtype("dl_deck_ahead"))
-    there = CORE.lib.dl_filter_forecast(
-        params.core, at, before.whole, n, CORE.array("dl_horizon_reach", reach, n), CORE.array("dl_deck_ahead", found, n)
-    )
-    if not there:
+    found, pointer = CORE.room("dl_deck_ahead", n)
+    if not CORE.lib.dl_filter_forecast(params.core, at, before.whole, n, reach, pointer):
         return None
     cov_d = found["cov_d"].reshape(n, 3, 3)
     return Forecast(at, horizons_s, found["d"], cov_d, found["v_pad"], *(found[name] for name in _SCALARS))
 
 
 @lru_cache(maxsize=16)  # guidance asks for the same horizons again and again
-def _reach(horizons_s: bytes) -> NDArray[Any]:
+def _reach(horizons_s: bytes) -> Any:
     """Return the core's `dl_horizon_reach` for each of some horizons, given as the bytes of doubles."""
     horizons = np.frombuffer(horizons_s)
     n = horizons.size
-    made = np.empty(n, CORE.dtype("dl_horizon_reach"))
-    members = CORE.array("dl_bank_members", packed_members(), 1)
-    CORE.lib.dl_bank_reach(members, n, CORE.array("double", horizons, n), CORE.array("dl_horizon_reach", made, n))
+    _, made = CORE.room("dl_horizon_reach", n)
+    CORE.lib.dl_bank_reach(CORE.array("dl_bank_members", packed_members(), 1), n, CORE.array("double", horizons, n), made)
     return made
 
 

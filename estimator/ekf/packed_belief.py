@@ -26,7 +26,9 @@ from estimator.ekf.state import SAMPLE_COLUMNS, Aid, Belief, Gathered, Innovatio
 from estimator.late import Late
 
 _VERDICTS = {getattr(abi, f"DL_{v.name}"): v for v in (Verdict.FUSED, Verdict.GATED, Verdict.SINGULAR, Verdict.LOW_CONFIDENCE)}
-_BELIEF, _BANK, _STEP = (CORE.dtype(name) for name in ("dl_belief", "dl_bank", "dl_filter_step"))
+_new, _lent, _member, _bytes_of = CORE.ffi.new, CORE.ffi.from_buffer, CORE.ffi.addressof, CORE.ffi.buffer
+_WHOLE, _ROW, _EVENTS, _SIGHTINGS = map(CORE.ffi.typeof, ("dl_whole_belief *", "dl_filter_row *", "dl_event[]", "dl_sighting[]"))
+_OUTCOME = CORE.dtype("dl_outcome")
 _NUMBERS = (
     "t", "t_cov", "t_imu", "t_velocity", "sighted", "agreed", "heading_seen", "ins_var_m2_s2", "jolt_var_m2_s2", "jolt_var_rad2",
     "over_pad", "coast_s", "nis_mean", "heading_held_s",
@@ -50,24 +52,25 @@ class PackedBelief:
         sea: its deck motion bank.
     """
 
-    __slots__ = ("P", "_belief", "_whole", "numbers", "sea")
+    __slots__ = ("P", "_belief", "_pointer", "_whole", "numbers", "sea")
 
-    def __init__(self, numbers: NDArray[Any], P: F64, sea: PackedSea) -> None:
-        self.numbers, self.P, self.sea = numbers, P, sea
+    def __init__(self, numbers: NDArray[Any], pointer: Any, P: F64, sea: PackedSea) -> None:
+        self.numbers, self.P, self.sea, self._pointer = numbers, P, sea, pointer
         self._belief: Belief | None = None
         self._whole: Any = None
 
     @classmethod
     def of(cls, b: Belief) -> PackedBelief:
         """Return a belief as the core holds it."""
-        made = cls(_written(b), np.ascontiguousarray(b.P), PackedSea.of(b.sea))
+        numbers = _written(b)
+        made = cls(numbers, CORE.array("dl_belief", numbers, 1), np.ascontiguousarray(b.P), PackedSea.of(b.sea))
         made._belief = b
         return made
 
     @property
     def t(self) -> int:
         """The belief's instant, ns."""
-        return int(self.numbers["t"])
+        return self._pointer.t  # type: ignore[no-any-return]
 
     @property
     def belief(self) -> Belief:
@@ -80,15 +83,13 @@ class PackedBelief:
     def whole(self) -> Any:
         """The core's `dl_whole_belief`."""
         if self._whole is None:
-            self._whole = CORE.ffi.new(
-                "dl_whole_belief *",
-                (
-                    CORE.array("dl_belief", self.numbers, 1),
-                    CORE.array("double", self.P, N * N),
-                    CORE.array("dl_bank", self.sea.record, 1),
-                ),
-            )
+            self._whole = _new(_WHOLE, (self._pointer, CORE.array("double", self.P, N * N), self.sea.pointer))
         return self._whole
+
+    def apart(self, P: F64, sea: PackedSea) -> PackedBelief:
+        """Return the same belief in memory of its own, with this covariance and bank."""
+        numbers = self.numbers.copy()
+        return PackedBelief(numbers, CORE.array("dl_belief", numbers, 1), P, sea)
 
     def follow(self, params: FilterParams, events: Sequence[PackedEvent]) -> Followed:
         """Return the beliefs after each of the events, which are in order.
@@ -97,29 +98,19 @@ class PackedBelief:
         """
         n = len(events)
         seen = [one.seen for one in events if one.seen]
-        steps, covariances, seas = np.empty(n, _STEP), np.empty((n, N, N)), np.empty(len(seen), _BANK)
-        row = CORE.ffi.new(
-            "dl_filter_row *",
-            (CORE.array("dl_filter_step", steps), CORE.array("double", covariances), CORE.array("dl_bank", seas)),
-        )
+        steps, banks, covariances = CORE.room("dl_filter_step", n), CORE.room("dl_bank", len(seen)), np.empty((n, N, N))
+        row = _new(_ROW, (steps[1], CORE.array("double", covariances), banks[1]))
+        records, sightings = b"".join([one.record for one in events]), b"".join(seen)
         done = CORE.lib.dl_filter_run(
-            params.core,
-            n,
-            CORE.ffi.from_buffer("dl_event[]", b"".join([one.record for one in events])),
-            len(seen),
-            CORE.ffi.from_buffer("dl_sighting[]", b"".join(seen)),
-            self.whole,
-            row,
+            params.core, n, _lent(_EVENTS, records), len(seen), _lent(_SIGHTINGS, sightings), self.whole, row
         )
-        return Followed(self, steps, done, covariances, seas)
+        return Followed(self, done, steps, covariances, banks)
 
     def propagated(self, t: int, params: FilterParams, how_far: int) -> PackedBelief:
         """Return the belief at instant `t`, ns; `how_far` is `DL_WITH_COVARIANCE` or `DL_WITH_AIDING` of the core."""
-        numbers, P = np.empty((), _BELIEF), np.empty((N, N))
-        CORE.lib.dl_filter_propagate(
-            params.core, how_far, t, self.whole, CORE.array("dl_belief", numbers, 1), CORE.array("double", P, N * N)
-        )
-        return PackedBelief(numbers, P, self.sea)
+        (numbers, pointer), P = CORE.room("dl_belief", 1), np.empty((N, N))
+        CORE.lib.dl_filter_propagate(params.core, how_far, t, self.whole, pointer, CORE.array("double", P, N * N))
+        return PackedBelief(numbers[0, ...], pointer, P, self.sea)
 
 
 class Followed(Sequence[PackedBelief]):
@@ -127,22 +118,29 @@ class Followed(Sequence[PackedBelief]):
 
     Args:
         before: the belief before the first event.
-        steps: the core's `dl_filter_step` of each event.
         done: how many events were processed.
-        covariances, seas: what the core wrote, and room for more.
+        steps: the core's `dl_filter_step` of each event, as an array and as C's.
+        covariances, banks: what the core wrote, and room for more.
     """
 
-    __slots__ = ("_before", "_made", "_numbers", "_outcomes", "_places", "_seas", "_written")
+    __slots__ = ("_P", "_banks", "_before", "_made", "_pointer", "_steps")
 
-    def __init__(self, before: PackedBelief, steps: NDArray[Any], done: int, covariances: F64, seas: NDArray[Any]) -> None:
+    def __init__(
+        self,
+        before: PackedBelief,
+        done: int,
+        steps: tuple[NDArray[Any], Any],
+        covariances: F64,
+        banks: tuple[NDArray[Any], Any],
+    ) -> None:
         self._before = before.P, before.sea
         self._made: list[PackedBelief | None] = [None] * done
-        self._places = [steps[name][:done].tolist() for name in ("P_index", "bank_index")]
-        used = [places[-1] + 1 if done else 0 for places in self._places]
-        steps.setflags(write=False)
-        self._numbers, self._outcomes = steps["after"], steps["outcome"]
-        self._written = _kept(covariances, used[0])
-        self._seas = [PackedSea(record) for record in _each(_kept(seas, used[1]))]
+        self._steps, self._pointer = steps
+        self._P, self._banks = covariances[:0], list[PackedSea]()
+        if done:
+            last = self._pointer[done - 1]
+            self._P = _kept(covariances, last.P_index + 1)
+            self._banks = [PackedSea(banks[0][i, ...], banks[1] + i) for i in range(last.bank_index + 1)]
 
     def __len__(self) -> int:
         return len(self._made)
@@ -155,43 +153,41 @@ class Followed(Sequence[PackedBelief]):
 
     def outcomes(self, n: int) -> Sequence[Outcome]:
         """Return what became of the first events."""
-        return Late(n, partial(_outcomes, self._outcomes[:n].copy()))
+        rows = b"".join([_bytes_of(_member(self._pointer[i], "outcome")) for i in range(n)])
+        return Late(n, partial(_outcomes, np.ndarray((n,), _OUTCOME, rows)))
 
     def first(self, n: int) -> tuple[PackedBelief, ...]:
         """Return the first beliefs in memory of their own, so that the rest of the row can be freed."""
         P, sea = self._before
-        covariances, seas = {-1: P}, {-1: sea}
+        covariances, seas = {id(P): P}, {id(sea): sea}
         out = []
-        for i, slot, sea_slot in zip(range(n), *self._places, strict=False):
-            if slot not in covariances:
-                covariances[slot] = self._written[slot].copy()
-            if sea_slot not in seas:
-                seas[sea_slot] = self._seas[sea_slot].apart()
-            out.append(PackedBelief(self._numbers[i, ...].copy(), covariances[slot], seas[sea_slot]))
+        for i in range(n):
+            b, slot = self._belief(i), self._pointer[i].P_index
+            P = covariances.setdefault(slot, b.P.copy()) if slot >= 0 else b.P
+            sea = seas.setdefault(id(b.sea), b.sea.apart())
+            out.append(b.apart(P, sea))
         return tuple(out)
 
     def _belief(self, i: int) -> PackedBelief:
         P, sea = self._before
-        slot, sea_slot = self._places[0][i], self._places[1][i]
-        return PackedBelief(
-            self._numbers[i, ...], P if slot < 0 else self._written[slot], sea if sea_slot < 0 else self._seas[sea_slot]
-        )
+        step = self._pointer[i]
+        numbers = self._steps["after"][i, ...]
+        if step.P_index >= 0:
+            P = self._P[step.P_index]
+        if step.bank_index >= 0:
+            sea = self._banks[step.bank_index]
+        return PackedBelief(numbers, _member(step, "after"), P, sea)
 
 
-def _kept(block: NDArray[Any], used: int) -> NDArray[Any]:
+def _kept(block: F64, used: int) -> F64:
     """Return what the core has used, not to be written to; the history keeps no room for more."""
     kept = block if used == len(block) else block[:used].copy()
     kept.setflags(write=False)
     return kept
 
 
-def _each(records: NDArray[Any]) -> list[NDArray[Any]]:
-    return [records[i, ...] for i in range(len(records))]
-
-
 def _outcomes(rows: NDArray[Any]) -> list[Outcome]:
     """Return the core's `dl_outcome`s."""
-    rows.setflags(write=False)
     heads = zip(*(rows[name].tolist() for name in ("verdict", "m", "axes", "has_S", "nis", "nis_max")), strict=True)
     innov, S = rows["innov"], rows["S"]
     return [
