@@ -12,7 +12,7 @@ CORE := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
 
 .PHONY: core demo check test test-aarch64 test-image test-v4l2 test-install wheels deb lint bench docs fuzz mutants sbom licences audit pins
 
-demo: $(VENV)/.report $(CORE)
+demo: $(VENV)/.report $(VENV)/.compare $(CORE)
 	$(BIN)/decklander demo
 
 # Before each commit: lint, types, and every test but those of the slow files that tests/conftest.py names.
@@ -72,7 +72,7 @@ docs: $(VENV)/.docs
 fuzz: $(VENV)/.fuzz $(CORE)
 	$(BIN)/python -m fuzz $(if $(HOURS),--hours $(HOURS)) $(if $(SECONDS),--seconds $(SECONDS)) $(if $(JOBS),--jobs $(JOBS)) $(if $(CPU),--cpu) $(if $(ONLY),--only $(ONLY))
 
-# Filter, guidance and command streamers changed in one place at a time: how many of the changes do the tests notice? SHARE=0.1 for a sample.
+# Filter, vision, guidance and command streamers changed in one place at a time: how many of the changes do the tests notice? SHARE=0.1 for a sample.
 mutants: $(VENV)/.dev $(CORE)
 	$(BIN)/python -m mutants $(if $(SHARE),--share $(SHARE)) $(if $(SEED),--seed $(SEED)) $(if $(ONLY),--only $(ONLY))
 
@@ -100,6 +100,11 @@ $(VENV)/.compiler: requirements/compiler.txt | $(BIN)/python
 # The drawings of demo's report, calibrate and soak.
 $(VENV)/.report: requirements/report.txt $(VENV)/.runtime
 	$(PIP) install --require-hashes -r requirements/report.txt
+	@touch $@
+
+# The estimator path `constant_velocity`, which demo shows beside the others.
+$(VENV)/.compare: requirements/compare.txt $(VENV)/.runtime
+	$(PIP) install --require-hashes -r requirements/compare.txt
 	@touch $@
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.runtime
@@ -137,7 +142,8 @@ pins:
 	$(PIN) --constraint requirements/runtime.txt --extra report -o requirements/report.txt pyproject.toml
 	$(PIN) --constraint requirements/report.txt --extra lab -o requirements/lab.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra ros2 -o requirements/ros2.txt pyproject.toml
-	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --extra report --extra lab --extra ros2 --extra dev -o requirements/dev.txt pyproject.toml
+	$(PIN) --constraint requirements/lab.txt --extra compare -o requirements/compare.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --extra report --extra lab --extra ros2 --extra compare --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/docs.txt requirements/docs.in

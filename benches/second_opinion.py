@@ -32,8 +32,7 @@ from companion.settings.learned_file import second_opinion  # noqa: E402
 from estimator.contracts.geometry import Rotation, Transform  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
-from estimator.vision.learned.patch import Patch, patch_of  # noqa: E402
-from estimator.vision.learned.second_opinion import SecondOpinion, lowered, probability  # noqa: E402
+from estimator.vision.learned.second_opinion import Patch, SecondOpinion, lowered, patch_of, probability  # noqa: E402  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from tests.support.hard_light import HARD, hard_scene  # noqa: E402
 from tests.support.pad_scenes import (  # noqa: E402

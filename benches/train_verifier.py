@@ -24,7 +24,7 @@ from onnx import TensorProto, helper, numpy_helper
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from estimator.vision.learned.patch import CHANNELS, SIDE, Patch, inputs  # noqa: E402
+from estimator.vision.learned.second_opinion import CHANNELS, SIDE, Patch, inputs  # noqa: E402
 
 Weights = dict[str, Any]
 _LAYERS = ((CHANNELS, 16, 3, 2), (16, 32, 3, 2), (32, 32, 3, 1), (32, 48, 3, 2), (48, 48, 3, 1))

@@ -30,7 +30,7 @@ from estimator.contracts.geometry import Rotation  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.detect.acquire import acquire  # noqa: E402
 from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
-from estimator.vision.learned.patch import SIDE, Patch, patch_of  # noqa: E402
+from estimator.vision.learned.second_opinion import SIDE, Patch, patch_of  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pad_information import alike_headings  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402

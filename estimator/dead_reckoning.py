@@ -13,6 +13,8 @@ Vertical: if the vehicle measures no vertical velocity (AR.Drone), it comes from
 sightings, and the velocity is corrected towards their rate within `vertical_tau_s`. In between the accelerometer drives it, and
 without sightings it decays to zero within `vertical_leak_s`. The accelerometer's mean over `vertical_mean_s` is taken for its
 bias: nothing accelerates one way for long, and biases of 0.6 m/s^2 are usual.
+
+At rest the means of velocity and specific force over `calibration_s` (ten seconds in the thesis) are their biases.
 """
 
 from __future__ import annotations
@@ -22,14 +24,61 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from estimator.arrow_heading import ArrowHeading, heading_after
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Details, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.options import DeadReckoningOptions
-from estimator.rest_calibration import RestCalibration, add_acceleration, add_velocity
 
-GRAVITY_M_S2 = 9.80665
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestCalibration:
+    """The sums so far; `done` is True once the means are final."""
+
+    options: DeadReckoningOptions = field(default_factory=DeadReckoningOptions)
+    since: MonoNs | None = None
+    v_sum: F64 = field(default_factory=lambda: np.zeros(3))
+    v_samples: int = 0
+    a_sum: F64 = field(default_factory=lambda: np.zeros(3))
+    a_samples: int = 0
+    done: bool = False
+
+    @property
+    def v_bias_level(self) -> F64:
+        """Return the bias of the velocity, (3,) m/s; zeros until done or without velocity samples."""
+        return self.v_sum / self.v_samples if self.done and self.v_samples else np.zeros(3)
+
+    @property
+    def a_bias_body(self) -> F64:
+        """Return the bias of the acceleration, (3,) m/s^2; zeros until done."""
+        return self.a_sum / self.a_samples if self.done else np.zeros(3)
+
+
+def add_velocity(state: RestCalibration, t: MonoNs, v_level: F64) -> RestCalibration:
+    """Add one measured velocity, (3,) m/s."""
+    if state.done:
+        return state
+    if float(np.abs(v_level).max()) > state.options.calibration_velocity_max_m_s:
+        return RestCalibration(state.options)
+    since = t if state.since is None else state.since
+    return replace(state, since=since, v_sum=state.v_sum + v_level, v_samples=state.v_samples + 1)
+
+
+def add_acceleration(state: RestCalibration, t: MonoNs, a_body: F64) -> RestCalibration:
+    """Add one measured specific force minus gravity, (3,) m/s^2 in `body`; a perfect sensor at rest gives zeros."""
+    o = state.options
+    if state.done:
+        return state
+    if float(np.abs(a_body).max()) > o.calibration_acceleration_max_m_s2:
+        return RestCalibration(o)
+    since = t if state.since is None else state.since
+    samples = state.a_samples + 1
+    done = samples >= o.calibration_samples and seconds_between(since, t) >= o.calibration_s
+    return replace(state, since=since, a_sum=state.a_sum + a_body, a_samples=samples, done=done)
+
+
 _NIS_MAX = 16.27
 """Chi-square with 3 degrees of freedom, 99.9 %."""
 _NEVER = MonoNs(0)
@@ -85,11 +134,7 @@ class DeadReckoning:
     """The odometer's recent past, (n, 5): [s since `epoch`, odo (3), heading]."""
     epoch: MonoNs = _NEVER
     anchor: _Anchor | None = None
-    arrow_rad: float | None = None
-    """Heading of the arrow in the vehicle's own attitude frame."""
-    arrow_var: float = UNKNOWN_YAW_VAR
-    arrow_t: MonoNs = _NEVER
-    arrow_ambiguous: bool = False
+    arrow: ArrowHeading | None = None
     agreed: tuple[bool, ...] = ()
     """Whether each of the last innovations lay inside the claimed covariance."""
     rest: RestCalibration | None = None
@@ -148,14 +193,13 @@ def at(state: DeadReckoning, now: MonoNs) -> RelativeState | None:
     c, n = math.cos(anchor.heading_rad - heading), math.sin(anchor.heading_rad - heading)
     turn = np.array([[c, -n, 0.0], [n, c, 0.0], [0.0, 0.0, 1.0]])
     cov[:3, :3] = turn.dot(anchor.cov[:3, :3]).dot(turn.T)
-    yaw: float | None = None
-    if state.arrow_rad is None:
+    yaw, arrow = None, state.arrow
+    if arrow is None:
         cov[6, 6] = UNKNOWN_YAW_VAR
     else:
-        yaw = wrap_pi(heading - state.arrow_rad)
-        drift_s = max(0.0, seconds_between(state.arrow_t, now))
-        cov[6, 6] = state.arrow_var + (o.sigma_heading_rate_rad_s * drift_s) ** 2
-        if state.arrow_t == anchor.t:
+        yaw = wrap_pi(heading - arrow.heading_rad)
+        cov[6, 6] = arrow.var_at(now, o.sigma_heading_rate_rad_s)
+        if arrow.at == anchor.t:
             cov[6, :3] = cov[:3, 6] = turn.dot(anchor.cov[:3, 3])
 
     _spread(cov, _cov_v(state, now), elapsed_s, 1.0)
@@ -188,7 +232,7 @@ def _figures(state: DeadReckoning) -> tuple[tuple[str, float], ...]:
     """Return the figures for the records."""
     v_bias, a_bias = _biases(state)
     return (
-        ("yaw_ambiguous", float(state.arrow_ambiguous)),
+        ("yaw_ambiguous", float(state.arrow is not None and state.arrow.ambiguous)),
         ("a_vertical_mean_m_s2", state.a_vertical_mean),
         ("calibrated", float(state.rest is not None and state.rest.done)),
         *((f"bias_v_{axis}_m_s", float(b)) for axis, b in zip("xyz", v_bias, strict=True)),
@@ -235,7 +279,7 @@ def _imu(state: DeadReckoning, sample: Imu) -> DeadReckoning:
         return state
     R_level_body = state.R_ned_body.without_heading()
     state = _advance(state, sample.stamp.measured_at)
-    a_body = sample.f_body + R_level_body.inv @ np.array([0.0, 0.0, GRAVITY_M_S2])
+    a_body = sample.f_body + R_level_body.inv @ np.array([0.0, 0.0, G_M_S2])
     if state.rest is not None:
         state = replace(state, rest=add_acceleration(state.rest, sample.stamp.measured_at, a_body))
     a = R_level_body @ (a_body - _biases(state)[1])
@@ -273,20 +317,7 @@ def sighted(state: DeadReckoning, sighting: Sighting) -> tuple[DeadReckoning, Ve
         cov=sighting.cov,
         blind_s=state.blind_s,
     )
-    state = replace(state, anchor=anchor)
-    if sighting.yaw_rad is not None:
-        arrow = wrap_pi(heading - sighting.yaw_rad)
-        still_ambiguous = sighting.yaw_ambiguous and (state.arrow_rad is None or state.arrow_ambiguous)
-        if sighting.yaw_ambiguous and state.arrow_rad is not None and abs(wrap_pi(arrow - state.arrow_rad)) > math.pi / 2:
-            arrow = wrap_pi(arrow + math.pi)
-        state = replace(
-            state,
-            arrow_rad=arrow,
-            arrow_var=float(sighting.cov[3, 3]),
-            arrow_t=measured_at,
-            arrow_ambiguous=still_ambiguous,
-        )
-    return state, Verdict.FUSED
+    return replace(state, anchor=anchor, arrow=heading_after(state.arrow, heading, sighting)), Verdict.FUSED
 
 
 def _correct_vertical(state: DeadReckoning, measured_at: MonoNs, innov_m: float, since_last_s: float) -> DeadReckoning:

@@ -1,9 +1,10 @@
 """The estimator's options: which path steers, what is refused at the door, and the numbers of each path."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from msgspec import Struct
 
+from estimator.contracts.estimates import PathName
 from estimator.contracts.keys import check_ranges, choice, number
 from estimator.ekf.options import EkfOptions
 from estimator.integrity.options import IntegrityOptions
@@ -88,9 +89,11 @@ class EstimatorOptions(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     path: Annotated[
-        Literal["ekf", "median_mean", "dead_reckoning"],
+        PathName,
         choice(
-            "estimator that steers: the error-state filter; filtered sightings alone; or sightings propagated by dead reckoning"
+            "estimator that steers: the error-state filter; filtered sightings alone; sightings propagated by dead reckoning; "
+            "or a Kalman filter of constant velocity, with the extra compare",
+            public=True,
         ),
     ] = "ekf"
     max_gap_s: Annotated[

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from importlib.util import find_spec
 
 from msgspec import Struct, field, structs
 
 from estimator import dead_reckoning, ekf, filters, integrity
 from estimator.attitude_history import AttitudeHistory
+from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Details, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, source_of
 from estimator.contracts.motion import BodyMotion, DeckMotion
@@ -42,6 +44,9 @@ def start(options: EstimatorOptions, shadows: Sequence[PathName] = ()) -> Memory
 
     Args:
         shadows: paths that run for comparison and never steer.
+
+    Raises:
+        BadInput: a path needs a library that is not installed.
     """
     names = (options.path, *(name for name in shadows if name != options.path))
     paths = tuple(_path(name, options) for name in names)
@@ -153,6 +158,7 @@ def steer_by(memory: Memory, name: PathName) -> Memory:
 
     Raises:
         ValueError: there is no such path.
+        BadInput: it needs a library that is not installed.
     """
     chosen = next((path for path in memory.paths if path.name == name), None) or _path(name, memory.options)
     others = tuple(path for path in memory.paths if path.name != name)
@@ -220,5 +226,22 @@ def _path(name: PathName, options: EstimatorOptions) -> Path:
             return DeadReckoningPath(filters.MedianMean(options.max_gap_s), dead_reckoning.DeadReckoning.start(reckoning))
         case "ekf":
             return EkfPath(ekf.start(options.ekf, limits=None))
+        case "constant_velocity":
+            require_filterpy(f"the path {name}")
+            from estimator.constant_velocity import ConstantVelocityPath
+
+            return ConstantVelocityPath(AttitudeHistory(options.history_s), options.max_gap_s)
         case _:
             raise ValueError(f"no such estimator path: {name}")
+
+
+def require_filterpy(wanted: str) -> None:
+    """Refuse what is wanted where filterpy is not installed.
+
+    Raises:
+        BadInput: it is not; the message says how to install it.
+    """
+    if find_spec("filterpy") is None:
+        raise BadInput(
+            f"{wanted} needs filterpy, which is not installed: install requirements/compare.txt, or the extra decklander[compare]"
+        )

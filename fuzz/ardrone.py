@@ -30,7 +30,7 @@ from sitl.ardrone.drone import Drone
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.state import DroneState
 from sitl.ardrone.uvlc_encoder import encode
-from sitl.emulators.ardrone.video import Encoder
+from sitl.emulators.ardrone.wire_pictures import Encoder
 from sitl.emulators.autopilots.lock_step import LockStepClock
 from sitl.scenario.scenario import load as load_scenario
 from sitl.vehicle.vehicle import VehiclePhase

@@ -28,7 +28,7 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from fuzz.target import Choices, Target, block
-from sitl.emulators.ardrone.video import Encoder
+from sitl.emulators.ardrone.wire_pictures import Encoder
 from sitl.scenario.scenario import load as load_scenario
 from sitl.world.world import World
 

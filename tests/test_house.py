@@ -51,6 +51,9 @@ LAB = {
 ROS2 = {"companion/tools/ros2/bag.py", "companion/tools/ros2/typestore.py"}
 """What needs the extra `ros2`. It asks `require_rosbags` first."""
 
+COMPARE = {"estimator/constant_velocity.py"}
+"""What needs the extra `compare`. `pipeline.require_filterpy` is asked first."""
+
 IMPURE_MODULES = {
     "asyncio", "ctypes", "datetime", "glob", "io", "logging", "multiprocessing", "os", "pathlib", "queue", "random", "secrets",
     "select", "selectors", "shutil", "signal", "socket", "subprocess", "sys", "tempfile", "threading", "time", "tomllib",
@@ -330,7 +333,8 @@ def test_what_is_imported_is_declared() -> None:
     report = import_names(project["optional-dependencies"]["report"])
     lab = import_names(project["optional-dependencies"]["lab"])
     ros2 = import_names(project["optional-dependencies"]["ros2"])
-    dev = runtime | report | lab | ros2 | import_names(project["optional-dependencies"]["dev"])
+    compare = import_names(project["optional-dependencies"]["compare"])
+    dev = runtime | report | lab | ros2 | compare | import_names(project["optional-dependencies"]["dev"])
     undeclared = set()
     for path in files():
         if path.suffix == ".py":
@@ -339,6 +343,7 @@ def test_what_is_imported_is_declared() -> None:
             drawn = report if str(path.relative_to(ROOT)) in DRAWINGS else set()
             drawn = drawn | (lab if str(path.relative_to(ROOT)) in LAB else set())
             drawn = drawn | (ros2 if str(path.relative_to(ROOT)) in ROS2 else set())
+            drawn = drawn | (compare if str(path.relative_to(ROOT)) in COMPARE else set())
             declared = runtime | drawn if shipped else dev | extra(top)
             tops = {name.partition(".")[0] for name in imports(parsed(path.read_text()))}
             ours = {"", *PACKAGES, "configs", "examples", "tests", "benches", "fuzz", "mutants", "supply"}
@@ -367,7 +372,8 @@ def test_every_dependency_is_pinned_by_version_and_hash() -> None:
     extras = project["optional-dependencies"]
     wanted = {"runtime": project["dependencies"], "report": project["dependencies"] + extras["report"]}
     wanted["lab"] = project["dependencies"] + extras["lab"]
-    wanted["dev"] = wanted["report"] + extras["lab"] + extras["dev"]
+    wanted["compare"] = project["dependencies"] + extras["compare"]
+    wanted["dev"] = wanted["report"] + extras["lab"] + extras["compare"] + extras["dev"]
     wanted |= {path.stem: sorted(extra(path.stem)) for path in (ROOT / "requirements").glob("*.in")}
     for name, requirements in wanted.items():
         text = (ROOT / f"requirements/{name}.txt").read_text()

@@ -17,25 +17,21 @@ from companion.cli import perception_option
 from companion.cli.campaign_progress import CampaignProgress
 from companion.cli.campaign_report import compared_with, report, require_report
 from companion.settings.load import shipped
+from estimator import pipeline
 from estimator.contracts.errors import BadInput
-from sitl.campaign import parquet
-from sitl.campaign.by_scenario import by_scenario, in_columns
-from sitl.campaign.by_value import as_json, by_value, in_rows
-from sitl.campaign.cluster import ClusterWorkers
 from sitl.campaign.code import code_version
 from sitl.campaign.design import SAMPLED, described, factorial, parse_axis, refuse_repeated, sampled
 from sitl.campaign.figures import VariedPoint, varied_point
 from sitl.campaign.lab import missing_from_lab, require_lab
-from sitl.campaign.local import LocalWorkers
-from sitl.campaign.object_store import ObjectStore
 from sitl.campaign.overrides import Overridable
 from sitl.campaign.plan import AnyPlan, CampaignPlan, Job, Point, SetPlan, make_plan, seeds_of
 from sitl.campaign.report import REPORT, fly_again, render_report
-from sitl.campaign.run import Session
 from sitl.campaign.search import Falsified, Search, refuse_search
-from sitl.campaign.store import FolderStore, ResultStore, manifest_of_plan
+from sitl.campaign.store import FolderStore, ObjectStore, ResultStore, Session, manifest_of_plan
 from sitl.campaign.summary import CampaignTally, in_words
+from sitl.campaign.tables import PARQUET, as_json, by_scenario, by_value, in_columns, in_rows, parquet_bytes
 from sitl.campaign.task import Flight, job_of
+from sitl.campaign.workers import ClusterWorkers, LocalWorkers
 from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import FAULTS, Scenario
@@ -183,6 +179,7 @@ def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str
     given = Overridable(scenario, settings)
     overrides = [given.parse(text, "--set") for text in args.set]
     scenario, settings = given.with_values(overrides, "--set")
+    pipeline.start(settings.estimator)  # a path that lacks its library is refused before any flight
     plan = make_plan(name, scenario, settings, perception, args.perception_model, tuple(_options(args)))
     return plan, Overridable(scenario, settings)
 
@@ -331,9 +328,9 @@ def _conclude(
         summary["varied"] = {effect.key: as_json(effect) for effect in effects}
     files = []
     if missing := missing_from_lab("pyarrow"):
-        sys.stderr.write(f"{parquet.TABLE} is not written: it needs {missing[0]} (requirements/lab.txt, decklander[lab])\n")
+        sys.stderr.write(f"{PARQUET} is not written: it needs {missing[0]} (requirements/lab.txt, decklander[lab])\n")
     else:
-        files.append(store.put(parquet.TABLE, parquet.table_bytes(_asked(store, asked), points[-1][0] if points else {})))
+        files.append(store.put(PARQUET, parquet_bytes(_asked(store, asked), points[-1][0] if points else {})))
     if args.report:
         manifest = manifest_of_plan(plan, range(args.seed, args.seed + args.runs), None)
         page = render_report(manifest, _asked(store, asked), store.wall_s(), compared_with(args.against))

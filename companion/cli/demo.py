@@ -24,6 +24,7 @@ from companion.base.mission import FlightOutcome
 from companion.base.observer import Observer
 from companion.base.signals import check, ending_signal
 from companion.cli import foxglove_option, page_option, record_option, report_option
+from companion.cli.kept_flight import compared_paths
 from companion.cli.progress import ProgressObserver
 from companion.cli.version import version
 from companion.guidance.make_pilot import make_pilot
@@ -37,17 +38,14 @@ from companion.tools.report.log_observer import LogObserver
 from companion.tools.report.page import PAGE, write_report
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
-from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.generations import GENERATIONS
 from sitl.emulators.ardrone.truth_log import read as read_truth
-from sitl.flight.ending import Contact, Ending
-from sitl.flight.machine_load import Load
+from sitl.flight.ending import Contact, Ending, Load
 from sitl.scenario.scenario import Scenario, camera_model, with_ardrone1
 from sitl.scenario.scenario import load as load_scenario
 
-SHADOWS: tuple[PathName, ...] = ("median_mean",)
 _READY_S = 30.0
 _SETTLE_S = 0.5
 """Time for which the demo continues after the landing, s, so that the recording shows the drone on the ground."""
@@ -120,7 +118,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                 settings = foxglove_option.with_foxglove(settings, args.foxglove)
             if args.video is not None:
                 settings = msgspec.structs.replace(settings, video_stream=_video(args.video))
-            pilot = make_pilot(settings, shadows=SHADOWS)
+            pilot = make_pilot(settings, shadows=compared_paths())
             log = FlightLog(scenario.title, clock.now(), pilot.pad, pilot.camera, steering=settings.estimator.path)
             log.settings = whole_file.toml(settings)
             progress = None if args.json else ProgressObserver()

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 
 from companion.base.health import Health
 from companion.base.held_back import HeldBack
@@ -24,8 +25,10 @@ from sitl.flight.ending import Ending
 from sitl.perception.port import Level
 from sitl.world.truth import Truth
 
-SHADOWS: tuple[PathName, ...] = ("median_mean",)
-"""Estimator paths that run beside the steering one, for the comparison in the report."""
+
+def compared_paths() -> tuple[PathName, ...]:
+    """Return the estimator paths that run beside the steering one, for the comparison in the report."""
+    return ("median_mean", "constant_velocity") if find_spec("filterpy") else ("median_mean",)
 
 
 @dataclass(slots=True)
@@ -42,7 +45,7 @@ class KeptFlight:
     shadows: tuple[PathName, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.shadows = () if self.log is None and self.recorder is None else SHADOWS
+        self.shadows = () if self.log is None and self.recorder is None else compared_paths()
 
     @property
     def on_start(self) -> Callable[[Health], None] | None:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from companion.base.observer import Observer
 from companion.cli import report_option
@@ -22,11 +22,12 @@ from companion.settings.load import Settings
 from companion.settings.overrides import with_overrides
 from companion.tools.replay.engine import Replay
 from companion.tools.replay.log_observer import BeliefLogObserver, Difference, differences, recorded_beliefs
-from companion.tools.replay.pilots import available_paths, pilot_of, settings_of
+from companion.tools.replay.pilots import pilot_of, settings_of
 from companion.tools.report.figures import DeckRow, ErrorRow, all_series, deck_rows, error_rows
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.page import PAGE, write_report
 from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs, seconds_between
 
 
@@ -47,7 +48,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--sightings", action="store_true", help="use the recorded detections instead of searching the frames again"
     )
     parser.add_argument(
-        "--path", choices=available_paths(), help="steer by this estimator path (default: the one of the settings)"
+        "--path", choices=get_args(PathName), help="steer by this estimator path (default: the one of the settings)"
     )
     parser.add_argument("--config", metavar="FILE", help="settings file to replay with (default: the recording's own settings)")
     parser.add_argument(

@@ -23,7 +23,7 @@ from estimator.contracts.errors import BadInput
 from sitl.campaign.overrides import Overridable
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.emulators.autopilots.program import executable
-from sitl.faults.streams import STREAMS
+from sitl.faults.kinds import STREAMS
 from sitl.flight.ending import Ending
 from sitl.flight.one_flight import contact_of, settings_for
 from sitl.flight.one_flight import ending_of as graded_ending

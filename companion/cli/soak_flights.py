@@ -11,8 +11,7 @@ from typing import Any
 from companion.base.mission import REFUSALS, FlightOutcome
 from companion.cli.soak_records import Records
 from estimator.contracts.estimates import Verdict
-from sitl.flight.ending import Ending
-from sitl.flight.machine_load import Load
+from sitl.flight.ending import Ending, Load
 from sitl.flight.safety import Grade, grade
 
 STARVED_MAX = 0.5

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from itertools import chain
 
 from companion.guidance.make_pilot import make_pilot
-from companion.service.daemon import Daemon, VehicleLink
+from companion.service.daemon import Daemon, DaemonOptions, VehicleLink
 from companion.settings.model import Settings, ardrone_options
 from drivers.ardrone import at
 from drivers.ardrone.navdata import Navdata
@@ -150,9 +150,7 @@ async def cpu_at(rate_hz: int, scenario: Scenario, settings: Settings, duration_
         reel.open,
         make_pilot(settings),
         clock,
-        restart=settings.service,
-        guidance_rate_hz=settings.guidance.rate_hz,
-        threads=settings.vision.threads,
+        DaemonOptions(settings.service, settings.guidance.rate_hz, threads=settings.vision.threads),
     )
     async with asyncio.TaskGroup() as group:
         group.create_task(daemon.run())

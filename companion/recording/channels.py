@@ -9,6 +9,7 @@ import msgspec
 from companion.recording import foxglove as fox
 from companion.recording import records as rec
 from companion.recording.scene import SceneUpdate
+from estimator.contracts.estimates import PathName
 from estimator.contracts.fusion import Source
 
 IMAGE, VIDEO = "/camera/image", "/camera/video"
@@ -22,7 +23,7 @@ written to this one; it is repeated each second for viewers that do not look fur
 SCENE, ELLIPSOID = "/scene", "/scene/error"
 """The pad, the deck and the drone, repeated each second; and the error ellipsoid of the steering path."""
 TRUE_POSE = "/pose/truth"
-PATHS = ("median_mean", "dead_reckoning", "ekf")
+PATHS = get_args(PathName)
 
 
 def belief(path: str) -> str:

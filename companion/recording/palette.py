@@ -17,6 +17,7 @@ SERIES: dict[str, str] = {
     "median_mean": "#56b4e9",
     "dead_reckoning": "#d55e00",
     "ekf": "#8a63d2",
+    "constant_velocity": "#0a9d76",
 }
 MARKERS: dict[str, str] = {"ellipse": "o", "arrow": "^", "corners": "s", "registration": "D", "lamps": "*", "selected": "x"}
 OTHER = "#888888"

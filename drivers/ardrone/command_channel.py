@@ -1,21 +1,265 @@
-"""The AT command channel: passes the streamer's commands to the sender process, and starts another sender when that is lost."""
+"""The AT command channel: passes the streamer's commands to the sender process, and starts another sender when that is lost.
+
+`SenderClient` is the service's end of its sender: it starts the process, sends it commands, and notices when it is gone.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import socket
-from collections.abc import Sequence
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
 
-from drivers.ardrone.at import AtCommand
+import msgspec
+
+import drivers
+from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
+from drivers.ardrone.at import AtCommand, encode
 from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.sender_client import SenderClient
 from drivers.ardrone.sender_lock import mark
-from drivers.ardrone.sender_wire import SenderOptions, SenderStatus, as_text
+from drivers.ardrone.sender_wire import (
+    BUSY,
+    LINE_MAX,
+    REOPEN,
+    SenderOptions,
+    SenderStatus,
+    as_text,
+    pack,
+    pack_commands,
+    pack_end,
+    status_of,
+)
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, after, seconds_between
+
+_COMMANDS_S = 0.5
+"""Further commands, those passed to `SenderClient.send`, are dropped when they have waited this long."""
+_READY_S = 5.0
+_SILENT_S = 0.1
+"""A sender answers each command with its status; if none arrives for this long, hover is sent to the drone directly."""
+_SILENT_PERIODS = 3.5
+"""The same limit in command periods, which applies if commands are sent more slowly."""
+_STUCK_S = 0.5
+"""A sender that has not sent its status for this long is replaced."""
+_END_S = 2.0
+_GONE_S = 0.02
+"""A process whose socket has closed needs this long to end."""
+_BURST = 3
+_LEFT: list[subprocess.Popen[bytes]] = []
+"""The senders that were left to a successor and may have ended since."""
+_START = "import sys; sys.path += sys.argv[1:3]; from drivers.ardrone.sender import main; sys.exit(main(sys.argv[3:]))"
+"""The program of the sender, which starts without site-packages: they come after the standard library, for msgspec alone."""
+
+
+class SenderClient:
+    """One running sender process.
+
+    Args:
+        on_status: is called with each status and the one before it.
+        hovered: is called whenever hover was sent to the drone directly, because the sender is silent, gone or not up yet.
+    """
+
+    def __init__(
+        self,
+        options: SenderOptions,
+        clock: Clock,
+        on_status: Callable[[SenderStatus, SenderStatus], None],
+        hovered: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._o = options
+        self._clock = clock
+        self._on_status = on_status
+        self._status = SenderStatus(0, 0, 0, 0)
+        self._hovered = hovered
+        self._silent_s = max(_SILENT_S, _SILENT_PERIODS * options.period_s)
+        self._received_at: MonoNs | None = None
+        self._began = clock.now()
+        self._buffer = b""
+        self._latest: TimedCommand | None = None
+        self._closed = self._busy = False
+        _LEFT[:] = [left for left in _LEFT if left.poll() is None]
+        ours, theirs = socket.socketpair()
+        try:
+            roots = [str(Path(next(iter(package.__path__))).parent) for package in (drivers, msgspec)]
+            self._process = subprocess.Popen(
+                [sys.executable, "-I", "-S", "-c", _START, *roots, str(theirs.fileno()), options.as_json()],
+                pass_fds=(theirs.fileno(),),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        except OSError as why:
+            ours.close()
+            raise Recoverable(f"the sender of AT commands cannot be started: {why}") from why
+        finally:
+            theirs.close()
+        ours.setblocking(False)
+        self._socket = ours
+        self._lost: str | None = None
+        asyncio.get_running_loop().add_reader(ours.fileno(), self._read)
+
+    @property
+    def pid(self) -> int:
+        """The process id of the sender."""
+        return self._process.pid
+
+    @property
+    def up(self) -> bool:
+        """Whether the sender has reported that it runs."""
+        return self._received_at is not None
+
+    @property
+    def busy(self) -> bool:
+        """Whether the sender has ended because another service, which is alive, flies this drone."""
+        return self._busy
+
+    @property
+    def _flew(self) -> bool:
+        """Whether the drone was flown by this sender or by one that it replaces; otherwise another service may be flying it."""
+        return self.up or self._o.replaces
+
+    def update(self, command: TimedCommand) -> None:
+        """Send the newest command; never blocks.
+
+        While the sender is silent, or takes long to replace another, each call sends hover to the drone directly.
+
+        Raises:
+            Recoverable: the sender is gone or stuck.
+        """
+        self._latest = command
+        self._look()
+        heard_at = self._began if self._received_at is None else self._received_at
+        if self._flew and seconds_between(heard_at, self._clock.now()) > self._silent_s:
+            self._hover()
+        self._write(pack(command))
+
+    def send(self, commands: Sequence[AtCommand]) -> None:
+        """Send further commands, all in one datagram, in order; they are dropped while the sender is not up yet.
+
+        Raises:
+            Recoverable: the sender is gone or stuck.
+        """
+        self._look()
+        if not self.up:
+            return  # dropped as a datagram may be: important ones are repeated, and must not pile up
+        self._write(pack_commands(commands, after(self._clock.now(), _COMMANDS_S)))
+
+    def reopen(self) -> None:
+        """Open the AT socket again; the new one takes this host's present address.
+
+        Raises:
+            Recoverable: the sender is gone or stuck.
+        """
+        self._look()
+        self._write(REOPEN)
+
+    def end(self, command: TimedCommand) -> None:
+        """Let the sender send this command and end: the service ends on purpose."""
+        with suppress(Recoverable):
+            self._write(pack_end(command))
+        self._close()
+        self._kill(_END_S)
+
+    def let_go(self) -> None:
+        """Leave the sender running, so that it holds a flying drone until a successor takes over: the service ends otherwise."""
+        self._close()
+        _LEFT.append(self._process)
+
+    def _look(self) -> None:
+        if self._lost is not None:
+            raise Recoverable(self._lost)
+        self._read()  # after this process stood still, the sender's status lies here unread
+        if self._lost is not None:
+            raise Recoverable(self._lost)
+        since, timeout_s = (self._began, _READY_S) if self._received_at is None else (self._received_at, _STUCK_S)
+        if seconds_between(since, self._clock.now()) > timeout_s:
+            self._lose(f"the sender of AT commands says nothing for {timeout_s} s")
+            raise Recoverable(self._lost or "")
+
+    def _write(self, line: bytes) -> None:
+        try:
+            if self._socket.send(line) != len(line):
+                self._lose("the sender of AT commands is stuck")
+        except BlockingIOError:
+            self._lose("the sender of AT commands is stuck")
+        except OSError:
+            self._lose("the sender of AT commands is gone")
+        if self._lost is not None:
+            raise Recoverable(self._lost)
+
+    def _read(self) -> None:
+        try:
+            said = self._socket.recv(LINE_MAX)
+        except BlockingIOError:
+            return
+        except OSError:
+            said = b""
+        if not said:
+            self._lose("the sender of AT commands is gone")
+            return
+        self._received_at = self._clock.now()
+        *lines, self._buffer = (self._buffer + said).split(b"\n")
+        if BUSY in lines:
+            self._busy = True
+            self._lose("another service, which is alive, flies this drone")
+            return
+        for line in lines:
+            before, self._status = self._status, status_of(line)
+            self._on_status(before, self._status)
+
+    def _lose(self, why: str) -> None:
+        """Make sure that an unreliable sender is gone, and let the drone hover until there is another."""
+        if self._lost is not None:
+            return
+        self._lost = why
+        self._close()
+        self._kill(_GONE_S)
+        if not self._busy and self._latest is not None and self._flew:
+            self._hover()
+
+    def _kill(self, timeout_s: float) -> None:
+        try:
+            self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _hover(self) -> None:
+        """Send hover to the drone directly: without a sender it would fly on by the last command that it received.
+
+        Sequence number 1 makes the drone accept this datagram. It also accepts those of a sender that was only slow and continues
+        with its own numbers, which are higher. A landing that the firmware began meanwhile is called off.
+        """
+        self._hovered()
+        newest = self._latest
+        stays_up = newest is not None and newest.ref == STAY_UP
+        commands = replace(newest, sticks=HOVER, ref=STAY_UP if stays_up else None).commands() if newest else [HOVER]
+        data = b"".join(encode(number, command) for number, command in enumerate(commands, 1))
+        try:
+            # A name would have to be resolved, which blocks.
+            family, kind, _, _, address = socket.getaddrinfo(
+                self._o.host, self._o.at_port, type=socket.SOCK_DGRAM, flags=socket.AI_NUMERICHOST
+            )[0]
+            with socket.socket(family, kind) as direct:
+                direct.setblocking(False)
+                for _ in range(_BURST):
+                    direct.sendto(data, address)
+        except OSError:
+            return  # a name instead of an address, or no network: the next sender will report it
+
+    def _close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            asyncio.get_running_loop().remove_reader(self._socket.fileno())
+            self._socket.close()
 
 
 class CommandChannel:

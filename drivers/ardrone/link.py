@@ -13,12 +13,11 @@ from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.setup import Setup
-from drivers.ardrone.uvlc_channel import UvlcChannel
-from drivers.ardrone.video_channel import VideoChannel
-from drivers.beside import running_beside
+from drivers.ardrone.video_channels import UvlcChannel, VideoChannel
 from drivers.mailbox import Latest, Line
 from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
 from drivers.reconnect import BackOff, reconnect
+from drivers.running_beside import running_beside
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.pictures import PictureDecoder

@@ -14,8 +14,10 @@ from typing import Any
 from drivers.ardrone.navdata import ControlState, Gps, Navdata, NavdataState, NavdataTime, control_state_of
 from drivers.ardrone.navdata_readings import NavdataReadings
 from drivers.ardrone.options import ArDroneOptions
+from drivers.atmosphere import height_of_pressure_m
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vector
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import (
     UNKNOWN_VAR,
     Baro,
@@ -31,7 +33,6 @@ from estimator.contracts.samples import (
 )
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
-G_M_S2 = 9.80665
 _M_S2_PER_MG = 1e-3 * G_M_S2
 _SATELLITES_LEAST = 5
 """Number of satellites below which a place is not taken: four give one without any check."""
@@ -73,16 +74,6 @@ def _of_every_datagram(r: NavdataReadings, stamp: Stamp, options: ArDroneOptions
 def _attitude_cov(options: ArDroneOptions) -> F64:
     tilt_var, yaw_var = options.sigma_tilt_rad**2, options.sigma_yaw_rad**2
     return fixed_matrix(tilt_var, 0.0, 0.0, 0.0, tilt_var, 0.0, 0.0, 0.0, yaw_var)
-
-
-def height_of_pressure_m(pressure_pa: float) -> float:
-    """Return the pressure altitude in metres, by the troposphere of the international standard atmosphere (ISO 2533)."""
-    return float(44330.77 * (1.0 - (pressure_pa / 101325.0) ** 0.190263))
-
-
-def pressure_of_height_pa(height_m: float) -> float:
-    """Return the pressure at a pressure altitude, pascals: the inverse of `height_of_pressure_m`."""
-    return float(101325.0 * (1.0 - height_m / 44330.77) ** (1.0 / 0.190263))
 
 
 class NavdataSampler:

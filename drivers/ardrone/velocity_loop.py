@@ -22,8 +22,7 @@ from msgspec.structs import replace
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
-
-_G_M_S2 = 9.80665
+from estimator.contracts.motion import G_M_S2
 
 
 class Sticks(Struct, frozen=True):
@@ -58,7 +57,7 @@ RESET = LoopState()
 def acceleration_of(R_ned_body: Rotation) -> F64:
     """Return the acceleration that hovering thrust gives at this tilt, (2,) m/s^2 forward and right."""
     roll, pitch, _ = R_ned_body.rpy_rad
-    return _G_M_S2 * np.array([-math.tan(pitch), math.tan(roll) / math.cos(pitch)])
+    return G_M_S2 * np.array([-math.tan(pitch), math.tan(roll) / math.cos(pitch)])
 
 
 def step(
@@ -78,7 +77,7 @@ def step(
     integral = np.array([state.forward_m_s2, state.right_m_s2])
     pushed = _within(integral + options.velocity_integral_1_s2 * max(0.0, dt_s) * error, options.velocity_integral_max_m_s2)
     feed_forward = options.velocity_gain_1_s * error + options.velocity_drag_1_s * wanted.v_level[:2]
-    most_m_s2 = _G_M_S2 * math.tan(options.euler_angle_max_rad)
+    most_m_s2 = G_M_S2 * math.tan(options.euler_angle_max_rad)
     if float(np.hypot(*(feed_forward + pushed))) <= most_m_s2 or float(error @ (feed_forward + integral)) <= 0.0:
         integral = pushed
     accelerate = _within(feed_forward + integral, most_m_s2)
@@ -94,7 +93,7 @@ def lean(wanted: Lean, heading_rad: float | None, options: ArDroneOptions) -> tu
     Args:
         heading_rad: the present heading; None if it is not known.
     """
-    most_m_s2 = _G_M_S2 * math.tan(options.euler_angle_max_rad)
+    most_m_s2 = G_M_S2 * math.tan(options.euler_angle_max_rad)
     trim = _within(wanted.trim_level, options.velocity_integral_max_m_s2)
     accelerate = _within(wanted.a_level + wanted.trim_level, most_m_s2)
     state = LoopState(float(trim[0]), float(trim[1]), heading_rad)
@@ -104,7 +103,7 @@ def lean(wanted: Lean, heading_rad: float | None, options: ArDroneOptions) -> tu
 def _sticks(accelerate: F64, descend_m_s: float, yaw_rate_rad_s: float, options: ArDroneOptions) -> Sticks:
     """Return the sticks that give an acceleration, (2,) m/s^2 forward and right, a descent rate and a turn rate."""
     size = float(np.hypot(accelerate[0], accelerate[1]))
-    tilt = math.atan2(size, _G_M_S2) / options.euler_angle_max_rad
+    tilt = math.atan2(size, G_M_S2) / options.euler_angle_max_rad
     forward, right = accelerate / size * tilt if size > 0 else (0.0, 0.0)
     return Sticks(
         roll=_unit(float(right)),

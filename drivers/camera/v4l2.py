@@ -1,4 +1,7 @@
-"""Read frames from a V4L2 camera: the kernel stamps them, one worker thread decodes them, and only the newest is kept.
+"""Find V4L2 cameras, read frames from one, and set its exposure.
+
+The kernel stamps the frames, one worker thread decodes them, and only the newest is kept. Another thread sets the exposure, so
+that a slow bus never holds up frames. Device numbers change with each boot and each plug; names do not.
 
 Source for the meaning of buffers: Linux media documentation, struct v4l2_buffer (flags, timestamp, sequence).
 """
@@ -10,23 +13,158 @@ import errno
 import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.exposure_setter import ExposureSetter
+from drivers.camera.exposure_drive import ExposureDrive
+from drivers.camera.exposure_law import ExposureSetting
 from drivers.camera.images import claimed_size
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
 from drivers.camera.stamping import stamp_of
 from drivers.camera.v4l2_device import Buffer, Device, KernelDevice
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
-from drivers.camera.v4l2_names import cameras, find
+from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
 
 log = logging.getLogger(__name__)
+
+BY_NAME = (Path("/dev/v4l/by-id"), Path("/dev/v4l/by-path"))
+SYSFS = Path("/sys/class/video4linux")
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureDevice:
+    """A capture device of this machine."""
+
+    path: Path
+    """The most stable path that exists: by-id, by-path, else /dev/videoN."""
+    node: Path
+    """The present device node /dev/videoN."""
+    card: str
+    """The name that the kernel driver gives the device."""
+    body: Path
+    """The hardware device in sysfs, which may have several nodes."""
+    index: int = 0
+    """The index among the nodes of one hardware device: the first gives frames, a second often metadata."""
+
+
+def cameras(by_name: tuple[Path, ...] = BY_NAME, sysfs: Path = SYSFS, dev: Path = Path("/dev")) -> list[CaptureDevice]:
+    """Return every video device with its most stable path, in order of that path.
+
+    A device may be plugged out while it is read: what is gone by then counts as absent.
+    """
+    stable: dict[Path, Path] = {}
+    for folder in reversed(by_name):
+        for link in _entries(folder):
+            if (node := _resolved(link)) is not None:
+                stable[node] = link
+    found = []
+    for entry in _entries(sysfs):
+        if not entry.name.startswith("video"):
+            continue
+        node, body = dev / entry.name, _resolved(entry / "device") or entry
+        found.append(CaptureDevice(stable.get(node, node), node, _text(entry / "name"), body, int(_text(entry / "index") or 0)))
+    return sorted(found, key=lambda f: str(f.path))
+
+
+def find(text: str, there: list[CaptureDevice]) -> Path | None:
+    """Return the path that `text` means: itself if it is a path, else the one camera whose stable name or card contains it.
+
+    If a camera has several nodes (many have one for frames and one for metadata) the first is returned.
+    The result is None if there is no such camera at the moment.
+
+    Raises:
+        BadInput: more than one camera matches.
+    """
+    if "/" in text:
+        path = Path(text)
+        return path if path.exists() else None
+    matches = [f for f in there if text.lower() in f.path.name.lower() or text.lower() in f.card.lower() or text == f.node.name]
+    exact = [f for f in matches if text in (f.path.name, f.node.name)]
+    matches = sorted(exact or matches, key=lambda f: f.index)
+    if len({f.body for f in matches}) > 1:
+        raise BadInput(f"camera {text!r} may be any of {', '.join(str(f.path) for f in matches)}; give more of its name")
+    return matches[0].path if matches else None
+
+
+def _entries(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.iterdir())
+    except OSError:
+        return []
+
+
+def _resolved(link: Path) -> Path | None:
+    try:
+        return link.resolve(strict=True)
+    except OSError:
+        return None
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text().strip()
+    except OSError:
+        return ""
+
+
+class ExposureSetter:
+    """Sets what is asked of `drive`, one setting at a time, from the device's opening to its closing.
+
+    Args:
+        drive: None for a camera that is not driven.
+    """
+
+    def __init__(self, device: Device, drive: ExposureDrive | None) -> None:
+        self._driven, self._drive = device.driven, drive
+        self._setting: asyncio.Future[ExposureSetting] | None = None
+        self._asked_at = 0
+        self._pool: ThreadPoolExecutor | None = None
+        if self._driven is not None and drive is not None:
+            self._pool = ThreadPoolExecutor(1, "v4l2-exposure")
+            drive.opened(self._driven.can, self._driven.held)
+
+    def tend(self, newest: int) -> None:
+        """Take the result of a setting, and begin the next one; call it with each frame's number."""
+        if self._driven is None or self._drive is None or self._pool is None:
+            return
+        if self._setting is not None:
+            if not self._setting.done():
+                return
+            done, self._setting = self._setting, None
+            if (why := done.exception()) is None:
+                self._drive.changed(done.result(), self._asked_at, newest)
+            elif isinstance(why, OSError):
+                if self._drive.why_refused is None:
+                    log.warning("the camera refuses an exposure: %s", why.strerror or why)
+                self._drive.refuse(why.strerror or str(why))
+            else:
+                raise why
+        wanted = self._drive.take()
+        if wanted is not None:
+            self._asked_at = newest
+            self._setting = asyncio.get_running_loop().run_in_executor(self._pool, self._driven.set, wanted)
+
+    def of(self, number: int) -> tuple[ExposureSetting, float] | None:
+        """Return the setting with which a frame was taken, and the largest error of its exposure time, s; None if not driven."""
+        return None if self._drive is None else self._drive.of(number)
+
+    async def close(self) -> None:
+        """Wait for a setting that is under way; the device may be closed then."""
+        if self._setting is not None:
+            await asyncio.gather(self._setting, return_exceptions=True)
+            self._setting = None
+        if self._pool is not None:
+            self._pool.shutdown()
+        if self._drive is not None:
+            self._drive.closed()
+
 
 _WRAP = 1 << 32
 

@@ -3,20 +3,216 @@
 options = CameraOptions(source="v4l2", device="/dev/v4l/by-id/usb-...")
 async with open_camera(options, (640, 480), clock) as camera:
     async for frame in camera.frames: ...
+
+A file is played at its own speed. A live stream's clock stamps its frames; it is mapped to ours by the least delay measured.
 """
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+import asyncio
+import math
+from collections.abc import AsyncIterator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
 
-from drivers.beside import running_beside
+import av
+import numpy as np
+from av.container import InputContainer
+from av.error import FFmpegError
+from av.packet import Packet as AnyPacket
+from av.video.stream import VideoStream
+from numpy.typing import NDArray
+
+from drivers.camera.counters import CameraCounters
 from drivers.camera.exposure_drive import ExposureDrive
-from drivers.camera.options import CameraOptions, Size
+from drivers.camera.images import ImageRefused
+from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
+from drivers.camera.videos import MOST_PACKET_BYTES, open_video, predicts_frames
+from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.reconnect import BackOff, reconnect
-from estimator.contracts.errors import Recoverable, in_words
+from drivers.running_beside import running_beside
+from estimator.contracts.errors import BadInput, Recoverable, in_words
 from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Frame
+from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+
+Packet: TypeAlias = "AnyPacket[VideoStream]"
+
+_LIVE = {"fflags": "nobuffer", "flags": "low_delay", "rtsp_transport": "tcp"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Image:
+    px: NDArray[np.uint8]
+    pts_s: float | None
+    received_at: MonoNs
+
+
+class StreamChannel:
+    """One run from opening to the end; run it again after that."""
+
+    def __init__(self, options: CameraOptions, size: Size | None, clock: Clock, camera: VideoSource) -> None:
+        self._o = options
+        self._size = size if size is None else check_size(size)
+        self._clock = clock
+        self._camera = camera
+        self._seq = 0
+
+    async def run(self) -> None:
+        """Read frames until the stream breaks or the file ends.
+
+        Raises:
+            CameraLost: the source is absent, silent, failed, or a file that ended and is not repeated.
+            BadInput: the file does not exist, or holds no video.
+        """
+        loop = asyncio.get_running_loop()
+        pool = ThreadPoolExecutor(1, "stream")
+        reader = _Reader(self._o, self._size, self._clock, self._camera.counters)
+        try:
+            await loop.run_in_executor(pool, reader.open)
+            self._camera.down = None
+            while True:
+                await self._play(reader, pool)
+                if not self._o.repeat or self._o.is_address:
+                    reason = "failed" if self._o.is_address else "ended"
+                    raise CameraLost(reason, f"{self._o.device}: the stream is over")
+                await loop.run_in_executor(pool, reader.rewind)
+        finally:
+            # A read that hangs may last for the whole of `silence_s`, so nothing waits for it.
+            pool.submit(reader.close)
+            pool.shutdown(wait=False)
+
+    async def _play(self, reader: _Reader, pool: ThreadPoolExecutor) -> None:
+        loop = asyncio.get_running_loop()
+        o, counters = self._o, self._camera.counters
+        began: tuple[MonoNs, float] | None = None
+        clocks = ClockMap(ClockMapOptions(resolution_s=1e-5, floor_s=o.latency_s, floor_sigma_s=o.latency_sigma_s))
+        while (image := await loop.run_in_executor(pool, reader.next)) is not None:
+            if o.is_address:
+                stamp = self._live_stamp(image, clocks)
+            else:
+                pts_s = self._seq / reader.rate_hz if image.pts_s is None else image.pts_s
+                began = began or (self._clock.now(), pts_s)
+                measured_at = after(began[0], pts_s - began[1])
+                ahead_s = seconds_between(self._clock.now(), measured_at)
+                if ahead_s > 0:
+                    await self._clock.sleep(ahead_s)
+                stamp = Stamp(after(measured_at, -o.latency_s), max(measured_at, self._clock.now()), o.latency_sigma_s, "arrival")
+            counters.frames += 1
+            frame = Frame(stamp, self._seq, image.px, o.exposure_s, coded=reader.coded)
+            self._seq += 1
+            counters.frames_replaced += self._camera.frames.offer(frame) is not None
+
+    def _live_stamp(self, image: _Image, clocks: ClockMap) -> Stamp:
+        if image.pts_s is None or not 0 <= image.pts_s < 1e9:
+            measured_at = after(image.received_at, -self._o.latency_s)
+            return Stamp(measured_at, image.received_at, self._o.latency_sigma_s, "arrival")
+        return clocks.stamp(round(image.pts_s * 1e9), image.received_at)
+
+
+class _Reader:
+    """The blocking half, whose methods all run on one worker thread."""
+
+    def __init__(self, options: CameraOptions, size: Size | None, clock: Clock, counters: CameraCounters) -> None:
+        self._o = options
+        self._size = size
+        self._clock = clock
+        self._counters = counters
+        self._container: InputContainer | None = None
+        self._packets: Iterator[Packet] = iter(())
+        self._ready: list[_Image] = []
+        self._waiting = True
+        self.rate_hz = 30.0
+        self.coded = False
+
+    def open(self) -> None:
+        o = self._o
+        if not o.is_address and not Path(o.device).is_file():
+            raise BadInput(f"{o.device}: no such file")
+        silence_s = o.silence_s
+        try:
+            self._container = open_video(
+                o.device,
+                self._size,
+                options=_LIVE if o.is_address else {},
+                codec_options={"err_detect": "explode"} if o.is_address else {},
+                timeout=(silence_s, silence_s) if o.is_address else None,
+            )
+        except ImageRefused as why:
+            if o.is_address:
+                raise CameraLost("failed", f"{o.device}: {why}") from why
+            raise BadInput(f"{o.device}: {why}") from why
+        except FFmpegError as why:
+            if o.is_address:
+                raise CameraLost("absent", f"{o.device}: {why.strerror}") from why
+            raise BadInput(f"{o.device}: not a video that can be read ({why.strerror})") from why
+        if not self._container.streams.video:
+            raise BadInput(f"{o.device}: there is no video in it")
+        self.coded = predicts_frames(self._container)
+        stream = self._container.streams.video[0]
+        stream.thread_type = "SLICE" if o.is_address else "AUTO"
+        rate = stream.average_rate
+        self.rate_hz = float(rate) if rate else 30.0
+        if not math.isfinite(self.rate_hz) or self.rate_hz <= 0:
+            self.rate_hz = 30.0
+        self._begin()
+
+    def rewind(self) -> None:
+        assert self._container is not None
+        self._container.seek(0)
+        self._begin()
+
+    def _begin(self) -> None:
+        assert self._container is not None
+        self._packets = self._container.demux(self._container.streams.video[0])
+        self._ready, self._waiting = [], True
+
+    def next(self) -> _Image | None:
+        """Return the next frame, None at the end."""
+        while not self._ready:
+            try:
+                packet = next(self._packets)
+            except StopIteration:
+                return None
+            except FFmpegError as why:
+                reason = "silent" if isinstance(why, av.error.ExitError | av.error.TimeoutError) else "failed"
+                raise CameraLost(reason, f"{self._o.device}: {why.strerror}") from why
+            self._decode(packet, self._clock.now())
+        return self._ready.pop(0)
+
+    def _decode(self, packet: Packet, received_at: MonoNs) -> None:
+        flush = packet.size == 0
+        self._counters.buffers += not flush
+        if packet.size > MOST_PACKET_BYTES:
+            self._counters.frames_damaged += 1
+            self._waiting = True
+            return
+        if self._waiting and not flush:
+            if not packet.is_keyframe:
+                self._counters.frames_waiting += 1
+                return
+            self._waiting = False
+        try:
+            frame_images = packet.decode()
+        except FFmpegError:
+            self._counters.frames_damaged += 1
+            self._waiting = True
+            return
+        for image in frame_images:
+            if image.is_corrupt:
+                self._counters.frames_damaged += 1
+                self._waiting = True
+                continue
+            px = np.asarray(image.to_ndarray(format="bgr24"), dtype=np.uint8)
+            self._ready.append(_Image(px, image.time, received_at))
+
+    def close(self) -> None:
+        if self._container is not None:
+            self._container.close()
 
 
 @asynccontextmanager
@@ -40,7 +236,7 @@ async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -
     if options.source == "vehicle":
         raise ValueError("the frames of this camera come with the vehicle")
     if options.source == "stream":
-        from drivers.camera.video_source_stream import StreamChannel
+        from drivers.camera.video_source import StreamChannel
 
         body = StreamChannel(options, size, clock, camera).run
     elif size is None:

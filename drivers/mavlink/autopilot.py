@@ -1,22 +1,29 @@
-"""An autopilot as vehicle: open the links, find the autopilot, request its streams, return samples, send commands."""
+"""An autopilot as vehicle: open the links, find the autopilot, request its streams, return samples, send commands.
+
+Gyro and accelerometer are older than their stamps: ArduPilot's RAW_IMU has passed a low-pass filter, a Butterworth one of the
+second order, and is stamped as it is sent; PX4's HIGHRES_IMU is the mean over an interval, stamped at its end. Attitude and
+velocity are late in neither. A filter that fuses both as they are stamped takes the difference for a camera that is slow.
+
+Sources: ArduPilot, LowPassFilter2p and the parameters INS_GYRO_FILTER and INS_ACCEL_FILTER, equal by default; PX4,
+HIGHRES_IMU.hpp and the parameter IMU_INTEG_RATE.
+"""
 
 from __future__ import annotations
 
 import logging
+import math
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from drivers.beside import running_beside
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessLevel, NamedSenders, Source
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.dialect import Message, TimeSyncV2
-from drivers.mavlink.inertial_delay import PARAMETERS, inertial_delay_s
 from drivers.mavlink.joined_texts import JoinedTexts
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import AutopilotOptions
@@ -26,12 +33,32 @@ from drivers.mavlink.setpoint_streamer import SetpointStreamer
 from drivers.mavlink.timesync import TimeSync, answer_to
 from drivers.mavlink.vehicle import Condition, Identity, Stack, is_autopilot, stack_of
 from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
+from drivers.running_beside import running_beside
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import MonoNs, seconds_between
+
+_CUTOFF_HZ, _INTERVALS_HZ = "INS_GYRO_FILTER", "IMU_INTEG_RATE"
+DELAY_PARAMETERS: dict[Stack, tuple[str, ...]] = {Stack.ARDUPILOT: (_CUTOFF_HZ,), Stack.PX4: (_INTERVALS_HZ,)}
+"""The parameters that say it, by stack."""
+_MOST_S = 0.05
+"""Longest delay that is believed: a cutoff of 4.5 Hz, with which nothing flies."""
+
+
+def inertial_delay_s(stack: Stack, values: Mapping[str, float]) -> float:
+    """Return the delay of gyro and accelerometer, s; 0 while the parameter is not known, and where it switches the filter off.
+
+    A Butterworth filter of the second order has a group delay of sqrt(2) / (2 pi cutoff) far below its cutoff.
+    """
+    name = DELAY_PARAMETERS.get(stack, ("",))[0]
+    rate_hz = values.get(name, 0.0)
+    if not rate_hz > 0.0:
+        return 0.0
+    return min(_MOST_S, (math.sqrt(2.0) / math.tau if name == _CUTOFF_HZ else 0.5) / rate_hz)
+
 
 _log = logging.getLogger(__name__)
 
@@ -270,7 +297,7 @@ class Autopilot:
             self._restart_requests(known)
 
     def _wanted_of(self, stack: Stack) -> tuple[str, ...]:
-        return (*PARAMETERS.get(stack, ()), *self._wanted)
+        return (*DELAY_PARAMETERS.get(stack, ()), *self._wanted)
 
     def _restart_requests(self, known: _Known) -> None:
         self.connects += 1

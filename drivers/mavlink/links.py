@@ -13,7 +13,6 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
-from drivers.beside import running_beside
 from drivers.mailbox import Line
 from drivers.mavlink.access import Access, AccessLevel, NamedSenders, Source
 from drivers.mavlink.codec import Codec, CodecCounters, Unfit
@@ -24,6 +23,7 @@ from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing
 from drivers.mavlink.wires import Wire, open_wire
 from drivers.reconnect import BackOff, reconnect
+from drivers.running_beside import running_beside
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.ardrone.samples import height_of_pressure_m
+from drivers.atmosphere import height_of_pressure_m
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.mavlink.boot_clock import MS_WRAP_NS, BootClock, boot_ms, boot_us
 from drivers.mavlink.dialect import Message, mav
@@ -20,10 +20,10 @@ from drivers.mavlink.options import SampleOptions
 from drivers.mavlink.vehicle import ARMED, Condition, Stack, flying_of, mode_name
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 
-G_M_S2 = 9.80665
 DOWN = 25
 """MAV_SENSOR_ROTATION_PITCH_270: looking down."""
 _ACC_AND_GYRO, _PRESSURE = 0b111111, 1 << 9

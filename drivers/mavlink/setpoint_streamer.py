@@ -8,7 +8,7 @@ A command of guidance is flown only for a short time unless guidance renews it. 
 becomes a hold at the deck's own velocity, then one over the ground, then the autopilot's hold mode, and our stream ends.
 A landing by velocity is bounded by time and by height as well, renewed or not. A landing that a person ordered needs no renewal
 and may begin at any height; when its time is used up our stream ends too, and the autopilot's own landing mode continues it.
-A landing whose deck was felt stops the motors at once, by force, and its stream outlives them (`motor_stop`); a vehicle that
+A landing whose deck was felt stops the motors at once, by force, and its stream outlives them (`MotorStop`); a vehicle that
 reports itself on the ground after a landing, still armed, is asked to disarm. None is left armed on a deck.
 When the process itself falls silent the autopilot's own failsafe acts: ArduPilot flies on for 3 s and brakes, PX4 brakes after
 1 s. A landing by the autopilot's own mode (ArduPilot LAND) goes on then, by its own rules for a lost target (PLND_STRICT).
@@ -21,8 +21,7 @@ from enum import Enum
 
 import numpy as np
 
-from drivers.mavlink.dialect import Message
-from drivers.mavlink.motor_stop import MotorStop, disarm
+from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.take_off import RestVelocity, TakingOff
@@ -31,6 +30,52 @@ from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, seconds_between
+
+FORCE = 21196.0
+"""Parameter 2 of COMPONENT_ARM_DISARM that disarms whatever the autopilot takes itself to do (mavlink.io)."""
+OUTLIVE_S = 0.5
+"""Time for which setpoints go on after the report that the motors stand, s."""
+_EACH_S, _SLOW_S = 0.2, 1.0
+_QUICK_S = 5.0
+"""Time after which it is asked less often, s."""
+
+
+def disarm(target: tuple[int, int], *, forced: bool) -> Message:
+    """Return the command that stops the motors."""
+    number = mav.MAV_CMD_COMPONENT_ARM_DISARM
+    return mav.MAVLink_command_long_message(*target, number, 0, 0.0, FORCE if forced else 0.0, 0, 0, 0, 0, 0)
+
+
+class MotorStop:
+    """One stop of the motors on deck, from the first request to disarm until the autopilot has reported for a while that it is.
+
+    Both stacks refuse to disarm while they take themselves to fly. PX4's land detector compares the vertical speed over the
+    ground with LNDMC_Z_VEL_MAX, which a heaving deck exceeds; so once guidance has felt the deck, and says so in every cycle, the
+    forced form is sent. The setpoint stream goes on until the motors have stood for a while: an autopilot that is still armed
+    when the stream ends takes that for a failure (COM_OF_LOSS_T, GUID_TIMEOUT).
+    """
+
+    def __init__(self, now: MonoNs) -> None:
+        self._began = now
+        self._asked: MonoNs | None = None
+        self._stood: MonoNs | None = None
+
+    def period(self, now: MonoNs, target: tuple[int, int], *, armed: bool | None, forced: bool) -> list[Message]:
+        """Return the request of this period, if one is due."""
+        if armed is False:
+            self._stood = self._stood or now
+            return []
+        self._stood = None
+        each_s = _EACH_S if seconds_between(self._began, now) < _QUICK_S else _SLOW_S
+        if self._asked is not None and seconds_between(self._asked, now) < each_s:
+            return []
+        self._asked = now
+        return [disarm(target, forced=forced)]
+
+    def over(self, now: MonoNs) -> bool:
+        """Return whether the motors have stood for long enough that the setpoints may end."""
+        return self._stood is not None and seconds_between(self._stood, now) >= OUTLIVE_S
+
 
 STILL = Velocity(np.zeros(3), 0.0)
 _MEAN_S = 1.0

@@ -17,7 +17,7 @@ from estimator.contracts.samples import checked_covariance, checked_vector
 from estimator.contracts.time import MonoNs, Stamp
 
 Method = Literal["ellipse", "arrow", "corners", "registration", "lamps", "selected", "fused"]
-PathName = Literal["median_mean", "dead_reckoning", "ekf"]
+PathName = Literal["median_mean", "dead_reckoning", "ekf", "constant_velocity"]
 
 UNKNOWN_YAW_VAR = math.pi**2 / 3.0
 """rad^2, variance of a heading that could be anything: uniform over the circle."""

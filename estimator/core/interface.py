@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from estimator.core.library import CORE, Door
+from estimator.core.library import CORE
 
 
-def size_of(kind: str, door: Door = CORE) -> int:
+def size_of(kind: str) -> int:
     """Return the size of a structure."""
-    return door.dtype(kind).itemsize // 8
+    return CORE.dtype(kind).itemsize // 8
 
 
-def places_of(kind: str, door: Door = CORE) -> dict[str, slice]:
+def places_of(kind: str) -> dict[str, slice]:
     """Return where the members of a structure lie."""
-    members = (door.dtype(kind).fields or {}).items()
+    members = (CORE.dtype(kind).fields or {}).items()
     return {name: slice(member[1] // 8, (member[1] + member[0].itemsize) // 8) for name, member in members}

@@ -7,6 +7,7 @@ releases the interpreter's lock. cffi refuses a pointer to another structure wit
 from __future__ import annotations
 
 import ctypes
+import weakref
 from collections.abc import Mapping
 from types import ModuleType
 from typing import Any
@@ -41,6 +42,8 @@ class Door:
     def __init__(self, made: ModuleType, file: str) -> None:
         self.ffi = made.ffi
         self._digest: int = made.DIGEST
+        self._members: dict[Any, dict[str, Any]] = {}
+        self._held: weakref.WeakKeyDictionary[Any, list[Any]] = weakref.WeakKeyDictionary()
         self._dtypes: dict[str, tuple[np.dtype[Any], Any]] = {}
         self.load(file)
 
@@ -105,6 +108,35 @@ class Door:
         _fill(made, values)
         return made
 
+    def new(self, kind: str, /, **values: Any) -> Any:
+        """Return a structure for entries and for reading and writing one number at a time, `made.name`; members as in `fill`."""
+        made = self.ffi.new(f"{kind} *")
+        self.fill(made, **values)
+        return made
+
+    def fill(self, made: Any, /, **values: Any) -> None:
+        """Write members of a structure: numbers, one number for a whole array, arrays, or another structure.
+
+        A member that points takes an array, which lives as long as the structure does, or None.
+
+        Raises:
+            AttributeError: it has no such member.
+            IndexError: it holds fewer elements.
+            TypeError: a number of another kind, or an array of another kind of numbers.
+        """
+        whole = self.ffi.typeof(made)
+        members = self._members.get(whole)
+        if members is None:
+            members = self._members[whole] = {name: member.type for name, member in whole.item.fields}
+        for name, value in values.items():
+            kind = members.get(name)
+            if kind is not None and kind.kind == "pointer" and not isinstance(value, self.ffi.CData):
+                self._held.setdefault(made, []).append(value)
+                value = self.ffi.NULL if value is None else self.array(kind.item.cname, value)
+            elif kind is not None and kind.kind == "array":
+                value = np.ravel(value).tolist() if np.ndim(value) else [value] * kind.length
+            setattr(made, name, value)
+
     def array(self, kind: str, values: NDArray[Any], count: int | None = None) -> Any:
         """Return the memory of an array as C's, for a parameter that points to this kind.
 
@@ -157,11 +189,11 @@ class Door:
 
 def _fill(place: NDArray[Any], values: Mapping[str, Any]) -> None:
     for name, value in values.items():
-        member = place[name].reshape(-1)
+        member, each = place[name].reshape(-1), value
         if member.dtype.names is None:
             each = np.ravel(value)
-        else:
-            each = [value] if isinstance(value, Mapping) else value
+        elif isinstance(value, Mapping):
+            each = [value]
         if len(each) > len(member):
             raise ValueError(f"{name} holds {len(member)} elements, not {len(each)}")
         if member.dtype.names is None:

@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.geometry import F64, rpy_matrix
+from estimator.contracts.geometry import F64, rpy_matrix, wrap_pi
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Imu
 from estimator.core.abi import DL_WITH_COVARIANCE
 from estimator.ekf import deck_motion_bank, so3
@@ -31,7 +32,6 @@ from estimator.ekf.state import (
     initial,
 )  # fmt: skip
 
-_FORCE_AT_REST = 9.80665
 _FELT_TILT_RAD = math.radians(12.0)
 """Standard deviation of the tilt from the accelerometer alone: a multirotor measures its thrust, which tilts with the body."""
 
@@ -63,7 +63,7 @@ def _first(event: Event, params: FilterParams) -> tuple[Belief | None, Outcome]:
     if isinstance(event, Imu):
         f = event.f_body
         size = float(np.linalg.norm(f))
-        if abs(size - _FORCE_AT_REST) < 0.5 * _FORCE_AT_REST:
+        if abs(size - G_M_S2) < 0.5 * G_M_S2:
             x, y, z = f.tolist()
             R = rpy_matrix(math.atan2(-y, -z), math.atan2(x, math.hypot(y, z)), 0.0)
             b = initial(o, t, R, _FELT_TILT_RAD, math.radians(2.0), deck_motion_bank.unknown())
@@ -111,7 +111,7 @@ def _turned_to(b: Belief, R: F64, o: EkfOptions) -> Belief:
         T[np.ix_(part, part)] = Z
     T[VESSEL_VEL, VESSEL_VEL] = T[SWAY_PER_HEAVE, SWAY_PER_HEAVE] = Z[:2, :2]
     x = T.dot(b.x)
-    x[PAD_YAW] = so3.wrap(float(x[PAD_YAW]) + angle)
+    x[PAD_YAW] = wrap_pi(float(x[PAD_YAW]) + angle)
     P = T.dot(b.P).dot(T.T)
     b = b._replace(x=x, P=0.5 * (P + P.T), ins_p=Z.dot(b.ins_p), ins_v=Z.dot(b.ins_v))
     return _set_attitude(b, R, o)

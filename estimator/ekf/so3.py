@@ -21,8 +21,3 @@ def about_down(angle_rad: float) -> F64:
     """Return the rotation (3, 3) by an angle about the down axis, Rz(angle)."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def wrap(angle: float) -> float:
-    """Return the angle in -pi to pi, radians."""
-    return float(math.remainder(angle, math.tau))

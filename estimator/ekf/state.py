@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
+from estimator.contracts.motion import G_M_S2
 from estimator.core import abi
 from estimator.core.library import CORE
 from estimator.ekf.deck_motion_bank import DeckMotionBank
@@ -24,8 +25,7 @@ def _part(name: str) -> slice:
 
 N = abi.DL_N
 """Number of states."""
-GRAVITY_M_S2 = 9.80665
-G_NED = np.array([0.0, 0.0, GRAVITY_M_S2])
+G_NED = np.array([0.0, 0.0, G_M_S2])
 G_NED.setflags(write=False)
 
 ATT_ERR = _part("ATT_ERR")

@@ -1,7 +1,11 @@
-"""The AR.Drone without its sockets: it takes AT datagrams and the passing of time, returns navdata, and drives one `World`."""
+"""The AR.Drone without its sockets: it takes AT datagrams and the passing of time, returns navdata, and drives one `World`.
+
+Its flight recorder is a GPS receiver on the drone's USB port, whose readings it sends as navdata option 27.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable
 from typing import assert_never
@@ -9,16 +13,49 @@ from typing import assert_never
 from msgspec.structs import replace
 
 from drivers.ardrone import control
-from drivers.ardrone.navdata import Navdata
-from estimator.contracts.time import MonoNs
+from drivers.ardrone.navdata import Gps, Navdata
+from estimator.contracts.time import MonoNs, after
 from sitl.ardrone.config import Configuration
 from sitl.ardrone.drone_clock import DroneClock
-from sitl.ardrone.flight_recorder import FlightRecorder
 from sitl.ardrone.generations import SECOND, Generation
 from sitl.ardrone.navdata_from_world import SentFrame, Situation, datagram, upright_m
 from sitl.ardrone.state import HOVER, DroneState, RefAction
+from sitl.sensors.gnss import GnssErrors
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import Stick, World
+
+_HDOP = 0.6
+_SATELLITES = 9
+
+
+class FlightRecorder:
+    """The receiver of one flight; without one (`vehicle.gnss_hz` is 0) its option is all zero."""
+
+    def __init__(self, world: World) -> None:
+        rate_hz = world.scenario.vehicle.gnss_hz
+        self._period_s = 1.0 / rate_hz if rate_hz > 0.0 else None
+        self._receiver = GnssErrors([world.seed, 0x6E57])
+        self._due = world.now
+        self.newest = Gps()
+
+    def tick(self, world: World) -> None:
+        """Read the receiver when its next reading is due."""
+        if self._period_s is None or world.now < self._due:
+            return
+        self._due = after(self._due, self._period_s)
+        place = self._receiver.place(world.truth().p_body_ned, world.now)
+        self.newest = Gps(
+            lat_deg=math.degrees(place.latitude_rad),
+            lon_deg=math.degrees(place.longitude_rad),
+            elevation_m=0.0 if place.height_m is None else place.height_m,
+            hdop=_HDOP,
+            data_available=1,
+            gps_state=1,
+            nb_satellites=_SATELLITES,
+            gps_plugged=1,
+            last_frame_timestamp=int(world.now // 1_000_000) & 0xFFFFFFFF,
+        )
+
 
 TICK_S = 0.005
 """Period of the physics and of full navdata (200 Hz), s."""

@@ -295,9 +295,9 @@ class Renderer:
         if gain is self._vignette:
             gain = self._restored()
         p_body_pad = R_pad_ned.dot(shot.p_body_ned - shot.p_pad_ned)
-        R_pad_body, to_sun_pad = R_pad_ned.dot(shot.R_ned_body.matrix), R_pad_ned.dot(self._to_sun)
-        pose, share = (R_cam_pad, t_cam_pad), self.light.drone_shadow
-        part = drone_shadow(gain, self._lens, plane, pose, R_pad_body, p_body_pad, to_sun_pad, share, mask)
+        body, pose = (R_pad_ned.dot(shot.R_ned_body.matrix), p_body_pad), (R_cam_pad, t_cam_pad)
+        to_sun_pad, share = R_pad_ned.dot(self._to_sun), self.light.drone_shadow
+        part = drone_shadow(gain, self._lens, plane, pose, body, to_sun_pad, share, mask)
         if gain is self._darkened and part is not None:
             self._dark_part = part
         return gain

@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
 from sitl.camera.camera import Exposure
-from sitl.camera.gimbal_settings import GimbalSettings
+from sitl.camera.settings import GimbalSettings
 
 
 class SimulatedGimbal:

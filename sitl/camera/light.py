@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -31,7 +31,7 @@ from sitl.core.abi import (
     PAD_PAINTS,
     SCENE_ONE,
 )
-from sitl.native import address, render_blur, render_expose, render_frame, render_image, render_mix, render_pad_lens
+from sitl.core.library import SIM
 
 U8 = NDArray[np.uint8]
 I16 = NDArray[np.int16]
@@ -340,11 +340,9 @@ class Development:
         """
         h, w = gain.shape
         light = np.empty((h, w, 3), np.int16) if room is None else room
-        pixels, kinds, factors, exposure, paints, edges, where, shares = self._seen(scene, gain, pad, pad_scene)
-        out = address(light, np.int16)
-        render_expose(h * w, pixels, kinds, factors, exposure, paints, out)
-        if edges:
-            render_mix(edges, where, shares, pixels, factors, exposure, paints, out)
+        seen, out = self._seen(scene, gain, pad, pad_scene), SIM.array("int16_t", light, 3 * h * w)
+        SIM.lib.sim_render_expose(seen, out)
+        SIM.lib.sim_render_mix(seen, out)
         return light
 
     def image(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None, rng: np.random.Generator) -> U8:
@@ -352,7 +350,8 @@ class Development:
         h, w = gain.shape
         frame = np.empty((h, w, 3), np.uint8)
         blur = self.pad_blur(scene, gain, pad, pad_scene)
-        render_image(h, w, *self._seen(scene, gain, pad, pad_scene), *self._onto_sensor(frame, rng, blur))
+        seen, tone = self._seen(scene, gain, pad, pad_scene), self._tone(frame.size, rng)
+        _hold(SIM.lib.sim_render_image(seen, self._lens(w, blur), tone, SIM.array("uint8_t", frame)))
         return frame
 
     def pad_blur(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None) -> PadBlur | None:
@@ -371,38 +370,38 @@ class Development:
         blocks = -(-wide // LENS_BLOCK)
         places = np.empty(high * blocks * (LENS_BLOCK + 1), np.int32)
         room = np.empty((pad.fine + 1) * (LENS_BLOCK * blocks * (high + 1) + 2 * reach), np.float32)
-        render_pad_lens(
-            w, address(window, np.int32), address(pad.kinds, np.uint8),
-            len(pad.edges), address(pad.edges, np.int32), address(pad.shares, np.float32),
-            pad.fine, address(pad.parts, np.float32), reach, address(exact, np.float32), address(sampled, np.float32),
-            address(scene, np.uint16, (*gain.shape, 4)), address(gain, np.int16),
-            address(self._exposure, np.float32), address(pad_scene, np.uint16, (PAD_PAINTS, 4)),
-            address(places, np.int32), address(room, np.float32), address(added, np.int16),
+        kernels = SIM.new(
+            "sim_lens_kernels", reach=reach, exact=exact, sampled=sampled,
+            floats=room.size, numbers=places.size, room=room, places=places,
         )  # fmt: skip
+        seen, where = self._seen(scene, gain, pad, pad_scene), SIM.array("int32_t", window)
+        _hold(SIM.lib.sim_render_pad_lens(seen, where, kernels, SIM.array("int16_t", added)))
         return PadBlur(window, added)
 
-    def _seen(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None) -> tuple[int, ...]:
-        """Return the core's view of a scene: scene, kinds, gain, exposure, paints, number of edge pixels, where, shares."""
-        shape = gain.shape
-        edges = len(pad.edges) if pad is not None else 0
-        return (
-            address(scene, np.uint16, (*shape, 4)),
-            address(pad.kinds if pad is not None else None, np.uint8, shape),
-            address(gain, np.int16),
-            address(self._exposure, np.float32),
-            address(pad_scene, np.uint16, (PAD_PAINTS, 4)),
-            edges,
-            address(pad.edges if pad is not None else None, np.int32),
-            address(pad.shares if pad is not None else None, np.float32, (edges, PAD_PAINTS)),
-        )
+    def _seen(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None) -> Any:
+        """Return the core's view of a scene.
+
+        Raises:
+            ValueError: arrays whose shapes do not meet.
+        """
+        h, w = gain.shape
+        if scene.shape != (h, w, 4):
+            raise ValueError(f"a scene of {scene.shape} under factors of {gain.shape}")
+        if pad_scene is not None and pad_scene.shape != (PAD_PAINTS, 4):
+            raise ValueError(f"paints of {pad_scene.shape}")
+        seen = SIM.new("sim_lit_scene", h=h, w=w, scene=scene, gain=gain, exposure=self._exposure, pad_scene=pad_scene)
+        if pad is not None:
+            edges = len(pad.edges)
+            if pad.kinds.shape != (h, w) or pad.shares.shape != (edges, PAD_PAINTS):
+                raise ValueError(f"a pad of {pad.kinds.shape}, shares {pad.shares.shape}, in a frame of {(h, w)}")
+            SIM.fill(seen, edges=edges, fine=pad.fine, kinds=pad.kinds, where=pad.edges, shares=pad.shares, parts=pad.parts)
+        return seen
 
     def blur(self, light: I16, pad: PadBlur | None = None) -> I16:
         """Return the light (H, W, 3) after the blur of the lens."""
         h, w = light.shape[:2]
-        blurred, taps = np.empty_like(light), address(self._taps, np.uint16)
-        scratch = address(self._scratch(w), np.uint16)
-        radius, out = len(self._taps) - 1, address(blurred, np.int16)
-        render_blur(h, w, address(light, np.int16), radius, taps, *_part(pad), scratch, out)
+        blurred = np.empty_like(light)
+        _hold(SIM.lib.sim_render_blur(h, w, SIM.array("int16_t", light), self._lens(w, pad), SIM.array("int16_t", blurred)))
         return blurred
 
     def sensor_image(self, light: I16, rng: np.random.Generator, pad: PadBlur | None = None) -> U8:
@@ -412,38 +411,34 @@ class Development:
         """
         h, w = light.shape[:2]
         frame = np.empty((h, w, 3), np.uint8)
-        render_frame(h, w, address(light, np.int16), *self._onto_sensor(frame, rng, pad))
+        lens, tone = self._lens(w, pad), self._tone(frame.size, rng)
+        _hold(SIM.lib.sim_render_frame(h, w, SIM.array("int16_t", light), lens, tone, SIM.array("uint8_t", frame)))
         return frame
 
-    def _onto_sensor(self, frame: U8, rng: np.random.Generator, pad: PadBlur | None) -> tuple[int, ...]:
-        """Return the core's view of lens and sensor: weights of the blur, the pad's edges, noise, tone curve, room, and frame."""
-        part, codes = None, self._clean
-        if self._noisy is not None:
-            bank, codes = _noise_bank(), self._noisy
-            start = int(rng.integers(bank.size - frame.size))
-            part = bank[start : start + frame.size]
-        return (
-            len(self._taps) - 1,
-            address(self._taps, np.uint16),
-            *_part(pad),
-            address(part, np.uint8),
-            address(codes, np.uint8),
-            address(self._scratch(frame.shape[1]), np.uint16),
-            address(frame, np.uint8),
-        )
+    def _tone(self, size: int, rng: np.random.Generator) -> Any:
+        """Return the core's view of the sensor for a frame of so many values: noise, and tone curve."""
+        if self._noisy is None:
+            return SIM.new("sim_sensor_tone", codes=self._clean)
+        bank = _noise_bank()
+        start = int(rng.integers(bank.size - size))
+        return SIM.new("sim_sensor_tone", noise=bank[start : start + size], codes=self._noisy)
 
-    def _scratch(self, width: int) -> U16:
-        """Return room for the rows that the core works on."""
+    def _lens(self, width: int, pad: PadBlur | None) -> Any:
+        """Return the core's view of the lens: weights of the blur, what the pad's edges add, and room for rows."""
         radius, values = len(self._taps) - 1, 3 * width
         if self._room is None or self._room_width != width:
             self._room = np.zeros((2 * radius + 4 + CELL_PX) * values + 6 * radius + 1, np.uint16)
             self._room_width = width
-        return self._room
+        lens = SIM.new("sim_lens_blur", radius=radius, numbers=self._room.size, taps=self._taps, scratch=self._room)
+        if pad is not None:
+            SIM.fill(lens, window=pad.window, added=pad.added)
+        return lens
 
 
-def _part(pad: PadBlur | None) -> tuple[int, int]:
-    """Return the core's view of what the pad's edges add."""
-    return (address(pad.window, np.int32), address(pad.added, np.int16)) if pad is not None else (0, 0)
+def _hold(result: int) -> None:
+    """Raise if the core had no room for its work."""
+    if result < 0:
+        raise ValueError("the core has no room for a frame of this size")
 
 
 def counts(light: F32) -> I16:

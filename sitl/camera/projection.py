@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from sitl.core.abi import CELL_PX
-from sitl.native import address, render_meet
+from sitl.core.library import SIM
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
@@ -47,7 +47,7 @@ class Lens:
         middles = np.stack(np.meshgrid(*at), axis=-1).reshape(-1, 2)
         self.coarse: F32 = camera.rays(middles).reshape(len(at[1]), -1, 2).astype(np.float32)
         """Rays of the middles of cells of 8 x 8 pixels, with one cell more on each side than the frame has, (R, C, 2)."""
-        self._coarse_address = address(self.coarse, np.float32)
+        self._coarse = SIM.array("float", self.coarse)
         ring = [*self.coarse[0], *self.coarse[-1], *self.coarse[1:-1, 0], *self.coarse[1:-1, -1]]
         self.border_rays: F64 = np.array(ring[::4], dtype=float)
         """Rays around the frame, a little outside it, (N, 2)."""
@@ -87,7 +87,8 @@ class Lens:
         rows, columns = self.coarse.shape[:2]
         places = np.empty((rows, columns, 2), np.float32)
         H = np.ascontiguousarray(plane_from_ray, dtype=np.float64)
-        render_meet(rows * columns, self._coarse_address, address(H, np.float64), most, address(places, np.float32))
+        plane = SIM.array("double", H, 9)
+        SIM.lib.sim_render_meet(rows * columns, self._coarse, plane, most, SIM.array("float", places))
         return places
 
     def meet(self, plane_from_ray: F64, part: tuple[slice, slice] | None = None) -> F32:

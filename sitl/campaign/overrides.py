@@ -6,6 +6,7 @@ import copy
 from collections.abc import Sequence
 from typing import Any
 
+from companion.settings.expert import EXPERT
 from companion.settings.load import from_mapping as settings_from_mapping
 from companion.settings.model import Settings
 from companion.settings.overrides import NOTHING, Value, key_and_text, leaf, leaves, nearest, plain, put, value_like
@@ -95,7 +96,7 @@ class Overridable:
     def _place(self, key: str) -> tuple[int, list[str]]:
         if key.startswith(_FORCED):
             return 1, key.removeprefix(_FORCED).split(".")
-        path = key.split(".")
+        path = key.removeprefix(f"{EXPERT}.").split(".")
         return (0 if leaf(self._tables[0], path) is not NOTHING else 1), path
 
     def _find(self, key: str, where: str) -> Any:

@@ -12,11 +12,9 @@ from typing import Any
 from companion.tools.report.page_parts import document
 from estimator.contracts.errors import BadInput
 from estimator.vision.pad import Pad
-from sitl.campaign.by_scenario import HEADINGS, by_scenario, row
-from sitl.campaign.causes import cause_of
-from sitl.campaign.compare import PairedDifference, differences_of
-from sitl.campaign.figures import CampaignFigures, effect_of, figures_of, map_of
-from sitl.campaign.summary import name_of, wilson
+from sitl.campaign.figures import CampaignFigures, PairedDifference, differences_of, effect_of, figures_of, map_of
+from sitl.campaign.summary import cause_of, name_of, wilson
+from sitl.campaign.tables import HEADINGS, by_scenario, row
 from sitl.campaign.task import Flight
 from sitl.scenario.scenario import from_mapping, pad_model
 

@@ -49,17 +49,17 @@ enum {
 
 typedef struct {
     double p[3], v[3], R[9], w[3];
-} deck;
+} sim_deck;
 
 typedef struct {
     double at_s, rise_s, hold_s, v[2];
-} gust;
+} sim_gust;
 
 typedef struct {
     int64_t on, logarithmic, dryden, wake, gusts;
     double speed_m_s, along[2], roughness_m, log10m, keep_ship, block_m[2], block_size[3], wake_decay, pad_yaw[2];
-    gust gust[GUSTS_MAX];
-} air_params;
+    sim_gust gust[GUSTS_MAX];
+} sim_air_params;
 
 typedef struct {
     int64_t quad_x, rotors, effect_by_rotor, flow_sees_deck, flow_works, motor_driven, all_healthy, delay_steps;
@@ -72,8 +72,8 @@ typedef struct {
         friction, deck_fore_m, deck_aft_m, deck_middle_m, deck_half_m, deck_taper_m, deck_yaw[2], gust_sigma_m_s, gust_keep,
         gust_fresh, flow_keep, flow_fresh, tilt_keep, tilt_fresh, wind[3], tilt_max_rad, extra_wind[3], current[2],
         euler_angle_max_rad, vz_max_m_s, yaw_rate_max_rad_s;
-    air_params air;
-} vehicle_params;
+    sim_air_params air;
+} sim_vehicle_params;
 
 typedef struct {
     int64_t phase, tied, ditched, touched_what, touched_phase, pending_at, ship_known;
@@ -81,7 +81,7 @@ typedef struct {
         unasked[3], z_hold, attached_d[3], attached_q[4], contact_s, airborne_s, touched_s, touched_d[3], touched_v[3],
         touched_yaw, gust[3], flow_error[2], tilt_bias[2], tilt_drift[2], air_u, air_v[2], air_w[2], eddy[3], ship[2], air[3],
         driven_n, driven_n_m[3], command[5], pending[5 * COMMANDS_MAX];
-} vehicle;
+} sim_vehicle;
 
 typedef struct {
     int64_t echo_every, echo_delay;
@@ -89,59 +89,71 @@ typedef struct {
         heading_keep, heading_fresh, pressure_keep, pressure_fresh, pressure_sigma, cone_rad, echo_sigma, echo_min_m,
         echo_max_m, battery_life_s, hover_n;
     int64_t motor[4];
-} sensor_params;
+} sim_sensor_params;
 
 typedef struct {
     int64_t tick, echoes, first_echo;
     double heading_drift, pressure_drift, noise[SENSOR_NOISE], battery, echo_m, echo_due[ECHOES_MAX],
         echo_under_way_m[ECHOES_MAX];
-} sensors;
+} sim_sensors;
 
 typedef struct {
     double f_body[3], w_body[3], rpy_rad[3], v_level_m_s[2], magnetometer[3], ultrasound_m, pressure_pa, battery,
         motors_pwm[4];
-} readings;
+} sim_readings;
 
 typedef struct {
     int64_t tick, every;
     double z, vz;
-} water;
+} sim_water;
 
 typedef struct {
     double amplitude_m, k[2], w_rad_s, phase_rad;
-} wave;
+} sim_wave;
 
 typedef struct {
     double w_rad_s, re[6], im[6];
-} harmonic;
+} sim_harmonic;
 
 typedef struct {
     double eta[6], eta_dot[6], eta_ddot[6];
-} vessel_motion;
+} sim_vessel_motion;
 
 typedef struct {
     double p[3], v[3], a[3], heading_rad;
-} vessel_origin;
+} sim_vessel_origin;
 
 typedef struct {
     double d[3], R[9];
-} mount;
+} sim_mount;
 
 typedef struct {
     double p[3], v[3], a[3], R[9], w[3];
-} mounted;
+} sim_mounted;
 
-/* Functions that step a simulated vehicle and its sensors, and tell a vessel's motion at some times: about her steady
- * course, by harmonics with complex amplitudes of the six modes; and that of a point which is fixed to her, with axes
- * fixed to it. */
-int32_t sim_run(const vehicle_params *o, vehicle *v, const sensor_params *e, sensors *s, water *sea, int32_t harmonics,
-    const wave *waves, int32_t n, const deck *decks, const double *noise, const double *air_noise, const double *sensor_noise);
-void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea_z, double sea_vz, const double *noise,
+/* A vehicle with its sensors over a sea of some waves, at the addresses of what its steps read and write. */
+typedef struct {
+    const sim_vehicle_params *vehicle_params;
+    sim_vehicle *vehicle;
+    const sim_sensor_params *sensor_params;
+    sim_sensors *sensors;
+    sim_water *water;
+    const sim_wave *waves;
+    int64_t harmonics;
+} sim_flight;
+
+/* Take n steps over a deck, up to a contact after flight; return how many. FLIGHT_NOISE numbers a step, and SENSOR_NOISE. */
+int32_t sim_run(const sim_flight *f, int32_t n, const sim_deck *decks, const double *noise, const double *air_noise,
+    const double *sensor_noise);
+void sim_vehicle_step(const sim_vehicle_params *o, sim_vehicle *v, const sim_deck *g, double sea_z, double sea_vz, const double *noise,
     const double *air_noise);
-void vehicle_carry(vehicle *v, const deck *g);
-void sensors_read(const vehicle_params *o, const vehicle *v, const sensor_params *e, const sensors *s, readings *out);
-void vessel_moved(int32_t harmonics, const harmonic *h, int32_t n, const double *t_s, vessel_motion *out);
-void vessel_mounted(int32_t n, const vessel_origin *origin, const vessel_motion *m, const mount *at, mounted *out);
+void sim_vehicle_carry(sim_vehicle *v, const sim_deck *g);
+void sim_sensors_read(const sim_vehicle_params *o, const sim_vehicle *v, const sim_sensor_params *e, const sim_sensors *s, sim_readings *out);
+
+/* A vessel's motion at n times about her steady course, by harmonics with complex amplitudes of the six modes; and that of a point
+ * which is fixed to her, with axes fixed to it. */
+void sim_vessel_moved(int32_t harmonics, const sim_harmonic *h, int32_t n, const double *t_s, sim_vessel_motion *out);
+void sim_vessel_mounted(int32_t n, const sim_vessel_origin *origin, const sim_vessel_motion *m, const sim_mount *at, sim_mounted *out);
 
 /* ---- render/ and sea/: what a camera sees ---- */
 
@@ -227,45 +239,141 @@ enum {
     PAD_REGIONS_MOST = 784,
 };
 
-/* Functions that render a frame, stage by stage. */
-void render_meet(int32_t count, const float *rays, const double *plane_from_ray, double most, float *places);
-void render_bounds(int32_t h, int32_t w, const uint8_t *mask, int32_t *covered, int32_t *open);
-void render_deck(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns,
-    const uint16_t *texels, int32_t texel_rows, int32_t texel_columns, const uint8_t *mask, uint16_t *scene);
-void render_fill(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *mask, const uint16_t *colour,
-    uint16_t *scene);
-void render_shadow(int32_t h, int32_t w, const float *cells, int32_t columns, const float *shape, float soft, float share,
-    const uint8_t *mask, int16_t *gain, int32_t *part);
-void render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights,
+/* Columns x0 to x1 and rows y0 to y1, without the last, of a frame of w columns. */
+typedef struct {
+    int32_t w, x0, x1, y0, y1;
+} sim_frame_part;
+
+/* Where rays meet a plane, two numbers for the middles of cells of CELL_PX x CELL_PX pixels, with one cell more on each side than
+ * the frame has. */
+typedef struct {
+    const float *at;
+    int32_t columns;
+} sim_plane_cells;
+
+/* A drawing of h x w texels of four numbers: what it reflects of blue, green and red, and its wear, parts of SCENE_ONE. */
+typedef struct {
+    const uint16_t *texels;
+    int32_t h, w;
+} sim_drawing;
+
+/* Where rays meet a plane, (count, 2). */
+void sim_render_meet(int32_t count, const float *rays, const double *plane_from_ray, double most, float *places);
+/* The bounds x0, x1, y0, y1 of what a mask covers, and of what it leaves open. */
+void sim_render_bounds(int32_t h, int32_t w, const uint8_t *mask, int32_t *covered, int32_t *open);
+/* Draw on a part of a scene as far as a mask of the whole frame covers it, or wholly without one. */
+void sim_render_deck(const sim_frame_part *part, const sim_plane_cells *cells, const sim_drawing *drawn, const uint8_t *mask, uint16_t *scene);
+/* Colour a part of a scene as far as a mask of this part covers it. */
+void sim_render_fill(const sim_frame_part *part, const uint8_t *mask, const uint16_t *colour, uint16_t *scene);
+
+/* A drone's shadow: the rotors' place along and across, their guards' radius, half the hull's length and width, and the width of
+ * its soft edge, m; the share of light that it takes. */
+typedef struct {
+    float rotor_at_m, rotor_radius_m, half_length_m, half_width_m, soft_m, share;
+} sim_drone_shade;
+
+/* Darken factors on the light, (h, w), by a shadow; its bounds are x0, x1, y0, y1. */
+void sim_render_shadow(int32_t h, int32_t w, const sim_plane_cells *cells, const sim_drone_shade *shade, const uint8_t *mask, int16_t *gain,
+    int32_t *bounds);
+/* Sum `count` shifted scenes by their weights, parts of 65536; and average two. */
+void sim_render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights,
     uint16_t *smeared);
-void render_average(int32_t h, int32_t w, const uint16_t *scene, const int32_t *shifts, uint16_t *averaged);
-void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells,
-    int32_t columns, const int16_t *small_texels, const int16_t *large_texels, const int16_t *caps_texels,
-    const int16_t *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow,
-    const double *outlines, const int32_t *outline_points, const float *soft_m, uint8_t *codes);
-void render_swell(int32_t rows, int32_t columns, const float *rays, const double *R_ned_cam, const double *plane_from_ray,
-    const double *to_sun, double t_s, int32_t harmonics, const wave *waves, float *light);
-void render_water(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours,
-    const uint8_t *mask, uint16_t *scene);
-int32_t render_pad_kinds(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *middles,
-    const float *whole, int32_t rolling, int32_t regions, const float *pad, uint8_t *kinds, int32_t *edges);
-void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes,
-    const float *stroke_numbers, int32_t rolling, int32_t regions, const float *pad, int32_t fine, int32_t count,
+void sim_render_average(int32_t h, int32_t w, const uint16_t *scene, const int32_t *shifts, uint16_t *averaged);
+
+/* A periodic texture on the sea: n x n texels with the first row and column repeated, its frequency and shift. */
+typedef struct {
+    const int16_t *texels;
+    int32_t n;
+    double per_m, shift_x, shift_y;
+} sim_sea_layer;
+
+/* What the sea's surface is painted from: ripples of two sizes, whitecaps, streaks of foam; the strengths of sea_weight; level and
+ * contrast of the light for every second cell (`sim_render_swell`); the outlines of a ship's shadow, hull and wake, one after the other,
+ * their points, and the widths of their soft edges, m. */
+typedef struct {
+    sim_sea_layer small, large, caps, streaks;
+    float weights[SEA_WEIGHTS];
+    const float *slow;
+    const double *outlines;
+    int32_t outline_points[SEA_OUTLINES];
+    float soft_m[SEA_OUTLINES];
+} sim_sea_surface;
+
+/* Code the brightness of a part of the sea in squares of 2 x 2 pixels; the part counts squares, but its w is the frame's, px. */
+void sim_render_sea(int32_t h, const sim_frame_part *part, const sim_plane_cells *cells, const sim_sea_surface *sea, const uint8_t *mask,
+    uint8_t *codes);
+/* Colour a part of a scene by the codes of its squares. */
+void sim_render_water(const sim_frame_part *part, const uint8_t *codes, const uint16_t *colours, const uint8_t *mask, uint16_t *scene);
+
+/* The swell under a camera: waves at a time, and the direction to the sun. */
+typedef struct {
+    double R_ned_cam[9], plane_from_ray[9], to_sun[3], t_s;
+    const sim_wave *waves;
+    int64_t harmonics;
+} sim_swell;
+
+/* Level and contrast of the sea's light for every second cell, (rows / 2 + 1, columns / 2 + 1, 2). */
+void sim_render_swell(int32_t rows, int32_t columns, const float *rays, const sim_swell *s, float *light);
+
+/* A pad in a frame of h x w pixels: the rays of these, their change from pixel to pixel (one for all, if the lens is not bent), the
+ * rays of the middles of cells; whether rows are exposed one after the other; the regions of the pad, PAD_REGION numbers each. */
+typedef struct {
+    int32_t h, w, bent, rolling, regions;
+    const float *rays, *change, *middles, *pad;
+} sim_pad_view;
+
+/* Tell the paint of each pixel by the homographies of the whole exposure, and the pixels that edges touch; return how many. */
+int32_t sim_render_pad_kinds(const sim_pad_view *v, const float *whole, uint8_t *kinds, int32_t *edges);
+/* Compute the coverage of `count` pixels by the paints during so many strokes, and of their fine x fine parts. */
+void sim_render_pad_shares(const sim_pad_view *v, int32_t strokes, const float *stroke_numbers, int32_t fine, int32_t count,
     const int32_t *edges, float *shares, float *parts);
-void render_pad_lens(int32_t w, const int32_t *window, const uint8_t *kinds, int32_t edges, const int32_t *where,
-    const float *shares, int32_t fine, const float *parts, int32_t reach, const float *exact, const float *sampled,
-    const uint16_t *scene, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int32_t *places, float *room,
-    int16_t *added);
-void render_expose(int32_t pixels, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure,
-    const uint16_t *pad_scene, int16_t *light);
-void render_mix(int32_t edges, const int32_t *where, const float *shares, const uint16_t *scene, const int16_t *gain,
-    const float *exposure, const uint16_t *pad_scene, int16_t *light);
-void render_blur(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window,
-    const int16_t *added, uint16_t *scratch, int16_t *out);
-void render_frame(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window,
-    const int16_t *added, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
-void render_image(int32_t h, int32_t w, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure,
-    const uint16_t *pad_scene, int32_t edges, const int32_t *where, const float *shares, int32_t radius, const uint16_t *taps,
-    const int32_t *window, const int16_t *added, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
+
+/* A scene of h x w pixels in a light: its pixels, the pad's paint on them or none, factors on the light; the exposure, the pad's
+ * paints; the pixels that edges of the pad touch, their coverage by the paints, and that of their fine x fine parts. */
+typedef struct {
+    int32_t h, w, edges, fine;
+    const uint16_t *scene;
+    const uint8_t *kinds;
+    const int16_t *gain;
+    const float *exposure;
+    const uint16_t *pad_scene;
+    const int32_t *where;
+    const float *shares, *parts;
+} sim_lit_scene;
+
+/* The light of a scene, (h, w, 3), without the pixels of edges; and these mixed into it. */
+void sim_render_expose(const sim_lit_scene *seen, int16_t *light);
+void sim_render_mix(const sim_lit_scene *seen, int16_t *light);
+
+/* The kernels of a lens on parts of pixels and on pixels, and how far they reach, px. `room` has so many floats and numbers. */
+typedef struct {
+    int32_t reach, floats, numbers;
+    const float *exact, *sampled;
+    float *room;
+    int32_t *places;
+} sim_lens_kernels;
+
+/* Compute what the blur of a lens makes of the pad's edges in a window beyond what a blur of pixels does, (rows, 3, columns). Return 0,
+ * or -1 if there is no room for it. */
+int32_t sim_render_pad_lens(const sim_lit_scene *seen, const int32_t *window, const sim_lens_kernels *k, int16_t *added);
+
+/* The blur of a lens: its radius, weights, what is added in a window, or nothing; and so many numbers to work on. */
+typedef struct {
+    int32_t radius, numbers;
+    const uint16_t *taps;
+    const int32_t *window;
+    const int16_t *added;
+    uint16_t *scratch;
+} sim_lens_blur;
+
+/* The sensor: levels of noise for each value, or none, and the values of the frame by light and noise. */
+typedef struct {
+    const uint8_t *noise, *codes;
+} sim_sensor_tone;
+
+/* Blur light, (h, w, 3); make a frame of it; make a frame of a scene. Each returns 0, or -1 if there is no room. */
+int32_t sim_render_blur(int32_t h, int32_t w, const int16_t *light, const sim_lens_blur *blur, int16_t *out);
+int32_t sim_render_frame(int32_t h, int32_t w, const int16_t *light, const sim_lens_blur *blur, const sim_sensor_tone *tone, uint8_t *frame);
+int32_t sim_render_image(const sim_lit_scene *seen, const sim_lens_blur *blur, const sim_sensor_tone *tone, uint8_t *frame);
 
 #endif

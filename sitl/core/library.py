@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
-from estimator.core import interface
 from estimator.core.library import Door
 from sitl.core import abi
 
@@ -13,4 +10,3 @@ FILE = f"{__file__.rpartition('/')[0]}/libdecklander_sim.so.1"
 
 SIM = Door(abi, FILE)
 """The library that simulates."""
-places_of, size_of = partial(interface.places_of, door=SIM), partial(interface.size_of, door=SIM)

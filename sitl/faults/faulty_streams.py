@@ -13,7 +13,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from estimator.contracts.time import MonoNs, after
-from sitl.faults.streams import KIND_OF_STREAM, STREAMS, Stream
+from sitl.faults.kinds import KIND_OF_STREAM, STREAMS, Stream
 from sitl.faults.timer import FaultTimer
 
 _T = TypeVar("_T")

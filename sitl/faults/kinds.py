@@ -6,9 +6,7 @@ from typing import Annotated, Literal, get_args
 
 from estimator.contracts.keys import choice, number
 from sitl.faults.fault import Fault
-from sitl.faults.operator import OperatorActs
 from sitl.faults.picture import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, WetLens
-from sitl.faults.reports import VesselReports
 from sitl.faults.sensors import (
     Accelerometer,
     AttitudeReading,
@@ -19,8 +17,146 @@ from sitl.faults.sensors import (
     Ultrasound,
     VelocityReading,
 )
-from sitl.faults.ship import DeckRoll, FerryWake, ShipSpeed, ShipTurn
-from sitl.faults.streams import CommandStream, FrameStream, NavdataStream
+
+Stream = Literal["frames", "navdata", "commands"]
+STREAMS: tuple[Stream, ...] = ("frames", "navdata", "commands")
+
+
+class StreamFault(Fault, frozen=True):
+    """A fault of one stream."""
+
+    delay_s: Annotated[float, number("delay in addition to the usual one; stamps stay true", "s", 0.0, 10.0)] = 0.0
+    dropped_fraction: Annotated[float, number("fraction of the packets that are lost, drawn by the seed", "1", 0.0, 1.0)] = 0.0
+    duplicated_fraction: Annotated[
+        float, number("fraction of the packets that arrive twice, drawn by the seed", "1", 0.0, 1.0)
+    ] = 0.0
+    reordered_fraction: Annotated[
+        float, number("fraction of the packets that the next one overtakes, drawn by the seed", "1", 0.0, 1.0)
+    ] = 0.0
+
+    def check(self) -> None:
+        """Refuse a fault without an effect, or with effects that exclude each other; raises ValueError."""
+        if not any((self.delay_s, self.dropped_fraction, self.duplicated_fraction, self.reordered_fraction)):
+            raise ValueError(
+                "nothing says what is wrong with the stream: give delay_s, dropped_fraction, duplicated_fraction or "
+                "reordered_fraction"
+            )
+        if self.dropped_fraction == 1.0 and (self.delay_s or self.duplicated_fraction or self.reordered_fraction):
+            raise ValueError("dropped_fraction is 1: no packet is left for another effect; give only dropped_fraction")
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing passes."""
+        return self.dropped_fraction >= 1.0
+
+
+class FrameStream(StreamFault, frozen=True, tag="frames"):
+    """The camera's frames on their way to the service."""
+
+
+class NavdataStream(StreamFault, frozen=True, tag="navdata"):
+    """The vehicle's samples on their way to the service."""
+
+
+class CommandStream(StreamFault, frozen=True, tag="commands"):
+    """The service's commands on their way to the vehicle."""
+
+
+KIND_OF_STREAM: dict[Stream, type[StreamFault]] = {"frames": FrameStream, "navdata": NavdataStream, "commands": CommandStream}
+
+
+_OVER = "time until it is steady, and again to go back where `for_s` ends it"
+
+
+class ShipFault(Fault, frozen=True):
+    """Something that the vessel does on top of her motion in the waves, which stays that of her course before."""
+
+
+class ShipSpeed(ShipFault, frozen=True, tag="ship_speed"):
+    """The vessel changes her speed; 0 stops her."""
+
+    to_m_s: Annotated[float, number("speed along the heading, through the water", "m/s", 0.0, 15.0)]
+    over_s: Annotated[float, number(_OVER, "s", 0.5, 300.0)] = 10.0
+
+
+class ShipTurn(ShipFault, frozen=True, tag="ship_turn"):
+    """The vessel turns, heels outward and loses speed, as in `sitl.vessel.turn`."""
+
+    rate_deg_s: Annotated[float, number("rate of turn, clockwise from above", "deg/s", -30.0, 30.0)]
+    over_s: Annotated[float, number(_OVER, "s", 0.5, 300.0)] = 10.0
+
+    def check(self) -> None:
+        if self.rate_deg_s == 0.0:
+            raise ValueError("rate_deg_s must not be 0: a vessel that keeps her course does not turn")
+
+
+class DeckRoll(ShipFault, frozen=True, tag="deck_roll"):
+    """The deck rolls to one side and to the other, besides what the waves do; it grows over one period and dies in one."""
+
+    roll_deg: Annotated[float, number("amplitude", "deg", 0.1, 30.0)] = 8.0
+    period_s: Annotated[float, number("period of the roll", "s", 1.0, 40.0)] = 8.0
+
+    def check(self) -> None:
+        if self.for_s is not None and self.for_s < 2.0 * self.period_s:
+            raise ValueError(f"for_s must be two periods or more, {2.0 * self.period_s:g} s, for the roll to grow and die in")
+
+
+class FerryWake(ShipFault, frozen=True, tag="ferry_wake"):
+    """The wake of another ship passes: a train of waves that the vessel rides as she rides the sea."""
+
+    height_m: Annotated[float, number("height of the highest wave, trough to crest", "m", 0.05, 3.0)] = 0.5
+    period_s: Annotated[float, number("period of the waves", "s", 1.0, 15.0)] = 4.0
+    waves: Annotated[float, number("number of waves in the train", "1", 2.0, 30.0)] = 8.0
+    from_deg: Annotated[float, number("direction it comes from, clockwise from the bow", "deg", -360.0, 360.0)] = 90.0
+
+    def check(self) -> None:
+        if self.for_s is not None:
+            raise ValueError("for_s does not go with a wake: it lasts waves x period_s")
+
+
+class VesselReports(Fault, frozen=True, tag="vessel_reports"):
+    """The ship's reports are wrong: a position that jumps shows as a velocity while it does."""
+
+    north_m_s: Annotated[float, number("added to the reported velocity to the north", "m/s", -50.0, 50.0)] = 0.0
+    east_m_s: Annotated[float, number("added to the reported velocity to the east", "m/s", -50.0, 50.0)] = 0.0
+    heading_deg: Annotated[float, number("added to the reported heading, clockwise", "deg", -180.0, 180.0)] = 0.0
+    place_north_m: Annotated[float, number("added to the reported place, to the north", "m", -10_000.0, 10_000.0)] = 0.0
+    place_east_m: Annotated[float, number("added to the reported place, to the east", "m", -10_000.0, 10_000.0)] = 0.0
+    late_s: Annotated[float, number("how much later than before every report arrives", "s", 0.0, 60.0)] = 0.0
+    frozen: Annotated[bool, choice("whether the report at the beginning is repeated")] = False
+    silent: Annotated[bool, choice("whether no report arrives")] = False
+
+    def check(self) -> None:
+        wrong = (self.north_m_s, self.east_m_s, self.heading_deg, self.place_north_m, self.place_east_m, self.late_s)
+        if not any((*wrong, self.frozen, self.silent)):
+            raise ValueError(
+                "nothing says what is wrong with the reports: give north_m_s, heading_deg, place_north_m, late_s, frozen "
+                "or silent"
+            )
+
+
+class OperatorActs(Fault, frozen=True, tag="operator"):
+    """A person takes over; after `for_s`, or by order begin, he gives the vehicle back and lets guidance begin again."""
+
+    order: Annotated[
+        Literal["hold", "manual", "abort", "land", "begin"],
+        choice(
+            "hold in place, fly by hand with the sticks below, end the landing and hover, land where the vehicle is, or give it "
+            "back and let guidance begin"
+        ),
+    ] = "hold"
+    forward: Annotated[float, number("stick forward, with manual", "1", -1.0, 1.0)] = 0.0
+    right: Annotated[float, number("stick to the right, with manual", "1", -1.0, 1.0)] = 0.0
+    climb: Annotated[float, number("stick up, with manual", "1", -1.0, 1.0)] = 0.0
+    turn: Annotated[float, number("stick clockwise, with manual", "1", -1.0, 1.0)] = 0.0
+
+    def check(self) -> None:
+        if self.order != "manual" and any((self.forward, self.right, self.climb, self.turn)):
+            raise ValueError(f"forward, right, climb and turn are sticks: they go with order manual, not with {self.order}")
+        if self.order in ("abort", "land") and self.for_s is not None:
+            raise ValueError(f"for_s does not go with {self.order}, which ends the flight")
+        if self.order == "begin" and self.for_s is not None:
+            raise ValueError("for_s does not go with begin, after which guidance flies on")
 
 
 class LensCovered(Fault, frozen=True, tag="lens_covered"):

@@ -2,6 +2,8 @@
 
 Everything between the two is the code of a real flight: AT commands as bytes, navdata, samples, vision, estimator, guidance.
 Sockets, the video codec and threads are left out, so that a scenario and a seed give the same result to the bit.
+
+A simulated person stands beside it and gives the orders of the scenario's `operator` faults to the service's arbiter.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ from msgspec.structs import replace
 from companion.base.health import Health
 from companion.base.mission import FLOWN
 from companion.base.observer import Observer, ProcessedFrame, listens
-from companion.base.orders import HandledOrder
+from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.guidance.arbiter import OperatorArbiter
 from companion.guidance.pilot import WAITING_MOST, Pilot
 from companion.guidance.precedence import ControlSituation
 from companion.settings.model import Settings, ardrone_options
@@ -43,9 +46,9 @@ from sitl.ardrone.generations import GENERATIONS
 from sitl.ardrone.state import refusal
 from sitl.camera.render_worker import RenderWorker
 from sitl.faults.faulty_streams import InTransit
-from sitl.faults.kinds import ServiceKilled
+from sitl.faults.kinds import OperatorActs, ServiceKilled
+from sitl.faults.timer import FaultTimer
 from sitl.flight.grader import FlightGrader, FlightResult
-from sitl.flight.simulated_person import SimulatedPerson
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.pixels import Pixels
 from sitl.perception.port import Perception
@@ -54,6 +57,38 @@ from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.stage import flight_seeds
 from sitl.world.truth import RenderedFrame
 from sitl.world.world import World
+
+_SENDER = OrderSender(OrderSource.GAMEPAD, "simulated")
+
+
+class SimulatedPerson:
+    """Acts as the scenario says.
+
+    Args:
+        faults: which faults are active.
+    """
+
+    def __init__(self, faults: FaultTimer) -> None:
+        self._faults = faults
+        self._doing: OperatorActs | None = None
+
+    def act(self, arbiter: OperatorArbiter, now: MonoNs) -> None:
+        """Give what orders are due, and move the sticks; call it before each guidance cycle."""
+        active = self._faults.on(OperatorActs)
+        wanted = active[-1][0] if active else None
+        if wanted is not self._doing:
+            if self._doing is not None and wanted is None:
+                if self._doing.order == "manual":
+                    arbiter.take(OperatorOrder.RELEASE, _SENDER, now)
+                arbiter.take(OperatorOrder.BEGIN, _SENDER, now)
+            elif wanted is not None:
+                if wanted.order == "begin" and self._doing is not None and self._doing.order == "manual":
+                    arbiter.take(OperatorOrder.RELEASE, _SENDER, now)
+                arbiter.take(OperatorOrder(wanted.order), _SENDER, now)
+            self._doing = wanted
+        if wanted is not None and wanted.order == "manual":
+            arbiter.move(_SENDER, StickPositions(wanted.forward, wanted.right, wanted.climb, wanted.turn), now)
+
 
 NAVDATA_DELAY_S = 0.004
 _TICK_NS, _NAVDATA_DELAY_NS = round(TICK_S * NS_PER_S), round(NAVDATA_DELAY_S * NS_PER_S)
@@ -343,7 +378,7 @@ class Flight:
         while self._looking is None and (packet := self._frames_under_way.arrived(now)) is not None:
             if arrived is not None:
                 self.health.frame(Verdict.REPLACED)
-                self._pilot.on_verdict(Verdict.REPLACED)
+                self._pilot.landing.on_verdict(Verdict.REPLACED)
                 self._judge(arrived.seq, Verdict.REPLACED)
             received_at, exposed = packet
             image = exposed()
@@ -370,7 +405,7 @@ class Flight:
             self._report_fused()
             processed = replace(processed, verdict=verdict, results=results)
         self.health.frame(processed.verdict)
-        self._pilot.on_verdict(processed.verdict)
+        self._pilot.landing.on_verdict(processed.verdict)
         self._judge(processed.frame.seq, processed.verdict)
         self.health.delay("exposure_to_belief", seconds_between(processed.frame.stamp.measured_at, processed.done))
         for result in processed.results:

@@ -12,7 +12,7 @@ from estimator.contracts.geodesy import moved
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after
-from sitl.faults.reports import VesselReports
+from sitl.faults.kinds import VesselReports
 from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import Scenario
 from sitl.sensors.gnss import SIGMA_M, GnssErrors

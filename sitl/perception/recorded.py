@@ -1,18 +1,32 @@
-"""A recorded flight with its truth, as the error models are fitted to."""
+"""A recorded flight with its truth, and the detection samples that the error models are fitted to.
+
+A detection sample is the detection of one frame with the true view of the camera. A recorded sighting is turned back into what
+vision measured in the camera's own axes. The error of the vehicle's attitude, which every sighting contains, is so not counted as
+an error of vision: in a simulated flight it comes back from the simulated attitude.
+"""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import NamedTuple
+
+import cv2
+import numpy as np
 
 from companion.base.observer import Decision
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.recording.records import TruthRecord
 from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import RelativeState
+from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.geometry import F64, skew
+from estimator.contracts.samples import Attitude
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+from estimator.vision.pose import Orientation
+from estimator.vision.register.tilt import roll_pitch, tilt_axes
+from sitl.perception.view import View, Viewer
 from sitl.scenario.scenario import Scenario, load
 
 
@@ -66,3 +80,105 @@ def read(path: Path) -> Recorded:
         raise BadInput(f"{path}: holds no true attitudes: record the flight again with this version")
     name = f"{Path(facts['scenario']).stem} {facts['seed']}"
     return Recorded(path, load(facts["scenario"]), name, settings, camera, pad, truths, tuple(frames), tuple(beliefs))
+
+
+_ITERATIONS = 12
+"""Rounds in which the levelling is undone; each takes the rest down to a fifth or less."""
+
+
+class Measured(NamedTuple):
+    """The measurement of registration, in the camera's axes."""
+
+    error: F64
+    """(6,): position less the true one over the height, then the small rotation of the pad, rad."""
+    cov: F64
+    """(6, 6) claimed covariance of the same."""
+    turned: bool
+    """Whether the heading is half a turn off; `error` is then that of the pose turned back."""
+    ambiguous: bool
+    """Whether registration said that the heading may be half a turn off."""
+
+
+class DetectionSample(NamedTuple):
+    """The detection of one frame and its true view."""
+
+    at_s: float
+    view: View
+    measured: Measured | None
+    """None if nothing was found that may be used."""
+    confidence: float
+
+
+def detection_samples(recorded: Recorded) -> tuple[DetectionSample, ...]:
+    """Return the detection samples of a recorded flight, in order."""
+    viewer = Viewer(recorded.camera, recorded.pad)
+    samples = []
+    for frame in recorded.frames:
+        truth, attitude, detection = recorded.truths.get(frame.stamp.measured_at), frame.attitude, frame.detection()
+        if truth is None or truth.R_ned_body is None or attitude is None or detection is None:
+            continue
+        registered = detection.methods.get("registration")
+        samples.append(_sample(viewer, recorded, truth, attitude, detection.selected, registered, frame.stamp.measured_at * 1e-9))
+    return tuple(samples)
+
+
+def _sample(
+    viewer: Viewer,
+    recorded: Recorded,
+    truth: TruthRecord,
+    attitude: Attitude,
+    selected: Sighting | None,
+    registered: Sighting | None,
+    at_s: float,
+) -> DetectionSample:
+    R_ned_body = np.array(truth.R_ned_body).reshape(3, 3)
+    R_ned_pad = np.array(truth.R_ned_pad).reshape(3, 3)
+    yaw = math.atan2(R_ned_body[1, 0], R_ned_body[0, 0])
+    c, s = math.cos(yaw), math.sin(yaw)
+    forward, right, down = truth.d_body_pad_level
+    view = viewer.view(R_ned_body, np.array([c * forward - s * right, s * forward + c * right, down]), R_ned_pad)
+    least = recorded.settings.estimator.min_confidence
+    if selected is None or registered is None or registered.pose6 is None or selected.confidence < least:
+        return DetectionSample(at_s, view, None, 0.0)
+    sigma_deck_rad = math.radians(recorded.settings.vision.deck_tilt_sigma_deg)
+    measured = _in_camera(registered, attitude, recorded.camera, sigma_deck_rad, view)
+    return DetectionSample(at_s, view, measured, selected.confidence)
+
+
+def _in_camera(registered: Sighting, attitude: Attitude, camera: Camera, sigma_deck_rad: float, view: View) -> Measured:
+    """Undo `estimator.vision.register.sighting.sighting_of`: its inputs from its result and the attitude it used."""
+    pose = registered.pose6
+    assert pose is not None
+    orientation = Orientation.of(attitude, sigma_deck_rad)
+    axes, C = tilt_axes(orientation), orientation.cov_tilt
+    A = -np.array([[0.0, 1.0], [-1.0, 0.0]]) @ axes[:2]
+    gain = C @ A.T @ np.linalg.inv(A @ C @ A.T + (sigma_deck_rad**2 + 1e-12) * np.eye(2))
+    after = pose.R_level_pad.matrix
+    normal = after[:, 2]
+    turn: F64 = np.eye(3)
+    for _ in range(_ITERATIONS):
+        turn = np.asarray(cv2.Rodrigues(axes @ (gain @ normal[:2]))[0], dtype=float)
+        normal = turn.T @ after[:, 2]
+    R_level_body = roll_pitch(orientation)
+    R_level_cam = turn @ R_level_body @ camera.T_body_cam.R.matrix
+    d = pose.d_body_pad_level
+    t = R_level_cam.T @ (d - turn @ R_level_body @ camera.T_body_cam.t)
+    R = R_level_cam.T @ after
+    turned = bool(np.trace(R @ view.R_cam_pad.T) < 1.0)
+    if turned:
+        R = R @ np.diag([-1.0, -1.0, 1.0])
+    z = max(0.05, view.height_m)
+    error = np.append((t - view.t_cam_pad) / z, np.asarray(cv2.Rodrigues(R @ view.R_cam_pad.T)[0], dtype=float).ravel())
+
+    J = np.zeros((6, 8))
+    J[:3, :3] = J[3:, 3:6] = R_level_cam
+    J[:3, 6:] = -skew(d) @ axes
+    J[3:, 6:] = axes
+    back = np.zeros((2, 6))
+    back[:, 3:] = gain @ (-skew(normal) @ R_level_cam)[:2]
+    M = np.linalg.inv(J[:, :6] + J[:, 6:] @ back)
+    left = pose.cov - J[:, 6:] @ (C - gain @ A @ C) @ J[:, 6:].T
+    cov = M @ left @ M.T
+    scale = np.array([z, z, z, 1.0, 1.0, 1.0])
+    cov = cov / np.outer(scale, scale)
+    return Measured(error, 0.5 * (cov + cov.T), turned, registered.yaw_ambiguous)

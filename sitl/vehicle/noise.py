@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.library import start_of
+from sitl.core.library import SIM
 
 BLOCK = 256
 """Rows of a block."""
@@ -23,7 +24,7 @@ class NoiseRows:
     def __init__(self, draw: Callable[[], F64]) -> None:
         self._draw = draw
         self._rows: F64 = np.empty((0, 0))
-        self._start = self._stride = 0
+        self._first: Any = None
         self._at = self._end = 0
 
     @staticmethod
@@ -33,17 +34,17 @@ class NoiseRows:
         return NoiseRows(lambda: rng.standard_normal((BLOCK, width)))
 
     def prepare(self) -> int:
-        """Draw the next block if none is left; return the number of rows that lie ready at `address`, 1 or more."""
+        """Draw the next block if none is left; return the number of rows that lie ready at `row`, 1 or more."""
         if self._at == self._end:
             self._rows = self._draw()
-            self._start, self._stride = start_of(self._rows), self._rows.strides[0]
+            self._first = SIM.array("double", self._rows)
             self._at, self._end = 0, len(self._rows)
         return self._end - self._at
 
     @property
-    def address(self) -> int:
-        """Address of the next row, after `prepare`."""
-        return self._start + self._at * self._stride
+    def row(self) -> Any:
+        """The next row as the core reads it, after `prepare`."""
+        return self._first + self._at * self._rows.shape[1]
 
     def used(self, rows: int) -> None:
         """Note that the next rows are used."""

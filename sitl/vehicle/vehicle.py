@@ -6,16 +6,16 @@ The formulae and their sources are in `sitl/core/physics/vehicle.c`; here are on
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Sequence
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
 from sitl.core.abi import COMMANDS_MAX, FLIGHT_NOISE, ROTORS_MAX, TOUCHED_DECK, TOUCHED_SEA
-from sitl.core.library import SIM, places_of
-from sitl.native import Number, Numbers, Packed, vehicle_carry, vehicle_step, write
+from sitl.core.library import SIM
+from sitl.core.members import Number, Numbers
 from sitl.sea.spectra import GRAVITY_M_S2
 from sitl.vehicle.airframe import Airframe, StickLimits
 from sitl.vehicle.disturbances import Wind, keep_and_fresh
@@ -27,9 +27,6 @@ from sitl.vessel.contact import DeckShape, Ground
 DECK, SEA = TOUCHED_DECK, TOUCHED_SEA
 """Codes of `Vehicle.touched_what`; 0 before any contact."""
 
-_PARAMS, _STATE = places_of("vehicle_params"), places_of("vehicle")
-_LIMITS, _LIMITS_AT = struct.Struct("3d"), 8 * _PARAMS["euler_angle_max_rad"].start
-_COMMAND, _COMMAND_AT = struct.Struct("5d"), 8 * _STATE["command"].start
 _AIR_SEED = 0xA12
 
 
@@ -80,35 +77,35 @@ class Vehicle:
         ValueError: the step is too long for the springs, or too short for the delay of the commands.
     """
 
-    p = Numbers("state", "vehicle.p")
-    v = Numbers("state", "vehicle.v")
-    w = Numbers("state", "vehicle.w")
-    a = Numbers("state", "vehicle.a")
-    thrust_n = Number("state", "vehicle.thrust_n")
-    torque_n_m = Numbers("state", "vehicle.torque_n_m")
-    flow = Numbers("state", "vehicle.flow")
-    gust = Numbers("state", "vehicle.gust")
-    air_ned = Numbers("state", "vehicle.air")
-    unasked_rad_s2 = Numbers("state", "vehicle.unasked")
-    seconds = Number("state", "vehicle.seconds")
-    phase = Number("state", "vehicle.phase")
-    tied = Number("state", "vehicle.tied")
-    ditched = Number("state", "vehicle.ditched")
-    touched_what = Number("state", "vehicle.touched_what")
-    touched_phase = Number("state", "vehicle.touched_phase")
-    touched_s = Number("state", "vehicle.touched_s")
-    touched_d = Numbers("state", "vehicle.touched_d")
-    touched_v = Numbers("state", "vehicle.touched_v")
-    touched_yaw = Number("state", "vehicle.touched_yaw")
-    tilt_max_rad = Number("params", "vehicle_params.tilt_max_rad")
-    extra_wind = Numbers("params", "vehicle_params.extra_wind")
-    current = Numbers("params", "vehicle_params.current")
-    flow_works = Number("params", "vehicle_params.flow_works")
-    _q = Numbers("state", "vehicle.q")
-    _R = Numbers("state", "vehicle.R")
-    _tilt_bias = Numbers("state", "vehicle.tilt_bias")
-    _tilt_drift = Numbers("state", "vehicle.tilt_drift")
-    _rotor_health = Numbers("params", "vehicle_params.rotor_health")
+    p = Numbers("state", "p")
+    v = Numbers("state", "v")
+    w = Numbers("state", "w")
+    a = Numbers("state", "a")
+    thrust_n = Number("state", "thrust_n")
+    torque_n_m = Numbers("state", "torque_n_m")
+    flow = Numbers("state", "flow")
+    gust = Numbers("state", "gust")
+    air_ned = Numbers("state", "air")
+    unasked_rad_s2 = Numbers("state", "unasked")
+    seconds = Number("state", "seconds")
+    phase = Number("state", "phase")
+    tied = Number("state", "tied")
+    ditched = Number("state", "ditched")
+    touched_what = Number("state", "touched_what")
+    touched_phase = Number("state", "touched_phase")
+    touched_s = Number("state", "touched_s")
+    touched_d = Numbers("state", "touched_d")
+    touched_v = Numbers("state", "touched_v")
+    touched_yaw = Number("state", "touched_yaw")
+    tilt_max_rad = Number("params", "tilt_max_rad")
+    extra_wind = Numbers("params", "extra_wind")
+    current = Numbers("params", "current")
+    flow_works = Number("params", "flow_works")
+    _q = Numbers("state", "q")
+    _R = Numbers("state", "R")
+    _tilt_bias = Numbers("state", "tilt_bias")
+    _tilt_drift = Numbers("state", "tilt_drift")
+    _rotor_health = Numbers("params", "rotor_health")
 
     def __init__(
         self,
@@ -127,22 +124,20 @@ class Vehicle:
         self.limits = StickLimits()
         self.wind = wind or Wind()
         self.params = _packed_params(airframe, shape, self.wind, step_s)
-        """The core's `vehicle_params`."""
-        self.state = Packed("vehicle", q=(1.0, 0.0, 0.0, 0.0), R=np.eye(3).ravel(), attached_q=(1.0, 0.0, 0.0, 0.0),
-                            touched_s=math.nan, touched_d=math.nan, touched_v=math.nan, touched_yaw=math.nan)  # fmt: skip
-        """The core's `vehicle`."""
-        self.phase_word = self.state.buffer.cast("B").cast("q")[_STATE["phase"]]
-        """The phase in that memory, for those who ask hundreds of times a second."""
-        self.touched_word = self.state.buffer.cast("B").cast("q")[_STATE["touched_what"]]
-        """`touched_what`, for the same."""
-        self._deck = Packed("deck")
+        """The core's `sim_vehicle_params`."""
+        self.state = SIM.new(
+            "sim_vehicle", q=(1.0, 0.0, 0.0, 0.0), R=np.eye(3), attached_q=(1.0, 0.0, 0.0, 0.0),
+            touched_s=math.nan, touched_d=math.nan, touched_v=math.nan, touched_yaw=math.nan,
+        )  # fmt: skip
+        """The core's `sim_vehicle`."""
+        self._deck = SIM.new("sim_deck")
         self.noise = NoiseRows.of(seed, FLIGHT_NOISE)
         """The numbers of its own errors and of the gusts."""
         self._begin_errors()
         self.air_noise: NoiseRows | None = None
         """The numbers of the air, where it is more than a uniform wind."""
         if air is not None:
-            self.params.words[_PARAMS["air"]] = air.packed(step_s).words
+            self.params.air = air.packed(step_s)[0]
             self.air_noise = NoiseRows.of(
                 np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, _AIR_SEED)), FLIGHT_NOISE
             )
@@ -152,8 +147,8 @@ class Vehicle:
         """Start the random processes in their steady state."""
         start, bias, av = self.noise.next(), self.noise.next(), self.airframe.avionics
         gust, flow, drift = self.wind.gust_sigma_m_s, av.flow_noise_sigma_m_s, av.tilt_drift_sigma_rad
-        write(
-            self.state.words, "vehicle",
+        SIM.fill(
+            self.state,
             gust=(gust * start[0], gust * start[1], 0.5 * gust * start[2]),
             flow_error=(flow * start[3], flow * start[4]),
             tilt_bias=(av.tilt_bias_sigma_rad * bias[0], av.tilt_bias_sigma_rad * bias[1]),
@@ -166,8 +161,8 @@ class Vehicle:
         The lag of the lag of white noise has half the variance of the lag, and a covariance of a half with it.
         """
         start, second = noise.next(), noise.next()
-        write(
-            self.state.words, "vehicle",
+        SIM.fill(
+            self.state,
             air_u=start[0],
             air_v=(start[1], 0.5 * (start[1] + second[1])),
             air_w=(start[2], 0.5 * (start[2] + second[2])),
@@ -181,26 +176,25 @@ class Vehicle:
         c, s = math.cos(yaw_rad), math.sin(yaw_rad)
         forward, right = c * against_x + s * against_y, c * against_y - s * against_x
         self.q = quaternion_of_rpy(right / GRAVITY_M_S2, -forward / GRAVITY_M_S2, yaw_rad)
-        write(
-            self.state.words, "vehicle",
+        SIM.fill(
+            self.state,
             p=p_ned, v=v_ned, z_hold=p_ned[2], airborne_s=1.0, phase=VehiclePhase.HOVERING, integral=(forward, right, 0.0),
             thrust_n=self.airframe.mass_kg * math.sqrt(against_x * against_x + against_y * against_y + GRAVITY_M_S2**2),
         )  # fmt: skip
 
     def stand(self, ground: Ground, d_pad: F64, yaw_rad: float) -> None:
         """Put it on the deck, motors off: (3,) m from the pad's centre in the pad frame, heading against the arrow."""
-        write(
-            self.state.words, "vehicle",
+        SIM.fill(
+            self.state,
             attached_d=d_pad, attached_q=quaternion_of_rpy(0.0, 0.0, yaw_rad), tied=1, phase=VehiclePhase.LANDED,
             thrust_n=0.0, airborne_s=0.0, a=0.0,
         )  # fmt: skip
         ground.write_deck(self._deck)
-        vehicle_carry(self.state.address, self._deck.address)
+        SIM.lib.sim_vehicle_carry(self.state, self._deck)
 
     def command(self, roll: float, pitch: float, gaz: float, yaw: float, progressive: bool) -> None:
         """Stick fractions -1..1 with PCMD's signs: right, nose up, up, clockwise; ignored without `progressive` (hover)."""
-        sticks = [min(max(x, -1.0), 1.0) for x in (roll, pitch, gaz, yaw)]
-        _COMMAND.pack_into(self.state.buffer, _COMMAND_AT, *sticks, progressive)
+        self.state.command = (*(min(max(x, -1.0), 1.0) for x in (roll, pitch, gaz, yaw)), progressive)
 
     def take_off(self) -> None:
         """Take off if it is landed with its motors off."""
@@ -244,32 +238,32 @@ class Vehicle:
     def rotor_health(self, shares: Sequence[float]) -> None:
         missing = ROTORS_MAX - len(shares)
         self._rotor_health = (*shares, *[1.0] * missing)
-        write(self.params.words, "vehicle_params", all_healthy=all(share == 1.0 for share in shares))
+        self.params.all_healthy = all(share == 1.0 for share in shares)
 
     @property
     def p_ned(self) -> F64:
         """(3,) m."""
-        return self.state.words[_STATE["p"]].copy()
+        return np.array(self.p)
 
     @property
     def v_ned(self) -> F64:
         """(3,) m/s."""
-        return self.state.words[_STATE["v"]].copy()
+        return np.array(self.v)
 
     @property
     def R_ned_body(self) -> F64:
         """(3, 3)."""
-        return self.state.words[_STATE["R"]].reshape(3, 3).copy()
+        return np.array(self._R).reshape(3, 3)
 
     @property
     def w_body(self) -> F64:
         """(3,) rad/s."""
-        return self.state.words[_STATE["w"]].copy()
+        return np.array(self.w)
 
     @property
     def a_ned(self) -> F64:
         """(3,) m/s^2."""
-        return self.state.words[_STATE["a"]].copy()
+        return np.array(self.a)
 
     @property
     def f_body(self) -> F64:
@@ -283,8 +277,9 @@ class Vehicle:
 
     def keep_limits(self) -> None:
         """Give the core the stick's limits, whose fields may have been set."""
-        s = self.limits
-        _LIMITS.pack_into(self.params.buffer, _LIMITS_AT, s.euler_angle_max_rad, s.vz_max_m_s, s.yaw_rate_max_rad_s)
+        s, params = self.limits, self.params
+        params.euler_angle_max_rad, params.vz_max_m_s = s.euler_angle_max_rad, s.vz_max_m_s
+        params.yaw_rate_max_rad_s = s.yaw_rate_max_rad_s
 
     def step(self, ground: Ground) -> None:
         """Advance by `step_s` to the instant for which `ground` holds."""
@@ -293,10 +288,7 @@ class Vehicle:
         air = self.air_noise or self.noise
         self.noise.prepare()
         air.prepare()
-        vehicle_step(
-            self.params.address, self.state.address, self._deck.address, ground.sea_z, ground.sea_vz,
-            self.noise.address, air.address,
-        )  # fmt: skip
+        SIM.lib.sim_vehicle_step(self.params, self.state, self._deck, ground.sea_z, ground.sea_vz, self.noise.row, air.row)
         self.noise.used(1)
         if self.air_noise is not None:
             self.air_noise.used(1)
@@ -307,8 +299,8 @@ def quaternion_of_rpy(roll: float, pitch: float, yaw: float) -> Sequence[float]:
     return Rotation.from_rpy(roll, pitch, yaw).quat_wxyz.tolist()  # type: ignore[no-any-return]
 
 
-def _packed_params(f: Airframe, shape: DeckShape, wind: Wind, step_s: float) -> Packed:
-    """Return the core's `vehicle_params`, without the stick's limits and the air."""
+def _packed_params(f: Airframe, shape: DeckShape, wind: Wind, step_s: float) -> Any:
+    """Return the core's `sim_vehicle_params`, without the stick's limits and the air."""
     k, av, feet, each = f.loops, f.avionics, f.feet, rotors(f)
     spare = [0.0] * (ROTORS_MAX - len(each))
     cos_yaw, sin_yaw, middle, half = shape.turned
@@ -329,8 +321,8 @@ def _packed_params(f: Airframe, shape: DeckShape, wind: Wind, step_s: float) -> 
         "tilt_p", "tilt_d", "tilt_max_rad", "yaw_rate_p", "velocity_p", "velocity_d", "velocity_i", "velocity_i_max_m_s2",
         "climb_p", "climb_d", "climb_i", "climb_i_max_m_s2", "height_p",
     )  # fmt: skip
-    return Packed(
-        "vehicle_params",
+    return SIM.new(
+        "sim_vehicle_params",
         **{name: getattr(f, name) for name in same},
         **{name: getattr(k, name) for name in gains},
         quad_x=f.layout == "quad_x", rotors=len(each), effect_by_rotor=f.ground_effect == "rotors",

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from sitl.core.abi import GUSTS_MAX
-from sitl.native import Packed, write
+from sitl.core.library import SIM
 from sitl.vessel.seakeeping import Superstructure
 
 _DECK_TIME_S = 5.0
@@ -45,27 +46,27 @@ class AirModel:
     """The pad's centre forward and to starboard of amidships."""
     pad_yaw_rad: float = 0.0
 
-    def packed(self, step_s: float) -> Packed:
-        """Return the core's `air_params`.
+    def packed(self, step_s: float) -> Any:
+        """Return the core's `sim_air_params`.
 
         Raises:
             ValueError: there are more gusts than the core takes.
         """
         if len(self.gusts) > GUSTS_MAX:
             raise ValueError(f"the air takes {GUSTS_MAX} single gusts, got {len(self.gusts)}")
-        gusts = [x for g in self.gusts for x in (g.at_s, g.rise_s, g.hold_s, *g.v_ned)]
-        made = Packed(
-            "air_params",
+        made = SIM.new(
+            "sim_air_params",
             on=1, logarithmic=self.logarithmic, dryden=self.dryden, wake=self.wake is not None, gusts=len(self.gusts),
             speed_m_s=self.speed_m_s, along=(math.cos(self.towards_rad), math.sin(self.towards_rad)),
             roughness_m=self.roughness_m, log10m=math.log(10.0 / self.roughness_m), keep_ship=step_s / _DECK_TIME_S,
             pad_yaw=(math.cos(self.pad_yaw_rad), math.sin(self.pad_yaw_rad)),
-            gust=gusts + [0.0] * (5 * GUSTS_MAX - len(gusts)),
         )  # fmt: skip
+        for place, gust in zip(made.gust, self.gusts, strict=False):
+            place.at_s, place.rise_s, place.hold_s, place.v = gust.at_s, gust.rise_s, gust.hold_s, gust.v_ned
         block = self.wake
         if block is not None:
-            write(
-                made.words, "air_params",
+            SIM.fill(
+                made,
                 block_m=(self.pad_m[0] - block.forward_m, self.pad_m[1] - block.starboard_m),
                 block_size=(block.length_m, block.width_m, block.height_m),
                 wake_decay=0.32 / math.log(block.height_m / self.roughness_m),

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-import struct
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 from estimator.contracts.geometry import F64
-from sitl.native import Packed
 
 Vec = tuple[float, float, float]
 Rows = tuple[Vec, Vec, Vec]
-_DECK = struct.Struct("18d")
 
 
 @dataclass(frozen=True)
@@ -81,6 +79,6 @@ class Ground:
         far = 1e6
         return Ground((0.0, 0.0, far), (0.0,) * 3, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0,) * 3, far)
 
-    def write_deck(self, deck: Packed) -> None:
-        """Write the core's `deck`."""
-        _DECK.pack_into(deck.buffer, 0, *self.p, *self.v, *self.R[0], *self.R[1], *self.R[2], *self.w)
+    def write_deck(self, deck: Any) -> None:
+        """Write the core's `sim_deck`."""
+        deck.p, deck.v, deck.R, deck.w = self.p, self.v, (*self.R[0], *self.R[1], *self.R[2]), self.w

@@ -13,7 +13,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from sitl.faults.fault import Fault
-from sitl.faults.ship import DeckRoll, FerryWake, ShipFault, ShipSpeed, ShipTurn
+from sitl.faults.kinds import DeckRoll, FerryWake, ShipFault, ShipSpeed, ShipTurn
 from sitl.vessel.seakeeping import encounter_rad_s, responses
 from sitl.vessel.turn import heel_rad, smooth_step, speed_in_turn_m_s
 from sitl.vessel.vessel import Mounted, Vessel

@@ -11,14 +11,10 @@ from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from estimator.contracts.geometry import F64, Rotation, known_rotation
-from estimator.core.library import start_of
-from sitl.core.library import size_of
-from sitl.native import address, vessel_mounted, vessel_moved
+from sitl.core.library import SIM
 from sitl.sea.sea import Waves
 from sitl.vessel.seakeeping import Hull, encounter_rad_s, responses
 
-_MODES = 6
-_MOTION, _ORIGIN, _MOUNTED = size_of("vessel_motion"), size_of("vessel_origin"), size_of("mounted")
 _EYE = np.eye(3)
 
 
@@ -130,8 +126,9 @@ class Vessel:
             coefficient = np.concatenate([coefficient, slow], axis=-1)
             w = np.concatenate([w, np.broadcast_to(math.tau / periods, (batch, 3))], axis=-1)
         c = coefficient.transpose(1, 2, 0)
-        self._harmonics = np.ascontiguousarray(np.concatenate([w[..., None], c.real, c.imag], axis=-1))
-        """(B, N, 13) the core's `harmonic`s of the motion."""
+        self._harmonics = np.empty(w.shape, SIM.dtype("sim_harmonic"))
+        """(B, N) of the motion."""
+        self._harmonics["w_rad_s"], self._harmonics["re"], self._harmonics["im"] = w, c.real, c.imag
 
     @property
     def batch(self) -> int:
@@ -141,11 +138,12 @@ class Vessel:
         """Return the motion about the steady course at times (...): arrays (B, ..., 6) with exact derivatives."""
         t = np.asarray(t_s, dtype=float)
         flat = np.ascontiguousarray(t).reshape(-1)
-        out = np.empty((self.batch, flat.size, _MOTION))
+        out = np.empty((self.batch, flat.size), SIM.dtype("sim_vessel_motion"))
         for harmonics, moved in zip(self._harmonics, out, strict=True):
-            vessel_moved(len(harmonics), address(harmonics, float), flat.size, address(flat, float), start_of(moved))
-        whole = out.reshape(self.batch, *t.shape, _MOTION)
-        return Motion(whole[..., :_MODES], whole[..., _MODES : 2 * _MODES], whole[..., 2 * _MODES :])
+            numbers, times = SIM.array("sim_harmonic", harmonics), SIM.array("double", flat)
+            SIM.lib.sim_vessel_moved(len(harmonics), numbers, flat.size, times, SIM.array("sim_vessel_motion", moved))
+        whole = out.reshape(self.batch, *t.shape)
+        return Motion(whole["eta"], whole["eta_dot"], whole["eta_ddot"])
 
     def origin(self, t: F64) -> tuple[F64, F64, F64, F64, Motion]:
         """Return the origin's position, velocity and acceleration in ned, the heading of the course, and the motion, (B, ...)."""
@@ -173,14 +171,15 @@ class Vessel:
         t = np.asarray(t_s, dtype=float)
         d = np.asarray(d_vessel_m, dtype=float)
         p0, v0, a0, heading, m = self.origin(t)
-        origin = np.empty((self.batch, *t.shape, _ORIGIN))
-        origin[..., 0:3], origin[..., 3:6], origin[..., 6:9], origin[..., 9] = p0, v0, a0, heading
-        motion = np.concatenate([m.eta, m.eta_dot, m.eta_ddot], axis=-1)
-        mount = np.concatenate([d, (_EYE if R_vessel is None else R_vessel.matrix).reshape(-1)])
-        out = np.empty((self.batch, *t.shape, _MOUNTED))
-        vessel_mounted(self.batch * t.size, start_of(origin), start_of(motion), start_of(mount), start_of(out))
-        R = out[..., 9:18].reshape(self.batch, *t.shape, 3, 3)
-        return Mounted(out[..., 0:3], out[..., 3:6], out[..., 6:9], R, out[..., 18:21])
+        shape = (self.batch, *t.shape)
+        origin, motion = np.empty(shape, SIM.dtype("sim_vessel_origin")), np.empty(shape, SIM.dtype("sim_vessel_motion"))
+        origin["p"], origin["v"], origin["a"], origin["heading_rad"] = p0, v0, a0, heading
+        motion["eta"], motion["eta_dot"], motion["eta_ddot"] = m.eta, m.eta_dot, m.eta_ddot
+        mount = SIM.new("sim_mount", d=d, R=_EYE if R_vessel is None else R_vessel.matrix)
+        out = np.empty(shape, SIM.dtype("sim_mounted"))
+        given = SIM.array("sim_vessel_origin", origin), SIM.array("sim_vessel_motion", motion)
+        SIM.lib.sim_vessel_mounted(out.size, *given, mount, SIM.array("sim_mounted", out))
+        return Mounted(out["p"], out["v"], out["a"], out["R"].reshape(*shape, 3, 3), out["w"])
 
     def pad(self, t_s: ArrayLike) -> Mounted:
         """Return the pad's centre and frame at times (...), with the leading shape (B, ...)."""

@@ -15,8 +15,8 @@ from sitl.camera.camera import Renderer
 from sitl.camera.drops import Drops
 from sitl.camera.film import Film
 from sitl.camera.light import Light, Mast, Sensor
-from sitl.camera.picture_settings import CLEAR_M
 from sitl.camera.render.light import Lamps
+from sitl.camera.settings import CLEAR_M
 from sitl.camera.surroundings import Deck, Surroundings
 from sitl.camera.video_link import VideoLinkOptions
 from sitl.scenario.scenario import Scenario, camera_model, pad_model, ship_model, vehicle_model

@@ -30,8 +30,7 @@ from sitl.faults.kinds import FramesMisstamped, FramesShifted, Gust, TiltLimited
 from sitl.faults.picture import OtherPad, PictureFault
 from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal
-from sitl.sensors.faulty_sensors import FaultySensors
-from sitl.sensors.sensors import Readings, Sensors
+from sitl.sensors.sensors import FaultySensors, Readings, Sensors
 from sitl.vehicle.airframe import StickLimits
 from sitl.vehicle.rotors import rotors
 from sitl.vehicle.vehicle import SEA, Vehicle, VehiclePhase
@@ -123,7 +122,7 @@ class World:
 
     @property
     def phase(self) -> VehiclePhase:
-        return _PHASES[self._vehicle.phase_word[0]]
+        return _PHASES[self._vehicle.state.phase]
 
     @property
     def limits(self) -> StickLimits:
@@ -325,7 +324,7 @@ class World:
         v = self._vehicle
         done = self._physics.run(self._decks, self._deck_next, min(at_most, self._deck_end - self._deck_next))
         self._deck_next += done
-        if v.touched_word[0] and v.touched_s != self._touched_s:
+        if v.state.touched_what and v.touched_s != self._touched_s:
             self._touched_s = v.touched_s
             self._contacts.append(self._contact())
         return done

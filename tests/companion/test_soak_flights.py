@@ -20,7 +20,7 @@ from companion.cli.soak_plot import plot
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from sitl.emulators.ardrone.repeated_flights import faulty
-from sitl.flight.machine_load import Load
+from sitl.flight.ending import Load
 from sitl.scenario.scenario import load
 from tests.sitl.near import NEAR
 

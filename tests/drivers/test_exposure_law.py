@@ -13,10 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.camera.exposure_drive import ExposureDrive
-from drivers.camera.exposure_governor import ExposureGovernor
+from drivers.camera.exposure_governor import ExposureGovernor, meter_inside, meter_whole
 from drivers.camera.exposure_law import TARGET, ExposureRange, ExposureSetting, LawMemory, Metered, step
 from drivers.camera.exposure_options import ExposureOptions
-from drivers.camera.metering import meter_inside, meter_whole
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.ardrone import at, sender_client
+from drivers.ardrone import at, command_channel
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.link import ArDrone, open_ardrone
 from drivers.ardrone.options import ArDroneOptions
@@ -57,7 +57,7 @@ def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
 def be_patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy machine the service would take a sender that waits for the processor for a silent one, and send hover itself."""
     for limit in ("_SILENT_S", "_STUCK_S", "_READY_S"):
-        monkeypatch.setattr(sender_client, limit, 60.0)
+        monkeypatch.setattr(command_channel, limit, 60.0)
 
 
 async def test_setup_brings_the_drone_out_of_bootstrap_key_by_key() -> None:

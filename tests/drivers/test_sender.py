@@ -20,10 +20,10 @@ import pytest
 from drivers.ardrone import at, sender_lock
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
+from drivers.ardrone.command_channel import SenderClient
 from drivers.ardrone.link import open_ardrone
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.refusal import Refusal
-from drivers.ardrone.sender_client import SenderClient
 from drivers.ardrone.sender_wire import SenderOptions, order_of, pack, pack_commands
 from drivers.clock import SystemClock
 from estimator.contracts.commands import TakeOff
@@ -320,7 +320,6 @@ def test_the_wall_clock_may_jump() -> None:
     names = (
         "sender",
         "sender_lock",
-        "sender_client",
         "sender_wire",
         "arbiter",
         "landing_watch",

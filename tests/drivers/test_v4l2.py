@@ -28,10 +28,9 @@ from drivers.camera.exposure_drive import ExposureDrive
 from drivers.camera.exposure_law import ExposureRange, ExposureSetting
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
-from drivers.camera.v4l2 import V4l2Channel, kernel_stamp
+from drivers.camera.v4l2 import CaptureDevice, V4l2Channel, cameras, find, kernel_stamp
 from drivers.camera.v4l2_device import Buffer, DrivenExposure
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, stands_alone, to_bgr
-from drivers.camera.v4l2_names import CaptureDevice, cameras, find
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.camera import v4l2_kernel
 from drivers.camera.exposure_options import ExposureOptions
-from drivers.camera.v4l2_exposure import KernelExposure
+from drivers.camera.v4l2_device import KernelExposure
 
 _MODE, _TIME = 0x009A0901, 0x009A0902
 

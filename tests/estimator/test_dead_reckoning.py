@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from estimator import dead_reckoning as dr
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Sighting, Verdict
 from estimator.contracts.geometry import Rotation, wrap_pi
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import DeadReckoningOptions
 
 FLIGHT = Path(__file__).parents[2] / "../shared/data/flight_with_mocap"
-G = np.array([0.0, 0.0, -dr.GRAVITY_M_S2])
+G = np.array([0.0, 0.0, -G_M_S2])
 V_COV = np.diag([1e-4, 1e-4, 1e-4])
 V_COV_NO_VERTICAL = np.diag([1e-4, 1e-4, UNKNOWN_VAR])
 
@@ -310,7 +311,7 @@ def test_a_real_flight_is_carried_over_five_seconds_without_sightings():
         roll, pitch, yaw = np.radians([r["rotX_deg"], -r["rotY_deg"], -r["rotZ_deg"]])
         events += [
             (t, attitude(t, yaw, roll, pitch)),
-            (t, imu(t, dr.GRAVITY_M_S2 * np.array([r["ax_g"], -r["ay_g"], -r["az_g"]]))),
+            (t, imu(t, G_M_S2 * np.array([r["ax_g"], -r["ay_g"], -r["az_g"]]))),
             (t, velocity(t, [r["vx_mm_s"] / 1e3, -r["vy_mm_s"] / 1e3, 0.0], np.diag([2.5e-3, 2.5e-3, UNKNOWN_VAR]))),
         ]
     rng = np.random.default_rng(0)

@@ -10,10 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.camera.exposure_drive import ExposureDrive
-from drivers.camera.exposure_governor import ExposureGovernor
+from drivers.camera.exposure_governor import ExposureGovernor, meter_inside
 from drivers.camera.exposure_law import TARGET, ExposureSetting, Metered
 from drivers.camera.exposure_options import ExposureOptions
-from drivers.camera.metering import meter_inside
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp

@@ -22,10 +22,12 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import (
     KINDS,
+    STREAMS,
     FlowBlind,
     FramesFrozen,
     FramesMisstamped,
     FramesShifted,
+    FrameStream,
     LensCovered,
     LinkLost,
     LowBattery,
@@ -44,13 +46,13 @@ from sitl.faults.sensors import (
     Ultrasound,
     VelocityReading,
 )
-from sitl.faults.streams import STREAMS, FrameStream
 from sitl.faults.timer import FaultTimer
 from sitl.flight.flight import Flight
 from sitl.flight.safety import Grade
-from sitl.scenario.scenario import Scenario, Sea, Start, VesselSettings, WindSettings
+from sitl.scenario.scenario import Scenario, Sea, Start, WindSettings
 from sitl.sensors.sensors import Readings
 from sitl.vehicle.vehicle import VehiclePhase
+from sitl.vessel.file import VesselSettings
 from sitl.world.world import Stick, World
 
 CALM = Scenario(
@@ -327,7 +329,7 @@ def test_a_refusal_says_what_guidance_said_and_what_became_of_the_frames(monkeyp
     pilot = flight._pilot
 
     def gives_up(now: MonoNs) -> Decision:
-        pilot._mission = replace(pilot._mission, state=State.GAVE_UP)
+        pilot.landing.mission = replace(pilot.landing.mission, state=State.GAVE_UP)
         return Decision(now, "gave up", Hover(), None, (), "the pad was not found again")
 
     monkeypatch.setattr(pilot, "decide", gives_up)

@@ -14,8 +14,7 @@ from companion.settings.load import load
 from estimator.contracts.commands import Land, Lean, Velocity
 from estimator.contracts.estimates import Verdict
 from sitl.camera.render_worker import render_worker
-from sitl.faults.kinds import KINDS, LensCovered
-from sitl.faults.streams import STREAMS
+from sitl.faults.kinds import KINDS, STREAMS, LensCovered
 from sitl.flight.flight import Flight
 from sitl.flight.grader import FlightResult
 from sitl.perception.levels import perceive

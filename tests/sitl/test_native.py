@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from estimator.core.library import Door
 from sitl.core import abi
-from sitl.core.abi import PAD_EDGE
+from sitl.core.abi import PAD_EDGE, PAD_PAINTS
 from sitl.core.library import SIM
-from sitl.native import address
 from supply import core
 
 H, W, TAPS = 10, 24, np.array([40000, 12000, 768], np.uint16)
@@ -27,52 +26,60 @@ def deck(library: Door, rng: np.random.Generator) -> NDArray[Any]:
     texels = rng.integers(0, 65536, (32, 40, 4)).astype(np.uint16)
     mask = rng.integers(0, 256, (H, W)).astype(np.uint8)
     scene = rng.integers(0, 65536, (H, W, 4)).astype(np.uint16)
-    numbers = (W, 0, W, 0, H, cells.ctypes.data, cells.shape[1], texels.ctypes.data, *texels.shape[:2])
-    library.function("render_deck")(*numbers, mask.ctypes.data, scene.ctypes.data)
+    part, drawn = library.new("sim_frame_part", w=W, x1=W, y1=H), library.new("sim_drawing", texels=texels, h=32, w=40)
+    where = library.new("sim_plane_cells", at=cells, columns=cells.shape[1])
+    library.lib.sim_render_deck(part, where, drawn, library.array("uint8_t", mask), library.array("uint16_t", scene))
     return scene
 
 
+def lit(library: Door, rng: np.random.Generator) -> Any:
+    """Return a scene in a light with a pad's paints and edges on it."""
+    kinds, edges = (
+        rng.integers(0, PAD_PAINTS, (H, W)).astype(np.uint8),
+        np.sort(rng.choice(H * W, 40, replace=False)).astype(np.int32),
+    )
+    kinds.flat[edges] = PAD_EDGE
+    return library.new(
+        "sim_lit_scene", h=H, w=W, edges=len(edges), where=edges, kinds=kinds,
+        scene=rng.integers(0, 65536, (H, W, 4)).astype(np.uint16), gain=rng.integers(0, 16385, (H, W)).astype(np.int16),
+        exposure=np.array([0.3, 0.9, 3.0, 0.0], np.float32), pad_scene=rng.integers(0, 65536, (PAD_PAINTS, 4)).astype(np.uint16),
+        shares=rng.dirichlet(np.ones(PAD_PAINTS), len(edges)).astype(np.float32),
+    )  # fmt: skip
+
+
 def exposed(library: Door, rng: np.random.Generator) -> NDArray[Any]:
-    scene = rng.integers(0, 65536, (H, W, 4)).astype(np.uint16)
-    kinds, gain = rng.integers(0, 5, (H, W)).astype(np.uint8), rng.integers(0, 32768, (H, W)).astype(np.int16)
-    exposure, paints = np.array([0.2, 0.9, 3.0, 0.0], np.float32), rng.integers(0, 65536, (5, 4)).astype(np.uint16)
     light = np.zeros(H * W * 3, np.int16)
-    arrays = (scene, kinds, gain, exposure, paints, light)
-    library.function("render_expose")(H * W, *(array.ctypes.data for array in arrays))
+    library.lib.sim_render_expose(lit(library, rng), library.array("int16_t", light))
     return light
 
 
 def imaged(library: Door, rng: np.random.Generator) -> NDArray[Any]:
-    """A frame by `render_image`, which the frame of the light by `render_expose` equals."""
-    scene, gain = rng.integers(0, 65536, (H, W, 4)).astype(np.uint16), rng.integers(0, 16385, (H, W)).astype(np.int16)
-    kinds, exposure = (
-        np.where(rng.random((H, W)) < 0.5, 0, rng.integers(0, 5, (H, W))).astype(np.uint8),
-        np.array([0.3, 0.7, 1.5, 0]),
-    )
-    edges = np.sort(rng.choice(H * W, 40, replace=False)).astype(np.int32)
-    kinds.flat[edges] = PAD_EDGE
-    shares = rng.dirichlet(np.ones(5), len(edges)).astype(np.float32)
-    exposure = exposure.astype(np.float32)
-    paints, noise = rng.integers(0, 65536, (5, 4)).astype(np.uint16), rng.integers(0, 32, (H, W, 3)).astype(np.uint8)
-    codes, scratch = rng.integers(0, 256, 65536).astype(np.uint8), np.zeros(20 * 3 * W, np.uint16)
-    light, frame, again = np.zeros(H * W * 3, np.int16), np.zeros((H, W, 3), np.uint8), np.zeros((H, W, 3), np.uint8)
-    window, added = np.array([3, 2, 20, 5], np.int32), rng.integers(-400, 400, (5, 3, 20)).astype(np.int16)
-    seen = [array.ctypes.data for array in (scene, kinds, gain, exposure, paints)]
-    mixed = [len(edges), edges.ctypes.data, shares.ctypes.data]
-    lens = [2, *(array.ctypes.data for array in (TAPS, window, added, noise, codes, scratch))]
-    library.function("render_image")(H, W, *seen, *mixed, *lens, frame.ctypes.data)
-    library.function("render_expose")(H * W, *seen, light.ctypes.data)
-    library.function("render_mix")(*mixed, seen[0], *seen[2:], light.ctypes.data)
-    library.function("render_frame")(H, W, light.ctypes.data, *lens, again.ctypes.data)
+    """A frame by `sim_render_image`, which the frame of the light by `sim_render_expose` equals."""
+    seen, light = lit(library, rng), library.array("int16_t", np.zeros(H * W * 3, np.int16))
+    blur = library.new(
+        "sim_lens_blur", radius=2, numbers=20 * 3 * W, taps=TAPS, scratch=np.zeros(20 * 3 * W, np.uint16),
+        window=np.array([3, 2, 20, 5], np.int32), added=rng.integers(-400, 400, (5, 3, 20)).astype(np.int16),
+    )  # fmt: skip
+    noise, codes = rng.integers(0, 32, (H, W, 3)).astype(np.uint8), rng.integers(0, 256, 65536).astype(np.uint8)
+    tone = library.new("sim_sensor_tone", noise=noise, codes=codes)
+    frame, again = np.zeros((H, W, 3), np.uint8), np.zeros((H, W, 3), np.uint8)
+    assert library.lib.sim_render_image(seen, blur, tone, library.array("uint8_t", frame)) == 0
+    library.lib.sim_render_expose(seen, light)
+    library.lib.sim_render_mix(seen, light)
+    assert library.lib.sim_render_frame(H, W, light, blur, tone, library.array("uint8_t", again)) == 0
     assert np.array_equal(frame, again)
+    blur.numbers = 3 * W
+    assert library.lib.sim_render_image(seen, blur, tone, library.array("uint8_t", frame)) == -1
     return frame
 
 
 def smeared(library: Door, rng: np.random.Generator) -> NDArray[Any]:
     scene, out = rng.integers(0, 65000, (H, W, 4)).astype(np.uint16), np.zeros((2, H, W, 4), np.uint16)
     shifts, weights = np.array([(-2, 1), (0, 0), (2, -1)], np.int32), np.array([20000, 25000, 20000], np.uint16)
-    library.function("render_smear")(H, W, scene.ctypes.data, 3, shifts.ctypes.data, weights.ctypes.data, out[0].ctypes.data)
-    library.function("render_average")(H, W, scene.ctypes.data, shifts.ctypes.data, out[1].ctypes.data)
+    weighed = library.array("int32_t", shifts), library.array("uint16_t", weights)
+    seen, (first, second) = library.array("uint16_t", scene), (library.array("uint16_t", each) for each in out)
+    library.lib.sim_render_smear(H, W, seen, 3, *weighed, first)
+    library.lib.sim_render_average(H, W, seen, weighed[0], second)
     return out
 
 
@@ -90,14 +97,3 @@ def test_a_machine_without_vector_instructions_renders_the_same_bits(
     here, there = step(SIM, np.random.default_rng(5)), step(one_by_one, np.random.default_rng(5))
     assert np.array_equal(here, there)
     assert np.ptp(here) > 100
-
-
-def test_an_array_that_the_renderer_would_misread_is_refused() -> None:
-    assert address(None, np.uint8) == 0
-    assert address(np.zeros((4, 2), np.uint8), np.uint8, (4, 2)) != 0
-    with pytest.raises(TypeError, match="uint8"):
-        address(np.zeros(3, np.int16), np.uint8)
-    with pytest.raises(TypeError, match=r"shape \(4, 2\)"):
-        address(np.zeros((2, 4), np.uint8), np.uint8, (4, 2))
-    with pytest.raises(TypeError, match="contiguous"):
-        address(np.zeros((4, 4), np.uint8)[:, ::2], np.uint8)

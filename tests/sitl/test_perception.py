@@ -26,11 +26,10 @@ from sitl.faults.kinds import KINDS
 from sitl.flight.flight import Flight
 from sitl.flight.grader import FlightResult
 from sitl.flight.one_flight import settings_for
-from sitl.perception import detection_samples as samples_module
 from sitl.perception import parameters
+from sitl.perception import recorded as samples_module
 from sitl.perception.draw import Chance, DetectionTable, root_of, symmetric
-from sitl.perception.estimates import Errors, fit_estimates
-from sitl.perception.fit import Source, fit_detections
+from sitl.perception.fit import Errors, Source, fit_detections, fit_estimates
 from sitl.perception.levels import perceive, represents
 from sitl.perception.model import KEPT_SCENES, Scenes, _turned
 from sitl.perception.port import LEVELS, Level

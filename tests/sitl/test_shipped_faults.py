@@ -14,11 +14,8 @@ from companion.settings.load import load as load_settings
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.camera.camera import Exposure
 from sitl.faults.fault import Fault
-from sitl.faults.kinds import KINDS, ServiceKilled
-from sitl.faults.operator import OperatorActs
+from sitl.faults.kinds import KINDS, STREAMS, OperatorActs, ServiceKilled, VesselReports
 from sitl.faults.picture import PictureFault
-from sitl.faults.reports import VesselReports
-from sitl.faults.streams import STREAMS
 from sitl.flight.flight import Flight
 from sitl.flight.safety import Grade, grade
 from sitl.perception.levels import perceive

@@ -15,8 +15,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
 from sitl.faults.faulty_streams import FaultyStream, InTransit
-from sitl.faults.kinds import LinkLost
-from sitl.faults.streams import KIND_OF_STREAM, STREAMS, CommandStream, FrameStream, NavdataStream, StreamFault
+from sitl.faults.kinds import KIND_OF_STREAM, STREAMS, CommandStream, FrameStream, LinkLost, NavdataStream, StreamFault
 from sitl.faults.timer import FaultTimer
 from tests.sitl.test_faults import at, flown, world
 

@@ -12,9 +12,10 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import VesselReport
 from estimator.contracts.time import after
 from sitl.faults.fault import Fault
-from sitl.faults.reports import VesselReports
+from sitl.faults.kinds import VesselReports
 from sitl.flight.vessel_reports import VesselReporter
-from sitl.scenario.scenario import VesselSettings, from_mapping
+from sitl.scenario.scenario import from_mapping
+from sitl.vessel.file import VesselSettings
 from sitl.world.world import World
 from tests.sitl.test_faults import CALM
 

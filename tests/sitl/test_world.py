@@ -16,10 +16,11 @@ from sitl.emulators.ardrone.truth_log import record
 from sitl.faults.kinds import KINDS, Gust, WeakRotor
 from sitl.faults.sensors import Magnetometer, Ultrasound
 from sitl.flight.safety import outside_commit
-from sitl.scenario.scenario import Scenario, Sea, Start, VesselSettings, WindSettings, load
+from sitl.scenario.scenario import Scenario, Sea, Start, WindSettings, load
 from sitl.sensors.sensors import Readings
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.vehicle import VehiclePhase
+from sitl.vessel.file import VesselSettings
 from sitl.world.truth import RenderedFrame, Truth
 from sitl.world.world import Stick, World
 

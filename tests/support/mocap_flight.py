@@ -19,6 +19,7 @@ import numpy as np
 from estimator import ekf
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation, skew, wrap_pi
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu, Range
 from estimator.contracts.time import MonoNs, Stamp
 
@@ -29,7 +30,6 @@ SIGMA_YAW_RAD = math.radians(1.0)
 DELAY_S = 0.15
 COV_ATTITUDE = np.radians(np.diag([0.5, 0.5, 2.0])) ** 2
 CALM_S = (17.0, 34.0)
-G_M_S2 = 9.80665
 FLYING_S = (15.0, 46.0)
 Event = Imu | Attitude | BodyVelocity | Range | Sighting
 

@@ -11,8 +11,8 @@ from typing import Any
 from drivers.camera import v4l2_kernel as kernel
 from drivers.camera.exposure_options import ExposureOptions
 from drivers.camera.options import CameraOptions, Size
+from drivers.camera.v4l2 import cameras
 from drivers.camera.v4l2_device import KernelDevice
-from drivers.camera.v4l2_names import cameras
 from drivers.camera.video_source import open_camera
 from drivers.clock import SystemClock
 from estimator.contracts.errors import DecklanderError

@@ -16,12 +16,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.exposure_governor import ExposureGovernor
+from drivers.camera.exposure_governor import ExposureGovernor, meter_inside
 from drivers.camera.exposure_options import ExposureOptions
-from drivers.camera.metering import meter_inside
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import VideoSource
-from drivers.camera.v4l2_names import cameras
+from drivers.camera.v4l2 import cameras
 from drivers.camera.video_source import open_camera
 from drivers.clock import SystemClock
 from estimator.contracts.errors import DecklanderError

@@ -19,11 +19,11 @@ from typing import TypeAlias
 from companion.parts.mavlink.bridge import Send
 from companion.parts.mavlink.commands import ACCEPTED, UNSUPPORTED, Offered
 from companion.settings.video import VideoStreamOptions
-from drivers.beside import running_beside
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
+from drivers.running_beside import running_beside
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs
 from estimator.vision.camera import Camera

@@ -5,7 +5,7 @@
 | NAV_LAND (21) | start the landing; IN_PROGRESS with percent until it ends |
 | DO_PAUSE_CONTINUE (193) | param1 0: hover where it is; 1: go on |
 | DO_GO_AROUND (191) | call the landing off and hover |
-| USER_1 (31010) | param1: estimator path, 0 median_mean, 1 dead_reckoning, 2 ekf |
+| USER_1 (31010) | param1: estimator path, 0 median_mean, 1 dead_reckoning, 2 ekf, 3 constant_velocity |
 | LOGGING_START (2510), LOGGING_STOP (2511) | start or stop a recording |
 | REQUEST_MESSAGE (512), SET_MESSAGE_INTERVAL (511), GET_MESSAGE_INTERVAL (510) | of our own messages |
 

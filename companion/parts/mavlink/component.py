@@ -33,13 +33,13 @@ from companion.parts.mavlink.refusals import Refusals
 from companion.parts.mavlink.status_texts import MavSeverity, StatusTexts
 from companion.parts.mavlink.target_track import TargetTrack
 from companion.settings.mavlink import OutputOptions
-from drivers.beside import running_beside
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
 from drivers.mavlink.links import Links, ReceivedMessage
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Condition, Stack
+from drivers.running_beside import running_beside
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Sample

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from estimator.contracts.estimates import PathName
 
-PATHS: tuple[PathName, ...] = ("median_mean", "dead_reckoning", "ekf")
+PATHS: tuple[PathName, ...] = ("median_mean", "dead_reckoning", "ekf", "constant_velocity")
 """Estimator paths by the number that a command carries."""
 
 

@@ -167,15 +167,15 @@ class Replay:
             frame = _black(recorded)
         elif (refused := self._pilot.admit(replace(frame, stamp=stamp))) is not None:
             verdict = refused
-        elif attitude is not None and held is None and self._pilot.gimballed:
+        elif attitude is not None and held is None and self._pilot.search.gimballed:
             verdict = Verdict.NO_GIMBAL
         elif attitude is not None:
             self.counts.searched += 1
             detection = self._pilot.detect(replace(frame, stamp=stamp), attitude, held)
             verdict, results = self._pilot.on_detection(detection)
-        self._pilot.on_verdict(verdict)
+        self._pilot.landing.on_verdict(verdict)
         seen = replace(frame, stamp=stamp)
-        camera = self._pilot.camera_held(held)
+        camera = self._pilot.search.camera_held(held)
         processed = ProcessedFrame(seen, attitude, detection, verdict, began, done, results, recorded.times, camera)
         self._hash.update(self._encoder.encode(encode.detection(processed)))
         for observer in self._observers:

@@ -20,12 +20,12 @@ from estimator.options import EstimatorOptions
 
 
 def available_paths() -> tuple[PathName, ...]:
-    """Return the paths that the estimator can run."""
+    """Return the paths that the estimator can run: all but those that need a library that is not installed."""
     found: list[PathName] = []
     for name in get_args(PathName):
         try:
             pipeline.start(EstimatorOptions(path=name))
-        except ValueError:
+        except BadInput:
             continue
         found.append(name)
     return tuple(found)
@@ -55,14 +55,10 @@ def pilot_of(recording: Recording, settings: Settings, path: PathName | None, *,
         own_camera: use the camera and the pad of the recording instead of those that the settings name.
 
     Raises:
-        BadInput: a camera or pad file is missing or has a fault, or there is no such path.
+        BadInput: a camera or pad file is missing or has a fault, or the path needs a library that is not installed.
     """
-    paths = available_paths()
     steering = path or settings.estimator.path
-    if steering not in paths:
-        raise BadInput(f"--path {steering}: there are {', '.join(paths)}")
-    shadows = [] if alone else [p for p in paths if p != steering]
-    # The path bypasses the settings' own check, so that paths that the settings do not offer can be compared.
+    shadows = [] if alone else [p for p in available_paths() if p != steering]
     estimator = msgspec.structs.replace(settings.estimator, path=steering)
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         if own_camera and CAMERA in recording.attachments and PAD in recording.attachments:

@@ -1,3 +1,5 @@
+/* Decode UVLC pictures: bits to coefficients, blocks and pixels. */
+
 #include "video/uvlc.h"
 #include "video/uvlc_bits.h"
 

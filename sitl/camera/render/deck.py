@@ -16,7 +16,7 @@ from sitl.camera.projection import F32, SHIFT, Lens, fixed_point
 from sitl.camera.render.textures import grain
 from sitl.camera.surroundings import Deck, draw_deck
 from sitl.core.abi import SCENE_ONE
-from sitl.native import address, render_bounds, render_deck, render_fill, render_shadow
+from sitl.core.library import SIM
 
 U8 = NDArray[np.uint8]
 
@@ -124,11 +124,12 @@ class DeckPainter:
         image, texel_from_deck = drawing.levels[level]
         cells = self._lens.cells(texel_from_deck.dot(deck_from_ray))
         rows, columns = part
-        render_deck(
-            scene.shape[1], columns.start, columns.stop, rows.start, rows.stop,
-            address(cells, np.float32), cells.shape[1], address(image, np.uint16), *image.shape[:2],
-            address(mask, np.uint8, scene.shape[:2]), address(scene, np.uint16),
-        )  # fmt: skip
+        h, w = scene.shape[:2]
+        place = SIM.new("sim_frame_part", w=w, x0=columns.start, x1=columns.stop, y0=rows.start, y1=rows.stop)
+        where = SIM.new("sim_plane_cells", at=cells, columns=cells.shape[1])
+        drawn = SIM.new("sim_drawing", texels=image, h=image.shape[0], w=image.shape[1])
+        covered = SIM.ffi.NULL if mask is None else SIM.array("uint8_t", mask, h * w)
+        SIM.lib.sim_render_deck(place, where, drawn, covered, SIM.array("uint16_t", scene, 4 * h * w))
 
     def _near(self, deck_from_ray: F64) -> bool:
         """Whether all of the frame shows the pad's surroundings."""
@@ -164,14 +165,13 @@ def bounds(mask: U8) -> tuple[Part, Part]:
     A part without pixels ends at zero.
     """
     found = np.empty((2, 4), np.int32)
-    at = address(found, np.int32)
-    render_bounds(*mask.shape, address(mask, np.uint8), at, at + 16)
+    SIM.lib.sim_render_bounds(*mask.shape, SIM.array("uint8_t", mask), *(SIM.array("int32_t", each) for each in found))
     covered, around = ((slice(y0, y1), slice(x0, x1)) for x0, x1, y0, y1 in found.tolist())
     return covered, around
 
 
-_DRONE: F32 = np.array([0.14, 0.115, 0.20, 0.05], np.float32)
-"""The drone's shape, m: the rotors' place along and across, their guards' radius, half the hull's length and width."""
+_DRONE = {"rotor_at_m": 0.14, "rotor_radius_m": 0.115, "half_length_m": 0.20, "half_width_m": 0.05}
+"""The drone's shape."""
 
 
 def drone_shadow(
@@ -179,8 +179,7 @@ def drone_shadow(
     lens: Lens,
     pad_from_ray: F64,
     cam_from_pad: tuple[F64, F64],
-    R_pad_body: F64,
-    p_body_pad: F64,
+    pad_from_body: tuple[F64, F64],
     to_sun_pad: F64,
     share: float,
     mask: U8 | None,
@@ -192,9 +191,11 @@ def drone_shadow(
 
     Args:
         cam_from_pad: rotation (3, 3) of the pad and its centre (3,) m in `cam`.
+        pad_from_body: the same of the body in `pad`.
         share: of the light, that is missing in the full shadow.
         mask: how much of each pixel, (H, W) 0..255, can be in shadow; None for all.
     """
+    R_pad_body, p_body_pad = pad_from_body
     if to_sun_pad[2] > -0.05 or p_body_pad[2] > -0.01:
         return None
     # A point of the body's plane falls onto the pad's plane along the sun.
@@ -211,11 +212,10 @@ def drone_shadow(
     cells = lens.cells(body_from_pad.dot(pad_from_ray), 8.0)
     # A smooth step has the deviation of a Gaussian edge if it is so much wider.
     soft_m = math.sqrt(20.0) * sigma_px * depth_m / lens.camera.fx
-    part = np.empty(4, np.int32)
-    render_shadow(
-        *gain.shape, address(cells, np.float32), cells.shape[1], address(_DRONE, np.float32), soft_m, share,
-        address(mask, np.uint8, gain.shape), address(gain, np.int16), address(part, np.int32),
-    )  # fmt: skip
+    part, shade = np.empty(4, np.int32), SIM.new("sim_drone_shade", **_DRONE, soft_m=soft_m, share=share)
+    covered = SIM.ffi.NULL if mask is None else SIM.array("uint8_t", mask, gain.size)
+    where = SIM.new("sim_plane_cells", at=cells, columns=cells.shape[1])
+    SIM.lib.sim_render_shadow(*gain.shape, where, shade, covered, SIM.array("int16_t", gain), SIM.array("int32_t", part))
     x0, x1, y0, y1 = part.tolist()
     return slice(y0, y1), slice(x0, x1)
 
@@ -280,4 +280,5 @@ def draw(scene: U16, lens: Lens, points_cam: F64, colour: U16) -> None:
         return
     mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
     cv2.fillPoly(mask, [fixed_point(uv - (x0, y0))], 255, cv2.LINE_AA, SHIFT)
-    render_fill(w, x0, x1, y0, y1, address(mask, np.uint8), address(colour, np.uint16, (4,)), address(scene, np.uint16))
+    place = SIM.new("sim_frame_part", w=w, x0=x0, x1=x1, y0=y0, y1=y1)
+    SIM.lib.sim_render_fill(place, SIM.array("uint8_t", mask), SIM.array("uint16_t", colour, 4), SIM.array("uint16_t", scene))

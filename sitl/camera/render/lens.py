@@ -15,7 +15,7 @@ from sitl.camera.light import I16, U16
 from sitl.camera.projection import F32, Lens
 from sitl.camera.render.pad import Pose, in_row, pad_from_ray
 from sitl.core.abi import CELL_PX, GAIN_ONE
-from sitl.native import address, render_average, render_deck, render_smear
+from sitl.core.library import SIM
 
 
 def smear(scene: U16, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64, F64]]) -> U16:
@@ -38,22 +38,16 @@ def smear(scene: U16, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64,
     shifts, taps = _smear_taps(way - np.sum(steps, axis=0, initial=0.0))
     h, w = scene.shape[:2]
     smeared = np.empty_like(scene)
-    render_smear(
-        h,
-        w,
-        address(scene, np.uint16),
-        len(taps),
-        address(shifts, np.int32),
-        address(taps, np.uint16),
-        address(smeared, np.uint16),
-    )
+    weights = SIM.array("int32_t", shifts, 2 * len(taps)), SIM.array("uint16_t", taps)
+    SIM.lib.sim_render_smear(h, w, SIM.array("uint16_t", scene), len(taps), *weights, SIM.array("uint16_t", smeared))
     spare = np.empty_like(scene) if doublings else smeared
     off = np.zeros(2)
     for apart in steps:
         first = np.round(-apart / 2 - off)
         off += first + apart / 2
         pair = np.concatenate([first, first + apart]).astype(np.int32)
-        render_average(h, w, address(smeared, np.uint16), address(pair, np.int32), address(spare, np.uint16))
+        both = SIM.array("uint16_t", smeared), SIM.array("int32_t", pair, 4)
+        SIM.lib.sim_render_average(h, w, *both, SIM.array("uint16_t", spare))
         smeared, spare = spare, smeared
     return smeared
 
@@ -122,8 +116,9 @@ def moved_scene(scene: U16, cells: F32) -> U16:
     """Return a scene (H, W, 4) as the rows of a rolling shutter see it; `cells` are the result of `row_map`."""
     h, w = scene.shape[:2]
     seen = np.empty_like(scene)
-    out = address(seen, np.uint16)
-    render_deck(w, 0, w, 0, h, address(cells, np.float32), cells.shape[1], address(scene, np.uint16), h, w, 0, out)
+    whole, drawn = SIM.new("sim_frame_part", w=w, x1=w, y1=h), SIM.new("sim_drawing", texels=scene, h=h, w=w)
+    where = SIM.new("sim_plane_cells", at=cells, columns=cells.shape[1])
+    SIM.lib.sim_render_deck(whole, where, drawn, SIM.ffi.NULL, SIM.array("uint16_t", seen))
     return seen
 
 

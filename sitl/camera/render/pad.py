@@ -29,7 +29,7 @@ from estimator.vision.regions import (
 from sitl.camera.light import PadInImage
 from sitl.camera.projection import F32, Lens, planes_from_rays
 from sitl.core.abi import PAD_ANNULUS, PAD_ARROW, PAD_PAINTS, PAD_POLYGON, PAD_RECTANGLE, PAD_REGION, STROKE_NUMBERS
-from sitl.native import address, render_pad_kinds, render_pad_shares
+from sitl.core.library import SIM
 
 _BUDGET = 16_000
 """Aim for the number of subsamples of a frame: 3 x 3 a pixel at 5 m, 5 x 5 at 20 m, 8 x 8 at 30 m, one from near by."""
@@ -76,9 +76,10 @@ class PadPainter:
         # Room for a frame's pad: asking for its memory each time costs as much as filling it.
         self._edges = np.empty(lens.camera.height * lens.camera.width, np.int32)
         self._kinds = np.empty((lens.camera.height, lens.camera.width), np.uint8)
-        self._drawn = len(self._regions), address(self._regions, np.float32)
-        rays, change = address(lens.rays, np.float32), address(self._change, np.float32)
-        self._seen = lens.camera.height, lens.camera.width, rays, change, int(lens.camera.distorted)
+        self._view = SIM.new(
+            "sim_pad_view", h=lens.camera.height, w=lens.camera.width, bent=lens.camera.distorted, regions=len(self._regions),
+            rays=lens.rays, change=self._change, middles=lens.coarse, pad=self._regions,
+        )  # fmt: skip
 
     def place(self, strokes: Sequence[Stroke]) -> PadInImage | None:
         """Return the pad during the exposure.
@@ -92,13 +93,13 @@ class PadPainter:
         strokes = [stroke for stroke in strokes if stroke.in_front]
         if not strokes:
             return None
-        rolling, drawn, seen = strokes[0].rows is not None, self._drawn, self._seen
+        view = self._view
+        view.rolling = strokes[0].rows is not None
         middle = strokes[len(strokes) // 2]
         whole = _numbers([Stroke(strokes[0].first, middle.middle, strokes[-1].last, middle.rows)])
         kinds, edges = self._kinds, self._edges
-        where = address(edges, np.int32)
-        division = address(self._lens.coarse, np.float32), address(whole, np.float32), int(rolling)
-        count = render_pad_kinds(*seen, *division, *drawn, address(kinds, np.uint8), where)
+        where = SIM.array("int32_t", edges)
+        count = SIM.lib.sim_render_pad_kinds(view, SIM.array("float", whole, STROKE_NUMBERS), SIM.array("uint8_t", kinds), where)
         shares, fine, parts = np.empty((count, PAD_PAINTS), np.float32), 1, None
         if count:
             samples = _BUDGET / (count * len(strokes))
@@ -106,9 +107,9 @@ class PadPainter:
             numbers = _numbers(strokes) if len(strokes) > 1 else whole
             if fine > 1:
                 parts = np.empty((count, PAD_PAINTS, fine * fine), np.float32)
-            exposed = len(strokes), address(numbers, np.float32), int(rolling)
-            room = address(shares, np.float32), address(parts, np.float32)
-            render_pad_shares(*seen, *exposed, *drawn, fine, count, where, *room)
+            each = SIM.array("float", shares), SIM.ffi.NULL if parts is None else SIM.array("float", parts)
+            exposed = SIM.array("float", numbers, len(strokes) * STROKE_NUMBERS)
+            SIM.lib.sim_render_pad_shares(view, len(strokes), exposed, fine, count, where, *each)
         return PadInImage(kinds, edges[:count], shares, fine, parts)
 
     def travel_px(self, first: Pose, last: Pose) -> F64:

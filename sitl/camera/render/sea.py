@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +14,7 @@ from sitl.camera.light import U16, Light, scene_of
 from sitl.camera.projection import F32, Lens
 from sitl.camera.render.textures import foam, ripples
 from sitl.camera.surroundings import Surroundings
-from sitl.core.abi import SEA_OUTLINES, SEA_WEIGHTS
-from sitl.native import address, render_sea, render_swell, render_water
+from sitl.core.library import SIM
 
 U8 = NDArray[np.uint8]
 
@@ -36,7 +37,7 @@ class SeaPainter:
         self._lens, self._around = lens, surroundings
         waves = surroundings.waves
         swell = waves.longest(24) if waves is not None and float(waves.hs_m[0]) > 0 else None
-        self._swell = swell.packed() if swell is not None else np.empty((0, 5))
+        self._swell = swell.packed() if swell is not None else np.empty(0, SIM.dtype("sim_wave"))
         hs = 0.0 if waves is None else float(waves.hs_m[0])
         self._roughness = 0.55 + 0.45 * math.tanh(hs)
         self._whitecaps = 2.6 - 0.9 * math.tanh((hs - 0.6) / 2.0) if hs > 0.6 else math.inf
@@ -72,35 +73,29 @@ class SeaPainter:
         wind = 1.1 * t_s
         # Ripples of two sizes, whitecaps, and the streaks of foam beside the ship.
         layers = [
-            self._ripples.layer(footprint, 0.43, (-0.5 * wind, -0.35 * wind)),
-            self._ripples.layer(footprint, 1.9, (-0.3 * wind, -0.9 * wind)),
-            self._foam.layer(footprint, 1.0, (-0.4 * wind, -0.4 * wind)),
-            self._foam.layer(footprint, 0.25, (-0.2 * t_s, 0.1 * t_s)),
+            _layer(*self._ripples.layer(footprint, 0.43, (-0.5 * wind, -0.35 * wind))),
+            _layer(*self._ripples.layer(footprint, 1.9, (-0.3 * wind, -0.9 * wind))),
+            _layer(*self._foam.layer(footprint, 1.0, (-0.4 * wind, -0.4 * wind))),
+            _layer(*self._foam.layer(footprint, 0.25, (-0.2 * t_s, 0.1 * t_s))),
         ]
-        drift = np.array([where for _, where in layers])
-        sizes = np.array([len(texels) - 1 for texels, _ in layers], np.int32)
         breaking = math.isfinite(self._whitecaps)
-        weights = np.array(
-            [
+        sea = SIM.new(
+            "sim_sea_surface",
+            weights=(
                 0.6 * self._roughness, 0.8 * self._roughness, self._whitecaps if breaking else 0.0, 120.0 * breaking,
                 _SHADE, beside, behind,
-            ],
-            np.float32,
+            ),
+            slow=slow, outlines=outlines, outline_points=counts, soft_m=soft_m,
         )  # fmt: skip
-        codes = np.zeros((h, w), np.uint8)
-        render_sea(
-            *scene.shape[:2], address(mask, np.uint8, scene.shape[:2]),
-            cols.start // 2, cols.stop // 2, rows.start // 2, rows.stop // 2, address(cells, np.float32), cells.shape[1],
-            *(address(texels, np.int16) for texels, _ in layers), address(sizes, np.int32), address(drift, np.float64),
-            address(weights, np.float32, (SEA_WEIGHTS,)), address(slow, np.float32),
-            address(outlines, np.float64), address(counts, np.int32, (SEA_OUTLINES,)), address(soft_m, np.float32),
-            address(codes, np.uint8),
-        )  # fmt: skip
-        colours = address(self._table, np.uint16, (256, 4))
-        render_water(
-            scene.shape[1], cols.start, cols.stop, rows.start, rows.stop, address(codes, np.uint8), colours,
-            address(mask, np.uint8), address(scene, np.uint16),
-        )  # fmt: skip
+        sea.small, sea.large, sea.caps, sea.streaks = (layer[0] for layer in layers)
+        codes, (height, width) = np.zeros((h, w), np.uint8), scene.shape[:2]
+        covered = SIM.ffi.NULL if mask is None else SIM.array("uint8_t", mask, height * width)
+        coded, where = SIM.array("uint8_t", codes), SIM.new("sim_plane_cells", at=cells, columns=cells.shape[1])
+        squares = SIM.new("sim_frame_part", w=width, x0=cols.start // 2, x1=cols.stop // 2, y0=rows.start // 2, y1=rows.stop // 2)
+        SIM.lib.sim_render_sea(height, squares, where, sea, covered, coded)
+        pixels = SIM.new("sim_frame_part", w=width, x0=cols.start, x1=cols.stop, y0=rows.start, y1=rows.stop)
+        colours, painted = SIM.array("uint16_t", self._table, 256 * 4), SIM.array("uint16_t", scene, 4 * height * width)
+        SIM.lib.sim_render_water(pixels, coded, colours, covered, painted)
         below = lens.corner_rays @ R_ned_cam[2, :2] + R_ned_cam[2, 2]
         if below.min() < 0.02:
             down = lens.rays[rows, cols] @ R_ned_cam[2, :2].astype(np.float32) + np.float32(R_ned_cam[2, 2])
@@ -110,12 +105,18 @@ class SeaPainter:
         """Return brightness level and ripple contrast for every second cell of `Lens.coarse`, (R // 2 + 1, C // 2 + 1, 2)."""
         coarse, swell = self._lens.coarse, self._swell
         light = np.empty((coarse.shape[0] // 2 + 1, coarse.shape[1] // 2 + 1, 2), np.float32)
-        R, plane = np.ascontiguousarray(R_ned_cam), np.ascontiguousarray(inverse)
-        render_swell(
-            *coarse.shape[:2], address(coarse, np.float32), address(R, np.float64), address(plane, np.float64),
-            address(self._to_sun, np.float64), t_s, len(swell), address(swell, np.float64), address(light, np.float32),
+        under = SIM.new(
+            "sim_swell", R_ned_cam=R_ned_cam, plane_from_ray=inverse, to_sun=self._to_sun, t_s=t_s,
+            waves=swell, harmonics=len(swell),
         )  # fmt: skip
+        SIM.lib.sim_render_swell(*coarse.shape[:2], SIM.array("float", coarse), under, SIM.array("float", light))
         return light
+
+
+def _layer(texels: NDArray[np.int16], drift: Sequence[float]) -> Any:
+    """Return a texture for the core; its texels have the first row and column repeated."""
+    per_m, shift_x, shift_y = drift
+    return SIM.new("sim_sea_layer", texels=texels, n=len(texels) - 1, per_m=per_m, shift_x=shift_x, shift_y=shift_y)
 
 
 def _on_water(ship: list[F64], footprint_m: float) -> tuple[F64, NDArray[np.int32], F32]:

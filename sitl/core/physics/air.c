@@ -13,7 +13,7 @@ static const double DEFICIT_MAX = 0.9;
 static const double WAKE_TURBULENCE = 0.32;
 
 /* Source: logarithmic profile of neutral air, U = U10 ln(h / z0) / ln(10 / z0), as in DNV-RP-C205 (2010), 2.3.2.4. */
-static double mean_wind(const air_params *o, double height)
+static double mean_wind(const sim_air_params *o, double height)
 {
     if (!o->logarithmic) {
         return o->speed_m_s;
@@ -40,7 +40,7 @@ static double shaped(const double state[2])
  * Source: MIL-F-8785C, 3.7.1.2 and 3.7.3.4 (low altitude): sigma_w = 0.1 W20, sigma_u = sigma_w / (0.177 + 0.000823 h)^0.4,
  * L_w = h, L_u = h / (0.177 + 0.000823 h)^1.2 in feet, from 10 to 1000 ft. Spectra: along, first order; across and vertical,
  * (1 + sqrt(3) T s) / (1 + T s)^2, T being length over airspeed. */
-static void dryden(const air_params *o, double dt, vehicle *v, double mean, double height, const double noise[FLIGHT_NOISE],
+static void dryden(const sim_air_params *o, double dt, sim_vehicle *v, double mean, double height, const double noise[FLIGHT_NOISE],
                    double turbulence[3])
 {
     const double h = clip(height / FOOT_M, 10.0, 1000.0), term = 0.177 + 0.000823 * h;
@@ -70,7 +70,7 @@ static double rises(double x)
  * Aerodyn. 8 (1981), in the form of the European Wind Atlas (Troen & Petersen 1989), spread sideways as by Taylor & Salmon,
  * J. Appl. Meteorology 32 (1993), for obstacles of finite width. The spread sideways of a tenth of the distance and the limit of
  * the near wake are assumed. */
-static double wake_deficit(const air_params *o, const relative *r, double ahead, double aside, double speed)
+static double wake_deficit(const sim_air_params *o, const relative *r, double ahead, double aside, double speed)
 {
     const double cy = o->pad_yaw[0], sy = o->pad_yaw[1], ex = ahead / speed, ey = aside / speed;
     const double length = o->block_size[0], broad = o->block_size[1], h = o->block_size[2];
@@ -88,7 +88,7 @@ static double wake_deficit(const air_params *o, const relative *r, double ahead,
 
 /* The wind with what the superstructure takes from it and the eddies that it sheds: added turbulence of 0.32 of the deficit, that
  * of a plane self-preserving wake (Pope, Turbulent Flows, 2000, 5.4), in eddies of half the height. */
-static void wake(const air_params *o, double dt, vehicle *v, const deck *g, const relative *r, const double noise[FLIGHT_NOISE],
+static void wake(const sim_air_params *o, double dt, sim_vehicle *v, const sim_deck *g, const relative *r, const double noise[FLIGHT_NOISE],
                  double wind[3])
 {
     /* The ship's own velocity is that of the deck, smoothed: waves do not move the wake. */
@@ -112,7 +112,7 @@ static void wake(const air_params *o, double dt, vehicle *v, const deck *g, cons
 }
 
 /* The share of its speed that a gust has: "1 - cosine" up, some time at its full speed, and down again (MIL-F-8785C, 3.7.1.3). */
-static double gust_share(const gust *o, double t_s)
+static double gust_share(const sim_gust *o, double t_s)
 {
     const double x = t_s - o->at_s, whole = 2.0 * o->rise_s + o->hold_s;
     if (x <= 0.0 || x >= whole) {
@@ -122,7 +122,7 @@ static double gust_share(const gust *o, double t_s)
     return 0.5 * (1.0 - cos(acos(-1.0) * inside / o->rise_s));
 }
 
-void air_step(const air_params *o, double step_s, vehicle *v, const deck *g, const relative *r, double height,
+void air_step(const sim_air_params *o, double step_s, sim_vehicle *v, const sim_deck *g, const relative *r, double height,
               const double noise[FLIGHT_NOISE])
 {
     const double mean = mean_wind(o, height), c = o->along[0], s = o->along[1];

@@ -10,7 +10,7 @@ static const double AFLOAT_M = 0.06;
 /* Below this cosine of the tilt the upper corners may touch too. */
 static const double ON_ITS_SIDE = 0.7;
 
-void relative_to_deck(const deck *g, const double p[3], const double v[3], const double R[9], const double w[3], relative *r)
+void relative_to_deck(const sim_deck *g, const double p[3], const double v[3], const double R[9], const double w[3], relative *r)
 {
     const double to[3] = {p[0] - g->p[0], p[1] - g->p[1], p[2] - g->p[2]};
     const double past[3] = {v[0] - g->v[0], v[1] - g->v[1], v[2] - g->v[2]};
@@ -27,12 +27,12 @@ void relative_to_deck(const deck *g, const double p[3], const double v[3], const
 }
 
 /* Where the fore end of the deck is at a distance from its middle line, as a share of its half width. */
-static double fore_end(const vehicle_params *o, double share)
+static double fore_end(const sim_vehicle_params *o, double share)
 {
     return o->deck_taper_m > 0.0 ? o->deck_fore_m - o->deck_taper_m * pow(share * share, 1.1) : o->deck_fore_m;
 }
 
-int deck_holds(const vehicle_params *o, double x, double y)
+int deck_holds(const sim_vehicle_params *o, double x, double y)
 {
     const double along = o->deck_yaw[0] * x - o->deck_yaw[1] * y;
     const double across = o->deck_yaw[1] * x + o->deck_yaw[0] * y - o->deck_middle_m;
@@ -40,7 +40,7 @@ int deck_holds(const vehicle_params *o, double x, double y)
     return inside && along <= fore_end(o, across / o->deck_half_m);
 }
 
-double deck_coverage(const vehicle_params *o, double x, double y, double radius)
+double deck_coverage(const sim_vehicle_params *o, double x, double y, double radius)
 {
     const double along = o->deck_yaw[0] * x - o->deck_yaw[1] * y;
     const double across = o->deck_yaw[1] * x + o->deck_yaw[0] * y - o->deck_middle_m;
@@ -59,7 +59,7 @@ double deck_coverage(const vehicle_params *o, double x, double y, double radius)
  * along the deck. The friction would stop the foot within a few steps, but is at most the coefficient times the normal force: it
  * neither chatters nor depends on a made-up slip speed. It cannot hold a body still on a slope for ever, so the vehicle ties a
  * resting body to the deck. */
-int contact_force(const vehicle_params *o, const relative *r, double force[3], double torque[3])
+int contact_force(const sim_vehicle_params *o, const relative *r, double force[3], double torque[3])
 {
     const int corners = r->R[8] < ON_ITS_SIDE ? 8 : 4;
     int touching = 0;
@@ -91,7 +91,7 @@ int contact_force(const vehicle_params *o, const relative *r, double force[3], d
 }
 
 /* The vehicle is full of foam, so it is buoyant, and it is heavily damped. */
-void buoyancy(const vehicle_params *o, double depth, const double v[3], const double w[3], double sea_vz, double a[3],
+void buoyancy(const sim_vehicle_params *o, double depth, const double v[3], const double w[3], double sea_vz, double a[3],
               double torque[3])
 {
     const double up = clip(depth / AFLOAT_M, 0.0, 3.0) * GRAVITY_M_S2;

@@ -4,43 +4,47 @@
 
 #include "physics/physics.h"
 
-/* The height of the water's surface over mean water at a place, for waves that run over deep water. */
-static double elevation(int32_t harmonics, const wave *waves, const double p[3], double t_s)
+/* The height of the water's surface over mean water under the vehicle, for waves that run over deep water. */
+static double elevation(const sim_flight *f, double t_s)
 {
+    const double *p = f->vehicle->p;
     double sum = 0.0;
-    for (int32_t i = 0; i < harmonics; i++) {
-        const wave *h = &waves[i];
+    for (int64_t i = 0; i < f->harmonics; i++) {
+        const sim_wave *h = &f->waves[i];
         sum += h->amplitude_m * cos(p[0] * h->k[0] + p[1] * h->k[1] - h->w_rad_s * t_s + h->phase_rad);
     }
     return sum;
 }
 
 /* The water under the vehicle, for the next few steps. */
-static void meet_sea(const vehicle_params *o, const vehicle *v, water *sea, int32_t harmonics, const wave *waves)
+static void meet_sea(const sim_flight *f)
 {
-    const double t = (double)sea->tick * o->step_s, dt = (double)sea->every * o->step_s;
-    const double now = elevation(harmonics, waves, v->p, t);
+    sim_water *sea = f->water;
+    const double step_s = f->vehicle_params->step_s, t = (double)sea->tick * step_s, dt = (double)sea->every * step_s;
+    const double now = elevation(f, t);
     sea->z = -now;
-    sea->vz = -(elevation(harmonics, waves, v->p, t + dt) - now) / dt;
+    sea->vz = -(elevation(f, t + dt) - now) / dt;
 }
 
-int32_t sim_run(const vehicle_params *o, vehicle *v, const sensor_params *e, sensors *s, water *sea, int32_t harmonics,
-                const wave *waves, int32_t n, const deck *decks, const double *noise, const double *air_noise,
+int32_t sim_run(const sim_flight *f, int32_t n, const sim_deck *decks, const double *noise, const double *air_noise,
                 const double *sensor_noise)
 {
+    const sim_vehicle_params *o = f->vehicle_params;
+    sim_vehicle *v = f->vehicle;
+    sim_water *sea = f->water;
     if (sea->tick == 0) {
-        meet_sea(o, v, sea, harmonics, waves);
+        meet_sea(f);
     }
     for (int32_t i = 0; i < n; i++) {
         const double touched_s = v->touched_s;
         sea->tick++;
         const int64_t since = sea->tick % sea->every;
         if (since == 0) {
-            meet_sea(o, v, sea, harmonics, waves);
+            meet_sea(f);
         }
         const double z = sea->z + sea->vz * (double)since * o->step_s;
-        vehicle_step(o, v, &decks[i], z, sea->vz, noise + FLIGHT_NOISE * i, air_noise + FLIGHT_NOISE * i);
-        sensors_step(o, v, e, s, &decks[i], z, sensor_noise + SENSOR_NOISE * i);
+        sim_vehicle_step(o, v, &decks[i], z, sea->vz, noise + FLIGHT_NOISE * i, air_noise + FLIGHT_NOISE * i);
+        sensors_step(o, v, f->sensor_params, f->sensors, &decks[i], z, sensor_noise + SENSOR_NOISE * i);
         if (v->touched_what != 0 && v->touched_s != touched_s) {
             return i + 1;
         }

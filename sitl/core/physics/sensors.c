@@ -12,7 +12,7 @@ static const double SEA_LEVEL_PA = 101325.0;
 static const double HOVER_PWM = 170.0;
 
 /* The distance along a ray (unit, in ned) to the deck or else to the water; infinite where it meets neither. */
-static double reach(const vehicle_params *o, const deck *g, const double d[3], double above_water, const double ray[3])
+static double reach(const sim_vehicle_params *o, const sim_deck *g, const double d[3], double above_water, const double ray[3])
 {
     double u[3];
     rotated_back(g->R, ray, u);
@@ -27,7 +27,7 @@ static double reach(const vehicle_params *o, const deck *g, const double d[3], d
 
 /* The distance from the body's origin to the nearest surface within a cone about the body's down axis: nine rays as in the thesis'
  * simulator, and the plumb lines of water and deck where they lie in the cone. */
-static double nearest_surface(const vehicle_params *o, const vehicle *v, const deck *g, double sea_z, double cone_rad)
+static double nearest_surface(const sim_vehicle_params *o, const sim_vehicle *v, const sim_deck *g, double sea_z, double cone_rad)
 {
     const double to[3] = {v->p[0] - g->p[0], v->p[1] - g->p[1], v->p[2] - g->p[2]}, above_water = sea_z - v->p[2];
     const double spread[3] = {tan(-0.5 * cone_rad), 0.0, tan(0.5 * cone_rad)};
@@ -54,7 +54,7 @@ static double nearest_surface(const vehicle_params *o, const vehicle *v, const d
 }
 
 /* Measure the distance; the echo is known to the telemetry later. */
-static void send_echo(const vehicle_params *o, const vehicle *v, const sensor_params *e, sensors *s, const deck *g, double sea_z)
+static void send_echo(const sim_vehicle_params *o, const sim_vehicle *v, const sim_sensor_params *e, sim_sensors *s, const sim_deck *g, double sea_z)
 {
     const double heard = nearest_surface(o, v, g, sea_z, e->cone_rad) + e->echo_sigma * s->noise[ECHO_NOISE];
     const int64_t place = (s->first_echo + s->echoes) % ECHOES_MAX;
@@ -63,7 +63,7 @@ static void send_echo(const vehicle_params *o, const vehicle *v, const sensor_pa
     s->echoes++;
 }
 
-void sensors_step(const vehicle_params *o, const vehicle *v, const sensor_params *e, sensors *s, const deck *g, double sea_z,
+void sensors_step(const sim_vehicle_params *o, const sim_vehicle *v, const sim_sensor_params *e, sim_sensors *s, const sim_deck *g, double sea_z,
                   const double noise[SENSOR_NOISE])
 {
     memcpy(s->noise, noise, sizeof s->noise);
@@ -84,7 +84,7 @@ void sensors_step(const vehicle_params *o, const vehicle *v, const sensor_params
 }
 
 /* Rotor thrust is proportional to the square of the speed, and the speed to the pulse width. */
-static void read_motors(const vehicle_params *o, const vehicle *v, const sensor_params *e, readings *out)
+static void read_motors(const sim_vehicle_params *o, const sim_vehicle *v, const sim_sensor_params *e, sim_readings *out)
 {
     double thrust[ROTORS_MAX];
     rotor_thrusts(o, v->thrust_n, v->torque_n_m, thrust);
@@ -93,7 +93,7 @@ static void read_motors(const vehicle_params *o, const vehicle *v, const sensor_
     }
 }
 
-void sensors_read(const vehicle_params *o, const vehicle *v, const sensor_params *e, const sensors *s, readings *out)
+void sim_sensors_read(const sim_vehicle_params *o, const sim_vehicle *v, const sim_sensor_params *e, const sim_sensors *s, sim_readings *out)
 {
     const int turning = motors_turn(v);
     const double felt[3] = {v->a[0], v->a[1], v->a[2] - GRAVITY_M_S2}, *noise = s->noise;

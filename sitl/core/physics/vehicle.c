@@ -20,7 +20,7 @@ static const double CONTACT_M = 0.4;
 
 /* What one step works with besides parameters and state. */
 typedef struct {
-    const deck *g;
+    const sim_deck *g;
     relative r;
     double sea_z, sea_vz;
     double ahead[3], height;
@@ -62,7 +62,7 @@ static void rotation_of(const double q[4], double R[9])
 }
 
 /* Gusts, errors of the optical flow and of the drone's own attitude: first-order Gauss-Markov processes. */
-static void disturb(const vehicle_params *o, vehicle *v, const double noise[FLIGHT_NOISE])
+static void disturb(const sim_vehicle_params *o, sim_vehicle *v, const double noise[FLIGHT_NOISE])
 {
     const double part[3] = {1.0, 1.0, 0.5};
     if (o->gust_sigma_m_s > 0.0) {
@@ -77,7 +77,7 @@ static void disturb(const vehicle_params *o, vehicle *v, const double noise[FLIG
 }
 
 /* Put the newest stick command on its way and take the one that arrives. */
-static void take_command(const vehicle_params *o, vehicle *v, double command[5])
+static void take_command(const sim_vehicle_params *o, sim_vehicle *v, double command[5])
 {
     memcpy(command, v->command, sizeof v->command);
     if (o->delay_steps == 0) {
@@ -96,7 +96,7 @@ static void take_command(const vehicle_params *o, vehicle *v, double command[5])
  * the loops are those of the thesis' simulator.
  * Source: Smeur, Chu & de Croon, Adaptive incremental nonlinear dynamic inversion for attitude control of micro air vehicles,
  * Journal of Guidance, Control, and Dynamics 39(3), 2016, section III, whose increment of the torque is the same sum. */
-static void observe_torque(const vehicle_params *o, vehicle *v)
+static void observe_torque(const sim_vehicle_params *o, sim_vehicle *v)
 {
     const double *I = o->inertia_kg_m2, *w = v->unasked_w;
     const double gyroscopic[3] = {(I[2] - I[1]) * w[1] * w[2], (I[0] - I[2]) * w[2] * w[0], (I[1] - I[0]) * w[0] * w[1]};
@@ -110,7 +110,7 @@ static void observe_torque(const vehicle_params *o, vehicle *v)
 
 /* The velocity past what the optical flow looks at: past the point of the deck straight below, or past the water.
  * A deck that only tilts carries that point along by its arm on the deck, not by the height of the drone above it. */
-static void velocity_past(const vehicle_params *o, const vehicle *v, const step *s, double seen[2])
+static void velocity_past(const sim_vehicle_params *o, const sim_vehicle *v, const step *s, double seen[2])
 {
     seen[0] = v->v[0] - o->current[0], seen[1] = v->v[1] - o->current[1];
     if (!s->over || !o->flow_sees_deck) {
@@ -127,7 +127,7 @@ static void velocity_past(const vehicle_params *o, const vehicle *v, const step 
 }
 
 /* The velocity that the drone itself believes in, by its optical flow against the deck or the water. */
-static void measure_flow(const vehicle_params *o, vehicle *v, const step *s, double cos_psi, double sin_psi)
+static void measure_flow(const sim_vehicle_params *o, sim_vehicle *v, const step *s, double cos_psi, double sin_psi)
 {
     if (!o->flow_works) {
         v->flow[0] = v->flow[1] = 0.0;
@@ -142,7 +142,7 @@ static void measure_flow(const vehicle_params *o, vehicle *v, const step *s, dou
 }
 
 /* Roll, pitch and yaw rate asked for: the stick's, or those that hold the vehicle by its optical flow. */
-static void asked_attitude(const vehicle_params *o, vehicle *v, const double command[5], double cos_psi, double sin_psi,
+static void asked_attitude(const sim_vehicle_params *o, sim_vehicle *v, const double command[5], double cos_psi, double sin_psi,
                            double asked[3])
 {
     const int flying = v->phase == PHASE_FLYING;
@@ -165,7 +165,7 @@ static void asked_attitude(const vehicle_params *o, vehicle *v, const double com
 }
 
 /* Attitude to torque: P and D on roll and pitch, P on the yaw rate, less what the observer found. */
-static void attitude_loop(const vehicle_params *o, vehicle *v, const double command[5], const step *s, double torque[3])
+static void attitude_loop(const sim_vehicle_params *o, sim_vehicle *v, const double command[5], const step *s, double torque[3])
 {
     const double *R = v->R, c = clip(sqrt(R[0] * R[0] + R[3] * R[3]), 1e-6, 1.0), cos_psi = R[0] / c, sin_psi = R[3] / c;
     const double phi = atan2(R[7], R[8]) + (v->tilt_bias[0] + v->tilt_drift[0]);
@@ -185,7 +185,7 @@ static void attitude_loop(const vehicle_params *o, vehicle *v, const double comm
 }
 
 /* Climb rate to thrust: the stick's, the one that holds the height, or that of take-off and landing. */
-static double climb_loop(const vehicle_params *o, vehicle *v, const double command[5])
+static double climb_loop(const sim_vehicle_params *o, sim_vehicle *v, const double command[5])
 {
     const double z = v->p[2], vz = v->v[2], gaz = command[2];
     const int flying = v->phase == PHASE_FLYING;
@@ -204,7 +204,7 @@ static double climb_loop(const vehicle_params *o, vehicle *v, const double comma
 }
 
 /* Thrust and torque follow what is asked with the motors' lag, and reach the body through weak rotors and the ground effect. */
-static void drive(const vehicle_params *o, vehicle *v, const double command[5], const step *s, double *lift, double turn[3])
+static void drive(const sim_vehicle_params *o, sim_vehicle *v, const double command[5], const step *s, double *lift, double turn[3])
 {
     double thrust = v->driven_n, torque[3] = {v->driven_n_m[0], v->driven_n_m[1], v->driven_n_m[2]}, share[ROTORS_MAX];
     if (!o->motor_driven) {
@@ -232,7 +232,7 @@ static void drive(const vehicle_params *o, vehicle *v, const double command[5], 
 }
 
 /* The acceleration in ned by rotors, air and weight. */
-static void accelerate(const vehicle_params *o, const vehicle *v, double lift, double a[3])
+static void accelerate(const sim_vehicle_params *o, const sim_vehicle *v, double lift, double a[3])
 {
     double past[3], body[3];
     for (int i = 0; i < 3; i++) {
@@ -248,7 +248,7 @@ static void accelerate(const vehicle_params *o, const vehicle *v, double lift, d
 }
 
 /* What deck and water add to acceleration and torque. */
-static void touch(const vehicle_params *o, const vehicle *v, step *s, double a[3], double turn[3])
+static void touch(const sim_vehicle_params *o, const sim_vehicle *v, step *s, double a[3], double turn[3])
 {
     double force[3], torque[3], push[3], moment[3];
     if (s->over && s->height < CONTACT_M) {
@@ -272,7 +272,7 @@ static void touch(const vehicle_params *o, const vehicle *v, step *s, double a[3
 }
 
 /* Newton and Euler over one step. */
-static void integrate(const vehicle_params *o, vehicle *v, const double a[3], const double turn[3])
+static void integrate(const sim_vehicle_params *o, sim_vehicle *v, const double a[3], const double turn[3])
 {
     const double dt = o->step_s, h = 0.5 * dt, *I = o->inertia_kg_m2, *w = v->w;
     const double rate[3] = {
@@ -296,7 +296,7 @@ static void integrate(const vehicle_params *o, vehicle *v, const double a[3], co
     }
 }
 
-void vehicle_carry(vehicle *v, const deck *g)
+void sim_vehicle_carry(sim_vehicle *v, const sim_deck *g)
 {
     const double *w = g->w, *d = v->attached_d;
     const double turned[3] = {w[1] * d[2] - w[2] * d[1], w[2] * d[0] - w[0] * d[2], w[0] * d[1] - w[1] * d[0]};
@@ -315,7 +315,7 @@ void vehicle_carry(vehicle *v, const deck *g)
 }
 
 /* Untie what the deck throws off; tie what lies still with its motors off to the deck. */
-static void rest(const vehicle_params *o, vehicle *v, const step *s)
+static void rest(const sim_vehicle_params *o, sim_vehicle *v, const step *s)
 {
     const relative *r = &s->r;
     if (v->tied) {
@@ -338,7 +338,7 @@ static void rest(const vehicle_params *o, vehicle *v, const step *s)
 }
 
 /* The record of a contact after flight. */
-static void record_contact(vehicle *v, const step *s)
+static void record_contact(sim_vehicle *v, const step *s)
 {
     v->touched_what = s->wet ? TOUCHED_SEA : TOUCHED_DECK;
     v->touched_phase = s->phase;
@@ -349,7 +349,7 @@ static void record_contact(vehicle *v, const step *s)
 }
 
 /* Timers, record of the contact, resting, changes of phase. */
-static void conclude(const vehicle_params *o, vehicle *v, const step *s)
+static void conclude(const sim_vehicle_params *o, sim_vehicle *v, const step *s)
 {
     const double dt = o->step_s;
     const int supported = s->touching > 0 || v->tied;
@@ -373,7 +373,7 @@ static void conclude(const vehicle_params *o, vehicle *v, const step *s)
     }
 }
 
-static void begin(const vehicle_params *o, vehicle *v, step *s, double command[5])
+static void begin(const sim_vehicle_params *o, sim_vehicle *v, step *s, double command[5])
 {
     for (int i = 0; i < 3; i++) {
         s->ahead[i] = v->p[i] + o->step_s * v->v[i];
@@ -390,7 +390,7 @@ static void begin(const vehicle_params *o, vehicle *v, step *s, double command[5
     v->tied = v->tied && !s->motors;
 }
 
-void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea_z, double sea_vz, const double *noise,
+void sim_vehicle_step(const sim_vehicle_params *o, sim_vehicle *v, const sim_deck *g, double sea_z, double sea_vz, const double *noise,
                   const double *air_noise)
 {
     step s = {.g = g, .sea_z = sea_z, .sea_vz = sea_vz, .phase = v->phase};
@@ -408,7 +408,7 @@ void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea
     touch(o, v, &s, a, turn);
     memcpy(before, v->v, sizeof before);
     if (v->tied) {
-        vehicle_carry(v, g);
+        sim_vehicle_carry(v, g);
     } else {
         integrate(o, v, a, turn);
         rotation_of(v->q, v->R);

@@ -26,11 +26,6 @@ static inline int32_t reflected(int32_t i, int32_t n)
     return m < n ? m : 2 * n - 1 - m;
 }
 
-typedef struct {
-    const uint16_t *texels;
-    int32_t h, w;
-} drawing;
-
 /* The shares of two rows, and of the left and the right texel of a row, in the middle of each of STEPS steps between two texels. */
 typedef struct {
     uint16_t upper[8 * STEPS], lower[8 * STEPS], across[8 * STEPS];
@@ -64,7 +59,7 @@ static inline lanes pixel_of(lanes weighed)
     return lanes_add(lanes_all(1), lanes_fold(weighed));
 }
 
-static lanes read_reflected(const drawing *d, const steps *s, int32_t x, int32_t y)
+static lanes read_reflected(const sim_drawing *d, const steps *s, int32_t x, int32_t y)
 {
     const int32_t column = x >> FRACTION, row = y >> FRACTION;
     uint16_t pair[2][8];
@@ -91,11 +86,6 @@ static inline void cover(uint16_t *scene, lanes pixel, uint8_t mask)
         lanes_store_four(scene, between(lanes_load_four(scene), pixel, lanes_all((uint16_t)(mask * 257))));
     }
 }
-
-/* A part of the frame: columns x0 to x1 and rows y0 to y1, without the last. */
-typedef struct {
-    int32_t w, x0, x1, y0, y1;
-} window;
 
 static inline int32_t least_of(int32_t a, int32_t b)
 {
@@ -184,7 +174,7 @@ static inline lanes weigh_inside(const uint16_t *texels, int64_t row, const step
 /* Draw the pixels `from` to `to` of a row, which lie inside the drawing and cover what is below them. Ask for the texels of the
  * next block, that far ahead: a drawing larger than the cache waits for memory otherwise. */
 WIDE
-static void draw_inside(const drawing *d, const steps *s, const positions *p, int64_t ahead, int32_t from, int32_t to,
+static void draw_inside(const sim_drawing *d, const steps *s, const positions *p, int64_t ahead, int32_t from, int32_t to,
                         uint16_t *restrict scene)
 {
     const uint16_t *texels = d->texels;
@@ -202,7 +192,7 @@ static void draw_inside(const drawing *d, const steps *s, const positions *p, in
 }
 
 /* Draw pixels one by one; `locate` has gone on to the next row. */
-static void draw_through(const drawing *d, const steps *s, const positions *p, int32_t from, int32_t to, const uint8_t *mask,
+static void draw_through(const sim_drawing *d, const steps *s, const positions *p, int32_t from, int32_t to, const uint8_t *mask,
                          uint16_t *scene)
 {
     for (int32_t k = from; k < to; k++) {
@@ -231,9 +221,9 @@ static inline int all_are(const uint8_t *mask, int32_t n, uint8_t value)
 
 /* What a block is drawn from and onto. */
 typedef struct {
-    const drawing *drawn;
+    const sim_drawing *drawn;
     const steps *shares;
-    const window *part;
+    const sim_frame_part *part;
     const uint8_t *mask;
     uint16_t *scene;
 } work;
@@ -283,32 +273,28 @@ static void draw_block(const work *d, corners *k, int32_t cells, int32_t left, i
     }
 }
 
-void render_deck(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns,
-                 const uint16_t *texels, int32_t texel_rows, int32_t texel_columns, const uint8_t *mask, uint16_t *scene)
+void sim_render_deck(const sim_frame_part *part, const sim_plane_cells *cells, const sim_drawing *drawn, const uint8_t *mask, uint16_t *scene)
 {
-    const drawing drawn = {texels, texel_rows, texel_columns};
-    const window part = {w, x0, x1, y0, y1};
-    const int32_t half = CELL_PX / 2, begin = (x0 + half) / CELL_PX, end = (x1 + half + CELL_PX - 1) / CELL_PX;
+    const int32_t half = CELL_PX / 2, begin = (part->x0 + half) / CELL_PX, end = (part->x1 + half + CELL_PX - 1) / CELL_PX;
     steps shares;
     corners k;
-    const work d = {&drawn, &shares, &part, mask, scene};
+    const work d = {drawn, &shares, part, mask, scene};
     set_steps(&shares);
-    for (int32_t r = (y0 + half) / CELL_PX; r * CELL_PX - half < y1; r++) {
+    for (int32_t r = (part->y0 + half) / CELL_PX; r * CELL_PX - half < part->y1; r++) {
         for (int32_t c = begin; c < end; c += BLOCK_CELLS) {
             const int32_t n = end - c < BLOCK_CELLS ? end - c : BLOCK_CELLS;
-            set_corners(cells + 2 * ((int64_t)r * columns + c), columns, n, &k);
+            set_corners(cells->at + 2 * ((int64_t)r * cells->columns + c), cells->columns, n, &k);
             draw_block(&d, &k, n, c * CELL_PX - half, r * CELL_PX - half);
         }
     }
 }
 
-void render_fill(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *mask, const uint16_t *colour,
-                 uint16_t *scene)
+void sim_render_fill(const sim_frame_part *part, const uint8_t *mask, const uint16_t *colour, uint16_t *scene)
 {
     const lanes pixel = lanes_load_four(colour);
-    for (int32_t row = y0; row < y1; row++) {
-        for (int32_t column = x0; column < x1; column++) {
-            cover(scene + 4 * ((int64_t)row * w + column), pixel, *mask++);
+    for (int32_t row = part->y0; row < part->y1; row++) {
+        for (int32_t column = part->x0; column < part->x1; column++) {
+            cover(scene + 4 * ((int64_t)row * part->w + column), pixel, *mask++);
         }
     }
 }

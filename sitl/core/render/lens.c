@@ -18,16 +18,17 @@ typedef struct {
     const int16_t *added;
 } lens;
 
-static lens lens_of(int32_t h, int32_t w, int32_t radius, const uint16_t *taps, const int32_t *window, const int16_t *added,
-                    uint16_t *scratch)
+/* Divide what there is to work on; return whether it suffices. */
+static int begin(int32_t h, int32_t w, const sim_lens_blur *blur, lens *l)
 {
-    const int32_t values = CHANNELS * w;
-    lens made = {h, w, values, radius, taps, scratch, 0, 0, 0, 0, window, added};
-    made.wide = made.ring + (2 * radius + 1) * (int64_t)values;
-    made.counts = made.wide + w + 2 * radius;
-    made.places = made.counts + values;
-    made.band = made.places + values;
-    return made;
+    const int32_t values = CHANNELS * w, radius = blur->radius;
+    const lens made = {h, w, values, radius, blur->taps, blur->scratch, 0, 0, 0, 0, blur->window, blur->added};
+    *l = made;
+    l->wide = l->ring + (2 * radius + 1) * (int64_t)values;
+    l->counts = l->wide + w + 2 * radius;
+    l->places = l->counts + values;
+    l->band = l->places + values;
+    return radius <= BLUR_RADIUS_MAX && l->band + CELL_PX * (int64_t)values - l->ring <= blur->numbers;
 }
 
 static inline uint16_t times(uint16_t a, uint16_t b)
@@ -163,12 +164,14 @@ static const uint16_t *blurred(const lens *l, int32_t row)
     return l->counts;
 }
 
-void render_blur(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window,
-                 const int16_t *added, uint16_t *scratch, int16_t *out)
+int32_t sim_render_blur(int32_t h, int32_t w, const int16_t *light, const sim_lens_blur *blur, int16_t *out)
 {
-    const lens l = lens_of(h, w, radius, taps, window, added, scratch);
+    lens l;
+    if (!begin(h, w, blur, &l)) {
+        return -1;
+    }
     for (int32_t row = 0, entered = 0; row < h; row++) {
-        for (; entered < h && entered <= row + radius; entered++) {
+        for (; entered < h && entered <= row + l.radius; entered++) {
             enter_pixels(&l, entered, light + (int64_t)entered * l.values);
         }
         const uint16_t *counts = blurred(&l, row);
@@ -178,6 +181,7 @@ void render_blur(int32_t h, int32_t w, const int16_t *light, int32_t radius, con
             }
         }
     }
+    return 0;
 }
 
 /* The places in the table of codes for a row of light with noise: LIGHT_LEVELS levels of light, each with GRAIN_LEVELS of noise.
@@ -222,47 +226,55 @@ static void develop(const lens *l, const uint16_t *counts, const uint8_t *grain,
     }
 }
 
-void render_frame(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window,
-                  const int16_t *added, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame)
+/* Finish a row of the frame from the rows around it. */
+static void finish(const lens *l, int32_t row, const sim_sensor_tone *tone, uint8_t *frame)
 {
-    const lens l = lens_of(h, w, radius, taps, window, added, scratch);
-    for (int32_t row = 0, entered = 0; row < h; row++) {
-        for (; entered < h && entered <= row + radius; entered++) {
-            enter_pixels(&l, entered, light + (int64_t)entered * l.values);
-        }
-        const int64_t at = (int64_t)row * l.values;
-        develop(&l, blurred(&l, row), noise ? noise + at : 0, codes, frame + at);
-    }
+    const int64_t at = (int64_t)row * l->values;
+    develop(l, blurred(l, row), tone->noise ? tone->noise + at : 0, tone->codes, frame + at);
 }
 
-void render_image(int32_t h, int32_t w, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure,
-                  const uint16_t *pad_scene, int32_t edges, const int32_t *where, const float *shares, int32_t radius,
-                  const uint16_t *taps, const int32_t *window, const int16_t *added, const uint8_t *noise, const uint8_t *codes,
-                  uint16_t *scratch, uint8_t *frame)
+int32_t sim_render_frame(int32_t h, int32_t w, const int16_t *light, const sim_lens_blur *blur, const sim_sensor_tone *tone, uint8_t *frame)
 {
-    const lens l = lens_of(h, w, radius, taps, window, added, scratch);
-    const exposure16 exposed = exposure_of(exposure, pad_scene);
-    const lit_scene whole = {scene, kinds, gain};
+    lens l;
+    if (!begin(h, w, blur, &l)) {
+        return -1;
+    }
+    for (int32_t row = 0, entered = 0; row < h; row++) {
+        for (; entered < h && entered <= row + l.radius; entered++) {
+            enter_pixels(&l, entered, light + (int64_t)entered * l.values);
+        }
+        finish(&l, row, tone, frame);
+    }
+    return 0;
+}
+
+int32_t sim_render_image(const sim_lit_scene *seen, const sim_lens_blur *blur, const sim_sensor_tone *tone, uint8_t *frame)
+{
+    const int32_t h = seen->h, w = seen->w;
+    const exposure16 exposed = exposure_of(seen);
     const int64_t plane = CELL_PX * (int64_t)w;
+    lens l;
+    if (!begin(h, w, blur, &l)) {
+        return -1;
+    }
     int32_t row = 0, e = 0;
     for (int32_t top = 0; top < h; top += CELL_PX) {
         const int32_t end = top + CELL_PX < h ? top + CELL_PX : h, first = e;
         const int64_t i = (int64_t)top * w;
-        const lit_scene part = {scene + 4 * i, kinds ? kinds + i : 0, gain + i};
         const light_place place = {l.band - i, 1, plane};
-        expose_planes(&exposed, (end - top) * w, &part, l.band, l.band + plane, l.band + 2 * plane);
-        while (e < edges && where[e] < end * w) {
+        expose_planes(&exposed, seen, i, (end - top) * w, l.band, plane);
+        while (e < seen->edges && seen->where[e] < end * w) {
             e++;
         }
-        mix_paints(&exposed, e - first, where + first, shares + PAD_PAINTS * (int64_t)first, &whole, &place);
+        mix_paints(&exposed, seen, first, e, &place);
         for (int32_t entered = top; entered < end; entered++) {
             for (int c = 0; c < CHANNELS; c++) {
                 enter(&l, entered, c, l.band + plane * c + (int64_t)(entered - top) * w);
             }
-            for (; row + radius <= entered || (entered == h - 1 && row < h); row++) {
-                const int64_t at = (int64_t)row * l.values;
-                develop(&l, blurred(&l, row), noise ? noise + at : 0, codes, frame + at);
+            for (; row + l.radius <= entered || (entered == h - 1 && row < h); row++) {
+                finish(&l, row, tone, frame);
             }
         }
     }
+    return 0;
 }

@@ -12,8 +12,10 @@
 enum { SHARPEST = 32767, EIGHT = 8 };
 
 /* The exposure as factors below a half, to keep all of sixteen bits; what that takes off is doubled again. */
-exposure16 exposure_of(const float *exposure, const uint16_t *pad_scene)
+exposure16 exposure_of(const sim_lit_scene *seen)
 {
+    const float *exposure = seen->exposure;
+    const uint16_t *pad_scene = seen->pad_scene;
     float most = 0.0f, scale = 65536.0f;
     exposure16 made;
     memset(&made, 0, sizeof made);
@@ -126,16 +128,16 @@ static inline void expose_eight(const exposure16 *e, const uint16_t *scene, cons
 }
 
 /* Fewer than eight pixels. */
-static void expose_rest(const exposure16 *e, int32_t n, const lit_scene *seen, uint16_t *const *light)
+static void expose_rest(const exposure16 *e, const sim_lit_scene *seen, int64_t first, int32_t n, uint16_t *const *light)
 {
     uint16_t scene[4 * EIGHT] = {0}, made[CHANNELS][EIGHT];
     uint8_t kinds[EIGHT] = {PAD_NONE};
     int16_t gain[EIGHT] = {0};
     uint16_t *const all[CHANNELS] = {made[0], made[1], made[2]};
-    memcpy(scene, seen->scene, (size_t)n * 4 * sizeof *scene);
-    memcpy(gain, seen->gain, (size_t)n * sizeof *gain);
+    memcpy(scene, seen->scene + 4 * first, (size_t)n * 4 * sizeof *scene);
+    memcpy(gain, seen->gain + first, (size_t)n * sizeof *gain);
     if (seen->kinds) {
-        memcpy(kinds, seen->kinds, (size_t)n);
+        memcpy(kinds, seen->kinds + first, (size_t)n);
     }
     expose_eight(e, scene, kinds, gain, all);
     for (int c = 0; c < CHANNELS; c++) {
@@ -144,27 +146,26 @@ static void expose_rest(const exposure16 *e, int32_t n, const lit_scene *seen, u
 }
 
 WIDE
-void expose_planes(const exposure16 *e, int32_t n, const lit_scene *seen, uint16_t *blue, uint16_t *green, uint16_t *red)
+void expose_planes(const exposure16 *e, const sim_lit_scene *seen, int64_t first, int32_t n, uint16_t *light, int64_t apart)
 {
     const exposure16 here = *e;
     int32_t i = 0;
     for (; i + EIGHT <= n; i += EIGHT) {
-        uint16_t *const light[CHANNELS] = {blue + i, green + i, red + i};
-        expose_eight(&here, seen->scene + 4 * (int64_t)i, seen->kinds ? seen->kinds + i : 0, seen->gain + i, light);
+        uint16_t *const planes[CHANNELS] = {light + i, light + apart + i, light + 2 * apart + i};
+        const int64_t at = first + i;
+        expose_eight(&here, seen->scene + 4 * at, seen->kinds ? seen->kinds + at : 0, seen->gain + at, planes);
     }
     if (i < n) {
-        const lit_scene rest = {seen->scene + 4 * (int64_t)i, seen->kinds ? seen->kinds + i : 0, seen->gain + i};
-        uint16_t *const light[CHANNELS] = {blue + i, green + i, red + i};
-        expose_rest(&here, n - i, &rest, light);
+        uint16_t *const planes[CHANNELS] = {light + i, light + apart + i, light + 2 * apart + i};
+        expose_rest(&here, seen, first + i, n - i, planes);
     }
 }
 
-void mix_paints(const exposure16 *e, int32_t edges, const int32_t *where, const float *shares, const lit_scene *seen,
-                const light_place *light)
+void mix_paints(const exposure16 *e, const sim_lit_scene *seen, int32_t from, int32_t to, const light_place *light)
 {
-    for (int32_t i = 0; i < edges; i++) {
-        const int64_t pixel = where[i];
-        const float *share = shares + PAD_PAINTS * (int64_t)i;
+    for (int32_t i = from; i < to; i++) {
+        const int64_t pixel = seen->where[i];
+        const float *share = seen->shares + PAD_PAINTS * (int64_t)i;
         const float factor = (float)seen->gain[pixel] * (float)seen->scene[4 * pixel + 3];
         float own[CHANNELS + 1] = {0.0f};
         for (int k = 1; k < PAD_PAINTS; k++) {
@@ -180,15 +181,14 @@ void mix_paints(const exposure16 *e, int32_t edges, const int32_t *where, const 
     }
 }
 
-void render_expose(int32_t pixels, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure,
-                   const uint16_t *pad_scene, int16_t *light)
+void sim_render_expose(const sim_lit_scene *seen, int16_t *light)
 {
-    const exposure16 e = exposure_of(exposure, pad_scene);
+    const exposure16 e = exposure_of(seen);
+    const int32_t pixels = seen->h * seen->w;
     uint16_t planes[CHANNELS][EIGHT];
     for (int32_t i = 0; i < pixels; i += EIGHT) {
         const int32_t n = pixels - i < EIGHT ? pixels - i : EIGHT;
-        const lit_scene part = {scene + 4 * (int64_t)i, kinds ? kinds + i : 0, gain + i};
-        expose_planes(&e, n, &part, planes[0], planes[1], planes[2]);
+        expose_planes(&e, seen, i, n, planes[0], EIGHT);
         for (int32_t k = 0; k < n; k++) {
             for (int c = 0; c < CHANNELS; c++) {
                 light[CHANNELS * ((int64_t)i + k) + c] = (int16_t)planes[c][k];
@@ -197,11 +197,9 @@ void render_expose(int32_t pixels, const uint16_t *scene, const uint8_t *kinds, 
     }
 }
 
-void render_mix(int32_t edges, const int32_t *where, const float *shares, const uint16_t *scene, const int16_t *gain,
-                const float *exposure, const uint16_t *pad_scene, int16_t *light)
+void sim_render_mix(const sim_lit_scene *seen, int16_t *light)
 {
-    const exposure16 e = exposure_of(exposure, pad_scene);
-    const lit_scene seen = {scene, 0, gain};
+    const exposure16 e = exposure_of(seen);
     const light_place place = {(uint16_t *)light, CHANNELS, 1};
-    mix_paints(&e, edges, where, shares, &seen, &place);
+    mix_paints(&e, seen, 0, seen->edges, &place);
 }

@@ -12,9 +12,8 @@ static const float TILT_MOST = 0.02f;
 
 /* What the division of the frame works on, and what it writes. */
 typedef struct {
-    const view *seen;
+    const sim_pad_view *seen;
     const stroke *whole;
-    const painting *pad;
     uint8_t *kinds;
     int32_t *edges, count;
     sheaf rays;
@@ -89,8 +88,8 @@ static void divide_exactly(division *d, int32_t x0, int32_t y0)
         p.reach[k] = 1.1f * radius[k] + 0.55f * way[k];
     }
     clear(&p);
-    for (int i = 0; i < d->pad->count; i++) {
-        put_region(region_of(d->pad, i), &p);
+    for (int i = 0; i < d->seen->regions; i++) {
+        put_region(region_of(d->seen, i), &p);
     }
     set_kinds(d, x0, y0, p.paint);
 }
@@ -106,9 +105,9 @@ static void divide(division *d, int32_t x0, int32_t y0, const spots *s, int k, f
         p.reach[i] = reach;
     }
     clear(&p);
-    for (int i = 0; i < d->pad->count; i++) {
-        if (depth_in(region_of(d->pad, i), s->u[k], s->v[k]) > -wide) {
-            put_region(region_of(d->pad, i), &p);
+    for (int i = 0; i < d->seen->regions; i++) {
+        if (depth_in(region_of(d->seen, i), s->u[k], s->v[k]) > -wide) {
+            put_region(region_of(d->seen, i), &p);
         }
     }
     set_kinds(d, x0, y0, p.paint);
@@ -129,7 +128,7 @@ static void tilts_of(const sheaf *s, float *restrict tilt)
 /* Take the rays of the middles of a row of squares. */
 static void take_middles(division *d, int32_t x0, int32_t y0, int32_t n)
 {
-    const view *v = d->seen;
+    const sim_pad_view *v = d->seen;
     const int32_t columns = (v->w + SQUARE - 1) / SQUARE + 2, y = y0 + SQUARE / 2 < v->h ? y0 + SQUARE / 2 : v->h - 1;
     const float *middle = v->middles + 2 * ((int64_t)columns * (y0 / SQUARE + 1) + x0 / SQUARE + 1);
     int32_t pixels[TOGETHER];
@@ -158,8 +157,8 @@ static void divide_squares(division *d, int32_t x0, int32_t y0, int32_t n)
         p.reach[k] = 1.05f * SQUARE * radius[k] + 0.55f * way[k];
     }
     clear(&p);
-    for (int i = 0; i < d->pad->count; i++) {
-        put_region(region_of(d->pad, i), &p);
+    for (int i = 0; i < d->seen->regions; i++) {
+        put_region(region_of(d->seen, i), &p);
     }
     for (int32_t k = 0; k < n; k++) {
         const int32_t x = x0 + SQUARE * k;
@@ -176,10 +175,10 @@ static void divide_squares(division *d, int32_t x0, int32_t y0, int32_t n)
 }
 
 /* How far points of the pad are from its centre at most, m. */
-static float farthest_of(const painting *pad)
+static float farthest_of(const sim_pad_view *pad)
 {
     float most = 0.0f;
-    for (int i = 0; i < pad->count; i++) {
+    for (int i = 0; i < pad->regions; i++) {
         most = region_of(pad, i)[PAD_FARTHEST] > most ? region_of(pad, i)[PAD_FARTHEST] : most;
     }
     return most;
@@ -190,7 +189,7 @@ static float farthest_of(const painting *pad)
  * Lines are straight without distortion, if all rows are exposed at once. The size of a square is largest at one of the ends. */
 static int passes_by(division *d, int32_t y0, float farthest)
 {
-    const view *v = d->seen;
+    const sim_pad_view *v = d->seen;
     const int32_t squares = (v->w + SQUARE - 1) / SQUARE;
     const float *first = v->middles + 2 * (int64_t)(squares + 2) * (y0 / SQUARE + 1);
     float radius[TOGETHER], way[TOGETHER];
@@ -211,23 +210,20 @@ static int passes_by(division *d, int32_t y0, float farthest)
     return seen && fabsf(ends.u[0] * along_v - ends.v[0] * along_u) > (farthest + wide) * length;
 }
 
-int32_t render_pad_kinds(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *middles,
-                         const float *whole, int32_t rolling, int32_t regions, const float *pad, uint8_t *kinds, int32_t *edges)
+int32_t sim_render_pad_kinds(const sim_pad_view *v, const float *whole, uint8_t *kinds, int32_t *edges)
 {
-    const view seen = {h, w, rays, change, bent, middles};
-    const stroke all = stroke_at(whole, rolling, 0);
-    const painting drawn = {regions, pad};
+    const int32_t h = v->h, w = v->w;
+    const stroke all = stroke_at(whole, v->rolling, 0);
     division d;
-    d.seen = &seen;
+    d.seen = v;
     d.whole = &all;
-    d.pad = &drawn;
     d.kinds = kinds;
     d.edges = edges;
     d.count = 0;
-    begin_rays(&seen, &all, &d.rays);
+    begin_rays(v, &all, &d.rays);
     for (int32_t y = 0; y < h; y += SQUARE) {
         const int32_t rows = h - y < SQUARE ? h - y : SQUARE;
-        if (passes_by(&d, y, farthest_of(&drawn))) {
+        if (passes_by(&d, y, farthest_of(v))) {
             memset(kinds + (int64_t)y * w, PAD_NONE, (size_t)(rows * w));
             continue;
         }

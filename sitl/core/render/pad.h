@@ -11,15 +11,6 @@
 /* So many pixels are computed together. */
 enum { EDGE = PAD_EDGE, TOGETHER = 64 };
 
-/* A frame, the rays of its pixels, and those of the middles of squares of CELL_PX x CELL_PX pixels, with one square more on each
- * side than the frame has. */
-typedef struct {
-    int32_t h, w;
-    const float *rays, *change;
-    int bent;
-    const float *middles;
-} view;
-
 /* The homographies of one part of the exposure: in its middle, its change during it, and in the first and last row. */
 typedef struct {
     const float *middle, *turn, *first, *last;
@@ -47,11 +38,11 @@ typedef struct {
 #define FAR_AWAY 1e6f
 
 /* Set what the rays of all pixels have in common. */
-void begin_rays(const view *v, const stroke *k, sheaf *s);
+void begin_rays(const sim_pad_view *v, const stroke *k, sheaf *s);
 
 /* Take what is different for n pixels, 1 to TOGETHER: the last one stands for those that are missing. */
-void take_rays(const view *v, int32_t n, const int32_t *pixels, sheaf *s);
-void take_changes(const view *v, const stroke *k, int32_t n, const int32_t *pixels, sheaf *s);
+void take_rays(const sim_pad_view *v, int32_t n, const int32_t *pixels, sheaf *s);
+void take_changes(const sim_pad_view *v, const stroke *k, int32_t n, const int32_t *pixels, sheaf *s);
 
 /* Where rays meet the plane, and the images there of pixels divided by 1 / `parts`. */
 void meet(const sheaf *rays, const float *turn, float parts, spots *s);
@@ -59,15 +50,9 @@ void meet(const sheaf *rays, const float *turn, float parts, spots *s);
 /* The radii of the circles around parallelograms, and the lengths of their ways. */
 void sizes_of(const spots *s, float *radius, float *way);
 
-/* The regions of a pad, the lowest first: PAD_REGION numbers each. */
-typedef struct {
-    int count;
-    const float *rows;
-} painting;
-
-static inline const float *region_of(const painting *p, int i)
+static inline const float *region_of(const sim_pad_view *v, int i)
 {
-    return p->rows + PAD_REGION * i;
+    return v->pad + PAD_REGION * i;
 }
 
 static inline float lesser_of(float a, float b)

@@ -18,14 +18,14 @@ static const float NONE = 5e-5f;
 /* The most light that is added or taken, counts. */
 static const float COUNTS_MOST = 32767.0f;
 
-/* Part of a frame around the pad; the number of each of its pixels among the edges, -1 for those that show one paint; what edges
- * have of each paint, whole and by parts; how far the blur reaches, px, and its kernels for parts and for pixels.
+/* Part of a frame around the pad; the number of each of its pixels among the edges, -1 for those that show one paint; how far the
+ * blur reaches, px, and its kernels for parts and for pixels.
  *
  * A row is as long as its blocks are. */
 typedef struct {
     int32_t x0, y0, columns, rows, w, blocks, wide, fine, reach;
-    const uint8_t *kinds;
-    const float *shares, *parts, *exact, *sampled;
+    const sim_lit_scene *seen;
+    const float *exact, *sampled;
     int32_t *numbers, *busy;
 } window;
 
@@ -40,24 +40,26 @@ static inline int32_t limited_to(int32_t i, int32_t n)
     return i < 0 ? 0 : i < n ? i : n - 1;
 }
 
-static void number_pixels(const window *v, int32_t edges, const int32_t *where)
+static void number_pixels(const window *v)
 {
+    const int32_t *where = v->seen->where;
     for (int32_t i = 0; i < v->wide * v->rows; i++) {
         v->numbers[i] = -1;
     }
-    for (int32_t e = 0; e < edges; e++) {
+    for (int32_t e = 0; e < v->seen->edges; e++) {
         v->numbers[v->wide * (where[e] / v->w - v->y0) + where[e] % v->w - v->x0] = e;
     }
 }
 
 /* Note the blocks of columns that the blur of a paint's edges reaches in each row; whether there are any. */
-static int find_edges(const window *v, int paint, int32_t edges, const int32_t *where)
+static int find_edges(const window *v, int paint)
 {
+    const int32_t *where = v->seen->where;
     int any = 0;
     memset(v->busy, 0, (size_t)(v->blocks * v->rows) * sizeof *v->busy);
-    for (int32_t e = 0; e < edges; e++) {
+    for (int32_t e = 0; e < v->seen->edges; e++) {
         const int32_t x = where[e] % v->w - v->x0, y = where[e] / v->w - v->y0;
-        if (v->shares[PAD_PAINTS * (int64_t)e + paint] != 0.0f) {
+        if (v->seen->shares[PAD_PAINTS * (int64_t)e + paint] != 0.0f) {
             any = v->busy[v->blocks * y + limited_to(x - v->reach, v->columns) / BLOCK] = 1;
             v->busy[v->blocks * y + limited_to(x + v->reach, v->columns) / BLOCK] = 1;
         }
@@ -99,13 +101,13 @@ static void take_row(const window *v, int paint, int32_t y, int32_t down, float 
     const int32_t length = v->wide + 2 * v->reach, all = v->fine * v->fine;
     const int32_t *numbers = v->numbers + v->wide * y;
     float *mean = row + length * v->fine + v->reach;
-    compare(v->columns, v->kinds + (int64_t)(v->y0 + y) * v->w + v->x0, paint, mean);
+    compare(v->columns, v->seen->kinds + (int64_t)(v->y0 + y) * v->w + v->x0, paint, mean);
     for (int32_t s = 0; s < v->fine; s++) {
         memcpy(row + length * s + v->reach, mean, (size_t)v->columns * sizeof *row);
     }
     for (int32_t x = 0; x < v->columns; x++) {
         if (numbers[x] >= 0) {
-            const float *parts = v->parts + (PAD_PAINTS * (int64_t)numbers[x] + paint) * all + v->fine * down;
+            const float *parts = v->seen->parts + (PAD_PAINTS * (int64_t)numbers[x] + paint) * all + v->fine * down;
             float sum = 0.0f;
             for (int32_t s = 0; s < v->fine; s++) {
                 row[length * s + v->reach + x] = parts[s];
@@ -190,9 +192,11 @@ static inline int16_t rounded(float counts)
 }
 
 /* Add the light of some pixels in which a paint covers more than the blur of pixels says, in place of what is around the pad. */
-static void add_light(const window *v, int paint, int32_t y, int32_t x, int32_t n, const float *difference,
-                      const lit_scene *seen, const float *exposure, const exposure16 *e, int16_t *added)
+static void add_light(const window *v, int paint, int32_t y, int32_t x, const float *difference, const exposure16 *e,
+                      int16_t *added)
 {
+    const sim_lit_scene *seen = v->seen;
+    const int32_t n = v->columns - x < BLOCK ? v->columns - x : BLOCK;
     const int64_t first = (int64_t)(v->y0 + y) * v->w + v->x0 + x;
     for (int32_t i = 0; i < n; i++) {
         const uint16_t *scene = seen->scene + 4 * (first + i);
@@ -202,7 +206,7 @@ static void add_light(const window *v, int paint, int32_t y, int32_t x, int32_t 
         }
         for (int c = 0; c < CHANNELS; c++) {
             int16_t *here = added + (CHANNELS * (int64_t)y + c) * v->columns + x + i;
-            const float around = exposure[c] * (float)scene[c] * gain * (1.0f / GAIN_ONE);
+            const float around = seen->exposure[c] * (float)scene[c] * gain * (1.0f / GAIN_ONE);
             const float own = e->paint_light[paint][c] * (float)scene[3] * gain;
             const float most = (float)LIGHT_MOST;
             const float more = (own < most ? own : most) - (around < most ? around : most);
@@ -211,26 +215,25 @@ static void add_light(const window *v, int paint, int32_t y, int32_t x, int32_t 
     }
 }
 
-void render_pad_lens(int32_t w, const int32_t *place, const uint8_t *kinds, int32_t edges, const int32_t *where,
-                     const float *shares, int32_t fine, const float *parts, int32_t reach, const float *exact, const float *sampled,
-                     const uint16_t *scene, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int32_t *places,
-                     float *room, int16_t *added)
+int32_t sim_render_pad_lens(const sim_lit_scene *seen, const int32_t *place, const sim_lens_kernels *k, int16_t *added)
 {
     const int32_t columns = place[LENS_COLUMNS], rows = place[LENS_ROWS], blocks = (columns + BLOCK - 1) / BLOCK;
-    const int32_t wide = BLOCK * blocks;
-    const window v = {place[LENS_X], place[LENS_Y], columns, rows, w, blocks, wide, fine, reach, kinds, shares, parts, exact, sampled,
-                      places, places + wide * rows};
-    const exposure16 e = exposure_of(exposure, pad_scene);
-    const lit_scene seen = {scene, kinds, gain};
+    const int32_t wide = BLOCK * blocks, fine = seen->fine, row = (fine + 1) * (wide + 2 * k->reach);
+    const window v = {place[LENS_X], place[LENS_Y], columns, rows, seen->w, blocks, wide, fine, k->reach, seen,
+                      k->exact, k->sampled, k->places, k->places + wide * rows};
+    const exposure16 e = exposure_of(seen);
     float difference[BLOCK];
     space s;
-    s.row = room;
-    s.pixels = s.row + (fine + 1) * (wide + 2 * reach);
+    if (k->floats < row + (fine + 1) * wide * rows || k->numbers < (wide + blocks) * rows) {
+        return -1;
+    }
+    s.row = k->room;
+    s.pixels = s.row + row;
     s.parts = s.pixels + wide * rows;
     memset(added, 0, (size_t)CHANNELS * (size_t)(columns * rows) * sizeof *added);
-    number_pixels(&v, edges, where);
+    number_pixels(&v);
     for (int paint = PAD_NONE + 1; paint < PAD_PAINTS; paint++) {
-        if (!find_edges(&v, paint, edges, where)) {
+        if (!find_edges(&v, paint)) {
             continue;
         }
         blur_rows(&v, paint, &s);
@@ -238,9 +241,9 @@ void render_pad_lens(int32_t w, const int32_t *place, const uint8_t *kinds, int3
             for (int32_t block = 0, x = 0; block < blocks; block++, x += BLOCK) {
                 if (reached(&v, y, block)) {
                     blur_down(&v, y, x, &s, difference);
-                    add_light(&v, paint, y, x, columns - x < BLOCK ? columns - x : BLOCK, difference, &seen, exposure, &e, added);
+                    add_light(&v, paint, y, x, difference, &e, added);
                 }
             }
         }
-    }
+    }    return 0;
 }

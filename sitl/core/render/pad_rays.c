@@ -16,7 +16,7 @@ static void planes_in_rows(const stroke *k, sheaf *s)
     }
 }
 
-void begin_rays(const view *v, const stroke *k, sheaf *s)
+void begin_rays(const sim_pad_view *v, const stroke *k, sheaf *s)
 {
     for (int j = 0; j < TOGETHER; j++) {
         s->x[j] = s->y[j] = 0.0f;
@@ -29,7 +29,7 @@ void begin_rays(const view *v, const stroke *k, sheaf *s)
     }
 }
 
-void take_rays(const view *v, int32_t n, const int32_t *pixels, sheaf *s)
+void take_rays(const sim_pad_view *v, int32_t n, const int32_t *pixels, sheaf *s)
 {
     for (int32_t i = 0; i < TOGETHER; i++) {
         const float *ray = v->rays + 2 * (int64_t)pixels[i < n ? i : n - 1];
@@ -38,7 +38,7 @@ void take_rays(const view *v, int32_t n, const int32_t *pixels, sheaf *s)
     }
 }
 
-void take_changes(const view *v, const stroke *k, int32_t n, const int32_t *pixels, sheaf *s)
+void take_changes(const sim_pad_view *v, const stroke *k, int32_t n, const int32_t *pixels, sheaf *s)
 {
     for (int32_t j = 0; v->bent && j < TOGETHER; j++) {
         const float *change = v->change + 4 * (int64_t)pixels[j < n ? j : n - 1];

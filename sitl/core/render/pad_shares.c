@@ -199,13 +199,13 @@ static void inside_or_outside(const float *depth, const float *reach, int *all_i
 }
 
 /* Choose regions for pixels whose subpixels reach so far. The ring's share is needed where the arrowhead's is. */
-static void choose(const painting *p, const spots *s, const float *reach, choice *c)
+static void choose(const sim_pad_view *p, const spots *s, const float *reach, choice *c)
 {
     float depth[TOGETHER];
     memset(c->whole, 0, sizeof c->whole);
     c->whole[PAD_NONE] = 1.0f;
     c->count = 0;
-    for (int i = 0; i < p->count; i++) {
+    for (int i = 0; i < p->regions; i++) {
         const float *g = region_of(p, i);
         int all_inside, all_outside;
         depths_in(g, s->u, s->v, depth);
@@ -260,8 +260,7 @@ static void keep_part(const sums *one, int32_t n, int part, int parts, sums *tot
 }
 
 /* Add the shares of all subpixels of some pixels during one of the parts of the exposure. The plane is linear within a pixel. */
-static void add_pixels(const view *v, const stroke *k, int32_t n, const int32_t *pixels, int fine, const painting *pad, sums *total,
-                       float *kept)
+static void add_pixels(const sim_pad_view *v, const stroke *k, int32_t n, const int32_t *pixels, int fine, sums *total, float *kept)
 {
     float radius[TOGETHER], way[TOGETHER];
     sheaf rays;
@@ -276,7 +275,7 @@ static void add_pixels(const view *v, const stroke *k, int32_t n, const int32_t 
     for (int i = 0; i < TOGETHER; i++) {
         radius[i] = 1.01f * (float)fine * (radius[i] + 0.5f * way[i]);
     }
-    choose(pad, &s.met, radius, &c);
+    choose(v, &s.met, radius, &c);
     look_along_edges(&c, &s);
     for (int part = 0; part < fine * fine; part++) {
         place((float)(part % fine) - 0.5f * (float)(fine - 1), (float)(part / fine) - 0.5f * (float)(fine - 1), &s);
@@ -291,12 +290,9 @@ static void add_pixels(const view *v, const stroke *k, int32_t n, const int32_t 
     }
 }
 
-void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes,
-                       const float *stroke_numbers, int32_t rolling, int32_t regions, const float *pad, int32_t fine, int32_t count,
+void sim_render_pad_shares(const sim_pad_view *v, int32_t strokes, const float *stroke_numbers, int32_t fine, int32_t count,
                        const int32_t *edges, float *shares, float *parts)
 {
-    const view seen = {h, w, rays, change, bent, 0};
-    const painting drawn = {regions, pad};
     const float each = 1.0f / (float)(strokes * fine * fine);
     const int64_t numbers = PAD_PAINTS * (int64_t)fine * fine;
     sums total;
@@ -307,8 +303,8 @@ void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *cha
         const int32_t n = count - first < TOGETHER ? count - first : TOGETHER;
         memset(&total, 0, sizeof total);
         for (int i = 0; i < strokes; i++) {
-            const stroke k = stroke_at(stroke_numbers, rolling, i);
-            add_pixels(&seen, &k, n, edges + first, fine, &drawn, &total, parts ? parts + first * numbers : 0);
+            const stroke k = stroke_at(stroke_numbers, v->rolling, i);
+            add_pixels(v, &k, n, edges + first, fine, &total, parts ? parts + first * numbers : 0);
         }
         for (int32_t e = 0; e < n; e++) {
             for (int k = 0; k < PAD_PAINTS; k++) {

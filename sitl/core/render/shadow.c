@@ -10,7 +10,7 @@
 #include "decklander_sim.h"
 #include "base/wide.h"
 
-enum { ROTOR_AT, ROTOR_RADIUS, HALF_LENGTH, HALF_WIDTH, PIXELS = CELL_PX * CELL_PX };
+enum { PIXELS = CELL_PX * CELL_PX };
 
 /* Without a branch, so that the compiler takes many pixels at once. */
 static inline float larger(float a, float b)
@@ -33,11 +33,10 @@ static inline float share_of(float value)
  *
  * The distance to a rotor is that to first order near its rim; a smooth step as wide as `soft` is the edge. */
 WIDE
-static void darken(const float *restrict u, const float *restrict v, const float *shape, float soft, float share,
-                   const uint8_t *restrict mask, int16_t *restrict gain)
+static void darken(const float *restrict u, const float *restrict v, const sim_drone_shade *shade, const uint8_t *restrict mask, int16_t *restrict gain)
 {
-    const float at = shape[ROTOR_AT], radius = shape[ROTOR_RADIUS], per_radius = 0.5f / radius, per_soft = 1.0f / soft;
-    const float half_length = shape[HALF_LENGTH], half_width = shape[HALF_WIDTH], part = share / 255.0f;
+    const float at = shade->rotor_at_m, radius = shade->rotor_radius_m, per_radius = 0.5f / radius, per_soft = 1.0f / shade->soft_m;
+    const float half_length = shade->half_length_m, half_width = shade->half_width_m, part = shade->share / 255.0f;
     for (int32_t i = 0; i < PIXELS; i++) {
         const float a = fabsf(u[i]), b = fabsf(v[i]);
         const float rotor = ((a - at) * (a - at) + (b - at) * (b - at) - radius * radius) * per_radius;
@@ -78,16 +77,16 @@ static void between(const float *corner, float *restrict at)
 }
 
 /* Whether the shadow may reach a square: its middle is no further from rotor or hull than a corner and half of the soft edge. */
-static int reached(const corners *k, const float *shape, float soft)
+static int reached(const corners *k, const sim_drone_shade *shade)
 {
     const float u = 0.25f * (k->u[0] + k->u[1] + k->u[2] + k->u[3]), v = 0.25f * (k->v[0] + k->v[1] + k->v[2] + k->v[3]);
-    const float a = fabsf(u) - shape[ROTOR_AT], b = fabsf(v) - shape[ROTOR_AT];
+    const float a = fabsf(u) - shade->rotor_at_m, b = fabsf(v) - shade->rotor_at_m;
     float around2 = 0.0f;
     for (int i = 0; i < 4; i++) {
         around2 = larger(around2, (k->u[i] - u) * (k->u[i] - u) + (k->v[i] - v) * (k->v[i] - v));
     }
-    const float reach = 0.5f * soft + sqrtf(around2), rim = shape[ROTOR_RADIUS] + reach;
-    return a * a + b * b < rim * rim || (fabsf(u) - shape[HALF_LENGTH] < reach && fabsf(v) - shape[HALF_WIDTH] < reach);
+    const float reach = 0.5f * shade->soft_m + sqrtf(around2), rim = shade->rotor_radius_m + reach;
+    return a * a + b * b < rim * rim || (fabsf(u) - shade->half_length_m < reach && fabsf(v) - shade->half_width_m < reach);
 }
 
 /* The columns and rows of a frame that a square which begins at (left, top) lies on. */
@@ -114,8 +113,7 @@ static inline void copy_row(void *to, const void *from, size_t pixels, size_t si
     }
 }
 
-static void darken_square(const square *q, const corners *k, const float *shape, float soft, float share, const uint8_t *mask,
-                          int16_t *gain)
+static void darken_square(const square *q, const corners *k, const sim_drone_shade *shade, const uint8_t *mask, int16_t *gain)
 {
     float u[PIXELS], v[PIXELS];
     uint8_t covered[PIXELS];
@@ -132,7 +130,7 @@ static void darken_square(const square *q, const corners *k, const float *shape,
             copy_row(covered + to, mask + from, n, sizeof *mask);
         }
     }
-    darken(u, v, shape, soft, share, covered, made);
+    darken(u, v, shade, covered, made);
     for (int32_t y = q->y0; y < q->y1; y++) {
         copy_row(gain + (int64_t)y * q->w + q->x0, made + CELL_PX * (y - q->top) + q->x0 - q->left, n, sizeof *gain);
     }
@@ -145,19 +143,19 @@ static void widen(int32_t *bounds, int32_t from, int32_t to)
     bounds[1] = empty || to > bounds[1] ? to : bounds[1];
 }
 
-void render_shadow(int32_t h, int32_t w, const float *cells, int32_t columns, const float *shape, float soft, float share,
-                   const uint8_t *mask, int16_t *gain, int32_t *part)
+void sim_render_shadow(int32_t h, int32_t w, const sim_plane_cells *cells, const sim_drone_shade *shade, const uint8_t *mask, int16_t *gain,
+                   int32_t *bounds)
 {
-    memset(part, 0, 4 * sizeof *part);
+    memset(bounds, 0, 4 * sizeof *bounds);
     for (int32_t top = -CELL_PX / 2; top < h; top += CELL_PX) {
-        const float *row = cells + 2 * (int64_t)columns * ((top + CELL_PX / 2) / CELL_PX);
+        const float *row = cells->at + 2 * (int64_t)cells->columns * ((top + CELL_PX / 2) / CELL_PX);
         for (int32_t left = -CELL_PX / 2; left < w; left += CELL_PX, row += 2) {
-            const corners k = corners_at(row, columns);
-            if (reached(&k, shape, soft)) {
+            const corners k = corners_at(row, cells->columns);
+            if (reached(&k, shade)) {
                 const square q = square_at(h, w, left, top);
-                darken_square(&q, &k, shape, soft, share, mask, gain);
-                widen(part, q.x0, q.x1);
-                widen(part + 2, q.y0, q.y1);
+                darken_square(&q, &k, shade, mask, gain);
+                widen(bounds, q.x0, q.x1);
+                widen(bounds + 2, q.y0, q.y1);
             }
         }
     }

@@ -23,10 +23,10 @@ typedef struct {
     double per_m, shift_x, shift_y;
 } tile;
 
-static tile tile_of(const int16_t *texels, int32_t n, const double *numbers)
+static tile tile_of(const sim_sea_layer *of)
 {
-    tile made = {texels, 0, numbers[0], numbers[1], numbers[2]};
-    while (1 << made.bits < n) {
+    tile made = {of->texels, 0, of->per_m, of->shift_x, of->shift_y};
+    while (1 << made.bits < of->n) {
         made.bits++;
     }
     return made;
@@ -370,13 +370,8 @@ static int hidden(const uint8_t *mask, int32_t h, int32_t w, int32_t row, int32_
     return 1;
 }
 
-/* A part of the frame: columns x0 to x1 and rows y0 to y1 of squares, without the last. */
-typedef struct {
-    int32_t x0, x1, y0, y1;
-} window;
-
 /* The codes of a run of cells in some rows of squares, as far as they lie in the window. */
-static void paint_rows(const open_sea *s, const window *part, int32_t row, int32_t rows, int32_t cell, int32_t cells,
+static void paint_rows(const open_sea *s, const sim_frame_part *part, int32_t row, int32_t rows, int32_t cell, int32_t cells,
                        uint8_t *codes)
 {
     const int32_t x = SPAN * cell - SPAN / 2, from = x > part->x0 ? x : part->x0;
@@ -388,28 +383,25 @@ static void paint_rows(const open_sea *s, const window *part, int32_t row, int32
     }
 }
 
-void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells,
-                int32_t columns, const int16_t *small_texels, const int16_t *large_texels, const int16_t *caps_texels,
-                const int16_t *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow,
-                const double *outlines, const int32_t *outline_points, const float *soft_m, uint8_t *codes)
+void sim_render_sea(int32_t h, const sim_frame_part *part, const sim_plane_cells *cells, const sim_sea_surface *sea, const uint8_t *mask,
+                uint8_t *codes)
 {
+    const double *points = sea->outlines;
     outline ship[SEA_OUTLINES];
-    for (int i = 0; i < SEA_OUTLINES; outlines += 2 * outline_points[i], i++) {
-        set_outline(outlines, outline_points[i], soft_m[i], &ship[i]);
+    for (int i = 0; i < SEA_OUTLINES; points += 2 * sea->outline_points[i], i++) {
+        set_outline(points, sea->outline_points[i], sea->soft_m[i], &ship[i]);
     }
-    const open_sea s = {tile_of(small_texels, sizes[0], drift), tile_of(large_texels, sizes[1], drift + 3),
-                        tile_of(caps_texels, sizes[2], drift + 6), tile_of(streak_texels, sizes[3], drift + 9),
-                        cells, weights, slow, columns, ship};
-    const window part = {x0, x1, y0, y1};
-    const int32_t end = (x1 + SPAN / 2 + SPAN - 1) / SPAN;
-    for (int32_t row = y0; row < y1; row += SPAN) {
-        for (int32_t cell = (x0 + SPAN / 2) / SPAN; cell < end;) {
+    const open_sea s = {tile_of(&sea->small), tile_of(&sea->large), tile_of(&sea->caps), tile_of(&sea->streaks),
+                        cells->at, sea->weights, sea->slow, cells->columns, ship};
+    const int32_t end = (part->x1 + SPAN / 2 + SPAN - 1) / SPAN;
+    for (int32_t row = part->y0; row < part->y1; row += SPAN) {
+        for (int32_t cell = (part->x0 + SPAN / 2) / SPAN; cell < end;) {
             const int32_t n = end - cell < RUN_CELLS ? end - cell : RUN_CELLS;
-            if (mask && hidden(mask, h, w, row, cell)) {
+            if (mask && hidden(mask, h, part->w, row, cell)) {
                 cell++;
                 continue;
             }
-            paint_rows(&s, &part, row, SPAN, cell, n, codes);
+            paint_rows(&s, part, row, SPAN, cell, n, codes);
             cell += n;
         }
     }
@@ -456,18 +448,17 @@ static void colour_row(int32_t n, const uint16_t *code, const uint16_t *colours,
     }
 }
 
-void render_water(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours,
-                  const uint8_t *mask, uint16_t *scene)
+void sim_render_water(const sim_frame_part *part, const uint8_t *codes, const uint16_t *colours, const uint8_t *mask, uint16_t *scene)
 {
-    const int32_t columns = (x1 - x0) / 2, rows = (y1 - y0) / 2;
+    const int32_t columns = (part->x1 - part->x0) / 2, rows = (part->y1 - part->y0) / 2;
     uint16_t mixed[WATER + 2], code[2 * WATER];
-    for (int32_t row = y0; row < y1; row++) {
-        const int32_t own = (row - y0) / 2, other = nearer(own + ((row - y0) % 2 ? 1 : -1), rows);
+    for (int32_t row = part->y0; row < part->y1; row++) {
+        const int32_t own = (row - part->y0) / 2, other = nearer(own + ((row - part->y0) % 2 ? 1 : -1), rows);
         const uint8_t *near = codes + (int64_t)own * columns, *far = codes + (int64_t)other * columns;
         for (int32_t x = 0; x < columns; x += WATER) {
             const int32_t n = columns - x < WATER ? columns - x : WATER;
             const int32_t before = nearer(x - 1, columns), after = nearer(x + n, columns);
-            const int64_t at = (int64_t)row * w + x0 + 2 * x;
+            const int64_t at = (int64_t)row * part->w + part->x0 + 2 * x;
             mixed[0] = (uint16_t)(3 * near[before] + far[before]);
             mix_rows(n, near + x, far + x, mixed + 1);
             mixed[n + 1] = (uint16_t)(3 * near[after] + far[after]);

@@ -50,7 +50,7 @@ static inline double sine_of_turns(double turns)
 }
 
 WIDE
-static void add_wave(const wave *v, double t_s, shore *s)
+static void add_wave(const sim_wave *v, double t_s, shore *s)
 {
     const double per_turn = 1.0 / 6.283185307179586, north = v->k[0] * per_turn, east = v->k[1] * per_turn;
     const double from = (v->phase_rad - v->w_rad_s * t_s) * per_turn;
@@ -83,16 +83,15 @@ static inline float beside(const float *at, int32_t i, int32_t n, int64_t step)
 }
 
 /* The slopes in every second column of a row, and between them. */
-static void slopes_along(const float *rays, int32_t columns, const double *H, double t_s, int32_t harmonics, const wave *waves,
-                         int32_t w, float *out)
+static void slopes_along(const float *rays, int32_t columns, const sim_swell *sea, int32_t w, float *out)
 {
     for (int32_t first = 0; first < w; first += 2 * TOGETHER) {
         shore s;
         for (int32_t k = 0; k < TOGETHER; k++) {
-            follow(rays + 2 * (int64_t)nearer(2 * nearer(first + 2 * k, w), columns), H, k, &s);
+            follow(rays + 2 * (int64_t)nearer(2 * nearer(first + 2 * k, w), columns), sea->plane_from_ray, k, &s);
         }
-        for (int32_t i = 0; i < harmonics; i++) {
-            add_wave(&waves[i], t_s, &s);
+        for (int64_t i = 0; i < sea->harmonics; i++) {
+            add_wave(&sea->waves[i], sea->t_s, &s);
         }
         for (int32_t k = 0; k < TOGETHER && first + 2 * k < w; k++) {
             out[2 * (first + 2 * k)] = (float)s.slope[k];
@@ -103,13 +102,11 @@ static void slopes_along(const float *rays, int32_t columns, const double *H, do
     }
 }
 
-void render_swell(int32_t rows, int32_t columns, const float *rays, const double *R_ned_cam, const double *plane_from_ray,
-                  const double *to_sun, double t_s, int32_t harmonics, const wave *waves, float *light)
+void sim_render_swell(int32_t rows, int32_t columns, const float *rays, const sim_swell *s, float *light)
 {
     const int32_t h = rows / 2 + 1, w = columns / 2 + 1;
     for (int32_t row = 0; row < h; row += 2) {
-        slopes_along(rays + 2 * (int64_t)nearer(2 * row, rows) * columns, columns, plane_from_ray, t_s, harmonics, waves, w,
-                     light + 2 * (int64_t)row * w);
+        slopes_along(rays + 2 * (int64_t)nearer(2 * row, rows) * columns, columns, s, w, light + 2 * (int64_t)row * w);
     }
     for (int32_t row = 1; row < h; row += 2) {
         for (int32_t column = 0; column < w; column++) {
@@ -121,7 +118,7 @@ void render_swell(int32_t rows, int32_t columns, const float *rays, const double
         for (int32_t column = 0; column < w; column++) {
             const float *ray = rays + 2 * ((int64_t)nearer(2 * row, rows) * columns + nearer(2 * column, columns));
             float *out = light + 2 * ((int64_t)row * w + column);
-            light_at(ray, R_ned_cam, to_sun, (double)out[0], out);
+            light_at(ray, s->R_ned_cam, s->to_sun, (double)out[0], out);
         }
     }
 }

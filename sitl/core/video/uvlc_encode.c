@@ -1,3 +1,5 @@
+/* Encode UVLC pictures: pixels to blocks, coefficients and bits. */
+
 #include "decklander_sim.h"
 #include "video/uvlc.h"
 #include "video/uvlc_bits.h"

@@ -23,9 +23,7 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.time import seconds_between
 from sitl.ardrone.state import AIRBORNE
 from sitl.emulators.ardrone.server import ArDroneServer
-from sitl.faults.kinds import ServiceKilled
-from sitl.faults.operator import OperatorActs
-from sitl.faults.reports import VesselReports
+from sitl.faults.kinds import OperatorActs, ServiceKilled, VesselReports
 from sitl.flight.safety import dangers
 from sitl.scenario.scenario import FAULTS, Scenario, load
 from sitl.vehicle.vehicle import VehiclePhase

@@ -1,8 +1,9 @@
-"""Run the daemon beside an autopilot with frames from outside."""
+"""Run the daemon beside an autopilot with frames from outside, as a task or as a process that can be killed and started again."""
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Sequence
+import asyncio
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import Literal
 
@@ -11,7 +12,7 @@ import msgspec
 from companion.base.health import Health
 from companion.base.observer import Observer
 from companion.guidance.pilot import Pilot
-from companion.service.daemon import Daemon, VehicleLink
+from companion.service.daemon import Daemon, DaemonOptions, VehicleLink
 from companion.service.exposure_part import ExposurePart
 from companion.service.vehicle_parts import vehicle_parts
 from companion.settings.model import CameraSettings, Settings
@@ -49,11 +50,8 @@ class FlightDaemon:
             self._open,
             pilot,
             clock,
-            restart=settings.service,
-            guidance_rate_hz=settings.guidance.rate_hz,
-            threads=settings.vision.threads,
+            DaemonOptions(settings.service, settings.guidance.rate_hz, threads=settings.vision.threads, once=once),
             observers=observers,
-            once=once,
             health=health,
             extras=self._parts.extras,
         )
@@ -120,3 +118,79 @@ def beside_autopilot(
         camera=CameraSettings(settings.camera.file, gimbal=settings.camera.gimbal, exposure=settings.camera.exposure),
         guidance=msgspec.structs.replace(settings.guidance, start=start, follow_deck=follow),
     )
+
+
+class KillableService:
+    """One daemon after the other; a new one knows nothing of those before it.
+
+    What a killed daemon still sends while its tasks end must be kept from the vehicle: a killed process sends nothing.
+
+    Args:
+        make: makes a daemon with a pilot of its own, that ends with the first outcome or, if False, waits for the next flight.
+    """
+
+    def __init__(self, make: Callable[[bool], FlightDaemon]) -> None:
+        self._make = make
+        self.now = make(True)
+        """The newest daemon, be it killed."""
+        self.gone = False
+        """Whether it was killed and no new one runs."""
+        self._task: asyncio.Task[object] | None = None
+        self._offered = self._before = self._unheard = 0
+
+    def ended(self, ordered: bool) -> bool:
+        """Return whether the newest daemon ended its flight by itself.
+
+        A new daemon may find a vehicle that stands on the deck, which is the end of a flight but not of the one it is to fly.
+
+        Args:
+            ordered: whether it was ordered to land.
+        """
+        if self.gone or self._task is None:
+            return False
+        return self._task.done() or (ordered and self.now.pilot.outcome is not None)
+
+    def start(self, group: asyncio.TaskGroup) -> None:
+        """Run the daemon in a group of tasks."""
+        self._task = group.create_task(self.now.daemon.run())
+
+    def kill(self) -> None:
+        """Let the daemon be gone from now on."""
+        self.gone = True
+        if self._task is not None:
+            self._task.cancel()
+
+    async def restart(self, group: asyncio.TaskGroup) -> None:
+        """Run a new daemon in the place of a killed one."""
+        if self._task is not None:
+            await asyncio.wait({self._task})
+        self.now, self.gone = self._make(False), False
+        self._before, self._unheard = self._offered, 0
+        self.start(group)
+
+    async def stop(self) -> None:
+        """End the daemon and wait until it has ended."""
+        self.now.daemon.stop()
+        if self._task is not None:
+            await asyncio.wait({self._task})
+
+    def offer(self, frame: Frame) -> None:
+        """Give the daemon a frame that has arrived, if there is one that can take it."""
+        self._offered += 1
+        if self.gone or not self.now.open:
+            self._unheard += 1
+        else:
+            self.now.offer(frame)
+
+    def report(self, sample: VesselReport | GeoFix) -> None:
+        """Give the daemon a report of the ship that has arrived, if there is one that can take it."""
+        if not self.gone:
+            self.now.report(sample)
+
+    def concluded(self) -> int:
+        """Return the number of offered frames that are done with."""
+        return self._offered if self.gone else self._before + self._unheard + self.now.concluded()
+
+    def looking(self) -> bool:
+        """Return whether vision is at work on its thread."""
+        return not self.gone and self.now.looking()

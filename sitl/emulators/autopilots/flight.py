@@ -35,19 +35,14 @@ from estimator.contracts.time import MonoNs, seconds_between
 from sitl.camera.driven_exposure import SimulatedExposure
 from sitl.emulators.autopilots import arducopter, px4
 from sitl.emulators.autopilots.ardupilot_json import CURVE, STEP_S, JsonBackend, serve_json
-from sitl.emulators.autopilots.beside import FlightDaemon, beside_autopilot
-from sitl.emulators.autopilots.body import Body, Landing
-from sitl.emulators.autopilots.camera import LockStepCamera
+from sitl.emulators.autopilots.beside import FlightDaemon, KillableService, beside_autopilot
+from sitl.emulators.autopilots.body import Body, Landing, Silence, view_of
 from sitl.emulators.autopilots.faulty_link import FaultyLink
-from sitl.emulators.autopilots.graded_body import GradedBody
-from sitl.emulators.autopilots.lock_step import LockStepClock
-from sitl.emulators.autopilots.operator_view import view_of
-from sitl.emulators.autopilots.perceived_body import PerceivedBody
+from sitl.emulators.autopilots.lock_step import LockStepCamera, LockStepClock
+from sitl.emulators.autopilots.observed_body import GradedBody, PerceivedBody
 from sitl.emulators.autopilots.program import Program, free_udp_port, running
 from sitl.emulators.autopilots.px4_hil import HilBackend, serve_hil
-from sitl.emulators.autopilots.service import KillableService
-from sitl.emulators.autopilots.silence import Silence
-from sitl.emulators.autopilots.stand_in import fly as in_process
+from sitl.emulators.autopilots.stand_in import base as in_process
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.base import StandIn
 from sitl.emulators.autopilots.stand_in.gimbal import GimbalLink

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sitl.native import Number, Numbers
+from sitl.core.members import Number, Numbers
 from sitl.vehicle.airframe import Airframe
 from sitl.vehicle.vehicle import Vehicle, VehiclePhase
 from sitl.vessel.contact import Ground, Vec
@@ -44,9 +44,9 @@ class MotorVehicle(Vehicle):
 
     motors: Motors = _NONE
     curve: float = 0.0
-    _motor_driven = Number("params", "vehicle_params.motor_driven")
-    _driven_n = Number("state", "vehicle.driven_n")
-    _driven_n_m = Numbers("state", "vehicle.driven_n_m")
+    _motor_driven = Number("params", "motor_driven")
+    _driven_n = Number("state", "driven_n")
+    _driven_n_m = Numbers("state", "driven_n_m")
 
     def step(self, ground: Ground) -> None:
         """Advance by one step. With every motor stopped, the vehicle may come to rest on the deck and move with it."""

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.ardrone.samples import pressure_of_height_pa
+from drivers.atmosphere import pressure_of_height_pa
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import SetupImpossible

@@ -16,7 +16,7 @@ from companion.base.health import Health
 from companion.base.mission import FlightOutcome
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.mavlink.make import AutopilotPart
-from companion.service.daemon import Daemon, VehicleLink
+from companion.service.daemon import Daemon, DaemonOptions, VehicleLink
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.options import AutopilotOptions
@@ -59,14 +59,7 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
             yield link
 
     daemon = Daemon(
-        open_link,
-        pilot,
-        clock,
-        restart=loaded.service,
-        guidance_rate_hz=50.0,
-        observers=(part.component,),
-        once=True,
-        health=health,
+        open_link, pilot, clock, DaemonOptions(loaded.service, 50.0, once=True), observers=(part.component,), health=health
     )
     outcomes: list[FlightOutcome | None] = []
 

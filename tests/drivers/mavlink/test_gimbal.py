@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.dialect import Message, MountStatus, mav
+from drivers.mavlink.gimbal import GimbalPointer, GimbalSampler, Step
 from drivers.mavlink.gimbal_options import GimbalOptions, GimbalReport
-from drivers.mavlink.gimbal_pointer import GimbalPointer, Step
-from drivers.mavlink.gimbal_sampler import GimbalSampler
 from drivers.mavlink.options import TimeSyncOptions
 from drivers.mavlink.timesync import TimeSync
 from estimator.contracts.geometry import Rotation

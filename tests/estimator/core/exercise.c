@@ -375,9 +375,9 @@ int main(int count, char **files)
     }
     report("filter_run filter_propagate filter_settle filter_answer filter_forecast bank_reach sighting_model bank_begin bank_observe");
     scenes(24);
-    report("render_deck render_fill render_smear render_average render_shadow render_sea render_swell "
-           "render_water render_pad_kinds render_pad_shares render_pad_lens render_expose "
-           "render_mix render_image render_frame render_blur render_meet render_bounds");
+    report("sim_render_deck sim_render_fill sim_render_smear sim_render_average sim_render_shadow sim_render_sea sim_render_swell "
+           "sim_render_water sim_render_pad_kinds sim_render_pad_shares sim_render_pad_lens sim_render_expose "
+           "sim_render_mix sim_render_image sim_render_frame sim_render_blur sim_render_meet sim_render_bounds");
     registrations(60);
     report("register_pad sighting_in_level");
     alignments(40);
@@ -396,7 +396,7 @@ int main(int count, char **files)
     }
     report("law_observe law_tilt law_step");
     simulator();
-    report("vehicle_step vehicle_carry sim_run sensors_read vessel_moved vessel_mounted");
+    report("sim_vehicle_step sim_vehicle_carry sim_run sim_sensors_read sim_vessel_moved sim_vessel_mounted");
     return 0;
 }
 #endif

@@ -40,30 +40,36 @@ static void surface(int h, int w, float scale, int with_mask)
     int16_t *texels = room((size_t)(tile + 1) * (tile + 1) * 2);
     uint16_t *scene = room((size_t)h * w * 8), *drawing = room(8 * 20 * 30), *smeared = room((size_t)h * w * 8);
     uint8_t *mask = room((size_t)h * w), *codes = room((size_t)h * w / 4), *colour = room(256 * 8);
-    const int32_t sizes[4] = {tile, tile, tile, tile}, points[SEA_OUTLINES] = {with_mask ? 4 : 0, 3, 0}, shifts[6] = {-3, 2, 0, 0, 3, -2};
+    const int32_t shifts[6] = {-3, 2, 0, 0, 3, -2};
     const int32_t apart[4] = {-draw() % 40, 3, draw() % 40, -draw() % 5};
     const uint16_t weights[3] = {20000, 25535, 20000};
-    const double drift[12] = {0.3, 1e3, -1e3, 2.0, 0.1, 0.2, 1.0, 0.0, 0.0, 4.0, -0.5, 0.5};
-    const float strength[7] = {0.5f, 0.8f, 1.0f, 120.0f, 0.5f, 110.0f, 130.0f}, soft_m[SEA_OUTLINES] = {0.4f, 0.5f, 1.2f}, shape[4] = {0.14f, 0.115f, 0.2f, 0.05f};
+    const sim_drone_shade shade = {0.14f, 0.115f, 0.2f, 0.05f, 0.02f, 0.45f};
     const double outlines[14] = {-9.0, -4.0, 9.0, -4.0, 9.0, 4.0, -9.0, 4.0, 1.0, 1.0, 3.0, 7.0, 6.0, 1.0};
     int32_t part[8];
-    const double to_sun[3] = {0.3, 0.4, -0.86}, turn[9] = {0.9, 0.1, 0.0, -0.1, 0.9, 0.05, 0.0, 0.02, 1.0};
-    const wave swell[2] = {{0.4, {0.3, 0.1}, 1.2, 0.5}, {1.0, {-0.05, 0.2}, 0.8, 2.0}};
-    render_deck(w, 1, w - 1, 1, h - 1, cells, columns, drawing, 20, 30, with_mask ? mask : 0, scene);
-    render_fill(w, 0, w, 0, h, mask, (const uint16_t *)colour, scene);
-    render_smear(h, w, scene, 3, shifts, weights, smeared);
+    const double turn[9] = {0.9, 0.1, 0.0, -0.1, 0.9, 0.05, 0.0, 0.02, 1.0};
+    const sim_wave waves[2] = {{0.4, {0.3, 0.1}, 1.2, 0.5}, {1.0, {-0.05, 0.2}, 0.8, 2.0}};
+    const sim_frame_part all_of = {w, 0, w, 0, h}, inner = {w, 1, w - 1, 1, h - 1}, squares = {w, 0, w / 2, 0, h / 2};
+    const sim_plane_cells met = {cells, columns}, met_near = {near, columns};
+    const sim_drawing drawn = {drawing, 20, 30};
+    const sim_sea_surface sea = {
+        {texels, tile, 0.3, 1e3, -1e3}, {texels, tile, 2.0, 0.1, 0.2}, {texels, tile, 1.0, 0.0, 0.0}, {texels, tile, 4.0, -0.5, 0.5},
+        {0.5f, 0.8f, 1.0f, 120.0f, 0.5f, 110.0f, 130.0f}, slow, outlines, {with_mask ? 4 : 0, 3, 0}, {0.4f, 0.5f, 1.2f}};
+    sim_swell swell = {{0.0}, {0.0}, {0.3, 0.4, -0.86}, 3.0, waves, with_mask ? 2 : 0};
+    memcpy(swell.R_ned_cam, turn, sizeof turn), memcpy(swell.plane_from_ray, turn, sizeof turn);
+    sim_render_deck(&inner, &met, &drawn, with_mask ? mask : 0, scene);
+    sim_render_fill(&all_of, mask, (const uint16_t *)colour, scene);
+    sim_render_smear(h, w, scene, 3, shifts, weights, smeared);
     fold_bytes(smeared, (size_t)h * w * 8);
-    render_average(h, w, scene, apart, smeared);
-    render_sea(h, w, with_mask ? mask : 0, 0, w / 2, 0, h / 2, cells, columns, texels, texels, texels, texels, sizes, drift, strength, slow,
-               outlines, points, soft_m, codes);
-    render_shadow(h, w, near, columns, shape, 0.02f, 0.45f, with_mask ? mask : 0, gain, part);
-    render_bounds(h, w, mask, part, part + 4);
+    sim_render_average(h, w, scene, apart, smeared);
+    sim_render_sea(h, &squares, &met, &sea, with_mask ? mask : 0, codes);
+    sim_render_shadow(h, w, &met_near, &shade, with_mask ? mask : 0, gain, part);
+    sim_render_bounds(h, w, mask, part, part + 4);
     fold_bytes(part, sizeof part);
-    render_meet(rows * columns, cells, turn, 1e5, near);
+    sim_render_meet(rows * columns, cells, turn, 1e5, near);
     fold_bytes(near, sizeof(float) * 2 * (size_t)(rows * columns));
     fold_bytes(gain, (size_t)h * w * 2), fold_bytes(codes, (size_t)h * w / 4);
-    render_swell(rows, columns, cells, turn, turn, to_sun, 3.0, with_mask ? 2 : 0, swell, slow);
-    render_water(w, 0, w, 0, h, codes, (const uint16_t *)colour, with_mask ? mask : 0, scene);
+    sim_render_swell(rows, columns, cells, &swell, slow);
+    sim_render_water(&all_of, codes, (const uint16_t *)colour, with_mask ? mask : 0, scene);
     fold_bytes(scene, (size_t)h * w * 8), fold_bytes(smeared, (size_t)h * w * 8), fold_bytes(codes, (size_t)h * w / 4);
     void *all[] = {cells, slow, near, gain, texels, scene, drawing, smeared, mask, codes, colour};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
@@ -107,33 +113,43 @@ static void pad_in_light(int h, int w, float height_m, int rolling, int radius)
     uint8_t *kinds = room((size_t)h * w), *frame = room((size_t)h * values), *codes = room(65536);
     int32_t *edges = room((size_t)h * w * 4);
     uint16_t *scene = room((size_t)h * w * 8), *pad_scene = room(PAD_PAINTS * 8), *taps = room(62);
-    uint16_t *scratch = calloc((size_t)((2 * radius + 4 + CELL_PX) * values + 6 * radius + 1), 2);
+    const int32_t numbers_of = (2 * radius + 3 + CELL_PX) * values + w + 2 * radius;
+    uint16_t *scratch = calloc((size_t)numbers_of, 2);
     int16_t *gain = light_of(h * w), *light = light_of(h * values), *blurred = (int16_t *)room((size_t)h * values * 2);
     uint8_t *noise = room((size_t)h * values);
-    const int count = render_pad_kinds(h, w, rays, change, 0, middles, strokes, rolling, regions, drawing[0], kinds, edges);
+    const sim_pad_view view = {h, w, 0, rolling, regions, rays, change, middles, drawing[0]};
+    const int count = sim_render_pad_kinds(&view, strokes, kinds, edges);
     float *shares = malloc((size_t)count * PAD_PAINTS * sizeof(float) + 1);
     float *parts = malloc((size_t)count * PAD_PAINTS * 9 * sizeof(float) + 1);
-    render_pad_shares(h, w, rays, change, 0, 2, strokes, rolling, regions, drawing[0], 3, count, edges, shares, parts);
-    render_expose(h * w, scene, kinds, gain, exposure, pad_scene, light);
-    render_mix(count, edges, shares, scene, gain, exposure, pad_scene, light);
+    sim_render_pad_shares(&view, 2, strokes, 3, count, edges, shares, parts);
+    sim_lit_scene seen = {h, w, count, 3, scene, kinds, gain, exposure, pad_scene, edges, shares, parts};
+    sim_render_expose(&seen, light);
+    sim_render_mix(&seen, light);
     for (int t = 0; t <= radius; t++) {
         taps[t] = (uint16_t)(65535 / (2 * radius + 1));
     }
     const int32_t window[4] = {0, 0, w, h}, reach = radius + 1;
     float *kernels = floats(5 * (2 * reach + 1), 0.1f);
     const int blocks = (w + LENS_BLOCK - 1) / LENS_BLOCK;
-    float *blur_room = malloc((size_t)(4 * (LENS_BLOCK * blocks * (h + 1) + 2 * reach)) * sizeof(float));
-    int32_t *places = malloc((size_t)(h * blocks * (LENS_BLOCK + 1)) * sizeof *places);
+    const int32_t floats_of = 4 * (LENS_BLOCK * blocks * (h + 1) + 2 * reach), places_of = h * blocks * (LENS_BLOCK + 1);
+    float *blur_room = malloc((size_t)floats_of * sizeof(float));
+    int32_t *places = malloc((size_t)places_of * sizeof *places);
     int16_t *added = (int16_t *)room((size_t)h * values * 2);
-    render_pad_lens(w, window, kinds, count, edges, shares, 3, parts, reach, kernels, kernels + 3 * (2 * reach + 1), scene, gain, exposure,
-                    pad_scene, places, blur_room, added);
+    const sim_lens_kernels lens = {reach, floats_of, places_of, kernels, kernels + 3 * (2 * reach + 1), blur_room, places};
+    sim_lens_kernels narrow = lens;
+    narrow.floats--;
+    found += sim_render_pad_lens(&seen, window, &narrow, added) + sim_render_pad_lens(&seen, window, &lens, added);
     fold_bytes(added, (size_t)h * values * 2);
-    render_frame(h, w, light, radius, taps, window, rolling ? added : 0, radius % 2 ? noise : 0, codes, scratch, frame);
+    const sim_sensor_tone tone = {radius % 2 ? noise : 0, codes};
+    sim_lens_blur blur = {radius, numbers_of - 1, taps, window, rolling ? added : 0, scratch};
+    found += sim_render_frame(h, w, light, &blur, &tone, frame);
+    blur.numbers++;
+    found += sim_render_frame(h, w, light, &blur, &tone, frame);
     fold_bytes(frame, (size_t)h * values), fold_bytes(kinds, (size_t)h * w);
-    render_image(h, w, scene, rolling ? kinds : 0, gain, exposure, pad_scene, count, edges, shares, radius, taps, window, added,
-                 radius % 2 ? noise : 0, codes, scratch, frame);
+    seen.kinds = rolling ? kinds : 0, blur.added = added;
+    sim_render_image(&seen, &blur, &tone, frame);
     fold_bytes(frame, (size_t)h * values);
-    render_blur(h, w, light, radius, taps, window, added, scratch, blurred);
+    sim_render_blur(h, w, light, &blur, blurred);
     fold_bytes(blurred, (size_t)h * values * 2);
     void *all[] = {rays, middles, strokes, kinds, frame, codes, edges, scene, pad_scene, taps, scratch, gain, light, noise, blurred, shares, parts,
                    kernels, blur_room, places, added};

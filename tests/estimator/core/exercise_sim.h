@@ -1,6 +1,6 @@
 /* Calls the simulated vehicle's functions: flights over a deck and beside it, with every kind of air and of rotors. */
 
-static void vehicle_parameters(vehicle_params *o, int kind)
+static void vehicle_parameters(sim_vehicle_params *o, int kind)
 {
     memset(o, 0, sizeof *o);
     o->rotors = kind % 2 ? 6 : 4, o->quad_x = kind % 2 == 0, o->effect_by_rotor = kind % 2;
@@ -25,7 +25,7 @@ static void vehicle_parameters(vehicle_params *o, int kind)
     o->deck_taper_m = kind % 2, o->deck_yaw[0] = 1.0, o->gust_sigma_m_s = 0.5, o->gust_keep = o->flow_keep = o->tilt_keep = 0.99;
     o->gust_fresh = o->flow_fresh = o->tilt_fresh = 0.01, o->tilt_max_rad = 0.5;
     o->euler_angle_max_rad = 0.21, o->vz_max_m_s = 0.7, o->yaw_rate_max_rad_s = 1.7;
-    air_params *air = &o->air;
+    sim_air_params *air = &o->air;
     air->on = kind > 1, air->logarithmic = kind % 2, air->dryden = kind == 3, air->wake = kind == 2;
     air->gusts = kind == 4 ? GUSTS_MAX : 0, air->speed_m_s = 7.0, air->along[0] = -1.0, air->roughness_m = 0.0002;
     air->log10m = 10.8, air->keep_ship = 0.001, air->block_m[0] = -6.0, air->wake_decay = 0.03, air->pad_yaw[0] = 1.0;
@@ -39,14 +39,14 @@ static void vehicle_parameters(vehicle_params *o, int kind)
 
 static void sail(int kind, int steps, double poison)
 {
-    vehicle_params *o = malloc(sizeof *o);
-    vehicle *v = calloc(1, sizeof *v);
-    sensor_params *e = calloc(1, sizeof *e);
-    sensors *s = calloc(1, sizeof *s);
-    readings *out = malloc(sizeof *out);
-    water *sea = calloc(1, sizeof *sea);
-    wave *waves = calloc(3, sizeof *waves);
-    deck *decks = calloc((size_t)steps, sizeof *decks);
+    sim_vehicle_params *o = malloc(sizeof *o);
+    sim_vehicle *v = calloc(1, sizeof *v);
+    sim_sensor_params *e = calloc(1, sizeof *e);
+    sim_sensors *s = calloc(1, sizeof *s);
+    sim_readings *out = malloc(sizeof *out);
+    sim_water *sea = calloc(1, sizeof *sea);
+    sim_wave *waves = calloc(3, sizeof *waves);
+    sim_deck *decks = calloc((size_t)steps, sizeof *decks);
     double *noise = numbers(FLIGHT_NOISE * steps), *air = numbers(FLIGHT_NOISE * steps), *sensed = numbers(SENSOR_NOISE * steps);
     vehicle_parameters(o, kind);
     for (int i = 0; i < steps; i++) {
@@ -61,14 +61,15 @@ static void sail(int kind, int steps, double poison)
     v->phase = kind % 2 ? PHASE_LANDING : PHASE_FLYING, v->q[0] = v->R[0] = v->R[4] = v->R[8] = v->attached_q[0] = 1.0;
     v->p[1] = kind == 6 ? 3.0 : 0.0, v->p[2] = -1.1 * poison, v->airborne_s = 1.0, v->thrust_n = 14.0, v->touched_s = NAN;
     v->driven_n = 10.0;
-    vehicle_step(o, v, decks, 0.0, 0.0, noise, air);
+    sim_vehicle_step(o, v, decks, 0.0, 0.0, noise, air);
+    const sim_flight flown = {o, v, e, s, sea, waves, 3};
     for (int done = 0; done < steps;) {
-        done += sim_run(o, v, e, s, sea, 3, waves, steps - done, decks + done, noise + FLIGHT_NOISE * done,
-                        air + FLIGHT_NOISE * done, sensed + SENSOR_NOISE * done);
+        done += sim_run(&flown, steps - done, decks + done, noise + FLIGHT_NOISE * done, air + FLIGHT_NOISE * done,
+                        sensed + SENSOR_NOISE * done);
     }
-    sensors_read(o, v, e, s, out);
+    sim_sensors_read(o, v, e, s, out);
     fold(v->p, 3), fold(v->v, 3), fold(v->air, 3), fold(out->f_body, 3), fold(&out->pressure_pa, 1);
-    vehicle_carry(v, decks);
+    sim_vehicle_carry(v, decks);
     void *all[] = {o, v, e, s, out, sea, waves, decks, noise, air, sensed};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
@@ -78,12 +79,12 @@ static void sail(int kind, int steps, double poison)
 /* A vessel's motion at equal and at other steps of time, and that of a point on her. */
 static void ride(int harmonics, int n)
 {
-    harmonic *h = calloc((size_t)harmonics, sizeof *h);
+    sim_harmonic *h = calloc((size_t)harmonics, sizeof *h);
     double *t_s = numbers(n);
-    vessel_motion *moved = malloc((size_t)n * sizeof *moved);
-    vessel_origin *origin = calloc((size_t)n, sizeof *origin);
-    mounted *out = malloc((size_t)n * sizeof *out);
-    mount at = {{1.0, 0.5, -2.0}, {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}};
+    sim_vessel_motion *moved = malloc((size_t)n * sizeof *moved);
+    sim_vessel_origin *origin = calloc((size_t)n, sizeof *origin);
+    sim_mounted *out = malloc((size_t)n * sizeof *out);
+    sim_mount at = {{1.0, 0.5, -2.0}, {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}};
     for (int i = 0; i < n / 2; i++) {
         t_s[i] = 0.1 * i;
     }
@@ -91,8 +92,8 @@ static void ride(int harmonics, int n)
         h[i].w_rad_s = 0.5 + 0.1 * i, h[i].re[i % 6] = 0.1, h[i].im[(i + 3) % 6] = uniform();
     }
     poisoned(t_s, n);
-    vessel_moved(harmonics, h, n, t_s, moved);
-    vessel_mounted(n, origin, moved, &at, out);
+    sim_vessel_moved(harmonics, h, n, t_s, moved);
+    sim_vessel_mounted(n, origin, moved, &at, out);
     fold(moved->eta, 18), fold(out[n - 1].p, 21);
     void *all[] = {h, t_s, moved, origin, out};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {

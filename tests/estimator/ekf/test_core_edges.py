@@ -11,12 +11,12 @@ import pytest
 from msgspec.structs import replace
 
 from estimator.contracts.estimates import Sighting, Verdict
-from estimator.contracts.geometry import Rotation, rpy_matrix
+from estimator.contracts.geometry import Rotation, rpy_matrix, wrap_pi
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
 from estimator.core.abi import DL_WITH_COVARIANCE, EXCESSES_MAX
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import PackedEvent, packed_event
-from estimator.ekf.so3 import about_down, wrap
+from estimator.ekf.so3 import about_down
 from estimator.ekf.state import (
     ATT_ERR,
     ATTITUDE,
@@ -324,7 +324,7 @@ def test_of_two_opposite_headings_the_nearer_one_is_meant(turned: float, pose6: 
     x[PAD_YAW] = 0.3
     b = belief(x=x, P=diagonal(d=0.01, head=0.2))
     d, R = (0.01, 0.02, 2.0), rpy_matrix(0.02, -0.01, 0.0) @ about_down(0.3 + turned)
-    seen = sighting(d, wrap(-0.3 - turned), ambiguous=True, pose6=whole(d, R) if pose6 else None)
+    seen = sighting(d, wrap_pi(-0.3 - turned), ambiguous=True, pose6=whole(d, R) if pose6 else None)
     _, outcome = flown_outcome(b, seen)
     wrong = math.remainder(turned, math.pi)
     assert abs(outcome.innovation[-1]) == pytest.approx(abs(wrong), abs=0.05)

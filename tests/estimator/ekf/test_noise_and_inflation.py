@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from estimator.contracts.estimates import Sighting, Verdict
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf import Ekf, EkfOptions, at, start, step
-from estimator.ekf.so3 import about_down, heading, wrap
+from estimator.ekf.so3 import about_down, heading
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -151,7 +151,7 @@ def test_north_known_at_last_turns_the_world_and_not_the_pad_under_the_body() ->
     turned, b = belief(after), belief(before)
     assert heading(turned.R) == pytest.approx(1.2, abs=1e-6)
     angle = 1.2 - heading(b.R)
-    assert wrap(float(turned.x[PAD_YAW] - b.x[PAD_YAW])) == pytest.approx(wrap(angle), abs=0.01)
+    assert wrap_pi(float(turned.x[PAD_YAW] - b.x[PAD_YAW])) == pytest.approx(wrap_pi(angle), abs=0.01)
     np.testing.assert_allclose(turned.x[POS_REL], about_down(angle) @ b.x[POS_REL], atol=0.02)
 
 

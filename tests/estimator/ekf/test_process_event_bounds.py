@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.geometry import F64, Rotation, rpy_matrix
+from estimator.contracts.geometry import F64, Rotation, rpy_matrix, wrap_pi
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
 from estimator.ekf.packed_event import Event
 from estimator.ekf.process_event import process_event
-from estimator.ekf.so3 import about_down, wrap
+from estimator.ekf.so3 import about_down
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -307,7 +307,7 @@ def test_north_told_first_turns_every_direction_of_the_world_and_what_is_known_o
     for part in (VESSEL_VEL, SWAY_PER_HEAVE):
         turn[part, part] = Z[:2, :2]
     expected = turn @ x
-    expected[PAD_YAW] = wrap(x[PAD_YAW] + 1.2)
+    expected[PAD_YAW] = wrap_pi(x[PAD_YAW] + 1.2)
     np.testing.assert_allclose(after.x, expected, atol=1e-12)
     np.testing.assert_allclose(after.P, _with_attitude_told(turn @ b.P @ turn.T, R), atol=1e-12)
     np.testing.assert_allclose(after.P, after.P.T)

@@ -10,10 +10,10 @@ import pytest
 from msgspec.structs import replace
 
 from estimator.contracts.estimates import Sighting, Verdict
-from estimator.contracts.geometry import F64, rpy_matrix
+from estimator.contracts.geometry import F64, rpy_matrix, wrap_pi
 from estimator.ekf.gate import nis_max
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.so3 import about_down, wrap
+from estimator.ekf.so3 import about_down
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,
@@ -266,7 +266,7 @@ def test_a_heading_contradicted_for_too_long_gives_way(held_s: float) -> None:
     assert outcome.innovation is not None
     assert len(outcome.innovation) == 4
     np.testing.assert_allclose(outcome.innovation, [0.1, 0.0, 0.0, 0.0], atol=1e-9)
-    assert wrap(float(after.x[PAD_YAW]) + 3.0) == pytest.approx(0.0, abs=1e-6)
+    assert wrap_pi(float(after.x[PAD_YAW]) + 3.0) == pytest.approx(0.0, abs=1e-6)
     assert after.P[PAD_YAW, PAD_YAW] == pytest.approx(1e-3, rel=0.01)
     assert after.heading_held_s == 0.0
     assert after.nis_mean == pytest.approx(gate.mean_of(b.nis_mean, outcome.innovation, np.eye(4) * 0.0101), rel=1e-3)

@@ -14,8 +14,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.samples import Frame
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.learned.patch import CHANNELS, SIDE, inputs, patch_of
-from estimator.vision.learned.second_opinion import SecondOpinion, lowered, probability
+from estimator.vision.learned.second_opinion import CHANNELS, SIDE, SecondOpinion, inputs, lowered, patch_of, probability
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track

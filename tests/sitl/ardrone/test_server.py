@@ -20,7 +20,7 @@ from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from sitl.emulators.ardrone import truth_log
 from sitl.emulators.ardrone.server import ArDroneServer, Habits, Ports
-from sitl.faults.streams import FrameStream, NavdataStream
+from sitl.faults.kinds import FrameStream, NavdataStream
 from sitl.world.world import World
 from tests.sitl.ardrone.patient_clock import PatientClock
 from tests.sitl.ardrone.peer import Peer, Watcher

@@ -13,8 +13,7 @@ from drivers.ardrone import at
 from drivers.ardrone.navdata import ControlState
 from drivers.clock import SystemClock
 from sitl.emulators.ardrone.server import ArDroneServer, Ports
-from sitl.faults.kinds import LinkLost
-from sitl.faults.streams import FrameStream
+from sitl.faults.kinds import FrameStream, LinkLost
 from sitl.world.world import World
 from tests.sitl.ardrone.peer import Peer, Watcher
 from tests.sitl.ardrone.point_mass import PointMass

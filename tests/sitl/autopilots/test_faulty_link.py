@@ -23,8 +23,7 @@ from sitl.emulators.autopilots.faulty_link import FaultyLink
 from sitl.emulators.autopilots.miniature import MiniatureAutopilot
 from sitl.emulators.autopilots.program import free_udp_port
 from sitl.faults.faulty_streams import VehicleStreams
-from sitl.faults.kinds import LinkLost
-from sitl.faults.streams import CommandStream, NavdataStream, StreamFault
+from sitl.faults.kinds import CommandStream, LinkLost, NavdataStream, StreamFault
 from sitl.faults.timer import FaultTimer
 from tests.support.fake_ardrone import until
 

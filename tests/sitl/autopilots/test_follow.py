@@ -17,9 +17,8 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
-from sitl.emulators.autopilots.follow import DeckUnder, follow
+from sitl.emulators.autopilots.follow import AutopilotPose, DeckUnder, PoseSource, follow
 from sitl.emulators.autopilots.miniature import MiniatureAutopilot
-from sitl.emulators.autopilots.pose import AutopilotPose, PoseSource
 from sitl.emulators.autopilots.program import free_udp_port
 from sitl.scenario.scenario import load
 

@@ -14,8 +14,7 @@ from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import seconds_between
 from sitl.emulators.autopilots.body import Body
-from sitl.emulators.autopilots.camera import CameraTiming, LockStepCamera
-from sitl.emulators.autopilots.lock_step import LockStepClock
+from sitl.emulators.autopilots.lock_step import CameraTiming, LockStepCamera, LockStepClock
 from sitl.emulators.autopilots.program import executable, running
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.timer import FaultTimer

@@ -20,8 +20,7 @@ from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.ardupilot_json import CURVE
 from sitl.emulators.autopilots.body import Body
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
-from sitl.emulators.autopilots.stand_in.base import StandIn
-from sitl.emulators.autopilots.stand_in.fly import STEP_S
+from sitl.emulators.autopilots.stand_in.base import STEP_S, StandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.scenario.scenario import load
 from sitl.sensors.gnss import ORIGIN

@@ -11,8 +11,7 @@ import pytest
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.vehicle import ARMED, Stack, custom_mode
 from estimator.contracts.time import NS_PER_S, MonoNs
-from sitl.emulators.autopilots.body import Body
-from sitl.emulators.autopilots.operator_view import view_of
+from sitl.emulators.autopilots.body import Body, view_of
 from sitl.emulators.autopilots.station import GroundStation, OperatorView, Task
 from sitl.scenario.scenario import load
 

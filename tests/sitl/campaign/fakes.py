@@ -12,11 +12,10 @@ from pathlib import Path
 
 from companion.settings.model import Settings
 from sitl.campaign.code import code_version
-from sitl.campaign.local import LocalWorkers
 from sitl.campaign.plan import CampaignPlan, Job, make_plan, seeds_of
-from sitl.campaign.run import Session
-from sitl.campaign.store import FolderStore
+from sitl.campaign.store import FolderStore, Session
 from sitl.campaign.task import Flight
+from sitl.campaign.workers import LocalWorkers
 from sitl.flight.one_flight import Perception, settings_for
 from sitl.scenario.scenario import Scenario, from_mapping
 from tests.sitl.near import NEAR

@@ -18,12 +18,11 @@ from companion.cli import main as cli
 from estimator.contracts.errors import BadInput, Recoverable
 from sitl.campaign import code, store, summary
 from sitl.campaign.code import code_version, differences, sources_digest
-from sitl.campaign.local import LocalWorkers
 from sitl.campaign.plan import Job, seeds_of
-from sitl.campaign.run import Session
-from sitl.campaign.store import FLIGHTS, MANIFEST, FolderStore, flights_in
+from sitl.campaign.store import FLIGHTS, MANIFEST, FolderStore, Session, flights_in
 from sitl.campaign.summary import tally, wilson
 from sitl.campaign.task import Flight, Order, OtherCode, fly_order
+from sitl.campaign.workers import LocalWorkers
 from tests.sitl.campaign.fakes import KILLS, RAISES, fake_fly, plan
 from tests.sitl.near import NEAR
 
@@ -256,7 +255,7 @@ def test_a_ctrl_c_while_the_server_of_the_workers_starts_is_for_the_campaign_alo
     source = """
 import os, signal
 from multiprocessing import forkserver
-from sitl.campaign.local import _start_server
+from sitl.campaign.workers import _start_server
 _start_server()
 server = forkserver._forkserver._forkserver_pid
 blocked = int(open(f"/proc/{server}/status").read().split("SigBlk:")[1].split()[0], 16)

@@ -15,11 +15,11 @@ import pytest
 
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput, Recoverable
-from sitl.campaign.cluster import ClusterWorkers
 from sitl.campaign.code import code_version
 from sitl.campaign.plan import Job
 from sitl.campaign.summary import tally
 from sitl.campaign.task import Order, OtherCode, fly_order
+from sitl.campaign.workers import ClusterWorkers
 from tests.sitl.campaign.fakes import RAISES, fake_fly, plan
 
 pytestmark = pytest.mark.slow
@@ -114,7 +114,7 @@ def test_a_worker_with_other_code_is_refused_by_name(monkeypatch: pytest.MonkeyP
 
 def test_no_scheduler_and_a_wrong_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sitl.campaign.cluster._CONNECT_S", 1.0)
+    monkeypatch.setattr("sitl.campaign.workers._CONNECT_S", 1.0)
     assert cli.main(["campaign", "calm", "--runs", "2", "--scheduler", "tcp://127.0.0.1:9"]) == 1
     said = capsys.readouterr().err
     assert "--scheduler tcp://127.0.0.1:9: no scheduler answers there" in said

@@ -10,10 +10,10 @@ import pytest
 
 from companion.settings.load import SHIPPED
 from estimator.contracts.errors import BadInput, Recoverable
-from sitl.campaign import cluster
-from sitl.campaign.cluster import ClusterWorkers
+from sitl.campaign import workers as cluster
 from sitl.campaign.overrides import Overridable
 from sitl.campaign.plan import make_plan
+from sitl.campaign.workers import ClusterWorkers
 from sitl.flight.one_flight import settings_for
 from sitl.scenario.scenario import load
 

@@ -16,20 +16,16 @@ import pytest
 
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput
-from sitl.campaign.by_value import as_json, by_value, in_rows
-from sitl.campaign.causes import RULES, cause_of, severity
 from sitl.campaign.code import code_version
-from sitl.campaign.compare import bootstrap_interval, differences_of
 from sitl.campaign.design import described, factorial, parse_axis, sampled
-from sitl.campaign.figures import effect_of, figures_of, map_of, varied_point
-from sitl.campaign.object_store import ObjectStore
+from sitl.campaign.figures import bootstrap_interval, differences_of, effect_of, figures_of, map_of, varied_point
 from sitl.campaign.overrides import Overridable
-from sitl.campaign.parquet import table_bytes
 from sitl.campaign.plan import Job, Point
 from sitl.campaign.report import REPORT, fly_again, render_report
 from sitl.campaign.search import Search
-from sitl.campaign.store import FolderStore, flights_in, manifest_of, manifest_of_plan
-from sitl.campaign.summary import in_words, tally
+from sitl.campaign.store import FolderStore, ObjectStore, flights_in, manifest_of, manifest_of_plan
+from sitl.campaign.summary import RULES, cause_of, in_words, severity, tally
+from sitl.campaign.tables import as_json, by_value, in_rows, parquet_bytes
 from sitl.campaign.task import Flight, Order, fly_order
 from sitl.flight.one_flight import settings_for
 from tests.sitl.campaign.fakes import RAISES, fake_fly, near, plan
@@ -222,7 +218,7 @@ def test_campaigns_are_compared_seed_by_seed() -> None:
 
 def test_the_table_has_a_row_for_each_flight_and_a_column_for_each_varied_key() -> None:
     flights = [flown(seed, (("wind.speed_m_s", speed),)) for seed in range(4) for speed in (0.0, 7.0)] + [flown(RAISES)]
-    table = pq.read_table(io.BytesIO(table_bytes(flights, {"wind.speed_m_s": 7.0})))
+    table = pq.read_table(io.BytesIO(parquet_bytes(flights, {"wind.speed_m_s": 7.0})))
     assert table.num_rows == 9
     assert table["varied_wind.speed_m_s"].to_pylist()[:3] == [0.0, 7.0, 0.0]
     assert table["landed_on_pad"].to_pylist()[:3] == [True, False, True]

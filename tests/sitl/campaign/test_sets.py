@@ -12,10 +12,10 @@ import pytest
 
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput
-from sitl.campaign.by_scenario import by_scenario, in_columns
 from sitl.campaign.code import code_version
 from sitl.campaign.plan import Job, SetPlan
 from sitl.campaign.report import REPORT
+from sitl.campaign.tables import by_scenario, in_columns
 from sitl.campaign.task import Order, base_of, fly_order, job_of
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import load as load_scenario

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64, orthonormalised, skew
+from estimator.contracts.motion import G_M_S2
 from estimator.ekf.params import FilterParams
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ACCEL_BIAS,
     ATT_AXES,
     ATT_ERR,
-    GRAVITY_M_S2,
     GYRO_BIAS,
     NO_VEC3,
     PAD_YAW,
@@ -78,7 +78,7 @@ def propagate_state(b: Belief, t: int, w_body: Vec3, f_body: Vec3, hold_ns: int,
     if dt <= 0.0:
         return b.changed(**also) if also else b
     if b.t_imu < 0 or t - b.t_imu > hold_ns:
-        dp, dv = _moved_by(b, (0.0, 0.0, -GRAVITY_M_S2 * dt), dt)
+        dp, dv = _moved_by(b, (0.0, 0.0, -G_M_S2 * dt), dt)
         return b.changed(t=t, dp=dp, dv=dv, turned=b.turned + b.R * dt, coast_s=b.coast_s + dt, **also)
     gx, gy, gz, ax, ay, az = b.x[_IMU_BIASES].tolist()
     (wx, wy, wz), (fx, fy, fz) = w_body, f_body
@@ -196,7 +196,7 @@ def moved(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
     waves = b.x[_SEA].reshape(WAVES.shape)
     after = (same.A @ waves[:, :, None])[:, :, 0]
     x[_SEA] = after.ravel()
-    fall = 0.5 * GRAVITY_M_S2 * T * T
+    fall = 0.5 * G_M_S2 * T * T
     moved = (after - waves)[:3, 0] - b.x[VEL] * T - b.dp
     moved[2] -= fall
     turn, rate = turned(float(b.x[TURN_RATE]), T), b.x[TURN_RATE]
@@ -206,7 +206,7 @@ def moved(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
     moved[:2] += turn.reach.dot(u) + coupling * heaved
     x[POS_REL] += moved
     x[VEL] += b.dv
-    x[VEL_DOWN] += GRAVITY_M_S2 * T
+    x[VEL_DOWN] += G_M_S2 * T
     x[_YAW] = same.A_yaw.dot(b.x[_YAW])
     x[PAD_YAW] += rate * T + float(x[WAVE_YAW] - b.x[WAVE_YAW])
     # The downward accelerometer bias is not removed: a change of its estimate in flight would look like a jerk of the deck.
@@ -216,7 +216,7 @@ def moved(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
     ins_p[2] += 0.5 * T * biased
     ins_v[2] += biased
     ins_p[2] += fall
-    ins_v[2] += GRAVITY_M_S2 * T
+    ins_v[2] += G_M_S2 * T
 
     F = same.F.copy()
     back = b.R.T.dot(b.R_cov)
@@ -274,12 +274,12 @@ def peek(b: Belief) -> F64:
     x = b.x.copy()
     rates = b.x[_RATES]
     drift = rates[:3] * T - b.x[VEL] * T - b.dp
-    drift[2] -= 0.5 * GRAVITY_M_S2 * T * T
+    drift[2] -= 0.5 * G_M_S2 * T * T
     drift[:2] += (b.x[VESSEL_VEL] + b.x[SWAY_PER_HEAVE] * rates[2]) * T
     x[POS_REL] += drift
     x[_DISPLACEMENTS] += rates * T
     x[VEL] += b.dv
-    x[VEL_DOWN] += GRAVITY_M_S2 * T
+    x[VEL_DOWN] += G_M_S2 * T
     x[PAD_YAW] += (b.x[YAW_RATE] + b.x[TURN_RATE]) * T
     return x
 
@@ -287,14 +287,14 @@ def peek(b: Belief) -> F64:
 def peek_velocity(b: Belief) -> Vec3:
     """Return only v_body_ned of `peek`, m/s."""
     (x, y, z), (dx, dy, dz) = b.x[VEL].tolist(), b.dv
-    return x + dx, y + dy, z + dz + GRAVITY_M_S2 * 1e-9 * (b.t - b.t_cov)
+    return x + dx, y + dy, z + dz + G_M_S2 * 1e-9 * (b.t - b.t_cov)
 
 
 def peek_height(b: Belief) -> float:
     """Return only the depth of the pad's mean level below the body, as `peek` has it, metres."""
     T = (b.t - b.t_cov) * 1e-9
     x = b.x
-    return x.item(POS_DOWN) - x.item(_HEAVE.start) - x.item(VEL_DOWN) * T - b.dp[2] - 0.5 * GRAVITY_M_S2 * T * T
+    return x.item(POS_DOWN) - x.item(_HEAVE.start) - x.item(VEL_DOWN) * T - b.dp[2] - 0.5 * G_M_S2 * T * T
 
 
 class Turned(NamedTuple):

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.contracts.geometry import F64, skew
+from estimator.contracts.geometry import F64, skew, wrap_pi
 from estimator.core.abi import DL_WITH_AIDING
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.params import FilterParams
-from estimator.ekf.so3 import wrap
 from estimator.ekf.state import ATT_ERR, PAD_YAW, POS_REL, VEL_SCALE, Belief, N, RejectionStreak
 from tests.estimator.ekf.oracle import algebra, motion, so3
 from tests.estimator.ekf.oracle.algebra import Correction
@@ -74,7 +73,7 @@ def corrected(b: Belief, dx: F64, P: F64) -> Belief:
     """Apply a correction. Its attitude part rotates `R`, and the covariance is rewritten about the new attitude."""
     x = b.x + dx
     x[ATT_ERR] = 0.0
-    x[PAD_YAW] = wrap(float(x[PAD_YAW]))
+    x[PAD_YAW] = wrap_pi(float(x[PAD_YAW]))
     x[VEL_SCALE] = min(max(float(x[VEL_SCALE]), 0.2), 3.0)
     turn = so3.exp(dx[ATT_ERR])
     R = b.R.dot(turn)

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.estimates import Sighting
-from estimator.contracts.geometry import F64, rpy_matrix, skew
-from estimator.ekf.so3 import Vec3, about_down, heading, wrap
+from estimator.contracts.geometry import F64, rpy_matrix, skew, wrap_pi
+from estimator.ekf.so3 import Vec3, about_down, heading
 from estimator.ekf.state import (
     ATT_ERR,
     CAMERA_DELAY,
@@ -167,9 +167,9 @@ def sighting(
         G[:, CAMERA_DELAY] = spin
         if whole is None:
             row = so3.heading_row(M)
-            yaw = wrap((s.yaw_rad or 0.0) + heading(M))
+            yaw = wrap_pi((s.yaw_rad or 0.0) + heading(M))
             if s.yaw_ambiguous and abs(yaw) > math.pi / 2:
-                yaw = wrap(yaw + math.pi)
+                yaw = wrap_pi(yaw + math.pi)
             innov[3] = yaw
             H[3] = -row.dot(G)
         else:
@@ -240,4 +240,5 @@ def vessel_heading(x: F64, heading_rad: float, sigma_rad: float) -> LinearizedMe
     """Return the measurement of the arrow's heading that the ship reports."""
     H = np.zeros((1, N))
     H[0, PAD_YAW] = 1.0
-    return LinearizedMeasurement(np.array([wrap(heading_rad - float(x[PAD_YAW]))]), H, np.array([[sigma_rad * sigma_rad]]), _NONE)
+    innovation = np.array([wrap_pi(heading_rad - float(x[PAD_YAW]))])
+    return LinearizedMeasurement(innovation, H, np.array([[sigma_rad * sigma_rad]]), _NONE)

@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from estimator.contracts.estimates import Sighting, Verdict
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, wrap_pi
 from estimator.ekf.deck_motion_bank import CARRIED
 from estimator.ekf.gate import nis_max
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.params import FilterParams
-from estimator.ekf.so3 import heading, wrap
+from estimator.ekf.so3 import heading
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,
@@ -144,7 +144,7 @@ def _with_new_heading(b: Belief, event: Sighting) -> Belief:
     if yaw is None:
         return b
     P, x = b.P.copy(), b.x.copy()
-    x[PAD_YAW] = wrap(heading(b.R) - yaw)
+    x[PAD_YAW] = wrap_pi(heading(b.R) - yaw)
     x[[YAW_RATE, WAVE_YAW]] = 0.0
     P[PAD_YAW, :] = P[:, PAD_YAW] = 0.0
     P[PAD_YAW, PAD_YAW] = math.pi**2 / 3.0
@@ -192,7 +192,7 @@ def _initialized(b: Belief, event: Sighting, o: EkfOptions, *, reset: bool) -> B
         P[WAVES[:3, :, None], WAVES[:3, None, :]] = waves_unknown(b.sea)[:3]
         x[WAVES[:3]] = 0.0
     if (reset or not b.heading_known) and event.yaw_rad is not None and not event.yaw_ambiguous:
-        x[PAD_YAW] = wrap(heading(b.R) - event.yaw_rad)
+        x[PAD_YAW] = wrap_pi(heading(b.R) - event.yaw_rad)
         P[PAD_YAW, :] = P[:, PAD_YAW] = 0.0
         P[PAD_YAW, PAD_YAW] = math.pi**2 / 3.0
     return b._replace(x=x, P=P, rejections=RejectionStreak(), heading_held_s=0.0)

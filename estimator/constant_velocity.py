@@ -1,0 +1,155 @@
+"""A Kalman filter of the pad's relative position and velocity, fed by the sightings alone.
+
+The model is a constant velocity of the pad against the body, driven by white noise in place of the accelerations of drone and
+deck (Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, sec. 6.2.1). Position and
+velocity are written in `ned`, so a turn of the drone is not a motion of the pad; the vehicle's own attitude rotates sightings
+into `ned` and the answer out of it. filterpy's filter does the algebra: one is made for each step from the arrays of the belief,
+which do not change.
+
+The belief holds at the exposure of the newest fused frame, so a frame that arrives late needs no repair: `at` predicts from the
+exposure to any instant, and the covariance grows with the time between. A frame exposed before the newest fused one is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+from filterpy.common import Q_continuous_white_noise
+from filterpy.kalman import KalmanFilter
+from msgspec import structs
+
+from estimator.arrow_heading import ArrowHeading, heading_after
+from estimator.attitude_history import AttitudeHistory
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
+from estimator.contracts.fusion import FusionResult, components_of
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.motion import BodyMotion, DeckMotion
+from estimator.contracts.samples import Attitude, Sample
+from estimator.contracts.time import MonoNs, seconds_between
+from estimator.ekf import Forecast
+
+GATE_NIS = 16.27
+"""Chi-square with 3 degrees of freedom, 99.9 %."""
+_KEPT = 5
+"""Number of innovations by which the belief is called consistent."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Belief:
+    """Position and velocity of the pad against the body at the exposure of the newest fused frame."""
+
+    at: MonoNs
+    x: F64
+    """(6,) position, m, and velocity, m/s, in `ned`."""
+    P: F64
+    agreed: tuple[bool, ...] = ()
+    """Whether each of the newest innovations lay inside the gate."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantVelocityPath:
+    """Sightings through a Kalman filter of constant velocity."""
+
+    attitudes: AttitudeHistory = field(default_factory=AttitudeHistory)
+    max_gap_s: float = 0.5
+    """Time without a fused sighting after which the filter starts again."""
+    acceleration_density_m2_s3: float = 1.0
+    """Spectral density of the acceleration of drone and deck along each axis."""
+    sigma_v_m_s: float = 1.0
+    """Standard deviation of the velocity at the first sighting."""
+    sigma_heading_rate_rad_s: float = 0.01
+    """Drift of the vehicle's heading against the pad's: one standard deviation."""
+    belief: _Belief | None = None
+    arrow: ArrowHeading | None = None
+
+    @property
+    def name(self) -> PathName:
+        return "constant_velocity"
+
+    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, Sequence[FusionResult | None]]:
+        attitudes = self.attitudes.add(*[s for s in samples if type(s) is Attitude])
+        return replace(self, attitudes=attitudes), [None] * len(samples)
+
+    def step(self, sighting: Sighting) -> tuple[Self, FusionResult]:
+        stamp, last = sighting.stamp, self.belief
+        result = FusionResult(self.name, "sighting", Verdict.FUSED, stamp.measured_at, stamp.received_at)
+        attitude = self.attitudes.at(stamp.measured_at, stamp)
+        if attitude is None:
+            return self, structs.replace(result, verdict=Verdict.NO_ATTITUDE)
+        elapsed_s = math.inf if last is None else seconds_between(last.at, stamp.measured_at)
+        if elapsed_s <= 0.0:
+            return self, structs.replace(result, verdict=Verdict.TOO_OLD)
+        heading_rad = attitude.R_ned_body.rpy_rad[2]
+        R_ned_level = Rotation.from_rpy(0.0, 0.0, heading_rad).matrix
+        z, R = R_ned_level @ sighting.d_body_pad_level, R_ned_level @ sighting.cov[:3, :3] @ R_ned_level.T
+        if last is None or elapsed_s > self.max_gap_s:
+            P = self.sigma_v_m_s**2 * np.eye(6)
+            P[:3, :3] = R
+            first = _Belief(stamp.measured_at, np.concatenate([z, np.zeros(3)]), P)
+            return replace(self, belief=first, arrow=heading_after(None, heading_rad, sighting)), result
+
+        kalman = self._predicted(last, elapsed_s)
+        kalman.update(z, R)
+        nis = float(kalman.mahalanobis) ** 2
+        to_body = attitude.R_ned_body.inv.matrix
+        result = structs.replace(
+            result,
+            verdict=Verdict.FUSED if nis <= GATE_NIS else Verdict.GATED,
+            innovation=to_body @ kalman.y,
+            innovation_cov=to_body @ kalman.S @ to_body.T,
+            components=components_of("sighting", 3),
+            nis=nis,
+            test_ratio=nis / GATE_NIS,
+        )
+        agreed = (*last.agreed, nis <= GATE_NIS)[-_KEPT:]
+        if nis > GATE_NIS:
+            return replace(self, belief=replace(last, agreed=agreed)), result
+        belief = _Belief(stamp.measured_at, kalman.x, kalman.P, agreed)
+        return replace(self, belief=belief, arrow=heading_after(self.arrow, heading_rad, sighting)), result
+
+    def at(self, now: MonoNs) -> RelativeState | None:
+        belief = self.belief
+        if belief is None:
+            return None
+        kalman = self._predicted(belief, seconds_between(belief.at, now))
+        heading_rad = self._heading_rad(now)
+        R_level_ned = Rotation.from_rpy(0.0, 0.0, -heading_rad).matrix
+        turn, cov = np.kron(np.eye(2), R_level_ned), np.zeros((7, 7))
+        d, v = (turn @ kalman.x).reshape(2, 3)
+        cov[:6, :6] = turn @ kalman.P @ turn.T
+        cov[6, 6] = UNKNOWN_YAW_VAR if self.arrow is None else self.arrow.var_at(now, self.sigma_heading_rate_rad_s)
+        return RelativeState(
+            at=now,
+            path=self.name,
+            d_body_pad_level=d,
+            v_pad_level=v,
+            yaw_rad=None if self.arrow is None else wrap_pi(heading_rad - self.arrow.heading_rad),
+            cov=0.5 * (cov + cov.T),
+            sighted=belief.at,
+            consistent=2 * sum(belief.agreed) >= len(belief.agreed),
+            details=(("yaw_ambiguous", float(self.arrow is not None and self.arrow.ambiguous)),),
+        )
+
+    def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
+        return None, None
+
+    def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
+        return None
+
+    def _predicted(self, belief: _Belief, elapsed_s: float) -> KalmanFilter:
+        """Return filterpy's filter with the belief `elapsed_s` later; the belief's own arrays are not changed."""
+        kalman = KalmanFilter(dim_x=6, dim_z=3)
+        kalman.x, kalman.P, kalman.H = belief.x, belief.P, np.eye(3, 6)
+        kalman.F = np.eye(6) + elapsed_s * np.eye(6, k=3)
+        kalman.Q = Q_continuous_white_noise(2, abs(elapsed_s), self.acceleration_density_m2_s3, 3, order_by_dim=False)
+        kalman.predict()
+        return kalman
+
+    def _heading_rad(self, now: MonoNs) -> float:
+        """Return the vehicle's heading at an instant; the newest one if no attitude covers it."""
+        newest = self.attitudes.samples[-1]
+        return (self.attitudes.at(now, newest.stamp) or newest).R_ned_body.rpy_rad[2]
