@@ -27,8 +27,12 @@ from estimator.late import Late
 
 _VERDICTS = {getattr(abi, f"DL_{v.name}"): v for v in (Verdict.FUSED, Verdict.GATED, Verdict.SINGULAR, Verdict.LOW_CONFIDENCE)}
 _new, _lent, _member, _bytes_of = CORE.ffi.new, CORE.ffi.from_buffer, CORE.ffi.addressof, CORE.ffi.buffer
-_WHOLE, _ROW, _EVENTS, _SIGHTINGS = map(CORE.ffi.typeof, ("dl_whole_belief *", "dl_filter_row *", "dl_event[]", "dl_sighting[]"))
-_OUTCOME = CORE.dtype("dl_outcome")
+_WHOLE, _ROW = (CORE.ffi.typeof(f"dl_{name} *") for name in ("whole_belief", "filter_row"))
+_EVENTS, _SIGHTINGS, _HEADS = (CORE.ffi.typeof(f"dl_{name}[]") for name in ("event", "sighting", "outcome"))
+_DOUBLES, _OUTCOME = CORE.ffi.typeof("double[]"), CORE.dtype("dl_outcome")
+_NOTHING = CORE.ffi.new("dl_filter_step *", {"P_index": -1, "bank_index": -1})
+"""The step before all events."""
+_NO_BANKS = CORE.room("dl_bank", 0)
 _NUMBERS = (
     "t", "t_cov", "t_imu", "t_velocity", "sighted", "agreed", "heading_seen", "ins_var_m2_s2", "jolt_var_m2_s2", "jolt_var_rad2",
     "over_pad", "coast_s", "nis_mean", "heading_held_s",
@@ -83,7 +87,7 @@ class PackedBelief:
     def whole(self) -> Any:
         """The core's `dl_whole_belief`."""
         if self._whole is None:
-            self._whole = _new(_WHOLE, (self._pointer, CORE.array("double", self.P, N * N), self.sea.pointer))
+            self._whole = _new(_WHOLE, (self._pointer, _lent(_DOUBLES, self.P), self.sea.pointer))
         return self._whole
 
     def apart(self, P: F64, sea: PackedSea) -> PackedBelief:
@@ -98,12 +102,12 @@ class PackedBelief:
         """
         n = len(events)
         seen = [one.seen for one in events if one.seen]
-        steps, banks, covariances = CORE.room("dl_filter_step", n), CORE.room("dl_bank", len(seen)), np.empty((n, N, N))
-        row = _new(_ROW, (steps[1], CORE.array("double", covariances), banks[1]))
-        records, sightings = b"".join([one.record for one in events]), b"".join(seen)
-        done = CORE.lib.dl_filter_run(
-            params.core, n, _lent(_EVENTS, records), len(seen), _lent(_SIGHTINGS, sightings), self.whole, row
-        )
+        steps, covariances = CORE.room("dl_filter_step", n), np.empty((n, N, N))
+        banks = CORE.room("dl_bank", len(seen)) if seen else _NO_BANKS
+        row = _new(_ROW, (steps[1], _lent(_DOUBLES, covariances), banks[1]))
+        records = _lent(_EVENTS, b"".join([one.record for one in events]))
+        sightings = _lent(_SIGHTINGS, b"".join(seen)) if seen else CORE.ffi.NULL
+        done = CORE.lib.dl_filter_run(params.core, n, records, len(seen), sightings, self.whole, row)
         return Followed(self, done, steps, covariances, banks)
 
     def propagated(self, t: int, params: FilterParams, how_far: int) -> PackedBelief:
@@ -136,11 +140,9 @@ class Followed(Sequence[PackedBelief]):
         self._before = before.P, before.sea
         self._made: list[PackedBelief | None] = [None] * done
         self._steps, self._pointer = steps
-        self._P, self._banks = covariances[:0], list[PackedSea]()
-        if done:
-            last = self._pointer[done - 1]
-            self._P = _kept(covariances, last.P_index + 1)
-            self._banks = [PackedSea(banks[0][i, ...], banks[1] + i) for i in range(last.bank_index + 1)]
+        last = self._pointer[done - 1] if done else _NOTHING
+        self._P = _kept(covariances, last.P_index + 1)
+        self._banks = [PackedSea(banks[0][i, ...], banks[1] + i) for i in range(last.bank_index + 1)]
 
     def __len__(self) -> int:
         return len(self._made)
@@ -154,7 +156,7 @@ class Followed(Sequence[PackedBelief]):
     def outcomes(self, n: int) -> Sequence[Outcome]:
         """Return what became of the first events."""
         rows = b"".join([_bytes_of(_member(self._pointer[i], "outcome")) for i in range(n)])
-        return Late(n, partial(_outcomes, np.ndarray((n,), _OUTCOME, rows)))
+        return Late(n, partial(_outcomes, rows))
 
     def first(self, n: int) -> tuple[PackedBelief, ...]:
         """Return the first beliefs in memory of their own, so that the rest of the row can be freed."""
@@ -172,30 +174,35 @@ class Followed(Sequence[PackedBelief]):
         P, sea = self._before
         step = self._pointer[i]
         numbers = self._steps["after"][i, ...]
-        if step.P_index >= 0:
+        if self._P is not None and step.P_index >= 0:
             P = self._P[step.P_index]
         if step.bank_index >= 0:
             sea = self._banks[step.bank_index]
         return PackedBelief(numbers, _member(step, "after"), P, sea)
 
 
-def _kept(block: F64, used: int) -> F64:
+def _kept(block: F64, used: int) -> F64 | None:
     """Return what the core has used, not to be written to; the history keeps no room for more."""
+    if used == 0:
+        return None
     kept = block if used == len(block) else block[:used].copy()
     kept.setflags(write=False)
     return kept
 
 
-def _outcomes(rows: NDArray[Any]) -> list[Outcome]:
+def _outcomes(rows: bytes) -> list[Outcome]:
     """Return the core's `dl_outcome`s."""
-    heads = zip(*(rows[name].tolist() for name in ("verdict", "m", "axes", "has_S", "nis", "nis_max")), strict=True)
-    innov, S = rows["innov"], rows["S"]
-    return [
-        Outcome(_VERDICTS[verdict], innov[i, :m], S[i, : m * m].reshape(m, m) if has_S else None, nis, nis_max, _AXES[axes])
-        if m
-        else _UNCOMPARED[verdict]
-        for i, (verdict, m, axes, has_S, nis, nis_max) in enumerate(heads)
-    ]
+    heads = _lent(_HEADS, rows)
+    table = np.ndarray((len(heads),), _OUTCOME, rows)
+    innov, S = table["innov"], table["S"]
+    return [_outcome(head, innov[i], S[i]) if head.m else _UNCOMPARED[head.verdict] for i, head in enumerate(heads)]
+
+
+def _outcome(head: Any, innov: F64, S: F64) -> Outcome:
+    """Return the core's `dl_outcome` of a measurement that was compared."""
+    m = head.m
+    cov = S[: m * m].reshape(m, m) if head.has_S else None
+    return Outcome(_VERDICTS[head.verdict], innov[:m], cov, head.nis, head.nis_max, _AXES[head.axes])
 
 
 def _written(b: Belief) -> NDArray[Any]:

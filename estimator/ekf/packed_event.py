@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Mapping
+from operator import attrgetter
 from typing import Any
 
 from msgspec import Struct
@@ -27,46 +29,53 @@ class PackedEvent(Struct, frozen=True):
 
 def packed_event(event: Event) -> PackedEvent:
     """Return an event as the core reads it."""
-    kind, write = _KINDS[type(event)]
-    made = _new(_EVENT)
-    made.kind, made.t = kind, event.stamp.measured_at
-    write(made.sample, event)
-    record = bytes(_buffer(made))
-    return PackedEvent(record, bytes(_buffer(_sighting(event)))) if type(event) is Sighting else PackedEvent(record)
+    record = _RECORDS[type(event)](event)
+    return PackedEvent(record, bytes(CORE.ffi.buffer(_sighting(event)))) if type(event) is Sighting else PackedEvent(record)
 
 
-def _write_imu(sample: Any, event: Imu) -> None:
-    _copy(sample.imu.w_body, event.w_body, 24)
-    _copy(sample.imu.f_body, event.f_body, 24)
+def _record(kind: int, event: Event, **sample: Mapping[str, Any]) -> bytes:
+    """Return the core's `dl_event` with a sample given by its name in the header."""
+    made = CORE.ffi.new("dl_event *", {"kind": kind, "t": event.stamp.measured_at, "sample": sample})
+    return bytes(CORE.ffi.buffer(made))
 
 
-def _write_attitude(sample: Any, event: Attitude) -> None:
-    sample.attitude = {"R_ned_body": event.R_ned_body.matrix.ravel().tolist(), "cov_body": event.cov_body.ravel().tolist()}
+def _of_arrays(kind: int, sample: str) -> Callable[[Any], bytes]:
+    """Return what makes a record of a sample whose members in the header are the event's own arrays: most events are such."""
+    get = attrgetter(*(name for name, _ in CORE.ffi.typeof(sample).fields))
+    rest = bytes(CORE.ffi.sizeof("dl_event") - _HEAD.size - CORE.ffi.sizeof(sample))
+
+    def record(event: Any) -> bytes:
+        arrays = [array.tobytes() for array in get(event)]
+        return b"".join([_HEAD.pack(kind, event.stamp.measured_at), *arrays, rest])
+
+    return record
 
 
-def _write_velocity(sample: Any, event: BodyVelocity) -> None:
-    sample.velocity = {"v_level": event.v_level.tolist(), "cov_level": event.cov_level.ravel().tolist()}
+def _of_attitude(event: Attitude) -> bytes:
+    values = {"R_ned_body": event.R_ned_body.matrix.ravel().tolist(), "cov_body": event.cov_body.ravel().tolist()}
+    return _record(abi.DL_ATTITUDE, event, attitude=values)
 
 
-def _write_range(sample: Any, event: Range) -> None:
-    sample.distance = {"measured_m": event.range_m, "sigma_m": event.sigma_m}
+def _of_range(event: Range) -> bytes:
+    return _record(abi.DL_RANGE, event, distance={"measured_m": event.range_m, "sigma_m": event.sigma_m})
 
 
-def _write_height(sample: Any, event: Baro) -> None:
-    sample.distance = {"measured_m": event.height_m, "sigma_m": event.sigma_m}
+def _of_height(event: Baro) -> bytes:
+    return _record(abi.DL_HEIGHT, event, distance={"measured_m": event.height_m, "sigma_m": event.sigma_m})
 
 
-def _write_vessel(sample: Any, report: VesselReport) -> None:
-    v, cov = report.v_vessel_ned, report.cov_v_ned
+def _of_vessel(report: VesselReport) -> bytes:
+    v, cov, values = report.v_vessel_ned, report.cov_v_ned, dict[str, Any]()
     if v is not None and cov is not None:
-        sample.vessel = {"has_velocity": 1, "v_ned": v.tolist(), "cov_v_ned": cov.ravel().tolist()}
+        values |= {"has_velocity": 1, "v_ned": v.tolist(), "cov_v_ned": cov.ravel().tolist()}
     if report.heading_rad is not None:
-        sample.vessel.has_heading, sample.vessel.heading_rad = 1, report.heading_rad
-        sample.vessel.sigma_heading_rad = report.sigma_heading_rad or 0.0
+        values |= {"has_heading": 1, "heading_rad": report.heading_rad, "sigma_heading_rad": report.sigma_heading_rad}
+    return _record(abi.DL_VESSEL, report, vessel=values)
 
 
-def _write_nothing(sample: Any, event: Sighting) -> None:
-    """Leave the event without a sample: the sighting is beside it."""
+def _of_sighting(event: Sighting) -> bytes:
+    """Return an event without a sample: the sighting is beside it."""
+    return _record(abi.DL_SIGHTING, event)
 
 
 def _sighting(s: Sighting) -> Any:
@@ -91,15 +100,14 @@ def _sighting(s: Sighting) -> Any:
     return made
 
 
-_EVENT = CORE.ffi.typeof("dl_event *")
-_new, _copy, _buffer = CORE.ffi.new, CORE.ffi.memmove, CORE.ffi.buffer
-_KINDS: dict[type[Event], tuple[int, Callable[[Any, Any], None]]] = {
-    Imu: (abi.DL_IMU, _write_imu),
-    Attitude: (abi.DL_ATTITUDE, _write_attitude),
-    BodyVelocity: (abi.DL_VELOCITY, _write_velocity),
-    Range: (abi.DL_RANGE, _write_range),
-    Baro: (abi.DL_HEIGHT, _write_height),
-    VesselReport: (abi.DL_VESSEL, _write_vessel),
-    Sighting: (abi.DL_SIGHTING, _write_nothing),
+_HEAD = struct.Struct("2q")
+"""The numbers of an event before its sample."""
+_RECORDS: dict[type[Event], Callable[[Any], bytes]] = {
+    Imu: _of_arrays(abi.DL_IMU, "dl_imu"),
+    Attitude: _of_attitude,
+    BodyVelocity: _of_arrays(abi.DL_VELOCITY, "dl_velocity"),
+    Range: _of_range,
+    Baro: _of_height,
+    VesselReport: _of_vessel,
+    Sighting: _of_sighting,
 }
-"""The number of each kind of event, and what writes its values."""
