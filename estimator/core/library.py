@@ -161,9 +161,15 @@ class Door:
 
         numpy takes ten times as long to make an array of structures, or to lend one to C, as to do so with bytes.
         """
-        dtype, pointer = self._known(kind)
+        dtype, pointer = self._dtypes.get(kind) or self._known(kind)
         block = np.empty(count * dtype.itemsize, np.uint8)
-        return np.ndarray((count,), dtype, block.data), self.ffi.from_buffer(pointer, block)
+        return np.ndarray((count,), dtype, block), self.ffi.from_buffer(pointer, block)
+
+    def copied(self, kind: str, pointer: Any) -> tuple[NDArray[Any], Any]:
+        """Return an array of one structure's copy, and C's pointer to it."""
+        made, own = self.room(kind, 1)
+        self.ffi.memmove(own, pointer, made.nbytes)
+        return made, own
 
     def _known(self, kind: str) -> tuple[np.dtype[Any], Any]:
         known = self._dtypes.get(kind)

@@ -180,13 +180,13 @@ class PackedSea:
 
     def apart(self) -> PackedSea:
         """Return the same bank in memory of its own."""
-        record = self.record.copy()
-        return PackedSea(record, CORE.array("dl_bank", record, 1))
+        copy, pointer = CORE.copied("dl_bank", self.pointer)
+        return PackedSea(copy[0, ...], pointer)
 
     @property
     def log_evidence_of_rest(self) -> float:
         """Log of how much likelier all that was seen is from a deck at rest than from one that moves."""
-        return _log_evidence_of(self.pointer.weight[0])
+        return _log_evidence_of(self.pointer[0].weight[0])
 
     @property
     def bank(self) -> DeckMotionBank:

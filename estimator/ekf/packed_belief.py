@@ -50,31 +50,40 @@ _UNCOMPARED = {number: Outcome(verdict) for number, verdict in _VERDICTS.items()
 class PackedBelief:
     """A belief in the core's layout. It is immutable, as a belief is.
 
+    Args:
+        records: the core's `dl_belief`s of which its numbers are one.
+        at: which of them.
+        pointer: C's pointer to it.
+
     Attributes:
-        numbers: the core's `dl_belief`.
         P: its covariance, (N, N).
         sea: its deck motion bank.
     """
 
-    __slots__ = ("P", "_belief", "_pointer", "_whole", "numbers", "sea")
+    __slots__ = ("P", "_at", "_belief", "_pointer", "_records", "_whole", "sea")
 
-    def __init__(self, numbers: NDArray[Any], pointer: Any, P: F64, sea: PackedSea) -> None:
-        self.numbers, self.P, self.sea, self._pointer = numbers, P, sea, pointer
+    def __init__(self, records: NDArray[Any], at: int, pointer: Any, P: F64, sea: PackedSea) -> None:
+        self._records, self._at, self._pointer, self.P, self.sea = records, at, pointer, P, sea
         self._belief: Belief | None = None
         self._whole: Any = None
 
     @classmethod
     def of(cls, b: Belief) -> PackedBelief:
         """Return a belief as the core holds it."""
-        numbers = _written(b)
-        made = cls(numbers, CORE.array("dl_belief", numbers, 1), np.ascontiguousarray(b.P), PackedSea.of(b.sea))
+        numbers = _written(b).reshape(1)
+        made = cls(numbers, 0, CORE.array("dl_belief", numbers, 1), np.ascontiguousarray(b.P), PackedSea.of(b.sea))
         made._belief = b
         return made
 
     @property
+    def numbers(self) -> NDArray[Any]:
+        """The core's `dl_belief`, an array without axes."""
+        return self._records[self._at, ...]
+
+    @property
     def t(self) -> int:
         """The belief's instant, ns."""
-        return self._pointer.t  # type: ignore[no-any-return]
+        return self._pointer[0].t  # type: ignore[no-any-return]
 
     @property
     def belief(self) -> Belief:
@@ -92,8 +101,8 @@ class PackedBelief:
 
     def apart(self, P: F64, sea: PackedSea) -> PackedBelief:
         """Return the same belief in memory of its own, with this covariance and bank."""
-        numbers = self.numbers.copy()
-        return PackedBelief(numbers, CORE.array("dl_belief", numbers, 1), P, sea)
+        copy, pointer = CORE.copied("dl_belief", self._pointer)
+        return PackedBelief(copy, 0, pointer, P, sea)
 
     def follow(self, params: FilterParams, events: Sequence[PackedEvent]) -> Followed:
         """Return the beliefs after each of the events, which are in order.
@@ -114,7 +123,7 @@ class PackedBelief:
         """Return the belief at instant `t`, ns; `how_far` is `DL_WITH_COVARIANCE` or `DL_WITH_AIDING` of the core."""
         (numbers, pointer), P = CORE.room("dl_belief", 1), np.empty((N, N))
         CORE.lib.dl_filter_propagate(params.core, how_far, t, self.whole, pointer, CORE.array("double", P, N * N))
-        return PackedBelief(numbers[0, ...], pointer, P, self.sea)
+        return PackedBelief(numbers, 0, pointer, P, self.sea)
 
 
 class Followed(Sequence[PackedBelief]):
@@ -127,7 +136,7 @@ class Followed(Sequence[PackedBelief]):
         covariances, banks: what the core wrote, and room for more.
     """
 
-    __slots__ = ("_P", "_banks", "_before", "_made", "_pointer", "_steps")
+    __slots__ = ("_P", "_banks", "_before", "_made", "_numbers", "_pointer")
 
     def __init__(
         self,
@@ -139,7 +148,7 @@ class Followed(Sequence[PackedBelief]):
     ) -> None:
         self._before = before.P, before.sea
         self._made: list[PackedBelief | None] = [None] * done
-        self._steps, self._pointer = steps
+        self._numbers, self._pointer = steps[0]["after"], steps[1]
         last = self._pointer[done - 1] if done else _NOTHING
         self._P = _kept(covariances, last.P_index + 1)
         self._banks = [PackedSea(banks[0][i, ...], banks[1] + i) for i in range(last.bank_index + 1)]
@@ -161,24 +170,25 @@ class Followed(Sequence[PackedBelief]):
     def first(self, n: int) -> tuple[PackedBelief, ...]:
         """Return the first beliefs in memory of their own, so that the rest of the row can be freed."""
         P, sea = self._before
-        covariances, seas = {id(P): P}, {id(sea): sea}
+        covariances, seas = {-1: P}, {id(sea): sea}
         out = []
         for i in range(n):
             b, slot = self._belief(i), self._pointer[i].P_index
-            P = covariances.setdefault(slot, b.P.copy()) if slot >= 0 else b.P
-            sea = seas.setdefault(id(b.sea), b.sea.apart())
-            out.append(b.apart(P, sea))
+            if slot not in covariances:
+                covariances[slot] = b.P.copy()
+            if id(b.sea) not in seas:
+                seas[id(b.sea)] = b.sea.apart()
+            out.append(b.apart(covariances[slot], seas[id(b.sea)]))
         return tuple(out)
 
     def _belief(self, i: int) -> PackedBelief:
         P, sea = self._before
         step = self._pointer[i]
-        numbers = self._steps["after"][i, ...]
         if self._P is not None and step.P_index >= 0:
             P = self._P[step.P_index]
         if step.bank_index >= 0:
             sea = self._banks[step.bank_index]
-        return PackedBelief(numbers, _member(step, "after"), P, sea)
+        return PackedBelief(self._numbers, i, _member(step, "after"), P, sea)
 
 
 def _kept(block: F64, used: int) -> F64 | None:

@@ -39,9 +39,15 @@ def _record(kind: int, event: Event, **sample: Mapping[str, Any]) -> bytes:
     return bytes(CORE.ffi.buffer(made))
 
 
-def _of_arrays(kind: int, sample: str) -> Callable[[Any], bytes]:
-    """Return what makes a record of a sample whose members in the header are the event's own arrays: most events are such."""
-    get = attrgetter(*(name for name, _ in CORE.ffi.typeof(sample).fields))
+def _of_arrays(kind: int, sample: str, **at: str) -> Callable[[Any], bytes]:
+    """Return what makes a record of a sample whose members in the header are the event's own arrays: most events are such.
+
+    Args:
+        kind: the kind of event.
+        sample: the structure of its sample.
+        at: where the event has an array whose name is not the member's.
+    """
+    get = attrgetter(*(at.get(name, name) for name, _ in CORE.ffi.typeof(sample).fields))
     rest = bytes(CORE.ffi.sizeof("dl_event") - _HEAD.size - CORE.ffi.sizeof(sample))
 
     def record(event: Any) -> bytes:
@@ -49,11 +55,6 @@ def _of_arrays(kind: int, sample: str) -> Callable[[Any], bytes]:
         return b"".join([_HEAD.pack(kind, event.stamp.measured_at), *arrays, rest])
 
     return record
-
-
-def _of_attitude(event: Attitude) -> bytes:
-    values = {"R_ned_body": event.R_ned_body.matrix.ravel().tolist(), "cov_body": event.cov_body.ravel().tolist()}
-    return _record(abi.DL_ATTITUDE, event, attitude=values)
 
 
 def _of_range(event: Range) -> bytes:
@@ -104,7 +105,7 @@ _HEAD = struct.Struct("2q")
 """The numbers of an event before its sample."""
 _RECORDS: dict[type[Event], Callable[[Any], bytes]] = {
     Imu: _of_arrays(abi.DL_IMU, "dl_imu"),
-    Attitude: _of_attitude,
+    Attitude: _of_arrays(abi.DL_ATTITUDE, "dl_attitude", R_ned_body="R_ned_body.matrix"),
     BodyVelocity: _of_arrays(abi.DL_VELOCITY, "dl_velocity"),
     Range: _of_range,
     Baro: _of_height,
