@@ -24,7 +24,9 @@ RUN sh requirements/slim.sh /opt/decklander \
  && for command in demo run record replay doctor soak; do /opt/decklander/bin/decklander $command --help > /dev/null || exit 1; done
 # The bill of materials travels with what it describes. Its maker stays in this stage.
 RUN /opt/build/bin/pip install --no-cache-dir --require-hashes -r requirements/supply.txt \
- && /opt/build/bin/python -m supply.sbom --environment /opt/decklander --out /opt/decklander/share/decklander/sbom.cdx.json
+ && mkdir -p /opt/decklander/share/decklander \
+ && /opt/build/bin/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible \
+    -o /opt/decklander/share/decklander/sbom.cdx.json /opt/decklander
 
 FROM debian:bookworm-slim
 RUN apt-get update \

@@ -42,7 +42,7 @@ test-install: deb
 	$(BIN)/python -m tests.packaging.boot --deb dist/decklander_*_$$(dpkg --print-architecture).deb $(if $(WORK),--work $(WORK))
 
 # A Debian package that carries every wheel, in dist/: make deb, or make deb ARCHITECTURE=aarch64. WHEELS=DIR fetches nothing.
-deb: $(VENV)/.dev $(VENV)/.compiler
+deb: $(VENV)/.supply $(VENV)/.compiler
 	SOURCE_DATE_EPOCH=$${SOURCE_DATE_EPOCH:-$$(git log -1 --format=%ct)} \
 	  $(BIN)/python -m supply.deb $(if $(ARCHITECTURE),--architecture $(ARCHITECTURE)) $(if $(WHEELS),--wheels $(WHEELS))
 
@@ -76,15 +76,18 @@ fuzz: $(VENV)/.fuzz $(CORE)
 mutants: $(VENV)/.dev $(CORE)
 	$(BIN)/python -m mutants $(if $(SHARE),--share $(SHARE)) $(if $(SEED),--seed $(SEED)) $(if $(ONLY),--only $(ONLY))
 
-# What is shipped: bill of materials (CycloneDX JSON), licences, known weaknesses (of PyPI's advisories, or of ADVISORIES=FILE without a network).
-sbom: $(VENV)/.dev
-	$(BIN)/python -m supply.sbom --out dist/decklander.cdx.json
+# What is shipped: bills of materials (CycloneDX JSON) of an environment with every extra and of the pins, licences, known weaknesses.
+# OSV=URL asks a server of the OSV interface for these in place of PyPI; STRICT=1 fails where none can be asked.
+sbom: $(VENV)/.supply $(VENV)/shipped
+	@mkdir -p dist
+	$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible -o dist/decklander.cdx.json $(VENV)/shipped
+	$(BIN)/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible -o dist/decklander.pins.cdx.json requirements/runtime.txt
 
 licences: $(VENV)/.dev
-	$(BIN)/python -m supply.licences > docs/licences.md.new && mv docs/licences.md.new docs/licences.md
+	sh supply/licences.sh $(BIN)/python > docs/licences.md.new && mv docs/licences.md.new docs/licences.md
 
 audit: $(VENV)/.supply
-	$(BIN)/python -m supply.audit $(if $(ADVISORIES),--advisories $(ADVISORIES))
+	@sh supply/audit.sh $(BIN)/pip-audit $(if $(OSV),--vulnerability-service osv --osv-url $(OSV)) $(if $(STRICT),--strict)
 
 $(VENV)/.runtime: pyproject.toml requirements/build.txt requirements/runtime.txt | $(BIN)/python
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip --upgrade >/dev/null
@@ -123,6 +126,12 @@ $(VENV)/.docs: requirements/docs.txt $(VENV)/.dev
 
 $(VENV)/.supply: requirements/supply.txt $(VENV)/.dev
 	$(PIP) install --require-hashes -r requirements/supply.txt
+	@touch $@
+
+# An environment with the service's needs and every extra's, and nothing else.
+$(VENV)/shipped: requirements/runtime.txt requirements/report.txt requirements/lab.txt requirements/ros2.txt requirements/compare.txt | $(BIN)/python
+	$(BIN)/python -m venv --clear --without-pip $@
+	$(PIP) --python $@ install --require-hashes $(foreach pins,$^,-r $(pins))
 	@touch $@
 
 $(BIN)/python:

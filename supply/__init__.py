@@ -1,1 +1,1 @@
-"""Bill of materials, licences and known weaknesses of what is shipped beside our own code. `make sbom licences audit`."""
+"""How the native core is built, and what is shipped: wheels, a Debian package, licences, known weaknesses."""

@@ -1,8 +1,8 @@
 """Make a Debian package that carries every wheel the service needs: `python -m supply.deb`, or `make deb`.
 
-The package holds the wheels, not an environment: its scripts make one with `--no-index`, by the code of `decklander install`, so
-that packaged and other installations update and roll back alike (docs/decisions/042). Two builds of one commit give the same
-bytes where SOURCE_DATE_EPOCH is the same; `make deb` takes the commit's.
+The package holds the wheels, not an environment: its scripts make one with `--no-index`, by the code of `decklander service
+install`, so that packaged and other installations update and roll back alike (docs/decisions/042). Two builds of one
+commit give the same bytes where SOURCE_DATE_EPOCH is the same; `make deb` takes the commit's.
 
 Sources: Debian Policy 4.6, chapters 3, 5, 6 and 9; the specification of reproducible builds, SOURCE_DATE_EPOCH.
 """
@@ -12,22 +12,23 @@ from __future__ import annotations
 import argparse
 import gzip
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import textwrap
 import tomllib
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from email.utils import format_datetime
 from pathlib import Path
 
 from companion.cli.main import COMMANDS
 from companion.tools.install.layout import CREDENTIAL_PREFIX, CREDENTIALS, DATA, DROP_IN, SETTINGS_FOLDER
-from supply import licences, wheels
-from supply.packages import PINS, ROOT, Package, packages, pins
-from supply.sbom import bill
+from supply import wheels
+
+ROOT = wheels.ROOT
+PINS = ROOT / "requirements/runtime.txt"
 
 ARCHITECTURES = {"x86_64": "amd64", "aarch64": "arm64"}
 """Debian's names of the architectures. There is no 32-bit one: dpkg refuses the package there."""
@@ -72,18 +73,18 @@ Description: landing service for a drone on a moving ship
 """
 _RUN = 'PYTHONDONTWRITEBYTECODE=1 PYTHONPATH="/{carried}/{wheel}" python3 -m companion.cli.main'
 POSTINST = """#!/bin/sh
-# The code of `decklander install`, out of the wheel in this package. Where it refuses because the drone flies, the version that
-# runs stays; dpkg --configure decklander goes on.
+# The code of `decklander service install`, out of the wheel in this package. Where it refuses because the drone flies, the
+# version that runs stays; dpkg --configure decklander goes on.
 set -e
 if [ "$1" = configure ]; then
-    {run} install --packaged /{carried}
+    {run} service install --packaged /{carried}
 fi
 """
 PRERM = """#!/bin/sh
 # Settings, keys and recordings stay. Refuses while the drone flies.
 set -e
 if [ "$1" = remove ]; then
-    {run} uninstall --packaged
+    {run} service uninstall --packaged
 fi
 """
 POSTRM = """#!/bin/sh
@@ -120,12 +121,27 @@ def fetch(architecture: str, into: Path) -> None:
         raise PackageError(f"the wheels for {architecture} cannot be had: {done.stderr.strip().splitlines()[-1:]}")
 
 
-def stage(folder: Path, architecture: str, carried: Path) -> None:
+def bill() -> bytes:
+    """Return the bill of materials of the wheels that the package carries, as CycloneDX JSON.
+
+    Raises:
+        PackageError: cyclonedx-py is not there, or refuses the pins.
+    """
+    project = str(ROOT / "pyproject.toml")
+    command = [sys.executable, "-m", "cyclonedx_py", "requirements", "--pyproject", project, "--output-reproducible", str(PINS)]
+    done = subprocess.run(command, capture_output=True, check=False)
+    if done.returncode != 0:
+        raise PackageError(f"no bill of materials: {done.stderr.decode().strip().splitlines()[-1:]}")
+    return done.stdout
+
+
+def stage(folder: Path, architecture: str, carried: Path, bill: bytes) -> None:
     """Lay out the package's files.
 
     Args:
         folder: an empty folder.
         carried: the folder of the wheels, ours among them.
+        bill: the bill of materials.
 
     Raises:
         PackageError: there is not one wheel of ours.
@@ -140,14 +156,13 @@ def stage(folder: Path, architecture: str, carried: Path) -> None:
         _put(folder / target, (ROOT / "configs/systemd" / name).read_bytes())
     (folder / "usr/bin").mkdir(parents=True)
     (folder / "usr/bin/decklander").symlink_to("/opt/decklander/current/bin/decklander")
-    shipped = packages(pins())
-    _put(folder / _DOC / "copyright", copyright_file(licences.copyleft(shipped), shipped).encode())
+    _put(folder / _DOC / "copyright", copyright_file((ROOT / "docs/licences.md").read_text()).encode())
     _put(folder / _DOC / "CHANGELOG.md.gz", _gzipped((ROOT / "CHANGELOG.md").read_bytes()))
     _put(
         folder / _DOC / "changelog.gz", _gzipped(CHANGELOG.format(version=version, maintainer=MAINTAINER, date=_date()).encode())
     )
     _put(folder / "usr/share/man/man1/decklander.1.gz", _gzipped(manual(version).encode()))
-    _put(folder / _DOC / "sbom.cdx.json.gz", _gzipped(bill(shipped, version).encode() + b"\n"))
+    _put(folder / _DOC / "sbom.cdx.json.gz", _gzipped(bill))
     run = _RUN.format(carried=CARRIED, wheel=own[0].name)
     purged = " ".join([SETTINGS_FOLDER, DROP_IN, f"{CREDENTIALS}/{CREDENTIAL_PREFIX}*", "/opt/decklander", *DATA])
     for name, text in (("postinst", POSTINST), ("prerm", PRERM), ("postrm", POSTRM)):
@@ -165,26 +180,38 @@ def stage(folder: Path, architecture: str, carried: Path) -> None:
     _put(folder / "DEBIAN/md5sums", sums)
 
 
-def copyright_file(copyleft: Sequence[str], shipped: Sequence[Package]) -> str:
-    """Return the package's copyright file in Debian's machine-readable form 1.0: ours, then each wheel that it carries."""
+def copyright_file(licences: str) -> str:
+    """Return the package's copyright file in Debian's machine-readable form 1.0: ours, then each wheel that it carries.
+
+    Args:
+        licences: the text of docs/licences.md.
+    """
     blocks = [
         "Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/\nUpstream-Name: decklander",
         "Files: *\nCopyright: 2026 the Decklander developers\nLicense: Apache-2.0\n On Debian systems the full text is in"
         " /usr/share/common-licenses/Apache-2.0.",
     ]
-    for package in shipped:
-        stem = package.pin.name.replace("-", "_")
-        licence = (package.licence or "unknown").replace(" AND ", " and ").replace(" OR ", " or ")
-        rows = [row.split("|")[1:3] for row in copyleft if row.rstrip(" |").endswith(f"wheel of {package.pin.name}")]
-        told = "".join(
-            "\n" + textwrap.indent(_filled(f"The wheel also holds {what.strip()}, under {terms.strip()}."), " ")
-            for what, terms in rows
+    held, _, shipped = licences.partition("\n## The service\n")
+    for name, version, licence in _rows(shipped.partition("\n## ")[0]):
+        stem = re.sub(r"[-.]+", "_", name)
+        # A licence's short name has no spaces there.
+        terms = licence.replace(" ", "-") if "License" in licence else licence.replace(" AND ", " and ").replace(" OR ", " or ")
+        also = "".join(
+            "\n" + textwrap.indent(_filled(f"The wheel also holds {what}, under {under}."), " ")
+            for what, under, where in _rows(held)
+            if where == f"in the wheel of {name}"
         )
         blocks.append(
-            f"Files: {CARRIED}/{stem}-*\nCopyright: 2026 and before, the authors of {package.pin.name}\nLicense: {licence}\n"
-            f" The text is in the wheel itself, below {stem}-{package.pin.version}.dist-info.{told}"
+            f"Files: {CARRIED}/{stem}-*\nCopyright: 2026 and before, the authors of {name}\nLicense: {terms}\n"
+            f" The text is in the wheel itself, below {stem}-{version}.dist-info.{also}"
         )
     return "\n\n".join(blocks) + "\n"
+
+
+def _rows(tables: str) -> list[tuple[str, str, str]]:
+    """Return the rows of Markdown's tables of three columns, without their heads."""
+    rows = re.findall(r"^\| (\S.*?) +\| (\S.*?) +\| (\S.*?) +\|$", tables, re.MULTILINE)
+    return [row for row in rows if row[0] not in ("Name", "what")]
 
 
 def _filled(text: str) -> str:
@@ -259,9 +286,9 @@ def main() -> int:
                 ours = shutil.ignore_patterns("decklander-*")
                 shutil.copytree(args.wheels, carried, ignore=ours)
             wheels.make(args.architecture, carried)
-            stage(folder, args.architecture, carried)
+            stage(folder, args.architecture, carried, bill())
             made = build(folder, args.out, args.architecture)
-    except (PackageError, wheels.WheelError, LookupError) as why:
+    except (PackageError, wheels.WheelError) as why:
         print(why, file=sys.stderr)
         return 1
     print(f"{made} ({made.stat().st_size / 1e6:.0f} MB)")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -9,6 +10,7 @@ import sys
 from pathlib import Path
 
 import cv2
+import pytest
 
 from companion.cli.main import main
 from examples import make_data
@@ -63,6 +65,13 @@ def test_a_controller_of_one_s_own_lands_on_the_pad() -> None:
     done = run("own_controller")
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.startswith("landed on the pad after ")
+
+
+def test_a_vehicle_a_camera_a_pad_and_a_message_of_one_s_own_work_together() -> None:
+    done = run("own_parts")
+    assert done.returncode == 0, done.stderr
+    forward, right, down = json.loads(done.stdout)["pad_m"]
+    assert (forward, right, down) == pytest.approx((0.0, 0.0, 3.0), abs=0.1)
 
 
 def test_a_recording_is_read(tmp_path: Path) -> None:

@@ -26,8 +26,6 @@ DISTRIBUTION_NAMES = {
     "pytest-xdist": "xdist",
     "pupil-apriltags": "pupil_apriltags",
     "pyserial": "serial",
-    "cyclonedx-python-lib": "cyclonedx",
-    "packageurl-python": "packageurl",
     "paho-mqtt": "paho",
     "prometheus-client": "prometheus_client",
 }

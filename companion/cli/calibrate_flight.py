@@ -11,7 +11,7 @@ from typing import Any
 
 from companion.recording.reading import CAMERA, Recording, open_recording
 from companion.settings.load import load
-from companion.settings.toml_edit import Value, with_values
+from companion.settings.toml_edit import with_values
 from companion.tools.calibrate.flight_result import MountResult, flight_result, readout_result
 from companion.tools.calibrate.flight_views import FlightViews, flight_views
 from companion.tools.calibrate.touchdown_cost import TouchdownCost
@@ -70,7 +70,7 @@ def _mount(args: argparse.Namespace, recording: Recording) -> int:
     why = result.mount_refusal()
     if why is None and args.out is not None:
         text = recording.attachments[CAMERA].decode("utf-8")
-        values: dict[str, Value] = {
+        values = {
             "rpy_body_cam_deg": [round(float(a), 3) for a in result.rpy_deg],
             "mount_cov_deg2": [[round(float(c), 6) for c in row] for row in result.cov_mount_deg2],
         }

@@ -45,12 +45,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("companion.cli.doctor", "diagnose the setup: autopilot, links, camera, broker"),
     "keys": ("companion.cli.keys", "make, show, install and remove MAVLink signing keys; make the operator page's token"),
     "config": ("companion.cli.config", "check, show or explain settings"),
-    "install": ("companion.cli.install", "install the service on this computer"),
-    "update": ("companion.cli.update", "update the installed service"),
-    "rollback": ("companion.cli.rollback", "return to the version before the last update"),
-    "uninstall": ("companion.cli.uninstall", "remove the installed service"),
+    "service": ("companion.cli.service", "install, update, roll back or uninstall the service on this computer"),
 }
 """Module and one line of help for each command."""
+_NOW = {name: f"service {name}" for name in ("install", "update", "rollback", "uninstall")}
+"""What replaces a word that was a command."""
 
 Load = Callable[[str], ModuleType]
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
@@ -155,10 +154,9 @@ def _dispatch(argv: list[str], load: Load) -> int:
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
     asked = next((word for word in argv if not word.startswith("-")), None)
     if asked is not None and asked not in COMMANDS:
-        near = difflib.get_close_matches(asked, COMMANDS, n=1)
-        parser.error(
-            f"unknown command {asked!r}" + (f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(COMMANDS)}")
-        )
+        near = [_NOW[asked]] if asked in _NOW else difflib.get_close_matches(asked, COMMANDS, n=1)
+        meant = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(COMMANDS)}"
+        parser.error(f"unknown command {asked!r}; {meant}")
     for name, (_, summary) in COMMANDS.items():
         if name != asked:
             subparsers.add_parser(name, help=summary)

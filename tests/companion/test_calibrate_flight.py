@@ -150,8 +150,11 @@ def test_values_change_in_place_and_comments_stay() -> None:
     assert out == '# mine\na = [1.0,  # one\n  2.0]\n\n[camera]\nfile = "z"  # a file\nlatency_s = 0.01\n\n[pad]\nfile = "y"\n'
     assert tomllib.loads(with_values(text, "", {"a": [3.0]}, "t"))["a"] == [3.0]
     assert tomllib.loads(with_values(text, "estimator.ekf", {"s": 1.0}, "t"))["estimator"] == {"ekf": {"s": 1.0}}
-    with pytest.raises(BadInput, match="by hand"):
-        with_values('camera = {file = "x"}\n', "camera", {"file": "z"}, "t")
+    assert with_values('camera = {file = "x"}  # mine\n', "camera", {"file": "z"}, "t") == 'camera = {file = "z"}  # mine\n'
+    assert with_values('camera.file = "x"\n', "camera", {"file": "z"}, "t") == 'camera.file = "z"\n'
+    for bad, said in (("camera = 3\n", "camera is not a table"), ("camera", "t: .* line 1")):
+        with pytest.raises(BadInput, match=said):
+            with_values(bad, "camera", {"file": "z"}, "t")
 
 
 @pytest.mark.parametrize("value", [3, [[1.0, 0.0], [0.0, 1.0]], [[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]]])

@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.guidance.controller import Knowledge, Target
@@ -18,8 +16,6 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.motion import BodyMotion
 from estimator.contracts.time import MonoNs
-from tests.companion.oracle import deck_turn
-from tests.companion.oracle.deck_turn import MOST_RAD_S
 
 T = 0.02
 ALONG = Target(np.array([0.0, 0.0, 1.0]), yaw_rad=0.0)
@@ -56,16 +52,6 @@ def test_coming_round_to_the_arrow_hardly_overshoots() -> None:
     assert abs(course[-1]) < 0.3
 
 
-@given(st.floats(-math.pi, math.pi), st.floats(-3.0, 3.0), st.floats(1e-3, 0.5))
-@settings(max_examples=100)
-def test_the_rate_stays_one_that_ships_have(yaw_rad: float, body_rate_rad_s: float, dt: float) -> None:
-    turn = deck_turn.observed(None, 0.0, 0.0, 0.0)
-    for _ in range(20):
-        turn = deck_turn.observed(turn, yaw_rad, body_rate_rad_s, dt)
-        assert abs(turn.rate_rad_s) <= MOST_RAD_S
-        assert abs(turn.yaw_rad) <= math.pi
-
-
 def test_a_heading_that_is_not_known_asks_for_no_turn() -> None:
     law, now = FollowDeck(shipped_response("ardrone2"), T), MonoNs(0)
     body = BodyMotion(now, 0.0, np.zeros(3), 1e-4 * np.eye(3), np.zeros(3), Rotation.identity(), 1e-4 * np.eye(3))
@@ -78,20 +64,3 @@ def test_a_heading_that_is_not_known_asks_for_no_turn() -> None:
         _, command = law.step(law.start(), now, Knowledge(now, replace(known, yaw_rad=astern), body), ALONG)
         assert isinstance(command, Lean)
         assert command.yaw_rate_rad_s == pytest.approx(0.6), "half a turn goes clockwise, whichever way it is written"
-
-
-@pytest.mark.parametrize(("turn_rad_s", "body_rad_s"), [(0.1, 0.0), (-0.08, 0.3)])
-def test_the_deck_s_rate_is_found_by_an_observer_with_both_poles_in_one_place(turn_rad_s: float, body_rad_s: float) -> None:
-    """What is left of the error after t is (1 + p t) exp(-p t) of the rate, and -t exp(-p t) of the heading."""
-    dt, t, seen = 0.001, 2.0 / 0.7, 3.0
-    memory = deck_turn.observed(None, seen, body_rad_s, dt)
-    assert memory == deck_turn.DeckTurn(seen)
-    for _ in range(round(t / dt)):
-        seen = wrap_pi(seen + dt * (body_rad_s - turn_rad_s))
-        memory = deck_turn.observed(memory, seen, body_rad_s, dt)
-    assert memory.rate_rad_s == pytest.approx(turn_rad_s * (1.0 - 3.0 * math.exp(-2.0)), rel=0.01)
-    assert wrap_pi(seen - memory.yaw_rad) == pytest.approx(-turn_rad_s * t * math.exp(-2.0), rel=0.01)
-    for _ in range(round(6.0 / dt)):
-        seen = wrap_pi(seen - dt * math.copysign(0.5, turn_rad_s))
-        memory = deck_turn.observed(memory, seen, 0.0, dt)
-    assert math.degrees(memory.rate_rad_s) == pytest.approx(math.copysign(10.0, turn_rad_s)), "no ship turns faster"

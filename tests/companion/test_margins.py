@@ -16,7 +16,7 @@ from companion.guidance.tilt_model import tilt_model
 from companion.settings.load import shipped_response
 from companion.settings.response import TiltResponse
 from estimator.contracts.geometry import F64
-from tests.companion.oracle.axis import AxisMeasured, begun, command, commanded, observed
+from tests.companion.law_axis import AxisMeasured, begun, command, commanded, observed
 
 SHIPPED = shipped_response("ardrone2").tilt
 AGILE = TiltResponse(0.01, 45.0, 0.6, 0.0)
@@ -95,7 +95,7 @@ def flown(
         by = pushes[k] if k < len(pushes) else Pushed()
         z = AxisMeasured(x[0] + by.place, x[1] + by.speed, x[2], x[3], x[2] + by.accel + by.gust - by.tilt)
         axis = observed(axis, z, PERIOD_S, seeing, assumed, axis.under_way[-1])
-        u = command(axis, gains, axis.seen.p, 0.0, 0.0)
+        u = command(axis, gains, axis.seen.p)
         axis = commanded(axis, u)
         push = by.deck + by.tilt - by.gust
         w = x[1]

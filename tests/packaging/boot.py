@@ -150,7 +150,7 @@ def fly(guest: Guest, wheels: Path) -> None:
     guest.expect("stat -c '%U %a' /var/lib/private/decklander && systemctl is-enabled decklander", 0, "decklander 700", "enabled")
     (wheel,) = (guest.root / carried.lstrip("/")).glob("decklander-*.whl")
     good = another(wheel, "9.1", wheels)
-    update = f"decklander update /new/{{}} --wheels {carried}"
+    update = f"decklander service update /new/{{}} --wheels {carried}"
     guest.expect(update.format(good.name), 1, "whether the drone flies is not known")
     guest.expect(update.format(good.name) + " --on-ground", 0, "version 9.1-[0-9a-f]{8} is current; the service runs with it")
     bad = another(wheel, "9.2", wheels, "    raise SystemExit(1)\n")
@@ -161,14 +161,14 @@ def fly(guest: Guest, wheels: Path) -> None:
     guest.expect(
         "systemctl is-active decklander && sed -i '$d' /etc/decklander/rig.toml && sed -i '$d' /etc/decklander/rig.toml", 0
     )
-    guest.expect("decklander rollback --on-ground", 0, f"version {first} is current; the service runs with it")
+    guest.expect("decklander service rollback --on-ground", 0, f"version {first} is current; the service runs with it")
     guest.expect(
         f"systemd-run --quiet --unit sim {CURRENT}/bin/python -m sitl.emulators.ardrone.serve demo"
         " --host 127.0.0.1 --seed 1 --repeat",
         0,
     )
     until("the drone flies", lambda: '"flying":true' in guest.run("decklander fly status --json").stdout, 120)
-    for command in (update.format(good.name), "decklander rollback --on-ground"):
+    for command in (update.format(good.name), "decklander service rollback --on-ground"):
         guest.expect(command, 1, "the drone is flying .* land it first")
     guest.expect("dpkg -r decklander", 1, "the drone is flying")
     guest.expect("systemctl is-active decklander", 0)

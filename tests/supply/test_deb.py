@@ -32,7 +32,7 @@ def carried(tmp_path: Path) -> Path:
 def staged(tmp_path: Path, carried: Path, name: str) -> Path:
     folder = tmp_path / name
     folder.mkdir()
-    deb.stage(folder, "x86_64", carried)
+    deb.stage(folder, "x86_64", carried, b"{}\n")
     return folder
 
 
@@ -77,9 +77,10 @@ def test_its_scripts_run_the_commands_that_a_user_runs(tmp_path: Path, carried: 
         program.parent.mkdir(exist_ok=True)
         program.write_text(f'#!/bin/sh\necho {name} "$PYTHONPATH" "$@" >> {told}\n')
         program.chmod(0o755)
+    ours = f"python3 /{deb.CARRIED}/{OWN} -m companion.cli.main"
     wanted = {
-        ("postinst", "configure"): f"python3 /{deb.CARRIED}/{OWN} -m companion.cli.main install --packaged /{deb.CARRIED}",
-        ("prerm", "remove"): f"python3 /{deb.CARRIED}/{OWN} -m companion.cli.main uninstall --packaged",
+        ("postinst", "configure"): f"{ours} service install --packaged /{deb.CARRIED}",
+        ("prerm", "remove"): f"{ours} service uninstall --packaged",
         ("postinst", "abort-upgrade"): "",
         ("prerm", "upgrade"): "",
         ("postrm", "remove"): "",
@@ -101,6 +102,10 @@ def test_it_says_under_which_licences_each_wheel_is(tmp_path: Path, carried: Pat
     text = (folder / "usr/share/doc/decklander/copyright").read_text()
     assert "Files: usr/share/decklander/wheels/av-*" in text
     assert re.search(r"The wheel also holds [^.]*libx264[^.]*, under\s+GPL-2\.0-or-later", text)
+    shipped = re.findall(r"^([a-z0-9._-]+)==", deb.PINS.read_text(), re.MULTILINE)
+    assert re.findall(r"^Files: usr/share/decklander/wheels/(\w+)-\*$", text, re.MULTILINE) == [
+        re.sub("[-.]", "_", n) for n in shipped
+    ]
     manual = gzip.decompress((folder / "usr/share/man/man1/decklander.1.gz").read_bytes()).decode()
     assert all(f".B {name}\n" in manual for name in COMMANDS)
 

@@ -72,7 +72,7 @@ def update(machine: Machine, release: Release, options: InstallOptions) -> None:
     """
     old = versions.current(machine)
     if old is None:
-        raise BadInput("nothing is installed here that could be updated: decklander install")
+        raise BadInput("nothing is installed here that could be updated: decklander service install")
     install(machine, release, options)
 
 

@@ -260,13 +260,13 @@ def test_this_checkout_is_the_source_of_an_installation_from_it() -> None:
 
 
 def test_the_commands_refuse_what_they_cannot_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["uninstall", "--root", str(tmp_path / "none"), "--dry-run"]) == 2
+    assert main(["service", "uninstall", "--root", str(tmp_path / "none"), "--dry-run"]) == 2
     assert "no such folder" in capsys.readouterr().err
-    assert main(["rollback", "--root", str(tmp_path), "--dry-run"]) == 2
+    assert main(["service", "rollback", "--root", str(tmp_path), "--dry-run"]) == 2
     assert "there is no version to return to" in capsys.readouterr().err
-    assert main(["update", str(wheel(tmp_path, "1.0").wheel), "--root", str(tmp_path), "--dry-run"]) == 2
+    assert main(["service", "update", str(wheel(tmp_path, "1.0").wheel), "--root", str(tmp_path), "--dry-run"]) == 2
     assert "nothing is installed here" in capsys.readouterr().err
-    assert main(["install", "nonsense", "--root", str(tmp_path), "--dry-run"]) == 2
+    assert main(["service", "install", "nonsense", "--root", str(tmp_path), "--dry-run"]) == 2
     assert "no such file or folder, and no version" in capsys.readouterr().err
 
 
@@ -274,8 +274,8 @@ def test_nobody_but_root_changes_the_system(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("os.geteuid", lambda: 1000)
-    assert main(["uninstall", "--root", str(tmp_path)]) == 1
-    assert "needs root: sudo decklander uninstall" in capsys.readouterr().err
+    assert main(["service", "uninstall", "--root", str(tmp_path)]) == 1
+    assert "needs root: sudo decklander service uninstall" in capsys.readouterr().err
 
 
 def test_without_systemd_it_is_said(tmp_path: Path, first: Release) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from estimator.ekf.params import FilterParams
 from estimator.ekf.state import POS_REL, RejectionStreak
 from tests.estimator.ekf import flown
 from tests.estimator.ekf.hand import belief, diagonal, params, sighting, under
-from tests.estimator.ekf.oracle import gate as oracle
 
 S = 1_000_000_000
 OPTIONS = EkfOptions()
@@ -36,21 +34,6 @@ def test_a_mean_nis_of_two_is_no_longer_consistent() -> None:
     assert not gate.consistent(20.0)
 
 
-def test_the_recent_mean_forgets_a_twentieth_at_a_time_and_no_outlier_counts_for_more_than_twenty() -> None:
-    def after(mean: float, ratio: float) -> float:
-        """Return the mean after a sighting whose NIS is `ratio` times the three numbers that it compares."""
-        return oracle.mean_of(mean, np.full(3, math.sqrt(ratio)), np.eye(3))
-
-    assert after(1.0, 3.0) == pytest.approx(1.1, abs=1e-5)
-    assert after(2.0, 0.0) == pytest.approx(1.9)
-    assert after(1.0, 20.1) == pytest.approx(1.95)
-    assert after(1.0, 1e9) == pytest.approx(1.95)
-    mean = 5.0
-    for _ in range(14):
-        mean = after(mean, 1.0)
-    assert (mean - 1.0) / 4.0 == pytest.approx(0.5, abs=0.02)
-
-
 @pytest.mark.parametrize(("off_m", "wanted"), [(0.006, True), (0.03, False)])
 def test_close_to_the_deck_no_sighting_contradicts_by_less_than_a_landing_notices(off_m: float, wanted: bool) -> None:
     """Of sightings that claim a millimetre, six millimetres are six sigmas, and would end a commit within some cycles."""
@@ -62,11 +45,6 @@ def test_close_to_the_deck_no_sighting_contradicts_by_less_than_a_landing_notice
         assert outcome.nis / 3 > 2.0, "by what they claim each of them contradicts"
         b = b._replace(nis_mean=after.nis_mean)
     assert gate.consistent(b.nis_mean) is wanted
-
-
-def test_the_sigma_of_a_covariance_is_the_root_of_its_mean_variance_and_never_imaginary() -> None:
-    assert oracle.sigma_of(np.diag([1.0, 4.0, 7.0])) == pytest.approx(2.0)
-    assert oracle.sigma_of(np.diag([-1.0, 0.0, 0.0])) == 0.0
 
 
 def flown_streak(streak: RejectionStreak, t: int, offset_ned: F64, var_m2: float) -> RejectionStreak:
@@ -88,69 +66,58 @@ def flown_reset(streak: RejectionStreak, agreed: int, options: EkfOptions) -> bo
     return outcome.verdict is Verdict.FUSED
 
 
-Streak = Callable[[RejectionStreak, int, F64, float], RejectionStreak]
-Reset = Callable[[RejectionStreak, int, EkfOptions], bool]
-either_streak = pytest.mark.parametrize("extended", [oracle.extended, flown_streak], ids=["oracle", "core"])
-either_reset = pytest.mark.parametrize("should_reset", [oracle.should_reset, flown_reset], ids=["oracle", "core"])
-
-
 def offset(x: float, z: float) -> F64:
     """Return an offset with so many metres sideways, most of them to the east."""
     return np.array([0.6 * x, 0.8 * x, z])
 
 
-@either_streak
-def test_a_row_begins_goes_on_and_keeps_its_beginning(extended: Streak) -> None:
-    first = extended(RejectionStreak(), 5 * S, offset(0.5, 0.25), 1e-4)
+def test_a_row_begins_goes_on_and_keeps_its_beginning() -> None:
+    first = flown_streak(RejectionStreak(), 5 * S, offset(0.5, 0.25), 1e-4)
     assert first == RejectionStreak(1, 5 * S, 5 * S, pytest.approx((0.3, 0.4, 0.25)), pytest.approx(1e-4))
-    second = extended(first, 6 * S, offset(0.5, 0.25), 4e-4)
+    second = flown_streak(first, 6 * S, offset(0.5, 0.25), 4e-4)
     assert second == RejectionStreak(2, 5 * S, 6 * S, pytest.approx((0.3, 0.4, 0.25)), pytest.approx(4e-4))
-    assert extended(second, 6 * S, offset(0.5, 0.25), 1e-4).n == 3, "two of one instant"
-    assert extended(second, 6 * S - 1, offset(0.5, 0.25), 1e-4).n == 1, "an older one begins anew"
+    assert flown_streak(second, 6 * S, offset(0.5, 0.25), 1e-4).n == 3, "two of one instant"
+    assert flown_streak(second, 6 * S - 1, offset(0.5, 0.25), 1e-4).n == 1, "an older one begins anew"
 
 
-@either_streak
-def test_a_row_is_broken_by_more_than_two_seconds(extended: Streak) -> None:
-    first = extended(RejectionStreak(), 0, offset(0.5, 0.0), 1e-4)
-    assert extended(first, 2 * S, offset(0.5, 0.0), 1e-4).n == 2
-    assert extended(first, 2 * S + 1_000_000, offset(0.5, 0.0), 1e-4).n == 1
+def test_a_row_is_broken_by_more_than_two_seconds() -> None:
+    first = flown_streak(RejectionStreak(), 0, offset(0.5, 0.0), 1e-4)
+    assert flown_streak(first, 2 * S, offset(0.5, 0.0), 1e-4).n == 2
+    assert flown_streak(first, 2 * S + 1_000_000, offset(0.5, 0.0), 1e-4).n == 1
 
 
-@either_streak
 @pytest.mark.parametrize(
     ("dt_s", "growth_m"),
     [(0.0, 0.0), (0.1, 0.2), (0.25, 0.5), (0.3, 0.6), (1.0, 0.6)],
 )
 @pytest.mark.parametrize("sigmas_m", [(0.01, 0.01), (0.3, 0.4)])
-def test_how_far_two_refusals_may_differ(dt_s: float, growth_m: float, sigmas_m: tuple[float, float], extended: Streak) -> None:
+def test_how_far_two_refusals_may_differ(dt_s: float, growth_m: float, sigmas_m: tuple[float, float]) -> None:
     """Four sigmas of their difference, what the belief may have drifted between them, and a fiftieth of the offset."""
-    first = extended(RejectionStreak(), 0, offset(0.0, 10.0), sigmas_m[0] ** 2)
+    first = flown_streak(RejectionStreak(), 0, offset(0.0, 10.0), sigmas_m[0] ** 2)
     for factor, n in ((0.999, 2), (1.001, 1)):
         # The limit holds at the offset of the second look: step = base + 0.02 |offset|, offset = (0.6 step, 0.8 step, 10).
         base = 4.0 * math.hypot(*sigmas_m) + growth_m
         step = base
         for _ in range(30):
             step = base + 0.02 * math.hypot(step, 10.0)
-        found = extended(first, round(dt_s * S), offset(factor * step, 10.0), sigmas_m[1] ** 2)
+        found = flown_streak(first, round(dt_s * S), offset(factor * step, 10.0), sigmas_m[1] ** 2)
         assert found.n == n, (factor, step)
 
 
-@either_reset
-def test_a_belief_of_few_sightings_is_overthrown_by_one_more_than_they_were(should_reset: Reset) -> None:
+def test_a_belief_of_few_sightings_is_overthrown_by_one_more_than_they_were() -> None:
     for agreed in range(1, 3):
-        assert not should_reset(RejectionStreak(n=agreed), agreed, OPTIONS)
+        assert not flown_reset(RejectionStreak(n=agreed), agreed, OPTIONS)
     for agreed in range(3):
-        assert should_reset(RejectionStreak(n=agreed + 1), agreed, OPTIONS)
+        assert flown_reset(RejectionStreak(n=agreed + 1), agreed, OPTIONS)
 
 
-@either_reset
-def test_a_belief_of_three_or_more_is_overthrown_by_count_and_time_alone(should_reset: Reset) -> None:
+def test_a_belief_of_three_or_more_is_overthrown_by_count_and_time_alone() -> None:
     options = structs.replace(OPTIONS, reopen_count=5, reopen_s=0.6)
     row = RejectionStreak(n=5, since=0, last=600_000_000)
-    assert should_reset(row, 3, options)
-    assert should_reset(row, 1000, options)
-    assert not should_reset(row._replace(n=4), 3, options)
-    assert not should_reset(row._replace(last=590_000_000), 3, options)
+    assert flown_reset(row, 3, options)
+    assert flown_reset(row, 1000, options)
+    assert not flown_reset(row._replace(n=4), 3, options)
+    assert not flown_reset(row._replace(last=590_000_000), 3, options)
     half = structs.replace(options, reopen_s=0.5)
-    assert should_reset(row._replace(last=500_000_000), 3, half)
-    assert not should_reset(RejectionStreak(n=4, since=0, last=0), 3, options), "four refusals do for three sightings no longer"
+    assert flown_reset(row._replace(last=500_000_000), 3, half)
+    assert not flown_reset(RejectionStreak(n=4, since=0, last=0), 3, options), "four refusals do for three sightings no longer"

@@ -93,6 +93,11 @@ static inline void cut_at(float at, const float *x, const float *per, cut *c)
     }
 }
 
+/* Points of a footprint side by side, the inverse deviations of the blur along both axes there, and the reach of the widest. */
+typedef struct {
+    float x[LANES], y[LANES], m[LANES], per_x[LANES], per_y[LANES], reach;
+} few;
+
 /* The limits of a few points along an axis, moved out by a reach. */
 typedef struct {
     float low, high;
@@ -130,8 +135,9 @@ static inline int apart(const double *at, int64_t from, int64_t to, span near)
 }
 
 /* Whether one of a few points is within the blur's reach of the figure's bounding box. */
-static inline int is_near(const pad_figure *g, const float *x, const float *y, float reach)
+static inline int is_near(const pad_figure *g, const few *p)
 {
+    const float *x = p->x, *y = p->y, reach = p->reach;
     const float x0 = (float)g->x_m[0] - reach, x1 = (float)g->x_m[g->x_cuts - 1] + reach;
     const float y0 = (float)g->y_m[0] - reach, y1 = (float)g->y_m[g->y_cuts - 1] + reach;
     int near = 0;
@@ -141,18 +147,18 @@ static inline int is_near(const pad_figure *g, const float *x, const float *y, f
     return near;
 }
 
-/* The inverse deviations along both axes of a few points; returns the reach of the widest blur. */
-static inline float spread(const footprint *f, const float *m, float *per_x, float *per_y)
+/* Find how wide the blur is at a few points. */
+static inline void spread(const footprint *f, few *p)
 {
     const float xx = (float)f->blur_m2[0], yy = (float)f->blur_m2[2];
     float most = 0.0f;
     for (int l = 0; l < LANES; l++) {
-        const float wide = m[l] * xx, high = m[l] * yy, larger = wide > high ? wide : high;
-        per_x[l] = 1.0f / sqrtf(wide);
-        per_y[l] = 1.0f / sqrtf(high);
+        const float wide = p->m[l] * xx, high = p->m[l] * yy, larger = wide > high ? wide : high;
+        p->per_x[l] = 1.0f / sqrtf(wide);
+        p->per_y[l] = 1.0f / sqrtf(high);
         most = larger > most ? larger : most;
     }
-    return REACH * sqrtf(most);
+    p->reach = REACH * sqrtf(most);
 }
 
 /* The blur's covariance along both axes, as far as a short series in the correlation holds. */
@@ -167,14 +173,14 @@ static inline float slant_of(const footprint *f)
  * tilt of 25 degrees slants the blur. An H that its blur merges turns by degrees without them.
  * Source: Kendall, Proof of relations connected with the tetrachoric series, Biometrika 32(2), 1941. */
 WIDE
-static void add_rectangles(const pad_figure *g, const float *x, const float *y, const float *m, const float *per_x, const float *per_y,
-                           float xy, float reach, float *value, float *const d[BY])
+static void add_rectangles(const pad_figure *g, const few *p, float xy, float *value, float *const d[BY])
 {
     cut across[FIGURE_CUTS], along[FIGURE_CUTS];
+    const float *m = p->m;
     const int many = g->rectangles >= MANY;
-    const span near_x = span_of(x, reach), near_y = span_of(y, reach);
-    cuts_at(g->x_m, g->x_cuts, many, near_x, x, per_x, along);
-    cuts_at(g->y_m, g->y_cuts, many, near_y, y, per_y, across);
+    const span near_x = span_of(p->x, p->reach), near_y = span_of(p->y, p->reach);
+    cuts_at(g->x_m, g->x_cuts, many, near_x, p->x, p->per_x, along);
+    cuts_at(g->y_m, g->y_cuts, many, near_y, p->y, p->per_y, across);
     for (int r = 0; r < g->rectangles; r++) {
         if (many && (apart(g->x_m, g->x0[r], g->x1[r], near_x) || apart(g->y_m, g->y0[r], g->y1[r], near_y))) {
             continue;
@@ -194,12 +200,12 @@ static void add_rectangles(const pad_figure *g, const float *x, const float *y, 
     }
 }
 
-/* Points of a footprint side by side; those beyond the last repeat it. */
-static inline void points_at(const footprint *f, int begin, int count, int i, float *x, float *y, float *m)
+/* Take points of a footprint; those beyond the last repeat it. */
+static inline void points_at(const footprint *f, int begin, int count, int i, few *p)
 {
     for (int l = 0; l < LANES; l++) {
         const int at = begin + (i + l < count ? i + l : count - 1);
-        x[l] = f->x[at], y[l] = f->y[at], m[l] = f->m[at];
+        p->x[l] = f->x[at], p->y[l] = f->y[at], p->m[l] = f->m[at];
     }
 }
 
@@ -207,14 +213,15 @@ WIDE
 static void add_figure(const pad_figure *g, const footprint *f, int begin, int count, float *value, float *const d[BY])
 {
     for (int i = 0; i < count; i += LANES) {
-        float x[LANES], y[LANES], m[LANES], per_x[LANES], per_y[LANES], sum[1 + BY][LANES] = {{0.0f}};
+        few p;
+        float sum[1 + BY][LANES] = {{0.0f}};
         float *const by[BY] = {sum[1], sum[2], sum[3], sum[4], sum[5]};
-        points_at(f, begin, count, i, x, y, m);
-        const float reach = spread(f, m, per_x, per_y);
-        if (!is_near(g, x, y, reach)) {
+        points_at(f, begin, count, i, &p);
+        spread(f, &p);
+        if (!is_near(g, &p)) {
             continue;
         }
-        add_rectangles(g, x, y, m, per_x, per_y, slant_of(f), reach, sum[0], by);
+        add_rectangles(g, &p, slant_of(f), sum[0], by);
         for (int l = 0; l < LANES && i + l < count; l++) {
             value[i + l] += sum[0][l];
             for (int k = 0; k < BY; k++) {
@@ -230,13 +237,14 @@ static void add_slanted(const pad_figure *g, const footprint *f, int begin, int 
     round_sides sides;
     prepare_sides(g, f->blur_m2, &sides);
     for (int i = 0; i < count; i += LANES) {
-        float x[LANES], y[LANES], m[LANES], sum[1 + BY][LANES] = {{0.0f}};
+        few p;
+        float sum[1 + BY][LANES] = {{0.0f}};
         float *const by[BY] = {sum[1], sum[2], sum[3], sum[4], sum[5]};
-        points_at(f, begin, count, i, x, y, m);
+        points_at(f, begin, count, i, &p);
         for (int l = 0; l < LANES; l++) {
-            x[l] *= sign, y[l] *= sign;
+            p.x[l] *= sign, p.y[l] *= sign;
         }
-        add_sides(&sides, x, y, m, sum[0], by);
+        add_sides(&sides, p.x, p.y, p.m, sum[0], by);
         for (int l = 0; l < LANES && i + l < count; l++) {
             value[i + l] += sum[0][l];
             for (int k = 0; k < BY && d; k++) {
@@ -288,9 +296,12 @@ static void add_wedge(const pad_wedge *w, const footprint *f, const round_points
     }
 }
 
-void cover(const pad_shape *pad, const pad_region *region, const footprint *f, const round_points *p, int begin, int count,
-           float *value, float *const d[BY], float *const spare[2])
+void cover(const pad_shape *pad, const pad_region *region, const stretch *at, float *value, float *const d[BY],
+           float *const spare[2])
 {
+    const footprint *f = at->f;
+    const round_points *p = at->round;
+    const int begin = at->begin, count = at->count;
     const size_t size = (size_t)count * sizeof *value;
     memset(value, 0, size);
     for (int k = 0; k < BY; k++) {
@@ -322,15 +333,16 @@ void cover_figure(const pad_figure *g, const footprint *f, int begin, int count,
     const float sign = turned ? -1.0f : 1.0f;
     memset(value, 0, (size_t)count * sizeof *value);
     for (int i = 0; i < count && g->rectangles; i += LANES) {
-        float x[LANES], y[LANES], m[LANES], per_x[LANES], per_y[LANES], sum[1 + BY][LANES] = {{0.0f}};
+        few p;
+        float sum[1 + BY][LANES] = {{0.0f}};
         float *const by[BY] = {sum[1], sum[2], sum[3], sum[4], sum[5]};
-        points_at(f, begin, count, i, x, y, m);
+        points_at(f, begin, count, i, &p);
         for (int l = 0; l < LANES; l++) {
-            x[l] *= sign, y[l] *= sign;
+            p.x[l] *= sign, p.y[l] *= sign;
         }
-        const float reach = spread(f, m, per_x, per_y);
-        if (is_near(g, x, y, reach)) {
-            add_rectangles(g, x, y, m, per_x, per_y, slant_of(f), reach, sum[0], by);
+        spread(f, &p);
+        if (is_near(g, &p)) {
+            add_rectangles(g, &p, slant_of(f), sum[0], by);
         }
         for (int l = 0; l < LANES && i + l < count; l++) {
             value[i + l] = sum[0][l];

@@ -20,9 +20,16 @@ typedef struct {
 
 void prepare_circles(const footprint *f, round_points *p);
 
-/* The coverage of points begin to begin + count by a region, and its derivatives. `spare`: two rows that are written over. */
-void cover(const pad_shape *pad, const pad_region *region, const footprint *f, const round_points *p, int begin, int count,
-           float *value, float *const d[BY], float *const spare[2]);
+/* Some of a footprint's points: `count` from `begin` on. */
+typedef struct {
+    const footprint *f;
+    const round_points *round;
+    int begin, count;
+} stretch;
+
+/* The coverage of points by a region, and its derivatives. `spare`: two rows that are written over. */
+void cover(const pad_shape *pad, const pad_region *region, const stretch *at, float *value, float *const d[BY],
+           float *const spare[2]);
 
 /* The coverage by a figure alone, turned by half a turn if `turned`; without derivatives. */
 void cover_figure(const pad_figure *figure, const footprint *f, int begin, int count, int turned, float *value);

@@ -53,6 +53,7 @@ static void draw(const pad_shape *pad, const patch *cut, const fit_state *s, den
 {
     const int n = whole_lanes(cut->n);
     float *const spare[2] = {d->spare[0], d->spare[1]};
+    const stretch all = {&d->f, &d->round, 0, n};
     d->f.n = cut->n;
     look_at(s, cut->ray_x, cut->ray_y, &d->f);
     prepare_circles(&d->f, &d->round);
@@ -60,7 +61,7 @@ static void draw(const pad_shape *pad, const patch *cut, const fit_state *s, den
         d->values[0][i] = 1.0f, d->values[1][i] = cut->slope[0][i], d->values[2][i] = cut->slope[1][i];
     }
     for (int k = 0; k < pad->contrast_count; k++) {
-        cover(pad, &pad->contrasts[k], &d->f, &d->round, 0, n, d->values[FIRST_REGION + k], d->changes[k], spare);
+        cover(pad, &pad->contrasts[k], &all, d->values[FIRST_REGION + k], d->changes[k], spare);
     }
 }
 
@@ -242,35 +243,6 @@ static void scale_noise(const patch *cut, int c, dense_rows *d, dense_sums *s)
     }
 }
 
-/* The derivatives of a block of a channel's light by the state, plain and weighted, and its squared change over a pixel. */
-WIDE
-void dense_derivatives(const dense_rows *d, const dense_sums *s, int c, int start, int length, float m_per_px2,
-                       float J[STATES][SUM_BLOCK], float Jw[STATES][SUM_BLOCK])
-{
-    float change[BY][SUM_BLOCK];
-    for (int b = 0; b < BY; b++) {
-        memset(change[b], 0, sizeof change[b]);
-        for (int k = 0; k < s->regions; k++) {
-            const float *restrict from = d->changes[k][b] + start, contrast = (float)s->a[c][FIRST_REGION + k];
-            for (int i = 0; i < length; i++) {
-                change[b][i] += contrast * from[i];
-            }
-        }
-    }
-    const float *const by[BY] = {change[0], change[1], change[2], change[3], change[4]};
-    float *const rows_of_J[STATES] = {J[0], J[1], J[2], J[3], J[4], J[5], J[6], J[7], J[8]}, *restrict steep2 = d->steep2[c] + start;
-    const float *restrict w = d->w[c] + start;
-    by_state(&d->f, by, start, length, rows_of_J);
-    for (int i = 0; i < length; i++) {
-        steep2[i] = (change[0][i] * change[0][i] + change[1][i] * change[1][i]) * m_per_px2;
-    }
-    for (int r = 0; r < STATES; r++) {
-        for (int i = 0; i < length; i++) {
-            Jw[r][i] = J[r][i] * w[i];
-        }
-    }
-}
-
 /* Add a channel's information and gradient, with its paints eliminated. */
 static int add_channel(const patch *cut, int c, float m_per_px2, dense_rows *d, dense_sums *s, dense_fit *fit)
 {
@@ -391,10 +363,10 @@ int linearise_dense(const pad_shape *pad, const patch *cut, const fit_state *s, 
         }
     }
     mirror(STATES, STATES, fit->H);
-    if (last && !add_meat(pad, cut, m_per_px2, d, &all, fit)) {
+    if (last && !add_gradient_covariance(pad, cut, m_per_px2, d, &all, fit)) {
         return 0;
     }
-    mirror(STATES, STATES, fit->meat);
+    mirror(STATES, STATES, fit->gradient_cov);
     fit->noise = fmax(left, LEAST_NOISE), fit->noise_on_pad = on_pad;
     fit->reflection = reflection.radius > 0.0 ? glare_moved(&reflection, amplitudes, pad->disc_radius_m) : reflection;
     return 1;

@@ -36,7 +36,7 @@ enum { SECTOR_MOVES = 16 };
 /* One linearisation. */
 typedef struct {
     /* Information with the paints eliminated, gradient, and the gradient's covariance from the residuals. */
-    double H[STATES * STATES], g[STATES], meat[STATES * STATES];
+    double H[STATES * STATES], g[STATES], gradient_cov[STATES * STATES];
     /* The effect on the gradient of a sector that lies a pixel aside, what the residuals say of its place, and the information on it;
      * only of the last linearisation. */
     double pull[SECTOR_MOVES][STATES], score[SECTOR_MOVES], known[SECTOR_MOVES];
@@ -66,10 +66,10 @@ int linearise_dense(const pad_shape *pad, const patch *cut, const fit_state *s, 
 void dense_derivatives(const dense_rows *d, const dense_sums *s, int c, int start, int length, float m_per_px2,
                        float J[STATES][SUM_BLOCK], float Jw[STATES][SUM_BLOCK]);
 /* Add the gradient's covariance from the residuals of all channels, and find the variances of the paints. */
-int add_meat(const pad_shape *pad, const patch *cut, float m_per_px2, dense_rows *d, const dense_sums *s, dense_fit *fit);
+int add_gradient_covariance(const pad_shape *pad, const patch *cut, float m_per_px2, dense_rows *d, const dense_sums *s, dense_fit *fit);
 /* Add the effect on the gradient of displaced sectors by a block of a channel's pixels: its derivatives along the pad's axes, and the
  * projected scores of all pixels. */
-void add_sectors(const dense_rows *d, int c, int start, int length, const float *along_x, const float *along_y,
+void add_sectors(const dense_rows *d, int c, int start, int length, const float along[][SUM_BLOCK],
                  float *const projected[STATES], float m_per_px, dense_fit *fit);
 /* Add to the gradient's covariance sectors that are displaced independently, and all of them outward alike by the size's sigma. */
 void displace_sectors(double least_px, double size_px, dense_fit *fit);

@@ -68,24 +68,24 @@ static void add_doubt(const fit_state *s, const pad_shape *pad, double cov[STATE
     cov[5 * STATES + 5] += turn * turn;
 }
 
-/* H inv(meat) H and H inv(meat) g: information and gradient that correspond to the robust covariance. By the plain ones a frame would
+/* H inv(gradient_cov) H and H inv(gradient_cov) g: information and gradient that correspond to the robust covariance. By the plain ones a frame would
  * count more against the predicted tilt than it knows, and by these one prior can be exchanged for another. */
 static int robust_sums(const dense_fit *fit, double H[STATES * STATES], double g[STATES])
 {
     enum { COLUMNS = STATES + 1 };
-    double meat[STATES * STATES], X[STATES * COLUMNS];
-    memcpy(meat, fit->meat, sizeof meat);
+    double gradient_cov[STATES * STATES], X[STATES * COLUMNS];
+    memcpy(gradient_cov, fit->gradient_cov, sizeof gradient_cov);
     for (int i = 0; i < STATES; i++) {
         const double own = fit->H[i * (STATES + 1)];
         if (!(own >= 0.0)) {
             return 0;
         }
         /* Of a state that the frame says nothing of, nothing is known but its prior. */
-        meat[i * (STATES + 1)] += own > 0.0 ? 1e-9 * own : 1.0;
+        gradient_cov[i * (STATES + 1)] += own > 0.0 ? 1e-9 * own : 1.0;
         memcpy(X + i * COLUMNS, fit->H + i * STATES, STATES * sizeof *X);
         X[i * COLUMNS + STATES] = fit->g[i];
     }
-    if (!solve_symmetric(STATES, STATES, meat, COLUMNS, X)) {
+    if (!solve_symmetric(STATES, STATES, gradient_cov, COLUMNS, X)) {
         return 0;
     }
     for (int i = 0; i < STATES; i++) {
@@ -239,11 +239,11 @@ static void in_axes_of(const fit_state *from, const fit_state *to, double H[STAT
     }
 }
 
-/* Linearise and step until pose and blur rest; `s` is moved, and `H` takes the robust information. */
+/* Linearise and step until pose and blur rest; `s` is moved, and `out` takes the robust information and the last step. */
 static int converge(const pad_shape *pad, const patch *cut, const fit_options *o, const solver *v, dense_rows *d, fit_state *s,
-                    dense_fit *fit, double *moved_px, double H[STATES * STATES])
+                    dense_fit *fit, fit_solved *out)
 {
-    double grown = 0.0, g[STATES];
+    double grown = 0.0, g[STATES], *moved_px = &out->last_step_px, *H = out->H;
     *moved_px = INFINITY;
     for (int n = 0; n < ROUNDS; n++) {
         const int last = (n >= 1 && *moved_px < AT_REST_PX && grown < BLUR_AT_REST_PX) || n == ROUNDS - 1;
@@ -279,13 +279,18 @@ int register_far(const view *v, const pad_shape *pad, const fit_options *o, cons
     solver priors;
     pointer seen;
     fit_state s;
-    if (!take_dense_rows(r, &d) || !cut_patch(v, pad, start, 1.5 + 3.0 * sigma_px(start), (int)o->dense_pixels, r, d.values[0], &d.f, &cut, &s)) {
+    if (!take_dense_rows(r, &d)) {
         return 0;
     }
+    const patch_work work = {d.values[0], &d.f};
+    if (!cut_patch(v, pad, start, 1.5 + 3.0 * sigma_px(start), (int)o->dense_pixels, r, &work, &cut)) {
+        return 0;
+    }
+    s = cut.state;
     begin_solver(&s, tilt, pad->disc_radius_m, &priors);
     priors.distant = 1;
     memset(out, 0, sizeof *out);
-    if (!converge(pad, &cut, o, &priors, &d, &s, &fit, &out->last_step_px, out->H) || !covariance_of(&priors, &s, out->H, out->cov)) {
+    if (!converge(pad, &cut, o, &priors, &d, &s, &fit, out) || !covariance_of(&priors, &s, out->H, out->cov)) {
         return 0;
     }
     /* Surroundings alone are no object on the pad, and a pad that is burnt out is none beside even ones. */
@@ -312,8 +317,11 @@ int is_opposite(const view *v, const pad_shape *pad, const fit_options *o, const
     dense_rows d;
     dense_fit fit = {.noise = 0.0};
     pointer seen;
-    fit_state coarse;
-    return take_dense_rows(r, &d) && cut_patch(v, pad, s, 3.0, (int)o->dense_pixels, r, d.values[0], &d.f, &cut, &coarse) &&
-           linearise_dense(pad, &cut, &coarse, o->dense_edge_sigma_px, 1, 0, &d, &fit) &&
-           find_pointer(pad, &cut, &coarse, &fit, &d, &seen) && stands_out(seen.there, seen.here, seen.sigma);
+    if (!take_dense_rows(r, &d)) {
+        return 0;
+    }
+    const patch_work work = {d.values[0], &d.f};
+    return cut_patch(v, pad, s, 3.0, (int)o->dense_pixels, r, &work, &cut) &&
+           linearise_dense(pad, &cut, &cut.state, o->dense_edge_sigma_px, 1, 0, &d, &fit) &&
+           find_pointer(pad, &cut, &cut.state, &fit, &d, &seen) && stands_out(seen.there, seen.here, seen.sigma);
 }

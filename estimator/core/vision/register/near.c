@@ -263,30 +263,47 @@ static void find_support(const pad_shape *pad, const profiles *p, const channel_
     out->arrow_seen = support_is_seen(&out->edges[kind]);
 }
 
+/* A registration under way: what it is given, and what it has found. */
+typedef struct {
+    const view *v;
+    const pad_shape *pad;
+    const edge_points *edges;
+    const fit_options *o;
+    solver priors;
+    profile_work work;
+    profiles p;
+    near_rows d;
+    near_fit fit;
+    channel_mix mix;
+    fit_state s;
+    double delta[STATES];
+} attempt;
+
 /* Sample the profiles and fit them, again where the pose or the blur moved too far. */
-static int sample_and_fit(const view *v, const pad_shape *pad, const edge_points *edges, const fit_options *o, const solver *priors,
-                          profiles *p, near_rows *d, float *keys, int room, near_fit *fit, channel_mix *mix, fit_state *s,
-                          double delta[STATES], double *moved_px)
+static int sample_and_fit(attempt *a, double *moved_px)
 {
+    profiles *p = &a->p;
+    near_rows *d = &a->d;
+    fit_state *s = &a->s;
     for (int again = 0; again < SAMPLINGS; again++) {
         const double wanted = ceil(2.2 * sigma_px(s) + 1.2);
         const int half = wanted < HALF_MAX ? (int)fmax(HALF_MIN, wanted) : HALF_MAX;
         const fit_state before = *s;
         double whole[STATES];
-        if (!sample_profiles(v, s, edges, (int)o->max_profiles, half, room, keys, (double *)(void *)d->J[0], p)) {
+        if (!sample_profiles(a->v, s, a->edges, (int)a->o->max_profiles, half, &a->work, p)) {
             return 0;
         }
         d->f.n = p->n;
         look_at(s, p->ray_x, p->ray_y, &d->f);
-        drop_foreign(pad, s, &d->f, d->spare[0], p);
-        cover_profiles(pad, s, p, 1, d);
-        mix_channels(pad, p, d, mix);
-        mix_light(p, mix, d);
-        if (!converge(pad, p, priors, d, fit, s, delta, moved_px)) {
+        drop_foreign(a->pad, s, &d->f, d->spare[0], p);
+        cover_profiles(a->pad, s, p, 1, d);
+        mix_channels(a->pad, p, d, &a->mix);
+        mix_light(p, &a->mix, d);
+        if (!converge(a->pad, p, &a->priors, d, &a->fit, s, a->delta, moved_px)) {
             return 0;
         }
         difference(&before, s, whole);
-        if (motion_px(priors, s, whole) < SETTLED_PX && sigma_px(s) < BLUR_FACTOR * sigma_px(&before) + BLUR_MORE_PX) {
+        if (motion_px(&a->priors, s, whole) < SETTLED_PX && sigma_px(s) < BLUR_FACTOR * sigma_px(&before) + BLUR_MORE_PX) {
             break;
         }
     }
@@ -296,41 +313,39 @@ static int sample_and_fit(const view *v, const pad_shape *pad, const edge_points
 int register_near(const view *v, const pad_shape *pad, const edge_points *edges, const fit_options *o, const tilt_target *tilt,
                   const fit_state *start, rows *r, fit_solved *out)
 {
-    profiles p;
-    near_rows d;
-    near_fit fit;
-    channel_mix mix;
-    solver priors;
+    attempt a;
+    const profiles *p = &a.p;
+    const near_fit *fit = &a.fit;
     shifts moves;
-    double delta[STATES];
-    fit_state s = *start;
-    float *keys = take_rows(r, 5);
+    a.v = v, a.pad = pad, a.edges = edges, a.o = o, a.s = *start;
+    a.work.keys = take_rows(r, 5), a.work.room = r->length;
     memset(out, 0, sizeof *out);
-    if (!keys || !take_near_rows(r, &d, &p)) {
+    if (!a.work.keys || !take_near_rows(r, &a.d, &a.p)) {
         return 0;
     }
-    begin_solver(start, tilt, pad->disc_radius_m, &priors);
-    if (!sample_and_fit(v, pad, edges, o, &priors, &p, &d, keys, r->length, &fit, &mix, &s, delta, &out->last_step_px)) {
+    a.work.doubles = (double *)(void *)a.d.J[0];
+    begin_solver(start, tilt, pad->disc_radius_m, &a.priors);
+    if (!sample_and_fit(&a, &out->last_step_px)) {
         return 0;
     }
     int accepted = 0;
-    for (int g = 0; g < p.groups; g++) {
-        accepted += fit.groups[g].accepted;
+    for (int g = 0; g < p->groups; g++) {
+        accepted += fit->groups[g].accepted;
     }
-    out->state = s;
+    out->state = a.s;
     if (accepted < GROUPS_MIN) {
         return 0;
     }
-    const double scale = noise_scale(&p, &d, accepted), grow = shared_noise(&p, &d, &fit) * scale;
-    find_shifts(&p, &d, &fit, &moves);
-    const double tau2 = edge_variance(&p, &fit, &moves, delta, scale, o, &out->edge_rms_px);
+    const double scale = noise_scale(p, &a.d, accepted), grow = shared_noise(p, &a.d, fit) * scale;
+    find_shifts(p, &a.d, fit, &moves);
+    const double tau2 = edge_variance(p, fit, &moves, a.delta, scale, o, &out->edge_rms_px);
     for (int i = 0; i < STATES * STATES; i++) {
-        out->H[i] = fit.H[i] / grow;
+        out->H[i] = fit->H[i] / grow;
     }
-    if (!covariance_of(&priors, &s, out->H, out->cov)) {
+    if (!covariance_of(&a.priors, &a.s, out->H, out->cov)) {
         return 0;
     }
-    add_shifts(&p, &moves, grow, tau2, o->size_sigma_m / s.m_per_px, out->cov);
-    find_support(pad, &p, &mix, &s, &d, &fit, out);
+    add_shifts(p, &moves, grow, tau2, o->size_sigma_m / a.s.m_per_px, out->cov);
+    find_support(pad, p, &a.mix, &a.s, &a.d, fit, out);
     return 1;
 }

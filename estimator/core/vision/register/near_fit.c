@@ -35,7 +35,8 @@ void cover_profiles(const pad_shape *pad, const fit_state *s, const profiles *p,
         const int begin = p->kind_begin[kind], count = p->kind_begin[kind + 1] - begin;
         float *const by[BY] = {d->d[0] + begin, d->d[1] + begin, d->d[2] + begin, d->d[3] + begin, d->d[4] + begin};
         if (count) {
-            cover(pad, &pad->kinds[kind], &d->f, &d->round, begin, count, d->value + begin, by, spare);
+            const stretch at = {&d->f, &d->round, begin, count};
+            cover(pad, &pad->kinds[kind], &at, d->value + begin, by, spare);
         }
     }
     for (int i = 0; i < p->n; i++) {

@@ -186,8 +186,8 @@ static double expected_noise(const view *v, const part *p, const patch *cut)
     return count ? left * sum / count : 0.0;
 }
 
-int cut_patch(const view *v, const pad_shape *pad, const fit_state *s, double margin_px, int most, rows *r, float *scratch,
-              footprint *f, patch *out, fit_state *coarse)
+int cut_patch(const view *v, const pad_shape *pad, const fit_state *s, double margin_px, int most, rows *r,
+              const patch_work *work, patch *out)
 {
     part p;
     int k;
@@ -202,11 +202,11 @@ int cut_patch(const view *v, const pad_shape *pad, const fit_state *s, double ma
     }
     out->slope[0] = all + 5 * r->length, out->slope[1] = all + 6 * r->length;
     out->at = (int32_t *)(void *)(all + 7 * r->length);
-    average(v, &p, k, out->columns, out->lines, scratch);
-    *coarse = reduced(s, k, SMOOTHING_PX2);
+    average(v, &p, k, out->columns, out->lines, work->light);
+    out->state = reduced(s, k, SMOOTHING_PX2);
     list_pixels(v, &p, out);
-    keep_near(v, coarse, pad->disc_radius_m + margin_px * coarse->m_per_px, f, out);
-    read_light(scratch, out);
+    keep_near(v, &out->state, pad->disc_radius_m + margin_px * out->state.m_per_px, work->f, out);
+    read_light(work->light, out);
     if (out->n < PIXELS_MIN) {
         return 0;
     }

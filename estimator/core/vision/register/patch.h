@@ -23,7 +23,15 @@ typedef struct {
     int32_t *at;
     /* The variance, over light, that the frame's noise beyond the usual leaves. */
     double noise;
+    /* The state that it was cut for, with the blur in the units of its pixels. */
+    fit_state state;
 } patch;
+
+/* What a patch is cut with and what is free afterwards: light of all its pixels, and what they look at. */
+typedef struct {
+    float *light;
+    footprint *f;
+} patch_work;
 
 /* The frame and how it was taken. */
 typedef struct {
@@ -39,10 +47,9 @@ typedef struct {
     double noise;
 } view;
 
-/* Cut out the part of the frame that holds the pad, `margin_px` reduced pixels beyond it, with at most `most` pixels; `coarse` takes
- * the state with the blur in their units. `scratch` and `f` are free afterwards, `r` keeps the patch. Returns 0 if too little of the pad is
- * in view. */
-int cut_patch(const view *v, const pad_shape *pad, const fit_state *s, double margin_px, int most, rows *r, float *scratch,
-              footprint *f, patch *out, fit_state *coarse);
+/* Cut out the part of the frame that holds the pad, `margin_px` reduced pixels beyond it, with at most `most` pixels; `r` keeps the
+ * patch. Returns 0 if too little of the pad is in view. */
+int cut_patch(const view *v, const pad_shape *pad, const fit_state *s, double margin_px, int most, rows *r,
+              const patch_work *work, patch *out);
 
 #endif

@@ -141,11 +141,12 @@ static void mark_kinds(profiles *p)
     p->kind_begin[EDGE_KINDS] = p->n;
 }
 
-int sample_profiles(const view *v, const fit_state *s, const edge_points *edges, int most, int half, int room, float *keys,
-                    double *doubles, profiles *out)
+int sample_profiles(const view *v, const fit_state *s, const edge_points *edges, int most, int half, const profile_work *work,
+                    profiles *out)
 {
-    sighted *seen = (sighted *)(void *)doubles;
-    int32_t *index = (int32_t *)(void *)keys, *table = index + room, mask = 1;
+    const int room = work->room;
+    sighted *seen = (sighted *)(void *)work->doubles;
+    int32_t *index = (int32_t *)(void *)work->keys, *table = index + room, mask = 1;
     const int n = edges->points <= room ? see_edges(v, s, edges, half, seen, index, out->in_view) : 0;
     if (n < SEEN_MIN || !isfinite(seen[n - 1].way_px)) {
         return 0;

@@ -35,10 +35,16 @@ typedef struct {
     float *ray_x, *ray_y, *light[CHANNELS], *usable;
 } profiles;
 
-/* Profiles of 2 half + 1 pixels across the edges in view, at most some `most` of them. `keys` and `doubles` are memory that is free
- * afterwards: five rows, and ten. Returns 0 if there are too few for a fix. */
-int sample_profiles(const view *v, const fit_state *s, const edge_points *edges, int most, int half, int room, float *keys,
-                    double *doubles, profiles *out);
+/* Memory that profiles are sampled with and that is free afterwards: five rows of `room` numbers, and ten. */
+typedef struct {
+    int32_t room;
+    float *keys;
+    double *doubles;
+} profile_work;
+
+/* Profiles of 2 half + 1 pixels across the edges in view, at most some `most` of them. Returns 0 if there are too few for a fix. */
+int sample_profiles(const view *v, const fit_state *s, const edge_points *edges, int most, int half, const profile_work *work,
+                    profiles *out);
 /* Let no pixel count that lies within three deviations of the blur of an edge of another kind. `spare`: a row that is written over. */
 void drop_foreign(const pad_shape *pad, const fit_state *s, const footprint *f, float *spare, profiles *p);
 

@@ -126,7 +126,7 @@ static void project_scores(const patch *cut, int c, float m_per_px2, const dense
             }
         }
         const int within = cut->n - start < SUM_BLOCK ? cut->n - start : SUM_BLOCK;
-        add_sectors(d, c, start, within, J[0], J[1], projected, sqrtf(m_per_px2), fit);
+        add_sectors(d, c, start, within, (const float (*)[SUM_BLOCK])J, projected, sqrtf(m_per_px2), fit);
     }
 }
 
@@ -225,7 +225,7 @@ static void add_grain(const patch *cut, int times, float *grid, float *const com
         }
         both[r] = common[r];
     }
-    add_squares(cut->n, STATES, both, both, STATES, fit->meat);
+    add_squares(cut->n, STATES, both, both, STATES, fit->gradient_cov);
 }
 
 /* The variances of a channel's paints. */
@@ -252,15 +252,15 @@ static void restore_spent(const patch *cut, const dense_sums *s, dense_fit *fit)
     const double n = cut->n, taken = s->total + STATES / CHANNELS;
     double ratio = 0.0;
     for (int r = 0; r < STATES; r++) {
-        ratio += fit->meat[r * (STATES + 1)] / fmax(fit->H[r * (STATES + 1)], 1e-300) / STATES;
+        ratio += fit->gradient_cov[r * (STATES + 1)] / fmax(fit->H[r * (STATES + 1)], 1e-300) / STATES;
     }
     const double left = fmax(n - fmax(ratio, 1.0) * taken, LEFT_LEAST * n), assumed = fmax(n - taken, LEFT_LEAST * n);
     for (int i = 0; i < STATES * STATES; i++) {
-        fit->meat[i] *= assumed / left;
+        fit->gradient_cov[i] *= assumed / left;
     }
 }
 
-int add_meat(const pad_shape *pad, const patch *cut, float m_per_px2, dense_rows *d, const dense_sums *s, dense_fit *fit)
+int add_gradient_covariance(const pad_shape *pad, const patch *cut, float m_per_px2, dense_rows *d, const dense_sums *s, dense_fit *fit)
 {
     float *const *projected = d->spare, *const *noisy = d->spare + STATES, *const *common = d->spare + 2 * STATES;
     float *const *seen = d->spare + 3 * STATES, *shared = d->spare[3 * STATES + CHANNELS], *grid = d->spare[3 * STATES + CHANNELS + 1];
@@ -288,7 +288,7 @@ int add_meat(const pad_shape *pad, const patch *cut, float m_per_px2, dense_rows
                 common[r][i] += projected[r][i] * sqrtf(var * one);
             }
         }
-        add_squares(cut->n, STATES, left, right, STATES, fit->meat);
+        add_squares(cut->n, STATES, left, right, STATES, fit->gradient_cov);
     }
     add_grain(cut, times, grid, common, fit);
     restore_spent(cut, s, fit);

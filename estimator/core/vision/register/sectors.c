@@ -14,9 +14,10 @@ static int sector_of(float x, float y)
     return 4 * (y < 0.0f) + 2 * (x < 0.0f) + (fabsf(y) > fabsf(x));
 }
 
-void add_sectors(const dense_rows *d, int c, int start, int length, const float *along_x, const float *along_y,
+void add_sectors(const dense_rows *d, int c, int start, int length, const float along[][SUM_BLOCK],
                  float *const projected[STATES], float m_per_px, dense_fit *fit)
 {
+    const float *along_x = along[0], *along_y = along[1];
     for (int i = 0; i < length; i++) {
         const float x = d->f.x[start + i], y = d->f.y[start + i], r = sqrtf(x * x + y * y), per = m_per_px / (r > LEAST_M ? r : LEAST_M);
         const double outward = per * (x * along_x[i] + y * along_y[i]), around = per * (x * along_y[i] - y * along_x[i]);
@@ -39,7 +40,7 @@ static double sector_variance(const dense_fit *fit)
     double noise = 0.0, squares = 0.0, known = 0.0;
     int n = 0;
     for (int i = 0; i < 3; i++) {
-        noise += fit->meat[i * (STATES + 1)] / (3.0 * fmax(fit->H[i * (STATES + 1)], 1e-300));
+        noise += fit->gradient_cov[i * (STATES + 1)] / (3.0 * fmax(fit->H[i * (STATES + 1)], 1e-300));
     }
     for (int k = 0; k < SECTOR_MOVES; k++) {
         if (fit->known[k] > KNOWN_LEAST * noise) {
@@ -62,13 +63,13 @@ void displace_sectors(double least_px, double size_px, dense_fit *fit)
     for (int k = 0; k < SECTOR_MOVES; k++) {
         const double *pull = fit->pull[k];
         for (int i = 0; i < STATES * STATES; i++) {
-            fit->meat[i] += var * pull[i / STATES] * pull[i % STATES];
+            fit->gradient_cov[i] += var * pull[i / STATES] * pull[i % STATES];
         }
         for (int i = 0; i < STATES && k % 2 == 0; i++) {
             all[i] += size_px * pull[i];
         }
     }
     for (int i = 0; i < STATES * STATES; i++) {
-        fit->meat[i] += all[i / STATES] * all[i % STATES];
+        fit->gradient_cov[i] += all[i / STATES] * all[i % STATES];
     }
 }

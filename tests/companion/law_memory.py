@@ -2,28 +2,55 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
-from msgspec import structs
+from msgspec import Struct, structs
 
 from companion.guidance.follow_deck import FollowDeckMemory
+from companion.guidance.tuning import TuningChoice
+from estimator.contracts.time import MonoNs
 from estimator.core.library import CORE
-from tests.companion.oracle.axis import TiltAxis
-from tests.companion.oracle.deck_turn import DeckTurn
-from tests.companion.oracle.follow_deck import OracleMemory
-from tests.companion.oracle.observer import Observed
-from tests.companion.oracle.own_part import OwnPart
+from tests.companion.law_axis import Observed, TiltAxis
+
+
+class DeckTurn(NamedTuple):
+    """The observer of the deck's turn: the heading against the arrow, and the deck's rate."""
+
+    yaw_rad: float
+    rate_rad_s: float
+
+
+class OwnPart(NamedTuple):
+    """The lean of one axis that the vehicle adds by itself, the lean that its response explains, and that one's rate."""
+
+    own: float
+    lean: float
+    rate: float
+
+
+class LawMemory(Struct, frozen=True):
+    """The memory of `FollowDeck`. Its axes are north and east by the filter's heading."""
+
+    at: MonoNs | None
+    axes: tuple[TiltAxis, TiltAxis] | None
+    pushed_down_m_s2: float
+    climbs: tuple[float, ...]
+    tuning: TuningChoice
+    tuning_before: TuningChoice
+    share: float
+    own: tuple[OwnPart, OwnPart] | None
+    turn: DeckTurn | None
 
 
 def _axis(axis: Any, n: int) -> TiltAxis:
     return TiltAxis(Observed(axis.p, axis.w, axis.d, axis.b), axis.lean, axis.rate, axis.lag, tuple(axis.under_way)[:n])
 
 
-def plain(memory: FollowDeckMemory, n: int, *, over_ground: bool = False) -> OracleMemory:
+def plain(memory: FollowDeckMemory, n: int, *, over_ground: bool = False) -> LawMemory:
     """Return a memory as plain values; `n` commands are remembered."""
     core = memory.core
     one, two = core.axes
-    return OracleMemory(
+    return LawMemory(
         memory.at,
         (_axis(one, n), _axis(two, n)) if core.begun else None,
         core.pushed_down_m_s2,
@@ -36,7 +63,7 @@ def plain(memory: FollowDeckMemory, n: int, *, over_ground: bool = False) -> Ora
     )
 
 
-def packed(memory: OracleMemory) -> FollowDeckMemory:
+def packed(memory: LawMemory) -> FollowDeckMemory:
     """Return a memory as the core holds it."""
     values: dict[str, Any] = {
         "begun": memory.axes is not None,

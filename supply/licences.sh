@@ -1,0 +1,17 @@
+#!/bin/sh
+# Print docs/licences.md with its tables made anew by pip-licenses, of the service and of each extra: sh supply/licences.sh PYTHON
+# PYTHON is that of an environment with all of them. Ends with 1 at a licence that pyproject.toml does not allow.
+set -eu
+python=$1
+cd "$(dirname "$0")/.."
+names() { sed -n 's/==.*//p' "requirements/$1.txt" | sort; }
+listed=$(mktemp)
+trap 'rm -f "$listed"' EXIT
+sed '/^## The service$/,$d' docs/licences.md
+for pins in runtime report lab ros2 compare; do
+    [ "$pins" = runtime ] && echo "## The service" || printf '\n## The extra `%s`\n' "$pins"
+    echo
+    # shellcheck disable=SC2046  # one argument for each name
+    "$python" -m piplicenses --format markdown --packages $(names "$pins" | comm -23 - "$listed")
+    names "$pins" | sort -u -o "$listed" - "$listed"
+done
