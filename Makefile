@@ -100,7 +100,7 @@ $(VENV)/.compiler: requirements/compiler.txt | $(BIN)/python
 	$(PIP) install --require-hashes -r requirements/compiler.txt
 	@touch $@
 
-# The drawings of demo's report, calibrate and soak.
+# The drawings of demo's report, of calibrate and of campaigns.
 $(VENV)/.report: requirements/report.txt $(VENV)/.runtime
 	$(PIP) install --require-hashes -r requirements/report.txt
 	@touch $@

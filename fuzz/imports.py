@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.cli import detect
-from drivers.imports import ardrone_capture, attitude_csv, dataflash, dataflash_history, px4_ulog, ulog_history
+from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
 from fuzz import ardrone
@@ -136,7 +136,7 @@ def capture_seeds() -> Iterator[bytes]:
 
 TARGETS = {
     "attitude_csv": Target(reader("a.csv", attitude_csv.read, _tilts), csv_seeds, 1024),
-    "dataflash": Target(reader("log.bin", dataflash.read, lambda path: [dataflash_history.read_history(path)]), dataflash_seeds),
-    "ulog": Target(reader("log.ulg", px4_ulog.read, lambda path: [ulog_history.read_history(path)]), ulog_seeds),
+    "dataflash": Target(reader("log.bin", dataflash.read, lambda path: [dataflash.read_history(path)]), dataflash_seeds),
+    "ulog": Target(reader("log.ulg", px4_ulog.read, lambda path: [px4_ulog.read_history(path)]), ulog_seeds),
     "ardrone_capture": Target(reader("x", ardrone_capture.samples, ardrone_capture.frames), capture_seeds, 8192),
 }

@@ -189,6 +189,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     ),
     "drivers/ardrone/command_streamer.py": (
         "tests/drivers/test_command_streamer_bounds.py",
+        "tests/drivers/test_velocity_loop.py",
         "tests/drivers/test_command_streamer.py",
     ),
     "drivers/mavlink/setpoint_streamer.py": (

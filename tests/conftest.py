@@ -58,7 +58,7 @@ SLOW = (
     "tests/companion/page/test_browser.py",
     "tests/sitl/test_one_flight.py",
     "tests/companion/test_settings.py",
-    "tests/companion/test_soak.py",
+    "tests/sitl/campaign/test_soak.py",
     "tests/test_examples.py",
     "tests/companion/test_calibrate.py",
     "tests/sitl/test_perception.py",
@@ -106,7 +106,7 @@ SLOW = (
     "tests/estimator/test_pipeline.py",
     "tests/sitl/ardrone/test_server.py",
     "tests/drivers/test_pave.py",
-    "tests/companion/test_soak_flights.py",
+    "tests/sitl/campaign/test_soak_flights.py",
     "tests/fuzz/test_corpus.py",
     "tests/estimator/vision/test_other_pads.py",
     "tests/companion/test_detect.py",
@@ -144,7 +144,8 @@ SLOW = (
     "tests/sitl/autopilots/test_follow.py",
     "tests/sitl/test_world.py",
 )
-"""Files and folders that take more than 0.8 s of processor time, the longest first. They are marked `slow`, and start first."""
+"""Files and folders that take more than 0.8 s of processor time, the longest first. They are marked `slow`, and start first.
+Not among them are the strongest tests of filter and registration, some seconds each, which run before each commit."""
 TOGETHER = ("tests/v4l2_vm/",)
 """Folders whose files share what is dear to make: one virtual machine is started for all of them."""
 APART = ("tests/packaging/test_installation.py",)

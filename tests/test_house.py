@@ -36,7 +36,6 @@ DRAWINGS = {
     "sitl/campaign/plots.py",
     "companion/tools/calibrate/figures.py",
     "companion/tools/calibrate/response_figure.py",
-    "companion/cli/soak_plot.py",
 }
 """What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""
 

@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from companion.base.observer import NullObserver
 from companion.settings.vessel import VesselOptions
 from drivers.mailbox import Line
-from drivers.nmea.listener import SentenceListener, listening
-from drivers.nmea.sentences import NmeaReader
+from drivers.nmea.sentences import NmeaReader, SentenceListener, listening
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.base.signals import Stopped
-from companion.cli import perception_option
+from companion.cli import campaign_soak, perception_option
 from companion.cli.campaign_progress import CampaignProgress
 from companion.cli.campaign_report import compared_with, report, require_report
 from companion.settings.load import shipped
@@ -44,11 +44,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add `decklander campaign` to the parser."""
     parser = subparsers.add_parser(
         "campaign",
-        help="fly many simulated landings and summarize them",
+        help="fly many simulated landings and summarize them, or watch them for leaks",
         description="Fly many simulated landings of one scenario, each with its own seed, and summarize them. Results are kept "
         "in a folder as they come: the same command goes on where an earlier one ended, whatever ended it. Exit code 0 if every "
         "flight landed on the pad safely, or refused as the scenario expects; else 1. docs/campaigns.md has more. "
-        "'decklander campaign report DIR' writes the report of what is in a folder.",
+        "'decklander campaign report DIR' writes the report of what is in a folder. --soak flies in one process, and "
+        "watches it for leaks.",
     )
     parser.add_argument(
         "scenario",
@@ -56,8 +57,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         f"with a fault); or a set of scenarios ({', '.join(shipped_sets())}, or its file); or the word report",
     )
     parser.add_argument("folder", nargs="?", help="with report: the folder of a campaign")
-    parser.add_argument("--runs", type=int, default=100, metavar="N", help="number of flights, at each point (default: 100)")
-    parser.add_argument("--seed", type=int, default=0, metavar="FIRST", help="seed of the first flight (default: 0)")
+    parser.add_argument(
+        "--runs", type=int, metavar="N", help="number of flights, at each point (default: 100; with --soak: by --hours)"
+    )
+    parser.add_argument("--seed", type=int, metavar="FIRST", help="seed of the first flight (default: 0; with --soak: 1)")
     perception_option.add_arguments(parser)
     parser.set_defaults(perception=None)
     parser.add_argument(
@@ -100,6 +103,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     said.add_argument("--json", action="store_true", help="print a line of JSON for each flight, and one of the summary")
     said.add_argument("--report", action="store_true", help=f"write {REPORT} beside the results")
     said.add_argument("--against", metavar="DIR", help="compare with this earlier campaign in the report, seed by seed")
+    campaign_soak.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -108,6 +112,10 @@ def run(args: argparse.Namespace) -> int:
         return report(args)
     if args.folder is not None:
         raise BadInput(f"campaign takes one scenario, found {args.folder!r} besides")
+    campaign_soak.refuse(args)
+    if args.soak:
+        return campaign_soak.run(args, *_plan(args))
+    args.runs, args.seed = 100 if args.runs is None else args.runs, args.seed or 0
     seeds = seeds_of(args.seed, args.runs)
     workers = len(os.sched_getaffinity(0)) if args.workers is None else args.workers
     if workers < 1:

@@ -31,9 +31,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "detect": ("companion.cli.detect", "find the pad in images, videos or recordings"),
     "simulate": ("companion.cli.simulate", "simulate one flight in virtual time"),
     "perception": ("companion.cli.perception", "fit the error models of simulated perception"),
-    "campaign": ("companion.cli.campaign", "fly many simulated landings and summarize them"),
+    "campaign": ("companion.cli.campaign", "fly many simulated landings and summarize them, or watch them for leaks"),
     "experiments": ("companion.cli.experiments", "fly the thesis' experiments again"),
-    "soak": ("companion.cli.soak", "fly repeated landings and watch for leaks"),
     "report": ("companion.cli.report", "write the report of a recorded flight, or compare two"),
     "replay": ("companion.cli.replay", "replay a recording through vision and estimator"),
     "identify": ("companion.cli.identify", "identify a vehicle's response from a recorded flight"),
@@ -48,7 +47,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "service": ("companion.cli.service", "install, update, roll back or uninstall the service on this computer"),
 }
 """Module and one line of help for each command."""
-_NOW = {name: f"service {name}" for name in ("install", "update", "rollback", "uninstall")}
+_NOW = {"soak": "campaign --soak"} | {name: f"service {name}" for name in ("install", "update", "rollback", "uninstall")}
 """What replaces a word that was a command."""
 
 Load = Callable[[str], ModuleType]

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 
 from companion.service.daemon import OpenLink, VehicleLink
-from drivers.camera.exposure_drive import ExposureDrive
+from drivers.camera.exposure import ExposureDrive
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import VideoSource
 from drivers.camera.video_source import open_camera

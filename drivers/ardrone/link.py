@@ -7,12 +7,11 @@ from contextlib import asynccontextmanager
 
 from drivers.ardrone.command_channel import CommandChannel
 from drivers.ardrone.command_streamer import CommandStreamer
-from drivers.ardrone.control_channel import ControlChannel
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.setup import Setup
+from drivers.ardrone.setup import ControlChannel, Setup
 from drivers.ardrone.video_channels import UvlcChannel, VideoChannel
 from drivers.mailbox import Latest, Line
 from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS

@@ -14,8 +14,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from drivers.camera.exposure_drive import ExposureDrive
-from drivers.camera.exposure_law import TARGET, ExposureRange, ExposureSetting, LawMemory, Metered, limit_of, step
+from drivers.camera.exposure import TARGET, ExposureDrive, ExposureRange, ExposureSetting, LawMemory, Metered, limit_of, step
 from drivers.camera.exposure_options import ExposureOptions
 from estimator.contracts.samples import Frame
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drivers.camera.counters import CameraCounters
-from drivers.camera.exposure_drive import ExposureDrive
+from drivers.camera.exposure import ExposureDrive
 from drivers.mailbox import Latest
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Frame

@@ -19,8 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.exposure_drive import ExposureDrive
-from drivers.camera.exposure_law import ExposureSetting
+from drivers.camera.exposure import ExposureDrive, ExposureSetting
 from drivers.camera.images import claimed_size
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.camera import v4l2_kernel as kernel
-from drivers.camera.exposure_law import ExposureRange, ExposureSetting
+from drivers.camera.exposure import ExposureRange, ExposureSetting
 from drivers.camera.exposure_options import ExposureOptions
 from drivers.camera.options import FORMATS, CameraOptions, Size
 from drivers.camera.v4l2_formats import FrameLayout

@@ -27,7 +27,7 @@ from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from drivers.camera.counters import CameraCounters
-from drivers.camera.exposure_drive import ExposureDrive
+from drivers.camera.exposure import ExposureDrive
 from drivers.camera.images import ImageRefused
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource

@@ -1,4 +1,4 @@
-"""Read IMU, attitude, velocity, range and baro samples of a PX4 log (ULog), through pyulog.
+"""Read a PX4 log (ULog) through pyulog: its samples, and its parameters, texts and events.
 
 Source: the topics' definitions in PX4 v1.7 to v1.16: SI, FRD body, NED world, Hamilton quaternion from body to world.
 """
@@ -13,6 +13,17 @@ from typing import Any, BinaryIO
 import numpy as np
 from pyulog import ULog
 
+from drivers.imports.log_history import (
+    RATIO_LIMIT,
+    VIBRATION_LIMIT_M_S2,
+    AutopilotLog,
+    Excess,
+    ExcessMeter,
+    LandingMeter,
+    LoggedLanding,
+    LoggedMoment,
+    LogHistory,
+)
 from drivers.imports.stamps import attitude, in_level, stamp
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
@@ -152,3 +163,193 @@ def _baro(data: dict[str, Any], i: int, at: int) -> Sample | None:
 def _status(data: dict[str, Any], i: int, at: int) -> Sample | None:
     landed = bool(data["landed"][i])
     return VehicleStatus(stamp(at), not landed, "landed" if landed else "flying", None, False, True)
+
+
+_HISTORY_TOPICS = (
+    "vehicle_status", "vehicle_land_detected", "failsafe_flags", "estimator_status", "vehicle_imu_status", "sensor_combined",
+    "event",
+)  # fmt: skip
+_ARMED = 2
+"""arming_state of vehicle_status."""
+_PRECLAND = 20
+"""nav_state of AUTO.PRECLAND."""
+_RATIOS = {"vel_test_ratio": "velocity", "pos_test_ratio": "position", "hgt_test_ratio": "height", "mag_test_ratio": "compass"}
+_REASONS = {
+    "offboard_control_signal_lost": "setpoints lost", "manual_control_signal_lost": "remote control lost",
+    "gcs_connection_lost": "station lost", "battery_warning": "battery", "battery_low_remaining_time": "battery",
+    "battery_unhealthy": "battery unhealthy", "geofence_breached": "fence", "local_position_invalid": "no position",
+    "local_velocity_invalid": "no velocity", "attitude_invalid": "no attitude", "wind_limit_exceeded": "wind",
+    "fd_critical_failure": "failure detector", "fd_motor_failure": "motor", "fd_imbalanced_prop": "propeller",
+}  # fmt: skip
+"""Flags of failsafe_flags; those that rose with the failsafe are its reason."""
+_WITH_S = 3.0
+"""How long before a failsafe its reason may have begun, seconds; PX4 waits with most for a moment."""
+_RELEASE = 255
+"""The last byte of a version that says "release"."""
+
+Topic = dict[str, Any]
+
+
+def read_history(path: Path) -> AutopilotLog:
+    """Return what the log says besides its samples.
+
+    Raises:
+        BadInput: the file cannot be read, is no ULog, or holds no parameters.
+    """
+    log = open_ulog(path, _HISTORY_TOPICS)
+    try:
+        return _autopilot_log(path, log)
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as why:
+        raise BadInput(f"{path}: not the topics of a PX4 log: {type(why).__name__}: {why}") from why
+
+
+def _autopilot_log(path: Path, log: Any) -> AutopilotLog:
+    changed = {name: value for _, name, value in log.changed_parameters}
+    parameters = {
+        str(name): float(value)
+        for name, value in sorted((log.initial_parameters | changed).items())
+        if isinstance(value, int | float) and math.isfinite(value)
+    }
+    if not parameters:
+        raise BadInput(f"{path}: holds no parameters")
+    topics: dict[str, Topic] = {}
+    for data in log.data_list:
+        if len(data.data["timestamp"]) and data.multi_id == 0:
+            topics.setdefault(data.name, data.data)
+    history = _history(log, topics)
+    states = topics.get("vehicle_status", {}).get("nav_state", ())
+    precision = any(int(state) == _PRECLAND for state in states)
+    events = tuple(int(n) for n in topics.get("event", {}).get("id", ()))
+    texts = tuple(str(m.message) for m in log.logged_messages)
+    return AutopilotLog("PX4", None, _firmware(log), parameters, texts, events, history, precision)
+
+
+def _firmware(log: Any) -> tuple[int, int, int] | None:
+    packed = log.msg_info_dict.get("ver_sw_release")
+    return (packed >> 24 & 0xFF, packed >> 16 & 0xFF, packed >> 8 & 0xFF) if isinstance(packed, int) else None
+
+
+def _history(log: Any, topics: dict[str, Topic]) -> LogHistory:
+    begin_us, end_us = int(log.start_timestamp), int(log.last_timestamp)
+    first = min((int(t["timestamp"][0]) for t in topics.values()), default=begin_us)
+    begin_us = min(begin_us, first) if begin_us else first
+    end_s = max(end_us - begin_us, 0) * 1e-6
+    status = topics.get("vehicle_status")
+    armed = _Armed(status)
+    clipped, vibration = _imu_excess(topics, begin_us, armed)
+    return LogHistory(
+        round(end_s, 2),
+        _failsafes(log, status, topics.get("failsafe_flags"), begin_us),
+        _ratios(topics.get("estimator_status"), begin_us, armed),
+        vibration,
+        clipped,
+        _landings(topics.get("vehicle_land_detected"), status, begin_us, end_s),
+        0,
+        round(sum(int(d.duration) for d in log.dropouts) * 1e-3, 2),
+    )
+
+
+class _Armed:
+    """Whether the vehicle was armed at an instant; taken for true where the log does not say."""
+
+    def __init__(self, status: Topic | None) -> None:
+        self._at = None if status is None else np.asarray(status["timestamp"], dtype=np.int64)
+        self._armed = None if status is None else np.asarray(status["arming_state"]) == _ARMED
+
+    def at(self, at_us: int) -> bool:
+        if self._at is None or self._armed is None:
+            return True
+        i = int(np.searchsorted(self._at, at_us, side="right")) - 1
+        return i >= 0 and bool(self._armed[i])
+
+
+def _rises(data: Topic, name: str) -> list[int]:
+    """Return the indices at which a flag rose."""
+    values = np.asarray(data[name]).astype(bool)
+    return [int(i) for i in np.flatnonzero(values & ~np.concatenate(([False], values[:-1])))]
+
+
+def _failsafes(log: Any, status: Topic | None, flags: Topic | None, begin_us: int) -> tuple[LoggedMoment, ...]:
+    if status is None or "failsafe" not in status:
+        return ()
+    out = []
+    for i in _rises(status, "failsafe"):
+        at_us = int(status["timestamp"][i])
+        said = [
+            str(m.message)
+            for m in log.logged_messages
+            if abs(int(m.timestamp) - at_us) < 1e6 and "failsafe" in str(m.message).lower()
+        ]
+        why = _reasons(flags, at_us)
+        what = f"failsafe: {', '.join(why)}" if why else said[0].strip() if said else "failsafe"
+        out.append(LoggedMoment(round((at_us - begin_us) * 1e-6, 2), what))
+    return tuple(out)
+
+
+def _reasons(flags: Topic | None, at_us: int) -> list[str]:
+    if flags is None:
+        return []
+    begin = at_us - round(_WITH_S * 1e6)
+    found = []
+    for name, reason in _REASONS.items():
+        if name in flags and any(begin <= int(flags["timestamp"][i]) <= at_us + 200_000 for i in _rises(flags, name) if i > 0):
+            found.append(reason)
+    return list(dict.fromkeys(found))
+
+
+def _ratios(estimator: Topic | None, begin_us: int, armed: _Armed) -> dict[str, Excess]:
+    out = {}
+    for field, name in _RATIOS.items():
+        if estimator is None or field not in estimator:
+            continue
+        meter = ExcessMeter(RATIO_LIMIT)
+        for at_us, value in zip(estimator["timestamp"], estimator[field], strict=True):
+            if armed.at(int(at_us)):
+                meter.add(float(value), (int(at_us) - begin_us) * 1e-6)
+        if (excess := meter.excess) is not None:
+            out[name] = excess
+    return out
+
+
+def _imu_excess(topics: dict[str, Topic], begin_us: int, armed: _Armed) -> tuple[int, Excess | None]:
+    """Return the number of clipped accelerometer readings, and the vibration."""
+    imu, clipped = topics.get("vehicle_imu_status"), 0
+    meter = ExcessMeter(VIBRATION_LIMIT_M_S2["PX4"])
+    if imu is not None:
+        flown = np.array([armed.at(int(t)) for t in imu["timestamp"]], dtype=bool)
+        for k in range(3):
+            if (name := f"accel_clipping[{k}]") in imu:
+                steps = np.diff(np.asarray(imu[name], dtype=np.int64), prepend=int(imu[name][0]))
+                clipped += int(np.clip(steps, 0, None)[flown].sum())
+        for at_us, value in zip(imu["timestamp"], imu.get("accel_vibration_metric", ()), strict=False):
+            if armed.at(int(at_us)):
+                meter.add(float(value), (int(at_us) - begin_us) * 1e-6)
+        return clipped, meter.excess
+    combined = topics.get("sensor_combined")
+    if combined is not None and "accelerometer_clipping" in combined:
+        at = np.flatnonzero(np.asarray(combined["accelerometer_clipping"]))
+        clipped = sum(armed.at(int(combined["timestamp"][i])) for i in at)
+    return clipped, meter.excess
+
+
+def _landings(detected: Topic | None, status: Topic | None, begin_us: int, end_s: float) -> tuple[LoggedLanding, ...]:
+    if detected is None:
+        return ()
+    happened = [
+        (int(t), "landed" if landed else "flying") for t, landed in zip(detected["timestamp"], detected["landed"], strict=True)
+    ]
+    if status is not None:
+        states = zip(status["timestamp"], status["arming_state"], strict=True)
+        happened += [(int(t), "armed" if state == _ARMED else "disarmed") for t, state in states]
+    meter, was = LandingMeter(), ""
+    was_armed = False
+    for at_us, what in sorted(happened):
+        at_s = (at_us - begin_us) * 1e-6
+        if what in ("armed", "disarmed"):
+            if was_armed and what == "disarmed":
+                meter.disarmed(at_s)
+            was_armed = what == "armed"
+        elif what != was:
+            (meter.landed if what == "landed" else meter.flying)(at_s)
+            was = what
+    return meter.landings(end_s)

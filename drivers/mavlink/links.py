@@ -2,6 +2,9 @@
 
 Each link is kept open alone, with back-off; each peer of a link has its own codec, hence its own sequence numbers. `access`
 decides which senders are peers: unknown senders share one codec, and nothing is sent to them.
+
+Handlers refuse a senseless message by value. An exception that still escapes a handler is a bug of this program: `Containment`
+counts it and logs it once with its traceback, and the next message is handled as usual.
 """
 
 from __future__ import annotations
@@ -11,12 +14,11 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, TypeVar
 
 from drivers.mailbox import Line
 from drivers.mavlink.access import Access, AccessLevel, NamedSenders, Source
 from drivers.mavlink.codec import Codec, CodecCounters, Unfit
-from drivers.mavlink.containment import Containment
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.endpoint import Address, Endpoint
 from drivers.mavlink.options import LinkLimits
@@ -29,6 +31,57 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
 _log = logging.getLogger(__name__)
+_Result = TypeVar("_Result")
+_PLACES_MAX = 256
+_QUIET_S = 10.0
+
+
+class Containment:
+    """Run handlers and contain the exceptions that escape them.
+
+    Args:
+        clock: source of the time, which limits how often an error is logged.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._logged: dict[str, MonoNs] = {}
+        self.faults: Counter[str] = Counter()
+        """Number of errors that escaped a handler, by place."""
+
+    @property
+    def total(self) -> int:
+        """Number of errors that were contained."""
+        return sum(self.faults.values())
+
+    def run(self, place: str, source: str, handler: Callable[[], _Result]) -> _Result | None:
+        """Return the handler's result, or None if it raised an exception.
+
+        Args:
+            place: what is being done, with the name of the message; errors are counted under it.
+            source: sender of the message, for the log.
+            handler: the function to run.
+        """
+        try:
+            return handler()
+        except Exception as why:
+            self._hold(place, source, why)
+            return None
+
+    def _hold(self, place: str, source: str, why: Exception) -> None:
+        if place not in self.faults and len(self.faults) >= _PLACES_MAX:
+            place = "others"
+        self.faults[place] += 1
+        now, last = self._clock.now(), self._logged.get(place)
+        if last is None:
+            _log.error("a bug in %s (from %s); the service goes on without this message", place, source, exc_info=why)
+        elif seconds_between(last, now) >= _QUIET_S:
+            _log.error(
+                "a bug in %s (from %s), %d times so far: %s: %s", place, source, self.faults[place], type(why).__name__, why
+            )
+        else:
+            return
+        self._logged[place] = now
 
 
 @dataclass(frozen=True, slots=True)

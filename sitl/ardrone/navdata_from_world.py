@@ -13,12 +13,12 @@ from msgspec import Struct, field
 
 from drivers.ardrone import navdata
 from drivers.ardrone.navdata import Navdata
+from estimator.contracts.motion import G_M_S2
 from sitl.sensors.sensors import Readings
 from sitl.vehicle.airframe import StickLimits
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import Stick
 
-STANDARD_GRAVITY = 9.80665
 TESLA_PER_MILLIGAUSS = 1e-7
 MILLIGAUSS_PER_COUNT = 3.4
 """Scale of the magnetometer, as a captured datagram relates its counts to its field."""
@@ -140,7 +140,7 @@ def _raw_measures(s: Situation) -> navdata.RawMeasures:
 
 
 def _raw_acc(f_m_s2: float) -> float:
-    return 2048 + 0.512 * (1e3 * f_m_s2 / STANDARD_GRAVITY)
+    return 2048 + 0.512 * (1e3 * f_m_s2 / G_M_S2)
 
 
 def _counts(x: float, y: float, z: float, low: int, high: int) -> tuple[int, int, int]:
@@ -153,7 +153,7 @@ def _counts(x: float, y: float, z: float, low: int, high: int) -> tuple[int, int
 def _phys_measures(s: Situation) -> navdata.PhysMeasures:
     x, y, z = s.readings.f_body
     p, q, r = s.readings.w_body
-    accs_mg = 1e3 * x / STANDARD_GRAVITY, 1e3 * y / STANDARD_GRAVITY, 1e3 * z / STANDARD_GRAVITY
+    accs_mg = 1e3 * x / G_M_S2, 1e3 * y / G_M_S2, 1e3 * z / G_M_S2
     return navdata.PhysMeasures(s.readings.temperature_c, 0, accs_mg, (math.degrees(p), math.degrees(q), math.degrees(r)))
 
 

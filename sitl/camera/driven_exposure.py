@@ -7,8 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from drivers.camera.exposure_drive import ExposureDrive
-from drivers.camera.exposure_law import ExposureRange, ExposureSetting
+from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
 from sitl.camera.light import Light, Sensor
 
 _LAG_FRAMES = 2

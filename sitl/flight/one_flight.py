@@ -1,6 +1,6 @@
 """Fly one scenario once, in virtual time: the same scenario, seed, settings and perception give the same ending to the bit.
 
-`simulate`, `soak --virtual`, the benches and campaigns all fly by `fly`.
+`simulate`, the benches and campaigns all fly by `fly`.
 """
 
 from __future__ import annotations

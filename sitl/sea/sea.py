@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import choice, number
+from estimator.contracts.motion import G_M_S2
 from sitl.core.library import SIM
-from sitl.sea.spectra import GRAVITY_M_S2 as GRAVITY_M_S2
 from sitl.sea.spectra import fully_grown_period_s, jonswap, most_probable_ochi_hubble, ochi_hubble_part
 
 Components = Literal["geometric", "equal_energy"]
@@ -199,7 +199,7 @@ class Waves:
     @cached_property
     def k_ne(self) -> F64:
         """Wave numbers (B, N, 2) north and east, rad/m: w^2 = g k in deep water."""
-        k = self.w_rad_s**2 / GRAVITY_M_S2
+        k = self.w_rad_s**2 / G_M_S2
         return np.stack([k * np.cos(self.towards_rad), k * np.sin(self.towards_rad)], axis=-1)
 
     @cached_property

@@ -10,8 +10,7 @@ import math
 import numpy as np
 
 from estimator.contracts.geometry import F64
-
-GRAVITY_M_S2 = 9.80665
+from estimator.contracts.motion import G_M_S2
 
 
 def jonswap(w_rad_s: F64, hs_m: float, tp_s: float, gamma: float = 3.3) -> F64:
@@ -44,7 +43,7 @@ def fully_grown_period_s(hs_m: float) -> float:
 
     Source: Pierson & Moskowitz 1964 by height, S = 0.0081 g^2 w^-5 exp(-0.032 (g / Hs)^2 w^-4): wp = 0.4 sqrt(g / Hs).
     """
-    return math.tau / (0.4 * math.sqrt(GRAVITY_M_S2 / hs_m))
+    return math.tau / (0.4 * math.sqrt(G_M_S2 / hs_m))
 
 
 def most_probable_ochi_hubble(hs_m: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

@@ -19,6 +19,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, after
 from sitl.core.abi import ECHOES_MAX, SENSOR_NOISE
 from sitl.core.library import SIM
@@ -37,7 +38,6 @@ from sitl.faults.sensors import (
     VelocityReading,
 )
 from sitl.faults.timer import FaultTimer
-from sitl.sea.spectra import GRAVITY_M_S2
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.disturbances import keep_and_fresh
 from sitl.vehicle.noise import BLOCK, NoiseRows
@@ -114,7 +114,7 @@ class Sensors:
             pressure_keep=of_pressure[0], pressure_fresh=of_pressure[1], pressure_sigma=s.pressure_sigma_pa,
             cone_rad=math.radians(s.ultrasound_cone_deg), echo_sigma=s.ultrasound_sigma_m,
             echo_min_m=s.ultrasound_min_m, echo_max_m=s.ultrasound_max_m, battery_life_s=s.battery_life_s,
-            hover_n=vehicle.airframe.mass_kg * GRAVITY_M_S2 / len(each),
+            hover_n=vehicle.airframe.mass_kg * G_M_S2 / len(each),
         )  # fmt: skip
         """The core's `sim_sensor_params`."""
         block = _NoiseBlocks(imu, field, pressure, heading, ultrasound, echo_every)

@@ -17,6 +17,7 @@ from companion.settings.load import read_toml
 from companion.settings.refusal import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
+from estimator.contracts.motion import G_M_S2
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +204,7 @@ class VehicleFile(Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         if min(self.inertia_kg_m2) <= 0 or min(self.torque_max_n_m) <= 0 or min(self.drag_per_s) < 0:
             raise ValueError("inertia_kg_m2 and torque_max_n_m must be positive, drag_per_s 0 or more")
-        if self.thrust_max_n < 1.2 * 9.80665 * self.mass_kg:
+        if self.thrust_max_n < 1.2 * G_M_S2 * self.mass_kg:
             raise ValueError(
                 f"thrust_max_n is {self.thrust_max_n:g} N: it must be 1.2 times the weight or more, or it cannot climb"
             )

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.motion import G_M_S2
 from sitl.core.abi import COMMANDS_MAX, FLIGHT_NOISE, ROTORS_MAX, TOUCHED_DECK, TOUCHED_SEA
 from sitl.core.library import SIM
 from sitl.core.members import Number, Numbers
-from sitl.sea.spectra import GRAVITY_M_S2
 from sitl.vehicle.airframe import Airframe, StickLimits
 from sitl.vehicle.disturbances import Wind, keep_and_fresh
 from sitl.vehicle.noise import NoiseRows
@@ -175,11 +175,11 @@ class Vehicle:
         against_x, against_y = k[0] * (float(v_ned[0]) - air[0]), k[1] * (float(v_ned[1]) - air[1])
         c, s = math.cos(yaw_rad), math.sin(yaw_rad)
         forward, right = c * against_x + s * against_y, c * against_y - s * against_x
-        self.q = quaternion_of_rpy(right / GRAVITY_M_S2, -forward / GRAVITY_M_S2, yaw_rad)
+        self.q = quaternion_of_rpy(right / G_M_S2, -forward / G_M_S2, yaw_rad)
         SIM.fill(
             self.state,
             p=p_ned, v=v_ned, z_hold=p_ned[2], airborne_s=1.0, phase=VehiclePhase.HOVERING, integral=(forward, right, 0.0),
-            thrust_n=self.airframe.mass_kg * math.sqrt(against_x * against_x + against_y * against_y + GRAVITY_M_S2**2),
+            thrust_n=self.airframe.mass_kg * math.sqrt(against_x * against_x + against_y * against_y + G_M_S2**2),
         )  # fmt: skip
 
     def stand(self, ground: Ground, d_pad: F64, yaw_rad: float) -> None:
@@ -268,7 +268,7 @@ class Vehicle:
     @property
     def f_body(self) -> F64:
         """(3,) m/s^2, specific force: at rest and level (0, 0, -9.81)."""
-        return np.asarray((self.a_ned - [0.0, 0.0, GRAVITY_M_S2]) @ self.R_ned_body)
+        return np.asarray((self.a_ned - [0.0, 0.0, G_M_S2]) @ self.R_ned_body)
 
     @property
     def tilt_error_rad(self) -> Sequence[float]:

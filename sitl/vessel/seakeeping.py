@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from sitl.sea.spectra import GRAVITY_M_S2
+from estimator.contracts.motion import G_M_S2
 from sitl.vessel.response_table import ResponseTable
 
 
@@ -100,7 +100,7 @@ def encounter_rad_s(w_rad_s: F64, beta_rad: F64, speed_m_s: float) -> F64:
     `beta_rad` is as in `responses`.
     """
     w = np.asarray(w_rad_s, dtype=float)
-    return np.asarray(w - w**2 / GRAVITY_M_S2 * speed_m_s * np.cos(beta_rad))
+    return np.asarray(w - w**2 / G_M_S2 * speed_m_s * np.cos(beta_rad))
 
 
 def responses(
@@ -120,7 +120,7 @@ def responses(
     """
     w = np.asarray(w_rad_s, dtype=float)
     beta = np.asarray(beta_rad, dtype=float)
-    k = w**2 / GRAVITY_M_S2
+    k = w**2 / G_M_S2
     kx, ky = k * np.cos(beta), k * np.sin(beta)
     we = encounter_rad_s(w, beta, speed_m_s) if encounter is None else encounter
     if hull.table is not None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from sitl.sea.spectra import GRAVITY_M_S2
+from estimator.contracts.motion import G_M_S2
 from sitl.vessel.seakeeping import Hull
 
 _NODES = 1001
@@ -34,7 +34,7 @@ def heel_rad(hull: Hull, speed_m_s: F64, rate_rad_s: F64) -> F64:
     """
     assert hull.gm_m is not None
     assert hull.kg_m is not None
-    return np.asarray(-speed_m_s * rate_rad_s * (hull.kg_m - 0.5 * hull.draught_m) / (GRAVITY_M_S2 * hull.gm_m))
+    return np.asarray(-speed_m_s * rate_rad_s * (hull.kg_m - 0.5 * hull.draught_m) / (G_M_S2 * hull.gm_m))
 
 
 @dataclass(frozen=True, slots=True)

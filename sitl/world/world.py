@@ -122,7 +122,8 @@ class World:
 
     @property
     def phase(self) -> VehiclePhase:
-        return _PHASES[self._vehicle.state.phase]
+        phase: VehiclePhase = _PHASES[self._vehicle.state.phase]
+        return phase
 
     @property
     def limits(self) -> StickLimits:

@@ -24,7 +24,7 @@ def test_a_missing_matplotlib_is_named_with_its_cure(monkeypatch: pytest.MonkeyP
     "words",
     [
         ["calibrate", "camera", "{}", "--out", "{}/camera.toml", "--figures", "{}"],
-        ["soak", "--plot", "{}/soak.svg", "--hours", "1"],
+        ["campaign", "demo", "--soak", "--plot", "{}/soak.svg", "--hours", "1"],
     ],
     ids=lambda words: words[0],
 )
@@ -46,7 +46,7 @@ for command in COMMANDS:
         main([command, "--help"])
     except SystemExit as end:
         assert end.code == 0, command
-assert "companion.cli.soak" in sys.modules
+assert "sitl.campaign.soak" in sys.modules
 """
 
 

@@ -19,8 +19,7 @@ from companion.service.exposure_part import ExposurePart
 from companion.service.vehicle_parts import vehicle_parts
 from companion.settings.load import from_mapping
 from companion.settings.model import CameraSettings
-from drivers.camera.exposure_drive import ExposureDrive
-from drivers.camera.exposure_law import TARGET, ExposureRange, ExposureSetting
+from drivers.camera.exposure import TARGET, ExposureDrive, ExposureRange, ExposureSetting
 from drivers.camera.exposure_options import ExposureOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import RelativeState, Verdict

@@ -237,3 +237,16 @@ async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(flow
     true = [float(np.linalg.norm(d.shadows[0].d_body_pad_level)) for d in flown[1].decisions if d.shadows]
     assert 0.8 * min(true) < targets[-1].distance < 1.2 * max(true)
     assert math.isfinite(targets[-1].angle_x)
+
+
+def test_a_flight_steered_by_constant_velocity_is_recorded_and_replayed_to_the_bit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = tmp_path / "flight.mcap"
+    words = ["simulate", "calm", "--perception", "model", "--set", "estimator.path=constant_velocity", "--json"]
+    assert cli.main([*words, "--record", str(recording)]) == 0
+    assert json.loads(capsys.readouterr().out)["landed_on_pad"] is True
+    assert cli.main(["replay", str(recording), "--sightings", "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["against"].values()
+    against = {d["path"]: d for d in found}
+    assert against["constant_velocity"]["both"] == against["constant_velocity"]["identical"] > 100

@@ -8,10 +8,9 @@ import pytest
 from drivers.ardrone import at
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.arbiter import HOVER, STAY_UP
-from drivers.ardrone.command_streamer import CommandStreamer
+from drivers.ardrone.command_streamer import RESET, CommandStreamer, step
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.velocity_loop import RESET, step
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity

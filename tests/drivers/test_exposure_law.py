@@ -12,9 +12,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.camera.exposure_drive import ExposureDrive
+from drivers.camera.exposure import TARGET, ExposureDrive, ExposureRange, ExposureSetting, LawMemory, Metered, step
 from drivers.camera.exposure_governor import ExposureGovernor, meter_inside, meter_whole
-from drivers.camera.exposure_law import TARGET, ExposureRange, ExposureSetting, LawMemory, Metered, step
 from drivers.camera.exposure_options import ExposureOptions
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Frame

@@ -24,8 +24,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from drivers.camera.counters import CameraCounters
-from drivers.camera.exposure_drive import ExposureDrive
-from drivers.camera.exposure_law import ExposureRange, ExposureSetting
+from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
 from drivers.camera.v4l2 import CaptureDevice, V4l2Channel, cameras, find, kernel_stamp

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -138,19 +136,6 @@ def test_without_an_attitude_a_sighting_is_refused_and_without_a_heading_the_yaw
     state = after(path, 0.0)
     assert (state.yaw_rad, state.cov[6, 6]) == (None, UNKNOWN_YAW_VAR)
     assert (path.motion(MonoNs(0)), path.forecast(MonoNs(0), [1.0])) == ((None, None), None)
-
-
-def test_a_flight_steered_by_it_is_recorded_beside_the_ekf_and_replayed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    recording = tmp_path / "flight.mcap"
-    words = ["simulate", "calm", "--perception", "model", "--set", "estimator.path=constant_velocity", "--json"]
-    assert cli.main([*words, "--record", str(recording)]) == 0
-    assert json.loads(capsys.readouterr().out)["landed_on_pad"] is True
-    assert cli.main(["replay", str(recording), "--sightings", "--json"]) == 0
-    (found,) = json.loads(capsys.readouterr().out)["against"].values()
-    against = {d["path"]: d for d in found}
-    assert against["constant_velocity"]["both"] == against["constant_velocity"]["identical"] > 100
 
 
 def test_without_filterpy_one_line_names_the_extra(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

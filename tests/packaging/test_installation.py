@@ -93,7 +93,7 @@ def test_a_checkout_installs_a_small_service_that_runs(tmp_path: Path, monkeypat
     assert megabytes(target.resolve()) < MOST_MB
     decklander = target / "bin/decklander"
     assert run(f"{decklander} config check sim", tmp_path).returncode == 0
-    refused = run(f"{decklander} soak --plot soak.svg --hours 1", tmp_path)
+    refused = run(f"{decklander} campaign demo --soak --plot soak.svg --hours 1", tmp_path)
     assert (refused.returncode, "matplotlib" in refused.stderr) == (2, True)
     flown = run(f"{decklander} simulate demo --seed 1 --json", tmp_path)
     assert '"landed_on_pad": true' in flown.stdout, flown.stderr

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from sitl.emulators.ardrone.repeated_flights import faulty
 from sitl.flight.one_flight import fly, settings_for
 from sitl.scenario.scenario import load
+from sitl.scenario.with_fault import faulty
 
 
 @pytest.mark.parametrize("seed", [7020, 7021])

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.camera.exposure_drive import ExposureDrive
+from drivers.camera.exposure import TARGET, ExposureDrive, ExposureSetting, Metered
 from drivers.camera.exposure_governor import ExposureGovernor, meter_inside
-from drivers.camera.exposure_law import TARGET, ExposureSetting, Metered
 from drivers.camera.exposure_options import ExposureOptions
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame

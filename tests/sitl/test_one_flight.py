@@ -11,11 +11,11 @@ from companion.cli import main as cli
 from companion.guidance.make_pilot import make_pilot
 from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
-from sitl.emulators.ardrone.repeated_flights import faulty
 from sitl.flight.flight import Flight
 from sitl.flight.one_flight import TRUTH_EACH, fly, perception_level, settings_for
 from sitl.flight.safety import Grade
 from sitl.scenario.scenario import Scenario, from_mapping, load
+from sitl.scenario.with_fault import faulty
 from sitl.world.truth import Truth
 from tests.sitl.near import NEAR
 

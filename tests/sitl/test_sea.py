@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
-from sitl.sea.sea import GRAVITY_M_S2, SEA_STATES, SHELTERED_SLIGHT, SeaState, Waves, sea_state
+from estimator.contracts.motion import G_M_S2
+from sitl.sea.sea import SEA_STATES, SHELTERED_SLIGHT, SeaState, Waves, sea_state
 from sitl.sea.spectra import jonswap
 from tests.sitl.closed_forms import ittc
 
@@ -66,7 +67,7 @@ def test_crests_run_where_told_at_the_speed_of_deep_water() -> None:
     waves = Waves(np.array([[0.5]]), np.array([[w]]), np.array([[towards]]), np.array([[0.4]]))
     along, across = np.array([math.cos(towards), math.sin(towards)]), np.array([-math.sin(towards), math.cos(towards)])
     at = waves.elevation((2.0, 5.0), 1.0)
-    assert waves.elevation((2.0, 5.0) + along * GRAVITY_M_S2 / w * 0.7, 1.7) == pytest.approx(at)
+    assert waves.elevation((2.0, 5.0) + along * G_M_S2 / w * 0.7, 1.7) == pytest.approx(at)
     assert waves.elevation((2.0, 5.0) + across * 11.0, 1.0) == pytest.approx(at)
 
 

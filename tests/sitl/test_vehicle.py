@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from estimator.contracts.geometry import F64, Rotation
-from sitl.sea.sea import GRAVITY_M_S2
+from estimator.contracts.motion import G_M_S2
 from sitl.vehicle.airframe import Airframe, Avionics, Loops
 from sitl.vehicle.disturbances import Wind
 from sitl.vehicle.vehicle import DECK, SEA, Vehicle, VehiclePhase
@@ -64,8 +64,8 @@ def test_hovers_on_its_weight() -> None:
     v = flying()
     run(v, 10.0)
     assert np.abs(v.p_ned - [0.0, 0.0, -10.0]).max() < 1e-6
-    assert v.thrust_n == pytest.approx(STILL.mass_kg * GRAVITY_M_S2, rel=1e-6)
-    assert v.f_body == pytest.approx([0.0, 0.0, -GRAVITY_M_S2], abs=1e-6)
+    assert v.thrust_n == pytest.approx(STILL.mass_kg * G_M_S2, rel=1e-6)
+    assert v.f_body == pytest.approx([0.0, 0.0, -G_M_S2], abs=1e-6)
     assert v.phase == VehiclePhase.HOVERING
 
 
@@ -73,8 +73,8 @@ def test_falls_freely_without_motors_or_air() -> None:
     v = flying(replace(STILL, drag_per_s=(0.0, 0.0, 0.0), motor_lag_s=0.0), height_m=100.0)
     v.cut_motors()
     run(v, 3.0)
-    assert v.p_ned[2] + 100.0 == pytest.approx(0.5 * GRAVITY_M_S2 * 9.0, abs=1e-9)
-    energy = 0.5 * v.v_ned[2] ** 2 - GRAVITY_M_S2 * (v.p_ned[2] + 100.0)
+    assert v.p_ned[2] + 100.0 == pytest.approx(0.5 * G_M_S2 * 9.0, abs=1e-9)
+    energy = 0.5 * v.v_ned[2] ** 2 - G_M_S2 * (v.p_ned[2] + 100.0)
     assert energy == pytest.approx(0.0, abs=1e-9)
     assert v.f_body == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
 
@@ -120,7 +120,7 @@ def test_full_stick_means_the_limits() -> None:
     roll, pitch, _ = Rotation(v.R_ned_body).rpy_rad
     assert pitch == pytest.approx(-v.limits.euler_angle_max_rad, abs=1e-3)
     assert abs(roll) < 1e-6
-    speed = GRAVITY_M_S2 * math.tan(v.limits.euler_angle_max_rad) / STILL.drag_per_s[0]
+    speed = G_M_S2 * math.tan(v.limits.euler_angle_max_rad) / STILL.drag_per_s[0]
     assert v.v_ned[0] == pytest.approx(speed, rel=0.02)
     v = flying()
     v.command(0.0, 0.0, 1.0, 1.0, progressive=True)
@@ -166,7 +166,7 @@ def test_hover_stops_and_stays_against_a_new_wind() -> None:
     v.extra_wind = (3.0, 0.0, 0.0)
     run(v, 30.0)
     assert np.abs(v.v_ned).max() < 0.01
-    assert Rotation(v.R_ned_body).rpy_rad[1] == pytest.approx(3.0 * STILL.drag_per_s[0] / GRAVITY_M_S2, rel=0.05)
+    assert Rotation(v.R_ned_body).rpy_rad[1] == pytest.approx(3.0 * STILL.drag_per_s[0] / G_M_S2, rel=0.05)
 
 
 def test_starts_in_balance_with_the_steady_wind() -> None:
@@ -206,7 +206,7 @@ def test_ground_effect_lifts_and_fades() -> None:
     for height in (0.12, 0.3, 3.0):
         v = flying(frozen, height_m=0.5 + height)
         v.step(flat_deck())
-        gained.append(-v.v_ned[2] / DT / GRAVITY_M_S2)
+        gained.append(-v.v_ned[2] / DT / G_M_S2)
     z = np.array([0.12, 0.3, 3.0]) + frozen.rotors_above_m
     expected = 1.0 / (1.0 - (2.0 * frozen.rotor_radius_m / 4.0 / z) ** 2) - 1.0
     assert gained == pytest.approx(expected, rel=0.02, abs=1e-5)
@@ -225,7 +225,7 @@ def test_lands_by_itself_and_stands() -> None:
     assert 0.02 < v.touched_v[2] < STILL.landing_speed_m_s
     assert v.thrust_n < 1e-3
     assert on_pad(v, flat_deck()) == pytest.approx([0.0, 0.0, -STILL.feet.below_m], abs=0.004)
-    assert v.f_body == pytest.approx([0.0, 0.0, -GRAVITY_M_S2], abs=1e-6)
+    assert v.f_body == pytest.approx([0.0, 0.0, -G_M_S2], abs=1e-6)
 
 
 def test_a_drop_does_not_bounce_or_sink() -> None:
@@ -271,7 +271,7 @@ def test_stands_on_a_moving_deck_without_drifting() -> None:
     assert v.w_body == pytest.approx(Rotation.from_rpy(0.0, 0.0, 0.4).matrix.T @ np.array(g.w), abs=1e-9)
     t = n * DT
     heave_acc = -0.5 * (math.tau / 6) ** 2 * math.sin(math.tau / 6 * (t - DT / 2))
-    assert (v.R_ned_body @ v.f_body)[2] == pytest.approx(heave_acc - GRAVITY_M_S2, abs=0.08)
+    assert (v.R_ned_body @ v.f_body)[2] == pytest.approx(heave_acc - G_M_S2, abs=0.08)
 
 
 def test_lands_on_a_moving_deck_and_goes_with_it() -> None:
@@ -298,9 +298,7 @@ def test_slides_off_a_deck_too_steep_to_stand_on() -> None:
     assert not v.tied
     slid = on_pad(v, steep)[1]
     mu = STILL.feet.friction
-    assert slid == pytest.approx(
-        0.5 * GRAVITY_M_S2 * (math.sin(math.radians(40)) - mu * math.cos(math.radians(40))) * 0.25, rel=0.25
-    )
+    assert slid == pytest.approx(0.5 * G_M_S2 * (math.sin(math.radians(40)) - mu * math.cos(math.radians(40))) * 0.25, rel=0.25)
 
 
 def test_friction_stops_a_sideways_touch() -> None:

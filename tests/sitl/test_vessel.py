@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
-from sitl.sea.sea import GRAVITY_M_S2, SEA_STATES, SHELTERED_SLIGHT, Waves
+from estimator.contracts.motion import G_M_S2
+from sitl.sea.sea import SEA_STATES, SHELTERED_SLIGHT, Waves
 from sitl.vessel.seakeeping import FERRY, HULLS, OTTER, SUPPLY_SHIP, Hull, hull, responses
 from sitl.vessel.vessel import Mooring, Vessel
 
@@ -34,7 +35,7 @@ def test_the_supply_ship_answers_as_its_published_tables_say() -> None:
 @pytest.mark.parametrize("beta", [0.0, 0.9, math.pi / 2, 2.5, math.pi, -0.9])
 def test_very_long_waves_carry_the_hull_like_a_cork(which: Hull, beta: float) -> None:
     w = math.tau / (120.0 if which is SUPPLY_SHIP else 20.0)
-    k = w**2 / GRAVITY_M_S2
+    k = w**2 / G_M_S2
     H = responses(which, np.array(w), np.array(beta))
     assert H[2] == pytest.approx(-1.0, abs=0.06), "heave is the surface's, down positive"
     assert H[0] == pytest.approx(1j * math.cos(beta), abs=0.06), "surge is the water's own"
@@ -45,7 +46,7 @@ def test_very_long_waves_carry_the_hull_like_a_cork(which: Hull, beta: float) ->
 
 @pytest.mark.parametrize("which", HULLS.values(), ids=lambda h: h.name)
 def test_short_waves_hardly_move_it(which: Hull) -> None:
-    w = np.full(3, math.sqrt(math.tau * GRAVITY_M_S2 / (0.12 * which.length_m)))
+    w = np.full(3, math.sqrt(math.tau * G_M_S2 / (0.12 * which.length_m)))
     H = responses(which, w, np.array([0.3, 2.0, math.pi]))
     assert np.all(np.abs(H[2]) < 0.2)
     assert np.all(np.isfinite(H))

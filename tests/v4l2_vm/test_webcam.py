@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.camera.exposure_law import TARGET
+from drivers.camera.exposure import TARGET
 from tests.v4l2_vm.capture import Seen, accounted
 from tests.v4l2_vm.conftest import NEEDS_A_MACHINE
 from tests.v4l2_vm.scenes_webcam import BARS

@@ -7,7 +7,7 @@ from pathlib import Path
 from companion.tools.doctor.diagnose import PARAMETERS
 from companion.tools.doctor.renamed import names_in
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
-from drivers.imports import dataflash, dataflash_history, px4_ulog, ulog_history
+from drivers.imports import dataflash, px4_ulog
 from drivers.imports.log_history import AutopilotLog
 from estimator.contracts.errors import BadInput
 
@@ -28,9 +28,9 @@ def examine_log(path: Path) -> Snapshot:
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     if head.startswith(dataflash.MAGIC):
-        return _snapshot(path, dataflash_history.read_history(path))
+        return _snapshot(path, dataflash.read_history(path))
     if head == px4_ulog.MAGIC:
-        return _snapshot(path, ulog_history.read_history(path))
+        return _snapshot(path, px4_ulog.read_history(path))
     raise BadInput(f"{path}: neither a dataflash log (.bin) nor a PX4 log (.ulg)")
 
 

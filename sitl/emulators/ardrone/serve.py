@@ -20,9 +20,10 @@ from typing import Any
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, DecklanderError
 from sitl.ardrone.generations import GENERATIONS
-from sitl.emulators.ardrone.repeated_flights import VIRTUAL_ONLY, fly_repeatedly, real_time
+from sitl.emulators.ardrone.repeated_flights import fly_repeatedly
 from sitl.emulators.ardrone.server import ArDroneServer, Habits, Ports
 from sitl.scenario.scenario import Scenario, camera_model, load, with_ardrone1
+from sitl.scenario.with_fault import VIRTUAL_ONLY, real_time
 from sitl.world.world import World
 
 _SWITCH_INTERVAL_S = 0.0005

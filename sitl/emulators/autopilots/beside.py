@@ -16,7 +16,7 @@ from companion.service.daemon import Daemon, DaemonOptions, VehicleLink
 from companion.service.exposure_part import ExposurePart
 from companion.service.vehicle_parts import vehicle_parts
 from companion.settings.model import CameraSettings, Settings
-from drivers.camera.exposure_drive import ExposureDrive
+from drivers.camera.exposure import ExposureDrive
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.ports import Clock

@@ -23,7 +23,7 @@ from companion.base.health import Health
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Observer
 from companion.settings.model import Settings
-from drivers.camera.exposure_law import ExposureSetting
+from drivers.camera.exposure import ExposureSetting
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.endpoint import parse_endpoint

@@ -15,7 +15,7 @@ from companion.tools.doctor.finding import Finding, Severity
 from companion.tools.doctor.gather_log import examine_log
 from companion.tools.doctor.snapshot import decode, encode
 from drivers.imports.log_history import LandingMeter
-from drivers.imports.ulog_history import read_history
+from drivers.imports.px4_ulog import read_history
 from estimator.contracts.errors import BadInput
 from tests.companion.doctor.test_rules import ARDUPILOT, PX4
 from tests.support.flight_logs import dataflash, ulog

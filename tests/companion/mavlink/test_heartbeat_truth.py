@@ -11,8 +11,8 @@ import pytest
 from companion.base.health import Health
 from companion.base.observer import Decision
 from companion.parts.mavlink.component import Component, ComponentOptions
-from drivers.mavlink.containment import Containment
 from drivers.mavlink.dialect import Message
+from drivers.mavlink.links import Containment
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import MonoNs, after
 from tests.companion.mavlink.test_component_parts import Tower

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from pyais import encode_dict
 
 from drivers.clock import SystemClock
-from drivers.nmea.listener import listening
-from drivers.nmea.sentences import KNOT_M_S, NmeaReader, checked
+from drivers.nmea.sentences import KNOT_M_S, NmeaReader, checked, listening
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs

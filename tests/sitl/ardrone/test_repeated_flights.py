@@ -13,12 +13,13 @@ from drivers.clock import SystemClock
 from estimator.contracts.commands import Land
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.emulators.ardrone.repeated_flights import PauseBetweenFlights, faulty, fly_repeatedly, real_time
+from sitl.emulators.ardrone.repeated_flights import PauseBetweenFlights, fly_repeatedly
 from sitl.emulators.ardrone.server import ArDroneServer, Ports
 from sitl.perception.levels import perceive, represents
 from sitl.perception.port import Perception
 from sitl.scenario.scenario import Start
 from sitl.scenario.scenario import load as load_scenario
+from sitl.scenario.with_fault import faulty, real_time
 from sitl.world.world import World
 from tests.sitl.ardrone.patient_clock import PatientClock
 

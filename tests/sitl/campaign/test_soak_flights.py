@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import shlex
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -13,15 +11,14 @@ import pytest
 
 from companion.base.mission import FlightOutcome
 from companion.cli import main as cli
-from companion.cli import soak
-from companion.cli.soak_flights import Class, Flown, Outcomes, by_fault, real
-from companion.cli.soak_judge import Reading
-from companion.cli.soak_plot import plot
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
-from sitl.emulators.ardrone.repeated_flights import faulty
+from sitl.campaign import plots
+from sitl.campaign.growth import Reading
+from sitl.campaign.soak_flights import Class, Flown, Outcomes, by_fault, real
 from sitl.flight.ending import Load
 from sitl.scenario.scenario import load
+from sitl.scenario.with_fault import faulty
 from tests.sitl.near import NEAR
 
 GOOD = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 50})
@@ -88,7 +85,7 @@ def test_failed_flights_and_a_starved_soak_are_faults() -> None:
     bad = Outcomes([*good.flights, flown(Class.FAILED, 7), flown(Class.STARVED)])
     assert bad.faults(0) == ["1 of 4 flights failed"]
     assert bad.faults(1) == []
-    assert "  seed 7, faults/b: failed: why" in bad.in_words()
+    assert "  seed 7, faults/b: failed: why" in bad.in_words("demo")
     assert bad.as_json()["classes"] == {"on_pad": 1, "refused_rightly": 1, "failed": 1, "starved": 1}
     slow = Outcomes([flown(Class.STARVED), flown(Class.STARVED), flown(Class.ON_PAD)])
     assert slow.faults(0) == ["this machine was too slow for 2 of 3 flights, so the run shows nothing"]
@@ -98,26 +95,25 @@ def test_failed_flights_and_a_starved_soak_are_faults() -> None:
 def test_the_plot_is_written_and_a_place_that_takes_none_is_named(tmp_path: Path) -> None:
     readings = [Reading(30.0 * n, n, 100.0 + n, 10, 3, None, 1.0 * n) for n in range(12)]
     flights = [flown(worth, n + 1, f"a; faults/{n}") for n, worth in enumerate(Class)]
-    plot(tmp_path / "soak.png", readings, flights)
+    plots.soak(tmp_path / "soak.png", readings, flights)
     assert (tmp_path / "soak.png").read_bytes()[:4] == b"\x89PNG"
-    plot(tmp_path / "empty.svg", readings, [])
+    plots.soak(tmp_path / "empty.svg", readings, [])
     with pytest.raises(BadInput, match="--plot"):
-        plot(tmp_path / "soak.tiff.nothing", readings, flights)
+        plots.soak(tmp_path / "soak.tiff.nothing", readings, flights)
 
 
-@pytest.mark.parametrize("words", [["--failed-max", "-1"], ["--virtual", "--flights", "1", "--plot", "/dev/null/x.png"]])
+@pytest.mark.parametrize("words", [["--failed-max", "-1"], ["--virtual", "--runs", "1", "--plot", "/dev/null/x.png"]])
 def test_wrong_words_are_one_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["soak", *words]) == 2
+    assert cli.main(["campaign", "demo", "--soak", *words]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_a_flight_that_failed_is_flown_again_by_its_fault_and_seed(capsys: pytest.CaptureFixture[str]) -> None:
     """WHY: a seed selects another fault as soon as fault scenarios are added, so the seed alone does not tell the flight."""
     outcomes = Outcomes([flown(Class.ON_PAD, 6), flown(Class.FAILED, 7, "a ferry; faults/link_lost_4_s")])
-    assert outcomes.in_words()[-1].endswith(
-        "decklander soak --virtual --flights 1 --seed 7 --fault faults/link_lost_4_s --no-cpu"
-    )
-    assert outcomes.in_words("--perception model")[-1].endswith("--no-cpu --perception model")
+    again = "decklander campaign demo --soak --virtual --runs 1 --seed 7 --fault faults/link_lost_4_s --no-cpu"
+    assert outcomes.in_words("demo")[-1].endswith(again)
+    assert outcomes.in_words("demo", ("--config", "my rig.toml"))[-1].endswith(f"{again} --config 'my rig.toml'")
     named = faulty(load("demo"), 7, possible=lambda _: True, name="faults/link_lost_4_s")
     assert named.faults == load("faults/link_lost_4_s").faults
     assert named.unreached_contacts
@@ -126,22 +122,8 @@ def test_a_flight_that_failed_is_flown_again_by_its_fault_and_seed(capsys: pytes
         (["--fault", "link_lost_4_s"], "needs --virtual"),
         (["--virtual", "--fault", "wrong_pad", "--perception", "model"], "seen in rendered frames only"),
     ):
-        assert cli.main(["soak", *words]) == 2
+        assert cli.main(["campaign", "demo", "--soak", *words]) == 2
         assert why in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("usual", [{}, {"scenario": "calm"}, {"perception": "model"}, {"config": "ardrone2"}])
-def test_a_flight_is_flown_again_with_what_differs_from_the_command_s_defaults(
-    usual: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """WHY: the defaults stood in two places, and one that changed alone would name another flight."""
-    for name, value in usual.items():
-        monkeypatch.setitem(soak._FLOWN_WITH, name, value)
-    parser = argparse.ArgumentParser()
-    soak.add_parser(parser.add_subparsers())
-    assert soak._flown_with(parser.parse_args(["soak"])) == ""
-    given = ["--scenario", "a b.toml", "--perception", "truth", "--config", "rig.toml"]
-    assert shlex.split(soak._flown_with(parser.parse_args(["soak", *given]))) == given
 
 
 def test_a_virtual_soak_names_the_flight_that_failed(
@@ -157,8 +139,8 @@ def test_a_virtual_soak_names_the_flight_that_failed(
         raise KeyError(int(np.array(7)))
 
     monkeypatch.setattr(Pilot, "detect", broken)
-    words = ["--virtual", "--flights", "2", "--scenario", str(near), "--no-cpu", "--no-faults", "--plot", str(tmp_path / "p.png")]
-    assert cli.main(["soak", *words]) == 1
+    words = ["--virtual", "--runs", "2", "--no-cpu", "--no-faults", "--plot", str(tmp_path / "p.png")]
+    assert cli.main(["campaign", str(near), "--soak", *words]) == 1
     said = capsys.readouterr().out
     assert "FAULT: 2 of 2 flights failed" in said
     assert "the service died in flight: KeyError: 7 (test_soak_flights.py:" in said

@@ -1,11 +1,9 @@
-"""`decklander soak`: fly repeated landings for hours, grade each, and watch memory, descriptors, threads and tasks for leaks."""
+"""A soak: repeated landings in one process, each graded, while memory, descriptors, threads and tasks are watched for leaks."""
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import json
-import shlex
 import sys
 import time
 from collections import Counter
@@ -21,26 +19,22 @@ import msgspec
 from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.signals import Stopped
-from companion.cli.soak_flights import Class, Flown, Outcomes, real, virtual
-from companion.cli.soak_judge import Findings, Reading, findings, give_back, read
-from companion.cli.soak_parts import cpu_at, start_time_s
-from companion.cli.soak_plot import plot
-from companion.cli.soak_records import Records
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.service.assemble import make_daemon
-from companion.settings.load import shipped
 from companion.settings.mission import TryOptions
 from companion.settings.model import Settings
-from companion.tools.report.drawing import require_drawing
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
-from sitl.emulators.ardrone.repeated_flights import faulty
-from sitl.flight.one_flight import PERCEPTIONS, Perception, fly, perception_level, settings_for
+from sitl.campaign.growth import Findings, Reading, findings, give_back, read
+from sitl.campaign.plan import CampaignPlan
+from sitl.campaign.soak_cost import cpu_at, start_time_s
+from sitl.campaign.soak_flights import Class, Flown, Outcomes, Records, real, virtual
+from sitl.flight.one_flight import fly
 from sitl.perception.levels import perceive, represents
 from sitl.scenario.scenario import Scenario
-from sitl.scenario.scenario import load as load_scenario
+from sitl.scenario.with_fault import faulty
 
 WARM_UP_SHARE, WARM_UP_MOST_S = 0.2, 900.0
 """Warm-up as a share of the run, and its limit: textures, caches and the allocator's arenas are filled by then."""
@@ -49,60 +43,38 @@ WARM_UP_FLIGHTS = 30
 FRAME_RATES_HZ = (30, 60)
 OPERATOR_WAIT_S = 15.0
 """How long the pilot waits for an operator at most: nobody is there, and a scenario's time must not end before the wait."""
-_FLOWN_WITH: dict[str, str | None] = {"scenario": "demo", "perception": "pixels", "config": None}
-"""The options beside fault and seed that a flight needs to be flown again, with their defaults."""
 _READ_EACH_S = 5.0
 _SAY_EACH_S = 60.0
 _DECIDED_S = 2
 """Seconds in which the pilot learns that a flight has ended; the next flight begins later."""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander soak` to the parser."""
-    parser = subparsers.add_parser(
-        "soak",
-        help="fly repeated landings and watch for leaks",
-        description="Fly repeated landings and watch for leaks. Each flight has its own seed and its own fault, and is "
-        "graded: on "
-        "the pad, refused rightly, failed, or not judged because the machine was too slow. Without --virtual the landing service "
-        "flies the simulated drone through sockets in real time. Exit code 1 if more flights failed than --failed-max allows, if "
-        "most could not be judged, or if memory grew by 1 % or descriptors, threads or tasks by one after warm-up. Ctrl-C stops "
-        "the run and prints the results so far.",
-    )
-    length = parser.add_mutually_exclusive_group()
-    length.add_argument(
-        "--hours", type=float, default=1.0, metavar="H", help="hours to run; with --virtual hours of flight time (default: 1)"
-    )
-    length.add_argument("--flights", type=int, metavar="N", help="fly this many flights instead (needs --virtual)")
-    parser.add_argument("--virtual", action="store_true", help="fly in virtual time, without sockets")
-    faults = parser.add_mutually_exclusive_group()
-    faults.add_argument("--no-faults", action="store_true", help="fly without faults")
-    faults.add_argument("--fault", metavar="NAME", help="fly this fault in every flight (needs --virtual; default: at random)")
-    parser.add_argument(
-        "--scenario",
-        default=_FLOWN_WITH["scenario"],
-        metavar="FILE",
-        help=f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; default: "
-        f"{_FLOWN_WITH['scenario']})",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=1, metavar="N", help="seed of the first flight; each flight adds 1 (default: 1)"
-    )
-    parser.add_argument(
-        "--config", default=_FLOWN_WITH["config"], metavar="FILE", help="settings file to fly with (default: the profile sim)"
-    )
-    parser.add_argument("--no-cpu", action="store_true", help="skip the measurements of start time and CPU load")
-    parser.add_argument("--failed-max", type=int, default=0, metavar="N", help="allow this many failed flights (default: 0)")
-    parser.add_argument(
-        "--perception",
-        default=_FLOWN_WITH["perception"],
-        metavar="LEVEL",
-        help=f"how the service perceives the pad: {', '.join(PERCEPTIONS)} (default: {_FLOWN_WITH['perception']}; all but "
-        "pixels, rendered frames, need --virtual)",
-    )
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="plot memory, counts and outcomes over time (png, svg, pdf)")
-    parser.add_argument("--readings", type=Path, metavar="FILE", help="write every reading as a line of JSON into this file")
-    parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
+@dataclass(frozen=True, slots=True)
+class SoakOptions:
+    """What a soak flies and how long, and what it writes."""
+
+    seed: int
+    """Seed of the first flight; each flight adds 1."""
+    hours: float
+    """Wall time, or flight time in virtual time."""
+    flights: int | None
+    """Flights in virtual time, in place of hours."""
+    virtual: bool
+    """Fly in virtual time, without sockets."""
+    faults: bool
+    fault: str | None
+    """The fault of every flight; None for one by the flight's seed."""
+    failed_max: int
+    """Failed flights that are allowed."""
+    config: str
+    """Settings with which the start of the service is measured."""
+    cost: bool
+    """Measure start time and CPU load at the end."""
+    plot: Path | None
+    readings: Path | None
+    """File for every reading as a line of JSON."""
+    json: bool
+    """Print one JSON object in place of words."""
 
 
 @dataclass(slots=True)
@@ -155,36 +127,31 @@ class Tally:
             )
 
 
-def run(args: argparse.Namespace) -> int:
-    """Run the command and return its exit code."""
-    if args.seed < 0:
-        raise BadInput(f"--seed must be 0 or more, got {args.seed}")
-    if not 0.001 <= args.hours <= 1000:
-        raise BadInput(f"--hours must lie in 0.001 to 1000, got {args.hours:g}")
-    if args.flights is not None and (args.flights < 1 or not args.virtual):
-        raise BadInput("--flights needs --virtual, and is 1 or more")
-    if args.fault is not None and not args.virtual:
-        raise BadInput("--fault needs --virtual; in real time the drone chooses its faults by its seeds")
-    if args.failed_max < 0:
-        raise BadInput(f"--failed-max must be 0 or more, got {args.failed_max}")
-    perception = perception_level(args.perception)
-    if perception != "pixels" and not args.virtual:
-        raise BadInput("--perception needs --virtual; in real time the drone sends images")
-    scenario = load_scenario(args.scenario)
-    if args.fault is not None:
-        perceive(perception).refuse(faulty(scenario, args.seed, possible=lambda _: True, name=args.fault).faults)
-    settings = flown_settings(scenario, args.config)
-    if args.plot is not None:
-        require_drawing("--plot")
-        _writable("--plot", args.plot)
+def soak(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings: Settings) -> int:
+    """Fly, print what was found, and return the exit code.
+
+    Args:
+        plan: says what is flown, and how a flight is flown again.
+        scenario: the scenario of the plan.
+        settings: the settings of the plan.
+
+    Raises:
+        BadInput: the scenario cannot have the fault, or a file cannot be written.
+    """
+    if options.fault is not None:
+        every = faulty(scenario, options.seed, possible=lambda _: True, name=options.fault)
+        perceive(plan.perception, plan.perception_model).refuse(every.faults)
+    settings = flown_settings(settings)
+    if options.plot is not None:
+        _writable("--plot", options.plot)
     interrupted: Stopped | None = None
-    with nullcontext() if args.readings is None else _opened(args.readings) as file:
+    with nullcontext() if options.readings is None else _opened(options.readings) as file:
         tally = Tally(file=file)
         try:
-            if args.virtual:
-                _virtually(args, scenario, settings, perception, tally)
+            if options.virtual:
+                _virtually(options, plan, scenario, settings, tally)
             else:
-                event_loop.run(_really(args, settings, tally))
+                event_loop.run(_really(options, plan.name, settings, tally))
         except Stopped as why:
             interrupted = why
     found = None
@@ -192,24 +159,21 @@ def run(args: argparse.Namespace) -> int:
     if readings:
         found = findings(readings, warm_up_s(readings))
     extra: dict[str, Any] = {}
-    if not args.no_cpu and interrupted is None:
-        extra["start_s"] = start_time_s(args.config or "sim")
+    if options.cost and interrupted is None:
+        extra["start_s"] = start_time_s(options.config)
         extra["cpu_share"] = {str(rate): asdict(event_loop.run(cpu_at(rate, scenario, settings))) for rate in FRAME_RATES_HZ}
-    _say(args, tally, found, extra)
-    if args.plot is not None:
-        plot(args.plot, readings, list(tally.outcomes.flights))
+    _say(options, plan, tally, found, extra)
+    if options.plot is not None:
+        from sitl.campaign import plots
+
+        plots.soak(options.plot, readings, list(tally.outcomes.flights))
     if interrupted is not None:
         raise interrupted
-    return 0 if found is not None and not found.faults and not tally.outcomes.faults(args.failed_max) else 1
+    return 0 if found is not None and not found.faults and not tally.outcomes.faults(options.failed_max) else 1
 
 
-def flown_settings(scenario: Scenario, config: str | None) -> Settings:
-    """Return the settings of the flights: those of a file or of the profile `sim`, without what only a person would need.
-
-    Raises:
-        BadInput: as `companion.settings.load.load`.
-    """
-    settings = settings_for(scenario, config)
+def flown_settings(settings: Settings) -> Settings:
+    """Return the settings of the flights, without what only a person would need."""
     service = msgspec.structs.replace(settings.service, health_period_s=0.0, log_level="error")
     own = settings.guidance.tries
     tries = msgspec.structs.replace(own, operator_wait_s=min(own.operator_wait_s, OPERATOR_WAIT_S))
@@ -233,30 +197,31 @@ def overtime_s(tries: TryOptions) -> float:
     return tries.landing_s
 
 
-def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings, perception: Perception, tally: Tally) -> None:
-    seed = args.seed
-    level = perceive(perception)
-    while tally.flights < args.flights if args.flights is not None else tally.flown_s < 3600.0 * args.hours:
+def _virtually(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings: Settings, tally: Tally) -> None:
+    seed = options.seed
+    level = perceive(plan.perception, plan.perception_model)
+    while tally.flights < options.flights if options.flights is not None else tally.flown_s < 3600.0 * options.hours:
         wanted = (
-            scenario
-            if args.no_faults
-            else faulty(scenario, seed, possible=lambda s: represents(level, s.faults), name=args.fault)
+            faulty(scenario, seed, possible=lambda s: represents(level, s.faults), name=options.fault)
+            if options.faults
+            else scenario
         )
         # A fault costs tries, and the scenario's time was chosen without it.
-        longer_s = 0.0 if args.no_faults else overtime_s(settings.guidance.tries)
-        ending = fly(args.scenario, wanted, seed, settings, perception, overtime_s=longer_s)
+        longer_s = overtime_s(settings.guidance.tries) if options.faults else 0.0
+        model = plan.perception_model
+        ending = fly(plan.name, wanted, seed, settings, plan.perception, perception_model=model, overtime_s=longer_s)
         flight = virtual(time.monotonic() - tally.began, wanted.title, ending)
         tally.flown("time is up" if ending.outcome is None else ending.outcome.value, flight)
         tally.flown_s += ending.duration_s
         del ending, flight
-        tally.take(None, args.json, give_back())
+        tally.take(None, options.json, give_back())
         seed += 1
 
 
-async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) -> None:
+async def _really(options: SoakOptions, scenario: str, settings: Settings, tally: Tally) -> None:
     child = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "sitl.emulators.ardrone.serve", args.scenario, f"--seed={args.seed}", "--repeat"),
-        *([] if args.no_faults else ["--faults"]),
+        *(sys.executable, "-m", "sitl.emulators.ardrone.serve", scenario, f"--seed={options.seed}", "--repeat"),
+        *(["--faults"] if options.faults else []),
         *(f"--{name}-port=0" for name in ("navdata", "video", "at", "control")),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
@@ -278,8 +243,8 @@ async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) ->
         async with asyncio.TaskGroup() as group:
             flying = group.create_task(daemon.run())
             listening = group.create_task(_listen(child.stdout, tally, pilot, daemon.health))
-            reading = group.create_task(_read(tally, args.json))
-            await asyncio.wait({flying, listening}, timeout=3600.0 * args.hours, return_when=asyncio.FIRST_COMPLETED)
+            reading = group.create_task(_read(tally, options.json))
+            await asyncio.wait({flying, listening}, timeout=3600.0 * options.hours, return_when=asyncio.FIRST_COMPLETED)
             ended_early = listening.done()
             reading.cancel()
             listening.cancel()
@@ -328,20 +293,17 @@ def _opened(path: Path) -> FileIO:
         raise BadInput(f"--readings: {path}: {why.strerror or why}") from why
 
 
-def _flown_with(args: argparse.Namespace) -> str:
-    """Return the options beside fault and seed that a flight needs to be flown again."""
-    given = [(f"--{name}", getattr(args, name)) for name, usual in _FLOWN_WITH.items() if getattr(args, name) != usual]
-    return shlex.join([word for option, value in given for word in (option, str(value))])
-
-
-def _say(args: argparse.Namespace, tally: Tally, found: Findings | None, extra: dict[str, Any]) -> None:
-    if args.json:
+def _say(options: SoakOptions, plan: CampaignPlan, tally: Tally, found: Findings | None, extra: dict[str, Any]) -> None:
+    if options.json:
         said = {"flights": tally.flights, "on_pad": tally.on_pad, "endings": dict(tally.endings), "flown_s": tally.flown_s}
-        said |= {**tally.outcomes.as_json(), "flight_faults": tally.outcomes.faults(args.failed_max)}
+        said |= {**tally.outcomes.as_json(), "flight_faults": tally.outcomes.faults(options.failed_max)}
         sys.stdout.write(json.dumps({**said, "findings": None if found is None else found.as_json(), **extra}) + "\n")
         return
     endings = ", ".join(f"{n} {name}" for name, n in sorted(tally.endings.items()))
-    lines = [f"{tally.flights} flights in {tally.flown_s / 3600:.2f} h: {endings}", *tally.outcomes.in_words(_flown_with(args))]
+    lines = [
+        f"{tally.flights} flights in {tally.flown_s / 3600:.2f} h: {endings}",
+        *tally.outcomes.in_words(plan.name, plan.options),
+    ]
     if found is None:
         lines.append("too short to measure growth")
     else:
@@ -352,11 +314,11 @@ def _say(args: argparse.Namespace, tally: Tally, found: Findings | None, extra: 
         for name, trend in (("descriptors", found.descriptors), ("threads", found.threads), ("tasks", found.tasks)):
             if trend is not None:
                 lines.append(f"{name:<10} {trend.first:g} to {trend.last:g} (most {trend.most:g})")
-        lines.append(f"CPU        {found.cpu_share:.0%} of a core" + (", as fast as it goes" if args.virtual else ""))
+        lines.append(f"CPU        {found.cpu_share:.0%} of a core" + (", as fast as it goes" if options.virtual else ""))
     if "start_s" in extra:
         lines.append(f"start      {extra['start_s']:.2f} s from the command to the first guidance cycle")
         for rate, cpu in extra["cpu_share"].items():
             lines.append(f"CPU        {cpu['share']:.0%} of a core at {rate} frames a second, {cpu['seen']:.0%} of them searched")
-    lines += [f"FAULT: {fault}" for fault in tally.outcomes.faults(args.failed_max)]
+    lines += [f"FAULT: {fault}" for fault in tally.outcomes.faults(options.failed_max)]
     lines += [f"FAULT: {fault}" for fault in found.faults] if found is not None else []
     sys.stdout.write("\n".join(lines) + "\n")

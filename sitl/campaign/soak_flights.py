@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
+import tempfile
+import weakref
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import Enum
-from typing import Any
+from typing import Any, Generic, TypeVar
+
+import msgspec
 
 from companion.base.mission import REFUSALS, FlightOutcome
-from companion.cli.soak_records import Records
 from estimator.contracts.estimates import Verdict
 from sitl.flight.ending import Ending, Load
 from sitl.flight.safety import Grade, grade
 
+T = TypeVar("T")
 STARVED_MAX = 0.5
 """Share of the flights that may go unjudged before the run itself means nothing."""
 
@@ -77,6 +83,49 @@ def real(
     return Flown(at_s, said["seed"], said["title"], kind, because, said["duration_s"])
 
 
+class Records(Generic[T]):
+    """Records in the order in which they came, in a temporary file.
+
+    What the run remembers of itself must not look like growth of what it watches: a day of flights is thousands of records of
+    half a kilobyte, some per cent of the process' memory. If the temporary folder is full, later records are kept in memory, and
+    stderr says so once.
+
+    Args:
+        kind: the type of the records, a dataclass.
+    """
+
+    def __init__(self, kind: type[T]) -> None:
+        self._encoder, self._decoder = msgspec.json.Encoder(), msgspec.json.Decoder(kind)
+        self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - it lives as long as the records
+        weakref.finalize(self, self._file.close)
+        self._written = 0
+        self._rest: list[T] = []
+
+    def append(self, record: T) -> None:
+        """Add a record."""
+        if not self._rest:
+            try:
+                whole = self._encoder.encode(record) + b"\n"
+                if self._file.write(whole) == len(whole):
+                    self._written += 1
+                    return
+                why = "no space left"
+            except OSError as error:
+                why = error.strerror or str(error)
+            sys.stderr.write(f"{tempfile.gettempdir()}: {why}; the run keeps its further records in memory\n")
+        self._rest.append(record)
+
+    def __len__(self) -> int:
+        return self._written + len(self._rest)
+
+    def __iter__(self) -> Iterator[T]:
+        # A place of its own in the file, so that records may come while one reads.
+        with open(f"/proc/self/fd/{self._file.fileno()}", "rb") as lines:
+            for _, line in zip(range(self._written), lines, strict=False):
+                yield self._decoder.decode(line)
+        yield from self._rest
+
+
 @dataclass(slots=True)
 class Outcomes:
     """All flights of a soak."""
@@ -102,11 +151,12 @@ class Outcomes:
         counts = {worth.name.lower(): self.count(worth) for worth in Class}
         return {"classes": counts, "outcomes": [flight.as_json() for flight in self.flights]}
 
-    def in_words(self, flown_with: str = "") -> list[str]:
+    def in_words(self, scenario: str, options: Sequence[str] = ()) -> list[str]:
         """Return a line of counts, and a line for each flight that failed or was not judged.
 
         Args:
-            flown_with: the options of `decklander soak`, beside fault and seed, that the first failed one needs to fail again.
+            scenario: the name of the scenario.
+            options: the options, beside fault and seed, that the first failed one needs to fail again.
         """
         counts = ", ".join(f"{n} {worth.value}" for worth in Class if (n := self.count(worth)))
         lines = [f"outcomes   {counts or 'none'}"]
@@ -115,8 +165,9 @@ class Outcomes:
                 lines.append(f"  seed {flight.seed}, {fault_of(flight.title)}: {flight.worth.value}: {flight.because}")
         failed = next((flight for flight in self.flights if flight.worth is Class.FAILED and "; " in flight.title), None)
         if failed is not None:
-            again = f"decklander soak --virtual --flights 1 --seed {failed.seed} --fault {fault_of(failed.title)} --no-cpu"
-            lines.append(f"  to fly the first failed one again: {again} {flown_with}".rstrip())
+            words = ["decklander", "campaign", scenario, "--soak", "--virtual", "--runs", "1", "--seed", str(failed.seed)]
+            again = shlex.join([*words, "--fault", fault_of(failed.title), "--no-cpu", *options])
+            lines.append(f"  to fly the first failed one again: {again}")
         return lines
 
 

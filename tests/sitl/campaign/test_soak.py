@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 from companion.cli import main as cli
-from companion.cli.soak import OPERATOR_WAIT_S, flown_settings, warm_up_s
-from companion.cli.soak_judge import Reading, findings, give_back, read
+from sitl.campaign.growth import Reading, findings, give_back, read
+from sitl.campaign.soak import OPERATOR_WAIT_S, flown_settings, warm_up_s
+from sitl.flight.one_flight import settings_for
 from sitl.scenario.scenario import load as load_scenario
 from tests.sitl.near import NEAR
 from tests.support.processes import started
@@ -97,7 +98,7 @@ def test_free_memory_is_given_back_before_it_is_read() -> None:
 def test_nobody_is_there_to_answer_so_the_wait_for_a_word_is_short() -> None:
     """A question late in a flight was still open when the scenario's 90 s ended, and the flight counted as undecided."""
     demo = load_scenario("demo")
-    assert flown_settings(demo, None).guidance.tries.operator_wait_s == OPERATOR_WAIT_S
+    assert flown_settings(settings_for(demo, None)).guidance.tries.operator_wait_s == OPERATOR_WAIT_S
     assert demo.duration_limit_s / 2 > OPERATOR_WAIT_S
 
 
@@ -105,21 +106,25 @@ def test_nobody_is_there_to_answer_so_the_wait_for_a_word_is_short() -> None:
     "words",
     [
         ["--hours", "0"],
-        ["--flights", "3"],
-        ["--virtual", "--flights", "0"],
+        ["--runs", "3"],
+        ["--virtual", "--runs", "0"],
+        ["--virtual", "--runs", "3", "--hours", "1"],
+        ["--workers", "2"],
+        ["--vary", "wind.speed_m_s=1,2"],
+        ["--set", "wind.speed_m_s=3"],
         ["--seed", "-1"],
         ["--perception", "model"],
         ["--virtual", "--perception", "eyes"],
     ],
 )
 def test_wrong_words_are_one_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["soak", *words]) == 2
+    assert cli.main(["campaign", "demo", "--soak", *words]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_a_few_seconds_of_the_real_thing_fly_and_end_cleanly(capsys: pytest.CaptureFixture[str]) -> None:
     descriptors = len(os.listdir("/proc/self/fd"))
-    assert cli.main(["soak", "--hours", "0.001", "--scenario", "calm", "--no-cpu", "--json"]) == 1
+    assert cli.main(["campaign", "calm", "--soak", "--hours", "0.001", "--no-cpu", "--json"]) == 1
     said = json.loads(capsys.readouterr().out)
     assert said["findings"] is None, "too short to measure growth"
     assert said["flown_s"] >= 3.0
@@ -133,15 +138,13 @@ def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
         "--virtual",
         "--hours",
         "1",
-        "--scenario",
-        str(near),
         "--no-faults",
         "--no-cpu",
         "--json",
         "--readings",
         str(readings),
     ]
-    command = [sys.executable, "-m", "companion.cli.main", "soak", *words]
+    command = [sys.executable, "-m", "companion.cli.main", "campaign", str(near), "--soak", *words]
     with started(command) as soak:
         end = time.monotonic() + 60
         while not (readings.exists() and readings.read_text()) and time.monotonic() < end:
@@ -157,7 +160,7 @@ def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_written_is_said_before_the_first_flight(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["soak", "--virtual", "--flights", "1", "--readings", "/dev/null/there"]) == 2
+    assert cli.main(["campaign", "demo", "--soak", "--virtual", "--runs", "1", "--readings", "/dev/null/there"]) == 2
     assert "--readings: /dev/null/there" in capsys.readouterr().err
 
 
@@ -166,17 +169,15 @@ def test_a_full_disk_is_said_and_flown_through(tmp_path: Path, capsys: pytest.Ca
     near.write_text(BRIEF)
     words = [
         "--virtual",
-        "--flights",
+        "--runs",
         "2",
-        "--scenario",
-        str(near),
         "--no-faults",
         "--no-cpu",
         "--json",
         "--readings",
         "/dev/full",
     ]
-    assert cli.main(["soak", *words]) == 1
+    assert cli.main(["campaign", str(near), "--soak", *words]) == 1
     said = capsys.readouterr()
     assert json.loads(said.out)["flights"] == 2
     assert said.err.count("--readings: /dev/full: No space left on device") == 1
@@ -185,7 +186,7 @@ def test_a_full_disk_is_said_and_flown_through(tmp_path: Path, capsys: pytest.Ca
 def test_flights_without_pictures_are_flown_and_graded_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     near = tmp_path / "near.toml"
     near.write_text(BRIEF)
-    words = ["--virtual", "--flights", "1", "--scenario", str(near), "--no-faults", "--no-cpu", "--json", "--perception", "model"]
-    assert cli.main(["soak", *words]) == 1
+    words = ["--virtual", "--runs", "1", "--no-faults", "--no-cpu", "--json", "--perception", "model"]
+    assert cli.main(["campaign", str(near), "--soak", *words]) == 1
     said = json.loads(capsys.readouterr().out)
     assert said["classes"]["failed"] == said["flights"] == 1, "its time ends before it comes down"

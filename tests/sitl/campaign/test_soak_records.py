@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from companion.cli.soak_flights import Class, Flown
-from companion.cli.soak_records import Records
+from sitl.campaign.soak_flights import Class, Flown, Records
 
 
 def flown(n: int) -> Flown:
