@@ -17,8 +17,7 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, skew
 from estimator.contracts.samples import Attitude
 from estimator.vision.camera import Camera
-from estimator.vision.pose import Orientation
-from estimator.vision.register.tilt import roll_pitch, tilt_axes
+from estimator.vision.pose import Orientation, roll_pitch, tilt_axes
 from sitl.perception.recorded import Recorded
 from sitl.perception.view import View, Viewer
 

@@ -29,12 +29,19 @@ from estimator.core.interface.eyes import (
 )
 from estimator.core.library import CORE, start_of
 from estimator.vision.camera import Camera
-from estimator.vision.detect.light import TABLES
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.template import Template, template
 from estimator.vision.native import address, packed_camera, pixels
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
+from estimator.vision.srgb import LINEAR_LIGHT
+
+FLOOR = 0.01
+"""Light, as a fraction of full scale, below which there is only noise."""
+TABLES = np.stack([LINEAR_LIGHT, np.sqrt(LINEAR_LIGHT), np.log1p(LINEAR_LIGHT / FLOOR)]).astype(np.float32)
+"""(3, 256) linear light, its square root, and its logarithm log1p(light / floor)."""
+TABLES.setflags(write=False)
+
 
 _VIEW, _ARROW_VIEW, _MOVE, _FIT, _COVER = (
     CORE.function(name) for name in ("align_view", "align_arrow_view", "align_move", "align_fit", "align_cover")

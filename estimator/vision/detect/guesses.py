@@ -1,6 +1,8 @@
 """Guess poses of the pad from circles of edges: which of its circles one may be, at which heading, and how well it fits.
 
-The native core computes them (`estimator/core/search_guesses.c`, `search_tilt.c`).
+From afar the pad is some pixels across, and a belief that is off by two of them starts neither alignment nor the search for what
+covers a part. A pad in glare or half covered is looked for at each place about the expected one, with the whole disc and with
+each half of it (`pose_about`). The native core computes the guesses (`estimator/core/search_guesses.c`, `search_tilt.c`).
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from estimator.core.interface.search import SEARCH_LEVELS
 from estimator.core.library import CORE, start_of
 from estimator.core.records import record
 from estimator.vision.camera import Camera
-from estimator.vision.detect.edge_circles import EdgeCircle
+from estimator.vision.detect.circles import EdgeCircle
 from estimator.vision.detect.heading import packed_drawing
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
@@ -180,3 +182,75 @@ def _circles(pad: Pad, of: Outline) -> tuple[tuple[float, ...], tuple[float, ...
     rings = [(marks.ring_outer_m, sign), (marks.ring_inner_m, -sign)] if marks.ring_outer_m else []
     radii, signs = zip(*edge, *rings, strict=True)
     return radii, signs
+
+
+_CIRCLE_WORDS, _CIRCLE_AT = size_of("search_circle"), places_of("search_circle")
+_REACH_PX, _STEP_PX = 4.0, 1.5
+"""How far from the expected place the drawing is compared, and how far apart: alignment starts from a pixel off."""
+_SIDES = 4
+"""Directions of the half that is taken for the one in view."""
+_OUTLINE = 3
+"""Points of a half's outline, which tell the direction."""
+_MOST_TURNED_RAD = 0.5
+"""Largest heading of a guess relative to the expected one, modulo half a turn."""
+
+
+def pose_about(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, expected: PadPose) -> tuple[PadPose, float] | None:
+    """Return the pose about an expected one that the drawing explains best, and the fraction of the variance that it explains.
+
+    Args:
+        plane: of a measured attitude.
+        expected: its distance and heading are taken for about right.
+
+    Returns:
+        None if the lens does not show the expected place, or no heading near the expected one fits best anywhere.
+    """
+    middle = camera.project(expected.t_cam_pad[None])[0]
+    if not np.isfinite(middle).all():
+        return None
+    circles = _circles_about(middle, camera, pad, plane, expected)
+    guesses = guesses_from(circles, Outline.DISC, pyramid, camera, pad, plane, len(circles))
+    for guess in sorted(guesses, key=lambda g: -g.drawing):
+        turn = _turned(guess, expected)
+        if abs(turn) < _MOST_TURNED_RAD:
+            return PadPose(expected.R_cam_pad, np.array(guess.t_cam_pad)).turned(turn), guess.drawing
+    return None
+
+
+def _turned(guess: Guess, expected: PadPose) -> float:
+    """Return the angle by which the expected pose is to be turned for a guess's heading, -quarter to quarter of a turn."""
+    yaw = float((expected.R_cam_pad.inv @ guess.pose.R_cam_pad).rpy_rad[2])
+    return (yaw + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+
+
+@lru_cache(maxsize=1)
+def _offsets_px() -> F64:
+    """Return places about the middle, and for each the direction of the half in view, (N, 4): nan where it is the whole disc."""
+    most = math.floor(_REACH_PX / _STEP_PX)
+    steps = _STEP_PX * np.arange(-most, most + 1)
+    angles = 2.0 * math.pi * np.arange(_SIDES) / _SIDES
+    sides = [(math.nan, math.nan), *zip(np.cos(angles).tolist(), np.sin(angles).tolist(), strict=True)]
+    out = np.array([(u, v, *side) for u in steps for v in steps if math.hypot(u, v) <= _REACH_PX for side in sides])
+    out.setflags(write=False)
+    return out
+
+
+def _circles_about(middle: F64, camera: Camera, pad: Pad, plane: Plane, expected: PadPose) -> list[EdgeCircle]:
+    """Return the disc at each place about the middle, px, once as a whole and once with an outline on each side alone."""
+    offsets = _offsets_px()
+    rays = camera.rays(middle + offsets[:, :2])
+    on_plane = np.c_[rays, np.ones(len(rays))] @ plane.R_cam_plane
+    radius_px = expected.disc_px(camera, pad)
+    depth = float((plane.R_cam_plane.T @ expected.t_cam_pad)[2])
+    words = np.zeros((len(offsets), _CIRCLE_WORDS))
+    half = np.isfinite(offsets[:, 2])
+    integers = words.view(np.int64)
+    integers[:, _CIRCLE_AT["bright_inside"].start] = 1
+    integers[:, _CIRCLE_AT["points"].start] = np.where(half, _OUTLINE, 0)
+    words[:, _CIRCLE_AT["centre"]] = on_plane[:, :2] / on_plane[:, 2:]
+    words[:, _CIRCLE_AT["radius"].start] = disc_edge_m(pad) / depth
+    words[:, _CIRCLE_AT["support"].start] = np.where(half, 0.5, 1.0)
+    turns = np.arctan2(offsets[:, 3], offsets[:, 2])[:, None] + np.array([-1.0, 0.0, 1.0])
+    outline = (middle + offsets[:, :2])[:, None] + radius_px * np.stack([np.cos(turns), np.sin(turns)], axis=2)
+    words[:, _CIRCLE_AT["outline_px"]][:, : 2 * _OUTLINE] = np.nan_to_num(outline.reshape(len(offsets), -1))
+    return [EdgeCircle(row) for row in words]

@@ -28,13 +28,23 @@ from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.edge_support import EdgeSupport
 from estimator.vision.register.fit_verification import SEARCHED, TRACKED
-from estimator.vision.register.options import RegistrationOptions
-from estimator.vision.register.packed import edge_points, fit_options, light_address, packed_lens, packed_prior, scratch_room
-from estimator.vision.register.pixels import light_table
-from estimator.vision.register.registration import Registration, is_ambiguous, registration_of, supports
+from estimator.vision.register.registration import (
+    EdgeSupport,
+    Registration,
+    RegistrationOptions,
+    edge_points,
+    fit_options,
+    is_ambiguous,
+    light_address,
+    packed_lens,
+    packed_prior,
+    registration_of,
+    scratch_room,
+    supports,
+)
 from estimator.vision.register.shape import pad_shape
+from estimator.vision.srgb import light_table
 
 _LOOK = CORE.function("look_at_pad")
 _AT, _WORDS = places_of("looked_pad"), size_of("looked_pad")

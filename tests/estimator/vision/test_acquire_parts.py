@@ -16,13 +16,13 @@ from estimator.core.interface import places_of
 from estimator.core.interface.eyes import TEMPLATE_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
+from estimator.vision.detect.circles import EdgeCircle, Radii, edge_circles
 from estimator.vision.detect.colour import disc_colour, is_coloured
-from estimator.vision.detect.edge_circles import EdgeCircle, Radii, edge_circles
 from estimator.vision.detect.guesses import Outline, guesses_from
 from estimator.vision.detect.heading import heading
+from estimator.vision.detect.lettering import h_markings
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.detect.strokes import h_markings
 from estimator.vision.detect.template import DISC, ORANGE, STEP_M, H, paints_at, polar_drawing, template
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose

@@ -21,7 +21,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.look import look
-from estimator.vision.register.options import RegistrationOptions
+from estimator.vision.register.registration import RegistrationOptions
 from tests.estimator.vision.oracle import alignment as oracle
 from tests.estimator.vision.oracle import paint as paint_oracle
 from tests.estimator.vision.oracle import verification as verification_oracle

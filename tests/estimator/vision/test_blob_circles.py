@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import acquire
-from estimator.vision.detect.blob_circles import blob_circles
-from estimator.vision.detect.edge_circles import EdgeCircle
+from estimator.vision.detect.circles import EdgeCircle, blob_circles
 from estimator.vision.detect.guesses import Guess, Outline, guesses_from
 from estimator.vision.detect.hypotheses import Kind
 from estimator.vision.detect.plane import Plane

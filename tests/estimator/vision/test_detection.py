@@ -15,9 +15,8 @@ from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from estimator.vision.thesis.detection import detect
+from estimator.vision.thesis.detection import choose, detect, with_heading_of
 from estimator.vision.thesis.segmentation import COLOUR_SETS, INDOOR, SIMULATOR, HsvRange, segment
-from estimator.vision.thesis.select import choose, with_heading_of
 from tests.support.pad_images import STAMP, PadPlacement, errors, image, sim_camera
 from tests.support.shipped import shipped_camera, shipped_pad
 

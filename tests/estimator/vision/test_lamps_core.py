@@ -18,13 +18,12 @@ from estimator.core.interface import places_of, size_of
 from estimator.core.library import CORE, start_of
 from estimator.vision.camera import Camera
 from estimator.vision.lamp import Lamp, points_of
-from estimator.vision.lamps.detect import detect_lamps
-from estimator.vision.lamps.packed import light_address, packed_pattern
+from estimator.vision.lamp_sighting import detect_lamps, light_address, packed_pattern
 from estimator.vision.native import address, packed_camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.packed import packed_prior
+from estimator.vision.register.registration import packed_prior
 from tests.estimator.vision.oracle.lamps import detect as oracle
 from tests.support.night_scenes import NIGHTS, NightCondition, night_scene
 from tests.support.pad_scenes import load_camera, load_pad

@@ -21,8 +21,7 @@ from estimator.vision.pose import Orientation
 from estimator.vision.register import look as look_module
 from estimator.vision.register.fit_verification import SEARCHED, confidence
 from estimator.vision.register.look import Looked, look
-from estimator.vision.register.options import RegistrationOptions
-from estimator.vision.register.registration import register
+from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.register.sighting import sighting_of, sighting_of_look
 from sitl.surroundings import Decal
 from tests.estimator.vision.oracle.evidence import evidence

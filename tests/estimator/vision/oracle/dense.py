@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from estimator.vision.register.pixels import light_table
+from estimator.vision.srgb import light_table
 from tests.estimator.vision.oracle.blurred import Blurred
 from tests.estimator.vision.oracle.glare import CLIPPED, GlareBlob, find
 from tests.estimator.vision.oracle.state import N_STATE, U8, Footprint, RegistrationState

@@ -12,8 +12,8 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
-from estimator.vision.register.edge_support import EdgeSupport
-from estimator.vision.register.pixels import light_table
+from estimator.vision.register.registration import EdgeSupport
+from estimator.vision.srgb import light_table
 from tests.estimator.vision.oracle import dense
 from tests.estimator.vision.oracle import profiles as profiles_
 from tests.estimator.vision.oracle.sampling import KINDS, Profiles

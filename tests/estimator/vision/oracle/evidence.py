@@ -12,8 +12,8 @@ from estimator.vision.detect.alignment import AlignedTemplate
 from estimator.vision.detect.colour import disc_has_colour
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
-from estimator.vision.register.pixels import light_table
 from estimator.vision.register.registration import Registration
+from estimator.vision.srgb import light_table
 
 _TELLING = 5.0
 _SNR_VISIBLE = 5.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.vision.detect.light import FLOOR
+from estimator.vision.detect.alignment import FLOOR
 from estimator.vision.detect.paint import PaintMemory
 from tests.estimator.vision.oracle.alignment import Aligned
 

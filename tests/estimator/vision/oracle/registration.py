@@ -24,9 +24,7 @@ from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.edge_support import EdgeSupport
-from estimator.vision.register.options import RegistrationOptions
-from estimator.vision.register.registration import Registration
+from estimator.vision.register.registration import EdgeSupport, Registration, RegistrationOptions
 from tests.estimator.vision.oracle import dense
 from tests.estimator.vision.oracle import profiles as profiles_
 from tests.estimator.vision.oracle.edge_support import arrow_support, beside, dense_support, profile_support

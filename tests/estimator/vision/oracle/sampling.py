@@ -17,7 +17,7 @@ from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, Edges
 from estimator.vision.pad import Pad
-from estimator.vision.register.pixels import light_table
+from estimator.vision.srgb import light_table
 from tests.estimator.vision.oracle.state import U8, Footprint, RegistrationState, pixel_rays
 
 KINDS = len(EdgeKind) - 1

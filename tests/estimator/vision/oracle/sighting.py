@@ -11,8 +11,7 @@ import numpy as np
 from estimator.contracts.geometry import F64, skew
 from estimator.vision.camera import Camera
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
-from estimator.vision.register.tilt import roll_pitch, tilt_axes
+from estimator.vision.pose import Orientation, roll_pitch, tilt_axes
 
 _EYE, _THRICE = np.eye(2), 3.0 * np.eye(3)
 _QUARTER_TURN = -np.array([[0.0, 1.0], [-1.0, 0.0]])

@@ -12,8 +12,7 @@ from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
-from estimator.vision.register.tilt import roll_pitch, tilt_axes
+from estimator.vision.pose import Orientation, roll_pitch, tilt_axes
 from tests.estimator.vision.oracle.state import N_STATE, RegistrationState
 
 _FREE_ROTATION_RAD = math.pi / math.sqrt(3.0)

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.vision.camera import Camera
+from estimator.vision.camera import Camera, ray_map
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.register.pixels import ray_map
 from tests.estimator.vision.oracle.blurred import F32, Blurred
 
 U8 = NDArray[np.uint8]

@@ -10,8 +10,7 @@ import numpy as np
 from estimator.contracts.geometry import F64, known_rotation, orthonormalised, skew
 from estimator.vision.camera import Camera
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation, OrientedCamera
-from estimator.vision.register.tilt import tilt_axes
+from estimator.vision.pose import Orientation, OrientedCamera, tilt_axes
 from tests.estimator.vision.oracle.lamps.pattern import Assignment
 from tests.estimator.vision.oracle.lamps.spots import Spots
 

@@ -1,4 +1,9 @@
-"""Find circles by the votes of edges for their centres: the pad's disc and ring in any light, without colour."""
+"""Find circles: by the votes of edges for their centres, and pads of some pixels by their area.
+
+The first finds the pad's disc and ring in any light, without colour. A pad of 12 to 40 px across that is seen obliquely has too
+few pixels for its edges to tell the centre. It differs from its surroundings as a whole: its area tells the centre, and the
+ellipse of the area's second moments tells the tilt. The native core finds both.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +20,8 @@ from estimator.core.library import CORE, start_of
 from estimator.core.records import record
 from estimator.vision.camera import Camera
 from estimator.vision.detect.plane import Plane
-from estimator.vision.native import address
+from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.native import address, packed_camera, pixels
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
@@ -124,3 +130,41 @@ def _corner_rays(camera: Camera, step: int, width: int, height: int) -> F32:
     rays = camera.rays(np.asarray((uv + 0.5) * step - 0.5)).reshape(len(v), len(u), 2).astype(np.float32)
     rays.setflags(write=False)
     return rays
+
+
+_BLOBS_ROOM, _BLOBS = CORE.function("search_blobs_room"), CORE.function("search_blobs")
+_NOISE, _BLOB_R_CAM_PLANE = (places_of("blob_image")[name] for name in ("noise", "R_cam_plane"))
+_MOST_BLOBS = 16
+"""Largest number of blobs. Of 280 pads at 10 and 15 m in any light nine in ten are among the first eight."""
+_NOISE_LEFT = 0.5 * 255.0
+"""Noise of the half-size image per noise of the frame, values of a pixel."""
+
+
+def blob_circles(pyramid: Pyramid, camera: Camera, plane: Plane, most: int = _MOST_BLOBS) -> list[EdgeCircle]:
+    """Return the outlines of what stands out, most prominent first, as circles of edges.
+
+    Their `support` is the fraction of the area of an ellipse with the same moments that is filled.
+    """
+    half, full = pyramid[1], pyramid[0]
+    (half_start, half_stride), (full_start, full_stride) = pixels(half), pixels(full)
+    image = _blob_image(
+        (half.shape[1], half.shape[0], half_stride), (full.shape[1], full.shape[0], full_stride), pyramid.monochrome, most
+    )
+    image = image.copy()
+    image[_NOISE], image[_BLOB_R_CAM_PLANE] = _NOISE_LEFT * pyramid.noise, plane.R_cam_plane.ravel()
+    scratch, out = np.empty(_BLOBS_ROOM(start_of(image)), np.float32), np.empty((most, _WORDS))
+    n = _BLOBS(address(packed_camera(camera)), start_of(image), half_start, full_start, start_of(scratch), start_of(out))
+    return [EdgeCircle(words) for words in out[:n]]
+
+
+@lru_cache(maxsize=16)
+def _blob_image(half: tuple[int, int, int], full: tuple[int, int, int], grey: bool, most: int) -> F64:
+    """Return the core's `blob_image` without noise and plane.
+
+    Args:
+        half, full: width, height and bytes from row to row.
+    """
+    return record("blob_image", {
+        "width": half[0], "height": half[1], "stride": half[2], "full_width": full[0], "full_height": full[1],
+        "full_stride": full[2], "grey": grey, "most": most,
+    })  # fmt: skip
