@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 WORKERS := -n logical --maxprocesses 8
 BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
-CORE := estimator/core/libdecklander.so.1
+CORE := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
 
 .PHONY: core demo check test test-aarch64 test-image test-v4l2 test-install wheels deb lint bench docs fuzz mutants sbom licences audit pins
 
@@ -22,10 +22,10 @@ check: lint
 test: lint
 	$(BIN)/pytest $(WORKERS)
 
-# The native core (estimator/core), with cc where there is one, else with zig's compiler.
+# The native libraries (estimator/core, sitl/core), with cc where there is one, else with zig's compiler. Only what changed is compiled.
 core: $(CORE)
 
-$(CORE): $(wildcard estimator/core/*.[ch]) supply/core.py | $(VENV)/.runtime
+$(CORE) &: $(shell find estimator/core sitl/core -name "*.[ch]") supply/core.py | $(VENV)/.runtime
 	@command -v cc >/dev/null || $(MAKE) --no-print-directory $(VENV)/.compiler
 	$(BIN)/python -m supply.core
 

@@ -1,6 +1,6 @@
 """Decode UVLC pictures, the video of an AR.Drone 1.0: one intra-coded picture a datagram.
 
-Source: Parrot, AR.Drone Developer Guide SDK 1.7, 7.2 (video stream). The core decodes them (estimator/core/uvlc_decode.c).
+Source: Parrot, AR.Drone Developer Guide SDK 1.7, 7.2 (video stream). The core decodes them (estimator/core/video/uvlc_decode.c).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The fuzz target `core`: every entry of the native core under libFuzzer, with the address and undefined-behaviour sanitizers.
+"""The fuzz target `core`: every native entry under libFuzzer, with the address and undefined-behaviour sanitizers.
 
 The calls are those of `tests/estimator/core/exercise.c`. Its bytes choose a call and its sizes, and put into its arguments what
 no measurement should hold: NaN, infinities, numbers beyond all bounds.
@@ -32,8 +32,7 @@ def command(work: Path, seconds: float, hang_s: int) -> list[str]:
     program, corpus, crashes = work / "core-fuzzer", work / "corpus" / NAME, work / "crashes"
     for folder in (corpus, crashes):
         folder.mkdir(parents=True, exist_ok=True)
-    sources = [*map(str, sorted(core.FOLDER.glob("*.c"))), str(_CALLS)]
-    build = ["clang", *_FLAGS, f"-I{core.FOLDER}", *sources, "-o", str(program), "-lm"]
+    build = ["clang", *_FLAGS, *core.all_in_one(), str(_CALLS), "-o", str(program), "-lm"]
     built = subprocess.run(build, capture_output=True, text=True, check=False)
     if built.returncode != 0:
         raise core.BuildError(f"{NO_CLANG}; it said: {built.stderr.strip()[-500:]}")

@@ -107,7 +107,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "  ->  _spread(np.array(seen)) <= o.view_still_ratio * turned": _ROUNDED,
         "turned > o.view_turned_min_rad  ->  turned >= o.view_turned_min_rad": _ROUNDED,
     },
-    "estimator/core/answer.c": {
+    "estimator/core/filter/answer.c": {
         "for (int k = 0; k < PER_DIRECTION; k++) {  ->  for (int k = 0; k <= PER_DIRECTION; k++) {": (
             "the pad's acceleration along down does not depend on the deck's roll, which lies behind"
         ),
@@ -118,18 +118,18 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         ),
         "memset(out, 0, sizeof *out);  ->  memset(out, 1, sizeof *out);": _TINY,
     },
-    "estimator/core/sighting_level.c": {
+    "estimator/core/vision/sighting_level.c": {
         "static const double LEAST_FLAT = 1e-9;  ->  static const double LEAST_FLAT = 2e-09;": (
             "it keeps zero out of a denominator"
         ),
     },
-    "estimator/core/rotation.c": {
+    "estimator/core/base/rotation.c": {
         "if (s < 1e-6 && cosine <= 0.0) {  ->  if (s <= 1e-6 && cosine <= 0.0) {": _ROUNDED,
         "if (s >= 1e-6) {  ->  if (s > 1e-6) {": _ROUNDED,
         "if (t2 >= 1e-8) {  ->  if (t2 > 1e-8) {": _ROUNDED,
         "if (t2 >= 1e-6) {  ->  if (t2 > 1e-6) {": _ROUNDED,
     },
-    "estimator/core/jacobian.c": {
+    "estimator/core/filter/jacobian.c": {
         "memset(JF, 0, (size_t)m * N * sizeof *JF);  ->  memset(JF, 1, (size_t)m * N * sizeof *JF);": _TINY,
         "rows_times: for (int k = 0; k < N; k++) {  ->  for (int k = 1; k < N; k++) {": (
             "a turn about the nose changes neither heading nor what is written in level"
@@ -144,36 +144,36 @@ EQUIVALENT: dict[str, dict[str, str]] = {
             "what is made of a row behind the last is not written"
         ),
     },
-    "estimator/core/forecast.c": {
+    "estimator/core/filter/forecast.c": {
         "double J[3 * N] = {0.0}, by[2][2], reach[2][2], d[3];  ->  double J[3 * N] = {0.0}, by[2][2], reach[2][2], d[4];": _ROOM,
         "covariance c = {P_before, {places[0], places[1]}};  ->  covariance c = {P_before, {places[0], places[2]}};": (
             "the covariance is propagated once, so that one place would do"
         ),
         "return 1;  ->  return 2;": _ASKED,
     },
-    "estimator/core/filter.c": {
+    "estimator/core/filter/run.c": {
         "return !b->heading_is_given || var > DIVERGED_VAR;  ->  return !b->heading_is_given || var >= DIVERGED_VAR;": _ROUNDED,
         "return 1;  ->  return 2;": _ASKED,
         "covariance c = {P_before, {places[0], places[1]}};  ->  covariance c = {P_before, {places[1], places[1]}};": (
             "one place would do: the correction after a propagation is never refused, and reads each row before it writes it"
         ),
     },
-    "estimator/core/law.c": {
+    "estimator/core/law/law.c": {
         "const double shrink = size > reach ? reach / size : 1.0;"
         "  ->  const double shrink = size >= reach ? reach / size : 1.0;": _LINEAR,
         "const double cut = size > most ? most / size : 1.0;  ->  const double cut = size >= most ? most / size : 1.0;": _LINEAR,
         "if (!o->keeps_in_view || d[2] < VIEW_FROM_M) {  ->  if (!o->keeps_in_view || d[2] <= VIEW_FROM_M) {": _ROUNDED,
         "axis_measured z[2];  ->  axis_measured z[3];": _ROOM,
     },
-    "estimator/core/law_axis.c": {
+    "estimator/core/law/axis.c": {
         "return value < -most ? -most : value > most ? most : value;"
         "  ->  return value < -most ? -most : value >= most ? most : value;": _LINEAR,
     },
-    "estimator/core/law_deck.c": {
+    "estimator/core/law/deck.c": {
         f"{_SPANS}  ->  {_SPANS.replace(was, becomes)}": "without a forecast neither is read"
         for was, becomes in (("age) : 0", "age) : 1"), ("until) : 0", "until) : 1"))
     },
-    "estimator/core/bank_ahead.c": {
+    "estimator/core/filter/bank_ahead.c": {
         f"sum += weight[o] * (of[o] - mean) * (of[o] - mean);  ->  sum += weight[o] * {product};": (
             "the same sum: the weights' mean of the first factor is zero"
         )
@@ -191,7 +191,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
             for changed in (" / 3 * 2", " / 2 / 2")
         },
     },
-    "estimator/core/bank.c": {
+    "estimator/core/filter/bank.c": {
         "return g > 0 && m->w[g] == m->w[g - 1] && m->zeta[g] == m->zeta[g - 1];"
         "  ->  return g > 1 && m->w[g] == m->w[g - 1] && m->zeta[g] == m->zeta[g - 1];": "the first two oscillators differ",
         "double A[4][4] = {{0.0}}, q[4][4] = {{0.0}};  ->  double A[4][4] = {{0.0}}, q[4][4] = {{1.0}};": (
@@ -201,7 +201,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "add_noises: for (int i = 0; i < 4; i++) {  ->  for (int i = 0; i <= 4; i++) {": _NO_COLUMN,
         "bank_begin: for (int i = 0; i < 4; i++) {  ->  for (int i = 0; i <= 4; i++) {": _NO_COLUMN,
     },
-    "estimator/core/bank_weights.c": {
+    "estimator/core/filter/bank_weights.c": {
         **{
             f"{_ODDS[0]}  ->  {changed}": "the shipped prior of a deck at rest is one half, so it has no odds"
             for changed in _ODDS[1:]
@@ -209,10 +209,10 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "const double top = largest(MEMBERS - 1, weight + 1);  ->  const double top = largest(MEMBERS - 2, weight + 1);": _SCALE,
         "weight[g] = exp(weight[g] - top);  ->  weight[g] = exp(weight[g] + top);": _SCALE,
     },
-    "estimator/core/correction.c": {
+    "estimator/core/filter/correction.c": {
         "for (int i = 0; i < N; i++) {  ->  for (int i = 1; i < N; i++) {": "the attitude's error is zero afterwards",
     },
-    "estimator/core/gathering.c": {
+    "estimator/core/filter/gathering.c": {
         "return seconds(a->since, t) > 2.0 * o->aiding_period_s;  ->  return seconds(a->since, t) >= 2.0 * o->aiding_period_s;": (
             _ROUNDED
         ),
@@ -225,16 +225,16 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "  ->  tell(out, nis >= nis_max ? GATED : FUSED, m, (int)begun->axes, innov, S);": _ROUNDED,
         "if (nis > nis_max) {  ->  if (nis >= nis_max) {": _ROUNDED,
     },
-    "estimator/core/aiding.c": {
+    "estimator/core/filter/aiding.c": {
         "if (away + 2.0 * spread > o->deck_radius_m || !distance(b->R, x, &r, H)) {"
         "  ->  if (away + 2.0 * spread >= o->deck_radius_m || !distance(b->R, x, &r, H)) {": _ROUNDED,
         "if (cosine < 0.3) {  ->  if (cosine <= 0.3) {": _ROUNDED,
         "b->is_levelled = b->heading_is_given = 1;  ->  b->is_levelled = b->heading_is_given = 2;": _ASKED,
     },
-    "estimator/core/sighting.c": {
+    "estimator/core/filter/sighting.c": {
         "noise_of: for (int i = 0; i < 9; i++) {  ->  for (int i = 0; i <= 9; i++) {": "the tenth is zero, or written afterwards",
     },
-    "estimator/core/propagate.c": {
+    "estimator/core/filter/propagate.c": {
         "if (dt <= 0.0) {  ->  if (dt < 0.0) {": _NO_TIME,
         "if (T <= 0.0) {  ->  if (T < 0.0) {": _NO_TIME,
         **{
@@ -256,7 +256,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
             "no sensor whose model looks at this state measures the displacement north"
         ),
     },
-    "estimator/core/kalman.c": {
+    "estimator/core/base/kalman.c": {
         "if (!(pivot > 0.0) || !isfinite(pivot)) {  ->  if (!(pivot >= 0.0) || !isfinite(pivot)) {": (
             "a pivot of zero makes a NIS that is not finite, which is refused as well"
         ),
@@ -264,14 +264,14 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "size += dx[k] * dx[k];  ->  size -= dx[k] * dx[k];": "asked for being finite alone",
         "memset(FP[i], 0, sizeof FP[i]);  ->  memset(FP[i], 1, sizeof FP[i]);": _TINY,
     },
-    "estimator/core/skill.c": {
+    "estimator/core/filter/skill.c": {
         "for (int i = 1; i < known->issued_n; i++) {  ->  for (int i = 1; i <= known->issued_n; i++) {": (
             "what lies behind the newest forecast is older, so that no instant is between them"
         ),
         "while (after < SKILL_HORIZONS - 1 && SKILL_HORIZONS_S[after] <= horizon_s) {"
         "  ->  while (after < SKILL_HORIZONS - 1 && SKILL_HORIZONS_S[after] < horizon_s) {": "the interpolation is continuous",
     },
-    "estimator/core/vessel.c": {
+    "estimator/core/filter/vessel.c": {
         "enum { ROWS = 4, V_COV = 3, HEADING = 12, HEADING_SIGMA = 13, HAS_VELOCITY = 14, HAS_HEADING = 15 };"
         "  ->  enum { ROWS = 5, V_COV = 3, HEADING = 12, HEADING_SIGMA = 13, HAS_VELOCITY = 14, HAS_HEADING = 15 };": _ROOM,
         "double innov[ROWS], H[ROWS * N] = {0.0}, R[ROWS * ROWS] = {0.0}, S[ROWS * ROWS], dx[N], nis;"
@@ -281,11 +281,11 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "tell(out, nis > out->nis_max ? GATED : FUSED, m, axes, innov, S);"
         "  ->  tell(out, nis >= out->nis_max ? GATED : FUSED, m, axes, innov, S);": _ROUNDED,
     },
-    "estimator/core/gate.c": {
+    "estimator/core/filter/gate.c": {
         "if (b->rejected_n == 0 || t < b->rejected_last || length(step) > limit || dt > PAUSE_S) {"
         "  ->  if (b->rejected_n == 0 || t < b->rejected_last || length(step) >= limit || dt > PAUSE_S) {": _ROUNDED,
     },
-    "estimator/core/deck_jolt.c": {
+    "estimator/core/filter/deck_jolt.c": {
         "if (fmax(ratio[0], fmax(ratio[1], ratio[2])) > RATIO_COUNTED) {"
         "  ->  if (fmax(ratio[0], fmax(ratio[1], ratio[2])) >= RATIO_COUNTED) {": _ROUNDED,
         "while (at > 0 && ordered[at - 1] > value) {  ->  while (at > 0 && ordered[at - 1] < value) {": (
@@ -296,7 +296,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         ),
         "if (missing[axis] <= 0.0) {  ->  if (missing[axis] < 0.0) {": "a variance of zero adds nothing",
     },
-    "estimator/core/symmetric.c": {
+    "estimator/core/base/symmetric.c": {
         "enum { SWEEPS_MAX = 12 };  ->  enum { SWEEPS_MAX = 13 };": _ROOM,
         **{
             f"{_ROTATED}  ->  {_ROTATED.replace(before, after)}": _SWEEPS
@@ -321,7 +321,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "if (off <= 1e-32 * size) {  ->  if (off <= 0.0 * size) {": _SWEEPS,
         "if (off <= 1e-32 * size) {  ->  if (off <= 1e-32 / size) {": _SWEEPS,
     },
-    "estimator/core/vision.c": {
+    "estimator/core/filter/vision_update.c": {
         "const int lost = sqrt(fmax(var / 3.0, 0.0)) > LOST_SIGMA_M;"
         "  ->  const int lost = sqrt(fmax(var / 3.0, 0.0)) >= LOST_SIGMA_M;": _ROUNDED,
         "if (row->ok && (turned_round || (row->m > 3 && row->nis <= o->nis_max[row->m - 1]))) {"

@@ -62,9 +62,9 @@ class Workshop:
         BuildError: the compiler refuses a source.
     """
 
-    def __init__(self, folder: Path, sources: Path, changed: str) -> None:
-        self._folder, self._sources, self._changed = folder, sources, changed
-        self._objects = [self.compiled(path.read_text(), path.name, _QUICK) for path in sorted(sources.glob("*.c"))]
+    def __init__(self, folder: Path, library: core.Library, changed: Path) -> None:
+        self._folder, self._library, self._changed = folder, library, changed
+        self._objects = {path: self.compiled(path.read_text(), f"{k}.c") for k, path in enumerate(library.sources)}
         self._originals: dict[tuple[str, ...], bytes] = {}
 
     def compiled(self, source: str, name: str, flags: Sequence[str] = _QUICK) -> Path:
@@ -74,7 +74,17 @@ class Workshop:
             BuildError: the compiler refuses it.
         """
         made = self._folder / f"{name}.o"
-        command = [*core.compiler(), *core.FLAGS, *flags, f"-I{self._sources}", "-xc", "-c", "-", "-o", str(made)]
+        command = [
+            *core.compiler(),
+            *core.FLAGS,
+            *flags,
+            *(f"-I{folder}" for folder in self._library.includes),
+            "-xc",
+            "-c",
+            "-",
+            "-o",
+            str(made),
+        ]
         done = subprocess.run(command, input=source, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise core.BuildError(done.stderr.strip())
@@ -84,20 +94,18 @@ class Workshop:
         """Return whether a text of the changed file is compiled to the instructions of the original."""
         key = tuple(flags)
         if key not in self._originals:
-            original = (self._sources / self._changed).read_text()
-            self._originals[key] = self.compiled(original, "original.c", flags).read_bytes()
+            self._originals[key] = self.compiled(self._changed.read_text(), "original.c", flags).read_bytes()
         return self.compiled(source, "mutant.c", flags).read_bytes() == self._originals[key]
 
     def original(self, flags: Sequence[str]) -> Path:
         """Link a library whose file that is to be changed is compiled in another way."""
-        source = (self._sources / self._changed).read_text()
-        return self.linked("original.so", self.compiled(source, "original.c", flags))
+        return self.linked("original.so", self.compiled(self._changed.read_text(), "original.c", flags))
 
     def linked(self, name: str, changed: Path | None = None) -> Path:
         """Link a library; `changed` is the object in place of the changed file's own."""
         made = self._folder / name
         made.unlink(missing_ok=True)  # a process may have it open
-        objects = [changed if changed and path.name == f"{self._changed}.o" else path for path in self._objects]
+        objects = [changed if changed and path == self._changed else own for path, own in self._objects.items()]
         command = [*core.compiler(), "-shared", *map(str, objects), "-o", str(made), "-lm"]
         subprocess.run(command, check=True, capture_output=True)
         return made
@@ -140,7 +148,7 @@ def judge_native(path: str, tests: Sequence[str], share: float, seed: int, *, ro
 
         def serve() -> str:
             tally = Tally(path, out=child.quiet())
-            shop = Workshop(Path(folder), root / "estimator/core", Path(path).name)
+            shop = Workshop(Path(folder), core.FLYING, root / path)
             sys.path.insert(0, str(root))
             library = importlib.import_module("estimator.core.library")
             door = vars(library)["CORE"] = Replaceable(library.load, shop.linked("first.so"))

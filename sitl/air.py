@@ -1,6 +1,6 @@
 """The air over a ship: wind that grows with height, Dryden's turbulence, discrete gusts, and the wake of the superstructure.
 
-The formulae and their sources are the core's, `sim_air.c`.
+The formulae and their sources are the core's, `sitl/core/physics/air.c`.
 """
 
 from __future__ import annotations

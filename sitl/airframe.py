@@ -19,7 +19,7 @@ class Loops:
     yaw_rate_p: float = 2.0
     """1/s."""
     disturbance_s: float = 0.1
-    """Time in which the loops take up a torque that they did not ask for (`sim_vehicle.c`; assumed). The thesis' loops
+    """Time in which the loops take up a torque that they did not ask for (`physics/vehicle.c`; assumed). The thesis' loops
     have no such part and overturn with one motor at 80 %; autopilots have an integral (ATC_RAT_RLL_I, MC_ROLLRATE_I)."""
     velocity_p: float = 5.0
     """1/s: acceleration per m/s of horizontal velocity error while hovering."""

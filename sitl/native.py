@@ -12,7 +12,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.core.interface import STRUCTS, places_of, size_of
-from estimator.core.library import CORE, start_of
+from estimator.core.library import start_of
+from sitl.core.library import CORE
 
 render_average = CORE.function("render_average")
 render_blur = CORE.function("render_blur")

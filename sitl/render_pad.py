@@ -1,6 +1,6 @@
 """Place the pad in a frame: which paint each pixel shows, and the coverage of each pixel that an edge touches.
 
-The coverages are exact over pixel and exposure (estimator/core/render_pad.c).
+The coverages are exact over pixel and exposure (sitl/core/render/pad.c).
 """
 
 from __future__ import annotations

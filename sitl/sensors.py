@@ -2,7 +2,7 @@
 
 Every sensor has its own random generator and advances with the physics, whether it is read or not: the same seed gives the same
 readings to the bit. Roll, pitch and velocity are the drone's own estimates, which its loops use too. The formulae are the core's,
-`sim_sensors.c`.
+`sitl/core/physics/sensors.c`.
 """
 
 from __future__ import annotations

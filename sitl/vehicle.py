@@ -1,6 +1,6 @@
 """The quadcopter: a rigid body under rotor thrust, drag, wind and contact, flown by an AR.Drone's inner loops.
 
-The formulae and their sources are the core's, `sim_vehicle.c`; this module holds one vehicle's parameters and state for them.
+The formulae and their sources are in `sitl/core/physics/vehicle.c`; here are one vehicle's parameters and state.
 """
 
 from __future__ import annotations

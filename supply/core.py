@@ -1,4 +1,4 @@
-"""Build the native core: `python -m supply.core` compiles `estimator/core/*.c` into the library beside them.
+"""Build the native libraries: `python -m supply.core` compiles the C files of each and links those that changed.
 
 The compiler is `cc` where there is one, else zig's, from `requirements/compiler.txt`. `--header` writes `interface.h` from
 `interface/`. This module needs only the standard library: a build environment has no other.
@@ -7,18 +7,54 @@ The compiler is `cc` where there is one, else zig's, from `requirements/compiler
 from __future__ import annotations
 
 import argparse
+import hashlib
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
 
-FOLDER = Path(__file__).parents[1] / "estimator/core"
-LIBRARY = FOLDER / "libdecklander.so.1"
-HEADER = FOLDER / "interface.h"
+ROOT = Path(__file__).parents[1]
+CORE = ROOT / "estimator/core"
+SIM_CORE = ROOT / "sitl/core"
+HEADER = CORE / "interface.h"
+OBJECTS = ROOT / "build/core"
+"""The folder of compiled files. An object's name holds the digest of all that it was compiled from."""
+
+
+class Library(NamedTuple):
+    """A native library: the file that it is built into, the folders of its headers, and its C files."""
+
+    file: Path
+    includes: tuple[Path, ...]
+    sources: tuple[Path, ...]
+
+    def part(self, *patterns: str) -> Library:
+        """Return a library of those C files alone whose paths match."""
+        return self._replace(sources=tuple(s for s in self.sources if any(s.match(pattern) for pattern in patterns)))
+
+
+FLYING = Library(CORE / "libdecklander.so.1", (CORE,), tuple(sorted(CORE.rglob("*.c"))))
+SIMULATED = Library(
+    SIM_CORE / "libdecklander_sim.so.1",
+    (SIM_CORE, CORE),
+    (*sorted(SIM_CORE.rglob("*.c")), CORE / "base/digest.c", CORE / "base/rotation.c"),
+)
+LIBRARIES = (FLYING, SIMULATED)
+
+
+def all_in_one() -> list[str]:
+    """Return the compiler's arguments for a program of both libraries: folders of headers, and every C file once."""
+    sources = {source for library in LIBRARIES for source in library.sources}
+    return [*(f"-I{folder}" for folder in SIMULATED.includes), *map(str, sorted(sources))]
+
+
 FLAGS = (
     "-std=c99", "-O3", "-fPIC", "-Wall", "-Wextra", "-Werror", "-Wmissing-prototypes",
     "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
@@ -66,35 +102,67 @@ def cross_compiler(architecture: str) -> list[str]:
     return [sys.executable, "-m", "ziglang", "cc", "-target", f"{architecture}-linux-gnu.{'.'.join(map(str, GLIBC))}"]
 
 
-def build(out: Path = LIBRARY, extra: Sequence[str] = (), sources: Path = FOLDER, architecture: str | None = None) -> Path:
-    """Compile the library. It replaces an older one at once, so that a process that runs keeps the file it has opened.
+def build(library: Library, out: Path | None = None, extra: Sequence[str] = (), architecture: str | None = None) -> Path:
+    """Compile what changed and link the library.
+
+    It replaces an older one at once, so that a process that runs keeps the file it has opened.
 
     Args:
-        out: the file to write.
+        library: what to build.
+        out: the file to write, by default the library's own.
         extra: further flags for the compiler.
-        sources: the folder of the C files.
         architecture: for what machine, as Linux names it; by default for this one.
 
     Raises:
         BuildError: there is no compiler, or it refuses a source.
     """
-    files = [str(path) for path in sorted(sources.glob("*.c"))]
+    out = out or library.file
+    used = compiler() if architecture is None else cross_compiler(architecture)
+    command = [*used, *FLAGS, *extra, *(f"-I{folder}" for folder in library.includes)]
+    identity = f"{command}{_run([*used, '--version'])}"
+    OBJECTS.mkdir(parents=True, exist_ok=True)
+    with ThreadPoolExecutor(os.cpu_count()) as workers:
+        objects = list(workers.map(lambda source: _object(command, source, library.includes, identity), library.sources))
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".core-") as folder:
         made = Path(folder, out.name)
-        used = compiler() if architecture is None else cross_compiler(architecture)
-        command = [*used, *FLAGS, "-shared", *extra, *files, "-o", str(made), "-lm"]
-        done = subprocess.run(
-            command, capture_output=True, text=True, check=False, env={**os.environ, "ZIG_LOCAL_CACHE_DIR": folder}
-        )
-        if done.returncode != 0:
-            raise BuildError(f"{' '.join(command)}\n{done.stderr.strip()}")
+        _run([*used, "-shared", *extra, *map(str, objects), "-o", str(made), "-lm"])
         made.replace(out)
     return out
 
 
+def _object(command: Sequence[str], source: Path, includes: Sequence[Path], identity: str) -> Path:
+    """Return the object of a C file; compile it if nothing was compiled from the same texts by the same command."""
+    texts = [identity, *(path.read_text() for path in _read_by(source, includes))]
+    made = OBJECTS / f"{source.stem}-{hashlib.sha256(chr(0).join(texts).encode()).hexdigest()[:20]}.o"
+    if not made.exists():
+        with tempfile.TemporaryDirectory(dir=OBJECTS) as folder:
+            _run([*command, "-c", str(source), "-o", f"{folder}/made.o"])
+            Path(folder, "made.o").replace(made)
+    return made
+
+
+def _read_by(source: Path, includes: Sequence[Path]) -> list[Path]:
+    """Return a C file and every header of ours that it includes, directly or by another one."""
+    found = [source]
+    for path in found:
+        for name in re.findall(r'^#include "(.+)"', path.read_text(), re.MULTILINE):
+            header = next(folder / name for folder in includes if (folder / name).exists())
+            if header not in found:
+                found.append(header)
+    return found
+
+
+def _run(command: Sequence[str]) -> str:
+    environment = {**os.environ, "ZIG_LOCAL_CACHE_DIR": str(OBJECTS / "zig")}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    if done.returncode != 0:
+        raise BuildError(f"{' '.join(command)}\n{done.stderr.strip()}")
+    return done.stdout
+
+
 def header() -> str:
     """Return the C header of the interface that `estimator/core/interface` describes."""
-    place = FOLDER / "interface"
+    place = CORE / "interface"
     spec = importlib.util.spec_from_file_location("interface", place / "__init__.py", submodule_search_locations=[str(place)])
     assert spec is not None
     assert spec.loader is not None
@@ -105,14 +173,15 @@ def header() -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command."""
-    parser = argparse.ArgumentParser(prog="python -m supply.core", description="Build the native core.")
+    parser = argparse.ArgumentParser(prog="python -m supply.core", description="Build the native libraries.")
     parser.add_argument("--header", action="store_true", help="write interface.h from interface/, and build nothing")
     args = parser.parse_args(argv)
     if args.header:
         HEADER.write_text(header())
         return 0
     try:
-        build()
+        for library in LIBRARIES:
+            build(library)
     except BuildError as why:
         print(f"{why}", file=sys.stderr)
         return 1

@@ -1,4 +1,4 @@
-"""Hatchling's hook for a wheel: it builds the native core, takes it in, and names the platform that the wheel is for."""
+"""Hatchling's hook for a wheel: it builds the native libraries, takes them in, and names the platform that the wheel is for."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from supply import core
 
 
 class CoreHook(BuildHookInterface[Any]):
-    """The hook. An editable install uses the library of its checkout, which `make core` builds."""
+    """The hook. An editable install uses the libraries of its checkout, which `make core` builds."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Build the library before the wheel is packed: for this machine, or for the architecture that the environment names.
+        """Build the libraries before the wheel is packed: for this machine, or for the architecture that the environment names.
 
         Raises:
             BuildError: there is no compiler, or it refuses a source.
@@ -31,12 +31,13 @@ class CoreHook(BuildHookInterface[Any]):
         if architecture is not None:
             platform = f"manylinux_{core.GLIBC[0]}_{core.GLIBC[1]}_{architecture}"
         self._folder = tempfile.TemporaryDirectory()
-        library = core.build(Path(self._folder.name, core.LIBRARY.name), architecture=architecture)
-        build_data["force_include"][str(library)] = str(core.LIBRARY.relative_to(self.root))
+        for library in core.LIBRARIES:
+            made = core.build(library, Path(self._folder.name, library.file.name), architecture=architecture)
+            build_data["force_include"][str(made)] = str(library.file.relative_to(self.root))
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{platform.replace('-', '_').replace('.', '_')}"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
-        """Remove the library that the wheel holds by now."""
+        """Remove the libraries that the wheel holds by now."""
         if hasattr(self, "_folder"):
             self._folder.cleanup()

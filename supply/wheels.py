@@ -34,10 +34,10 @@ class WheelError(Exception):
 
 
 def make(architecture: str, out: Path) -> Path:
-    """Make the wheel for one architecture, check its library, and return its file.
+    """Make the wheel for one architecture, check its libraries, and return its file.
 
     Raises:
-        WheelError: it cannot be built, or the library in it is for another machine or a newer glibc than its tag says.
+        WheelError: it cannot be built, or a library in it is for another machine or a newer glibc than its tag says.
     """
     with tempfile.TemporaryDirectory() as folder:
         command = [
@@ -51,8 +51,8 @@ def make(architecture: str, out: Path) -> Path:
             raise WheelError(f"no wheel for {architecture}: {done.stderr.strip()[-2000:]}")
         (made,) = Path(folder).glob("*.whl")
         with zipfile.ZipFile(made) as wheel:
-            (library,) = (name for name in wheel.namelist() if name.endswith(core.LIBRARY.name))
-            check(wheel.read(library), architecture)
+            for library in core.LIBRARIES:
+                check(wheel.read(str(library.file.relative_to(ROOT))), architecture)
         out.mkdir(parents=True, exist_ok=True)
         return made.replace(out / made.name)
 

@@ -2,7 +2,7 @@
 
 Horizontally a disturbance observer (`disturbance`) and a regulator over tilt and commands under way (`tilt_law`), one axis at a
 time; vertically a predictor with the deck's forecast. Everything horizontal is kept in axes that do not turn with the nose. The
-native core steps it, estimator/core/law.c; here are the gains and when to go over from one set to another.
+native core steps it, estimator/core/law/law.c; here are the gains and when to go over from one set to another.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the law that follows the deck gives to the native core and reads from it (estimator/core/law.c).
+"""What the law that follows the deck gives to the native core and reads from it (estimator/core/law/law.c).
 
 The core has the mathematics of a cycle, and the law's memory in its own layout. Here are the parameters and gains, made once, and
 the numbers of each cycle.

@@ -1212,157 +1212,157 @@ typedef struct {
     int64_t number;
 } uvlc_picture;
 
-/* align_cover.c */
-int32_t align_cover(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const pad_pose *pose, float *scratch, cover_line *out);
-
-/* align_fit.c */
-int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part, const uint8_t *arrow_px, int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, const double *cut, const frame_quality *of, float *scratch, aligned_pad *out);
-
-/* align_move.c */
-int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const alignment *how, pad_pose *pose, double *tilt_sigmas, float *scratch);
-
-/* align_view.c */
-int32_t align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out);
-void align_arrow_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, frame_part *out);
-
-/* answer.c */
-void filter_answer(const filter_params *o, int64_t t, const belief *before, const double *P_before, answer *out);
-
-/* bank.c */
-void bank_begin(const bank_members *m, sea *after);
-void bank_observe(const filter_params *o, int64_t t, const double *y, const double *var, double ins_var, double reach_m, const sea *before, sea *after);
-
-/* bank_ahead.c */
-void bank_reach(const bank_members *m, int32_t n, const double *horizons_s, horizon_reach *out);
-
-/* core.c */
+/* estimator/core/base/digest.c */
 uint32_t core_digest(void);
 
-/* filter.c */
-int32_t filter_run(const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before, const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after, int64_t *P_index, int64_t *sea_index, outcome *outcomes);
-int32_t filter_propagate(const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before, belief *after, double *P_after);
-void filter_settle(const filter_params *o, const belief *before, belief *after, double *F, double *Q);
-
-/* forecast.c */
-int32_t filter_forecast(const filter_params *o, int64_t t, const belief *before, const double *P_before, const sea *bank, int32_t n, const double *horizons_s, const horizon_reach *reach, deck_ahead *out);
-
-/* frame_noise.c */
-void frame_noise(const uint8_t *px, int32_t stride, int32_t width, int32_t height, frame_quality *out);
-
-/* kalman.c */
+/* estimator/core/base/kalman.c */
 int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis);
 void kalman_predict(int32_t n, const double *P, const double *F, const double *Q, double *P_after);
 int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx, double *P_after, double *S, double *nis);
 
-/* lamps.c */
-int64_t lamps_room(const camera_lens *camera);
-int32_t find_lamps(const camera_lens *camera, const uint8_t *frame, const uint16_t *light, const lamp_pattern *pad, const tilt_prior *prior, const lamps_expected *at, uint32_t *scratch, lamps_seen *out);
+/* estimator/core/base/symmetric.c */
+void remove_attitude(int32_t m, double *cov, const double *J, const double *cov_attitude);
 
-/* law.c */
-void law_step(const law_params *o, const law_gains *gains, const law_gains *gains_before, const double *observer, const law_cycle *in, const double *horizons_s, const double *rates_m_s, const law_memory *before, law_memory *after, law_command *out);
+/* estimator/core/filter/answer.c */
+void filter_answer(const filter_params *o, int64_t t, const belief *before, const double *P_before, answer *out);
 
-/* law_axis.c */
+/* estimator/core/filter/bank.c */
+void bank_begin(const bank_members *m, sea *after);
+void bank_observe(const filter_params *o, int64_t t, const double *y, const double *var, double ins_var, double reach_m, const sea *before, sea *after);
+
+/* estimator/core/filter/bank_ahead.c */
+void bank_reach(const bank_members *m, int32_t n, const double *horizons_s, horizon_reach *out);
+
+/* estimator/core/filter/forecast.c */
+int32_t filter_forecast(const filter_params *o, int64_t t, const belief *before, const double *P_before, const sea *bank, int32_t n, const double *horizons_s, const horizon_reach *reach, deck_ahead *out);
+
+/* estimator/core/filter/run.c */
+int32_t filter_run(const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before, const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after, int64_t *P_index, int64_t *sea_index, outcome *outcomes);
+int32_t filter_propagate(const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before, belief *after, double *P_after);
+void filter_settle(const filter_params *o, const belief *before, belief *after, double *F, double *Q);
+
+/* estimator/core/filter/sighting.c */
+int32_t sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, double *innov, double *H, double *R, double *by_rate);
+
+/* estimator/core/law/axis.c */
 void law_observe(const law_params *o, const double *observer, double dt, double arrived, const law_axis *before, const axis_measured *z, law_axis *after);
 double law_tilt(const law_axis *x, const law_gains *gains, double off_m, double a_deck, double a_deck_then);
 
-/* look.c */
+/* estimator/core/law/law.c */
+void law_step(const law_params *o, const law_gains *gains, const law_gains *gains_before, const double *observer, const law_cycle *in, const double *horizons_s, const double *rates_m_s, const law_memory *before, law_memory *after, law_command *out);
+
+/* estimator/core/video/uvlc_decode.c */
+int32_t uvlc_header(const uint8_t *data, int32_t bytes, uvlc_picture *picture);
+int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *picture, uint8_t *bgr);
+
+/* estimator/core/vision/align/cover.c */
+int32_t align_cover(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const pad_pose *pose, float *scratch, cover_line *out);
+
+/* estimator/core/vision/align/fit.c */
+int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part, const uint8_t *arrow_px, int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, const double *cut, const frame_quality *of, float *scratch, aligned_pad *out);
+
+/* estimator/core/vision/align/move.c */
+int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const alignment *how, pad_pose *pose, double *tilt_sigmas, float *scratch);
+
+/* estimator/core/vision/align/view.c */
+int32_t align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out);
+void align_arrow_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, frame_part *out);
+
+/* estimator/core/vision/frame_noise.c */
+void frame_noise(const uint8_t *px, int32_t stride, int32_t width, int32_t height, frame_quality *out);
+
+/* estimator/core/vision/lamps/lamps.c */
+int64_t lamps_room(const camera_lens *camera);
+int32_t find_lamps(const camera_lens *camera, const uint8_t *frame, const uint16_t *light, const lamp_pattern *pad, const tilt_prior *prior, const lamps_expected *at, uint32_t *scratch, lamps_seen *out);
+
+/* estimator/core/vision/look/look.c */
 int32_t look_at_pad(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const float *lights, const pad_shape *shape, int32_t points, const double *edges, const int32_t *edge_of, const pad_template *drawn, const int16_t *maps, const int16_t *local_maps, const pad_judge *judge, const tilt_prior *prior, const fit_options *fit, const frame_quality *quality, const look_options *how, const pad_paint *known, const double *start, int32_t room, float *scratch, uint8_t *parts, looked_pad *out, double *outline);
 
-/* register.c */
+/* estimator/core/vision/register/register.c */
 int32_t register_pad(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad, int32_t points, const double *edges, const int32_t *edge_of, const tilt_prior *prior, const fit_options *o, const double *start, int32_t room, float *scratch, registration *out, double *outline);
 
-/* render_bounds.c */
+/* estimator/core/vision/search/blobs.c */
+int64_t search_blobs_room(const blob_image *image);
+int32_t search_blobs(const camera_lens *c, const blob_image *image, const uint8_t *half, const uint8_t *full, float *scratch, search_circle *out);
+
+/* estimator/core/vision/search/circles.c */
+int64_t search_room(const search_image *image);
+int32_t search_circles(const search_image *image, const uint8_t *grey, const float *rays, const search_radii *radii, float *scratch, search_circle *out);
+
+/* estimator/core/vision/search/guesses.c */
+int32_t search_guesses(const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels, int32_t circles, const search_circle *circle, int64_t *rated, const search_guess *before, int32_t most, search_guess *out);
+
+/* estimator/core/vision/search/heading.c */
+int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int32_t width, int32_t height, const uint8_t *px, int32_t stride, const double *side, polar_fit *out);
+
+/* estimator/core/vision/search/strokes.c */
+int64_t search_strokes_room(const strokes_image *image);
+int32_t search_strokes(const camera_lens *c, const strokes_image *image, const pad_strokes *h, const uint8_t *px, float *scratch, int32_t most, search_guess *out);
+
+/* estimator/core/vision/sighting_level.c */
+void sighting_in_level(const camera_sighting *in, level_sighting *out);
+
+/* sitl/core/physics/run.c */
+int32_t sim_run(const vehicle_params *o, vehicle *v, const sensor_params *e, sensors *s, water *sea, int32_t harmonics, const wave *waves, int32_t n, const deck *decks, const double *noise, const double *air_noise, const double *sensor_noise);
+
+/* sitl/core/physics/sensors.c */
+void sensors_read(const vehicle_params *o, const vehicle *v, const sensor_params *e, const sensors *s, readings *out);
+
+/* sitl/core/physics/vehicle.c */
+void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea_z, double sea_vz, const double *noise, const double *air_noise);
+void vehicle_carry(vehicle *v, const deck *g);
+
+/* sitl/core/physics/vessel.c */
+void vessel_moved(int32_t harmonics, const harmonic *h, int32_t n, const double *t_s, vessel_motion *out);
+void vessel_mounted(int32_t n, const vessel_origin *origin, const vessel_motion *m, const mount *at, mounted *out);
+
+/* sitl/core/render/bounds.c */
 void render_bounds(int32_t h, int32_t w, const uint8_t *mask, int32_t *covered, int32_t *open);
 
-/* render_deck.c */
+/* sitl/core/render/deck.c */
 void render_deck(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const uint16_t *texels, int32_t texel_rows, int32_t texel_columns, const uint8_t *mask, uint16_t *scene);
 void render_fill(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *mask, const uint16_t *colour, uint16_t *scene);
 
-/* render_lens.c */
+/* sitl/core/render/lens.c */
 void render_blur(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window, const int16_t *added, uint16_t *scratch, int16_t *out);
 void render_frame(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window, const int16_t *added, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
 void render_image(int32_t h, int32_t w, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int32_t edges, const int32_t *where, const float *shares, int32_t radius, const uint16_t *taps, const int32_t *window, const int16_t *added, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
 
-/* render_light.c */
+/* sitl/core/render/light.c */
 void render_expose(int32_t pixels, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int16_t *light);
 void render_mix(int32_t edges, const int32_t *where, const float *shares, const uint16_t *scene, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int16_t *light);
 
-/* render_meet.c */
+/* sitl/core/render/meet.c */
 void render_meet(int32_t count, const float *rays, const double *plane_from_ray, double most, float *places);
 
-/* render_pad.c */
+/* sitl/core/render/pad.c */
 int32_t render_pad_kinds(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *middles, const float *whole, int32_t rolling, int32_t regions, const float *pad, uint8_t *kinds, int32_t *edges);
 
-/* render_pad_lens.c */
+/* sitl/core/render/pad_lens.c */
 void render_pad_lens(int32_t w, const int32_t *window, const uint8_t *kinds, int32_t edges, const int32_t *where, const float *shares, int32_t fine, const float *parts, int32_t reach, const float *exact, const float *sampled, const uint16_t *scene, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int32_t *places, float *room, int16_t *added);
 
-/* render_pad_shares.c */
+/* sitl/core/render/pad_shares.c */
 void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes, const float *stroke_numbers, int32_t rolling, int32_t regions, const float *pad, int32_t fine, int32_t count, const int32_t *edges, float *shares, float *parts);
 
-/* render_sea.c */
-void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const int16_t *small_texels, const int16_t *large_texels, const int16_t *caps_texels, const int16_t *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, const double *outlines, const int32_t *outline_points, const float *soft_m, uint8_t *codes);
-void render_water(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours, const uint8_t *mask, uint16_t *scene);
-
-/* render_shadow.c */
+/* sitl/core/render/shadow.c */
 void render_shadow(int32_t h, int32_t w, const float *cells, int32_t columns, const float *shape, float soft, float share, const uint8_t *mask, int16_t *gain, int32_t *part);
 
-/* render_smear.c */
+/* sitl/core/render/smear.c */
 void render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights, uint16_t *smeared);
 void render_average(int32_t h, int32_t w, const uint16_t *scene, const int32_t *shifts, uint16_t *averaged);
 
-/* render_swell.c */
+/* sitl/core/sea/surface.c */
+void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const int16_t *small_texels, const int16_t *large_texels, const int16_t *caps_texels, const int16_t *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, const double *outlines, const int32_t *outline_points, const float *soft_m, uint8_t *codes);
+void render_water(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours, const uint8_t *mask, uint16_t *scene);
+
+/* sitl/core/sea/swell.c */
 void render_swell(int32_t rows, int32_t columns, const float *rays, const double *R_ned_cam, const double *plane_from_ray, const double *to_sun, double t_s, int32_t harmonics, const wave *waves, float *light);
 
-/* search_blobs.c */
-int64_t search_blobs_room(const blob_image *image);
-int32_t search_blobs(const camera_lens *c, const blob_image *image, const uint8_t *half, const uint8_t *full, float *scratch, search_circle *out);
-
-/* search_circles.c */
-int64_t search_room(const search_image *image);
-int32_t search_circles(const search_image *image, const uint8_t *grey, const float *rays, const search_radii *radii, float *scratch, search_circle *out);
-
-/* search_guesses.c */
-int32_t search_guesses(const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels, int32_t circles, const search_circle *circle, int64_t *rated, const search_guess *before, int32_t most, search_guess *out);
-
-/* search_heading.c */
-int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int32_t width, int32_t height, const uint8_t *px, int32_t stride, const double *side, polar_fit *out);
-
-/* search_strokes.c */
-int64_t search_strokes_room(const strokes_image *image);
-int32_t search_strokes(const camera_lens *c, const strokes_image *image, const pad_strokes *h, const uint8_t *px, float *scratch, int32_t most, search_guess *out);
-
-/* sighting.c */
-int32_t sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, double *innov, double *H, double *R, double *by_rate);
-
-/* sighting_level.c */
-void sighting_in_level(const camera_sighting *in, level_sighting *out);
-
-/* sim_run.c */
-int32_t sim_run(const vehicle_params *o, vehicle *v, const sensor_params *e, sensors *s, water *sea, int32_t harmonics, const wave *waves, int32_t n, const deck *decks, const double *noise, const double *air_noise, const double *sensor_noise);
-
-/* sim_sensors.c */
-void sensors_read(const vehicle_params *o, const vehicle *v, const sensor_params *e, const sensors *s, readings *out);
-
-/* sim_vehicle.c */
-void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea_z, double sea_vz, const double *noise, const double *air_noise);
-void vehicle_carry(vehicle *v, const deck *g);
-
-/* sim_vessel.c */
-void vessel_moved(int32_t harmonics, const harmonic *h, int32_t n, const double *t_s, vessel_motion *out);
-void vessel_mounted(int32_t n, const vessel_origin *origin, const vessel_motion *m, const mount *at, mounted *out);
-
-/* symmetric.c */
-void remove_attitude(int32_t m, double *cov, const double *J, const double *cov_attitude);
-
-/* uvlc_decode.c */
-int32_t uvlc_header(const uint8_t *data, int32_t bytes, uvlc_picture *picture);
-int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *picture, uint8_t *bgr);
-
-/* uvlc_encode.c */
+/* sitl/core/video/uvlc_encode.c */
 int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out);
 
 #ifndef INTERFACE_DIGEST
-#define INTERFACE_DIGEST 2638785204u
+#define INTERFACE_DIGEST 4115954663u
 #endif
 
 #endif

@@ -1,4 +1,4 @@
-"""What the filter says of one instant, as the native core wrote it (estimator/core/answer.c)."""
+"""What the filter says of one instant, as the native core wrote it (estimator/core/filter/answer.c)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """What is learned of the deck's motion: a bank of oscillators for each direction, weighed by what each foretold.
 
-The core learns (estimator/core/bank.h) and forecasts (estimator/core/bank_ahead.h); here are the members that it compares.
+The core learns (estimator/core/filter/bank.h) and forecasts (bank_ahead.h there); here are the members that it compares.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ class Forecast:
 
 
 def forecast(before: PackedBelief, at: MonoNs, horizons_s: F64, noise: ProcessNoise) -> Forecast | None:
-    """Return the forecast from a belief that is not newer than `at`, by the core (estimator/core/forecast.c).
+    """Return the forecast from a belief that is not newer than `at`, by the core (estimator/core/filter/forecast.c).
 
     The waves come from the bank: their means and covariances are those of the mixture over its members. It is None if no pad is
     tracked.

@@ -1,4 +1,4 @@
-"""The noise with which the filter's state changes. estimator/core/propagate.c propagates.
+"""The noise with which the filter's state changes. estimator/core/filter/propagate.c propagates.
 
 Derivation: docs/estimator.md, section "Motion".
 """

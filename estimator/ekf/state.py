@@ -143,7 +143,7 @@ class InnovationExcesses(NamedTuple):
     t: tuple[int, ...] = ()
     """Instants of the sightings, ns."""
     values: tuple[tuple[float, float, float], ...] = ()
-    """Of each sighting along north, east, down, m^2 (`estimator/core/deck_jolt.h`)."""
+    """Of each sighting along north, east, down, m^2 (`estimator/core/filter/deck_jolt.h`)."""
 
 
 class Belief(NamedTuple):

@@ -1,6 +1,6 @@
 """Find and measure a pad by its lamps: where the filter expects it, else anywhere in the frame.
 
-The native core does all of it in one call (`estimator/core/lamps.c`).
+The native core does all of it in one call (`estimator/core/vision/lamps/lamps.c`).
 """
 
 from __future__ import annotations

@@ -71,7 +71,9 @@ def test_a_checkout_installs_a_small_service_that_runs(tmp_path: Path, monkeypat
     monkeypatch.setenv("PIP_COMPILE", "0")  # most of what pip compiles is taken out again; what stays is compiled below
     monkeypatch.delenv("PYTHONPYCACHEPREFIX", raising=False)  # of the service's size its bytecode is a part
     # The core that this checkout has built serves again; that a wheel's build compiles it, the next test shows.
-    instead_of_cc(tmp_path, f'while [ "$1" != -o ]; do shift; done; exec cp "{core.LIBRARY}" "$2"', monkeypatch)
+    built = " ".join(f"*{library.file.name}) exec cp {library.file} $2;;" for library in core.LIBRARIES)
+    last_two = 'while [ $# -gt 2 ] && [ "$1" != -o ]; do shift; done'
+    instead_of_cc(tmp_path, f'{last_two}; case "$2" in {built} *.o) : > "$2";; esac', monkeypatch)
     source = tmp_path / "source"
     checkout(source)
     machine = Below(tmp_path / "root", sys.stdout)
@@ -114,7 +116,11 @@ def test_wheel_and_source_archive_hold_what_they_should(tmp_path: Path, monkeypa
     (archive,) = (tmp_path / "dist").glob("*.tar.gz")
     names = zipfile.ZipFile(wheel).namelist()
     assert wheel.stem.endswith(f"-py3-none-linux_{platform.machine()}")
-    assert {"estimator/core/libdecklander.so.1", "estimator/core/interface.h", "estimator/core/kalman.c"} <= set(names)
+    assert {
+        *(library.file.relative_to(core.ROOT).as_posix() for library in core.LIBRARIES),
+        "estimator/core/interface.h",
+        "estimator/core/base/kalman.c",
+    } <= set(names)
     tops = {name.split("/")[0] for name in names if ".dist-info/" not in name}
     assert tops == {"companion", "drivers", "estimator", "sitl", "configs"}
     assert [name for name in names if "/test_" in name] == []

@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from estimator.core.interface.render import PAD_EDGE
-from estimator.core.library import CORE, Core, load
+from estimator.core.library import Core, load
+from sitl.core.library import CORE
 from sitl.native import address
 from supply import core
-from tests.support.part_of_core import WITH_HEADERS, part
 
 H, W, TAPS = 10, 24, np.array([40000, 12000, 768], np.uint16)
 
@@ -78,8 +78,8 @@ def smeared(library: Core, rng: np.random.Generator) -> NDArray[Any]:
 @pytest.fixture(scope="module")
 def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Core:
     folder: Path = tmp_path_factory.mktemp("core")
-    renderer = part(folder / "part", "render_*.c")
-    return load(str(core.build(folder / "one_by_one.so", ("-DLANES_ONE_BY_ONE", "-O0", WITH_HEADERS), renderer)))
+    renderer = core.SIMULATED.part("base/digest.c", "render/*.c", "sea/*.c")
+    return load(str(core.build(renderer, folder / "one_by_one.so", ("-DLANES_ONE_BY_ONE", "-O0"))))
 
 
 @pytest.mark.parametrize("step", [deck, exposed, imaged, smeared])

@@ -33,4 +33,4 @@ def test_one_for_another_machine_or_a_newer_glibc_is_refused() -> None:
 def test_another_architecture_needs_zig(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(core.BuildError, match=r"another architecture.*compiler\.txt"):
-        core.build(architecture="aarch64")
+        core.build(core.FLYING, architecture="aarch64")

@@ -18,7 +18,7 @@ CONSTANTS = {name: value for part in _PARTS for name, value in part.CONSTANTS.it
 STRUCTS: dict[str, tuple[Field, ...]] = {name: members for part in _PARTS for name, members in part.STRUCTS.items()}
 """The structures, without padding: every member is of eight bytes."""
 FUNCTIONS = (
-    Function("core_digest", "uint32_t", "void", "core.c"),
+    Function("core_digest", "uint32_t", "void", "estimator/core/base/digest.c"),
     *(function for part in _PARTS for function in part.FUNCTIONS),
 )
 """Every function that Python calls. Matrices are row-major; what a function writes overlaps nothing that it reads."""

@@ -72,20 +72,20 @@ FUNCTIONS = (
         "align_view",
         "int32_t",
         "const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out",
-        "align_view.c",
+        "estimator/core/vision/align/view.c",
     ),
     Function(
         "align_arrow_view",
         "void",
         "const camera_lens *c, const pad_template *p, const pad_pose *pose, frame_part *out",
-        "align_view.c",
+        "estimator/core/vision/align/view.c",
     ),
     Function(
         "align_move",
         "int32_t",
         f"const camera_lens *c, const pad_template *p, const int16_t *maps, {_FROM}"
         "const alignment *how, pad_pose *pose, double *tilt_sigmas, float *scratch",
-        "align_move.c",
+        "estimator/core/vision/align/move.c",
     ),
     Function(
         "align_fit",
@@ -93,20 +93,20 @@ FUNCTIONS = (
         f"const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, {_FROM}"
         "const frame_part *arrow_part, const uint8_t *arrow_px, int32_t arrow_stride, const pad_pose *pose, "
         "double tilt_sigmas, const double *cut, const frame_quality *of, float *scratch, aligned_pad *out",
-        "align_fit.c",
+        "estimator/core/vision/align/fit.c",
     ),
     Function(
         "frame_noise",
         "void",
         "const uint8_t *px, int32_t stride, int32_t width, int32_t height, frame_quality *out",
-        "frame_noise.c",
+        "estimator/core/vision/frame_noise.c",
     ),
     Function(
         "align_cover",
         "int32_t",
         f"const camera_lens *c, const pad_template *p, const int16_t *maps, {_FROM}"
         "const pad_pose *pose, float *scratch, cover_line *out",
-        "align_cover.c",
+        "estimator/core/vision/align/cover.c",
     ),
 )
 """Functions of alignment."""

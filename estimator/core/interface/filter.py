@@ -141,28 +141,33 @@ numbers of pad and deck where it has a pad, and of the body where it has a body;
 products of the numbers of these rows and of the first one's change. A `deck_ahead` has what `Forecast` has for one horizon."""
 
 FUNCTIONS = (
-    Function("nis_of", "int32_t", "int32_t m, const double *innov, const double *S, double *nis", "kalman.c"),
+    Function("nis_of", "int32_t", "int32_t m, const double *innov, const double *S, double *nis", "estimator/core/base/kalman.c"),
     Function(
         "kalman_predict",
         "void",
         "int32_t n, const double *P, const double *F, const double *Q, double *P_after",
-        "kalman.c",
+        "estimator/core/base/kalman.c",
     ),
     Function(
         "kalman_correct",
         "int32_t",
         "int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, "
         "double *dx, double *P_after, double *S, double *nis",
-        "kalman.c",
+        "estimator/core/base/kalman.c",
     ),
-    Function("remove_attitude", "void", "int32_t m, double *cov, const double *J, const double *cov_attitude", "symmetric.c"),
-    Function("bank_begin", "void", "const bank_members *m, sea *after", "bank.c"),
+    Function(
+        "remove_attitude",
+        "void",
+        "int32_t m, double *cov, const double *J, const double *cov_attitude",
+        "estimator/core/base/symmetric.c",
+    ),
+    Function("bank_begin", "void", "const bank_members *m, sea *after", "estimator/core/filter/bank.c"),
     Function(
         "bank_observe",
         "void",
         "const filter_params *o, int64_t t, const double *y, const double *var, double ins_var, double reach_m, "
         "const sea *before, sea *after",
-        "bank.c",
+        "estimator/core/filter/bank.c",
     ),
     Function(
         "filter_run",
@@ -170,46 +175,46 @@ FUNCTIONS = (
         "const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before, "
         "const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after, int64_t *P_index, "
         "int64_t *sea_index, outcome *outcomes",
-        "filter.c",
+        "estimator/core/filter/run.c",
     ),
     Function(
         "filter_propagate",
         "int32_t",
         "const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before, belief *after, "
         "double *P_after",
-        "filter.c",
+        "estimator/core/filter/run.c",
     ),
     Function(
         "filter_settle",
         "void",
         "const filter_params *o, const belief *before, belief *after, double *F, double *Q",
-        "filter.c",
+        "estimator/core/filter/run.c",
     ),
     Function(
         "sighting_model",
         "int32_t",
         "const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only, "
         "double *innov, double *H, double *R, double *by_rate",
-        "sighting.c",
+        "estimator/core/filter/sighting.c",
     ),
     Function(
         "bank_reach",
         "void",
         "const bank_members *m, int32_t n, const double *horizons_s, horizon_reach *out",
-        "bank_ahead.c",
+        "estimator/core/filter/bank_ahead.c",
     ),
     Function(
         "filter_forecast",
         "int32_t",
         "const filter_params *o, int64_t t, const belief *before, const double *P_before, const sea *bank, int32_t n, "
         "const double *horizons_s, const horizon_reach *reach, deck_ahead *out",
-        "forecast.c",
+        "estimator/core/filter/forecast.c",
     ),
     Function(
         "filter_answer",
         "void",
         "const filter_params *o, int64_t t, const belief *before, const double *P_before, answer *out",
-        "answer.c",
+        "estimator/core/filter/answer.c",
     ),
 )
 """Functions of the filter's algebra, of the bank and of the filter."""

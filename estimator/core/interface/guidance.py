@@ -48,13 +48,13 @@ FUNCTIONS = (
         "void",
         "const law_params *o, const double *observer, double dt, double arrived, const law_axis *before, const axis_measured *z, "
         "law_axis *after",
-        "law_axis.c",
+        "estimator/core/law/axis.c",
     ),
     Function(
         "law_tilt",
         "double",
         "const law_axis *x, const law_gains *gains, double off_m, double a_deck, double a_deck_then",
-        "law_axis.c",
+        "estimator/core/law/axis.c",
     ),
     Function(
         "law_step",
@@ -62,7 +62,7 @@ FUNCTIONS = (
         "const law_params *o, const law_gains *gains, const law_gains *gains_before, const double *observer, "
         "const law_cycle *in, const double *horizons_s, const double *rates_m_s, const law_memory *before, law_memory *after, "
         "law_command *out",
-        "law.c",
+        "estimator/core/law/law.c",
     ),
 )
 """One axis of the law, which its stability margins ask too, and one whole cycle."""

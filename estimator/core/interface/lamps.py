@@ -31,13 +31,13 @@ is expected. In `lamps_seen`, `cov` is of the place and of a small rotation of t
 these spots are the pad's lamps and no other lights; `uv_px` has the `lit` spots that are lamps."""
 
 FUNCTIONS = (
-    Function("lamps_room", "int64_t", "const camera_lens *camera", "lamps.c"),
+    Function("lamps_room", "int64_t", "const camera_lens *camera", "estimator/core/vision/lamps/lamps.c"),
     Function(
         "find_lamps",
         "int32_t",
         "const camera_lens *camera, const uint8_t *frame, const uint16_t *light, const lamp_pattern *pad, "
         "const tilt_prior *prior, const lamps_expected *at, uint32_t *scratch, lamps_seen *out",
-        "lamps.c",
+        "estimator/core/vision/lamps/lamps.c",
     ),
 )
 """The functions of lamps. `light` has the linear light of each value of a pixel, full scale 65535; `at` may be null; `scratch`

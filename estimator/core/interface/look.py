@@ -49,7 +49,7 @@ FUNCTIONS = (
         "const int16_t *maps, const int16_t *local_maps, const pad_judge *judge, const tilt_prior *prior, "
         "const fit_options *fit, const frame_quality *quality, const look_options *how, const pad_paint *known, "
         "const double *start, int32_t room, float *scratch, uint8_t *parts, looked_pad *out, double *outline",
-        "look.c",
+        "estimator/core/vision/look/look.c",
     ),
 )
 """The function of a look. Its parameters are those of `register_pad` and of alignment: `light` is a table of linear light,

@@ -112,9 +112,11 @@ FUNCTIONS = (
         "const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad, "
         "int32_t points, const double *edges, const int32_t *edge_of, const tilt_prior *prior, const fit_options *o, "
         "const double *start, int32_t room, float *scratch, registration *out, double *outline",
-        "register.c",
+        "estimator/core/vision/register/register.c",
     ),
-    Function("sighting_in_level", "void", "const camera_sighting *in, level_sighting *out", "sighting_level.c"),
+    Function(
+        "sighting_in_level", "void", "const camera_sighting *in, level_sighting *out", "estimator/core/vision/sighting_level.c"
+    ),
 )
 """The functions of registration. `rays` are those of all pixels if the lens distorts, else null; `light` is the linear light of
 each pixel value; `edges` has place, normal and distance to the next of each point of an edge, `edge_of` its kind and piece;

@@ -77,46 +77,46 @@ FUNCTIONS = (
         "render_meet",
         "void",
         "int32_t count, const float *rays, const double *plane_from_ray, double most, float *places",
-        "render_meet.c",
+        "sitl/core/render/meet.c",
     ),
     Function(
         "render_bounds",
         "void",
         "int32_t h, int32_t w, const uint8_t *mask, int32_t *covered, int32_t *open",
-        "render_bounds.c",
+        "sitl/core/render/bounds.c",
     ),
     Function(
         "render_deck",
         "void",
         "int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns, const uint16_t *texels, "
         "int32_t texel_rows, int32_t texel_columns, const uint8_t *mask, uint16_t *scene",
-        "render_deck.c",
+        "sitl/core/render/deck.c",
     ),
     Function(
         "render_fill",
         "void",
         "int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *mask, const uint16_t *colour, uint16_t *scene",
-        "render_deck.c",
+        "sitl/core/render/deck.c",
     ),
     Function(
         "render_shadow",
         "void",
         "int32_t h, int32_t w, const float *cells, int32_t columns, const float *shape, float soft, float share, "
         "const uint8_t *mask, int16_t *gain, int32_t *part",
-        "render_shadow.c",
+        "sitl/core/render/shadow.c",
     ),
     Function(
         "render_smear",
         "void",
         "int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights, "
         "uint16_t *smeared",
-        "render_smear.c",
+        "sitl/core/render/smear.c",
     ),
     Function(
         "render_average",
         "void",
         "int32_t h, int32_t w, const uint16_t *scene, const int32_t *shifts, uint16_t *averaged",
-        "render_smear.c",
+        "sitl/core/render/smear.c",
     ),
     Function(
         "render_sea",
@@ -125,28 +125,28 @@ FUNCTIONS = (
         "int32_t columns, const int16_t *small_texels, const int16_t *large_texels, const int16_t *caps_texels, "
         "const int16_t *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow, "
         "const double *outlines, const int32_t *outline_points, const float *soft_m, uint8_t *codes",
-        "render_sea.c",
+        "sitl/core/sea/surface.c",
     ),
     Function(
         "render_swell",
         "void",
         "int32_t rows, int32_t columns, const float *rays, const double *R_ned_cam, const double *plane_from_ray, "
         "const double *to_sun, double t_s, int32_t harmonics, const wave *waves, float *light",
-        "render_swell.c",
+        "sitl/core/sea/swell.c",
     ),
     Function(
         "render_water",
         "void",
         "int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours, "
         "const uint8_t *mask, uint16_t *scene",
-        "render_sea.c",
+        "sitl/core/sea/surface.c",
     ),
     Function(
         "render_pad_kinds",
         "int32_t",
         "int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *middles, const float *whole, "
         "int32_t rolling, int32_t regions, const float *pad, uint8_t *kinds, int32_t *edges",
-        "render_pad.c",
+        "sitl/core/render/pad.c",
     ),
     Function(
         "render_pad_shares",
@@ -154,7 +154,7 @@ FUNCTIONS = (
         "int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes, "
         "const float *stroke_numbers, int32_t rolling, int32_t regions, const float *pad, int32_t fine, int32_t count, "
         "const int32_t *edges, float *shares, float *parts",
-        "render_pad_shares.c",
+        "sitl/core/render/pad_shares.c",
     ),
     Function(
         "render_pad_lens",
@@ -163,35 +163,35 @@ FUNCTIONS = (
         "const float *shares, int32_t fine, const float *parts, int32_t reach, const float *exact, const float *sampled, "
         "const uint16_t *scene, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int32_t *places, "
         "float *room, int16_t *added",
-        "render_pad_lens.c",
+        "sitl/core/render/pad_lens.c",
     ),
     Function(
         "render_expose",
         "void",
         "int32_t pixels, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure, "
         "const uint16_t *pad_scene, int16_t *light",
-        "render_light.c",
+        "sitl/core/render/light.c",
     ),
     Function(
         "render_mix",
         "void",
         "int32_t edges, const int32_t *where, const float *shares, const uint16_t *scene, const int16_t *gain, "
         "const float *exposure, const uint16_t *pad_scene, int16_t *light",
-        "render_light.c",
+        "sitl/core/render/light.c",
     ),
     Function(
         "render_blur",
         "void",
         "int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window, "
         "const int16_t *added, uint16_t *scratch, int16_t *out",
-        "render_lens.c",
+        "sitl/core/render/lens.c",
     ),
     Function(
         "render_frame",
         "void",
         "int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window, "
         "const int16_t *added, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame",
-        "render_lens.c",
+        "sitl/core/render/lens.c",
     ),
     Function(
         "render_image",
@@ -200,7 +200,7 @@ FUNCTIONS = (
         "const uint16_t *pad_scene, int32_t edges, const int32_t *where, const float *shares, int32_t radius, "
         "const uint16_t *taps, const int32_t *window, const int16_t *added, const uint8_t *noise, const uint8_t *codes, "
         "uint16_t *scratch, uint8_t *frame",
-        "render_lens.c",
+        "sitl/core/render/lens.c",
     ),
 )
 """Functions that render a frame, stage by stage."""

@@ -74,54 +74,54 @@ FUNCTIONS = (
         "search_room",
         "int64_t",
         "const search_image *image",
-        "search_circles.c",
+        "estimator/core/vision/search/circles.c",
     ),
     Function(
         "search_circles",
         "int32_t",
         "const search_image *image, const uint8_t *grey, const float *rays, const search_radii *radii, float *scratch, "
         "search_circle *out",
-        "search_circles.c",
+        "estimator/core/vision/search/circles.c",
     ),
     Function(
         "search_heading",
         "int32_t",
         "const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int32_t width, int32_t height, "
         "const uint8_t *px, int32_t stride, const double *side, polar_fit *out",
-        "search_heading.c",
+        "estimator/core/vision/search/heading.c",
     ),
     Function(
         "search_guesses",
         "int32_t",
         "const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels, int32_t circles, "
         "const search_circle *circle, int64_t *rated, const search_guess *before, int32_t most, search_guess *out",
-        "search_guesses.c",
+        "estimator/core/vision/search/guesses.c",
     ),
     Function(
         "search_strokes_room",
         "int64_t",
         "const strokes_image *image",
-        "search_strokes.c",
+        "estimator/core/vision/search/strokes.c",
     ),
     Function(
         "search_strokes",
         "int32_t",
         "const camera_lens *c, const strokes_image *image, const pad_strokes *h, const uint8_t *px, float *scratch, "
         "int32_t most, search_guess *out",
-        "search_strokes.c",
+        "estimator/core/vision/search/strokes.c",
     ),
     Function(
         "search_blobs_room",
         "int64_t",
         "const blob_image *image",
-        "search_blobs.c",
+        "estimator/core/vision/search/blobs.c",
     ),
     Function(
         "search_blobs",
         "int32_t",
         "const camera_lens *c, const blob_image *image, const uint8_t *half, const uint8_t *full, float *scratch, "
         "search_circle *out",
-        "search_blobs.c",
+        "estimator/core/vision/search/blobs.c",
     ),
 )
 """Functions of the search. `rays` are those of the corners of the blocks, (rows + 1, columns + 1, 2); `scratch` has the floats

@@ -103,33 +103,33 @@ FUNCTIONS = (
         "const vehicle_params *o, vehicle *v, const sensor_params *e, sensors *s, water *sea, int32_t harmonics, "
         "const wave *waves, int32_t n, const deck *decks, const double *noise, const double *air_noise, "
         "const double *sensor_noise",
-        "sim_run.c",
+        "sitl/core/physics/run.c",
     ),
     Function(
         "vehicle_step",
         "void",
         "const vehicle_params *o, vehicle *v, const deck *g, double sea_z, double sea_vz, const double *noise, "
         "const double *air_noise",
-        "sim_vehicle.c",
+        "sitl/core/physics/vehicle.c",
     ),
-    Function("vehicle_carry", "void", "vehicle *v, const deck *g", "sim_vehicle.c"),
+    Function("vehicle_carry", "void", "vehicle *v, const deck *g", "sitl/core/physics/vehicle.c"),
     Function(
         "sensors_read",
         "void",
         "const vehicle_params *o, const vehicle *v, const sensor_params *e, const sensors *s, readings *out",
-        "sim_sensors.c",
+        "sitl/core/physics/sensors.c",
     ),
     Function(
         "vessel_moved",
         "void",
         "int32_t harmonics, const harmonic *h, int32_t n, const double *t_s, vessel_motion *out",
-        "sim_vessel.c",
+        "sitl/core/physics/vessel.c",
     ),
     Function(
         "vessel_mounted",
         "void",
         "int32_t n, const vessel_origin *origin, const vessel_motion *m, const mount *at, mounted *out",
-        "sim_vessel.c",
+        "sitl/core/physics/vessel.c",
     ),
 )
 """Functions that step a simulated vehicle and its sensors, and tell a vessel's motion at some times: about her steady course, by

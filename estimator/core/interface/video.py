@@ -21,12 +21,23 @@ STRUCTS: dict[str, tuple[Field, ...]] = {"uvlc_picture": integers("width", "heig
 """The structures. A `uvlc_picture` is a picture's header: `intra` is 1 if the picture needs no other one."""
 
 FUNCTIONS = (
-    Function("uvlc_header", "int32_t", "const uint8_t *data, int32_t bytes, uvlc_picture *picture", "uvlc_decode.c"),
     Function(
-        "uvlc_decode", "int32_t", "const uint8_t *data, int32_t bytes, const uvlc_picture *picture, uint8_t *bgr", "uvlc_decode.c"
+        "uvlc_header",
+        "int32_t",
+        "const uint8_t *data, int32_t bytes, uvlc_picture *picture",
+        "estimator/core/video/uvlc_decode.c",
     ),
     Function(
-        "uvlc_encode", "int32_t", "const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out", "uvlc_encode.c"
+        "uvlc_decode",
+        "int32_t",
+        "const uint8_t *data, int32_t bytes, const uvlc_picture *picture, uint8_t *bgr",
+        "estimator/core/video/uvlc_decode.c",
+    ),
+    Function(
+        "uvlc_encode",
+        "int32_t",
+        "const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out",
+        "sitl/core/video/uvlc_encode.c",
     ),
 )
 """Functions of the AR.Drone 1.0's video."""

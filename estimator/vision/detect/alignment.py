@@ -4,7 +4,7 @@ The frame near the pad is modelled as a mixture of four paints (H, orange, disc,
 each paint in every pixel. Light is additive, so for a given pose the paints follow by linear least squares under any
 illumination. The pose then follows the model's gradient (Lucas and Kanade 1981, as compositional alignment with the drawing as
 template, and with Cauchy weights against occlusion and glare). The result is near enough for edge-based registration to start,
-and it holds the inputs of the confidence classifier. The native core computes it (`estimator/core/align_*.c`).
+and it holds the inputs of the confidence classifier. The native core computes it (`estimator/core/vision/align/`).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 From afar the pad is some pixels across, and a belief that is off by two of them starts neither alignment nor the search for what
 covers a part. A pad in glare or half covered is looked for at each place about the expected one, with the whole disc and with
-each half of it (`pose_about`). The native core computes the guesses (`estimator/core/search_guesses.c`, `search_tilt.c`).
+each half of it (`pose_about`). The native core computes the guesses (`estimator/core/vision/search/guesses.c`, `tilt.c`).
 """
 
 from __future__ import annotations

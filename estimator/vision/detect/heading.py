@@ -2,7 +2,7 @@
 
 The frame is sampled in polar cells around the candidate's centre. For a given heading every cell belongs to one paint. The score
 is the fraction of the variance between the paints (one-way analysis of variance). The native core computes it
-(`estimator/core/search_heading.c`).
+(`estimator/core/vision/search/heading.c`).
 """
 
 from __future__ import annotations

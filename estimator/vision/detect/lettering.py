@@ -4,7 +4,7 @@ The H is found by its strokes if the disc's outline is out of the frame or occlu
 perpendicular directions and strokes of one width. The directions follow from the gradients (four times their angles agree), and
 the width from the commonest run of white along either direction. With both known, correlation with the H at one size and two
 headings gives its position. All of this runs on a frame a quarter the size, in the native core
-(`estimator/core/search_strokes.c`).
+(`estimator/core/vision/search/strokes.c`).
 
 A pad of lettering alone has neither circle nor disc. The share that its lettering fills of its convex hull is the same at any
 heading, size and tilt, and sorts components out; area and centroid give the place, and the drawing the heading.

@@ -62,7 +62,7 @@ def learn(memory: PaintMemory, shown: PaintMemory, confidence: float) -> PaintMe
     """Return the memory after a frame that may show the pad; a doubtful frame changes nothing.
 
     Args:
-        shown: what is known if this is the pad (`estimator/core/look_paint.c`).
+        shown: what is known if this is the pad (`estimator/core/vision/look/paint.c`).
         confidence: that it is, 0..1.
     """
     return shown if confidence >= LEARNED_AT else memory

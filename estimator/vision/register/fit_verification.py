@@ -3,7 +3,7 @@
 A helipad of other proportions resembles the pad while the drawing is aligned roughly. Once the H fits to a fraction of a pixel,
 its ring or the disc's edge does not.
 
-The native core computes the model's inputs (`estimator/core/look_evidence.c`); their weights are here.
+The native core computes the model's inputs (`estimator/core/vision/look/evidence.c`); their weights are here.
 """
 
 from __future__ import annotations

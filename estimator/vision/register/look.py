@@ -1,6 +1,6 @@
 """Look at where the pad may lie: register the drawing from a start pose, verify it there, and bring it to level.
 
-The native core does all of it in one call (`estimator/core/look.c`).
+The native core does all of it in one call (`estimator/core/vision/look/look.c`).
 """
 
 from __future__ import annotations

@@ -19,8 +19,7 @@ FLAGS = [
     "-std=c99",
     "-O3",
     "-ffp-contract=off",
-    f"-I{core.FOLDER}",
-    *map(str, sorted(core.FOLDER.glob("*.c"))),
+    *core.all_in_one(),
     str(CALLS),
     "-lm",
 ]

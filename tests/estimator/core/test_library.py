@@ -14,10 +14,11 @@ import pytest
 from estimator.contracts.errors import SetupImpossible
 from estimator.core import interface
 from estimator.core.library import CORE, address, load
+from sitl.core.library import CORE as SIM_CORE
 from supply import core
-from tests.support.part_of_core import WITH_HEADERS, part
 
 ROOT = Path(__file__).parents[3]
+DIGEST_ALONE = core.FLYING.part("base/digest.c")
 
 
 def test_the_header_is_made_of_the_interface() -> None:
@@ -26,9 +27,10 @@ def test_the_header_is_made_of_the_interface() -> None:
 
 def test_every_function_is_defined_in_its_file_and_declared_to_python() -> None:
     for function in interface.FUNCTIONS:
-        assert re.search(rf"^\w+ {function.name}\(", (core.FOLDER / function.source).read_text(), re.MULTILINE), function
+        assert re.search(rf"^\w+ {function.name}\(", (ROOT / function.source).read_text(), re.MULTILINE), function
         parameters = 0 if function.parameters == "void" else function.parameters.count(",") + 1
-        assert len(CORE.function(function.name).argtypes) == parameters
+        library = SIM_CORE if function.source.startswith("sitl/") else CORE
+        assert len(library.function(function.name).argtypes) == parameters
     with pytest.raises(KeyError, match="no function 'take_off'"):
         CORE.function("take_off")
 
@@ -36,11 +38,11 @@ def test_every_function_is_defined_in_its_file_and_declared_to_python() -> None:
 def test_a_missing_library_or_one_of_another_interface_is_refused_with_the_cure(tmp_path: Path) -> None:
     with pytest.raises(SetupImpossible, match=r"none\.so cannot be loaded .*make core"):
         load(str(tmp_path / "none.so"))
-    (tmp_path / "torn.so").write_bytes(core.LIBRARY.read_bytes()[:100])
+    (tmp_path / "torn.so").write_bytes(core.FLYING.file.read_bytes()[:100])
     with pytest.raises(SetupImpossible, match=r"torn\.so cannot be loaded .*make core"):
         load(str(tmp_path / "torn.so"))
-    flags = (WITH_HEADERS, f"-DINTERFACE_DIGEST={interface.digest() ^ 1}u")
-    other = core.build(tmp_path / "other.so", flags, part(tmp_path / "part"))
+    flags = (f"-DINTERFACE_DIGEST={interface.digest() ^ 1}u",)
+    other = core.build(DIGEST_ALONE, tmp_path / "other.so", flags)
     with pytest.raises(SetupImpossible, match=rf"built for interface {interface.digest() ^ 1:08x}, this code needs .*make core"):
         load(str(other))
 
@@ -67,17 +69,16 @@ def test_without_a_compiler_the_build_names_both(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(shutil, "which", lambda _: None)
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(core.BuildError, match=r"apt install gcc.*compiler\.txt"):
-        core.build()
+        core.build(core.FLYING)
 
 
 def test_a_source_that_the_compiler_refuses_leaves_the_library_as_it_was(tmp_path: Path) -> None:
     out = tmp_path / "libdecklander.so.1"
     out.write_bytes(b"before")
-    sources = part(tmp_path / "part")
     with pytest.raises(core.BuildError, match="INTERFACE_DIGEST"):
-        core.build(out, (WITH_HEADERS, "-DINTERFACE_DIGEST=("), sources)
+        core.build(DIGEST_ALONE, out, ("-DINTERFACE_DIGEST=(",))
     assert out.read_bytes() == b"before"
-    assert sorted(tmp_path.iterdir()) == sorted([out, sources])
+    assert list(tmp_path.iterdir()) == [out]
 
 
 def test_an_array_that_c_would_misread_is_refused() -> None:
@@ -89,9 +90,9 @@ def test_an_array_that_c_would_misread_is_refused() -> None:
 
 
 def test_the_core_runs_clean_under_the_sanitizers(tmp_path: Path) -> None:
-    flags = ["-std=c99", "-g", "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{core.FOLDER}"]
+    flags = ["-std=c99", "-g", "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     program = tmp_path / "exercise"
-    command = [*core.compiler(), *flags, *map(str, [*sorted(core.FOLDER.glob("*.c")), ROOT / "tests/estimator/core/exercise.c"])]
+    command = [*core.compiler(), *flags, *core.all_in_one(), str(ROOT / "tests/estimator/core/exercise.c")]
     built = subprocess.run([*command, "-o", str(program), "-lm"], capture_output=True, text=True, check=False)
     if built.returncode != 0 and re.search("sanitize|asan|ubsan", built.stderr):
         pytest.skip("this compiler has no sanitizers")

@@ -57,7 +57,7 @@ _PREDICT, _CORRECT = CORE.function("kalman_predict"), CORE.function("kalman_corr
 
 
 class Algebra:
-    """Linear algebra for error states of one size, done by the native core (estimator/core/kalman.c).
+    """Linear algebra for error states of one size, done by the native core (estimator/core/base/kalman.c).
 
     Source: Labbe, Kalman and Bayesian Filters in Python, 2020, ch. 11; Joseph form: Bar-Shalom, Li, Kirubarajan, Estimation
     with Applications to Tracking and Navigation, 2001, eq. 5.2.3-18.

@@ -1,4 +1,4 @@
-"""What the filter says of an instant, in numpy: the oracle of estimator/core/answer.c."""
+"""What the filter says of an instant, in numpy: the oracle of estimator/core/filter/answer.c."""
 
 from __future__ import annotations
 

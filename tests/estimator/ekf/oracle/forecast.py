@@ -1,4 +1,4 @@
-"""Forecast of the deck in numpy: the oracle of estimator/core/forecast.c and bank_ahead.c."""
+"""Forecast of the deck in numpy: the oracle of estimator/core/filter/forecast.c and bank_ahead.c."""
 
 from __future__ import annotations
 

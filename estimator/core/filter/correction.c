@@ -1,0 +1,104 @@
+#include "filter/correction.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "base/rotation.h"
+
+void pad_velocity(const double x[N], double v[3])
+{
+    v[0] = x[SURGING] + x[VESSEL_VEL] + x[SWAY_PER_HEAVE] * x[HEAVING];
+    v[1] = x[SWAYING] + x[VESSEL_VEL + 1] + x[SWAY_PER_HEAVE + 1] * x[HEAVING];
+    v[2] = x[HEAVING];
+}
+
+void pad_axes(double pitch, double yaw, double by_roll[3], double by_pitch[3])
+{
+    by_roll[0] = cos(yaw) * cos(pitch), by_roll[1] = sin(yaw) * cos(pitch), by_roll[2] = -sin(pitch);
+    by_pitch[0] = -sin(yaw), by_pitch[1] = cos(yaw), by_pitch[2] = 0.0;
+}
+
+/* P = T P T' where T adds A theta to the three states from `state` on. */
+static void add_attitude(double *P, int state, const double A[9])
+{
+    for (int k = 0; k < N; k++) {
+        const double column[3] = {AT(P, ATT_ERR, k), AT(P, ATT_ERR + 1, k), AT(P, ATT_ERR + 2, k)};
+        for (int i = 0; i < 3; i++) {
+            AT(P, state + i, k) += dot(A + 3 * i, column);
+        }
+    }
+    for (int k = 0; k < N; k++) {
+        const double row[3] = {AT(P, k, ATT_ERR), AT(P, k, ATT_ERR + 1), AT(P, k, ATT_ERR + 2)};
+        for (int i = 0; i < 3; i++) {
+            AT(P, k, state + i) += dot(A + 3 * i, row);
+        }
+    }
+}
+
+/* The pad was seen from the body: its corrected place leans as the body does, by whatever the attitude is off. Otherwise corrections
+ * to and fro would teach the filter a tilt that nothing shows (Barrau, Bonnabel, The invariant extended Kalman filter as a stable
+ * observer, IEEE Trans. Automatic Control 62(4), 2017; docs/decisions/056-a-place-leans-with-the-attitude.md). */
+static void lean(const double R[9], const double dx[N], double *P)
+{
+    const double back[3] = {-dx[POS_REL], -dx[POS_REL + 1], -dx[POS_REL + 2]};
+    double across[9], A[9];
+    skew(back, across);
+    product(across, R, A);
+    add_attitude(P, POS_REL, A);
+}
+
+/* The error is an error about the turned attitude, so its axes turn by half the step (Sola, Quaternion kinematics for the error-state
+ * Kalman filter, 2017, eq. 287). */
+static void turn_axes(const double dx[N], double *P)
+{
+    const double half[3] = {-0.5 * dx[ATT_ERR], -0.5 * dx[ATT_ERR + 1], -0.5 * dx[ATT_ERR + 2]};
+    double A[9];
+    skew(half, A);
+    add_attitude(P, ATT_ERR, A);
+}
+
+void correct_belief(belief *b, covariance *c, const double dx[N], double *P)
+{
+    double turn[9], R[9];
+    lean(b->R, dx, P);
+    turn_axes(dx, P);
+    for (int i = 0; i < N; i++) {
+        b->x[i] += dx[i];
+    }
+    memset(b->x + ATT_ERR, 0, 3 * sizeof(double));
+    b->x[PAD_YAW] = wrapped(b->x[PAD_YAW]);
+    b->x[VEL_SCALE] = fmin(fmax(b->x[VEL_SCALE], 0.2), 3.0);
+    exp_rotation(dx + ATT_ERR, turn);
+    product(b->R, turn, R);
+    memcpy(b->R, R, sizeof R);
+    memcpy(b->R_cov, R, sizeof R);
+    c->P = P;
+}
+
+double *changeable(covariance *c)
+{
+    double *P = free_place(c);
+    memcpy(P, c->P, N * N * sizeof *P);
+    c->P = P;
+    return P;
+}
+
+void forget_state(double *P, int state, double var)
+{
+    for (int k = 0; k < N; k++) {
+        AT(P, state, k) = AT(P, k, state) = 0.0;
+    }
+    AT(P, state, state) = var;
+}
+
+void tell(outcome *out, int verdict, int m, int axes, const double *innov, const double *S)
+{
+    out->verdict = verdict;
+    out->m = m;
+    out->axes = axes;
+    out->has_S = S != NULL;
+    memcpy(out->innov, innov, (size_t)m * sizeof *innov);
+    if (S != NULL) {
+        memcpy(out->S, S, (size_t)(m * m) * sizeof *S);
+    }
+}

@@ -1,0 +1,224 @@
+#include "filter/gathering.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "filter/correction.h"
+#include "base/rotation.h"
+
+/* Length of a rejection streak after which a kind of aiding is accepted again, with what it contradicts made uncertain. */
+static const double STUCK_S = 1.0;
+
+/* The bits of an axis mask for forward and right. */
+enum { HORIZONTAL = 3 };
+
+/* The states on which each kind of aiding depends; a row of a Jacobian holds their derivatives in this order. */
+static const int ATTITUDE_BY[] = {ATT_ERR, ATT_ERR + 1, ATT_ERR + 2, ATT_BIAS, ATT_BIAS + 1};
+static const int VELOCITY_BY[] = {ATT_ERR, ATT_ERR + 1, ATT_ERR + 2, VEL, VEL + 1, VEL + 2, VESSEL_VEL, VESSEL_VEL + 1, SURGING,
+                                  SWAYING, HEAVING, SWAY_PER_HEAVE, SWAY_PER_HEAVE + 1, VEL_SCALE};
+static const int RANGE_BY[] = {ATT_ERR, ATT_ERR + 1, ATT_ERR + 2, POS_REL, POS_REL + 1, POS_REL + 2, ROLL, DECK_TRIM, PITCH,
+                               DECK_TRIM + 1, PAD_YAW, RANGE_OFFSET};
+static const int HEIGHT_BY[] = {POS_REL + 2, HEAVE, BARO_OFFSET};
+static const int *const BY[] = {ATTITUDE_BY, VELOCITY_BY, RANGE_BY, HEIGHT_BY};
+#define SIZE_OF(list) ((int)(sizeof(list) / sizeof *(list)))
+static const int BY_SIZE[] = {SIZE_OF(ATTITUDE_BY), SIZE_OF(VELOCITY_BY), SIZE_OF(RANGE_BY), SIZE_OF(HEIGHT_BY)};
+
+void spread_of(int m, int kind, const double *H, const double *P, double *out)
+{
+    const int *by = BY[kind], size = BY_SIZE[kind];
+    for (int i = 0; i < m; i++) {
+        double HP[COLUMNS_MAX];
+        for (int k = 0; k < size; k++) {
+            HP[k] = 0.0;
+            for (int l = 0; l < size; l++) {
+                HP[k] += H[i * COLUMNS_MAX + l] * AT(P, by[l], by[k]);
+            }
+        }
+        for (int j = 0; j < m; j++) {
+            out[i * m + j] = 0.0;
+            for (int k = 0; k < size; k++) {
+                out[i * m + j] += HP[k] * H[j * COLUMNS_MAX + k];
+            }
+        }
+    }
+}
+
+/* Samples from before a pause: their innovations belong to a state long past. */
+static int is_stale(const filter_params *o, const aid *a, int64_t t)
+{
+    return seconds(a->since, t) > 2.0 * o->aiding_period_s;
+}
+
+void fuse_gathered(const filter_params *o, belief *b, covariance *c)
+{
+    double innov[ROWS_MAX], H[ROWS_MAX * N], R[ROWS_MAX * ROWS_MAX], S[ROWS_MAX * ROWS_MAX], dx[N], nis;
+    int m = 0;
+    for (int kind = 0; kind < KINDS; kind++) {
+        const aid *a = &b->aids[kind];
+        m += a->n > 0 && !is_stale(o, a, b->t) ? (int)a->m : 0;
+    }
+    propagate_covariance(o, b, c);
+    memset(H, 0, sizeof H);
+    memset(R, 0, sizeof R);
+    int at = 0;
+    for (int kind = 0; kind < KINDS; kind++) {
+        aid *a = &b->aids[kind];
+        if (a->n > 0 && !is_stale(o, a, b->t)) {
+            /* Errors with correlation time tau leave one independent sample in 2 tau, however many samples there are. */
+            const double window = a->fused >= 0 ? seconds(a->fused, b->t) : INFINITY;
+            const double inflation = fmax(1.0 / (double)a->n, 2.0 * o->correlation_s[kind] / fmax(window, 1e-3));
+            const int rows = (int)a->m;
+            for (int i = 0; i < rows; i++) {
+                innov[at + i] = a->innov[i] / (double)a->n;
+                for (int k = 0; k < BY_SIZE[kind]; k++) {
+                    AT(H, at + i, BY[kind][k]) = a->H[i * COLUMNS_MAX + k];
+                }
+                for (int j = 0; j < rows; j++) {
+                    const int here = i * rows + j;
+                    R[(at + i) * m + at + j] = (a->R[here] / (double)a->n + a->ambiguity[here]) * inflation;
+                }
+            }
+            at += rows;
+            a->fused = b->t;
+        }
+        a->n = 0;
+    }
+    double *place = free_place(c);
+    if (m > 0 && kalman_correct(N, m, c->P, innov, H, R, dx, place, S, &nis)) {
+        correct_belief(b, c, dx, place);
+    }
+}
+
+/* P gains var g g' */
+static void inflate_along(double *P, const double g[N], double var)
+{
+    for (int i = 0; i < N; i++) {
+        if (g[i] != 0.0) {
+            for (int j = 0; j < N; j++) {
+                AT(P, i, j) += var * g[i] * g[j];
+            }
+        }
+    }
+}
+
+/* Body and vessel drift together: their common velocity becomes uncertain. */
+static void drift_together(double *P, const double *innov)
+{
+    const double var = innov[0] * innov[0] + innov[1] * innov[1];
+    for (int i = 0; i < 2; i++) {
+        double g[N] = {0.0};
+        g[VEL + i] = g[VESSEL_VEL + i] = 1.0;
+        inflate_along(P, g, var);
+    }
+}
+
+/* Make uncertain what a rejected sensor contradicts, in directions that leave the pad's position certain. */
+static void inflate(const belief *b, covariance *c, int kind, const double *innov)
+{
+    double *P = changeable(c), g[N] = {0.0};
+    const double *x = b->x;
+    if (kind == ATTITUDE) {
+        /* All directions turn together about the vertical, as they do when the attitude source redefines north. */
+        const int turning[] = {POS_REL, VEL, VESSEL_VEL, SWAY_PER_HEAVE};
+        const double down[3] = {b->R[6], b->R[7], b->R[8]}, angle = dot(innov, down), size = fmin(dot(innov, innov), 0.1);
+        memcpy(g + ATT_ERR, down, sizeof down);
+        g[PAD_YAW] = 1.0;
+        for (int i = 0; i < 4; i++) {
+            g[turning[i]] = -x[turning[i] + 1];
+            g[turning[i] + 1] = x[turning[i]];
+        }
+        for (int i = 0; i < 4; i++) {
+            g[WAVES + i] = -x[WAVES + 4 + i];
+            g[WAVES + 4 + i] = x[WAVES + i];
+        }
+        inflate_along(P, g, angle * angle);
+        for (int i = 0; i < 3; i++) {
+            AT(P, ATT_ERR + i, ATT_ERR + i) += 0.1 * size;
+        }
+        for (int i = 0; i < 2; i++) {
+            AT(P, ATT_BIAS + i, ATT_BIAS + i) += size;
+        }
+    } else if (kind == VELOCITY) {
+        drift_together(P, innov);
+        AT(P, VEL_SCALE, VEL_SCALE) += 0.01;
+    } else if (kind == HEIGHT) {
+        AT(P, BARO_OFFSET, BARO_OFFSET) += innov[0] * innov[0];
+    }
+}
+
+void begin_gathering(aid *a, const belief *b, const covariance *c, int kind, int m, int axes, double deck_weight, const double *H,
+                     const double *ambiguity)
+{
+    a->n = 0;
+    a->since = b->t;
+    a->m = m;
+    a->axes = axes;
+    a->deck_weight = deck_weight;
+    memset(a->innov, 0, sizeof a->innov);
+    memset(a->R, 0, sizeof a->R);
+    memcpy(a->H, H, sizeof a->H);
+    spread_of(m, kind, H, c->P, a->spread);
+    for (int i = 0; i < m * m; i++) {
+        a->ambiguity[i] = ambiguity == NULL ? 0.0 : ambiguity[i];
+        a->spread[i] += a->ambiguity[i];
+    }
+}
+
+int still_gathers(const filter_params *o, const belief *b, int kind, int axes, double deck_weight)
+{
+    const aid *a = &b->aids[kind];
+    return a->n > 0 && a->axes == axes && a->deck_weight == deck_weight && !is_stale(o, a, b->t);
+}
+
+void gather(const filter_params *o, belief *b, covariance *c, int kind, const aid *begun, const double *innov, const double *R,
+            outcome *out)
+{
+    aid *a = &b->aids[kind];
+    const int m = (int)begun->m;
+    double S[9], nis;
+    for (int i = 0; i < m * m; i++) {
+        S[i] = begun->spread[i] + R[i];
+    }
+    if (!nis_of(m, innov, S, &nis)) {
+        tell(out, SINGULAR, m, (int)begun->axes, innov, S);
+        return;
+    }
+    const double nis_max = o->nis_max[m - 1];
+    tell(out, nis > nis_max ? GATED : FUSED, m, (int)begun->axes, innov, S);
+    out->nis = nis;
+    out->nis_max = nis_max;
+    if (nis > nis_max) {
+        int64_t since = a->refused >= 0 ? a->refused : b->t;
+        if (seconds(since, b->t) > STUCK_S) {
+            inflate(b, c, kind, innov);
+            since = -1;
+        }
+        a->refused = since;
+        return;
+    }
+    if (kind == VELOCITY && a->refused >= 0 && (begun->axes & HORIZONTAL) == HORIZONTAL) {
+        /* The uncertainty of coasting has grown to cover a leap, and would explain it by a tilt and a bias that do not exist. An
+         * autopilot that finds its first GNSS fix on a ship under way leaps. */
+        drift_together(changeable(c), innov);
+    }
+    const int64_t fused = a->fused;
+    *a = *begun;
+    a->fused = fused;
+    a->refused = -1;
+    a->n += 1;
+    for (int i = 0; i < m; i++) {
+        a->innov[i] += innov[i];
+    }
+    for (int i = 0; i < m * m; i++) {
+        a->R[i] += R[i];
+    }
+    int64_t first = a->since;
+    for (int other = 0; other < KINDS; other++) {
+        if (b->aids[other].n > 0 && b->aids[other].since < first) {
+            first = b->aids[other].since;
+        }
+    }
+    if (seconds(first, b->t) >= o->aiding_period_s || fused < 0) {
+        fuse_gathered(o, b, c);
+    }
+}

@@ -1,0 +1,153 @@
+#include "filter/jacobian.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "base/rotation.h"
+
+/* Each direction of the deck has displacement, rate, force and its rate. */
+enum { PER_DIRECTION = 4, DISP = WAVES, RATE = WAVES + 1, ALONG_DOWN = 2 };
+
+void rows_times(int m, const double *J, const double *F, double *JF)
+{
+    memset(JF, 0, (size_t)m * N * sizeof *JF);
+    for (int i = 0; i < m; i++) {
+        for (int k = 0; k < N; k++) {
+            const double factor = AT(J, i, k);
+            if (factor != 0.0) {
+                for (int j = 0; j < N; j++) {
+                    AT(JF, i, j) += factor * AT(F, k, j);
+                }
+            }
+        }
+    }
+}
+
+/* The columns in which any row is not zero. */
+static int columns_of(int m, const double *J, int columns[N])
+{
+    int n = 0;
+    for (int k = 0; k < N; k++) {
+        int used = 0;
+        for (int i = 0; i < m; i++) {
+            used |= AT(J, i, k) != 0.0;
+        }
+        columns[n] = k;
+        n += used;
+    }
+    return n;
+}
+
+void add_spread(int m, const double *J, const double *C, double *cov)
+{
+    int columns[N + 1];
+    const int n = columns_of(m, J, columns);
+    for (int i = 0; i < m; i++) {
+        double JC[N] = {0.0};
+        for (int k = 0; k < n; k++) {
+            const double factor = AT(J, i, columns[k]);
+            if (factor != 0.0) {
+                for (int l = 0; l < n; l++) {
+                    JC[l] += factor * AT(C, columns[k], columns[l]);
+                }
+            }
+        }
+        for (int j = i; j < m; j++) {
+            double sum = cov[i * m + j];
+            for (int l = 0; l < n; l++) {
+                sum += JC[l] * AT(J, j, columns[l]);
+            }
+            cov[i * m + j] = cov[j * m + i] = sum;
+        }
+    }
+}
+
+void level_axes_of(const double R[9], level_axes *level)
+{
+    const double heading = atan2(R[3], R[0]);
+    level->c = cos(heading);
+    level->s = sin(heading);
+    heading_by_rotation(R, level->turning);
+}
+
+void turn_rows(const level_axes *level, double *J)
+{
+    for (int k = 0; k < N; k++) {
+        const double north = AT(J, 0, k), east = AT(J, 1, k);
+        AT(J, 0, k) = level->c * north + level->s * east;
+        AT(J, 1, k) = level->c * east - level->s * north;
+    }
+}
+
+void turn_vector(const level_axes *level, double v[3])
+{
+    const double north = v[0], east = v[1];
+    v[0] = level->c * north + level->s * east;
+    v[1] = level->c * east - level->s * north;
+}
+
+void add_turning(const level_axes *level, const double v[3], double *J)
+{
+    for (int k = 0; k < 3; k++) {
+        AT(J, 0, ATT_ERR + k) += v[1] * level->turning[k];
+        AT(J, 1, ATT_ERR + k) -= v[0] * level->turning[k];
+    }
+}
+
+static double rate_of(const double x[N], int direction)
+{
+    return x[RATE + PER_DIRECTION * direction];
+}
+
+/* The rate of the pad's displacement on waves along an axis of ned, with the sway in phase with the heave. */
+static double wave_rate(const double x[N], int axis)
+{
+    return rate_of(x, axis) + (axis < 2 ? x[SWAY_PER_HEAVE + axis] * rate_of(x, ALONG_DOWN) : 0.0);
+}
+
+void align(const double before[N], double x[N])
+{
+    const double late = before[CAMERA_DELAY];
+    memcpy(x, before, N * sizeof *x);
+    for (int k = 0; k < DIRECTIONS; k++) {
+        x[DISP + PER_DIRECTION * k] -= late * rate_of(before, k);
+    }
+    for (int i = 0; i < 3; i++) {
+        x[POS_REL + i] -= late * wave_rate(before, i);
+    }
+}
+
+void through_alignment(int m, const double before[N], double *J)
+{
+    const double late = before[CAMERA_DELAY], heaving = rate_of(before, ALONG_DOWN);
+    for (int i = 0; i < m; i++) {
+        double *row = J + i * N;
+        for (int k = 0; k < DIRECTIONS; k++) {
+            const double by = row[DISP + PER_DIRECTION * k];
+            row[RATE + PER_DIRECTION * k] -= late * by;
+            row[CAMERA_DELAY] -= rate_of(before, k) * by;
+        }
+        for (int k = 0; k < 3; k++) {
+            const double by = row[POS_REL + k];
+            row[RATE + PER_DIRECTION * k] -= late * by;
+            row[CAMERA_DELAY] -= wave_rate(before, k) * by;
+        }
+        for (int k = 0; k < 2; k++) {
+            const double by = row[POS_REL + k];
+            row[RATE + PER_DIRECTION * ALONG_DOWN] -= late * before[SWAY_PER_HEAVE + k] * by;
+            row[SWAY_PER_HEAVE + k] -= late * heaving * by;
+        }
+    }
+}
+
+void add_pad_velocity(const double x[N], double *J)
+{
+    for (int i = 0; i < 3; i++) {
+        AT(J, i, RATE + PER_DIRECTION * i) += 1.0;
+    }
+    for (int i = 0; i < 2; i++) {
+        AT(J, i, VESSEL_VEL + i) += 1.0;
+        AT(J, i, RATE + PER_DIRECTION * ALONG_DOWN) += x[SWAY_PER_HEAVE + i];
+        AT(J, i, SWAY_PER_HEAVE + i) += rate_of(x, ALONG_DOWN);
+    }
+}

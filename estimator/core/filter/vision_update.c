@@ -1,0 +1,352 @@
+#include "filter/vision_update.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "filter/bank.h"
+#include "filter/correction.h"
+#include "filter/deck_jolt.h"
+#include "filter/gate.h"
+#include "filter/oscillator.h"
+#include "base/rotation.h"
+#include "filter/sighting.h"
+
+/* Fraction of the correction of the camera's mounting that is withheld on a rough sea, and of the covariance's root with it. */
+static const double WITHHELD_MOUNT = 0.95;
+/* Fraction of the correction of the camera's delay that is withheld on a rough sea. */
+static const double WITHHELD_DELAY = 0.85;
+/* The same for the root of its covariance: on waves the errors of ten sightings in a row are alike, and count as those of few. */
+static const double WITHHELD_DELAY_COV = 0.975;
+/* Heave rate of the deck, m/s, separating a rough sea from a calm one: far below it, no part of the correction is withheld. */
+static const double ROUGH_M_S = 0.1;
+/* Variance of the rate of what a sighting measures, (m/s)^2, above which the camera's delay is not corrected. */
+static const double RATE_KNOWN_VAR = 0.35 * 0.35;
+/* Sigma of the pad's place, m, above which a sighting begins the count of those that agreed. */
+static const double LOST_SIGMA_M = 0.3;
+/* Longest time between two sightings that counts for a heading, s. */
+static const double COUNTED_S = 0.5;
+/* Variance of the vessel's velocity when the belief about the pad is reset, (m/s)^2, and of a place beside its own square, m^2. */
+static const double RESET_VELOCITY_VAR = 4.0, PLACE_VAR = 1e2;
+/* Variance of a direction of the deck that was not seen. */
+static const double NOT_SEEN_VAR = 1e6;
+
+/* A sighting compared with a belief, and the correction that it would make. */
+typedef struct {
+    int m, ok;
+    double innov[SEEN_MAX], H[SEEN_MAX * N], R[SEEN_MAX * SEEN_MAX], S[SEEN_MAX * SEEN_MAX], dx[N], P[N * N], nis;
+} comparison;
+
+static double uniform_var(void)
+{
+    return acos(-1.0) * acos(-1.0) / 3.0;
+}
+
+/* The covariance of the rate of the measured position, (3, 3). */
+static void rate_covariance(const double *by_rate, const double *P, double cov[9])
+{
+    for (int i = 0; i < 3; i++) {
+        double row[N] = {0.0};
+        for (int k = 0; k < N; k++) {
+            const double by = AT(by_rate, i, k);
+            if (by != 0.0) {
+                for (int j = 0; j < N; j++) {
+                    row[j] += by * AT(P, k, j);
+                }
+            }
+        }
+        for (int j = 0; j < 3; j++) {
+            cov[3 * i + j] = 0.0;
+            for (int k = 0; k < N; k++) {
+                cov[3 * i + j] += row[k] * AT(by_rate, j, k);
+            }
+        }
+    }
+}
+
+static void compare(const filter_params *o, const belief *b, const double *P, const sighting *s, int place_only, comparison *out)
+{
+    static const double none[9] = {0.0};
+    const double *cov_levelled_by = o->sighting_has_attitude_error ? b->cov_levelled_by : none;
+    const double yaw_sigma = b->heading_known ? sqrt(AT(P, PAD_YAW, PAD_YAW)) : INFINITY;
+    double by_rate[3 * N], cov_rate[9];
+    const int m = sighting_model(b, s, cov_levelled_by, yaw_sigma, place_only, out->innov, out->H, out->R, by_rate);
+    /* The part of an innovation that is due to the delay grows with the rate of the measured position. While that rate is poorly
+     * known, the delay is not corrected and its effect counts as noise. */
+    rate_covariance(by_rate, P, cov_rate);
+    if (cov_rate[0] + cov_rate[4] + cov_rate[8] > RATE_KNOWN_VAR) {
+        const double var = AT(P, CAMERA_DELAY, CAMERA_DELAY);
+        for (int i = 0; i < m; i++) {
+            for (int j = 0; j < m; j++) {
+                const double doubt = i < 3 && j < 3 ? cov_rate[3 * i + j] : 0.0;
+                out->R[i * m + j] += var * (AT(out->H, i, CAMERA_DELAY) * AT(out->H, j, CAMERA_DELAY) + doubt);
+            }
+        }
+        for (int i = 0; i < m; i++) {
+            AT(out->H, i, CAMERA_DELAY) = 0.0;
+        }
+    }
+    out->m = m;
+    out->ok = kalman_correct(N, m, P, out->innov, out->H, out->R, out->dx, out->P, out->S, &out->nis);
+}
+
+/* The pad's heading by a sighting, with a uniform prior on it. */
+static void set_heading(belief *b, double *P, double yaw)
+{
+    b->x[PAD_YAW] = wrapped(heading_of(b->R) - yaw);
+    forget_state(P, PAD_YAW, uniform_var());
+}
+
+/* Forget what another pad's vessel does not share: its velocity, turn and waves. */
+static void reset_vessel(const filter_params *o, belief *b, double *P)
+{
+    for (int i = 0; i < 2; i++) {
+        forget_state(P, VESSEL_VEL + i, RESET_VELOCITY_VAR);
+        forget_state(P, SWAY_PER_HEAVE + i, o->sigma_sway_per_heave * o->sigma_sway_per_heave);
+        b->x[SWAY_PER_HEAVE + i] = 0.0;
+    }
+    forget_state(P, TURN_RATE, o->sigma_turn_rate_rad_s * o->sigma_turn_rate_rad_s);
+    b->x[TURN_RATE] = 0.0;
+    for (int i = 0; i < 12; i++) {
+        forget_state(P, WAVES + i, 0.0);
+        b->x[WAVES + i] = 0.0;
+    }
+    for (int k = 0; k < 3; k++) {
+        double at_rest[4][4];
+        oscillator_at_rest(b->wave_w[k], b->wave_zeta[k], at_rest);
+        for (int i = 0; i < 4; i++) {
+            for (int j = 0; j < 4; j++) {
+                AT(P, WAVES + 4 * k + i, WAVES + 4 * k + j) = b->wave_sigma[k] * b->wave_sigma[k] * at_rest[i][j];
+            }
+        }
+    }
+}
+
+/* Initialise the pad's position from a sighting; with `reset`, drop the rest of the belief about the pad as well. The states of
+ * the body itself stay. */
+static void initialise(const filter_params *o, belief *b, covariance *c, const sighting *s, int reset)
+{
+    double A[9], seen[3], back[9], *P = changeable(c);
+    levelling(b, A);
+    seen_from_body(s, A, seen);
+    camera_to_ned(b, back);
+    rotated(back, seen, b->x + POS_REL);
+    for (int i = 0; i < 3; i++) {
+        forget_state(P, POS_REL + i, PLACE_VAR + dot(seen, seen));
+    }
+    if (reset) {
+        reset_vessel(o, b, P);
+    }
+    if ((reset || !b->heading_known) && s->has_yaw && !s->yaw_ambiguous) {
+        set_heading(b, P, s->yaw_rad);
+    }
+    streak_end(b);
+    b->heading_held_s = 0.0;
+}
+
+/* Compare again with a wider belief if the last sightings missed the deck by more than the filter claims. */
+static comparison *compare_jolted(const filter_params *o, belief *b, covariance *c, const sighting *s, comparison *first,
+                                  comparison *second)
+{
+    double back[9], innov_ned[3], cov[9], half[9], cov_ned[9], missing[3];
+    camera_to_ned(b, back);
+    rotated(back, first->innov, innov_ned);
+    for (int i = 0; i < 9; i++) {
+        cov[i] = first->S[i / 3 * first->m + i % 3];
+    }
+    product(back, cov, half);
+    product_by_transposed(half, back, cov_ned);
+    jolt_extend(&b->excesses, b->t, innov_ned, cov_ned);
+    if (!jolt_missing(&b->excesses, missing)) {
+        return first;
+    }
+    const double *before = c->P;
+    jolt_widen(b->x, missing, changeable(c));
+    compare(o, b, c->P, s, 0, second);
+    if (!second->ok) {
+        c->P = before;
+        return first;
+    }
+    b->excesses.n = 0;
+    return second;
+}
+
+/* Count the time for which sightings agreed with the heading, minus the time for which they contradicted it. */
+static void weigh_heading(const filter_params *o, belief *b, int agrees)
+{
+    const double since = b->heading_seen < 0 ? 0.0 : fmin(seconds(b->heading_seen, b->t), COUNTED_S);
+    b->heading_held_s = fmin(b->heading_held_s + (agrees ? since : -since), o->heading_memory_s);
+    b->heading_seen = b->t;
+}
+
+/* Set the pad's yaw from a sighting, whatever was believed. */
+static void take_new_heading(belief *b, covariance *c, const sighting *s)
+{
+    if (!s->has_pose6 && !s->has_yaw) {
+        return;
+    }
+    set_heading(b, changeable(c), s->has_pose6 ? -heading_of(s->pose_R) : s->yaw_rad);
+    b->x[YAW_RATE] = b->x[WAVE_YAW] = 0.0;
+    b->heading_held_s = 0.0;
+}
+
+/* Withhold a part of a correction for the camera's mounting and delay, with as much of its gain in certainty as is honest.
+ *
+ * A deck's sway and heave belong to one wave, but the model takes them as independent. From their correlation over a few waves it
+ * would learn a camera tilt or a delay that does not exist. With the covariance's fraction equal to the correction's it is that of
+ * the smaller correction if the innovations are white. On waves they are alike for many sightings in a row, and a greater fraction
+ * counts them as fewer.
+ * Source: Brink, Partial-update Schmidt-Kalman filter, J. Guidance, Control, and Dynamics 40(9), 2017. */
+static void withhold(const belief *b, const double *before, double dx[N], double *P)
+{
+    const double heave = b->wave_sigma[2] * b->wave_w[2], rough = heave * heave / (heave * heave + ROUGH_M_S * ROUGH_M_S);
+    const int states[4] = {CAMERA_DELAY, CAMERA_MOUNT, CAMERA_MOUNT + 1, CAMERA_MOUNT + 2};
+    double fraction[4] = {WITHHELD_DELAY_COV * rough};
+    dx[CAMERA_DELAY] *= 1.0 - WITHHELD_DELAY * rough;
+    for (int i = 1; i < 4; i++) {
+        fraction[i] = WITHHELD_MOUNT * rough;
+        dx[states[i]] *= 1.0 - fraction[i];
+    }
+    for (int i = 0; i < 4; i++) {
+        for (int j = 0; j < 4; j++) {
+            const double gained = AT(before, states[i], states[j]) - AT(P, states[i], states[j]);
+            AT(P, states[i], states[j]) += fraction[i] * gained * fraction[j];
+        }
+    }
+}
+
+/* Roll and pitch of a pad that was seen whole, and their variances. */
+static void see_tilt(const sighting *s, const double R_ned_level[9], const double *R, double y[DIRECTIONS], double var[DIRECTIONS])
+{
+    double pad[9], into_pad[9];
+    product(R_ned_level, s->pose_R, pad);
+    y[3] = atan2(pad[7], pad[8]);
+    y[4] = asin(fmax(-1.0, fmin(1.0, -pad[6])));
+    product_of_transposed(pad, R_ned_level, into_pad);
+    for (int k = 0; k < 2; k++) {
+        var[3 + k] = 0.0;
+        for (int i = 0; i < 3; i++) {
+            for (int j = 0; j < 3; j++) {
+                var[3 + k] += into_pad[3 * k + i] * R[(3 + i) * SEEN_MAX + 3 + j] * into_pad[3 * k + j];
+            }
+        }
+    }
+}
+
+/* Update the bank of wave oscillators with the pad's measured position and tilt. */
+static void learn(const filter_params *o, belief *b, sea_ref *bank, const sighting *s, const comparison *row)
+{
+    double A[9], back[9], seen[3], place[3], y[DIRECTIONS] = {0.0}, var[DIRECTIONS];
+    if (bank->now->t >= 0 && seconds(bank->now->t, b->t) < 0.9 * LOOK_PERIOD_S) {
+        return;
+    }
+    levelling(b, A);
+    camera_to_ned(b, back);
+    seen_from_body(s, A, seen);
+    for (int i = 0; i < 3; i++) {
+        seen[i] -= AT(row->H, i, CAMERA_DELAY) * b->x[CAMERA_DELAY];
+    }
+    rotated(back, seen, place);
+    for (int k = 0; k < DIRECTIONS; k++) {
+        var[k] = k < 3 ? 0.0 : NOT_SEEN_VAR;
+    }
+    for (int k = 0; k < 3; k++) {
+        y[k] = place[k] + b->ins_p[k];
+        for (int i = 0; i < 3; i++) {
+            for (int j = 0; j < 3; j++) {
+                var[k] += back[3 * k + i] * row->R[i * row->m + j] * back[3 * k + j];
+            }
+        }
+    }
+    if (row->m == SEEN_MAX) {
+        double R_ned_level[9];
+        product_by_transposed(back, A, R_ned_level);
+        see_tilt(s, R_ned_level, row->R, y, var);
+    }
+    bank_observe(o, b->t, y, var, b->ins_var_m2_s2, sqrt(dot(seen, seen)), bank->now, bank->place);
+    bank->now = bank->place;
+    memcpy(b->wave_w, bank->now->w_rad_s, sizeof b->wave_w);
+    memcpy(b->wave_zeta, bank->now->zeta, sizeof b->wave_zeta);
+    memcpy(b->wave_sigma, bank->now->sigma, sizeof b->wave_sigma);
+    b->ins_var_m2_s2 = 0.0;
+}
+
+static void reject(belief *b, const comparison *row)
+{
+    double back[9], offset[3];
+    camera_to_ned(b, back);
+    rotated(back, row->innov, offset);
+    streak_extend(b, b->t, offset, (row->R[0] + row->R[row->m + 1] + row->R[2 * row->m + 2]) / 3.0);
+}
+
+static void tell_compared(outcome *out, int verdict, const comparison *row, double nis_max)
+{
+    tell(out, verdict, row->m, 0, row->innov, row->S);
+    out->nis = row->nis;
+    out->nis_max = nis_max;
+}
+
+static void fuse(belief *b, covariance *c, comparison *row, int fresh, int shows_heading)
+{
+    const double var = AT(c->P, POS_REL, POS_REL) + AT(c->P, POS_REL + 1, POS_REL + 1) + AT(c->P, POS_REL + 2, POS_REL + 2);
+    const int lost = sqrt(fmax(var / 3.0, 0.0)) > LOST_SIGMA_M;
+    withhold(b, c->P, row->dx, row->P);
+    correct_belief(b, c, row->dx, memcpy(free_place(c), row->P, sizeof row->P));
+    b->sighted = b->t > b->sighted ? b->t : b->sighted;
+    b->agreed = fresh || lost ? 1 : b->agreed + 1;
+    streak_end(b);
+    b->heading_known |= shows_heading;
+}
+
+void take_sighting(const filter_params *o, belief *b, covariance *c, sea_ref *bank, const sighting *s, outcome *out)
+{
+    comparison rows[2], *row = &rows[0], *other = &rows[1];
+    const int fresh = b->sighted < 0;
+    if (fresh) {
+        initialise(o, b, c, s, 0);
+    }
+    compare(o, b, c->P, s, 0, row);
+    if (row->ok && !fresh) {
+        row = compare_jolted(o, b, c, s, row, other);
+        other = row == &rows[0] ? &rows[1] : &rows[0];
+    }
+    int turned_round = 0;
+    if (row->ok && row->m > 3 && b->heading_known && row->nis > o->nis_max[row->m - 1]) {
+        compare(o, b, c->P, s, 1, other);
+        if (other->ok && other->nis <= o->nis_max[2]) {
+            turned_round = 1;
+            row = other;
+        }
+    }
+    if (row->ok && (turned_round || (row->m > 3 && row->nis <= o->nis_max[row->m - 1]))) {
+        weigh_heading(o, b, !turned_round);
+        if (turned_round && b->heading_held_s <= 0.0) {
+            take_new_heading(b, c, s);
+            compare(o, b, c->P, s, 0, row);
+        }
+    }
+    if (!row->ok) {
+        tell(out, SINGULAR, row->m, 0, row->innov, NULL);
+        return;
+    }
+    const int dof = row->m;
+    if (!fresh) {
+        b->nis_mean = nis_mean_of(b->nis_mean, row->innov, row->S, dof);
+    }
+    if (row->nis > o->nis_max[dof - 1]) {
+        reject(b, row);
+        if (!streak_resets(o, b)) {
+            tell_compared(out, GATED, row, o->nis_max[dof - 1]);
+            return;
+        }
+        initialise(o, b, c, s, 1);
+        b->nis_mean = 1.0;
+        compare(o, b, c->P, s, 0, row);
+        if (!row->ok) {
+            tell(out, SINGULAR, row->m, 0, row->innov, NULL);
+            return;
+        }
+    }
+    fuse(b, c, row, fresh, dof >= 4 && !s->yaw_ambiguous);
+    learn(o, b, bank, s, row);
+    tell_compared(out, FUSED, row, o->nis_max[row->m - 1]);
+}

@@ -1,0 +1,17 @@
+/* Fusing a sighting: gate it, reset the belief after a consistent streak of rejections, correct, and feed the bank. */
+#ifndef DECKLANDER_VISION_H
+#define DECKLANDER_VISION_H
+
+#include "interface.h"
+#include "filter/propagate.h"
+
+/* The bank that belongs to a belief. What writes it takes the place. */
+typedef struct {
+    const sea *now;
+    sea *place;
+} sea_ref;
+
+/* Fuse a sighting at the belief's instant, to which the belief was propagated with all gathered samples fused. */
+void take_sighting(const filter_params *o, belief *b, covariance *c, sea_ref *bank, const sighting *s, outcome *out);
+
+#endif

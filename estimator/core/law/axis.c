@@ -1,0 +1,108 @@
+/* One horizontal axis of the law: what is observed, what is under way, and the tilt to command.
+ *
+ * The observer and its sources: companion/guidance/disturbance.py; the regulator's: tilt_law.py. */
+
+#include <math.h>
+#include <string.h>
+
+#include "law/law.h"
+
+static const double DISTURBANCE_MAX_M_S2 = 4.0;
+/* Weight of the gyro against the model in the rate of the tilt. */
+static const double GYRO_SHARE = 0.25;
+/* Time constants of the mean of the vehicle's own part: while the law steers, and while all of the lean is its own. */
+static const double OWN_FLOWN_S = 0.7, OWN_HOVERED_S = 2.0, OWN_MAX_M_S2 = 3.0;
+
+double law_limited(double value, double most)
+{
+    return value < -most ? -most : value > most ? most : value;
+}
+
+double law_between(const law_cycle *in, double later, double earlier)
+{
+    return in->share == 1.0 ? later : in->share * later + (1.0 - in->share) * earlier;
+}
+
+void axis_begin(int64_t remembered, const axis_measured *z, const law_axis *before, law_axis *after)
+{
+    const double d = before ? before->d : 0.0, b = before ? before->b : 0.0;
+    memset(after, 0, sizeof *after);
+    after->p = z->p, after->w = z->w, after->d = d, after->b = b;
+    after->lean = after->lag = z->lean;
+    for (int64_t k = 0; k < remembered; k++) {
+        after->under_way[k] = z->lean;
+    }
+}
+
+void under_way_note(int64_t remembered, double command, double *under_way)
+{
+    memmove(under_way + 1, under_way, (size_t)(remembered - 1) * sizeof *under_way);
+    under_way[0] = command;
+}
+
+/* p, w, d and b of the observer after dt: its rows hold the gains of p, w, d and b, its columns those by place, speed and
+ * acceleration. */
+static void observe(const double *observer, double dt, double a_lean, const law_axis *before, const axis_measured *z,
+                    law_axis *after)
+{
+    const double push = z->a_deck - a_lean - before->d;
+    const double p = before->p + dt * before->w + 0.5 * dt * dt * push, w = before->w + dt * push;
+    const double off[3] = {z->p - p, z->w - w, z->a_body - a_lean - before->d - before->b};
+    const double was[4] = {p, w, before->d, before->b};
+    double is[4];
+    for (int i = 0; i < 4; i++) {
+        const double *gains = observer + 3 * i;
+        is[i] = was[i] + gains[0] * off[0] + gains[1] * off[1] + gains[2] * off[2];
+    }
+    after->p = is[0], after->w = is[1], after->d = law_limited(is[2], DISTURBANCE_MAX_M_S2), after->b = is[3];
+}
+
+/* How far a tilt's rate has come after dt by the response: rate' = frequency^2 (lag - lean) - 2 damping frequency rate. */
+static double rate_after(const law_params *o, double dt, double rate, double lean, double lag)
+{
+    const double w = o->frequency_rad_s;
+    return rate + dt * (w * w * (lag - lean) - 2.0 * o->damping * w * rate);
+}
+
+/* The memory after dt with this cycle's measurement; the command that has arrived is an acceleration. */
+void law_observe(const law_params *o, const double *observer, double dt, double arrived, const law_axis *before,
+                 const axis_measured *z, law_axis *after)
+{
+    observe(observer, dt, 0.5 * (z->lean + before->lean), before, z, after);
+    const double keep = o->lag_s > 1e-4 ? exp(-dt / o->lag_s) : 0.0;
+    const double rate = rate_after(o, dt, before->rate, before->lean, before->lag);
+    after->lag = keep * before->lag + (1.0 - keep) * arrived;
+    after->rate = rate + GYRO_SHARE * (z->rate - rate);
+    after->lean = z->lean;
+    memcpy(after->under_way, before->under_way, sizeof after->under_way);
+}
+
+double axis_reference(const law_axis *x, double a_deck)
+{
+    return a_deck - x->d;
+}
+
+/* The tilt to command, m/s^2, not limited yet: the later reference less what is off now, the commands under way included. */
+double law_tilt(const law_axis *x, const law_gains *gains, double off_m, double a_deck, double a_deck_then)
+{
+    const double now = axis_reference(x, a_deck);
+    double off = gains->p * off_m + gains->w * x->w + gains->a * (x->lean - now) + gains->rate * x->rate;
+    off += gains->lag * (x->lag - now);
+    for (int64_t k = 0; k < gains->n; k++) {
+        off += gains->under_way[k] * (x->under_way[k] - now);
+    }
+    return axis_reference(x, a_deck_then) - off;
+}
+
+void own_flown(const law_params *o, double dt, const law_axis *x, const law_own *before, law_own *after)
+{
+    const double rate = rate_after(o, dt, before->rate, before->lean, x->lag), explained = before->lean + dt * rate;
+    const double own = before->own + (1.0 - exp(-dt / OWN_FLOWN_S)) * (x->lean - explained);
+    after->own = law_limited(own, OWN_MAX_M_S2), after->lean = explained, after->rate = rate;
+}
+
+void own_hovered(double dt, double lean, const law_own *before, law_own *after)
+{
+    const double own = before->own + (1.0 - exp(-dt / OWN_HOVERED_S)) * (lean - before->own);
+    after->own = law_limited(own, OWN_MAX_M_S2), after->lean = lean, after->rate = 0.0;
+}

@@ -1,0 +1,108 @@
+#include <math.h>
+#include <string.h>
+
+#include "vision/align/align.h"
+
+/* Coverage above which a sample shows one paint alone. */
+static const float PURE = 0.85f, TRUSTED = 0.5f;
+/* Coverage by the H from which on a sample's light may be clipped because of it. */
+static const float SOME_H = 0.25f;
+
+/* The fraction of the disc's area inside the frame. */
+static double in_view(const pad_template *p, const samples *s, const pad_pose *pose, double side_m)
+{
+    const float limit = (float)(p->disc_radius_m * p->disc_radius_m);
+    int inside = 0;
+    for (int i = 0; i < s->n; i++) {
+        inside += s->x[i] * s->x[i] + s->y[i] * s->y[i] < limit;
+    }
+    return fmin(1.0, inside * side_m * side_m / (acos(-1.0) * p->disc_radius_m * p->disc_radius_m * fabs(pose->R[8])));
+}
+
+/* Number, mean and variance of the logarithms of light where one paint shows alone. */
+static void measure_paints(const samples *s, const float *logarithm, const frame_part *part, const uint8_t *px, int32_t stride,
+                           aligned_pad *out)
+{
+    for (int k = 0; k < 4; k++) {
+        double sum[3] = {0.0, 0.0, 0.0}, square[3] = {0.0, 0.0, 0.0}, n = 0.0;
+        for (int i = 0; i < s->n; i++) {
+            if (s->coverage[k][i] > PURE && s->weight[i] > TRUSTED) {
+                const uint8_t *at = px + (size_t)(s->pixel[i] / part->width) * (size_t)stride + 3 * (s->pixel[i] % part->width);
+                n += 1.0;
+                for (int c = 0; c < 3; c++) {
+                    const double value = (double)logarithm[at[c]];
+                    sum[c] += value;
+                    square[c] += value * value;
+                }
+            }
+        }
+        out->light_n[k] = n;
+        for (int c = 0; c < 3; c++) {
+            const double mean = n > 0.0 ? sum[c] / n : 0.0;
+            out->light_mean[3 * k + c] = mean;
+            out->light_var[3 * k + c] = n > 0.0 ? fmax(0.0, square[c] / n - mean * mean) : 0.0;
+        }
+    }
+}
+
+static void keep_paints(const painted *fit, double out[12])
+{
+    for (int i = 0; i < 12; i++) {
+        out[i] = (double)fit->paints[i / 3][i % 3];
+    }
+}
+
+/* The brightest light of the samples that are some of the H, by channel. */
+static void brightest_h(const samples *s, double out[3])
+{
+    out[0] = out[1] = out[2] = 0.0;
+    for (int i = 0; i < s->n; i++) {
+        for (int c = 0; c < 3 && s->coverage[PAINT_H][i] >= SOME_H; c++) {
+            out[c] = fmax(out[c], (double)s->light[c][i]);
+        }
+    }
+}
+
+int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, const float *light,
+                  const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part, const uint8_t *arrow_px,
+                  int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, const double *cut, const frame_quality *of,
+                  float *scratch, aligned_pad *out)
+{
+    pixels from;
+    samples s;
+    painted fit;
+    double brightest[3];
+    align_rows((int)(part->width * part->height), scratch, &from, &s);
+    align_light(c, p, part, px, stride, light, pose->t[2], 1, s.squared, &from);
+    align_trust(cut, &from);
+    const int blur = align_blur_at(c, p, from.side_m, pose->t[2]);
+    if (!align_samples(p, align_map(p, maps, blur), &from, pose, 0, &s)) {
+        return 0;
+    }
+    memset(out, 0, sizeof *out);
+    out->sample_m = from.side_m;
+    out->tilt_sigmas = tilt_sigmas;
+    out->in_view = in_view(p, &s, pose, from.side_m);
+    align_take(from.light, &s);
+    for (int i = 0; i < s.n; i++) {
+        s.weight[i] = 1.0f;
+    }
+    if (!align_paint(&s, 1, &fit)) {
+        return 0;
+    }
+    keep_paints(&fit, out->paints);
+    brightest_h(&s, brightest);
+    measure_paints(&s, light + 2 * 256, part, px, stride, out);
+    align_coverage(p, align_map(p, local_maps, blur), &s);
+    align_take(from.local, &s);
+    align_uncovered(&s);
+    if (!align_paint(&s, 1, &fit)) {
+        return 0;
+    }
+    keep_paints(&fit, out->local_paints);
+    align_arrow(c, p, maps, light + 256, arrow_part, arrow_px, arrow_stride, pose, fit.paints, of->noise, out->arrow);
+    /* The root of light is a pixel's value but for a few per cent, and a sample of a higher level the mean of four of the one below. */
+    const frame_quality of_samples = {of->noise / (double)(1 << part->level), of->contrast, of->chroma};
+    align_features(p, &s, &fit, brightest, &of_samples, out);
+    return 1;
+}

@@ -1,0 +1,237 @@
+#include <math.h>
+#include <string.h>
+
+#include "vision/align/align.h"
+#include "base/vectors.h"
+#include "base/wide.h"
+
+/* Residual, as a fraction of full scale, that the model leaves even where it is right (wear, noise, ripples). */
+static const double NOISE = 0.02;
+/* Fraction of the samples that are certainly neither occluded nor overexposed, and the factors from their largest residual to a
+ * usual one: while the pose moves, and at the final pose, where a sample that still does not fit shows something else. */
+static const double SOUND = 0.25, SPREAD = 2.0, SPREAD_SHARP = 1.6;
+/* Weight of a paint of no light, per sample: a paint that is not in view is dark. */
+static const double RIDGE = 1e-4;
+/* Deviations of the noise's sum below which nothing is left to explain. */
+static const double CHANCE = 4.0;
+/* Products of four coverages with each other and with three channels of light. */
+enum { PRODUCTS = 22, BINS = 2048, BIN_SHIFT = 20 };
+
+int align_solve(int n, int m, double *A, double *B)
+{
+    for (int j = 0; j < n; j++) {
+        for (int i = j; i < n; i++) {
+            double sum = A[i * n + j];
+            for (int k = 0; k < j; k++) {
+                sum -= A[i * n + k] * A[j * n + k];
+            }
+            if (i == j && !(sum > 0.0)) {
+                return 0;
+            }
+            A[i * n + j] = i == j ? sqrt(sum) : sum / A[j * n + j];
+        }
+    }
+    for (int c = 0; c < m; c++) {
+        for (int i = 0; i < n; i++) {
+            for (int k = 0; k < i; k++) {
+                B[i * m + c] -= A[i * n + k] * B[k * m + c];
+            }
+            B[i * m + c] /= A[i * n + i];
+        }
+        for (int i = n - 1; i >= 0; i--) {
+            for (int k = i + 1; k < n; k++) {
+                B[i * m + c] -= A[k * n + i] * B[k * m + c];
+            }
+            B[i * m + c] /= A[i * n + i];
+        }
+    }
+    return 1;
+}
+
+double align_sum(const float8 *lanes)
+{
+    double sum = 0.0;
+    for (int l = 0; l < SAMPLE_LANES; l++) {
+        sum += (double)(*lanes)[l];
+    }
+    return sum;
+}
+
+/* Weighted products of the coverages with each other, i <= j, then with each channel. */
+WIDE
+static void products(const samples *s, double out[PRODUCTS])
+{
+    float8 sums[PRODUCTS];
+    memset(sums, 0, sizeof sums);
+    for (int at = 0; at < s->room; at += SAMPLE_LANES) {
+        float8 coverage[4], light[3];
+        for (int i = 0; i < 4; i++) {
+            coverage[i] = *eight(s->coverage[i] + at);
+        }
+        for (int c = 0; c < 3; c++) {
+            light[c] = *eight(s->light[c] + at);
+        }
+        const float8 weight = *eight(s->weight + at);
+        float8 *sum = sums, *lit = sums + 10;
+        for (int i = 0; i < 4; i++) {
+            const float8 weighted = coverage[i] * weight;
+            for (int j = i; j < 4; j++) {
+                *sum++ += weighted * coverage[j];
+            }
+            for (int c = 0; c < 3; c++) {
+                *lit++ += weighted * light[c];
+            }
+        }
+    }
+    for (int row = 0; row < PRODUCTS; row++) {
+        out[row] = align_sum(&sums[row]);
+    }
+}
+
+static int paints_of(const samples *s, float paints[4][3])
+{
+    double sums[PRODUCTS], A[16], B[12];
+    products(s, sums);
+    int row = 0;
+    for (int i = 0; i < 4; i++) {
+        for (int j = i; j < 4; j++, row++) {
+            A[4 * i + j] = A[4 * j + i] = sums[row] + (i == j ? RIDGE * s->n : 0.0);
+        }
+    }
+    memcpy(B, sums + row, sizeof B);
+    if (!align_solve(4, 3, A, B)) {
+        return 0;
+    }
+    for (int i = 0; i < 12; i++) {
+        paints[i / 3][i % 3] = (float)B[i];
+    }
+    return 1;
+}
+
+WIDE
+static void residuals(const float paints[4][3], samples *s)
+{
+    for (int at = 0; at < s->room; at += SAMPLE_LANES) {
+        const float8 h = *eight(s->coverage[0] + at), orange = *eight(s->coverage[1] + at);
+        const float8 disc = *eight(s->coverage[2] + at), around = *eight(s->coverage[3] + at);
+        float8 squared = {0.0f};
+        for (int c = 0; c < 3; c++) {
+            const float8 light = paints[0][c] * h + paints[1][c] * orange + paints[2][c] * disc + paints[3][c] * around;
+            const float8 left = *eight(s->light[c] + at) - light;
+            *eight(s->residual[c] + at) = left;
+            squared += left * left;
+        }
+        *eight(s->squared + at) = squared;
+    }
+}
+
+static uint32_t bits_of(float value)
+{
+    uint32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    return bits;
+}
+
+/* The value with k values below it, of n values that are not negative. `spare` has room for n. */
+static float value_at(int k, int n, const float *values, uint32_t *spare)
+{
+    /* The bits of floats that are not negative are ordered as they are. */
+    int counts[BINS] = {0}, below = 0, bin = 0, few = 0;
+    for (int i = 0; i < n; i++) {
+        counts[(bits_of(values[i]) >> BIN_SHIFT) % BINS]++;
+    }
+    while (bin < BINS - 1 && below + counts[bin] <= k) {
+        below += counts[bin++];
+    }
+    for (int i = 0; i < n; i++) {
+        if ((bits_of(values[i]) >> BIN_SHIFT) % BINS == (uint32_t)bin) {
+            spare[few++] = bits_of(values[i]);
+        }
+    }
+    uint32_t found = (uint32_t)bin << BIN_SHIFT;
+    for (uint32_t bit = 1u << (BIN_SHIFT - 1); bit > 0; bit >>= 1) {
+        int smaller = 0;
+        for (int i = 0; i < few; i++) {
+            smaller += spare[i] < (found | bit);
+        }
+        found |= below + smaller <= k ? bit : 0;
+    }
+    float value;
+    memcpy(&value, &found, sizeof value);
+    return value;
+}
+
+/* Cauchy's weights; Geman and McClure's at the final pose, which drop outliers completely. */
+WIDE
+static void weigh(double spread, int final, samples *s)
+{
+    const float by = (float)(0.25 / (spread * spread));
+    for (int at = 0; at < s->room; at += SAMPLE_LANES) {
+        float8 weight = 1.0f / (1.0f + by * *eight(s->squared + at));
+        if (final) {
+            weight *= weight;
+        }
+        *eight(s->weight + at) = weight;
+    }
+    for (int i = s->n; i < s->room; i++) {
+        s->weight[i] = 0.0f;
+    }
+}
+
+WIDE
+static double largest_light(const samples *s)
+{
+    float most = 0.0f;
+    for (int at = 0; at < s->room; at += SAMPLE_LANES) {
+        float8 sum = {0.0f};
+        for (int c = 0; c < 3; c++) {
+            sum += *eight(s->light[c] + at) * *eight(s->light[c] + at);
+        }
+        for (int l = 0; l < SAMPLE_LANES; l++) {
+            most = sum[l] > most ? sum[l] : most;
+        }
+    }
+    return (double)most;
+}
+
+int align_paint(samples *s, int final, painted *out)
+{
+    const double least = fmax(1e-4, NOISE * sqrt(largest_light(s)));
+    for (int i = s->n; i < s->room; i++) {
+        s->weight[i] = 0.0f;
+    }
+    for (int i = final ? 4 : 2; i > 0; i--) {
+        if (!paints_of(s, out->paints)) {
+            return 0;
+        }
+        residuals(out->paints, s);
+        const double sound = sqrt((double)value_at((int)(SOUND * s->n), s->n, s->squared, s->spare));
+        out->spread = fmax(least, (final ? SPREAD_SHARP : SPREAD) * sound);
+        weigh(out->spread, final, s);
+    }
+    return 1;
+}
+
+WIDE
+double align_explained(const samples *s, double noise_var)
+{
+    float8 weight = {0.0f}, left = {0.0f}, mean[3], square[3];
+    memset(mean, 0, sizeof mean), memset(square, 0, sizeof square);
+    for (int at = 0; at < s->room; at += SAMPLE_LANES) {
+        const float8 w = *eight(s->weight + at);
+        weight += w;
+        left += w * *eight(s->squared + at);
+        for (int c = 0; c < 3; c++) {
+            const float8 light = *eight(s->light[c] + at);
+            mean[c] += w * light;
+            square[c] += w * light * light;
+        }
+    }
+    double total = 0.0;
+    for (int c = 0; c < 3; c++) {
+        const double sum = align_sum(&mean[c]);
+        total += align_sum(&square[c]) - sum * sum / align_sum(&weight);
+    }
+    const double count = 3.0 * align_sum(&weight), by_chance = CHANCE * noise_var * sqrt(2.0 * count);
+    return (total - align_sum(&left)) / fmax(fmax(total - noise_var * count, by_chance), 1e-12);
+}

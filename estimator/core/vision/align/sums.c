@@ -1,0 +1,87 @@
+#include <math.h>
+#include <string.h>
+
+#include "vision/align/align.h"
+#include "base/wide.h"
+
+enum { LIGHT = 4, ONE = 7 };
+/* Ridge of a fit, per sample: a paint may cover none of them. */
+static const double RIDGE = 1e-4;
+
+void align_total(int n, fit_sums *of, fit_sums out)
+{
+    memset(out, 0, sizeof(fit_sums));
+    for (int k = 0; k < n; k++) {
+        for (int i = 0; i < SUM_ROWS; i++) {
+            out[i] += of[k][i];
+        }
+    }
+}
+
+double align_number(const fit_sums of)
+{
+    return (double)of[SUM_ONCE][ONE];
+}
+
+double align_varied(const fit_sums of)
+{
+    double out = 0.0;
+    for (int c = LIGHT; c < ONE; c++) {
+        out += (double)of[SUM_SQUARED][c] - (double)of[SUM_ONCE][c] * (double)of[SUM_ONCE][c] / fmax(align_number(of), 1.0);
+    }
+    return fmax(out, 0.0);
+}
+
+/* Solve A X = B for a symmetric positive definite A, all columns of B at once: what `align_solve` computes one by one. */
+WIDE
+static int solve_four(double A[4][4], double4 B[4])
+{
+    for (int j = 0; j < 4; j++) {
+        for (int i = j; i < 4; i++) {
+            double sum = A[i][j];
+            for (int k = 0; k < j; k++) {
+                sum -= A[i][k] * A[j][k];
+            }
+            if (i == j && !(sum > 0.0)) {
+                return 0;
+            }
+            A[i][j] = i == j ? sqrt(sum) : sum / A[j][j];
+        }
+    }
+    for (int i = 0; i < 4; i++) {
+        for (int k = 0; k < i; k++) {
+            B[i] -= A[i][k] * B[k];
+        }
+        B[i] /= A[i][i];
+    }
+    for (int i = 3; i >= 0; i--) {
+        for (int k = i + 1; k < 4; k++) {
+            B[i] -= A[k][i] * B[k];
+        }
+        B[i] /= A[i][i];
+    }
+    return 1;
+}
+
+double align_unexplained(const fit_sums of)
+{
+    double A[4][4], left = 0.0;
+    double4 b[4];
+    for (int i = 0; i < 4; i++) {
+        for (int j = 0; j < 4; j++) {
+            A[i][j] = (double)of[i][j] + (i == j ? RIDGE * align_number(of) : 0.0);
+        }
+        const double4 light = {(double)of[i][LIGHT], (double)of[i][LIGHT + 1], (double)of[i][LIGHT + 2], 0.0};
+        b[i] = light;
+    }
+    if (!solve_four(A, b)) {
+        return align_varied(of);
+    }
+    for (int c = 0; c < 3; c++) {
+        left += (double)of[SUM_SQUARED][LIGHT + c];
+        for (int k = 0; k < 4; k++) {
+            left -= (double)of[k][LIGHT + c] * b[k][c];
+        }
+    }
+    return fmax(left, 0.0);
+}

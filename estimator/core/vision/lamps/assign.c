@@ -1,0 +1,151 @@
+#include <math.h>
+#include <string.h>
+
+#include "vision/camera.h"
+#include "vision/lamps/lamps.h"
+
+/* Part of a spot's radius by which its centre may differ from that of the one lamp, or of the lamps, in it, beyond the reach. */
+static const double ALONE = 0.06, SHARED = 0.35;
+/* A lamp this near to the frame's edge, and so many of its radii, need not show: its spot may be cut. */
+static const double INSET_PX = 5.0, INSET_RADII = 2.0;
+/* Radius of the pad's surroundings over that of the outermost lamp: other spots in them speak against the pad. */
+static const double ABOUT = 1.2;
+/* Distance of a lamp without a spot from those that have one at which it would make its own, px. */
+static const double APART_PX = 6.0;
+static const double NEAREST_M = 0.02, PI = 3.14159265358979323846;
+
+/* Lamps in the frame, px, and which are in view. */
+typedef struct {
+    double uv[LAMPS][2];
+    int in_view[LAMPS];
+} shown_lamps;
+
+void pad_point(const pad_pose *pose, double x, double y, double p[3])
+{
+    for (int i = 0; i < 3; i++) {
+        p[i] = pose->R[3 * i] * x + pose->R[3 * i + 1] * y + pose->t[i];
+    }
+}
+
+static void show(const camera_lens *camera, const lamp_pattern *pad, const pad_pose *pose, shown_lamps *out)
+{
+    for (int k = 0; k < (int)pad->lamps; k++) {
+        double p[3];
+        pad_point(pose, pad->x_m[k], pad->y_m[k], p);
+        camera_project(camera, p, out->uv[k]);
+        const double inset = INSET_PX + INSET_RADII * camera->fx * pad->radius_m[k] / fmax(p[2], NEAREST_M);
+        const double u = out->uv[k][0], v = out->uv[k][1];
+        out->in_view[k] = u > inset && v > inset && u < (double)camera->width - 1.0 - inset && v < (double)camera->height - 1.0 - inset;
+    }
+}
+
+static double between(const double a[2], const double b[2])
+{
+    return hypot(a[0] - b[0], a[1] - b[1]);
+}
+
+static int32_t nearest_spot(const lamp_spots *spots, const double uv[2], double reach_px)
+{
+    int32_t best = -1;
+    double least = INFINITY;
+    for (int k = 0; k < spots->n; k++) {
+        const double away = between(uv, spots->spot[k].uv);
+        if (away < least) {
+            least = away, best = k;
+        }
+    }
+    return best >= 0 && least <= reach_px + spots->spot[best].radius ? best : -1;
+}
+
+/* Take a spot from its lamps if their middle is not where it is; returns whether it keeps them. */
+static int keep_group(const lamp_pattern *pad, const shown_lamps *shown, const lamp_spot *spot, int32_t s, double reach_px,
+                      int32_t spot_of[LAMPS])
+{
+    double middle[2] = {0.0, 0.0};
+    int n = 0;
+    for (int k = 0; k < (int)pad->lamps; k++) {
+        if (spot_of[k] == s) {
+            middle[0] += shown->uv[k][0], middle[1] += shown->uv[k][1], n++;
+        }
+    }
+    if (n == 0) {
+        return 0;
+    }
+    middle[0] /= n, middle[1] /= n;
+    if (between(middle, spot->uv) <= reach_px + (n == 1 ? ALONE : SHARED) * spot->radius) {
+        return 1;
+    }
+    for (int k = 0; k < (int)pad->lamps; k++) {
+        spot_of[k] = spot_of[k] == s ? -1 : spot_of[k];
+    }
+    return 0;
+}
+
+/* How many lamps in view have no spot and would make one: all, if none has any. */
+static int missing(const lamp_pattern *pad, const shown_lamps *shown, const int32_t spot_of[LAMPS])
+{
+    int n = 0;
+    for (int k = 0; k < (int)pad->lamps; k++) {
+        int apart = shown->in_view[k] && spot_of[k] < 0;
+        for (int i = 0; i < (int)pad->lamps && apart; i++) {
+            apart = spot_of[i] < 0 || between(shown->uv[k], shown->uv[i]) > APART_PX;
+        }
+        n += apart;
+    }
+    return n;
+}
+
+/* The length of what of a circle's width lies within the frame. */
+static double within(double at, double radius, double length)
+{
+    return fmax(1.0, fmin(at + radius, length) - fmax(at - radius, 0.0));
+}
+
+/* Count the spots about the pad that no lamp explains. */
+static void look_about(const camera_lens *camera, const lamp_pattern *pad, const lamp_spots *spots, const pad_pose *pose,
+                       const int explained[LAMP_SPOTS], lamp_assignment *out)
+{
+    double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY}, reach_m = 0.0, p[3], uv[2];
+    for (int k = 0; k < (int)pad->lamps; k++) {
+        low[0] = fmin(low[0], pad->x_m[k]), high[0] = fmax(high[0], pad->x_m[k]);
+        low[1] = fmin(low[1], pad->y_m[k]), high[1] = fmax(high[1], pad->y_m[k]);
+    }
+    const double x = 0.5 * (low[0] + high[0]), y = 0.5 * (low[1] + high[1]);
+    for (int k = 0; k < (int)pad->lamps; k++) {
+        reach_m = fmax(reach_m, hypot(pad->x_m[k] - x, pad->y_m[k] - y));
+    }
+    out->strangers = 0, out->area_px2 = 1.0;
+    pad_point(pose, x, y, p);
+    if (!(p[2] > NEAREST_M)) {
+        return;
+    }
+    camera_project(camera, p, uv);
+    const double radius = camera->fx * ABOUT * reach_m / p[2];
+    out->area_px2 = PI / 4.0 * within(uv[0], radius, (double)camera->width) * within(uv[1], radius, (double)camera->height);
+    for (int k = 0; k < spots->n; k++) {
+        out->strangers += !explained[k] && between(uv, spots->spot[k].uv) < radius;
+    }
+}
+
+void assign_lamps(const camera_lens *camera, const lamp_pattern *pad, const lamp_spots *spots, const pad_pose *pose, double reach_px,
+                  lamp_assignment *out)
+{
+    shown_lamps shown;
+    int explained[LAMP_SPOTS], in_view = 0;
+    show(camera, pad, pose, &shown);
+    for (int k = 0; k < (int)pad->lamps; k++) {
+        in_view += shown.in_view[k];
+        out->spot[k] = shown.in_view[k] ? nearest_spot(spots, shown.uv[k], reach_px) : -1;
+    }
+    out->groups = 0;
+    for (int s = 0; s < spots->n; s++) {
+        explained[s] = keep_group(pad, &shown, &spots->spot[s], s, reach_px, out->spot);
+        out->groups += explained[s];
+    }
+    out->expected = out->groups + missing(pad, &shown, out->spot);
+    if (in_view == 0) {
+        out->strangers = 0, out->area_px2 = 1.0;
+        return;
+    }
+    look_about(camera, pad, spots, pose, explained, out);
+}

@@ -1,0 +1,33 @@
+/* The coverage of blurred pixels by the regions of a drawing.
+ *
+ * A pixel of a blurred frame mixes the paints; the weight of a paint is its region convolved with the point spread function. Across
+ * a straight edge that is the normal distribution's integral. In a rectangle it is a product of two, because an isotropic Gaussian
+ * separates into its axes; `sides.h` says what it is between sides of other directions. A circle's edge moves inward as it is blurred. For the heat equation in polar coordinates the drift is
+ * 1/r, whose characteristics are r0^2 = r^2 + sigma^2, so the coverage of a circle of radius R at radius r is
+ * Phi((R - sqrt(r^2 + sigma^2)) / sigma). */
+#ifndef DECKLANDER_REGISTER_COVERAGE_H
+#define DECKLANDER_REGISTER_COVERAGE_H
+
+#include "vision/register/state.h"
+
+/* Points prepared for the coverage of circles about the centre: the effective radius sqrt(r^2 + sigma^2), its inverse, the inverse
+ * deviation of the blur along the radius, and the squared ratio of depths times cc, 2 cs and ss of the radius' direction. */
+enum { ROUND_ROWS = 6 };
+
+typedef struct {
+    float *seen, *per, *per_sigma, *m_cc, *m_cs, *m_ss;
+} round_points;
+
+void prepare_circles(const footprint *f, round_points *p);
+
+/* The coverage of points begin to begin + count by a region, and its derivatives. `spare`: two rows that are written over. */
+void cover(const pad_shape *pad, const pad_region *region, const footprint *f, const round_points *p, int begin, int count,
+           float *value, float *const d[BY], float *const spare[2]);
+
+/* The coverage by a figure alone, turned by half a turn if `turned`; without derivatives. */
+void cover_figure(const pad_figure *figure, const footprint *f, int begin, int count, int turned, float *value);
+
+/* The coverage by the pointer alone, a wedge beyond its circle or a figure; without derivatives. */
+void cover_pointer(const pad_shape *pad, const footprint *f, const round_points *p, int begin, int count, float *value);
+
+#endif

@@ -1,0 +1,30 @@
+/* Registration of a distant pad as a whole, and the pointer of the drawing that tells its two headings apart. */
+#ifndef DECKLANDER_REGISTER_FAR_H
+#define DECKLANDER_REGISTER_FAR_H
+
+#include "vision/register/dense.h"
+#include "vision/register/solver.h"
+
+/* Amplitude of the drawing's pointer at its place and at the opposite one, 1 is a whole pointer, and the deviation of either. */
+typedef struct {
+    double here, there, sigma;
+} pointer;
+
+/* Whether an amplitude is so much larger than the one at the opposite place that the heading is certain. */
+int stands_out(double amplitude, double opposite, double sigma);
+/* The number of kinds of edges that the pad has. */
+int kinds_drawn(const pad_shape *pad);
+
+/* The support for a pointer of this amplitude; 1 is nominal. */
+edge_support pointer_support(double amplitude, double sigma, const double contrast[CHANNELS], double in_view);
+
+/* Whether a kind of edge is clearly there, and of its paint. */
+int support_is_seen(const edge_support *e);
+
+/* Register from a state; 0 if too little of the pad is in view, or if the frame does not determine a pose. */
+int register_far(const view *v, const pad_shape *pad, const fit_options *o, const tilt_target *tilt, const fit_state *start, rows *r,
+                 fit_solved *out);
+/* Whether the pointer is seen at the opposite of its place and not there. */
+int is_opposite(const view *v, const pad_shape *pad, const fit_options *o, const fit_state *s, rows *r);
+
+#endif

@@ -1,0 +1,232 @@
+#include "vision/register/sums.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "base/vectors.h"
+#include "base/wide.h"
+
+/* The sum of eight lanes. */
+static inline double across(const float8 *sum)
+{
+    const float8 s = *sum;
+    return (double)((s[0] + s[4]) + (s[2] + s[6])) + (double)((s[1] + s[5]) + (s[3] + s[7]));
+}
+
+/* sum_n a[n] b[n] over a block */
+static inline double block_product(int n, const float *a, const float *b)
+{
+    float8 sum = {0.0f};
+    for (int i = 0; i < n; i += LANES) {
+        sum += *eight_of(a + i) * *eight_of(b + i);
+    }
+    return across(&sum);
+}
+
+/* The same with four rows at once, which share what is read of `a`. */
+static inline void block_products(int n, const float *a, const float *const b[4], double *out)
+{
+    const float *b0 = b[0], *b1 = b[1], *b2 = b[2], *b3 = b[3];
+    float8 s0 = {0.0f}, s1 = {0.0f}, s2 = {0.0f}, s3 = {0.0f};
+    for (int i = 0; i < n; i += LANES) {
+        const float8 of = *eight_of(a + i);
+        s0 += of * *eight_of(b0 + i);
+        s1 += of * *eight_of(b1 + i);
+        s2 += of * *eight_of(b2 + i);
+        s3 += of * *eight_of(b3 + i);
+    }
+    out[0] += across(&s0), out[1] += across(&s1), out[2] += across(&s2), out[3] += across(&s3);
+}
+
+/* Add the products of one row with rows from..b - 1. */
+static inline void add_row(int n, const float *a, int from, int b, const float *const B[], int start, double *out)
+{
+    int j = from;
+    for (; j + 4 <= b; j += 4) {
+        const float *const four[4] = {B[j] + start, B[j + 1] + start, B[j + 2] + start, B[j + 3] + start};
+        block_products(n, a, four, out + j);
+    }
+    for (; j < b; j++) {
+        out[j] += block_product(n, a, B[j] + start);
+    }
+}
+
+WIDE
+void add_products(int n, int a, const float *const A[], int b, const float *const B[], int stride, double *out)
+{
+    for (int start = 0; start < n; start += SUM_BLOCK) {
+        const int length = n - start < SUM_BLOCK ? n - start : SUM_BLOCK;
+        for (int i = 0; i < a; i++) {
+            add_row(length, A[i] + start, 0, b, B, start, out + i * stride);
+        }
+    }
+}
+
+WIDE
+void add_squares(int n, int a, const float *const A[], const float *const B[], int stride, double *out)
+{
+    for (int start = 0; start < n; start += SUM_BLOCK) {
+        const int length = n - start < SUM_BLOCK ? n - start : SUM_BLOCK;
+        for (int i = 0; i < a; i++) {
+            add_row(length, A[i] + start, i, a, B, start, out + i * stride);
+        }
+    }
+}
+
+void mirror(int n, int stride, double *M)
+{
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j < i; j++) {
+            M[i * stride + j] = M[j * stride + i];
+        }
+    }
+}
+
+/* The bits of a float, in the order of the numbers. */
+static inline uint32_t ordered(float value)
+{
+    uint32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
+}
+
+static inline float unordered(uint32_t bits)
+{
+    bits = bits & 0x80000000u ? bits & 0x7FFFFFFFu : ~bits;
+    float value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+/* The k-th smallest of the first n keys. Source: Hoare, Algorithm 65: Find, Communications of the ACM 4(7), 1961. */
+static uint32_t kth_smallest(int n, int k, uint32_t *keys)
+{
+    int low = 0, high = n - 1;
+    while (low < high) {
+        const uint32_t pivot = keys[low + (high - low) / 2];
+        int i = low, j = high;
+        while (i <= j) {
+            while (keys[i] < pivot) {
+                i++;
+            }
+            while (pivot < keys[j]) {
+                j--;
+            }
+            if (i <= j) {
+                const uint32_t kept = keys[i];
+                keys[i++] = keys[j];
+                keys[j--] = kept;
+            }
+        }
+        if (k <= j) {
+            high = j;
+        } else if (k >= i) {
+            low = i;
+        } else {
+            break;
+        }
+    }
+    return keys[k];
+}
+
+float median_of(int n, const float *values, uint32_t *spare)
+{
+    /* Numbers with the same sign, exponent and first three bits of the fraction share a bin; only the median's bin is searched. */
+    enum { BINS = 4096, SHIFT = 20 };
+    uint32_t count[BINS] = {0};
+    for (int i = 0; i < n; i++) {
+        spare[i] = ordered(values[i]);
+        count[spare[i] >> SHIFT]++;
+    }
+    int below = 0, kept = 0;
+    uint32_t bin = 0;
+    while (below + (int)count[bin] <= n / 2) {
+        below += (int)count[bin++];
+    }
+    for (int i = 0; i < n; i++) {
+        const uint32_t key = spare[i];
+        spare[kept] = key;
+        kept += key >> SHIFT == bin;
+    }
+    return unordered(kth_smallest(kept, n / 2 - below, spare));
+}
+
+/* B <- inv(M) B by elimination with the largest pivot. */
+static int eliminate(int n, double *M, int m, double *B)
+{
+    for (int k = 0; k < n; k++) {
+        int best = k;
+        for (int i = k + 1; i < n; i++) {
+            best = fabs(M[i * n + k]) > fabs(M[best * n + k]) ? i : best;
+        }
+        if (!(fabs(M[best * n + k]) > 0.0)) {
+            return 0;
+        }
+        for (int j = 0; j < n; j++) {
+            const double kept = M[k * n + j];
+            M[k * n + j] = M[best * n + j], M[best * n + j] = kept;
+        }
+        for (int j = 0; j < m; j++) {
+            const double kept = B[k * m + j];
+            B[k * m + j] = B[best * m + j], B[best * m + j] = kept;
+        }
+        for (int i = k + 1; i < n; i++) {
+            const double factor = M[i * n + k] / M[k * n + k];
+            for (int j = k; j < n; j++) {
+                M[i * n + j] -= factor * M[k * n + j];
+            }
+            for (int j = 0; j < m; j++) {
+                B[i * m + j] -= factor * B[k * m + j];
+            }
+        }
+    }
+    for (int i = n - 1; i >= 0; i--) {
+        for (int j = 0; j < m; j++) {
+            for (int k = i + 1; k < n; k++) {
+                B[i * m + j] -= M[i * n + k] * B[k * m + j];
+            }
+            B[i * m + j] /= M[i * n + i];
+        }
+    }
+    return 1;
+}
+
+int solve_symmetric(int n, int stride, const double *M, int m, double *B)
+{
+    double L[COEFFICIENTS_MAX * COEFFICIENTS_MAX], per[COEFFICIENTS_MAX];
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j <= i; j++) {
+            double sum = M[i * stride + j];
+            for (int k = 0; k < j; k++) {
+                sum -= L[i * n + k] * L[j * n + k];
+            }
+            if (i == j) {
+                if (!(sum > 0.0)) {
+                    double whole[COEFFICIENTS_MAX * COEFFICIENTS_MAX];
+                    for (int r = 0; r < n * n; r++) {
+                        whole[r] = M[r / n * stride + r % n];
+                    }
+                    return eliminate(n, whole, m, B);
+                }
+                per[i] = 1.0 / sqrt(sum);
+            } else {
+                L[i * n + j] = sum * per[j];
+            }
+        }
+    }
+    for (int j = 0; j < m; j++) {
+        for (int i = 0; i < n; i++) {
+            for (int k = 0; k < i; k++) {
+                B[i * m + j] -= L[i * n + k] * B[k * m + j];
+            }
+            B[i * m + j] *= per[i];
+        }
+        for (int i = n - 1; i >= 0; i--) {
+            for (int k = i + 1; k < n; k++) {
+                B[i * m + j] -= L[k * n + i] * B[k * m + j];
+            }
+            B[i * m + j] *= per[i];
+        }
+    }
+    return 1;
+}

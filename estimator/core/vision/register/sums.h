@@ -1,0 +1,25 @@
+/* Sums over pixels, and systems of equations of a few unknowns. */
+#ifndef DECKLANDER_REGISTER_SUMS_H
+#define DECKLANDER_REGISTER_SUMS_H
+
+#include "vision/register/state.h"
+
+/* The most paint coefficients of a dense fit: light and its two slopes, the regions, a reflection's four. */
+enum { COEFFICIENTS_MAX = 3 + PAD_CONTRASTS + 4, SUM_BLOCK = 128 };
+
+/* out[i][j] += sum_n A[i][n] B[j][n], i < a, j < b; the rows of `out` are `stride` apart. Rows are zero from n to the next multiple
+ * of `LANES`. Products of floats are summed over short blocks in single precision, and the blocks in double. */
+void add_products(int n, int a, const float *const A[], int b, const float *const B[], int stride, double *out);
+/* The same for A = B weighted: the upper triangle alone, out[i][j] for i <= j. */
+void add_squares(int n, int a, const float *const A[], const float *const B[], int stride, double *out);
+/* Copy the upper triangle to the lower one. */
+void mirror(int n, int stride, double *M);
+
+/* The upper median of n finite numbers; `spare` has room for as many. */
+float median_of(int n, const float *values, uint32_t *spare);
+
+/* Solve M X = B for symmetric M of n rows (`n` at most COEFFICIENTS_MAX), by Cholesky, by elimination if that fails; B has `m`
+ * columns and takes X. Returns 0 if M is singular. */
+int solve_symmetric(int n, int stride, const double *M, int m, double *B);
+
+#endif

@@ -1,0 +1,57 @@
+#include <math.h>
+#include <string.h>
+
+#include "vision/search/blobs.h"
+#include "vision/camera.h"
+#include "vision/search/search.h"
+
+enum { MOST = 64 };
+/* Fraction of an ellipse's area at which an area is no support for a circle. */
+static const double LEAST_FILLED = 0.9;
+
+int64_t search_blobs_room(const blob_image *image)
+{
+    return blob_room(image);
+}
+
+/* The circle on the plane that an ellipse of the frame is; returns whether all of it can be seen there. */
+static int circle_of(const camera_lens *c, const blob_image *image, const blob_ellipse *from, search_circle *out)
+{
+    const double a = sqrt(from->M[0]), b = from->M[1] / a, d = sqrt(fmax(0.0, from->M[2] - b * b));
+    double rays[2 * SEARCH_SECTORS], places[2 * SEARCH_SECTORS];
+    memset(out, 0, sizeof *out);
+    for (int k = 0; k < SEARCH_SECTORS; k++) {
+        const double turn = 2.0 * acos(-1.0) * k / SEARCH_SECTORS, x = cos(turn), y = sin(turn);
+        out->outline_px[2 * k] = from->centre[0] + a * x;
+        out->outline_px[2 * k + 1] = from->centre[1] + b * x + d * y;
+        camera_ray(c, out->outline_px[2 * k], out->outline_px[2 * k + 1], rays + 2 * k);
+    }
+    if (!search_on_plane(SEARCH_SECTORS, rays, image->R_cam_plane, places)) {
+        return 0;
+    }
+    for (int k = 0; k < 2 * SEARCH_SECTORS; k++) {
+        out->centre[k % 2] += places[k] / SEARCH_SECTORS;
+    }
+    for (int k = 0; k < SEARCH_SECTORS; k++) {
+        out->radius += hypot(places[2 * k] - out->centre[0], places[2 * k + 1] - out->centre[1]) / SEARCH_SECTORS;
+    }
+    out->points = SEARCH_SECTORS;
+    out->bright_inside = from->bright;
+    out->support = fmin(1.0, fmax(0.0, (from->filled - LEAST_FILLED) / (1.0 - LEAST_FILLED)));
+    return out->radius > 0.0;
+}
+
+int32_t search_blobs(const camera_lens *c, const blob_image *image, const uint8_t *half, const uint8_t *full, float *scratch,
+                     search_circle *out)
+{
+    blob_peak peaks[MOST];
+    blob_ellipse one;
+    blob_image within = *image;
+    int32_t found = 0;
+    within.most = image->most < MOST ? image->most : MOST;
+    const int n = within.most > 0 ? blob_peaks(&within, half, scratch, peaks) : 0;
+    for (int k = 0; k < n; k++) {
+        found += blob_outline(&within, half, full, &peaks[k], &one) && circle_of(c, &within, &one, &out[found]);
+    }
+    return found;
+}

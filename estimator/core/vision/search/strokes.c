@@ -1,0 +1,166 @@
+#include <math.h>
+#include <string.h>
+
+#include "base/rotation.h"
+#include "vision/search/strokes.h"
+#include "base/wide.h"
+
+enum { LONGEST = 72, LEAST_WIDTH = 4, MOST_WIDTH = 70, WIDE_FROM = 9, FEWEST = 8, WIDTHS = 2, LIMITS = 2 };
+/* Weights of runs one and two pixels longer or shorter. */
+static const double NEXT = 0.7, SECOND = 0.4;
+/* Widths within this fraction of each other are one. */
+static const double SAME_WIDTH = 0.15;
+/* Least depth of the H, m. */
+static const double LEAST_DEPTH_M = 0.02;
+
+int64_t strokes_size(const strokes_image *image)
+{
+    return (int64_t)hypot((double)image->width, (double)image->height) + 2;
+}
+
+int64_t search_strokes_room(const strokes_image *image)
+{
+    const int64_t n = strokes_size(image), pixels = image->width * image->height;
+    return (pixels + 3) / 4 + (n * n + 1) / 2 + (n * n + 3) / 4 + strokes_sums(n) + n * n + n;
+}
+
+WIDE
+static void mask_of(int n, const int16_t *grey, int limit, int8_t *out)
+{
+    for (int i = 0; i < n; i++) {
+        out[i] = (int8_t)(grey[i] < 0 ? 0 : grey[i] > limit ? 1 : -1);
+    }
+}
+
+/* Count the runs of marks between background along rows and columns. `starts` has the beginning of each column's run, or -1. */
+static void count_runs(int n, const int8_t *mask, int32_t *starts, double count[LONGEST])
+{
+    for (int i = 0; i < n; i++) {
+        starts[i] = -1;
+    }
+    for (int row = 0; row < n; row++) {
+        const int8_t *here = mask + row * n, *above = here - n;
+        int start = -1;
+        for (int i = 1; i < n; i++) {
+            if (here[i] != here[i - 1]) {
+                const int length = i - start;
+                if (here[i] < 0 && here[i - 1] > 0 && start >= 0 && length < LONGEST) {
+                    count[length] += 1.0;
+                }
+                start = here[i] > 0 && here[i - 1] < 0 ? i : -1;
+            }
+        }
+        for (int i = 0; row > 0 && i < n; i++) {
+            if (here[i] != above[i]) {
+                const int length = row - starts[i];
+                if (here[i] < 0 && above[i] > 0 && starts[i] >= 0 && length < LONGEST) {
+                    count[length] += 1.0;
+                }
+                starts[i] = here[i] > 0 && above[i] < 0 ? row : -1;
+            }
+        }
+    }
+}
+
+static double count_about(const double count[LONGEST], int k)
+{
+    const double side = count[k - 1] + (k + 1 < LONGEST ? count[k + 1] : 0.0);
+    const double beyond = count[k - 2] + (k + 2 < LONGEST ? count[k + 2] : 0.0);
+    return count[k] + NEXT * side + (k >= WIDE_FROM ? SECOND * beyond : 0.0);
+}
+
+int strokes_widths(int n, const int8_t *mask, int32_t *starts, double widths[2])
+{
+    double count[LONGEST];
+    int found = 0;
+    memset(count, 0, sizeof count);
+    count_runs(n, mask, starts, count);
+    memset(count, 0, LEAST_WIDTH * sizeof *count);
+    memset(count + MOST_WIDTH, 0, (LONGEST - MOST_WIDTH) * sizeof *count);
+    while (found < WIDTHS) {
+        int best = LEAST_WIDTH;
+        for (int k = LEAST_WIDTH; k < MOST_WIDTH; k++) {
+            best = count_about(count, k) > count_about(count, best) ? k : best;
+        }
+        if (count_about(count, best) < FEWEST) {
+            break;
+        }
+        const int reach = SAME_WIDTH * best > 1.0 ? (int)floor(SAME_WIDTH * best + 0.5) : 1;
+        double all = 0.0, sum = 0.0;
+        for (int k = best - reach; k <= best + reach && k < LONGEST; k++) {
+            all += count[k];
+            sum += count[k] * k;
+            count[k] = 0.0;
+        }
+        widths[found++] = all > 0.0 ? sum / all : (double)best;
+    }
+    return found;
+}
+
+/* The pose of an H found in an upright view; returns whether it is in front of the lens. */
+static int pose_of(const strokes_image *image, const upright_view *view, const pad_strokes *h, const stroke_place *at, double width,
+                   search_guess *out)
+{
+    const double quarter = acos(0.0), depth = h->leg_m * view->focal / width, *to = view->to_plane;
+    const double x = (double)at->x, y = (double)at->y;
+    const double place[3] = {(to[0] * x + to[1] * y + to[2]) * depth, (to[3] * x + to[4] * y + to[5]) * depth, depth};
+    double turn[9];
+    about_down(view->turn + (at->across ? quarter : 0.0), turn);
+    product(image->R_cam_plane, turn, out->R);
+    rotated(image->R_cam_plane, place, out->t);
+    out->turn_rad = out->support = out->side[0] = out->side[1] = 0.0;
+    out->drawing = (double)at->score;
+    out->known = image->plane_known;
+    out->one_sided = 0;
+    return out->t[2] > LEAST_DEPTH_M;
+}
+
+/* Put a guess into a list of the best. */
+static int32_t ranked(const search_guess *one, int32_t n, int32_t most, search_guess *out)
+{
+    int32_t at = n < most ? n : most;
+    while (at > 0 && out[at - 1].drawing < one->drawing) {
+        if (at < most) {
+            out[at] = out[at - 1];
+        }
+        at--;
+    }
+    if (at < most) {
+        out[at] = *one;
+    }
+    return n < most ? n + 1 : most;
+}
+
+int32_t search_strokes(const camera_lens *c, const strokes_image *image, const pad_strokes *h, const uint8_t *px, float *scratch,
+                       int32_t most, search_guess *out)
+{
+    const int64_t pixels = image->width * image->height, n = strokes_size(image);
+    uint8_t *grey = (uint8_t *)(void *)scratch;
+    int16_t *upright = (int16_t *)(void *)(scratch + (pixels + 3) / 4);
+    int8_t *mask = (int8_t *)(void *)(scratch + (pixels + 3) / 4 + (n * n + 1) / 2);
+    int32_t *sums = (int32_t *)(void *)(scratch + (pixels + 3) / 4 + (n * n + 1) / 2 + (n * n + 3) / 4);
+    float *score = (float *)(void *)(sums + strokes_sums(n));
+    int32_t *starts = (int32_t *)(void *)(score + n * n), found = 0;
+    double angle, widths[WIDTHS];
+    int limits[LIMITS];
+    upright_view view;
+    strokes_darkest(image, px, grey);
+    if (!strokes_direction((int)image->width, (int)image->height, grey, &angle) || !strokes_place(c, image, angle, &view)) {
+        return 0;
+    }
+    const int shades = strokes_limits((int)pixels, grey, limits);
+    strokes_upright(image, &view, grey, upright);
+    for (int k = 0; k < shades; k++) {
+        mask_of((int)(n * n), upright, limits[k], mask);
+        const int sizes = strokes_widths((int)n, mask, starts, widths);
+        for (int i = 0; i < sizes; i++) {
+            stroke_place places[STROKES_PLACES];
+            const int fits = strokes_fit(h, (int)n, mask, widths[i], sums, score, places);
+            for (int j = 0; j < fits; j++) {
+                search_guess one;
+                found = pose_of(image, &view, h, &places[j], widths[i], &one) ? ranked(&one, found, most, out) : found;
+            }
+        }
+    }
+    return found;
+}

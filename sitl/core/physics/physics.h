@@ -1,0 +1,53 @@
+/* The simulated vehicle, its contacts, its air and its sensors. */
+#ifndef DECKLANDER_SIM_H
+#define DECKLANDER_SIM_H
+
+#include "interface.h"
+#include "base/rotation.h"
+
+/* Depth below the deck's plane beyond which a point is under the deck and not in contact. No fall reaches it in one step. */
+#define DEEPEST_M 0.3
+
+/* The body's motion relative to the deck, in the pad frame; R is R_pad_body. */
+typedef struct {
+    double d[3], v[3], R[9], w[3];
+} relative;
+
+static inline double clip(double x, double low, double high)
+{
+    return x < low ? low : x > high ? high : x;
+}
+
+static inline int motors_turn(const vehicle *v)
+{
+    return v->phase != PHASE_LANDED && v->phase != PHASE_EMERGENCY;
+}
+
+/* The motion of a body at p relative to the deck. */
+void relative_to_deck(const deck *g, const double p[3], const double v[3], const double R[9], const double w[3], relative *r);
+/* Whether a point of the pad's plane lies on the deck. */
+int deck_holds(const vehicle_params *o, double x, double y);
+/* The share of a disc about a point of the pad's plane that lies over the deck: exact along a straight edge; at a corner the
+ * shares of the two edges are multiplied. */
+double deck_coverage(const vehicle_params *o, double x, double y, double radius);
+/* The force and the torque about the body's origin of the deck on the body, in the pad frame; returns the feet in contact. */
+int contact_force(const vehicle_params *o, const relative *r, double force[3], double torque[3]);
+/* The acceleration in ned and the torque in body of a vehicle that lies `depth` deep in the water. */
+void buoyancy(const vehicle_params *o, double depth, const double v[3], const double w[3], double sea_vz, double a[3],
+              double torque[3]);
+/* The thrust of each rotor; together they give this thrust and torque, with the least sum of squares. */
+void rotor_thrusts(const vehicle_params *o, double thrust, const double torque[3], double each[ROTORS_MAX]);
+/* The thrust and torque that result when each rotor gives only its share of what is asked of it. */
+void delivered(const vehicle_params *o, double *thrust, double torque[3], const double share[ROTORS_MAX]);
+/* The factor of the ground effect on thrust at a height of the body's origin over a surface. */
+double ground_effect(const vehicle_params *o, double height);
+/* The factor for each rotor by itself over a deck's edge. */
+void ground_effect_by_rotor(const vehicle_params *o, const relative *r, double over_water, double factor[ROTORS_MAX]);
+/* Advance the air by one step; v->air becomes its velocity at the vehicle, in ned. */
+void air_step(const air_params *o, double step_s, vehicle *v, const deck *g, const relative *r, double height,
+              const double noise[FLIGHT_NOISE]);
+/* Advance the sensors by one step, after the vehicle's. */
+void sensors_step(const vehicle_params *o, const vehicle *v, const sensor_params *e, sensors *s, const deck *g, double sea_z,
+                  const double noise[SENSOR_NOISE]);
+
+#endif
