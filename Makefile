@@ -72,7 +72,7 @@ docs: $(VENV)/.docs
 fuzz: $(VENV)/.fuzz $(CORE)
 	$(BIN)/python -m fuzz $(if $(HOURS),--hours $(HOURS)) $(if $(SECONDS),--seconds $(SECONDS)) $(if $(JOBS),--jobs $(JOBS)) $(if $(CPU),--cpu) $(if $(ONLY),--only $(ONLY))
 
-# Filter, guidance and command streamers changed in one place at a time: how many of the changes do the tests notice? SHARE=0.1 for a sample.
+# Filter, vision, guidance and command streamers changed in one place at a time: how many of the changes do the tests notice? SHARE=0.1 for a sample.
 mutants: $(VENV)/.dev $(CORE)
 	$(BIN)/python -m mutants $(if $(SHARE),--share $(SHARE)) $(if $(SEED),--seed $(SEED)) $(if $(ONLY),--only $(ONLY))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 _GATE = ("tests/estimator/ekf/test_gate_bounds.py",)
 _CORE = (
     "tests/estimator/ekf/test_core_edges.py",
@@ -33,6 +35,22 @@ _MISSION = ("tests/companion/test_mission_flights.py", "tests/companion/test_ren
 _LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py", "tests/companion/test_deck_turn.py")
 _LAW_CORE = "tests/companion/test_law_core.py"
 _AXIS = ("tests/companion/test_tilt_axis.py", "tests/companion/test_law.py")
+_VISION = "tests/estimator/vision"
+_SEEN = (f"{_VISION}/test_equivariance.py", f"{_VISION}/test_verification_registered.py")
+_ROOMS = {
+    "align": (f"{_VISION}/test_verification.py", f"{_VISION}/test_acquire_parts.py", *_SEEN, f"{_VISION}/test_covered.py"),
+    "lamps": (f"{_VISION}/test_lamps_core.py", f"{_VISION}/test_lamps.py"),
+    "look": (*_SEEN, f"{_VISION}/test_paint.py", f"{_VISION}/test_detection.py"),
+    "register": (f"{_VISION}/test_registration.py", *_SEEN, f"{_VISION}/test_registration_surroundings.py"),
+    "search": (
+        f"{_VISION}/test_acquire_parts.py",
+        f"{_VISION}/test_blob_circles.py",
+        f"{_VISION}/test_letter_alone.py",
+        f"{_VISION}/test_acquire.py",
+    ),
+}
+"""Rooms of vision's C and their tests."""
+_CORE_OF_VISION = Path(__file__).parents[1] / "estimator/core/vision"
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/filter/answer.c": _ANSWERS,
@@ -73,7 +91,15 @@ TARGETS: dict[str, tuple[str, ...]] = {
         *_SIGHTINGS[1:3],
         "tests/estimator/ekf/test_process_event_bounds.py",
     ),
-    "estimator/core/vision/sighting_level.c": ("tests/estimator/vision/test_pose_in_level.py",),
+    "estimator/core/vision/sighting_level.c": (f"{_VISION}/test_pose_in_level.py",),
+    "estimator/core/vision/camera.c": (*_SEEN, f"{_VISION}/test_registration.py"),
+    "estimator/core/vision/frame_noise.c": (f"{_VISION}/test_hard_light.py", *_SEEN),
+    **{
+        f"estimator/core/vision/{room}/{file.name}": tests
+        for room, tests in _ROOMS.items()
+        for file in sorted((_CORE_OF_VISION / room).glob("*.c"))
+    },
+    "estimator/core/vision/register/coded.c": (f"{_VISION}/test_fiducial_pads.py", *_SEEN),
     "estimator/ekf/gate.py": _GATE,
     "estimator/ekf/process_event.py": (
         "tests/estimator/ekf/test_process_event_bounds.py",

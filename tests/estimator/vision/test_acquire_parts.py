@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.interface import places_of
 from estimator.core.interface.eyes import TEMPLATE_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
@@ -28,8 +27,6 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.srgb import LINEAR_LIGHT
 from sitl.light import Light
-from tests.estimator.vision.oracle.heading import searched_heading
-from tests.estimator.vision.oracle.tilted import circle_normals, tilted_circles
 from tests.support.deck_images import shown
 from tests.support.pad_images import sim_camera
 
@@ -48,33 +45,6 @@ def test_a_part_of_a_small_image_is_that_part_of_the_small_image() -> None:
         left, top, right, below = box
         assert np.array_equal(Pyramid(px).cut(level, *box), Pyramid(px)[level][top:below, left:right])
         assert Pyramid(px).size(level) == Pyramid(px)[level].shape[1::-1]
-
-
-@given(
-    roll=st.floats(-0.6, 0.6), pitch=st.floats(-0.6, 0.6), x=st.floats(-0.4, 0.4), y=st.floats(-0.3, 0.3),
-    depth=st.floats(0.5, 20.0),
-)  # fmt: skip
-@settings(max_examples=60)
-def test_the_normals_of_an_ellipse_contain_that_of_its_circle(
-    roll: float, pitch: float, x: float, y: float, depth: float
-) -> None:
-    R = Rotation.from_rpy(roll, pitch, 0.0).matrix
-    centre = np.array([x, y, 1.0]) * depth
-    if float(R[:, 2] @ centre) < 0.3 * depth:
-        return
-    # The cone through the circle, as a conic at unit depth.
-    e1, e2, n, r = R[:, 0], R[:, 1], R[:, 2], 0.39
-    M = np.stack([e1, e2, centre], axis=1)
-    Minv = np.linalg.inv(M)
-    Q = Minv.T @ np.diag([1.0, 1.0, -(r**2)]) @ Minv
-    A, b, c = Q[:2, :2], Q[:2, 2], Q[2, 2]
-    mid = -np.linalg.solve(A, b)
-    scale = float(mid @ A @ mid - c)
-    values, vectors = np.linalg.eigh(A / scale)
-    got = circle_normals(mid, values**-0.5, math.atan2(vectors[1, 0], vectors[0, 0]))
-    assert got
-    assert min(math.acos(min(1.0, abs(float(g @ n)))) for g in got) < 1e-3
-    assert all(g[2] > 0 for g in got)
 
 
 def disc_on(shape: tuple[int, int], at: tuple[float, float], radius: float, inside: int, outside: int) -> U8:
@@ -109,6 +79,18 @@ def test_a_plain_frame_has_no_circles_and_stripes_and_noise_none_with_much_of_an
     noise = np.random.default_rng(1).integers(0, 256, (90, 160), np.uint8)
     for px, most in ((np.ascontiguousarray(stripes), 0.4), (noise, 0.8)):
         assert all(c.support < most for c in edge_circles(px, 4, camera, plane, radii, 6))
+
+
+@pytest.mark.parametrize("square_px", [6, 14])
+def test_a_pattern_everywhere_counts_against_the_circles_that_it_makes(square_px: int) -> None:
+    # Every centre has votes from edges all around; a disc of a fifth of their contrast is the first of the few that stand out.
+    camera = sim_camera((0.0, 0.0, 0.0))
+    v, u = np.mgrid[:180, :320]
+    px = disc_on((180, 320), (230.0, 90.0), 20.0, 75, 60)
+    px[:, :170] = (60 + 80 * ((u // square_px + v // square_px) % 2))[:, :170]
+    found = edge_circles(px, 2, camera, Plane.of(camera, None), Radii(12.0, 1.2, 7), 20)
+    assert np.hypot(*(found[0].centre - camera.rays(np.array([[460.5, 180.5]]))[0])) < 0.1 * found[0].radius
+    assert len(found) < 8
 
 
 def discs_on_grey(camera: Camera, at: tuple[float, float], discs: tuple[tuple[float, float], ...], half: bool = False) -> U8:
@@ -162,43 +144,19 @@ def test_half_a_disc_is_more_prominent_than_what_noise_makes_of_smaller_circles(
     assert first >= 8
 
 
-@given(roll=st.floats(-0.4, 0.4), pitch=st.floats(-0.4, 0.4))
-@settings(max_examples=40)
-def test_a_tilted_circle_has_its_radius_in_one_of_two_planes(roll: float, pitch: float) -> None:
-    camera = sim_camera((0.0, 0.0, 0.0))
-    pose = PadPose(Rotation.from_rpy(roll, pitch, 0.0), np.array([0.1, -0.2, 2.0]))
-    a = np.linspace(0.0, math.tau, 30, endpoint=False)
-    outline = camera.project(pose.points(np.stack([0.39 * np.cos(a), 0.39 * np.sin(a), 0 * a], axis=1)))
-    found = [plane.pose(centre, radius, 0.39) for plane, centre, radius in tilted_circles(outline, camera)]
-    if not found:
-        facing = float(pose.R_cam_pad.matrix[:, 2] @ pose.t_cam_pad) / pose.range_m
-        assert facing > 0.93, "seen nearly from above"
-        return
-    assert min(float(np.linalg.norm(p.t_cam_pad - pose.t_cam_pad)) for p in found) < 1e-3
-
-
 @pytest.mark.parametrize("tilt", [(0.35, 0.1), (-0.2, 0.3), (0.0, -0.4), (-0.3, -0.25)])
-def test_the_core_guesses_the_tilt_of_a_disc_as_numpy_does(camera: Camera, pad: Pad, tilt: tuple[float, float]) -> None:
+def test_the_tilt_of_a_disc_is_guessed_without_an_attitude(camera: Camera, pad: Pad, tilt: tuple[float, float]) -> None:
     seen = shown(camera, pad, 2.0, tilt_rad=tilt)
     frame, plane = Pyramid(seen.px), Plane.of(camera, None)
-    at = places_of("search_circle")
     circles: list[EdgeCircle] = []
     for level in (1, 2):
         grey = np.asarray(cv2.cvtColor(frame[level], cv2.COLOR_BGR2GRAY), np.uint8)
         circles += edge_circles(grey, 1 << level, camera, plane, Radii(5.0 * level, 1.2, 12 // level), 4)
-    near = 0
-    for circle in circles:
-        points = int(circle.words.view(np.int64)[at["points"].start])
-        oracle = tilted_circles(circle.words[at["outline_px"]].reshape(-1, 2)[:points], camera)
-        tilted = [g for g in guesses_from([circle], Outline.EDGES, frame, camera, pad, plane) if g.tilt_known]
-        for stand, centre, radius in oracle if tilted else []:
-            pose = stand.pose(centre, radius, pad.disc_radius_m)
-            off = [float(np.linalg.norm(g.flat.t_cam_pad - pose.t_cam_pad)) for g in tilted]
-            k = int(np.argmin(off))
-            assert off[k] < 0.02 * pose.range_m
-            assert tilted[k].flat.R_cam_pad.angle_to(pose.R_cam_pad) < 0.12
-            near += float(np.linalg.norm(tilted[k].flat.t_cam_pad - seen.truth.t_cam_pad)) < 0.1
-    assert near, "one of them is the disc"
+    guesses = [g for one in circles for g in guesses_from([one], Outline.EDGES, frame, camera, pad, plane)]
+    tilted = [g.flat for g in guesses if g.tilt_known]
+    normal = seen.truth.R_cam_pad.matrix[:, 2]
+    near = [g for g in tilted if np.linalg.norm(g.t_cam_pad - seen.truth.t_cam_pad) < 0.1]
+    assert min(math.acos(min(1.0, float(g.R_cam_pad.matrix[:, 2] @ normal))) for g in near) < 0.1
 
 
 @pytest.mark.parametrize("most", [3, 5, 60])
@@ -305,22 +263,6 @@ def test_the_disc_is_the_first_circle_in_luminance_and_in_colour(camera: Camera,
         assert min(float(np.linalg.norm(p.t_cam_pad - seen.truth.t_cam_pad)) for p in poses) < 0.1
     grey = np.asarray(cv2.cvtColor(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR), np.uint8)
     assert not is_coloured(disc_colour(grey, pad))
-
-
-@pytest.mark.parametrize("height_m", [0.6, 2.0, 9.0])
-def test_the_core_scores_headings_as_numpy_does(camera: Camera, pad: Pad, height_m: float) -> None:
-    rng = np.random.default_rng(round(height_m))
-    seen = shown(camera, pad, height_m, yaw_rad=2.0)
-    for k in range(8):
-        off = PadPose(seen.truth.R_cam_pad, seen.truth.t_cam_pad + rng.normal(0.0, 0.05 * k * height_m, 3) * [1.0, 1.0, 0.3])
-        side = None if k % 2 else np.array([0.6, -0.8])
-        ours, oracle = (of(seen.px, 1, camera, pad, off, side) for of in (heading, searched_heading))
-        assert (ours is None) == (oracle is None)
-        if ours is not None and oracle is not None:
-            assert ours.score == pytest.approx(oracle.score, abs=2e-3)
-            assert ours.in_view == pytest.approx(oracle.in_view, abs=1e-6)
-            assert ours.arrow == pytest.approx(oracle.arrow, abs=4e-3)
-            assert abs(math.remainder(ours.turn_rad - oracle.turn_rad, math.tau)) < 0.03 or oracle.score < 0.1
 
 
 def test_a_lens_with_distortion_changes_nothing_for_the_plane() -> None:

@@ -17,9 +17,8 @@ from estimator.vision.detect.hypotheses import Kind
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.pad import Pad
-from tests.estimator.vision.oracle import blobs
 from tests.support.deck_images import Shown, shown
-from tests.support.hard_light import HARD, grey, hard_scene
+from tests.support.hard_light import HARD, hard_scene
 from tests.support.pad_images import sim_camera
 
 U8 = NDArray[np.uint8]
@@ -74,49 +73,6 @@ def test_a_frame_of_a_few_pixels_has_no_outlines(tiny: tuple[int, int]) -> None:
     camera = sim_camera((0.0, 0.0, 0.0))
     px = np.random.default_rng(3).integers(0, 256, (*tiny, 3), np.uint8)
     assert len(blob_circles(Pyramid(px), camera, Plane.of(camera, None))) <= 1
-
-
-@pytest.mark.parametrize("noise", [0, 20])
-@pytest.mark.parametrize("monochrome", [False, True])
-def test_the_core_finds_the_outlines_that_numpy_finds(camera: Camera, noise: int, monochrome: bool) -> None:
-    rng = np.random.default_rng(5)
-    pad = HARD["white on black"].pad
-    seen = shown(camera, pad, 12.0, tilt_rad=OBLIQUE[0])
-    u, v = (round(float(c)) for c in camera.project(seen.truth.t_cam_pad[None])[0])
-    px = np.ascontiguousarray(seen.px[v - 50 : v + 50, u - 70 : u + 70])
-    px = np.asarray((px + noise * rng.normal(size=px.shape)).clip(0, 255), np.uint8)
-    px = grey(px, rng) if monochrome else px
-    pyramid = Pyramid(px)
-    channels, half_noise = 1 if monochrome else 3, 127.5 * pyramid.noise
-    score, size = blobs.scores(pyramid[1], half_noise, channels)
-    expected = []
-    for i, j in np.argwhere(score > 1.0).tolist():
-        half = blobs.HALVES[size[i, j]]
-        reach = int(0.4 * half + 0.5)
-        around = score[max(0, i - reach) : i + reach + 1, max(0, j - reach) : j + reach + 1]
-        if score[i, j] < around.max():
-            continue
-        large = half >= 6
-        at, of = ((2 * j, 2 * i), pyramid[1]) if large else ((4 * j, 4 * i), px)
-        h, w = of.shape[:2]
-        reach = half if large else 2 * half
-        if at[0] < reach or at[1] < reach or at[0] + reach > w or at[1] + reach > h:
-            continue
-        found = blobs.ellipse(of, at, reach, 2 if half_noise > 2.5 else 1, channels)
-        if found is not None:
-            step = 2 if large else 1
-            expected.append((float(score[i, j]), (found[0] + 0.5) * step - 0.5, found[1] * step**2))
-    expected.sort(key=lambda of: -of[0])
-    got = [outline_of(c) for c in blob_circles(pyramid, camera, Plane.of(camera, seen.R_level_body), 64)]
-    near = [
-        min((float(np.hypot(*(centre - at)) / math.sqrt(M[0, 0])) + float(np.abs(M - of).max() / M.max()) for at, of in got),
-            default=9.0)
-        for _, centre, M in expected
-    ]  # fmt: skip
-    assert len(expected) >= 1
-    assert abs(len(got) - len(expected)) <= max(1, len(expected) // 4)
-    assert near[0] < 0.05, "the pad, which is the most prominent one"
-    assert np.mean(np.array(near) < 0.1) >= 0.75, "a bin of a histogram more or less makes another component of a faint one"
 
 
 def nearest_guess(seen: Shown, px: U8, camera: Camera, pad: Pad) -> float:

@@ -15,7 +15,6 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.sighting import camera_pose, sighting_of
-from tests.estimator.vision.oracle.sighting import in_level
 
 MOUNT = Transform(Rotation.from_rpy(0.02, -0.03, 1.6), np.array([0.15, 0.02, 0.01]))
 CAMERA = Camera(640, 360, 370.0, 370.0, 319.5, 179.5, np.zeros(5), MOUNT)
@@ -33,18 +32,6 @@ def seen(seed: int, cov_tilt: F64) -> tuple[PadPose, F64, Orientation]:
     pose = PadPose(Rotation.from_rpy(rolled, pitched, rng.uniform(-3.0, 3.0)), np.array([0.3, 0.2, 3.0]))
     half = rng.normal(0.0, 1e-3, (6, 6))
     return pose, half @ half.T, orientation
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_core_brings_a_pose_to_level_as_numpy_does(seed: int) -> None:
-    pose, cov, orientation = seen(seed, np.array([[1e-4, 3e-5], [3e-5, 1.4e-4]]))
-    ours, numpys = sighting_of(FRAME, pose, cov, CAMERA, orientation, False, 0.9), in_level(pose, cov, CAMERA, orientation)
-    assert ours.pose6 is not None
-    np.testing.assert_allclose(ours.d_body_pad_level, numpys.d, atol=1e-14)
-    np.testing.assert_allclose(ours.pose6.R_level_pad.matrix, numpys.R_level_pad, atol=1e-14)
-    np.testing.assert_allclose(ours.pose6.cov, numpys.cov_pose, atol=1e-12 * float(numpys.cov_pose.max()))
-    np.testing.assert_allclose(ours.cov, numpys.cov, atol=1e-12 * float(numpys.cov.max()))
-    assert ours.yaw_rad == pytest.approx(numpys.yaw_rad, abs=1e-14)
 
 
 def test_a_heading_that_the_pose_does_not_hold_is_none() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -21,6 +22,7 @@ from sitl.light import Light, Sensor
 from sitl.surroundings import Surroundings
 from tests.support.pad_images import sim_camera
 from tests.support.pad_views import RenderedView, Stage, error, pad_error
+from tests.support.plain_light import FLAT
 
 TRACK = RegistrationOptions(coarse=False)
 
@@ -208,6 +210,21 @@ def test_a_reflection_on_the_distant_pad_moves_it_less_than_half_a_pixel(camera:
         d, _ = pad_error(found.pose, view.pose)
         assert np.hypot(*d[:2]) < 0.5 * height_m / camera.fx
         assert abs(d[2]) < 0.08 * height_m
+
+
+@pytest.mark.parametrize("height_m", [9.0, 10.0])
+@pytest.mark.parametrize("radius_m", [0.19, 0.25, 0.32])
+def test_a_reflection_on_the_distant_pad_is_explained_up_to_the_noise(
+    camera: Camera, pad: Pad, height_m: float, radius_m: float
+) -> None:
+    # Its place and width start from one of a few candidates and follow their derivatives.
+    light = replace(FLAT, glare=0.4, glare_centre_m=(0.05, 0.03), glare_radius_m=radius_m)
+    for seed in range(3):
+        stage = Stage(camera, pad, light=light, sensor=Sensor(exposure_s=0.0, full_well_e=1e9, read_noise_e=0.0), seed=seed)
+        view = stage.view(height_m, lateral=0.02)
+        found = register(view.px, camera, pad, stage.start(view, 0.3), view.orientation(), TRACK)
+        assert found is not None
+        assert found.noise_light < 0.008
 
 
 def test_what_the_edges_do_not_fix_is_uncertain(camera: Camera, pad: Pad) -> None:
