@@ -19,9 +19,9 @@ from typing import Any
 
 import msgspec
 
-from companion.config.model import CameraSettings, PadSettings, Settings
-from companion.config.settings import load, shipped
-from companion.runtime.signals import Stopped, install
+from companion.base.signals import Stopped, install
+from companion.settings.load import load, shipped
+from companion.settings.model import CameraSettings, PadSettings, Settings
 from estimator.contracts.errors import BadInput
 from sitl.one_flight import fly as fly_once
 from sitl.scenario import FAULTS

@@ -27,10 +27,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benches.processes import Daemon, Truth, Wire, drone
-from companion.config.settings import load
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import Decision, NullObserver
-from companion.runtime.service import live, make_daemon
+from companion.base.observer import Decision, NullObserver
+from companion.guidance.make_pilot import make_pilot
+from companion.service.assemble import live, make_daemon
+from companion.settings.load import load
 
 ALONE_S = 3.0
 """Time for which the drone is watched before a new daemon is started, seconds."""

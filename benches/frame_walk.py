@@ -22,10 +22,10 @@ from types import CodeType, FrameType
 import av
 import numpy as np
 
-import companion.config.settings as settings_of
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import ProcessedFrame
-from companion.runtime.service import make_daemon
+import companion.settings.load as settings_of
+from companion.base.observer import ProcessedFrame
+from companion.guidance.make_pilot import make_pilot
+from companion.service.assemble import make_daemon
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.estimates import RelativeState, Sighting

@@ -20,8 +20,8 @@ from typing import Any
 
 import msgspec
 
-from companion.runtime import event_loop
-from companion.runtime.pilot import FlightOutcome
+from companion.base import event_loop
+from companion.guidance.pilot import FlightOutcome
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.autopilots.program import executable
 from sitl.faults import ServiceKilled

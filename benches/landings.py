@@ -34,8 +34,8 @@ import msgspec
 import numpy as np
 from scipy.stats import ks_2samp
 
-from companion.config.model import Settings
-from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.settings.model import Settings
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
 from sitl.one_flight import PERCEPTIONS, fly, perception_level, settings_for

@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
-from companion.config.settings import find_file, read_toml, shipped_response
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.disturbance import ObserverNoise
 from companion.guidance.follow_deck import FollowDeck
 from companion.guidance.margins import PERIOD_S, AxisDisturbances, GaussMarkov, LoopMargins, margins
-from companion.guidance.response import Response, response_from_mapping
+from companion.settings.load import find_file, read_toml, shipped_response
+from companion.settings.response import Response, response_from_mapping
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion

@@ -17,14 +17,14 @@ from itertools import cycle
 
 import numpy as np
 
-import companion.config.settings as settings_of
+import companion.settings.load as settings_of
 from benches.service_loop import Vehicle
-from companion.mavlink.component import Component, ComponentOptions, speaking
-from companion.mavlink.pilot_operator import PilotTower
-from companion.runtime.daemon import Daemon
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
-from companion.runtime.restart_options import RestartOptions
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.guidance.make_pilot import make_pilot
+from companion.parts.mavlink.component import Component, ComponentOptions, speaking
+from companion.parts.mavlink.pilot_operator import PilotTower
+from companion.service.daemon import Daemon
+from companion.settings.restart import RestartOptions
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.options import AutopilotOptions

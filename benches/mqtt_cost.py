@@ -20,12 +20,12 @@ from typing import Any
 
 import msgspec
 
-from companion.config.model import CameraSettings, PadSettings, Settings
-from companion.config.settings import load
-from companion.mqtt.settings import MqttSettings
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import NullObserver, Observer
-from companion.runtime.service import make_daemon
+from companion.base.observer import NullObserver, Observer
+from companion.guidance.make_pilot import make_pilot
+from companion.service.assemble import make_daemon
+from companion.settings.load import load
+from companion.settings.model import CameraSettings, PadSettings, Settings
+from companion.settings.mqtt import MqttSettings
 from drivers.clock import SystemClock
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.scenario import load as load_scenario

@@ -16,9 +16,9 @@ import numpy as np
 
 from benches.acquisition import floor_ms
 from benches.render import shot_over_pad, table
-from companion.page.picture import jpeg, video_quality
-from companion.page.settings import PageSettings
-from companion.video.frame_encoder import FrameEncoder
+from companion.parts.page.picture import jpeg, video_quality
+from companion.recording.frame_encoder import FrameEncoder
+from companion.settings.page import PageSettings
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.camera import Renderer

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.config.settings import SHIPPED, shipped
+from companion.settings.load import SHIPPED, shipped
 from estimator.contracts.geometry import F64
 from sitl.response_table import MODES
 from sitl.sea import SEA_STATES, SeaState, Waves

@@ -28,7 +28,7 @@ sys.path.insert(0, str(ROOT))
 
 from benches.acquisition import floor_ms, sheet  # noqa: E402
 from benches.verifier_examples import PADS, searched  # noqa: E402
-from companion.config.learned_file import second_opinion  # noqa: E402
+from companion.settings.learned_file import second_opinion  # noqa: E402
 from estimator.contracts.geometry import Rotation, Transform  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.detect.pyramid import Pyramid  # noqa: E402

@@ -18,10 +18,10 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from companion.config.settings import load
-from companion.runtime.daemon import Daemon, VehicleLink
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.restart_options import RestartOptions
+from companion.guidance.make_pilot import make_pilot
+from companion.service.daemon import Daemon, VehicleLink
+from companion.settings.load import load
+from companion.settings.restart import RestartOptions
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata_channel import NavdataChannel

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.config.settings import SHIPPED
+from companion.settings.load import SHIPPED
 from estimator.contracts.geometry import F64
 from sitl.vehicle_file import load
 from tests.support import mocap_flight

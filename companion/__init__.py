@@ -1,1 +1,1 @@
-"""The service: lifetimes, guidance, links, recorder, command line."""
+"""The service, in layers: settings < base < guidance < recording < tools < parts < service < cli."""

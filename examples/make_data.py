@@ -12,9 +12,9 @@ from pathlib import Path
 
 import cv2
 
-from companion.config.settings import load
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import NullObserver, ProcessedFrame
+from companion.base.observer import NullObserver, ProcessedFrame
+from companion.guidance.make_pilot import make_pilot
+from companion.settings.load import load
 from estimator import Attitude, Imu, Sighting
 from estimator.contracts.samples import Sample
 from sitl.flight import Flight

@@ -4,8 +4,8 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from companion.recorder.reading import RecordedFrame, instant, open_recording
-from companion.runtime.observer import Decision
+from companion.base.observer import Decision
+from companion.recording.reading import RecordedFrame, instant, open_recording
 
 recording = open_recording([Path(sys.argv[1])])
 verdicts: Counter[str] = Counter()

@@ -10,9 +10,9 @@ from unittest.mock import patch
 import av
 import numpy as np
 
-from companion.config.model import Settings
-from companion.config.settings import load
-from companion.runtime.make_pilot import make_pilot
+from companion.guidance.make_pilot import make_pilot
+from companion.settings.load import load
+from companion.settings.model import Settings
 from drivers.ardrone import at, control, navdata
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata_channel import NavdataChannel

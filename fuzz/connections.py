@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Any
 from unittest.mock import patch
 
-from companion.runtime.server_log import ServerLog
+from companion.base.server_log import ServerLog
 
 ANSWER_S = 10.0
 """Time limit for the end of a connection on a machine under load, s."""

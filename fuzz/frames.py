@@ -11,8 +11,8 @@ import cv2
 import msgspec
 import numpy as np
 
-from companion.config.settings import SHIPPED, load, read_toml
-from companion.runtime.make_pilot import tracker
+from companion.guidance.make_pilot import tracker
+from companion.settings.load import SHIPPED, load, read_toml
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import Rotation

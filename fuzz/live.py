@@ -12,20 +12,20 @@ from typing import Any, cast
 
 from aiohttp import WSMessage, WSMsgType, web
 
-from companion.config.model import Settings
-from companion.config.settings import load
-from companion.live import viewer
-from companion.live.feed import Encoded, LiveFeed, topics
-from companion.live.part import FoxgloveEndpoint
-from companion.live.protocol import CHANNELS, SUBPROTOCOLS
-from companion.live.settings import FoxgloveSettings
-from companion.operator.orders import HandledOrder
-from companion.recorder.reading import RecordedFrame, open_recording
-from companion.replay.engine import Replay
-from companion.runtime.health import Health
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import Decision, Observer, ProcessedFrame
-from companion.runtime.pilot import Pilot
+from companion.base.health import Health
+from companion.base.observer import Decision, Observer, ProcessedFrame
+from companion.base.orders import HandledOrder
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import Pilot
+from companion.parts.live import viewer
+from companion.parts.live.feed import Encoded, LiveFeed, topics
+from companion.parts.live.part import FoxgloveEndpoint
+from companion.recording.foxglove_protocol import CHANNELS, SUBPROTOCOLS
+from companion.recording.reading import RecordedFrame, open_recording
+from companion.settings.live import FoxgloveSettings
+from companion.settings.load import load
+from companion.settings.model import Settings
+from companion.tools.replay.engine import Replay
 from drivers.clock import SystemClock
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.ports import Clock

@@ -20,13 +20,13 @@ from unittest.mock import patch
 
 import numpy as np
 
-from companion.config.model import Settings
-from companion.config.settings import from_mapping
-from companion.mavlink.bridge_part import BridgePart
-from companion.mavlink.make import AutopilotPart
-from companion.mavlink.options import BridgeOptions
-from companion.runtime.health import Health
-from companion.runtime.make_pilot import make_pilot
+from companion.base.health import Health
+from companion.guidance.make_pilot import make_pilot
+from companion.parts.mavlink.bridge_part import BridgePart
+from companion.parts.mavlink.make import AutopilotPart
+from companion.settings.load import from_mapping
+from companion.settings.mavlink import BridgeOptions
+from companion.settings.model import Settings
 from drivers.mailbox import Line
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav

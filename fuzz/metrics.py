@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import Iterator
 from contextlib import suppress
 
-from companion.metrics.endpoint import MetricsEndpoint
-from companion.metrics.settings import MetricsSettings
-from companion.runtime.health import Health
+from companion.base.health import Health
+from companion.parts.metrics.endpoint import MetricsEndpoint
+from companion.settings.metrics import MetricsSettings
 from drivers.clock import SystemClock
 from fuzz.connections import ANSWER_S, ended, watched
 from fuzz.target import Choices, Target, block

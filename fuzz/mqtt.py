@@ -12,9 +12,9 @@ from pathlib import Path
 
 import msgspec
 
-from companion.mqtt import messages, watch_view
-from companion.mqtt.commands import CommandHandler
-from companion.mqtt.messages import (
+from companion.parts.mqtt import messages, watch_view
+from companion.parts.mqtt.commands import CommandHandler
+from companion.parts.mqtt.messages import (
     BeliefReport,
     CommandReply,
     CommandReport,
@@ -30,11 +30,11 @@ from companion.mqtt.messages import (
     VehicleState,
     encode,
 )
-from companion.mqtt.ship_reports import ShipReportReader
-from companion.mqtt.signature import signed
-from companion.mqtt.spool import Spool
-from companion.mqtt.topics import ROOT, Topics, split
-from companion.mqtt.watch_model import WatchModel
+from companion.parts.mqtt.ship_reports import ShipReportReader
+from companion.parts.mqtt.signature import signed
+from companion.parts.mqtt.spool import Spool
+from companion.parts.mqtt.topics import ROOT, Topics, split
+from companion.parts.mqtt.watch_model import WatchModel
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from estimator.contracts.samples import GeoFix

@@ -12,23 +12,30 @@ from typing import cast
 
 from aiohttp import WSMessage, WSMsgType, web
 
-from companion.config.model import Settings
-from companion.config.settings import load
-from companion.operator.local_socket import OperatorSocket
-from companion.operator.orders import OperatorOrder, OrderSender, OrderSource
-from companion.operator.wire import OrderRequest, SticksRequest, WatchRequest, line_of
-from companion.page.endpoint import PageEndpoint
-from companion.page.messages import DownloadRequest, DrawnNotice, LoginRequest, PageRequest, PictureRequest, RecordingsRequest
-from companion.page.picture import video_quality
-from companion.page.recordings import Recordings
-from companion.page.report_maker import ReportMaker
-from companion.page.settings import PageSettings
-from companion.page.tool_messages import ToolRequest
-from companion.page.viewer import PageViewer
-from companion.runtime.health import Health
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.pilot import Pilot
-from companion.video.frame_encoder import FrameEncoder
+from companion.base.health import Health
+from companion.base.orders import OperatorOrder, OrderSender, OrderSource
+from companion.base.wire import OrderRequest, SticksRequest, WatchRequest, line_of
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import Pilot
+from companion.parts.operator.local_socket import OperatorSocket
+from companion.parts.page.endpoint import PageEndpoint
+from companion.parts.page.messages import (
+    DownloadRequest,
+    DrawnNotice,
+    LoginRequest,
+    PageRequest,
+    PictureRequest,
+    RecordingsRequest,
+)
+from companion.parts.page.picture import video_quality
+from companion.parts.page.recordings import Recordings
+from companion.parts.page.report_maker import ReportMaker
+from companion.parts.page.tool_messages import ToolRequest
+from companion.parts.page.viewer import PageViewer
+from companion.recording.frame_encoder import FrameEncoder
+from companion.settings.load import load
+from companion.settings.model import Settings
+from companion.settings.page import PageSettings
 from drivers.clock import SystemClock
 from estimator.contracts.ports import Clock
 from fuzz.connections import ANSWER_S, HOST, converse, ended, upgrade, watched, websocket_frame

@@ -11,12 +11,12 @@ from pathlib import Path
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from companion.config.model import Settings
-from companion.config.settings import load
-from companion.recorder import channels
-from companion.recorder.reading import CAMERA, PAD, SETTINGS, RecordedFrame, open_recording
-from companion.replay.engine import Replay
-from companion.runtime.make_pilot import make_pilot
+from companion.guidance.make_pilot import make_pilot
+from companion.recording import channels
+from companion.recording.reading import CAMERA, PAD, SETTINGS, RecordedFrame, open_recording
+from companion.settings.load import load
+from companion.settings.model import Settings
+from companion.tools.replay.engine import Replay
 from estimator.contracts.errors import BadInput
 from fuzz.target import SHARED_MEMORY, Choices, Target, block
 

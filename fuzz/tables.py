@@ -15,15 +15,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from companion.config import whole_file
-from companion.config.model import Settings, ardrone_options
-from companion.config.settings import SHIPPED, from_mapping, read_toml, shipped
-from companion.mavlink.component import ComponentOptions
-from companion.mavlink.signed_links import signed_links
-from companion.print_pad.drawing import pad_drawing
-from companion.print_pad.sheets import sheets
-from companion.runtime.make_pilot import estimator_options, tracker
-from companion.runtime.notify import Manager, watchdog_interval_s
+from companion.base.notify import Manager, watchdog_interval_s
+from companion.guidance.make_pilot import estimator_options, tracker
+from companion.parts.mavlink.component import ComponentOptions
+from companion.parts.mavlink.signed_links import signed_links
+from companion.settings import whole_file
+from companion.settings.load import SHIPPED, from_mapping, read_toml, shipped
+from companion.settings.model import Settings, ardrone_options
+from companion.tools.print_pad.drawing import pad_drawing
+from companion.tools.print_pad.sheets import sheets
 from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.signing import load_key
 from estimator.contracts.errors import BadInput

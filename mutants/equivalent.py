@@ -66,7 +66,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "companion/guidance/response_fit.py": {
         "1e-12  ->  2e-12": "it keeps zero out of a denominator, and a report is never known to a millionth",
     },
-    "companion/guidance/response.py": {"1e-09  ->  2e-09": "what floating point adds is 1e-15"},
+    "companion/guidance/tilt_model.py": {"1e-09  ->  2e-09": "what floating point adds is 1e-15"},
     "companion/guidance/response_watch.py": {
         "self.longer_s > 0.0  ->  self.longer_s >= 0.0": "an identified response is off by more than 40 ms",
     },

@@ -161,7 +161,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/tilt_law.py": _AXIS,
     "companion/guidance/disturbance.py": _AXIS,
     "companion/guidance/margins.py": ("tests/companion/test_margins.py",),
-    "companion/guidance/response.py": (
+    "companion/settings/response.py": ("tests/companion/test_response.py",),
+    "companion/guidance/tilt_model.py": (
         "tests/companion/test_response.py",
         "tests/companion/test_law.py::test_the_discrete_model_is_the_continuous_one",
         "tests/companion/test_identify.py::test_a_descent_tells_the_delay_of_any_vehicle_to_40_ms",

@@ -7,8 +7,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from companion.report.flight_log import FlightLog, LoggedContact
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.pilot import FlightOutcome
+from companion.tools.report.flight_log import FlightLog, LoggedContact
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.machine_load import Load

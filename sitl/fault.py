@@ -10,7 +10,7 @@ from typing import Annotated
 
 from msgspec import Struct
 
-from companion.guidance.mission import State
+from companion.base.mission import State
 from estimator.contracts.keys import number, text
 
 PHASES = tuple(state.value for state in State)

@@ -15,13 +15,13 @@ import cv2
 import numpy as np
 from msgspec.structs import replace
 
-from companion.config.model import Settings, ardrone_options
-from companion.guidance.mission import FLOWN
-from companion.operator.orders import HandledOrder
-from companion.operator.precedence import ControlSituation
-from companion.runtime.health import Health
-from companion.runtime.observer import Observer, ProcessedFrame, listens
-from companion.runtime.pilot import WAITING_MOST, Pilot
+from companion.base.health import Health
+from companion.base.mission import FLOWN
+from companion.base.observer import Observer, ProcessedFrame, listens
+from companion.base.orders import HandledOrder
+from companion.guidance.pilot import WAITING_MOST, Pilot
+from companion.guidance.precedence import ControlSituation
+from companion.settings.model import Settings, ardrone_options
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.command_streamer import CommandStreamer

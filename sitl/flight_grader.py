@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
 
-from companion.config.model import Settings
-from companion.guidance.mission import State
-from companion.operator.precedence import ControlSituation
-from companion.runtime.health import Health
-from companion.runtime.observer import Decision
-from companion.runtime.pilot import REFUSALS, FlightOutcome
+from companion.base.health import Health
+from companion.base.mission import State
+from companion.base.observer import Decision
+from companion.guidance.pilot import REFUSALS, FlightOutcome
+from companion.guidance.precedence import ControlSituation
+from companion.settings.model import Settings
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.fault_timer import FaultTimer

@@ -13,10 +13,10 @@ from functools import partial
 
 import msgspec
 
-from companion.config.model import CameraSettings, PadSettings, Settings
-from companion.config.settings import load
-from companion.runtime.health import Health
-from companion.runtime.observer import Observer
+from companion.base.health import Health
+from companion.base.observer import Observer
+from companion.settings.load import load
+from companion.settings.model import CameraSettings, PadSettings, Settings
 from drivers.mavlink.gimbal_options import GimbalOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
@@ -56,10 +56,10 @@ def settings_for(scenario: Scenario, config: str | None, *, by_autopilot: bool =
     A file's flight begins by itself, whatever its `guidance.start`: nobody is there to order the landing.
 
     Args:
-        by_autopilot: whether an autopilot flies, as for `companion.config.settings.load`.
+        by_autopilot: whether an autopilot flies, as for `companion.settings.load.load`.
 
     Raises:
-        BadInput: as `companion.config.settings.load`, and as `following`.
+        BadInput: as `companion.settings.load.load`, and as `following`.
     """
     settings = load("sim" if config is None else config, by_autopilot=by_autopilot)
     if config is not None:

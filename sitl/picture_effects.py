@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.config.settings import find_file, read_toml
+from companion.settings.load import find_file, read_toml
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad

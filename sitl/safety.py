@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
 
-from companion.guidance.mission import CONTACT_INTENDED, State
-from companion.guidance.options import GuidanceOptions
-from companion.operator.arbiter import BY_HAND, LANDING_FOR_PERSON
-from companion.runtime.pilot import REFUSALS, FlightOutcome
+from companion.base.mission import CONTACT_INTENDED, State
+from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON
+from companion.guidance.pilot import REFUSALS, FlightOutcome
+from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.truth import Touchdown, Truth

@@ -16,8 +16,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from companion.config.refusal import explain
-from companion.config.settings import SHIPPED, pad_of_file, read_toml, shipped
+from companion.settings.load import SHIPPED, pad_of_file, read_toml, shipped
+from companion.settings.refusal import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from estimator.vision.camera import Camera

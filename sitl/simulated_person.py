@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from companion.operator.arbiter import OperatorArbiter
-from companion.operator.orders import OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.base.orders import OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.guidance.arbiter import OperatorArbiter
 from estimator.contracts.time import MonoNs
 from sitl.fault_timer import FaultTimer
 from sitl.operator_faults import OperatorActs

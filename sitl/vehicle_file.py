@@ -12,8 +12,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from companion.config.refusal import explain
-from companion.config.settings import read_toml
+from companion.settings.load import read_toml
+from companion.settings.refusal import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from sitl.airframe import Airframe, Feet, Loops, StickLimits

@@ -24,7 +24,7 @@ from email.utils import format_datetime
 from pathlib import Path
 
 from companion.cli.main import COMMANDS
-from companion.install.layout import CREDENTIAL_PREFIX, CREDENTIALS, DATA, DROP_IN, SETTINGS_FOLDER
+from companion.tools.install.layout import CREDENTIAL_PREFIX, CREDENTIALS, DATA, DROP_IN, SETTINGS_FOLDER
 from supply import licences, wheels
 from supply.packages import PINS, ROOT, Package, packages, pins
 from supply.sbom import bill

@@ -34,10 +34,10 @@ DISTRIBUTION_NAMES = {
 
 DRAWINGS = {
     "sitl/experiments/figures.py",
-    "companion/report/svg.py",
+    "companion/tools/report/svg.py",
     "sitl/campaign/plots.py",
-    "companion/calibrate/figures.py",
-    "companion/report/response_figure.py",
+    "companion/tools/calibrate/figures.py",
+    "companion/tools/calibrate/response_figure.py",
     "companion/cli/soak_plot.py",
 }
 """What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""
@@ -48,7 +48,7 @@ LAB = {
 }
 """What needs the extra `lab`. It asks `require_lab` first, or does without."""
 
-ROS2 = {"companion/ros2/bag.py", "companion/ros2/typestore.py"}
+ROS2 = {"companion/tools/ros2/bag.py", "companion/tools/ros2/typestore.py"}
 """What needs the extra `ros2`. It asks `require_rosbags` first."""
 
 IMPURE_MODULES = {
@@ -209,9 +209,9 @@ def ambiguous(defined: Iterable[tuple[str, list[str]]]) -> dict[str, list[str]]:
         ("drivers.camera.v4l2", "def f():\n    from estimator.vision import pad", ["estimator.vision"]),
         ("drivers.camera.v4l2", "from estimator import filters", ["estimator.filters"]),
         ("drivers.camera.v4l2", "from estimator.contracts import samples\nfrom drivers import mailbox", []),
-        ("companion.runtime.daemon", "if TYPE_CHECKING:\n    import sitl.world", ["sitl.world"]),
-        ("companion.runtime.daemon", "from companion import cli", ["companion.cli"]),
-        ("companion.cli.demo", "import sitl.world, companion.runtime.daemon, companion.cli.main", []),
+        ("companion.service.daemon", "if TYPE_CHECKING:\n    import sitl.world", ["sitl.world"]),
+        ("companion.service.daemon", "from companion import cli", ["companion.cli"]),
+        ("companion.cli.demo", "import sitl.world, companion.service.daemon, companion.cli.main", []),
         ("sitl.world", "from companion.cli import main", ["companion.cli", "companion.cli.main"]),
         ("sitl.world", "from .sea import waves", [".sea"]),
         ("sitl.world", "import tests.data", ["tests.data"]),
@@ -273,7 +273,7 @@ def test_the_estimator_is_values_in_values_out() -> None:
     assert {str(p.relative_to(ROOT)): found for p in pure if (found := impurities(p.read_text()))} == {}
 
 
-SUPERVISED = {"companion/runtime/supervise.py", "companion/runtime/event_loop.py"}
+SUPERVISED = {"companion/base/supervise.py", "companion/base/event_loop.py"}
 """They cancel their tasks and wait for them as a group does, but not for ever: what does not end must not hold the process."""
 
 

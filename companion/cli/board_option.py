@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 
-from companion.calibrate.board import Board
+from companion.tools.calibrate.board import Board
 from estimator.contracts.errors import BadInput
 
 

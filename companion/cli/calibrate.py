@@ -14,17 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.calibrate import assess
-from companion.calibrate.board import Board
-from companion.calibrate.camera_file import text
-from companion.calibrate.gather import PICTURES, add_file, image_files, watch
-from companion.calibrate.guide import Guide
-from companion.calibrate.solve import LEAST_VIEWS, Solution, solve
-from companion.calibrate.views import Collection
+from companion.base import event_loop
 from companion.cli import board_option, calibrate_flight, identify
 from companion.cli.calibrate_progress import ProgressBlock
-from companion.report.drawing import require_drawing
-from companion.runtime import event_loop
+from companion.tools.calibrate import assess
+from companion.tools.calibrate.board import Board
+from companion.tools.calibrate.camera_file import text
+from companion.tools.calibrate.gather import PICTURES, add_file, image_files, watch
+from companion.tools.calibrate.guide import Guide
+from companion.tools.calibrate.solve import LEAST_VIEWS, Solution, solve
+from companion.tools.calibrate.views import Collection
+from companion.tools.report.drawing import require_drawing
 from drivers.camera.options import FORMATS, CameraOptions, Size, check_size
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
@@ -127,7 +127,7 @@ def _run_camera(args: argparse.Namespace) -> int:
         return 1
     solution = solve(collection.views, board, size, mount)
     if args.figures is not None:
-        from companion.calibrate import figures
+        from companion.tools.calibrate import figures
 
         figures.write_coverage([f.view for f in solution.fits], size, Path(args.figures) / "coverage.png")
         figures.write_residuals(solution, Path(args.figures) / "residuals.png")

@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from companion.calibrate.flight_result import MountResult, flight_result, readout_result
-from companion.calibrate.flight_views import FlightViews, flight_views
-from companion.calibrate.touchdown_cost import TouchdownCost
-from companion.config.settings import load
-from companion.config.toml_edit import Value, with_values
-from companion.recorder.reading import CAMERA, Recording, open_recording
+from companion.recording.reading import CAMERA, Recording, open_recording
+from companion.settings.load import load
+from companion.settings.toml_edit import Value, with_values
+from companion.tools.calibrate.flight_result import MountResult, flight_result, readout_result
+from companion.tools.calibrate.flight_views import FlightViews, flight_views
+from companion.tools.calibrate.touchdown_cost import TouchdownCost
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput, unusable
 

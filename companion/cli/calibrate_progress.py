@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 
-from companion.calibrate.guide import GuideState
+from companion.tools.calibrate.guide import GuideState
 
 _LACKS = 6
 

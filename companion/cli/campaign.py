@@ -12,11 +12,11 @@ from contextlib import AbstractContextManager, closing
 from pathlib import Path
 from typing import Any
 
+from companion.base.signals import Stopped
 from companion.cli import perception_option
 from companion.cli.campaign_progress import CampaignProgress
 from companion.cli.campaign_report import compared_with, report, require_report
-from companion.config.settings import shipped
-from companion.runtime.signals import Stopped
+from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput
 from sitl.campaign import parquet
 from sitl.campaign.by_scenario import by_scenario, in_columns

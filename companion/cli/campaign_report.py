@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from companion.report.drawing import require_drawing
+from companion.tools.report.drawing import require_drawing
 from estimator.contracts.errors import BadInput, unusable
 from sitl.campaign.report import REPORT, render_report
 from sitl.campaign.store import FLIGHTS, flights_in, manifest_of, wall_s_in, write_whole

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 
-from companion.config import reference, whole_file
-from companion.config.referenced_files import check_files
-from companion.config.remarks import not_checked, remarks
-from companion.config.settings import load, shipped
 from companion.guidance import mission_page
+from companion.settings import reference, whole_file
+from companion.settings.load import load, shipped
+from companion.settings.referenced_files import check_files
+from companion.settings.remarks import not_checked, remarks
 from estimator.contracts.errors import BadInput
 
 

@@ -18,23 +18,23 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from companion.base import event_loop
+from companion.base.health import Health
+from companion.base.observer import Observer
+from companion.base.signals import check, ending_signal
 from companion.cli import foxglove_option, page_option, record_option, report_option
 from companion.cli.progress import ProgressObserver
 from companion.cli.version import version
-from companion.config import whole_file
-from companion.config.model import CameraSettings, PadSettings, Settings
-from companion.config.settings import load, shipped
-from companion.report.flight_log import FlightLog, TruthSample
-from companion.report.log_observer import LogObserver
-from companion.report.page import PAGE, write_report
-from companion.runtime import event_loop
-from companion.runtime.health import Health
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import Observer
-from companion.runtime.pilot import FlightOutcome
-from companion.runtime.service import live, make_daemon
-from companion.runtime.signals import check, ending_signal
-from companion.video.options import VideoStreamOptions
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import FlightOutcome
+from companion.service.assemble import live, make_daemon
+from companion.settings import whole_file
+from companion.settings.load import load, shipped
+from companion.settings.model import CameraSettings, PadSettings, Settings
+from companion.settings.video import VideoStreamOptions
+from companion.tools.report.flight_log import FlightLog, TruthSample
+from companion.tools.report.log_observer import LogObserver
+from companion.tools.report.page import PAGE, write_report
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName

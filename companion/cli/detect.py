@@ -21,9 +21,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.config.learned_file import second_opinion
-from companion.config.settings import find_file, read_toml
-from companion.recorder.reading import RecordedFrame, open_recording
+from companion.recording.reading import RecordedFrame, open_recording
+from companion.settings.learned_file import second_opinion
+from companion.settings.load import find_file, read_toml
 from drivers.camera import images
 from drivers.camera.videos import open_video, predicts_frames
 from estimator.contracts.errors import BadInput

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import msgspec
 
+from companion.base import event_loop
 from companion.cli import doctor_fix
 from companion.cli.doctor_links import given_links
-from companion.config.settings import load
-from companion.doctor.diagnose import RULES, diagnose
-from companion.doctor.finding import Finding, Severity
-from companion.doctor.gather import examine
-from companion.doctor.gather_log import examine_log
-from companion.doctor.gather_service import examine_service
-from companion.doctor.snapshot import Snapshot, decode, encode
-from companion.runtime import event_loop
+from companion.settings.load import load
+from companion.tools.doctor.diagnose import RULES, diagnose
+from companion.tools.doctor.finding import Finding, Severity
+from companion.tools.doctor.gather import examine
+from companion.tools.doctor.gather_log import examine_log
+from companion.tools.doctor.gather_service import examine_service
+from companion.tools.doctor.snapshot import Snapshot, decode, encode
 from drivers.clock import SystemClock
 from drivers.imports.log_history import LogHistory
 from estimator.contracts.errors import BadInput

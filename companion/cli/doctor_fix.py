@@ -13,14 +13,14 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
+from companion.base import event_loop
 from companion.cli.doctor_links import GivenLinks, given_links
-from companion.config.settings import load
-from companion.doctor.finding import Finding, Severity
-from companion.doctor.gather import wait_until
-from companion.doctor.snapshot import AutopilotSnapshot, Snapshot
-from companion.doctor.undo import PlannedWrite, UndoFile, decode_undo, encode_undo, same
-from companion.doctor.write_parameters import OnResult, WriteResult, why_not_written, write_parameters
-from companion.runtime import event_loop
+from companion.settings.load import load
+from companion.tools.doctor.finding import Finding, Severity
+from companion.tools.doctor.gather import wait_until
+from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
+from companion.tools.doctor.undo import PlannedWrite, UndoFile, decode_undo, encode_undo, same
+from companion.tools.doctor.write_parameters import OnResult, WriteResult, why_not_written, write_parameters
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import open_autopilot
 from estimator.contracts.errors import BadInput

@@ -6,8 +6,8 @@ import argparse
 
 from msgspec.structs import replace
 
-from companion.config.settings import Settings
-from companion.mavlink.signed_links import signed_links
+from companion.parts.mavlink.signed_links import signed_links
+from companion.settings.load import Settings
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.signing import Signing, load_key

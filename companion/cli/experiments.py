@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from companion.config.settings import SHIPPED, load, read_toml
-from companion.report.drawing import require_drawing
+from companion.settings.load import SHIPPED, load, read_toml
+from companion.tools.report.drawing import require_drawing
 from estimator.contracts.errors import BadInput, unusable
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad

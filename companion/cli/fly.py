@@ -9,12 +9,12 @@ from pathlib import Path
 
 import msgspec
 
-from companion.config.settings import load
-from companion.operator.client import connected
-from companion.operator.orders import OperatorOrder
-from companion.operator.socket_path import running
-from companion.operator.wire import FlightState
-from companion.runtime import event_loop
+from companion.base import event_loop
+from companion.base.orders import OperatorOrder
+from companion.base.wire import FlightState
+from companion.parts.operator.client import connected, line_of_state
+from companion.parts.operator.socket_path import running
+from companion.settings.load import load
 from estimator.contracts.errors import BadInput
 
 ORDERS = {
@@ -119,17 +119,6 @@ async def _wait(states: asyncio.Queue[FlightState], order: str, seconds: float) 
                     return None
     except TimeoutError:
         return mode
-
-
-def line_of_state(state: FlightState) -> str:
-    """Return the state as one line for a person."""
-    battery = "unknown" if state.battery_fraction is None else f"{100 * state.battery_fraction:.0f} %"
-    height = "unknown" if state.height_m is None else f"{state.height_m:.1f} m"
-    lateral = "" if state.lateral_m is None else f", pad {state.lateral_m:.1f} m away"
-    why = f" ({state.reason})" if state.reason else ""
-    return (
-        f"{state.phase or state.situation}{why}; vehicle {state.mode or 'not heard'}, height {height}{lateral}, battery {battery}"
-    )
 
 
 def _say(data: object, text: str, *, as_json: bool) -> None:

@@ -17,10 +17,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from companion.cli.fly import line_of_state
-from companion.operator.client import OperatorClient, connected
-from companion.operator.orders import CENTRED, OperatorOrder, StickPositions
-from companion.operator.wire import FlightState
+from companion.base.orders import CENTRED, OperatorOrder, StickPositions
+from companion.base.wire import FlightState
+from companion.parts.operator.client import OperatorClient, connected, line_of_state
 from estimator.contracts.errors import Recoverable
 
 KEY_S = 0.5

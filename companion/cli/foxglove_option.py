@@ -8,8 +8,8 @@ import sys
 
 from msgspec.structs import replace
 
-from companion.config.model import Settings
-from companion.live.settings import FoxgloveSettings
+from companion.settings.live import FoxgloveSettings
+from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
 
 _PORT = FoxgloveSettings().port

@@ -9,8 +9,8 @@ import sys
 import time
 from pathlib import Path
 
-from companion.config.settings import shipped
-from companion.operator.gamepad_file import mapping_of
+from companion.settings.gamepad import mapping_of
+from companion.settings.load import shipped
 from drivers.clock import SystemClock
 from drivers.gamepad.device import FOLDER, EventDevice, gamepads
 from drivers.gamepad.events import AXES, EV_ABS, EV_KEY, events_in

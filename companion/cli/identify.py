@@ -10,18 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.calibrate import climb_cost, response_cost
-from companion.calibrate.climb_cost import ClimbCost
-from companion.calibrate.response_cost import ResponseCost
-from companion.config.settings import find_file, read_toml, response_model, shipped
-from companion.guidance.follow_deck_options import FollowDeckOptions
 from companion.guidance.margins import LoopMargins, margins
-from companion.guidance.response import Response, TiltResponse, response_from_mapping
 from companion.guidance.response_file import text
 from companion.guidance.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt
-from companion.recorder.reading import Recording, open_recording
-from companion.replay.flown_courses import FlownCourses, flown_courses
-from companion.report.drawing import require_drawing
+from companion.recording.reading import Recording, open_recording
+from companion.settings.follow_deck import FollowDeckOptions
+from companion.settings.load import find_file, read_toml, response_model, shipped
+from companion.settings.response import Response, TiltResponse, response_from_mapping
+from companion.tools.calibrate import climb_cost, response_cost
+from companion.tools.calibrate.climb_cost import ClimbCost
+from companion.tools.calibrate.flown_courses import FlownCourses, flown_courses
+from companion.tools.calibrate.response_cost import ResponseCost
+from companion.tools.report.drawing import require_drawing
 from estimator.contracts.errors import BadInput, unusable
 
 HELP = "identify a vehicle's response from a recorded flight"
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None:
         _write(args.out, text(response, recording.name, tilt, climb))
     if args.plot is not None:
-        from companion.report.response_figure import write_response
+        from companion.tools.calibrate.response_figure import write_response
 
         assert courses.tilt is not None
         write_response(args.plot, recording.name, courses, tilt, climb)

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from companion.cli.install_options import add_common, add_release, machine_of, options_of
-from companion.install import steps
-from companion.install.release import release
+from companion.tools.install import steps
+from companion.tools.install.release import release
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

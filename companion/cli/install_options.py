@@ -7,9 +7,9 @@ import os
 import sys
 from pathlib import Path
 
-from companion.install.layout import PACKAGED_UNIT
-from companion.install.machine import Machine
-from companion.install.steps import InstallOptions
+from companion.tools.install.layout import PACKAGED_UNIT
+from companion.tools.install.machine import Machine
+from companion.tools.install.steps import InstallOptions
 from estimator.contracts.errors import BadInput, SetupImpossible
 
 

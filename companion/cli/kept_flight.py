@@ -7,17 +7,17 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+from companion.base.health import Health
+from companion.base.held_back import HeldBack
+from companion.base.observer import Observer
 from companion.cli import record_option, report_option
-from companion.config import whole_file
-from companion.config.model import Settings
-from companion.config.settings import camera_model, pad_model
-from companion.recorder.recorder import Recorder
-from companion.report.flight_log import FlightLog, TruthSample
-from companion.report.log_observer import LogObserver
-from companion.report.page import PAGE, write_report
-from companion.runtime.health import Health
-from companion.runtime.held_back import HeldBack
-from companion.runtime.observer import Observer
+from companion.parts.recorder.recorder import Recorder
+from companion.settings import whole_file
+from companion.settings.load import camera_model, pad_model
+from companion.settings.model import Settings
+from companion.tools.report.flight_log import FlightLog, TruthSample
+from companion.tools.report.log_observer import LogObserver
+from companion.tools.report.page import PAGE, write_report
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
 from sitl.ending import Ending

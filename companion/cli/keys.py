@@ -10,8 +10,8 @@ import secrets
 import sys
 from pathlib import Path
 
-from companion.mavlink.key_setup import VERSION_2_CURE, Met, meet, observe, send_key
-from companion.page.access import make_token
+from companion.parts.mavlink.key_setup import VERSION_2_CURE, Met, meet, observe, send_key
+from companion.parts.page.access import make_token
 from drivers.clock import SystemClock
 from drivers.mavlink.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.signing import SigningKey, load_key

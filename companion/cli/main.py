@@ -1,7 +1,7 @@
 """The command `decklander`: find the subcommand, run it, and turn errors into one line on stderr and an exit code.
 
 Exit codes: 0 done; 1 it did not reach its goal; 2 wrong use or bad input; 130 interrupted from the keyboard; 141 the reader
-of our output went away; 143 ended by SIGTERM, with what was begun cleared away (`companion.runtime.signals` says how).
+of our output went away; 143 ended by SIGTERM, with what was begun cleared away (`companion.base.signals` says how).
 
 Each subcommand is a module with `add_parser(subparsers)` and `run(args) -> int`, imported only when it is asked for.
 """
@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from types import ModuleType
 from typing import NoReturn
 
-from companion.runtime import signals
+from companion.base import signals
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 
 COMMANDS: dict[str, tuple[str, str]] = {

@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 from companion.cli import board_option, pad_check
-from companion.config.settings import SHIPPED, find_file, read_toml, shipped
-from companion.print_pad.drawing import board_drawing, pad_drawing
-from companion.print_pad.pdf import pdf
-from companion.print_pad.sheets import PAPERS, sheets
-from companion.print_pad.svg import svg
+from companion.settings.load import SHIPPED, find_file, read_toml, shipped
+from companion.tools.print_pad.drawing import board_drawing, pad_drawing
+from companion.tools.print_pad.pdf import pdf
+from companion.tools.print_pad.sheets import PAPERS, sheets
+from companion.tools.print_pad.svg import svg
 from estimator.contracts.errors import BadInput
 from estimator.vision.pad import Pad
 from estimator.vision.regions import part_of

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.config.settings import find_file, read_toml
+from companion.settings.load import find_file, read_toml
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.lamp import CENTRE_PX, LampAccuracy, lamp_accuracy

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from companion.config.model import Settings
-from companion.page.access import make_token
-from companion.page.settings import PageSettings
+from companion.parts.page.access import make_token
+from companion.settings.model import Settings
+from companion.settings.page import PageSettings
 from estimator.contracts.errors import BadInput
 
 _PORT = PageSettings().port

@@ -6,7 +6,7 @@ import sys
 from collections import deque
 from typing import TextIO
 
-from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from estimator.contracts.time import MonoNs, seconds_between
 
 

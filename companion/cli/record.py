@@ -14,13 +14,13 @@ from typing import Any
 
 from msgspec import structs
 
-from companion.config.settings import Settings, camera_model, load, shipped
-from companion.recorder.csv_export import export
-from companion.recorder.reading import RecordedFrame, Recording, instant, open_recording
-from companion.recorder.rewriting import Cut, rewrite
-from companion.recorder.setup import about, recorder_to_file
-from companion.ros2 import bag
-from companion.runtime.observer import ProcessedFrame
+from companion.base.observer import ProcessedFrame
+from companion.parts.recorder.setup import about, recorder_to_file
+from companion.recording.csv_export import export
+from companion.recording.reading import RecordedFrame, Recording, instant, open_recording
+from companion.recording.rewriting import Cut, rewrite
+from companion.settings.load import Settings, camera_model, load, shipped
+from companion.tools.ros2 import bag
 from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog, video
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict

@@ -11,11 +11,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, get_args
 
-from companion.config.settings import Settings, body_camera
-from companion.recorder.options import FrameForm
-from companion.recorder.recorder import Recorder
-from companion.recorder.records import ContactRecord, TruthRecord
-from companion.recorder.setup import about, recorder_to_file, wall_offset_ns
+from companion.parts.recorder.recorder import Recorder
+from companion.parts.recorder.setup import about, recorder_to_file, wall_offset_ns
+from companion.recording.records import ContactRecord, TruthRecord
+from companion.settings.load import Settings, body_camera
+from companion.settings.recorder import FrameForm
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation

@@ -12,20 +12,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from companion.base.observer import Observer
 from companion.cli import report_option
-from companion.config.overrides import with_overrides
-from companion.config.settings import Settings
-from companion.recorder.frame_video import VideoImage
-from companion.recorder.reading import RecordedFrame, Recording, open_recording
-from companion.recorder.records import TruthRecord
-from companion.recorder.setup import about, recorder_to_file
-from companion.replay.engine import Replay
-from companion.replay.log_observer import BeliefLogObserver, Difference, differences, recorded_beliefs
-from companion.replay.pilots import available_paths, pilot_of, settings_of
-from companion.report.figures import DeckRow, ErrorRow, all_series, deck_rows, error_rows
-from companion.report.flight_log import FlightLog
-from companion.report.page import PAGE, write_report
-from companion.runtime.observer import Observer
+from companion.parts.recorder.setup import about, recorder_to_file
+from companion.recording.frame_video import VideoImage
+from companion.recording.reading import RecordedFrame, Recording, open_recording
+from companion.recording.records import TruthRecord
+from companion.settings.load import Settings
+from companion.settings.overrides import with_overrides
+from companion.tools.replay.engine import Replay
+from companion.tools.replay.log_observer import BeliefLogObserver, Difference, differences, recorded_beliefs
+from companion.tools.replay.pilots import available_paths, pilot_of, settings_of
+from companion.tools.report.figures import DeckRow, ErrorRow, all_series, deck_rows, error_rows
+from companion.tools.report.flight_log import FlightLog
+from companion.tools.report.page import PAGE, write_report
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs, seconds_between
 

@@ -7,16 +7,16 @@ import asyncio
 import sys
 from contextlib import AsyncExitStack
 
+from companion.base import event_loop
+from companion.base.observer import Decision, NullObserver, Observer
 from companion.cli.progress import ProgressObserver
-from companion.config.settings import Settings
-from companion.mavlink import operator
-from companion.mavlink.component import Component, ComponentOptions, speaking
-from companion.recorder.reading import Recording
-from companion.replay.engine import Replay
-from companion.replay.pilots import pilot_of
-from companion.runtime import event_loop
-from companion.runtime.observer import Decision, NullObserver, Observer
-from companion.runtime.pilot import Pilot
+from companion.guidance.pilot import Pilot
+from companion.parts.mavlink import operator
+from companion.parts.mavlink.component import Component, ComponentOptions, speaking
+from companion.recording.reading import Recording
+from companion.settings.load import Settings
+from companion.tools.replay.engine import Replay
+from companion.tools.replay.pilots import pilot_of
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.options import AutopilotOptions

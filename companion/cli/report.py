@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 from companion.cli import report_option
-from companion.recorder.reading import open_recording
-from companion.replay.recorded_log import log_of
-from companion.report.comparison import render_comparison
-from companion.report.page import render, write_page
-from companion.report.video import film_of
+from companion.recording.reading import open_recording
+from companion.tools.replay.recorded_log import log_of
+from companion.tools.report.comparison import render_comparison
+from companion.tools.report.page import render, write_page
+from companion.tools.report.video import film_of
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from companion.cli.install_options import add_common, machine_of, options_of
-from companion.install import steps
+from companion.tools.install import steps
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from estimator.contracts.errors import BadInput
 
 if TYPE_CHECKING:
-    from companion.ros2.bridge import RosBridge
+    from companion.tools.ros2.bridge import RosBridge
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -41,9 +41,9 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         BadInput: an option is wrong, the extra or ROS is missing, or the token is refused.
     """
-    from companion.config import secret_files
-    from companion.config.settings import camera_model, load
-    from companion.ros2.typestore import require_rosbags
+    from companion.settings import secret_files
+    from companion.settings.load import camera_model, load
+    from companion.tools.ros2.typestore import require_rosbags
 
     require_rosbags("decklander ros2")
     if args.seconds is not None and not 0 < args.seconds < 1e9:
@@ -51,10 +51,10 @@ def run(args: argparse.Namespace) -> int:
     token = secret_files.token(args.token_file, "ros2", "--token-file")
     settings = None if args.config is None else load(args.config)
     camera, gimballed = (None, False) if settings is None else (camera_model(settings), settings.camera.gimbal.given)
-    from companion.ros2.bridge import RosBridge, wanted
-    from companion.ros2.live_client import LiveClient
-    from companion.ros2.node import RosNode
-    from companion.runtime import event_loop
+    from companion.base import event_loop
+    from companion.tools.ros2.bridge import RosBridge, wanted
+    from companion.tools.ros2.live_client import LiveClient
+    from companion.tools.ros2.node import RosNode
 
     client = LiveClient(args.url, None if token is None else token.decode(), wanted, _note)
     node = RosNode("decklander")

@@ -7,15 +7,15 @@ import logging
 import sys
 from pathlib import Path
 
-from companion.config.referenced_files import check_files
-from companion.config.remarks import not_checked, remarks
-from companion.config.settings import Settings, find_file, load, shipped
-from companion.mavlink.options import BridgeOptions
-from companion.runtime import event_loop, memory
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.pilot import FlightOutcome
-from companion.runtime.proven import Proven
-from companion.runtime.service import live, log_to_stderr, make_daemon
+from companion.base import event_loop, memory
+from companion.base.proven import Proven
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import FlightOutcome
+from companion.service.assemble import live, log_to_stderr, make_daemon
+from companion.settings.load import Settings, find_file, load, shipped
+from companion.settings.mavlink import BridgeOptions
+from companion.settings.referenced_files import check_files
+from companion.settings.remarks import not_checked, remarks
 from drivers.mavlink.options import AutopilotOptions
 
 log = logging.getLogger(__name__)

@@ -8,11 +8,11 @@ import sys
 import time
 from pathlib import Path
 
+from companion.base.observer import Observer
 from companion.cli import perception_option, record_option
 from companion.cli.kept_flight import keeping
 from companion.cli.progress import ProgressObserver
-from companion.config.settings import find_file, shipped
-from companion.runtime.observer import Observer
+from companion.settings.load import find_file, shipped
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
 from sitl.campaign.overrides import Overridable

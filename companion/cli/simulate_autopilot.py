@@ -15,10 +15,10 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from companion.base import event_loop
+from companion.base.observer import Observer
 from companion.cli.kept_flight import keeping
 from companion.cli.progress import ProgressObserver
-from companion.runtime import event_loop
-from companion.runtime.observer import Observer
 from estimator.contracts.errors import BadInput
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.autopilots.program import executable

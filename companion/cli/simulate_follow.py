@@ -6,10 +6,10 @@ import argparse
 import json
 import sys
 
+from companion.base import event_loop
+from companion.base.observer import Observer
 from companion.cli.progress import ProgressObserver
 from companion.cli.simulate_autopilot import refuse_faults
-from companion.runtime import event_loop
-from companion.runtime.observer import Observer
 from drivers.mavlink.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import NS_PER_S, MonoNs

@@ -18,21 +18,21 @@ from typing import Any
 
 import msgspec
 
+from companion.base import event_loop
+from companion.base.health import Health
+from companion.base.signals import Stopped
 from companion.cli.soak_flights import Class, Flown, Outcomes, real, virtual
 from companion.cli.soak_judge import Findings, Reading, findings, give_back, read
 from companion.cli.soak_parts import cpu_at, start_time_s
 from companion.cli.soak_plot import plot
 from companion.cli.soak_records import Records
-from companion.config.model import Settings
-from companion.config.settings import shipped
-from companion.guidance.mission_options import TryOptions
-from companion.report.drawing import require_drawing
-from companion.runtime import event_loop
-from companion.runtime.health import Health
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.pilot import Pilot
-from companion.runtime.service import make_daemon
-from companion.runtime.signals import Stopped
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import Pilot
+from companion.service.assemble import make_daemon
+from companion.settings.load import shipped
+from companion.settings.mission import TryOptions
+from companion.settings.model import Settings
+from companion.tools.report.drawing import require_drawing
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
@@ -207,7 +207,7 @@ def flown_settings(scenario: Scenario, config: str | None) -> Settings:
     """Return the settings of the flights: those of a file or of the profile `sim`, without what only a person would need.
 
     Raises:
-        BadInput: as `companion.config.settings.load`.
+        BadInput: as `companion.settings.load.load`.
     """
     settings = settings_for(scenario, config)
     service = msgspec.structs.replace(settings.service, health_period_s=0.0, log_level="error")

@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Any
 
 from companion.cli.soak_records import Records
-from companion.runtime.pilot import REFUSALS, FlightOutcome
+from companion.guidance.pilot import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
 from sitl.ending import Ending
 from sitl.machine_load import Load

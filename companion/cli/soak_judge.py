@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.runtime import memory
+from companion.base import memory
 from estimator.contracts.errors import SetupImpossible
 
 GROWTH_MAX = 0.01

@@ -14,9 +14,9 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from itertools import chain
 
-from companion.config.model import Settings, ardrone_options
-from companion.runtime.daemon import Daemon, VehicleLink
-from companion.runtime.make_pilot import make_pilot
+from companion.guidance.make_pilot import make_pilot
+from companion.service.daemon import Daemon, VehicleLink
+from companion.settings.model import Settings, ardrone_options
 from drivers.ardrone import at
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.samples import NavdataSampler

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from companion.cli.install_options import add_common, machine_is_packaged, machine_of, options_of
-from companion.install import steps
+from companion.tools.install import steps
 from estimator.contracts.errors import BadInput
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 
 from companion.cli.install_options import add_common, add_release, machine_of, options_of
-from companion.install import steps
-from companion.install.release import NAME, release
+from companion.tools.install import steps
+from companion.tools.install.release import NAME, release
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, TextIO
 from estimator.contracts.errors import BadInput, Recoverable
 
 if TYPE_CHECKING:
-    from companion.mqtt.connection import BrokerEndpoint
-    from companion.mqtt.settings import MqttSettings
+    from companion.parts.mqtt.connection import BrokerEndpoint
+    from companion.settings.mqtt import MqttSettings
 
 _REDRAW_S = 0.25
 _BACK_OFF_S = 1.0
@@ -54,10 +54,10 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         BadInput: an option or the settings file is wrong, or a secret cannot be read.
     """
-    from companion.config.settings import load
-    from companion.mqtt.connection import BrokerEndpoint
-    from companion.mqtt.settings import MqttSettings
-    from companion.mqtt.topics import Topics
+    from companion.parts.mqtt.connection import BrokerEndpoint
+    from companion.parts.mqtt.topics import Topics
+    from companion.settings.load import load
+    from companion.settings.mqtt import MqttSettings
 
     if args.config is not None:
         settings = load(args.config).mqtt
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput(f"--seconds must be more than 0, got {args.seconds}")
     endpoint = BrokerEndpoint.of(settings)
     out, live = sys.stdout, sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
-    from companion.runtime import event_loop
+    from companion.base import event_loop
 
     return event_loop.run(_Watch(endpoint, args.drone, out, live).run(args.seconds))
 
@@ -101,8 +101,8 @@ class _Watch:
     """Subscribe to the broker and show what arrives."""
 
     def __init__(self, endpoint: BrokerEndpoint, drone: str | None, out: TextIO, live: bool) -> None:
-        from companion.mqtt.topics import ROOT
-        from companion.mqtt.watch_model import WatchModel
+        from companion.parts.mqtt.topics import ROOT
+        from companion.parts.mqtt.watch_model import WatchModel
 
         self._endpoint = endpoint
         self._model = WatchModel(drone)
@@ -146,7 +146,7 @@ class _Watch:
     async def _listen(self) -> None:
         from aiomqtt import MqttError
 
-        from companion.mqtt.connection import connect
+        from companion.parts.mqtt.connection import connect
 
         while True:
             try:
@@ -163,7 +163,7 @@ class _Watch:
             await asyncio.sleep(_BACK_OFF_S)
 
     def _take(self, topic: str, payload: bytes) -> None:
-        from companion.mqtt.watch_view import line
+        from companion.parts.mqtt.watch_view import line
 
         now_s = time.monotonic()
         update = self._model.on_message(topic, payload, now_s)
@@ -176,7 +176,7 @@ class _Watch:
             self._write(line(drone, event) + "\n")
 
     async def _draw(self) -> None:
-        from companion.mqtt.watch_view import screen
+        from companion.parts.mqtt.watch_view import screen
 
         while True:
             width, height = shutil.get_terminal_size()

@@ -1,1 +1,1 @@
-"""Guidance turns an estimate into a command: a sequential planner and a position controller, pure functions of time and state."""
+"""Guidance turns an estimate and orders into a command: the mission, the control laws, the arbiter of orders, and the pilot."""

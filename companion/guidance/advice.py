@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from companion.guidance.mission import State
-from companion.guidance.reason import Reason, ReasonCause
+from companion.base.mission import State
+from companion.base.reason import Reason, ReasonCause
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 
 _C, _A, _V = ReasonCause, IntegrityAlert, Verdict

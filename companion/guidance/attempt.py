@@ -5,8 +5,8 @@ from __future__ import annotations
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.guidance.mission_options import TryOptions
-from companion.guidance.reason import Reason, ReasonCause
+from companion.base.reason import Reason, ReasonCause
+from companion.settings.mission import TryOptions
 from estimator.contracts.time import MonoNs, seconds_between
 
 SIGHT_HOLDS_S = 5.0

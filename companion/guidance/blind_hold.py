@@ -9,8 +9,8 @@ from msgspec.structs import replace
 
 from companion.guidance.controller import Knowledge
 from companion.guidance.limits import sigma_m
-from companion.guidance.mission_options import TryOptions
 from companion.guidance.situation import GuidanceCycle
+from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import seconds_between

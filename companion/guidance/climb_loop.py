@@ -18,9 +18,9 @@ from companion.guidance.controller import HORIZONS_S
 from companion.guidance.disturbance import ObserverNoise, chosen, observer_gains
 from companion.guidance.law_records import COMMAND_SIZE, MEMORY_SIZE, packed_gains, packed_observer, packed_params
 from companion.guidance.margins import PERIOD_S, GaussMarkov, pushed_axis
-from companion.guidance.response import ClimbResponse, Response
 from companion.guidance.riccati import exponential
 from companion.guidance.tilt_law import TiltWeights, tilt_gains
+from companion.settings.response import ClimbResponse, Response
 from estimator.contracts.geometry import F64
 from estimator.core.interface import places_of
 from estimator.core.library import CORE, address

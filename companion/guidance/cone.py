@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from companion.guidance.mission_options import ConeOptions
+from companion.settings.mission import ConeOptions
 
 INSIDE = 1.2
 """The share of the descent rate on the axis, which is limited to 1: near the axis the rate does not depend on the error."""

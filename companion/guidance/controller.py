@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import force_setattr
 
-from companion.guidance.response_watch import ResponseInUse
+from companion.base.response_in_use import ResponseInUse
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64

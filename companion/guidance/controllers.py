@@ -15,10 +15,10 @@ from msgspec import structs
 from companion.guidance.controller import Controller
 from companion.guidance.disturbance import ObserverNoise
 from companion.guidance.follow_deck import FollowDeck
-from companion.guidance.options import GuidanceOptions
 from companion.guidance.pid_controller import PidController
-from companion.guidance.response import Response
 from companion.guidance.view import FieldOfView
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.response import Response
 from estimator.contracts.errors import BadInput
 
 GROUP = "decklander.controllers"

@@ -27,11 +27,11 @@ from companion.guidance.law_records import (
 )
 from companion.guidance.pid import Pid
 from companion.guidance.pid_controller import PidController
-from companion.guidance.response import Response
 from companion.guidance.response_watch import DELAY_MAX_S
 from companion.guidance.tilt_law import TiltWeights
 from companion.guidance.tuning import AS_GIVEN, SOFTER_LONGER_S, TiltTuning, TuningChoice, chosen_tuning, tuned
 from companion.guidance.view import FieldOfView
+from companion.settings.response import Response
 from estimator.contracts.commands import Command, Hover, Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, fixed_pair, fixed_vector

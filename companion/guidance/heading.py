@@ -6,7 +6,7 @@ import math
 
 from msgspec import Struct
 
-from companion.guidance.reason import Reason, ReasonCause
+from companion.base.reason import Reason, ReasonCause
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
 

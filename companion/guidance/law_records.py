@@ -13,9 +13,9 @@ import numpy as np
 
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.disturbance import ObserverGains
-from companion.guidance.response import ClimbResponse, TiltResponse
 from companion.guidance.tilt_law import TiltGains
 from companion.guidance.view import FieldOfView
+from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import BodyMotion
 from estimator.core.interface import size_of

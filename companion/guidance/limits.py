@@ -7,10 +7,10 @@ import math
 import numpy as np
 from msgspec import Struct
 
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance.clearance import rise_beyond_climb_m
 from companion.guidance.controller import Knowledge
-from companion.guidance.mission_options import ConeOptions, LandingLimits
-from companion.guidance.reason import Reason, ReasonCause
+from companion.settings.mission import ConeOptions, LandingLimits
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between

@@ -16,8 +16,9 @@ import numpy as np
 
 from companion.guidance.disturbance import ObserverNoise, chosen, observer_gains
 from companion.guidance.law_records import packed_gains, packed_observer, packed_params
-from companion.guidance.response import ClimbResponse, TiltResponse, tilt_model
 from companion.guidance.tilt_law import TiltWeights, tilt_gains
+from companion.guidance.tilt_model import tilt_model
+from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.geometry import F64
 from estimator.core.interface import size_of
 from estimator.core.library import CORE, address

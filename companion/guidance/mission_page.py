@@ -9,9 +9,10 @@ from collections.abc import Iterator
 from enum import Enum
 from itertools import pairwise
 
+from companion.base.mission import DESCENDS, ENDED, FAULTS, Event, State
 from companion.guidance import mission
 from companion.guidance.advice import advised_alerts, advised_causes
-from companion.guidance.mission import DESCENDS, ENDED, FAULTS, TABLES, Event, State
+from companion.guidance.mission import TABLES
 
 _HEAD = """# The mission
 

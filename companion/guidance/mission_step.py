@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from companion.guidance.mission import ENDED, TABLES, Event, StateChange
-from companion.guidance.options import GuidanceOptions
+from companion.base.mission import ENDED, Event, StateChange
+from companion.base.reason import Reason, ReasonCause
+from companion.guidance.mission import TABLES
 from companion.guidance.progress import Progress, entered
-from companion.guidance.reason import Reason, ReasonCause
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim, aim
 from companion.guidance.watch import account, events
+from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs
 

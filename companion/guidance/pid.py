@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from companion.guidance.options import PidOptions
+from companion.settings.guidance import PidOptions
 from estimator.contracts.commands import Command, Hover, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, wrap_pi

@@ -11,8 +11,8 @@ import numpy as np
 from msgspec import structs
 
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.options import PidOptions
 from companion.guidance.pid import Pid, SetPoint, pid_step
+from companion.settings.guidance import PidOptions
 from estimator.contracts.commands import Command, Hover, Velocity
 from estimator.contracts.time import MonoNs
 

@@ -7,10 +7,10 @@ import math
 from msgspec import Struct, field
 from msgspec.structs import replace
 
+from companion.base.mission import FLOWN, Event, State, StateChange
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance.attempt import Attempt
 from companion.guidance.heading import HeadingMemory
-from companion.guidance.mission import FLOWN, Event, State, StateChange
-from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 

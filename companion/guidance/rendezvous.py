@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from companion.guidance.rendezvous_options import RendezvousOptions
 from companion.guidance.situation import VesselPosition
+from companion.settings.rendezvous import RendezvousOptions
 from estimator.contracts.commands import Velocity
 from estimator.contracts.geometry import F64, wrap_pi
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
-from companion.guidance.response import ClimbResponse, Response, TiltResponse
 from companion.guidance.response_fit import ClimbFit, TiltFit
+from companion.settings.response import ClimbResponse, Response, TiltResponse
 from estimator.contracts.geometry import F64
 
 _PLACES = {"max_deg": 1, "frequency_rad_s": 3, "frequency_sigma_rad_s": 3}

@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.guidance.response import ClimbResponse, TiltResponse
+from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.geometry import F64
 
 STEP_S = 0.02

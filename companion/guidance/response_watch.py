@@ -14,15 +14,15 @@ fit errs that way.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import replace
 
 import numpy as np
 from msgspec import Struct, structs
 
-from companion.guidance.response import TiltResponse
+from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.response_course import Track, asked_lean, course_of
 from companion.guidance.response_fit import FlightCourse, TiltFit, fit_tilt
+from companion.settings.response import TiltResponse
 from estimator.contracts.commands import Command
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
@@ -47,40 +47,6 @@ _GAIN_OFF = 0.35
 """A vehicle that flies so much less or more than what is asked is at a limit of its own, or speaks other units."""
 _COURSE_OFF_S = 0.15
 """A tilt that follows by so much slower or quicker than the file says, beside the delay, is another vehicle's, s."""
-
-
-class ResponseState(Enum):
-    """Whether the vehicle's response is known."""
-
-    ASSUMED = "assumed"
-    """Neither its file nor the flight says how well the delay is known."""
-    KNOWN = "known"
-    """The delay of its file holds, by the file's own word or by the flight's."""
-    IDENTIFIED = "identified"
-    """The flight contradicts the delay of its file and takes its place."""
-
-
-@dataclass(frozen=True, slots=True)
-class ResponseInUse:
-    """The response that the control law flies by."""
-
-    state: ResponseState
-    delay_s: float
-    """Delay of the tilt that is flown with."""
-    sigma_s: float | None
-    """How well it is known; None if nobody says."""
-    longer_s: float = 0.0
-    """By how much it is longer than its file says."""
-
-    @property
-    def text(self) -> str:
-        """The state for the operator."""
-        ms = f"{1e3 * self.delay_s:.0f} ms (sigma {1e3 * (self.sigma_s or 0.0):.0f})"
-        if self.state is ResponseState.IDENTIFIED:
-            return f"the vehicle answers {1e3 * self.longer_s:.0f} ms longer than its response file says: {ms} is flown with"
-        if self.state is ResponseState.KNOWN:
-            return f"the vehicle's response is known: delay {ms}"
-        return f"the vehicle's response is assumed: delay {1e3 * self.delay_s:.0f} ms, softer gains"
 
 
 class ResponseWatch(Struct, frozen=True, eq=False):

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 
 from msgspec import Struct, field
 
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Knowledge
 from companion.guidance.limits import InputQuality
-from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between

@@ -7,14 +7,14 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
+from companion.base.mission import GROUND, State
 from companion.guidance import blind_hold, cone, heading, limits, rendezvous
 from companion.guidance.clearance import rise_beyond_climb_m
 from companion.guidance.controller import Target
-from companion.guidance.mission import GROUND, State
-from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, fit_to_steer, unfit
 from companion.guidance.watch import climbs_from_question
+from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Hover, Land
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, wrap_pi

@@ -16,8 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import structs
 
-from companion.guidance.response import TiltResponse, tilt_model
 from companion.guidance.riccati import regulator
+from companion.guidance.tilt_model import tilt_model
+from companion.settings.response import TiltResponse
 
 
 class TiltWeights(NamedTuple):

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 from msgspec import structs
 
+from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.disturbance import SIGMAS_P_M, chosen
-from companion.guidance.response import TiltResponse
-from companion.guidance.response_watch import ResponseInUse, ResponseState
 from companion.guidance.tilt_law import TiltGains, TiltWeights, tilt_gains
+from companion.settings.response import TiltResponse
 
 _STIFF_M = 0.01
 """Standard deviation of the place up to which the regulator is as stiff as its weights say, m."""

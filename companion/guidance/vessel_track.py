@@ -15,9 +15,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from companion.guidance.reason import Reason, ReasonCause
-from companion.guidance.rendezvous_options import ReportLimits
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance.situation import VesselPosition
+from companion.settings.rendezvous import ReportLimits
 from estimator.contracts.geodesy import ned_between
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, GeoFix, VesselReport

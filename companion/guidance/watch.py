@@ -8,15 +8,15 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 from msgspec.structs import replace
 
+from companion.base.mission import FLOWN, Event, State
+from companion.base.reason import CONDITIONS, Reason, ReasonCause
 from companion.guidance import cone, heading, limits, rendezvous
 from companion.guidance.attempt import Attempt
 from companion.guidance.controller import Impact
 from companion.guidance.held_up import HELD_S
-from companion.guidance.mission import FLOWN, Event, State
-from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.reason import CONDITIONS, Reason, ReasonCause
 from companion.guidance.situation import GuidanceCycle, of_frames, unfit
+from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs, after, seconds_between
 

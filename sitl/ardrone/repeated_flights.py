@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from companion.config.settings import shipped
+from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import seconds_between

@@ -8,13 +8,13 @@ from typing import Literal
 
 import msgspec
 
-from companion.config.model import CameraSettings, Settings
-from companion.runtime.daemon import Daemon, VehicleLink
-from companion.runtime.exposure_part import ExposurePart
-from companion.runtime.health import Health
-from companion.runtime.observer import Observer
-from companion.runtime.pilot import Pilot
-from companion.runtime.vehicle_parts import vehicle_parts
+from companion.base.health import Health
+from companion.base.observer import Observer
+from companion.guidance.pilot import Pilot
+from companion.service.daemon import Daemon, VehicleLink
+from companion.service.exposure_part import ExposurePart
+from companion.service.vehicle_parts import vehicle_parts
+from companion.settings.model import CameraSettings, Settings
 from drivers.camera.exposure_drive import ExposureDrive
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions

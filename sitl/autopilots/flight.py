@@ -19,10 +19,10 @@ from typing import Literal
 import cv2
 import msgspec
 
-from companion.config.model import Settings
-from companion.runtime.health import Health
-from companion.runtime.observer import Observer
-from companion.runtime.pilot import FlightOutcome
+from companion.base.health import Health
+from companion.base.observer import Observer
+from companion.guidance.pilot import FlightOutcome
+from companion.settings.model import Settings
 from drivers.camera.exposure_law import ExposureSetting
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import mav

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from companion.config.model import Settings
-from companion.runtime.health import Health
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import Observer
-from companion.runtime.pilot import FlightOutcome
+from companion.base.health import Health
+from companion.base.observer import Observer
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import FlightOutcome
+from companion.settings.model import Settings
 from drivers.clock import SystemClock
 from drivers.mavlink.links import ReceivedMessage
 from estimator.contracts.errors import BadInput

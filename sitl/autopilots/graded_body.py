@@ -6,10 +6,10 @@ from typing import Literal
 
 import numpy as np
 
-from companion.config.model import Settings
-from companion.runtime.health import Health
-from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
-from companion.runtime.pilot import Pilot
+from companion.base.health import Health
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.guidance.pilot import Pilot
+from companion.settings.model import Settings
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.autopilots.body import Body, Landing

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from companion.config.overrides import Value, finite
+from companion.settings.overrides import Value, finite
 from estimator.contracts.errors import BadInput
 from sitl.campaign.lab import require_lab
 from sitl.campaign.overrides import Overridable

@@ -6,9 +6,9 @@ import copy
 from collections.abc import Sequence
 from typing import Any
 
-from companion.config.model import Settings
-from companion.config.overrides import NOTHING, Value, key_and_text, leaf, leaves, nearest, plain, put, value_like
-from companion.config.settings import from_mapping as settings_from_mapping
+from companion.settings.load import from_mapping as settings_from_mapping
+from companion.settings.model import Settings
+from companion.settings.overrides import NOTHING, Value, key_and_text, leaf, leaves, nearest, plain, put, value_like
 from estimator.contracts.errors import BadInput
 from sitl.one_flight import following
 from sitl.scenario import Scenario

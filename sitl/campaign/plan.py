@@ -10,12 +10,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from companion.config.model import Settings
-from companion.config.overrides import plain
-from companion.config.settings import SHIPPED, read_toml
-from companion.config.settings import camera_model as camera_of_settings
-from companion.config.settings import from_mapping as settings_from_mapping
-from companion.config.settings import pad_model as pad_of_settings
+from companion.settings.load import SHIPPED, read_toml
+from companion.settings.load import camera_model as camera_of_settings
+from companion.settings.load import from_mapping as settings_from_mapping
+from companion.settings.load import pad_model as pad_of_settings
+from companion.settings.model import Settings
+from companion.settings.overrides import plain
 from estimator.contracts.errors import BadInput
 from sitl.campaign.code import code_version
 from sitl.campaign.overrides import Overridable, Override

@@ -10,7 +10,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from companion.report.svg import FAINT, INK, draw_pad, svg
+from companion.tools.report.svg import FAINT, INK, draw_pad, svg
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
 from sitl.campaign.figures import Effect, SuccessMap

@@ -9,7 +9,7 @@ from html import escape
 from types import MappingProxyType
 from typing import Any
 
-from companion.report.page_parts import document
+from companion.tools.report.page_parts import document
 from estimator.contracts.errors import BadInput
 from estimator.vision.pad import Pad
 from sitl.campaign.by_scenario import HEADINGS, by_scenario, row

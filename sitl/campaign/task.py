@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from companion.config.model import Settings
+from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput, in_words
 from sitl.campaign.code import code_version, differences
 from sitl.campaign.plan import AnyPlan, Job, canonical, unpacked

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from companion.config.model import Settings
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.pilot import FlightOutcome
+from companion.settings.model import Settings
 from estimator.contracts.geometry import F64, wrap_pi
 from sitl.experiments.flown import METHODS, Estimate, ExperimentFlight, fly_by_hand, fly_pilot
 from sitl.experiments.hand import ExternalPilot

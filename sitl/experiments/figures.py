@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from companion.report.palette import MARKERS, OTHER, colour
+from companion.recording.palette import MARKERS, OTHER, colour
 from estimator.contracts.geometry import wrap_pi
 from sitl.experiments.chapter5 import QUANTITIES, Chapter5, Landed, error_of, headings
 from sitl.experiments.flown import METHODS, ExperimentFlight

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import msgspec
 import numpy as np
 
-from companion.config.model import Settings
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
-from companion.runtime.pilot import Pilot
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import Pilot
+from companion.settings.model import Settings
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace
 
-from companion.runtime.observer import Decision
-from companion.runtime.pilot import FlightOutcome, Pilot
+from companion.base.observer import Decision
+from companion.guidance.pilot import FlightOutcome, Pilot
 from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from companion.recorder.records import TruthRecord
+from companion.recording.records import TruthRecord
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, skew
 from estimator.contracts.samples import Attitude

@@ -19,9 +19,9 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from companion.config.model import Settings
-from companion.runtime.make_pilot import make_pilot, tracker
-from companion.runtime.pilot import Pilot
+from companion.guidance.make_pilot import make_pilot, tracker
+from companion.guidance.pilot import Pilot
+from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method, PathName, Sighting
 from estimator.contracts.geometry import F64, Rotation

@@ -10,7 +10,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta, Struct
 
-from companion.config.settings import find_file, read_toml
+from companion.settings.load import find_file, read_toml
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import number
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from companion.config.model import Settings
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.pilot import Pilot
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import Pilot
+from companion.settings.model import Settings
 from estimator.contracts.estimates import PathName
 from sitl.fault import Fault
 from sitl.perception.port import Level, PerceivedWorld

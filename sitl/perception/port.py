@@ -8,8 +8,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.config.model import Settings
-from companion.runtime.pilot import Pilot
+from companion.guidance.pilot import Pilot
+from companion.settings.model import Settings
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from companion.config.model import Settings
-from companion.recorder.reading import RecordedFrame, open_recording
-from companion.recorder.records import TruthRecord
-from companion.runtime.observer import Decision
+from companion.base.observer import Decision
+from companion.recording.reading import RecordedFrame, open_recording
+from companion.recording.records import TruthRecord
+from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState
 from estimator.vision.camera import Camera

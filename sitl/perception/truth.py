@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from companion.config.model import Settings
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.pilot import Pilot
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import Pilot
+from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from benches import dangers
-from companion.config.model import Settings
-from companion.runtime.signals import Stopped
+from companion.base.signals import Stopped
+from companion.settings.model import Settings
 
 
 def contact(surface: str, lateral_m: float, down_m_s: float = 0.4) -> dict[str, Any]:

@@ -8,12 +8,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from companion.calibrate.flight_views import FlightViews
-from companion.calibrate.rotations import exp, exps, interpolated, logs, transposed
-from companion.config.model import Settings
-from companion.config.settings import camera_model
-from companion.recorder.setup import about, recorder_to_file
-from companion.runtime.observer import ProcessedFrame
+from companion.base.observer import ProcessedFrame
+from companion.parts.recorder.setup import about, recorder_to_file
+from companion.settings.load import camera_model
+from companion.settings.model import Settings
+from companion.tools.calibrate.flight_views import FlightViews
+from companion.tools.calibrate.rotations import exp, exps, interpolated, logs, transposed
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.contracts.samples import Attitude, Frame, Imu

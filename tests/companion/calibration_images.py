@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.calibrate.board import Board
+from companion.tools.calibrate.board import Board
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
 

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from msgspec import structs
 
+from companion.base.mission import Event, State, StateChange
+from companion.base.response_in_use import ResponseInUse
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.mission import Event, State, StateChange
 from companion.guidance.mission_step import mission_step, ordered, reported
-from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.response_watch import ResponseInUse
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim
+from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64

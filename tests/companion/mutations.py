@@ -13,9 +13,9 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from companion.config import whole_file
-from companion.config.settings import load
-from companion.recorder.reading import SETTINGS
+from companion.recording.reading import SETTINGS
+from companion.settings import whole_file
+from companion.settings.load import load
 
 NONSENSE: tuple[Any, ...] = (
     None, True, "", "x" * 5000, -1, 0, 2**31, 2**63, 2**64, 10**30, -(2**63), 10**400, 1.5, -1e308, 1e308, 1e-300, [], {},

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.config.settings import camera_model
-from companion.recorder.mcap_file import About
-from companion.recorder.reading import open_recording
-from companion.runtime.observer import ProcessedFrame
+from companion.base.observer import ProcessedFrame
+from companion.recording.mcap_file import About
+from companion.recording.reading import open_recording
+from companion.settings.load import camera_model
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Imu, Sample
 from estimator.contracts.time import MonoNs, Stamp

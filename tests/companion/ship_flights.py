@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from companion.config.model import CameraSettings, Settings
-from companion.config.settings import load
-from companion.guidance.mission import State
-from companion.runtime.daemon import Daemon
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.missing_inputs import missing_inputs
-from companion.runtime.pilot import Pilot
-from companion.runtime.service import make_daemon
+from companion.base.missing_inputs import missing_inputs
+from companion.base.mission import State
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import Pilot
+from companion.service.assemble import make_daemon
+from companion.service.daemon import Daemon
+from companion.settings.load import load
+from companion.settings.model import CameraSettings, Settings
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geodesy import GeoPoint, moved

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from companion.base.mission import State
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance.advice import advice
-from companion.guidance.mission import State
-from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 
 NO_FAULT = {

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance.attempt import Attempt
-from companion.guidance.mission_options import TryOptions
-from companion.guidance.reason import Reason, ReasonCause
+from companion.settings.mission import TryOptions
 from tests.companion.mission_flights import ns
 
 LIMITS = TryOptions(try_s=60.0, losses_max=3, blind_descent_max_m=0.5)

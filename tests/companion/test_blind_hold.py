@@ -7,8 +7,8 @@ import pytest
 
 from companion.guidance.blind_hold import climbing, never_lower, usable, without_estimate
 from companion.guidance.controller import Knowledge
-from companion.guidance.mission_options import TryOptions
 from companion.guidance.situation import GuidanceCycle
+from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.motion import DeckMotion
 from tests.companion.mission_flights import estimate, ns

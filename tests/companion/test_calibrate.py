@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.calibrate import assess
-from companion.calibrate.board import Board
-from companion.calibrate.gather import add_file, watch
-from companion.calibrate.guide import Guide, GuideState
-from companion.calibrate.solve import solve
-from companion.calibrate.views import BoardView, Collection
 from companion.cli.main import main
+from companion.tools.calibrate import assess
+from companion.tools.calibrate.board import Board
+from companion.tools.calibrate.gather import add_file, watch
+from companion.tools.calibrate.guide import Guide, GuideState
+from companion.tools.calibrate.solve import solve
+from companion.tools.calibrate.views import BoardView, Collection
 from drivers.camera.options import CameraOptions
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.vision.camera import Camera

@@ -12,14 +12,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.calibrate.flight_result import flight_result
-from companion.calibrate.mount_fit import DELAY, MOUNT, READOUT, fit_mount
-from companion.calibrate.rotations import exp, exps
 from companion.cli.main import main
-from companion.config.model import CameraSettings, Settings
-from companion.config.settings import SHIPPED, load
-from companion.config.toml_edit import with_values
-from companion.runtime.make_pilot import estimator_options, with_mount
+from companion.guidance.make_pilot import estimator_options, with_mount
+from companion.settings.load import SHIPPED, load
+from companion.settings.model import CameraSettings, Settings
+from companion.settings.toml_edit import with_values
+from companion.tools.calibrate.flight_result import flight_result
+from companion.tools.calibrate.mount_fit import DELAY, MOUNT, READOUT, fit_mount
+from companion.tools.calibrate.rotations import exp, exps
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
 from tests.companion import calibration_flights as flights

@@ -8,7 +8,7 @@ import cv2
 import pytest
 
 from companion.cli.main import main
-from companion.recorder.reading import RecordedFrame, open_recording
+from companion.recording.reading import RecordedFrame, open_recording
 from tests.support.image_files import claiming
 
 GOLDEN = Path(__file__).parents[1] / "golden/frames.mcap"

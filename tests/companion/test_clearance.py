@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.base.mission import State
+from companion.base.reason import ReasonCause
 from companion.guidance import cone
 from companion.guidance.clearance import rise_beyond_climb_m
 from companion.guidance.controller import HORIZONS_S, Knowledge, Target
 from companion.guidance.limits import InputQuality, gate
-from companion.guidance.mission import State
-from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.reason import ReasonCause
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import aim
+from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.geometry import F64
 from estimator.ekf import Forecast
 from tests.companion.mission_flights import estimate, ns

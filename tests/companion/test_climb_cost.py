@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from companion.calibrate.climb_cost import contact, of_file, of_sigma
-from companion.config.settings import shipped_response
 from companion.guidance.climb_loop import climb_loop
-from companion.guidance.mission_options import ConeOptions
+from companion.settings.load import shipped_response
+from companion.settings.mission import ConeOptions
+from companion.tools.calibrate.climb_cost import contact, of_file, of_sigma
 
 ARDRONE = shipped_response("ardrone2")
 MISSING_M_S = 0.06

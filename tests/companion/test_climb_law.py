@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from companion.guidance.response import ClimbResponse
+from companion.settings.response import ClimbResponse
 from tests.companion.oracle.climb_law import climb_command, predicted, pushed
 
 T = 0.005

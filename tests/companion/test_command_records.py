@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.recorder import decode, encode
-from companion.runtime.observer import Decision
+from companion.base.observer import Decision
+from companion.recording import decode, encode
 from estimator.contracts.commands import Command, Hover, Land, Lean, TakeOff, Velocity
 from estimator.contracts.time import MonoNs
 

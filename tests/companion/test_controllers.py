@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from companion.config.settings import camera_model, from_mapping, load, response_model
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.follow_deck import FollowDeck
-from companion.guidance.options import GuidanceOptions
+from companion.guidance.make_pilot import field_of_view, law_of
 from companion.guidance.pid_controller import PidController
-from companion.guidance.response import response_from_mapping
-from companion.runtime.make_pilot import field_of_view, law_of
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.load import camera_model, from_mapping, load, response_model
+from companion.settings.response import response_from_mapping
 from estimator.contracts.commands import Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform

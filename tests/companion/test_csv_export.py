@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from companion.base.observer import Decision
 from companion.cli import main as cli
-from companion.recorder import csv_export
-from companion.recorder.reading import open_recording
-from companion.runtime.observer import Decision
+from companion.recording import csv_export
+from companion.recording.reading import open_recording
 from estimator.contracts.errors import BadInput
 from tests.support.recorded_flight import record_to
 

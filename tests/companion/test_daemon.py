@@ -8,14 +8,14 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 import numpy as np
 import pytest
 
-from companion.config.settings import camera_model, load, pad_model
-from companion.guidance.options import GuidanceOptions
-from companion.recorder import encode
-from companion.recorder.decode import frame_times
-from companion.runtime.daemon import Daemon, VehicleLink
-from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
-from companion.runtime.pilot import FlightOutcome, Pilot
-from companion.runtime.restart_options import RestartOptions
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.recording import encode
+from companion.recording.decode import frame_times
+from companion.service.daemon import Daemon, VehicleLink
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.load import camera_model, load, pad_model
+from companion.settings.restart import RestartOptions
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command, Hover
@@ -358,7 +358,7 @@ async def test_the_log_names_the_part_that_is_waited_for(caplog: pytest.LogCaptu
     def said(text: str) -> bool:
         return any(text in record.getMessage() and record.levelname == "WARNING" for record in caplog.records)
 
-    with caplog.at_level("INFO", "companion.runtime.daemon"):
+    with caplog.at_level("INFO", "companion.service.daemon"):
         async with asyncio.TaskGroup() as group:
             group.create_task(daemon.run())
             await until(

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.config.settings import shipped_response
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import FollowDeck
+from companion.settings.load import shipped_response
 from estimator.contracts.commands import Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation, wrap_pi

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from companion.cli import main as cli
-from companion.recorder.reading import RecordedFrame, open_recording
+from companion.recording.reading import RecordedFrame, open_recording
 from estimator.vision.pad import Pad
 from tests.support.pad_images import PadPlacement, image
 from tests.support.shipped import shipped_camera, shipped_pad

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.recorder import decode, encode
-from companion.recorder.rewriting import _without_methods
-from companion.runtime.observer import ProcessedFrame
+from companion.base.observer import ProcessedFrame
+from companion.recording import decode, encode
+from companion.recording.rewriting import _without_methods
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.time import MonoNs
 from tests.support.processed_frames import seen

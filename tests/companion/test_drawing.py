@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
-from companion.report.drawing import require_drawing
+from companion.tools.report.drawing import require_drawing
 from estimator.contracts.errors import BadInput
 
 

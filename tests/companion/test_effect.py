@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from companion.cli.main import main
-from companion.config.effect import MOVED, without_effect
-from companion.config.model import Settings
-from companion.config.refusal import walk
-from companion.config.settings import from_mapping, load, shipped
+from companion.settings.effect import MOVED, without_effect
+from companion.settings.load import from_mapping, load, shipped
+from companion.settings.model import Settings
+from companion.settings.refusal import walk
 from estimator.contracts.errors import BadInput
 
 ARDRONE: dict[str, Any] = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}

@@ -15,13 +15,13 @@ from typing import Any
 
 import pytest
 
+from companion.base.proven import Proven
 from companion.cli import main as cli
 from companion.cli import run as run_command
-from companion.config.settings import load
-from companion.mqtt.spool import Spool
-from companion.runtime import service
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.proven import Proven
+from companion.guidance.make_pilot import make_pilot
+from companion.parts.mqtt.spool import Spool
+from companion.service import assemble as service
+from companion.settings.load import load
 from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible, unusable
 
 WORLD = [errno.EIO, errno.EROFS, errno.ENOSPC, errno.EMFILE, errno.ENOMEM, errno.ENODEV, errno.ESTALE, errno.EADDRINUSE]

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from companion.config.model import CameraSettings
-from companion.config.settings import from_mapping
-from companion.recorder import encode
-from companion.recorder.reading import RecordedFrame
-from companion.runtime.exposure_part import ExposurePart
-from companion.runtime.health import Health
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import ProcessedFrame
-from companion.runtime.pilot import Pilot
-from companion.runtime.vehicle_parts import vehicle_parts
+from companion.base.health import Health
+from companion.base.observer import ProcessedFrame
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import Pilot
+from companion.recording import encode
+from companion.recording.reading import RecordedFrame
+from companion.service.exposure_part import ExposurePart
+from companion.service.vehicle_parts import vehicle_parts
+from companion.settings.load import from_mapping
+from companion.settings.model import CameraSettings
 from drivers.camera.exposure_drive import ExposureDrive
 from drivers.camera.exposure_law import TARGET, ExposureRange, ExposureSetting
 from drivers.camera.exposure_options import ExposureOptions

@@ -13,21 +13,22 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from companion.config.model import Settings
-from companion.config.settings import load
-from companion.mavlink.bridge_part import BridgePart
-from companion.metrics.endpoint import MetricsEndpoint
-from companion.mqtt.part import MqttPart
-from companion.operator.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
-from companion.page.endpoint import PageEndpoint
-from companion.page.settings import PageSettings
-from companion.recorder.recorder import Recorder
-from companion.runtime import event_loop, service
-from companion.runtime.daemon import Daemon
-from companion.runtime.health import Health
-from companion.runtime.notify import Pulse
-from companion.runtime.observer import Decision, NullObserver, Observer, ProcessedFrame
-from companion.runtime.restart_options import RestartOptions
+from companion.base import event_loop
+from companion.base.health import Health
+from companion.base.notify import Pulse
+from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
+from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
+from companion.parts.mavlink.bridge_part import BridgePart
+from companion.parts.metrics.endpoint import MetricsEndpoint
+from companion.parts.mqtt.part import MqttPart
+from companion.parts.page.endpoint import PageEndpoint
+from companion.parts.recorder.recorder import Recorder
+from companion.service import assemble as service
+from companion.service.daemon import Daemon
+from companion.settings.load import load
+from companion.settings.model import Settings
+from companion.settings.page import PageSettings
+from companion.settings.restart import RestartOptions
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample
@@ -228,7 +229,7 @@ def test_a_part_that_fails_again_and_again_is_given_up_unless_it_is_the_outside_
 
 
 def test_an_observer_that_was_set_aside_is_tried_again_and_comes_back() -> None:
-    from companion.runtime.containment import CallGuard
+    from companion.base.containment import CallGuard
 
     clock = VirtualClock()
     health = Health(clock)

@@ -10,15 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
-from companion.config.settings import shipped_response
+from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance import tuning
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import FollowDeck, FollowDeckMemory
-from companion.guidance.options import PidOptions
 from companion.guidance.pid_controller import PidController
-from companion.guidance.response_watch import ResponseInUse, ResponseState
 from companion.guidance.tuning import TuningChoice
 from companion.guidance.view import FieldOfView
+from companion.settings.guidance import PidOptions
+from companion.settings.load import shipped_response
 from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation

@@ -12,9 +12,9 @@ import pytest
 from mcap.reader import make_reader
 
 from companion.cli import main as cli
-from companion.recorder.frame_video import KEY_EACH, RECORDED, FrameSequence
-from companion.recorder.reading import RecordedFrame, Recording, open_recording
-from companion.video.frame_encoder import FrameEncoder, is_key_frame
+from companion.recording.frame_encoder import FrameEncoder, is_key_frame
+from companion.recording.frame_video import KEY_EACH, RECORDED, FrameSequence
+from companion.recording.reading import RecordedFrame, Recording, open_recording
 from tests.support.recorded_flight import record_to
 
 

@@ -15,26 +15,26 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from companion.config.settings import camera_model
-from companion.metrics.exposition import text
-from companion.mqtt import encode as mqtt_encode
-from companion.mqtt import messages
-from companion.recorder import channels, decode, encode
-from companion.recorder.options import RecorderOptions
-from companion.recorder.reading import open_recording
-from companion.recorder.recorder import Recorder
-from companion.recorder.records import FusionRecord
-from companion.recorder.rewriting import Cut, rewrite
-from companion.recorder.setup import about
-from companion.recorder.storage_policy import SingleFile
-from companion.replay.engine import Replay
-from companion.replay.pilots import pilot_of
-from companion.report.flight_log import FlightLog
-from companion.report.innovations import innovation_series
-from companion.report.page import render
-from companion.runtime.health import NIS_WINDOW, Health
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import NullObserver
+from companion.base.health import NIS_WINDOW, Health
+from companion.base.observer import NullObserver
+from companion.guidance.make_pilot import make_pilot
+from companion.parts.metrics.exposition import text
+from companion.parts.mqtt import encode as mqtt_encode
+from companion.parts.mqtt import messages
+from companion.parts.recorder.recorder import Recorder
+from companion.parts.recorder.setup import about
+from companion.parts.recorder.storage_policy import SingleFile
+from companion.recording import channels, decode, encode
+from companion.recording.reading import open_recording
+from companion.recording.records import FusionRecord
+from companion.recording.rewriting import Cut, rewrite
+from companion.settings.load import camera_model
+from companion.settings.recorder import RecorderOptions
+from companion.tools.replay.engine import Replay
+from companion.tools.replay.pilots import pilot_of
+from companion.tools.report.flight_log import FlightLog
+from companion.tools.report.innovations import innovation_series
+from companion.tools.report.page import render
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import COMPONENTS, FusionResult, Source
 from estimator.contracts.time import MonoNs

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.recorder import channels, decode, encode
-from companion.recorder.foxglove import FrameTransforms
-from companion.recorder.message_encoder import MessageEncoder
+from companion.recording import channels, decode, encode
+from companion.recording.foxglove import FrameTransforms
+from companion.recording.message_encoder import MessageEncoder
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.samples import GimbalAttitude
 from estimator.contracts.time import MonoNs, Stamp

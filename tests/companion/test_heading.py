@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance.heading import HeadingMemory, wanted_rad, watch
-from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.estimates import RelativeState
 from tests.companion.mission_flights import estimate
 

@@ -16,18 +16,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
+from companion.base.observer import Decision
+from companion.base.response_in_use import ResponseState
 from companion.cli.main import main
-from companion.config.settings import SHIPPED, camera_model, shipped_response
-from companion.guidance.response import TiltResponse, response_from_mapping, tilt_model
+from companion.guidance.arbiter import BY_HAND
 from companion.guidance.response_course import Track, course_of
 from companion.guidance.response_fit import STEP_S, FlightCourse, TiltFit, fit_climb, fit_tilt
-from companion.guidance.response_watch import ResponseState
-from companion.operator.arbiter import BY_HAND
-from companion.recorder.mcap_file import Attachment
-from companion.recorder.reading import SETTINGS, open_recording
-from companion.recorder.setup import about, recorder_to_file
-from companion.replay.flown_courses import flown_courses
-from companion.runtime.observer import Decision
+from companion.guidance.tilt_model import tilt_model
+from companion.parts.recorder.setup import about, recorder_to_file
+from companion.recording.mcap_file import Attachment
+from companion.recording.reading import SETTINGS, open_recording
+from companion.settings.load import SHIPPED, camera_model, shipped_response
+from companion.settings.response import TiltResponse, response_from_mapping
+from companion.tools.calibrate.flown_courses import flown_courses
 from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2

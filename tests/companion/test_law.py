@@ -11,13 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
-from companion.config.settings import shipped_response
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import FollowDeck
 from companion.guidance.margins import margins
-from companion.guidance.response import ClimbResponse, TiltResponse, tilt_model
 from companion.guidance.riccati import exponential, observer, regulator, riccati
+from companion.guidance.tilt_model import tilt_model
 from companion.guidance.view import FieldOfView
+from companion.settings.load import shipped_response
+from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.commands import Hover, Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation

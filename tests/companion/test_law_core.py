@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
-from companion.config.settings import shipped_response
+from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance import law_records
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import FollowDeck
-from companion.guidance.response import Response
-from companion.guidance.response_watch import ResponseInUse, ResponseState
 from companion.guidance.view import FieldOfView
+from companion.settings.load import shipped_response
+from companion.settings.response import Response
 from estimator.contracts.commands import Hover, Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.base.reason import Reason, ReasonCause
+from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.controller import HORIZONS_S, Knowledge
 from companion.guidance.limits import InputQuality, commit, gate, no_return_m, sigma_m
-from companion.guidance.mission_options import ConeOptions, LandingLimits
-from companion.guidance.reason import Reason, ReasonCause
-from companion.guidance.response_watch import ResponseInUse, ResponseState
+from companion.settings.mission import ConeOptions, LandingLimits
 from estimator.contracts.motion import DeckMotion
 from estimator.ekf import Forecast
 from tests.companion.mission_flights import estimate, ns

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from companion.config.settings import shipped_response
 from companion.guidance import disturbance
 from companion.guidance.margins import PERIOD_S, AxisDisturbances, GaussMarkov, by_frequency, margins
-from companion.guidance.response import TiltResponse, tilt_model
 from companion.guidance.tilt_law import TiltWeights, tilt_gains
+from companion.guidance.tilt_model import tilt_model
+from companion.settings.load import shipped_response
+from companion.settings.response import TiltResponse
 from estimator.contracts.geometry import F64
 from tests.companion.oracle.axis import AxisMeasured, begun, command, commanded, observed
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.base.mission import FLOWN, State
+from companion.base.reason import Reason, ReasonCause
+from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.attempt import Attempt
 from companion.guidance.controller import Knowledge
 from companion.guidance.heading import HeadingMemory
 from companion.guidance.limits import InputQuality
-from companion.guidance.mission import FLOWN, State
-from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.reason import Reason, ReasonCause
-from companion.guidance.response_watch import ResponseInUse, ResponseState
 from companion.guidance.situation import GuidanceCycle, VesselPosition
 from companion.guidance.watch import account
+from companion.settings.guidance import GuidanceOptions
 from tests.companion.mission_flights import estimate, guided, ns
 
 NOW = 100.0

@@ -9,14 +9,15 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from companion.base.mission import FLOWN, Event, State
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance.attempt import Attempt
 from companion.guidance.controller import Impact, Knowledge
-from companion.guidance.mission import FLOWN, TABLES, Event, State
-from companion.guidance.options import GuidanceOptions
+from companion.guidance.mission import TABLES
 from companion.guidance.progress import Progress
-from companion.guidance.reason import Reason, ReasonCause
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.watch import events, fit_in
+from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import Verdict
 from tests.companion.mission_flights import estimate, guided, ns
 

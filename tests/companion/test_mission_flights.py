@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from companion.base.mission import DESCENDS, Event, State
+from companion.base.reason import Reason, ReasonCause
+from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.blind_hold import never_lower
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.mission import DESCENDS, Event, State
 from companion.guidance.mission_step import mission_step, ordered, reported
-from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.reason import Reason, ReasonCause
-from companion.guidance.response_watch import ResponseInUse, ResponseState
 from companion.guidance.situation import GuidanceCycle, unfit
 from companion.guidance.steer import Aim
+from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import DeckMotion

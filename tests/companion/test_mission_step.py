@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from companion.base.mission import ENDED, Event, State
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance import mission_step as module
 from companion.guidance.controller import Knowledge
-from companion.guidance.mission import ENDED, Event, State
 from companion.guidance.mission_step import Transitions, mission_step, ordered, reported
-from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.reason import Reason, ReasonCause
 from companion.guidance.situation import GuidanceCycle
+from companion.settings.guidance import GuidanceOptions
 from tests.companion.mission_flights import estimate, ns, status
 
 OPTIONS = GuidanceOptions()

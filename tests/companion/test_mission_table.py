@@ -7,19 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from companion.base.mission import CONTACT_INTENDED, DESCENDS, ENDED, FAULTS, FLOWN, GROUND, Event, State
 from companion.guidance import mission_page
-from companion.guidance.mission import (
-    CONTACT_INTENDED,
-    DESCENDS,
-    ENDED,
-    FAULTS,
-    FLOWN,
-    GROUND,
-    TABLES,
-    Event,
-    State,
-    whole,
-)
+from companion.guidance.mission import TABLES, whole
 
 MISSIONS = sorted(TABLES)
 PAIRS = [(name, state, event) for name in MISSIONS for state, event in product(State, Event)]

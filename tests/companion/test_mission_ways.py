@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.base.mission import Event, State
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance.attempt import Attempt
-from companion.guidance.mission import Event, State
-from companion.guidance.reason import Reason, ReasonCause
 from companion.guidance.situation import VesselPosition
 from companion.guidance.watch import clear, climbs_from_question, near
 from estimator.contracts.estimates import IntegrityAlert

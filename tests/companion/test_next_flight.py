@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from companion.config.settings import load
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import FlightOutcome
+from companion.settings.load import load
 from estimator.contracts.commands import Hover
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp

@@ -12,16 +12,16 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from companion.guidance.options import GuidanceOptions
-from companion.metrics.endpoint import MetricsEndpoint
-from companion.metrics.settings import MetricsSettings
-from companion.runtime.daemon import Daemon
-from companion.runtime.health import Health
-from companion.runtime.liveness import LivenessLimits, stuck
-from companion.runtime.notify import Manager, Pulse, watchdog_interval_s
-from companion.runtime.observer import NullObserver, Observer
-from companion.runtime.pilot import Pilot
-from companion.runtime.restart_options import RestartOptions
+from companion.base.health import Health
+from companion.base.liveness import LivenessLimits, stuck
+from companion.base.notify import Manager, Pulse, watchdog_interval_s
+from companion.base.observer import NullObserver, Observer
+from companion.guidance.pilot import Pilot
+from companion.parts.metrics.endpoint import MetricsEndpoint
+from companion.service.daemon import Daemon
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.metrics import MetricsSettings
+from companion.settings.restart import RestartOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
@@ -103,7 +103,7 @@ async def test_without_a_watchdog_there_is_readiness_and_status_alone(systemd: S
 
 
 async def test_a_image_that_vision_never_gives_back_ends_the_pings(systemd: Systemd, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("companion.runtime.liveness.LivenessLimits", lambda: LivenessLimits(frame_s=0.2))
+    monkeypatch.setattr("companion.base.liveness.LivenessLimits", lambda: LivenessLimits(frame_s=0.2))
     vehicle, pilot, begun, held = FakeVehicle(), pilot_of(), threading.Event(), threading.Event()
     look = pilot.detect
 

@@ -16,14 +16,14 @@ from msgspec import inspect
 import companion
 import drivers
 import estimator
-from companion.config.model import Settings
-from companion.config.refusal import unit_of, walk
-from companion.guidance.mission_options import ConeOptions, LandingLimits, ThesisOptions, TryOptions
-from companion.guidance.options import GuidanceOptions, PidOptions
-from companion.mavlink.options import BridgeOptions, OutputOptions
-from companion.recorder.options import RecorderOptions
-from companion.runtime.restart_options import RestartOptions
-from companion.video.options import VideoStreamOptions
+from companion.settings.guidance import GuidanceOptions, PidOptions
+from companion.settings.mavlink import BridgeOptions, OutputOptions
+from companion.settings.mission import ConeOptions, LandingLimits, ThesisOptions, TryOptions
+from companion.settings.model import Settings
+from companion.settings.recorder import RecorderOptions
+from companion.settings.refusal import unit_of, walk
+from companion.settings.restart import RestartOptions
+from companion.settings.video import VideoStreamOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.options import CameraOptions
 from drivers.mavlink.options import AutopilotOptions, SampleOptions, TimeSyncOptions
@@ -59,13 +59,15 @@ IN_THE_FILE = {
 
 TABLES = {
     "companion.guidance": ("guidance", "guidance.pid", "guidance.cone", "guidance.limits", "guidance.tries", "guidance.thesis"),
-    "companion.mavlink": ("vehicle", "landing_target", "bridge"),
-    "companion.live": ("foxglove",),
-    "companion.metrics": ("metrics",),
-    "companion.mqtt": ("mqtt",),
-    "companion.recorder": ("recorder",),
-    "companion.runtime": ("service",),
-    "companion.video": ("video_stream",),
+    "companion.parts.mavlink": ("vehicle", "landing_target", "bridge"),
+    "companion.parts.live": ("foxglove",),
+    "companion.parts.metrics": ("metrics",),
+    "companion.parts.mqtt": ("mqtt",),
+    "companion.recording": ("recorder",),
+    "companion.parts.recorder": ("recorder",),
+    "companion.base": ("service",),
+    "companion.service": ("service",),
+    "companion.parts.video": ("video_stream",),
     "drivers.ardrone": ("vehicle",),
     "drivers.camera": ("camera",),
     "drivers.mavlink": ("vehicle", "vehicle.samples", "vehicle.timesync", "bridge", "camera.gimbal"),

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.guidance.response import TiltResponse
+from companion.settings.response import TiltResponse
 from tests.companion.oracle.own_part import OwnPart, begun, flown, hovered
 
 TILT = TiltResponse(0.06, 12.0, 0.6, 0.08)

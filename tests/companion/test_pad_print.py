@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.calibrate.board import Board
 from companion.cli.main import main
-from companion.config.settings import SHIPPED, read_toml
-from companion.print_pad.drawing import Disc, Polygon, board_drawing, pad_drawing
-from companion.print_pad.sheets import RULER_MM, sheets
+from companion.settings.load import SHIPPED, read_toml
+from companion.tools.calibrate.board import Board
+from companion.tools.print_pad.drawing import Disc, Polygon, board_drawing, pad_drawing
+from companion.tools.print_pad.sheets import RULER_MM, sheets
 from estimator.vision.pad import Pad
 from tests.support.shipped import shipped_pad
 

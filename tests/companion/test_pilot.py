@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
-from companion.config.settings import camera_model, load, pad_model
 from companion.guidance.mission_step import mission_step
-from companion.guidance.options import GuidanceOptions
+from companion.guidance.pilot import FlightOutcome, Pilot
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
-from companion.runtime.pilot import FlightOutcome, Pilot
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.load import camera_model, load, pad_model
 from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geodesy import GeoPoint
@@ -220,7 +220,7 @@ def test_the_ship_s_own_word_does_not_break_the_vehicle_s_silence(monkeypatch: p
         cycles.append(s)
         return mission_step(progress, s, *args, **kwargs)
 
-    monkeypatch.setattr("companion.runtime.pilot.mission_step", seen)
+    monkeypatch.setattr("companion.guidance.pilot.mission_step", seen)
     for _ in range(50):
         cockpit.now = now = after(cockpit.now, TICK_S)
         stamp = Stamp(now, now, 0.001, "sim")

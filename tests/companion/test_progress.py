@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.base.mission import ENDED, Event, State, StateChange
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance.attempt import Attempt
 from companion.guidance.heading import HeadingMemory
-from companion.guidance.mission import ENDED, Event, State, StateChange
 from companion.guidance.progress import Progress, entered
-from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.time import MonoNs
 from tests.companion.mission_flights import ns
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import cv2
 import pytest
 
+from companion.base.observer import Decision
 from companion.cli import main as cli
-from companion.recorder.reading import RecordedFrame, open_recording
-from companion.recorder.records import TruthRecord
-from companion.runtime.observer import Decision
+from companion.recording.reading import RecordedFrame, open_recording
+from companion.recording.records import TruthRecord
 from estimator.contracts.samples import Attitude, Imu
 from tests.support.recorded_flight import record_to
 

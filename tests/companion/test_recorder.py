@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from companion.recorder import channels
-from companion.recorder.channels import TOPICS
-from companion.recorder.options import RecorderOptions
-from companion.recorder.reading import RecordedFrame, open_recording
-from companion.recorder.recorder import Recorder, RecorderState
-from companion.recorder.records import TruthRecord
-from companion.recorder.storage_policy import Folder, SingleFile
-from companion.runtime.observer import Decision
+from companion.base.observer import Decision
+from companion.parts.recorder.recorder import Recorder, RecorderState
+from companion.parts.recorder.storage_policy import Folder, SingleFile
+from companion.recording import channels
+from companion.recording.channels import TOPICS
+from companion.recording.reading import RecordedFrame, open_recording
+from companion.recording.records import TruthRecord
+from companion.settings.recorder import RecorderOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.fusion import COMPONENTS
 from estimator.contracts.samples import Imu
@@ -203,9 +203,9 @@ def test_what_a_killed_process_leaves_reads_up_to_its_last_flush(tmp_path: Path)
         import time
         from pathlib import Path
         from tests.companion.test_recorder import ABOUT, CAMERA, imu
-        from companion.recorder.options import RecorderOptions
-        from companion.recorder.recorder import Recorder
-        from companion.recorder.storage_policy import SingleFile
+        from companion.settings.recorder import RecorderOptions
+        from companion.parts.recorder.recorder import Recorder
+        from companion.parts.recorder.storage_policy import SingleFile
         recorder = Recorder(SingleFile(Path({str(path)!r})), CAMERA, ABOUT, RecorderOptions(flush_s=0.1))
         with recorder:
             for i in range(100_000):

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.base.mission import State, StateChange
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance import rendezvous
 from companion.guidance.controller import Knowledge
-from companion.guidance.mission import State, StateChange
 from companion.guidance.mission_step import mission_step, reported
-from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.reason import Reason, ReasonCause
-from companion.guidance.rendezvous_options import RendezvousOptions
 from companion.guidance.situation import GuidanceCycle, VesselPosition
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.rendezvous import RendezvousOptions
 from estimator.contracts.commands import Velocity
 from tests.companion.mission_flights import estimate, ns, status
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from companion.guidance.rendezvous import along_pattern, arrived, expanding_square, far, hold_off, next_leg, to_hold_off
-from companion.guidance.rendezvous_options import RendezvousOptions
 from companion.guidance.situation import VesselPosition
+from companion.settings.rendezvous import RendezvousOptions
 from estimator.contracts.geometry import F64
 from tests.companion.mission_flights import ns
 

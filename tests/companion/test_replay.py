@@ -16,17 +16,17 @@ import numpy as np
 import pytest
 
 from companion.cli import main as cli
-from companion.config.settings import camera_model
-from companion.recorder.options import RecorderOptions
-from companion.recorder.reading import open_recording
-from companion.recorder.recorder import Recorder
-from companion.recorder.setup import about
-from companion.recorder.storage_policy import SingleFile
-from companion.replay.engine import Replay
-from companion.replay.log_observer import BeliefLogObserver, differences, recorded_beliefs
-from companion.replay.pilots import pilot_of
-from companion.report.flight_log import FlightLog
-from companion.runtime.make_pilot import make_pilot
+from companion.guidance.make_pilot import make_pilot
+from companion.parts.recorder.recorder import Recorder
+from companion.parts.recorder.setup import about
+from companion.parts.recorder.storage_policy import SingleFile
+from companion.recording.reading import open_recording
+from companion.settings.load import camera_model
+from companion.settings.recorder import RecorderOptions
+from companion.tools.replay.engine import Replay
+from companion.tools.replay.log_observer import BeliefLogObserver, differences, recorded_beliefs
+from companion.tools.replay.pilots import pilot_of
+from companion.tools.report.flight_log import FlightLog
 from estimator.contracts.commands import Land
 from estimator.contracts.time import MonoNs
 from sitl.flight import Flight

@@ -16,11 +16,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.guidance.mission import Event, State, StateChange
-from companion.guidance.reason import Reason, ReasonCause
-from companion.report.estimate_plots import place
-from companion.report.figures import TruthTrack, all_series, body_over_pad, deck_rows, error_rows, timing_rows
-from companion.report.flight_log import (
+from companion.base.mission import Event, State, StateChange
+from companion.base.reason import Reason, ReasonCause
+from companion.recording.palette import MARKERS, OTHER, OUTLINE, bgr, colour
+from companion.tools.report.estimate_plots import place
+from companion.tools.report.figures import TruthTrack, all_series, body_over_pad, deck_rows, error_rows, timing_rows
+from companion.tools.report.flight_log import (
     CommandRecord,
     DeckSample,
     FlightLog,
@@ -30,12 +31,11 @@ from companion.report.flight_log import (
     StageTime,
     TruthSample,
 )
-from companion.report.layers import SPANS, Layer, Plot, thinned
-from companion.report.overlay import Overlay, annotate, annotated_size
-from companion.report.page import render, write_report
-from companion.report.palette import MARKERS, OTHER, OUTLINE, bgr, colour
-from companion.report.ship_plots import ship
-from companion.report.video import FILM_BYTES, FilmFile, FlightVideo, film_of
+from companion.tools.report.layers import SPANS, Layer, Plot, thinned
+from companion.tools.report.overlay import Overlay, annotate, annotated_size
+from companion.tools.report.page import render, write_report
+from companion.tools.report.ship_plots import ship
+from companion.tools.report.video import FILM_BYTES, FilmFile, FlightVideo, film_of
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, Method, RelativeState, Sighting, Verdict

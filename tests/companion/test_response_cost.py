@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from companion.calibrate.response_cost import ResponseCost, of_file, of_sigma
-from companion.config.settings import shipped_response
 from companion.guidance.margins import margins
-from companion.guidance.response import Response, response_from_mapping
 from companion.guidance.response_file import text
 from companion.guidance.response_fit import STEP_S, FlightCourse, fit_climb, fit_tilt
+from companion.settings.load import shipped_response
+from companion.settings.response import Response, response_from_mapping
+from companion.tools.calibrate.response_cost import ResponseCost, of_file, of_sigma
 from tests.companion.test_response_fit import GIVEN, WARM, asked, course
 
 TILT = shipped_response("ardrone2").tilt

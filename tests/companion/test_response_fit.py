@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from companion.config.settings import shipped_response
-from companion.guidance.response import TiltResponse, tilt_model
 from companion.guidance.response_fit import (
     STEP_S,
     FlightCourse,
@@ -24,6 +22,9 @@ from companion.guidance.response_fit import (
     fit_climb,
     fit_tilt,
 )
+from companion.guidance.tilt_model import tilt_model
+from companion.settings.load import shipped_response
+from companion.settings.response import TiltResponse
 from estimator.contracts.geometry import F64
 
 GIVEN = shipped_response("ardrone2")

@@ -7,14 +7,14 @@ from typing import Any
 import msgspec
 import pytest
 
-from companion.guidance.response_watch import ResponseInUse, ResponseState
-from companion.mavlink.component import Component, ComponentOptions
-from companion.mavlink.status_texts import MavSeverity
-from companion.metrics.exposition import text
-from companion.mqtt.events import Changes
-from companion.recorder import decode, encode, records
-from companion.runtime.health import Health
-from companion.runtime.observer import Decision
+from companion.base.health import Health
+from companion.base.observer import Decision
+from companion.base.response_in_use import ResponseInUse, ResponseState
+from companion.parts.mavlink.component import Component, ComponentOptions
+from companion.parts.mavlink.status_texts import MavSeverity
+from companion.parts.metrics.exposition import text
+from companion.parts.mqtt.events import Changes
+from companion.recording import decode, encode, records
 from estimator.contracts.time import MonoNs
 from tests.companion.metrics.test_metrics import Clock, value
 

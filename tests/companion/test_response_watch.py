@@ -14,30 +14,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
-from companion.config.settings import load, shipped, shipped_response
+from companion.base.mission import State
+from companion.base.response_in_use import ResponseInUse, ResponseState  # fmt: skip
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import FollowDeck, FollowDeckMemory
-from companion.guidance.follow_deck_options import FollowDeckOptions
 from companion.guidance.margins import margins
-from companion.guidance.mission import State
-from companion.guidance.options import GuidanceOptions
-from companion.guidance.response import TiltResponse, tilt_model
 from companion.guidance.response_fit import TiltFit, fit_tilt
-from companion.guidance.response_watch import (
-    CONTRADICTION_S,
-    DELAY_MAX_S,
-    ResponseInUse,
-    ResponseState,
-    ResponseWatch,
-    asked,
-    begun,
-    judged,
-    landed,
-    reported,
-)  # fmt: skip
+from companion.guidance.response_identifier import ResponseIdentifier
+from companion.guidance.response_watch import CONTRADICTION_S, DELAY_MAX_S, ResponseWatch, asked, begun, judged, landed, reported
 from companion.guidance.tilt_law import TiltWeights
+from companion.guidance.tilt_model import tilt_model
 from companion.guidance.tuning import AS_GIVEN, TuningChoice, chosen_tuning, tuned
-from companion.runtime.response_identifier import ResponseIdentifier
+from companion.settings.follow_deck import FollowDeckOptions
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.load import load, shipped, shipped_response
+from companion.settings.response import TiltResponse
 from estimator.contracts.commands import Hover, Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation

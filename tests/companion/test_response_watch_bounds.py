@@ -8,21 +8,11 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from companion.config.settings import shipped_response
+from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance import response_watch
 from companion.guidance.response_fit import Fitted, FlightCourse, TiltFit, fit_tilt
-from companion.guidance.response_watch import (
-    CONTRADICTION_S,
-    DELAY_MAX_S,
-    ResponseInUse,
-    ResponseState,
-    ResponseWatch,
-    asked,
-    begun,
-    judged,
-    landed,
-    reported,
-)
+from companion.guidance.response_watch import CONTRADICTION_S, DELAY_MAX_S, ResponseWatch, asked, begun, judged, landed, reported
+from companion.settings.load import shipped_response
 from estimator.contracts.commands import Lean
 from estimator.contracts.time import MonoNs, Stamp
 from tests.companion.test_identify import flown

@@ -13,13 +13,13 @@ import pytest
 from msgspec import inspect
 
 from companion.cli.main import main
-from companion.config.model import ardrone_options
-from companion.config.refusal import walk
-from companion.config.settings import Settings, from_mapping
-from companion.guidance.options import GuidanceOptions
-from companion.mavlink.options import BridgeOptions
-from companion.mavlink.signed_links import signed_links
-from companion.runtime.make_pilot import estimator_options, tracker
+from companion.guidance.make_pilot import estimator_options, tracker
+from companion.parts.mavlink.signed_links import signed_links
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.load import Settings, from_mapping
+from companion.settings.mavlink import BridgeOptions
+from companion.settings.model import ardrone_options
+from companion.settings.refusal import walk
 from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput

@@ -11,8 +11,8 @@ import av
 import numpy as np
 import pytest
 
-from companion.config.settings import from_mapping, load
-from companion.runtime.link_with_camera import with_camera
+from companion.service.link_with_camera import with_camera
+from companion.settings.load import from_mapping, load
 from drivers.camera.options import CameraOptions
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line

@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.config.settings import camera_model, load, pad_model
-from companion.guidance.mission_options import TryOptions
-from companion.guidance.options import GuidanceOptions
+from companion.base.observer import Decision
+from companion.guidance.pilot import Pilot
 from companion.guidance.situation import fit_to_steer
-from companion.runtime.observer import Decision
-from companion.runtime.pilot import Pilot
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.load import camera_model, load, pad_model
+from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.estimates import IntegrityAlert, PathName, Sighting, Verdict
 from estimator.contracts.geometry import Rotation

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from companion.config.settings import shipped
-from companion.recorder.scene import SIGMAS, error_ellipsoid, filled, fixed_scene
+from companion.recording.scene import SIGMAS, error_ellipsoid, filled, fixed_scene
+from companion.settings.load import shipped
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs

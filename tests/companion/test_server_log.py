@@ -8,8 +8,8 @@ import logging
 import pytest
 from aiohttp import web
 
-from companion.runtime.connection_limits import ConnectionLimits, listen
-from companion.runtime.server_log import make_runner
+from companion.base.connection_limits import ConnectionLimits, listen
+from companion.base.server_log import make_runner
 from fuzz.connections import upgrade
 
 
@@ -45,7 +45,7 @@ async def _answers(handler_fails: bool, *pieces: bytes, hang_up: bool = True) ->
 
 async def test_strangers_fill_no_log(caplog: pytest.LogCaptureFixture) -> None:
     """A request with a broken header, bytes that are no HTTP, and a client that hangs up."""
-    with caplog.at_level(logging.DEBUG, "companion.runtime.server_log"):
+    with caplog.at_level(logging.DEBUG, "companion.base.server_log"):
         await _answers(False, b"GET / HTTP/1.1\r\nno header\r\n\r\n", b"\x16\x03\x01\x02\x00\r\n\r\n", upgrade(b"/"))
     assert not [record for record in caplog.records if record.levelno >= logging.WARNING], caplog.text
     assert "BadHttpMessage" in caplog.text or "InvalidHeader" in caplog.text

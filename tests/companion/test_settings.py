@@ -15,9 +15,9 @@ from hypothesis import settings as runs
 from hypothesis import strategies as st
 from msgspec import inspect
 
-from companion.config import reference, whole_file
-from companion.config.refusal import walk
-from companion.config.settings import SHIPPED, Settings, camera_model, from_mapping, load, pad_model, pad_of_file, shipped
+from companion.settings import reference, whole_file
+from companion.settings.load import SHIPPED, Settings, camera_model, from_mapping, load, pad_model, pad_of_file, shipped
+from companion.settings.refusal import walk
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
 

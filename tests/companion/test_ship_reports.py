@@ -14,9 +14,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.config.settings import from_mapping
-from companion.guidance.mission import State
-from companion.metrics import exposition
+from companion.base.mission import State
+from companion.parts.metrics import exposition
+from companion.settings.load import from_mapping
 from drivers.clock import SystemClock
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, open_links

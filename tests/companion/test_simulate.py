@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from companion.cli import main as cli
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
 from sitl.ending import Contact, Ending, FlightGrade

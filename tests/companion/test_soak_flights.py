@@ -16,7 +16,7 @@ from companion.cli import soak
 from companion.cli.soak_flights import Class, Flown, Outcomes, by_fault, real
 from companion.cli.soak_judge import Reading
 from companion.cli.soak_plot import plot
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.pilot import FlightOutcome
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from sitl.ardrone.repeated_flights import faulty
@@ -148,7 +148,7 @@ def test_a_virtual_soak_names_the_flight_that_failed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A bug of the service in flight does not end the soak: it fails that flight, by name."""
-    from companion.runtime.pilot import Pilot
+    from companion.guidance.pilot import Pilot
 
     near = tmp_path / "near.toml"
     near.write_text(NEAR.replace("duration_limit_s = 40.0", "duration_limit_s = 3.0"))

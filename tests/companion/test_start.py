@@ -13,13 +13,13 @@ import cv2
 import pytest
 from msgspec import inspect
 
-from companion.config.model import Settings
-from companion.config.refusal import described
-from companion.guidance.options import GuidanceOptions
-from companion.runtime.daemon import Daemon
-from companion.runtime.observer import Decision
-from companion.runtime.pilot import Pilot
-from companion.runtime.restart_options import RestartOptions
+from companion.base.observer import Decision
+from companion.guidance.pilot import Pilot
+from companion.service.daemon import Daemon
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.model import Settings
+from companion.settings.refusal import described
+from companion.settings.restart import RestartOptions
 from estimator.options import EstimatorOptions
 from tests.companion.test_daemon import CLOCK, EYES, Diary, FakeVehicle, until
 
@@ -28,8 +28,8 @@ LATER = ("av", "cv2", "email", "importlib.metadata", "msgspec.inspect", "numpy.m
 PROBE = """
 import sys
 from companion.cli import main, run
-from companion.runtime import signals
-from companion.runtime.daemon import Daemon
+from companion.service import signals
+from companion.service.daemon import Daemon
 
 def first(self, decision):
     print(*sorted(set(sys.argv[2].split(",")) & set(sys.modules)))

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.base.mission import GROUND, State
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.limits import InputQuality
-from companion.guidance.mission import GROUND, State
-from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim, aim, allowed, asks_to_descend
+from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.motion import DeckMotion

@@ -18,8 +18,8 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType
 
 from companion.cli.main import main
-from companion.recorder.container import MOST_CHUNK_BYTES
-from companion.recorder.reading import SETTINGS, open_recording
+from companion.recording.container import MOST_CHUNK_BYTES
+from companion.recording.reading import SETTINGS, open_recording
 from tests.companion.mutations import mutate, poke_bytes, small, written
 
 # What the filter says of numbers that no vehicle has is its own matter.

@@ -5,11 +5,11 @@ import sys
 
 import pytest
 
-from companion.runtime import event_loop
-from companion.runtime.delays import EDGES_S, Delays
-from companion.runtime.health import Health
-from companion.runtime.restart_options import RestartOptions
-from companion.runtime.supervise import contain, keep_alive, run
+from companion.base import event_loop
+from companion.base.delays import EDGES_S, Delays
+from companion.base.health import Health
+from companion.base.supervise import contain, keep_alive, run
+from companion.settings.restart import RestartOptions
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import MonoNs
 

@@ -11,8 +11,9 @@ from scipy.linalg import solve_discrete_are
 
 from companion.guidance import disturbance
 from companion.guidance.disturbance import SIGMAS_P_M, ObserverGains, ObserverNoise
-from companion.guidance.response import TiltResponse, tilt_model
 from companion.guidance.tilt_law import TiltGains, TiltWeights, tilt_gains
+from companion.guidance.tilt_model import tilt_model
+from companion.settings.response import TiltResponse
 from tests.companion.oracle import axis, observer
 from tests.companion.oracle.axis import AxisMeasured, TiltAxis, tilt_command
 from tests.companion.oracle.observer import Observed

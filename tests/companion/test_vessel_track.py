@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance import vessel_track
-from companion.guidance.reason import Reason, ReasonCause
-from companion.guidance.rendezvous_options import ReportLimits
 from companion.guidance.situation import VesselPosition
 from companion.guidance.vessel_track import VesselTrack
+from companion.settings.rendezvous import ReportLimits
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, GeoFix, VesselReport

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance import vessel_track
-from companion.guidance.reason import Reason, ReasonCause
-from companion.guidance.rendezvous_options import ReportLimits
 from companion.guidance.situation import VesselPosition
 from companion.guidance.vessel_track import VesselTrack
+from companion.settings.rendezvous import ReportLimits
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, GeoFix, VesselReport

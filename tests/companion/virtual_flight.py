@@ -11,9 +11,9 @@ from unittest.mock import patch
 
 import numpy as np
 
-from companion.guidance.options import GuidanceOptions
-from companion.runtime.daemon import Daemon, VehicleLink
-from companion.runtime.pilot import Pilot
+from companion.guidance.pilot import Pilot
+from companion.service.daemon import Daemon, VehicleLink
+from companion.settings.guidance import GuidanceOptions
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command, Velocity
 from estimator.contracts.estimates import Sighting
@@ -121,7 +121,7 @@ class FakeFlight:
             self.frames.offer(Frame(Stamp(MonoNs(now - 10_000_000), now, 0.001, "sim"), n, np.roll(NOISE, n, axis=0)))
 
 
-@patch("companion.runtime.daemon.no_full_collections", nullcontext)  # in virtual time a collection takes none
+@patch("companion.service.daemon.no_full_collections", nullcontext)  # in virtual time a collection takes none
 async def fly(daemon: Daemon, vehicle: FakeFlight, clock: VirtualClock, seconds: float) -> list[tuple[int, str]]:
     """The commands of that much flight. The daemon must still be alive at the end, and end well."""
     task = asyncio.create_task(daemon.run())

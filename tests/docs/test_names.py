@@ -13,9 +13,9 @@ from pathlib import Path
 from msgspec import inspect
 
 from companion.cli.main import COMMANDS
-from companion.config.model import Settings
-from companion.config.refusal import variants
-from companion.mqtt.topics import Topics
+from companion.parts.mqtt.topics import Topics
+from companion.settings.model import Settings
+from companion.settings.refusal import variants
 
 ROOT = Path(__file__).parents[2]
 PAGES = [
@@ -162,13 +162,13 @@ def test_topics_in_the_pages_are_those_of_the_link() -> None:
 
 
 def test_metrics_in_the_pages_are_exported() -> None:
-    source = "".join(path.read_text() for path in ROOT.glob("companion/metrics/*.py"))
+    source = "".join(path.read_text() for path in ROOT.glob("companion/parts/metrics/*.py"))
     named = {(page, text) for page, text in in_backticks() if re.fullmatch(r"decklander_[a-z_]+", text)}
     assert sorted((page, name) for page, name in named if name not in source) == []
 
 
 def test_named_values_and_parameters_in_the_pages_are_sent() -> None:
-    source = "".join(path.read_text() for path in ROOT.glob("companion/mavlink/*.py"))
+    source = "".join(path.read_text() for path in ROOT.glob("companion/parts/mavlink/*.py"))
     named = {(page, text) for page, text in in_backticks() if re.fullmatch(r"dl_[a-z_]+", text)}
     assert sorted((page, name) for page, name in named if f'"{name}"' not in source) == []
 
@@ -213,7 +213,7 @@ def test_make_targets_in_the_pages_exist() -> None:
 
 
 def test_files_in_the_pages_exist() -> None:
-    """A path may be a pattern: `companion/doctor/rules_*.py`."""
+    """A path may be a pattern: `companion/tools/doctor/rules_*.py`."""
     named = {
         (page, text.split("::")[0].rstrip("/"))
         for page, text in in_backticks()
@@ -235,7 +235,7 @@ def test_files_in_the_commands_exist() -> None:
 
 
 def test_topics_of_recordings_in_the_page_are_written() -> None:
-    source = (ROOT / "companion/recorder/channels.py").read_text()
+    source = (ROOT / "companion/recording/channels.py").read_text()
     first = set(re.findall(r'"/(\w+)', source))
     short = set(re.findall(r'"/sample/(\w+)"', source)) | {"imu"}
     named = set(re.findall(r"`/(\w+)", (ROOT / "docs/recordings.md").read_text()))
@@ -244,7 +244,7 @@ def test_topics_of_recordings_in_the_page_are_written() -> None:
 
 
 def test_topics_of_bags_in_the_page_are_those_that_are_written() -> None:
-    source = (ROOT / "companion/ros2/messages.py").read_text()
+    source = (ROOT / "companion/tools/ros2/messages.py").read_text()
     written = set(re.findall(r'"(/[a-z][\w/]*)"', source)) | {"/vehicle/fix", "/vessel/fix", "/PATH/pad_pose", "/PATH/odometry"}
     named = set(re.findall(r"`(/[\w/]+)`", (ROOT / "docs/ros2.md").read_text()))
     assert named == written

@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import COMMANDS
-from companion.config.settings import from_mapping
+from companion.settings.load import from_mapping
 from estimator.vision.pad import Pad
 
 ROOT = Path(__file__).parents[2]

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import msgspec
 
-from companion.config.settings import load
-from companion.recorder.reading import open_recording
-from companion.recorder.records import TruthRecord
-from companion.replay.engine import Replay
-from companion.replay.log_observer import BeliefLogObserver
-from companion.replay.pilots import pilot_of
-from companion.report.figures import all_series, error_rows
-from companion.report.flight_log import FlightLog
+from companion.recording.reading import open_recording
+from companion.recording.records import TruthRecord
+from companion.settings.load import load
+from companion.tools.replay.engine import Replay
+from companion.tools.replay.log_observer import BeliefLogObserver
+from companion.tools.replay.pilots import pilot_of
+from companion.tools.report.figures import all_series, error_rows
+from companion.tools.report.flight_log import FlightLog
 from estimator.contracts.time import MonoNs
 
 HERE = Path(__file__).parent

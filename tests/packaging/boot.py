@@ -21,7 +21,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-from companion.install.layout import CURRENT, PREFIX
+from companion.tools.install.layout import CURRENT, PREFIX
 
 ROOT = Path(__file__).parents[2]
 MIRROR = "http://deb.debian.org/debian"

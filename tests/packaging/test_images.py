@@ -11,11 +11,11 @@ from typing import get_args
 
 import pytest
 
-from companion.config.settings import load
-from companion.guidance.mission import ENDED, State
-from companion.metrics.exposition import families
-from companion.metrics.settings import MetricsSettings
-from companion.runtime.health import Health
+from companion.base.health import Health
+from companion.base.mission import ENDED, State
+from companion.parts.metrics.exposition import families
+from companion.settings.load import load
+from companion.settings.metrics import MetricsSettings
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 
-from companion.install import versions
-from companion.install.layout import CURRENT, PREFIX
-from companion.install.machine import Machine
-from companion.install.release import release
+from companion.tools.install import versions
+from companion.tools.install.layout import CURRENT, PREFIX
+from companion.tools.install.machine import Machine
+from companion.tools.install.release import release
 from estimator.contracts.errors import Recoverable
 from supply import core, wheels
 
@@ -126,7 +126,7 @@ def test_wheel_and_source_archive_hold_what_they_should(tmp_path: Path, monkeypa
     assert [name for name in names if "/test_" in name] == []
     python = {path.relative_to(source).as_posix() for top in tops for path in (source / top).rglob("*.py")}
     assert python <= set(names)
-    assert {"companion/report/style.css", "configs/sim.toml", "estimator/py.typed"} <= set(names)
+    assert {"companion/tools/report/style.css", "configs/sim.toml", "estimator/py.typed"} <= set(names)
     with tarfile.open(archive) as opened:
         inside = {name.split("/", 1)[1] for name in opened.getnames()}
     assert {

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.config.secret_files import CREDENTIAL
+from companion.settings.secret_files import CREDENTIAL
 
 ROOT = Path(__file__).parents[2]
 UNIT = ROOT / "configs/systemd/decklander.service"

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from companion.config.settings import SHIPPED
+from companion.settings.load import SHIPPED
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
 from estimator.core.interface import places_of

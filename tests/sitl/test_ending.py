@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.pilot import FlightOutcome
 from estimator.contracts.time import MonoNs
 from sitl.ending import Contact, Ending, FlightGrade
 

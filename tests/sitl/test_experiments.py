@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.config.settings import load
+from companion.settings.load import load
 from sitl.experiments.chapter5 import QUANTITIES, error_of, spread
 from sitl.experiments.flown import Estimate, ExperimentFlight, calm_scenario, fly_by_hand
 from sitl.experiments.paths import (

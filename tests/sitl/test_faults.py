@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.config.settings import load as load_settings
-from companion.guidance.mission import State
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
+from companion.base.mission import State
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.guidance.make_pilot import make_pilot
+from companion.settings.load import load as load_settings
 from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.samples import Imu, Sample

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.config.settings import SHIPPED
+from companion.settings.load import SHIPPED
 from estimator.contracts.errors import BadInput
 from sitl.automatic import Adjusted, Automatics, adjust
 from sitl.camera import Renderer

@@ -7,11 +7,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.config.settings import load
-from companion.guidance.mission import State
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
-from companion.runtime.pilot import FlightOutcome
+from companion.base.mission import State
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import FlightOutcome
+from companion.settings.load import load
 from estimator.contracts.commands import Land, Lean, Velocity
 from estimator.contracts.estimates import Verdict
 from sitl.faults import KINDS, LensCovered

@@ -5,8 +5,8 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from companion.config.settings import load
-from companion.runtime.observer import Decision, NullObserver
+from companion.base.observer import Decision, NullObserver
+from companion.settings.load import load
 from sitl.flight import Flight
 from sitl.perception.levels import perceive
 from sitl.scenario import load as load_scenario

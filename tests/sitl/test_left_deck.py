@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from companion.guidance.mission import Event, State, StateChange
-from companion.guidance.reason import ReasonCause
-from companion.runtime.observer import Decision, NullObserver
+from companion.base.mission import Event, State, StateChange
+from companion.base.observer import Decision, NullObserver
+from companion.base.reason import ReasonCause
 from sitl.ending import Ending
 from sitl.one_flight import fly, perception_level, settings_for
 from sitl.scenario import load

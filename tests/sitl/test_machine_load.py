@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
+from companion.base.health import Health
 from companion.cli import demo
-from companion.runtime.daemon import Daemon
-from companion.runtime.health import Health
-from companion.runtime.pilot import FlightOutcome
-from companion.runtime.restart_options import RestartOptions
+from companion.guidance.pilot import FlightOutcome
+from companion.service.daemon import Daemon
+from companion.settings.restart import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
 from sitl.ending import Contact, Ending

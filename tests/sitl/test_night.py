@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from companion.runtime.observer import NullObserver, ProcessedFrame
+from companion.base.observer import NullObserver, ProcessedFrame
 from sitl.one_flight import fly, perception_level, settings_for
 from sitl.scenario import load
 

@@ -6,11 +6,11 @@ import tomllib
 
 import pytest
 
+from companion.base.mission import State
 from companion.cli import main as cli
-from companion.config.settings import load as load_settings
-from companion.guidance.mission import State
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import FlightOutcome
+from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
 from sitl.ardrone.repeated_flights import faulty
 from sitl.flight import Flight

@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.cli.main import main
-from companion.config.model import Settings
-from companion.config.settings import load
-from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.pilot import FlightOutcome
+from companion.settings.load import load
+from companion.settings.model import Settings
 from estimator.contracts.commands import Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict

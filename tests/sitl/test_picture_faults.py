@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.config.settings import load as load_settings
+from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from sitl.fault import Fault

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.config.settings import load
-from companion.runtime.make_pilot import make_pilot
+from companion.guidance.make_pilot import make_pilot
+from companion.settings.load import load
 from estimator import pipeline
 from estimator.camera_motion import camera_motion
 from estimator.contracts.estimates import RelativeState

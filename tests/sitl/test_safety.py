@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.guidance.options import GuidanceOptions, PidOptions
-from companion.operator.arbiter import BY_HAND, LANDING_FOR_PERSON
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON
+from companion.guidance.pilot import FlightOutcome
+from companion.settings.guidance import GuidanceOptions, PidOptions
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import inspect
 
-from companion.config.refusal import unit_of, walk
-from companion.config.settings import shipped
+from companion.settings.load import shipped
+from companion.settings.refusal import unit_of, walk
 from estimator.contracts.errors import BadInput
 from sitl.faults import KINDS
 from sitl.scenario import Scenario, camera_model, from_mapping, load, pad_model, shipped_scenarios

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.config.settings import load as load_settings
-from companion.operator.precedence import ControlSituation
-from companion.runtime.pilot import FlightOutcome as Outcome
+from companion.guidance.pilot import FlightOutcome as Outcome
+from companion.guidance.precedence import ControlSituation
+from companion.settings.load import load as load_settings
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.camera import Exposure
 from sitl.fault import Fault

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from companion.guidance.mission import State
-from companion.runtime.observer import Decision, NullObserver
+from companion.base.mission import State
+from companion.base.observer import Decision, NullObserver
 from sitl.one_flight import fly, settings_for
 from sitl.scenario import load
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.config.settings import SHIPPED, response_model, shipped, shipped_response
+from companion.settings.load import SHIPPED, response_model, shipped, shipped_response
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs

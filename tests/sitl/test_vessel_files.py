@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.config.settings import SHIPPED, shipped
+from companion.settings.load import SHIPPED, shipped
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from sitl.recorded_motion import RecordedMotion

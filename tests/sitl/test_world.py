@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.guidance.mission import State
+from companion.base.mission import State
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
 from sitl.ardrone.truth_log import record

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import COMMANDS
-from companion.install.layout import PACKAGED_UNIT, PREFIX
+from companion.tools.install.layout import PACKAGED_UNIT, PREFIX
 from supply import deb
 
 needs_dpkg = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="there is no dpkg-deb here")

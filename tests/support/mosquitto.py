@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from companion.mqtt.connection import BrokerEndpoint, Connection, Publication, connect
-from companion.mqtt.settings import MqttSettings
+from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, connect
+from companion.settings.mqtt import MqttSettings
 
 MOSQUITTO = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
 

@@ -8,8 +8,8 @@ import aiomqtt
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from companion.mqtt.access import password, tls_context
-from companion.mqtt.messages import EventMessage, decode
+from companion.parts.mqtt.connection import BrokerEndpoint
+from companion.parts.mqtt.messages import EventMessage, decode
 from tests.support.mosquitto import Broker
 
 
@@ -36,10 +36,11 @@ class Consumer:
 
     async def _listen(self) -> None:
         settings = self._broker.settings("ground")
+        endpoint = BrokerEndpoint.of(settings)
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         properties.SessionExpiryInterval = 3600
         async with aiomqtt.Client(
-            settings.host, settings.port, username="ground", password=password(settings), tls_context=tls_context(settings),
+            settings.host, settings.port, username="ground", password=endpoint.password, tls_context=endpoint.tls,
             identifier="consumer", protocol=aiomqtt.ProtocolVersion.V5, clean_start=False, properties=properties, timeout=2.0,
         ) as client:  # fmt: skip
             await client.subscribe("decklander/v1/deck/event", qos=1)

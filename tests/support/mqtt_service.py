@@ -11,19 +11,19 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.config import secret_files
-from companion.mqtt.commands import CommandHandler
-from companion.mqtt.connection import BrokerEndpoint
-from companion.mqtt.events import PendingEvent
-from companion.mqtt.outbox import Outbox
-from companion.mqtt.part import MqttPart
-from companion.mqtt.settings import MqttSettings
-from companion.mqtt.spool import Spool
-from companion.mqtt.topics import Topics
-from companion.runtime.health import Health
-from companion.runtime.observer import Decision
-from companion.runtime.restart_options import RestartOptions
-from companion.runtime.supervise import run
+from companion.base.health import Health
+from companion.base.observer import Decision
+from companion.base.supervise import run
+from companion.parts.mqtt.commands import CommandHandler
+from companion.parts.mqtt.connection import BrokerEndpoint
+from companion.parts.mqtt.events import PendingEvent
+from companion.parts.mqtt.outbox import Outbox
+from companion.parts.mqtt.part import MqttPart
+from companion.parts.mqtt.spool import Spool
+from companion.parts.mqtt.topics import Topics
+from companion.settings import secret_files
+from companion.settings.mqtt import MqttSettings
+from companion.settings.restart import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Command, Velocity
 from estimator.contracts.estimates import PathName, RelativeState
@@ -98,7 +98,7 @@ class RunningPart:
 @asynccontextmanager
 async def running(settings: MqttSettings, folder: Path, session: str = SESSION) -> AsyncIterator[RunningPart]:
     """The part, supervised as in the daemon."""
-    logging.getLogger("companion.mqtt").setLevel(logging.WARNING)
+    logging.getLogger("companion.parts.mqtt").setLevel(logging.WARNING)
     clock = SystemClock()
     health, topics, operator = Health(clock), Topics(settings.drone), FakeOperator()
     spool = Spool(folder, settings.spool_max_kib * 1024)

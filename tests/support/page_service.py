@@ -13,16 +13,16 @@ import aiohttp
 import numpy as np
 from msgspec import structs
 
-from companion.config.settings import load
-from companion.operator.orders import HandledOrder
-from companion.page.make import make_page
-from companion.page.settings import PageSettings
-from companion.recorder.options import RecorderOptions
-from companion.runtime.connection_limits import ConnectionLimits
-from companion.runtime.health import Health
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import ProcessedFrame
-from companion.runtime.pilot import Pilot
+from companion.base.connection_limits import ConnectionLimits
+from companion.base.health import Health
+from companion.base.observer import ProcessedFrame
+from companion.base.orders import HandledOrder
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import Pilot
+from companion.parts.page.make import make_page
+from companion.settings.load import load
+from companion.settings.page import PageSettings
+from companion.settings.recorder import RecorderOptions
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions

@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from companion.runtime.observer import ProcessedFrame
+from companion.base.observer import ProcessedFrame
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import msgspec
 
-from companion.config.model import CameraSettings, PadSettings
-from companion.config.settings import Settings, load
-from companion.operator.orders import OperatorOrder, OrderSender, OrderSource
-from companion.recorder.recorder import Recorder
-from companion.recorder.records import TruthRecord
-from companion.recorder.setup import about, recorder_to_file
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import Decision, NullObserver, Observer, ProcessedFrame
+from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
+from companion.base.orders import OperatorOrder, OrderSender, OrderSource
+from companion.guidance.make_pilot import make_pilot
+from companion.parts.recorder.recorder import Recorder
+from companion.parts.recorder.setup import about, recorder_to_file
+from companion.recording.records import TruthRecord
+from companion.settings.load import Settings, load
+from companion.settings.model import CameraSettings, PadSettings
 from estimator.contracts.samples import Sample
 from sitl.flight import Flight
 from sitl.scenario import load as load_scenario

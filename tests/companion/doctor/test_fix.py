@@ -14,9 +14,9 @@ import pytest
 
 from companion.cli import doctor
 from companion.cli.main import Parser
-from companion.doctor import rules_values
-from companion.doctor.diagnose import PARAMETERS
-from companion.doctor.undo import decode_undo
+from companion.tools.doctor import rules_values
+from companion.tools.doctor.diagnose import PARAMETERS
+from companion.tools.doctor.undo import decode_undo
 from drivers.clock import SystemClock
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.links import ReceivedMessage

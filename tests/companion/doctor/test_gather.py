@@ -12,19 +12,19 @@ import av
 import numpy as np
 import pytest
 
-import companion.config.settings as settings_of
+import companion.settings.load as settings_of
+from companion.base.health import Health
 from companion.cli import doctor
 from companion.cli.main import Parser
-from companion.config.settings import Settings
-from companion.doctor import rules_values
-from companion.doctor.diagnose import PARAMETERS, diagnose
-from companion.doctor.gather import examine
-from companion.doctor.gather_service import examine_service
-from companion.doctor.renamed import names_in
-from companion.doctor.snapshot import Snapshot, encode
-from companion.metrics.endpoint import MetricsEndpoint
-from companion.metrics.settings import MetricsSettings
-from companion.runtime.health import Health
+from companion.parts.metrics.endpoint import MetricsEndpoint
+from companion.settings.load import Settings
+from companion.settings.metrics import MetricsSettings
+from companion.tools.doctor import rules_values
+from companion.tools.doctor.diagnose import PARAMETERS, diagnose
+from companion.tools.doctor.gather import examine
+from companion.tools.doctor.gather_service import examine_service
+from companion.tools.doctor.renamed import names_in
+from companion.tools.doctor.snapshot import Snapshot, encode
 from drivers.clock import SystemClock
 from drivers.mavlink.dialect import Event, mav
 from drivers.mavlink.options import AutopilotOptions

@@ -10,10 +10,10 @@ from msgspec.structs import replace
 
 from companion.cli import doctor
 from companion.cli.main import Parser
-from companion.doctor.diagnose import diagnose
-from companion.doctor.finding import Finding, Severity
-from companion.doctor.gather_log import examine_log
-from companion.doctor.snapshot import decode, encode
+from companion.tools.doctor.diagnose import diagnose
+from companion.tools.doctor.finding import Finding, Severity
+from companion.tools.doctor.gather_log import examine_log
+from companion.tools.doctor.snapshot import decode, encode
 from drivers.imports.log_history import LandingMeter
 from drivers.imports.ulog_history import read_history
 from estimator.contracts.errors import BadInput

@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from companion.config.model import Settings
-from companion.config.settings import from_mapping
-from companion.config.ship_place import contradiction
-from companion.doctor import rules_failsafes, rules_log, rules_values
-from companion.doctor.diagnose import RULES, diagnose
-from companion.doctor.finding import Severity
-from companion.doctor.rules_px4 import event_id
-from companion.doctor.snapshot import (
+from companion.settings.load import from_mapping
+from companion.settings.model import Settings
+from companion.settings.ship_place import contradiction
+from companion.tools.doctor import rules_failsafes, rules_log, rules_values
+from companion.tools.doctor.diagnose import RULES, diagnose
+from companion.tools.doctor.finding import Severity
+from companion.tools.doctor.rules_px4 import event_id
+from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
     GimbalSnapshot,
     HeardSystem,

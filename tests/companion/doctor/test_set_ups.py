@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from companion.doctor import rules_failsafes, rules_values
-from companion.doctor.diagnose import PARAMETERS, diagnose
-from companion.doctor.gather_log import examine_log
-from companion.doctor.renamed import RENAMED, names_in
-from companion.doctor.snapshot import Snapshot
+from companion.tools.doctor import rules_failsafes, rules_values
+from companion.tools.doctor.diagnose import PARAMETERS, diagnose
+from companion.tools.doctor.gather_log import examine_log
+from companion.tools.doctor.renamed import RENAMED, names_in
+from companion.tools.doctor.snapshot import Snapshot
 from tests.companion.doctor.test_rules import ARDUPILOT, GOOD, PX4
 from tests.support.flight_logs import dataflash, ulog
 

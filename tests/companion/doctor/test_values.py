@@ -7,9 +7,9 @@ import math
 import pytest
 from msgspec.structs import replace
 
-from companion.doctor.diagnose import PARAMETERS, diagnose
-from companion.doctor.rules_values import RULES, ValueRule
-from companion.doctor.snapshot import Snapshot
+from companion.tools.doctor.diagnose import PARAMETERS, diagnose
+from companion.tools.doctor.rules_values import RULES, ValueRule
+from companion.tools.doctor.snapshot import Snapshot
 from estimator.contracts.ports import Clock
 from sitl.autopilots.lock_step import LockStepClock
 from sitl.autopilots.stand_in.arducopter import CopterStandIn

@@ -11,9 +11,9 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from companion.install.layout import CURRENT, PREFIX, SETTINGS, UNIT
-from companion.install.machine import Machine
-from companion.install.release import PINS, SLIM, Release, read
+from companion.tools.install.layout import CURRENT, PREFIX, SETTINGS, UNIT
+from companion.tools.install.machine import Machine
+from companion.tools.install.release import PINS, SLIM, Release, read
 
 ROOT = Path(__file__).parents[3]
 GOOD, REFUSES, DIES, SILENT, ENDS_LATER, BLIND = "good", "refuses the settings", "dies", "silent", "ends later", "blind"

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
-from companion.install import service, steps, versions
-from companion.install.layout import COMMAND, CURRENT, PREFIX, SETTINGS, SYSTEM_FILES, UNIT
-from companion.install.release import Release, own, read
-from companion.install.steps import InstallOptions
+from companion.tools.install import service, steps, versions
+from companion.tools.install.layout import COMMAND, CURRENT, PREFIX, SETTINGS, SYSTEM_FILES, UNIT
+from companion.tools.install.release import Release, own, read
+from companion.tools.install.steps import InstallOptions
 from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, SetupImpossible
 from tests.companion.install.computer import BLIND, DIES, ENDS_LATER, GOOD, REFUSES, ROOT, Computer, wheel
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from companion.install import service, steps, versions
-from companion.install.layout import COMPLETE, PREFIX
-from companion.install.release import Release
-from companion.install.steps import InstallOptions
+from companion.tools.install import service, steps, versions
+from companion.tools.install.layout import COMPLETE, PREFIX
+from companion.tools.install.release import Release
+from companion.tools.install.steps import InstallOptions
 from estimator.contracts.errors import Recoverable
 from tests.companion.install.computer import DIES, Computer, wheel
 

@@ -21,19 +21,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from companion.config.effect import without_effect
-from companion.config.settings import from_mapping
-from companion.live import feed, protocol, viewer
-from companion.live.part import FoxgloveEndpoint
-from companion.live.settings import FoxgloveSettings
-from companion.recorder.recorder import Recorder
-from companion.recorder.setup import about, recorder_to_file
-from companion.runtime.connection_limits import ConnectionLimits
-from companion.runtime.health import Health
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import Observer
-from companion.runtime.worker import Worker
-from companion.video.frame_encoder import is_key_frame
+from companion.base.connection_limits import ConnectionLimits
+from companion.base.health import Health
+from companion.base.observer import Observer
+from companion.base.worker import Worker
+from companion.guidance.make_pilot import make_pilot
+from companion.parts.live import feed, viewer
+from companion.parts.live.part import FoxgloveEndpoint
+from companion.parts.recorder.recorder import Recorder
+from companion.parts.recorder.setup import about, recorder_to_file
+from companion.recording import foxglove_protocol as protocol
+from companion.recording.frame_encoder import is_key_frame
+from companion.settings.effect import without_effect
+from companion.settings.live import FoxgloveSettings
+from companion.settings.load import from_mapping
 from drivers.clock import SystemClock
 from sitl.flight import Flight
 from sitl.scenario import load as load_scenario

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-import companion.config.settings as settings_of
-from companion.mavlink.bridge import VehicleBridge
-from companion.mavlink.component import Component, ComponentOptions, speaking
-from companion.mavlink.tunables import Tunables
+import companion.settings.load as settings_of
+from companion.parts.mavlink.bridge import VehicleBridge
+from companion.parts.mavlink.component import Component, ComponentOptions, speaking
+from companion.parts.mavlink.tunables import Tunables
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.codec import Codec

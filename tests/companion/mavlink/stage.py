@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-import companion.config.settings as settings_of
-from companion.config.model import Settings
-from companion.mavlink.component import Component, ComponentOptions, speaking
-from companion.mavlink.options import OutputOptions
-from companion.mavlink.tunables import Tunables
-from companion.runtime.observer import Decision
+import companion.settings.load as settings_of
+from companion.base.observer import Decision
+from companion.parts.mavlink.component import Component, ComponentOptions, speaking
+from companion.parts.mavlink.tunables import Tunables
+from companion.settings.mavlink import OutputOptions
+from companion.settings.model import Settings
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.options import AutopilotOptions

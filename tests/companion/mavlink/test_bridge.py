@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.mavlink.bridge import VehicleBridge
-from companion.mavlink.bridge_part import BridgePart
-from companion.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED
-from companion.mavlink.options import BridgeOptions
-from companion.operator.orders import OperatorOrder
+from companion.base.orders import OperatorOrder
+from companion.parts.mavlink.bridge import VehicleBridge
+from companion.parts.mavlink.bridge_part import BridgePart
+from companion.parts.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED
+from companion.settings.mavlink import BridgeOptions
 from drivers.clock import SystemClock
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.codec import Codec

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from companion.config.settings import camera_model, load
-from companion.mavlink.camera_component import COMPONENT, CameraComponent
-from companion.video.options import VideoStreamOptions
+from companion.parts.mavlink.camera_component import COMPONENT, CameraComponent
+from companion.settings.load import camera_model, load
+from companion.settings.video import VideoStreamOptions
 from drivers.mavlink.access import AccessLevel, Source
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav

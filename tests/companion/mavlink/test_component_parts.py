@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import companion.config.settings as settings_of
-from companion.config.model import Settings
-from companion.mavlink.commands import ACCEPTED, CANCELLED, DENIED, FAILED, IN_PROGRESS, UNSUPPORTED, CommandServer, Offered
-from companion.mavlink.computer import Computer, ComputerReader, computer_status
-from companion.mavlink.operator import LandingProgress
-from companion.mavlink.parameters import ParameterServer
-from companion.mavlink.status_texts import MavSeverity, StatusTexts
-from companion.mavlink.tunables import NAMES, Tunables
+import companion.settings.load as settings_of
+from companion.parts.mavlink.commands import ACCEPTED, CANCELLED, DENIED, FAILED, IN_PROGRESS, UNSUPPORTED, CommandServer, Offered
+from companion.parts.mavlink.computer import Computer, ComputerReader, computer_status
+from companion.parts.mavlink.operator import LandingProgress
+from companion.parts.mavlink.parameters import ParameterServer
+from companion.parts.mavlink.status_texts import MavSeverity, StatusTexts
+from companion.parts.mavlink.tunables import NAMES, Tunables
+from companion.settings.model import Settings
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput

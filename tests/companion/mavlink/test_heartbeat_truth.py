@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from companion.mavlink.component import Component, ComponentOptions
-from companion.runtime.health import Health
-from companion.runtime.observer import Decision
+from companion.base.health import Health
+from companion.base.observer import Decision
+from companion.parts.mavlink.component import Component, ComponentOptions
 from drivers.mavlink.containment import Containment
 from drivers.mavlink.dialect import Message
 from estimator.contracts.errors import Recoverable

@@ -11,12 +11,12 @@ from contextlib import asynccontextmanager
 import numpy as np
 import pytest
 
-import companion.config.settings as settings_of
-from companion.mavlink.make import AutopilotPart
-from companion.runtime.daemon import Daemon, VehicleLink
-from companion.runtime.health import Health
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.pilot import FlightOutcome
+import companion.settings.load as settings_of
+from companion.base.health import Health
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import FlightOutcome
+from companion.parts.mavlink.make import AutopilotPart
+from companion.service.daemon import Daemon, VehicleLink
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.options import AutopilotOptions

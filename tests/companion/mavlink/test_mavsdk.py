@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from companion.config.settings import camera_model, load
-from companion.mavlink.bridge import Send
-from companion.mavlink.camera_component import CameraComponent, showing
-from companion.mavlink.operator import LandingProgress
-from companion.mavlink.tunables import NAMES
-from companion.video.options import VideoStreamOptions
+from companion.parts.mavlink.bridge import Send
+from companion.parts.mavlink.camera_component import CameraComponent, showing
+from companion.parts.mavlink.operator import LandingProgress
+from companion.parts.mavlink.tunables import NAMES
+from companion.settings.load import camera_model, load
+from companion.settings.video import VideoStreamOptions
 from drivers.clock import SystemClock
 from sitl.autopilots.miniature import MiniatureAutopilot
 from tests.companion.mavlink.stage import HOST, PAD_NED, Stage, staged

@@ -13,8 +13,8 @@ import av
 import numpy as np
 import pytest
 
-from companion.recorder.reading import open_recording
-from companion.recorder.records import LinkRecord
+from companion.recording.reading import open_recording
+from companion.recording.records import LinkRecord
 from drivers.mavlink.dialect import mav
 from sitl.autopilots.miniature import MiniatureAutopilot
 from tests.support.fake_ardrone import until

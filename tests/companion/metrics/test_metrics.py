@@ -13,14 +13,14 @@ import aiohttp
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from companion.config.settings import from_mapping
-from companion.metrics.endpoint import MetricsEndpoint
-from companion.metrics.exposition import text
-from companion.metrics.settings import MetricsSettings
-from companion.runtime.connection_limits import ConnectionLimits
-from companion.runtime.health import Health
-from companion.runtime.restart_options import RestartOptions
-from companion.runtime.supervise import run
+from companion.base.connection_limits import ConnectionLimits
+from companion.base.health import Health
+from companion.base.supervise import run
+from companion.parts.metrics.endpoint import MetricsEndpoint
+from companion.parts.metrics.exposition import text
+from companion.settings.load import from_mapping
+from companion.settings.metrics import MetricsSettings
+from companion.settings.restart import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict

@@ -17,13 +17,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.config.settings import from_mapping
-from companion.mqtt.commands import CommandHandler
-from companion.mqtt.connection import BrokerEndpoint, Connection, connect
-from companion.mqtt.messages import CommandReply, OperatorNotice, decode
-from companion.mqtt.settings import MqttSettings
-from companion.mqtt.signature import Forged, Unsigned, signed, verified
-from companion.mqtt.topics import Topics
+from companion.parts.mqtt.commands import CommandHandler
+from companion.parts.mqtt.connection import BrokerEndpoint, Connection, connect
+from companion.parts.mqtt.messages import CommandReply, OperatorNotice, decode
+from companion.parts.mqtt.signature import Forged, Unsigned, signed, verified
+from companion.parts.mqtt.topics import Topics
+from companion.settings.load import from_mapping
+from companion.settings.mqtt import MqttSettings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
 from tests.support.mosquitto import Broker

@@ -13,8 +13,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from companion.mqtt.connection import BrokerEndpoint, Connection
-from companion.mqtt.messages import CommandReply, FusionMessage, HealthReport, StateMessage, StatusMessage, decode
+from companion.parts.mqtt.connection import BrokerEndpoint, Connection
+from companion.parts.mqtt.messages import CommandReply, FusionMessage, HealthReport, StateMessage, StatusMessage, decode
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
 from tests.support.mosquitto import Broker, on_message
@@ -91,7 +91,7 @@ async def test_leaving_says_stopped_and_dying_says_lost(broker: Broker, tmp_path
 
 _DYING = """
 import asyncio, json, sys, tempfile, pathlib
-from companion.mqtt.settings import MqttSettings
+from companion.settings.mqtt import MqttSettings
 from tests.support.mqtt_service import running, until
 async def main():
     async with running(MqttSettings(**json.loads(sys.argv[1])), pathlib.Path(tempfile.mkdtemp())) as rig:

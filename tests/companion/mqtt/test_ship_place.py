@@ -11,9 +11,9 @@ from pathlib import Path
 
 import msgspec
 
-from companion.config.settings import load
-from companion.guidance.mission import State
-from companion.mqtt.connection import BrokerEndpoint, connect
+from companion.base.mission import State
+from companion.parts.mqtt.connection import BrokerEndpoint, connect
+from companion.settings.load import load
 from tests.companion.ship_flights import SHIP_NED, flying, free_port, place_of, settings_of
 from tests.support.fake_ardrone import until
 from tests.support.mosquitto import Broker

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.mqtt.messages import ShipReport
-from companion.mqtt.ship_reports import REPORT_MAX_BYTES, ShipReportReader
-from companion.mqtt.signature import signed
-from companion.mqtt.topics import Topics
+from companion.parts.mqtt.messages import ShipReport
+from companion.parts.mqtt.ship_reports import REPORT_MAX_BYTES, ShipReportReader
+from companion.parts.mqtt.signature import signed
+from companion.parts.mqtt.topics import Topics
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs
 from tests.support.mqtt_service import RUN

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from companion.mqtt.spool import FILES, UNWRITTEN, Spool
+from companion.parts.mqtt.spool import FILES, UNWRITTEN, Spool
 from estimator.contracts.errors import BadInput
 
 
@@ -148,7 +148,7 @@ def test_a_disk_that_refuses_is_waited_for_in_memory(
         real(descriptor, data[:3], offset)
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("companion.mqtt.spool.os.pwrite", full)
+    monkeypatch.setattr("companion.parts.mqtt.spool.os.pwrite", full)
     spool.append([body(1), body(2)])
     spool.append([body(3)])
     assert spool.write_errors >= 2
@@ -157,7 +157,7 @@ def test_a_disk_that_refuses_is_waited_for_in_memory(
     ], "said once"
     assert spool.waiting == 4
     assert [r.body for r in spool.peek(9)] == [body(n) for n in range(4)]
-    monkeypatch.setattr("companion.mqtt.spool.os.pwrite", real)
+    monkeypatch.setattr("companion.parts.mqtt.spool.os.pwrite", real)
     spool.append([body(4)])
     assert "takes events again" in caplog.text
     spool.close()

@@ -15,7 +15,7 @@ from typing import Literal
 import msgspec
 import pytest
 
-from companion.mqtt.settings import MqttSettings
+from companion.settings.mqtt import MqttSettings
 from estimator.contracts.time import seconds_between
 from tests.support.mosquitto import Broker, free_port
 from tests.support.mqtt_consumer import Consumer
@@ -337,7 +337,7 @@ async def test_a_disk_that_stands_still_does_not_hold_up_the_end(
         moving.wait(20.0)
         return 0
 
-    monkeypatch.setattr("companion.mqtt.spool.os.pwrite", hanging)
+    monkeypatch.setattr("companion.parts.mqtt.spool.os.pwrite", hanging)
     try:
         took_s = await ended_after_s(broker.settings(), tmp_path / "spool", lambda _: stuck.is_set())
         assert took_s < 10.0

@@ -14,14 +14,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.config import secret_files
-from companion.mqtt import access, encode, messages
-from companion.mqtt.commands import FARTHEST_S, LONGEST_BYTES, CommandHandler
-from companion.mqtt.events import Changes
-from companion.mqtt.messages import PUBLISHED, decode
-from companion.mqtt.settings import MqttSettings
-from companion.mqtt.topics import Topics, split
-from companion.runtime.health import Health
+from companion.base.health import Health
+from companion.parts.mqtt import encode, messages
+from companion.parts.mqtt.commands import FARTHEST_S, LONGEST_BYTES, CommandHandler
+from companion.parts.mqtt.connection import BrokerEndpoint
+from companion.parts.mqtt.events import Changes
+from companion.parts.mqtt.make import spool_folder
+from companion.parts.mqtt.messages import PUBLISHED, decode
+from companion.parts.mqtt.topics import Topics, split
+from companion.settings import secret_files
+from companion.settings.mqtt import MqttSettings
+from companion.settings.tls import tls_context
 from estimator.contracts.commands import Hover, Land, Lean, TakeOff
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
@@ -230,11 +233,11 @@ def test_secrets_come_from_files_or_credentials(tmp_path: Path, caplog: pytest.L
     file = tmp_path / "secret"
     file.write_text("hush\r\n")
     file.chmod(0o600)
-    assert access.password(MqttSettings(user="u", password_file=str(file))) == "hush"
-    assert access.password(MqttSettings()) is None
+    assert BrokerEndpoint.of(MqttSettings(user="u", password_file=str(file))).password == "hush"
+    assert BrokerEndpoint.of(MqttSettings()).password is None
     assert not caplog.messages
     file.chmod(0o644)
-    assert access.password(MqttSettings(user="u", password_file=str(file))) == "hush"
+    assert BrokerEndpoint.of(MqttSettings(user="u", password_file=str(file))).password == "hush"
     assert "can be read by everyone" in caplog.text
     assert secret_files.find("credential:mqtt", "mqtt", {"CREDENTIALS_DIRECTORY": "/run/x"}) == Path("/run/x/mqtt")
     for reference, environment in (
@@ -246,12 +249,12 @@ def test_secrets_come_from_files_or_credentials(tmp_path: Path, caplog: pytest.L
             secret_files.find(reference, "mqtt", environment)
     file.write_text("\n")
     with pytest.raises(BadInput, match="is empty"):
-        access.password(MqttSettings(user="u", password_file=str(file)))
+        BrokerEndpoint.of(MqttSettings(user="u", password_file=str(file)))
     file.write_bytes(b"\xff")
     with pytest.raises(BadInput, match="not text"):
-        access.password(MqttSettings(user="u", password_file=str(file)))
+        BrokerEndpoint.of(MqttSettings(user="u", password_file=str(file)))
     with pytest.raises(BadInput, match="No such file"):
-        access.password(MqttSettings(user="u", password_file=str(tmp_path / "none")))
+        BrokerEndpoint.of(MqttSettings(user="u", password_file=str(tmp_path / "none")))
 
 
 def test_certificates_that_cannot_be_used_are_named(tmp_path: Path) -> None:
@@ -263,19 +266,19 @@ def test_certificates_that_cannot_be_used_are_named(tmp_path: Path) -> None:
         ({"certificate_file": str(junk), "key_file": str(junk)}, r"mqtt\.certificate_file, key_file: .*junk\.pem"),
     ):
         with pytest.raises(BadInput, match=said):
-            access.tls_context(MqttSettings(transport="tls", **changes))  # type: ignore[arg-type]
-    assert access.tls_context(MqttSettings(transport="tcp")) is None
+            tls_context(MqttSettings(transport="tls", **changes))  # type: ignore[arg-type]
+    assert tls_context(MqttSettings(transport="tcp")) is None
 
 
 def test_the_spool_is_where_it_is_set_else_where_systemd_says_else_nowhere() -> None:
-    assert access.spool_folder(MqttSettings(spool="/a"), {"STATE_DIRECTORY": "/b"}) == Path("/a")
-    assert access.spool_folder(MqttSettings(), {"STATE_DIRECTORY": "/b:/c"}) == Path("/b/mqtt")
-    assert access.spool_folder(MqttSettings(), {}) is None
+    assert spool_folder(MqttSettings(spool="/a"), {"STATE_DIRECTORY": "/b"}) == Path("/a")
+    assert spool_folder(MqttSettings(), {"STATE_DIRECTORY": "/b:/c"}) == Path("/b/mqtt")
+    assert spool_folder(MqttSettings(), {}) is None
 
 
 def test_the_page_holds_the_schema_and_its_examples_are_good() -> None:
     page = (ROOT / "docs/mqtt.md").read_text()
-    assert messages.schema() in page, "copy companion.mqtt.messages.schema() into docs/mqtt.md"
+    assert messages.schema() in page, "copy companion.parts.mqtt.messages.schema() into docs/mqtt.md"
     blocks = [block.split("```")[0] for block in page.split("```json\n")[1:]]
     examples = [json.loads(block) for block in blocks if "$schema" not in block]
     commands = [e for e in examples if "command" in e and "expires_ns" in e]

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from companion.config.settings import load
-from companion.operator.gamepad_file import mapping_of
-from companion.operator.gamepad_part import GamepadPart
-from companion.operator.orders import HandledOrder, OperatorOrder
-from companion.runtime.make_pilot import make_pilot
+from companion.base.orders import HandledOrder, OperatorOrder
+from companion.guidance.make_pilot import make_pilot
+from companion.parts.operator.gamepad_part import GamepadPart
+from companion.settings.gamepad import mapping_of
+from companion.settings.load import load
 from drivers.clock import SystemClock
 from drivers.gamepad.device import AxisRange, InputDevice, gamepads
 from drivers.gamepad.events import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, EVENT, SYN_DROPPED
@@ -95,7 +95,7 @@ class Rig:
 
 @asynccontextmanager
 async def rig(monkeypatch: pytest.MonkeyPatch, wanted: str = "any") -> AsyncIterator[Rig]:
-    monkeypatch.setattr("companion.operator.gamepad_part._SCAN_S", 0.05)
+    monkeypatch.setattr("companion.parts.operator.gamepad_part._SCAN_S", 0.05)
     made = Rig(wanted)
     async with asyncio.TaskGroup() as group:
         tasks = [group.create_task(made.live()), group.create_task(made.part.run())]

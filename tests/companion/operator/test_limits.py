@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.config.settings import load
-from companion.operator.fence import margin, within
-from companion.operator.limit_options import LimitOptions
-from companion.operator.limits import Limit, PlaceMemory, limited, place_step
-from companion.operator.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
-from companion.runtime.make_pilot import make_pilot
+from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.guidance.command_limits import Limit, PlaceMemory, limited, place_step
+from companion.guidance.fence import margin, within
+from companion.guidance.make_pilot import make_pilot
+from companion.settings.limits import LimitOptions
+from companion.settings.load import load
 from estimator.contracts.commands import Command, Hover, Land, Lean, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation

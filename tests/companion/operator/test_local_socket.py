@@ -20,16 +20,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.base.orders import HandledOrder, OperatorOrder, StickPositions
+from companion.base.wire import FlightState, answer_of, request_of
 from companion.cli.fly_keyboard import KEY_S, KeyMotion, keys_in
 from companion.cli.main import main
-from companion.config.settings import load
-from companion.operator.client import connected
-from companion.operator.local_socket import OperatorSocket
-from companion.operator.orders import HandledOrder, OperatorOrder, StickPositions
-from companion.operator.socket_path import answers, running, socket_path
-from companion.operator.wire import FlightState, answer_of, request_of
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.pilot import Pilot
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import Pilot
+from companion.parts.operator.client import connected
+from companion.parts.operator.local_socket import OperatorSocket
+from companion.parts.operator.socket_path import answers, running, socket_path
+from companion.settings.load import load
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.errors import BadInput, Recoverable

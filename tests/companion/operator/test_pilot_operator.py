@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import pytest
 
-from companion.config.settings import load
-from companion.operator.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
-from companion.operator.pilot_operator import PilotOperator
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.pilot import FlightOutcome, Pilot
+from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.guidance.pilot_operator import PilotOperator
+from companion.settings.load import load
 from estimator.contracts.commands import Hover
 from estimator.contracts.time import MonoNs
 from tests.support.mqtt_service import status

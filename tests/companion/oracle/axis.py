@@ -7,8 +7,8 @@ import math
 from msgspec import Struct
 
 from companion.guidance.disturbance import ObserverGains
-from companion.guidance.response import TiltResponse
 from companion.guidance.tilt_law import TiltGains
+from companion.settings.response import TiltResponse
 from tests.companion.oracle import observer
 from tests.companion.oracle.observer import Observed
 

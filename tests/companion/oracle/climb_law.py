@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from companion.guidance.response import ClimbResponse
+from companion.settings.response import ClimbResponse
 
 SPEED_GAIN_1_S = 4.0
 HEIGHT_GAIN_1_S = 1.5

@@ -12,10 +12,10 @@ from companion.guidance import disturbance
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.disturbance import ObserverNoise
 from companion.guidance.follow_deck import FollowDeck
-from companion.guidance.response import Response
 from companion.guidance.tilt_law import TiltGains
 from companion.guidance.tuning import AS_GIVEN, TuningChoice
 from companion.guidance.view import FieldOfView
+from companion.settings.response import Response
 from estimator.contracts.commands import Command, Hover, Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import fixed_pair, fixed_vector, wrap_pi

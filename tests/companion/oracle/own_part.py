@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from companion.guidance.response import TiltResponse
+from companion.settings.response import TiltResponse
 
 FLOWN_S, HOVERED_S = 0.7, 2.0
 """Time constants of the mean: while the law steers, and while the vehicle holds by itself and all of its lean is its own, s."""

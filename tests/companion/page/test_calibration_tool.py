@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.calibrate.board import Board
-from companion.calibrate.guide import Guide
 from companion.cli.calibrate_progress import block
-from companion.page import calibration_tool
+from companion.parts.page import calibration_tool
+from companion.tools.calibrate.board import Board
+from companion.tools.calibrate.guide import Guide
 from estimator.vision.camera import Camera
 from tests.companion.calibration_images import Studio, good_round, lens
 from tests.companion.page.test_settings_tool import names, rig

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from companion.doctor import live, rules_values
-from companion.doctor.diagnose import PARAMETERS
+from companion.tools.doctor import live, rules_values
+from companion.tools.doctor.diagnose import PARAMETERS
 from drivers.clock import SystemClock
 from drivers.mavlink import inertial_delay
 from drivers.mavlink.autopilot import Autopilot, open_autopilot

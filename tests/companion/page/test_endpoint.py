@@ -18,14 +18,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.guidance.mission import Event, State, StateChange
-from companion.guidance.reason import Reason, ReasonCause
-from companion.page import viewer
-from companion.page.messages import request_in
-from companion.page.recordings import Recordings
-from companion.page.settings import PageSettings
-from companion.runtime.connection_limits import ConnectionLimits
-from companion.runtime.observer import Decision
+from companion.base.connection_limits import ConnectionLimits
+from companion.base.mission import Event, State, StateChange
+from companion.base.observer import Decision
+from companion.base.reason import Reason, ReasonCause
+from companion.parts.page import viewer
+from companion.parts.page.messages import request_in
+from companion.parts.page.recordings import Recordings
+from companion.settings.page import PageSettings
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput

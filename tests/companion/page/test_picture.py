@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.config.settings import camera_model, load, pad_model
-from companion.page.picture import picture_lines
-from companion.page.state import place
-from companion.report.expected_place import camera_lean
+from companion.parts.page.picture import picture_lines
+from companion.parts.page.state import place
+from companion.settings.load import camera_model, load, pad_model
+from companion.tools.report.expected_place import camera_lean
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import Rotation

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from companion.report.comparison import render_comparison
-from companion.report.page import write_page, write_report
-from companion.report.video import film_of
+from companion.tools.report.comparison import render_comparison
+from companion.tools.report.page import write_page, write_report
+from companion.tools.report.video import film_of
 from estimator.contracts.time import MonoNs
 from tests.companion.page.test_browser import LAPTOP, PHONE, Window, chromium
 from tests.companion.page.test_browser import pytestmark as of_a_browser

@@ -14,10 +14,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from companion.config.address_masks import masked, unmasked
-from companion.config.draft import Draft, check_draft
-from companion.config.settings import load
-from companion.config.settings_file import SettingsFile
+from companion.settings.address_masks import masked, unmasked
+from companion.settings.draft import Draft, check_draft
+from companion.settings.load import load
+from companion.settings.settings_file import SettingsFile
 from drivers.mavlink.vehicle import Condition
 from estimator.contracts.errors import BadInput
 from tests.support.page_service import Browser, browsing, serving

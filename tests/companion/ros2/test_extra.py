@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from companion.cli import main as cli
-from companion.ros2 import typestore
+from companion.tools.ros2 import typestore
 
 GOLDEN = Path(__file__).parents[2] / "golden/frames.mcap"
 

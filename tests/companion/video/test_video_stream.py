@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.config.settings import load
-from companion.runtime.make_pilot import make_pilot
-from companion.runtime.observer import ProcessedFrame
-from companion.video.options import VideoStreamOptions
-from companion.video.part import VideoStreamPart
-from companion.video.rtp_stream import RtpStream
+from companion.base.observer import ProcessedFrame
+from companion.guidance.make_pilot import make_pilot
+from companion.parts.video.part import VideoStreamPart
+from companion.parts.video.rtp_stream import RtpStream
+from companion.settings.load import load
+from companion.settings.video import VideoStreamOptions
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame

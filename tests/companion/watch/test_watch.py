@@ -14,14 +14,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.base.health import Health
+from companion.base.observer import Decision
 from companion.cli import main as cli
-from companion.mqtt import encode, messages
-from companion.mqtt.messages import EventMessage, StatusMessage
-from companion.mqtt.topics import Topics
-from companion.mqtt.watch_model import DRONES, WatchModel
-from companion.mqtt.watch_view import line, screen
-from companion.runtime.health import Health
-from companion.runtime.observer import Decision
+from companion.parts.mqtt import encode, messages
+from companion.parts.mqtt.messages import EventMessage, StatusMessage
+from companion.parts.mqtt.topics import Topics
+from companion.parts.mqtt.watch_model import DRONES, WatchModel
+from companion.parts.mqtt.watch_view import line, screen
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict

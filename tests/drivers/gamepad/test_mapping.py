@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.operator.gamepad_file import mapping_of
-from companion.operator.orders import OperatorOrder, StickPositions
+from companion.base.orders import OperatorOrder, StickPositions
+from companion.settings.gamepad import mapping_of
 from drivers.gamepad import device
 from drivers.gamepad.device import AxisRange
 from drivers.gamepad.events import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, EVENT, SYN_DROPPED, SYN_REPORT, InputEvent, events_in

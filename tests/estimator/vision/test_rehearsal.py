@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.config.settings import camera_model, load, pad_model
+from companion.settings.load import camera_model, load, pad_model
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.options import TrackerOptions
@@ -69,7 +69,7 @@ def test_the_lamps_of_a_lit_pad_are_found_where_they_were_drawn() -> None:
 
 LOADED = """
 import sys
-from companion.config.settings import camera_model, load
+from companion.settings.load import camera_model, load
 from estimator.vision.rehearsal import rehearse
 from estimator.vision.tracker import TrackerConfig
 from tests.support.shipped import shipped_pad

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.config.settings import camera_model, load, pad_model
+from companion.settings.load import camera_model, load, pad_model
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame

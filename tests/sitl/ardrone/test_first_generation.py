@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.config.model import ardrone_options
+from companion.settings.model import ardrone_options
 from drivers.ardrone.link import ArDrone, open_ardrone
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock

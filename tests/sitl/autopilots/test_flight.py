@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
-from companion.recorder.reading import open_recording
-from companion.recorder.records import TruthRecord
+from companion.recording.reading import open_recording
+from companion.recording.records import TruthRecord
 from tests.sitl.near import NEAR
 from tests.support.processes import gone, started
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from companion.config.settings import load as load_settings
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.pilot import FlightOutcome
+from companion.settings.load import load as load_settings
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import parse_endpoint

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.config.settings import load as load_settings
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.pilot import FlightOutcome
+from companion.settings.load import load as load_settings
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Stack

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from companion.cli.main import main
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.pilot import FlightOutcome
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.gimbal_options import GimbalOptions
 from estimator.contracts.estimates import Verdict

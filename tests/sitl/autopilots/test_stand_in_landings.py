@@ -9,9 +9,9 @@ from typing import Literal
 import msgspec
 import pytest
 
+from companion.base.observer import Decision, NullObserver
 from companion.guidance import contact
-from companion.runtime.observer import Decision, NullObserver
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.pilot import FlightOutcome
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram
 from sitl.campaign.overrides import Overridable
 from sitl.faults import ServiceKilled

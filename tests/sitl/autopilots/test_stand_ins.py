@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.config.settings import shipped_response
+from companion.settings.load import shipped_response
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.vehicle import Stack, set_mode

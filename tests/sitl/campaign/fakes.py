@@ -10,7 +10,7 @@ import tomllib
 from contextlib import closing
 from pathlib import Path
 
-from companion.config.model import Settings
+from companion.settings.model import Settings
 from sitl.campaign.code import code_version
 from sitl.campaign.local import LocalWorkers
 from sitl.campaign.plan import CampaignPlan, Job, make_plan, seeds_of

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from companion.config.settings import SHIPPED
+from companion.settings.load import SHIPPED
 from estimator.contracts.errors import BadInput, Recoverable
 from sitl.campaign import cluster
 from sitl.campaign.cluster import ClusterWorkers

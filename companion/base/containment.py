@@ -1,0 +1,133 @@
+"""Call code that the flight does not need: every error is logged once, counted in health, and not propagated.
+
+Two fault domains share one process. The vehicle, vision, the filter and guidance may end it; links to people, the recorder,
+metrics, the pulse for systemd and every observer may not. `supervise.run` draws the same line between whole parts.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import ParamSpec, TypeVar
+
+from companion.base.health import Health
+from companion.base.observer import Decision, Observer, ProcessedFrame, listens
+from companion.base.orders import HandledOrder
+from estimator.contracts.errors import in_words
+from estimator.contracts.fusion import FusionResult
+from estimator.contracts.samples import Sample
+from estimator.contracts.time import MonoNs, after
+
+log = logging.getLogger(__name__)
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+FAILURES_IN_A_ROW = 20
+"""Failures in a row after which a callee is disabled: each call costs the flight time, and the next would likely fail too."""
+BACK_OFF_FIRST_S, BACK_OFF_CAP_S = 10.0, 300.0
+"""First and longest back-off before the callee is tried again; each is twice the last. Memory or descriptors may free up."""
+
+
+class CallGuard:
+    """Guards the calls to one callee.
+
+    Args:
+        name: the callee's name in health and in the log.
+        limit: failures in a row after which it is disabled.
+    """
+
+    def __init__(self, name: str, health: Health, limit: int = FAILURES_IN_A_ROW) -> None:
+        self._name = name
+        self._health = health
+        self._limit = limit
+        self._in_a_row = 0
+        self._back_off_s = BACK_OFF_FIRST_S
+        self._aside_until: MonoNs | None = None
+
+    def call(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
+        """Return the function's result; None if it raised or is disabled.
+
+        Raises:
+            KeyboardInterrupt: it is the only error that does not come from the callee.
+        """
+        if self._aside_until is not None and self._health.now() < self._aside_until:
+            return None
+        try:
+            result = function(*args, **kwargs)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as why:  # CancelledError and SystemExit are the callee's fault as well
+            self._failed(why)
+            return None
+        self._in_a_row = 0
+        if self._aside_until is not None:
+            self._aside_until, self._back_off_s = None, BACK_OFF_FIRST_S
+            self._health.up(self._name)
+            log.warning("%s works again", self._name)
+        return result
+
+    def _failed(self, why: BaseException) -> None:
+        self._in_a_row += 1
+        if self._health.contain(self._name) == 1:
+            report("%s failed; the flight goes on, further failures are only counted", self._name, why=why)
+        if self._in_a_row >= self._limit:
+            words = f"off after {self._in_a_row} failures in a row: {in_words(why)}"
+            if self._aside_until is None:
+                log.error("%s is %s", self._name, words)
+            self._health.down(self._name, RuntimeError(words))
+            self._aside_until = after(self._health.now(), self._back_off_s)
+            self._back_off_s = min(2.0 * self._back_off_s, BACK_OFF_CAP_S)
+
+
+class Audience:
+    """Passes each event to all observers, each method of each observer behind its own guard."""
+
+    def __init__(self, observers: Sequence[Observer], health: Health) -> None:
+        def guard(observer: Observer, method: str) -> CallGuard:
+            return CallGuard(f"{name_of(observer)}.{method}", health)
+
+        self._samples = [(guard(o, "on_sample"), o.on_sample) for o in observers if listens(o, "on_sample")]
+        self._results = [(guard(o, "on_fusion"), o.on_fusion) for o in observers if listens(o, "on_fusion")]
+        self._frames = [(guard(o, "on_frame"), o.on_frame) for o in observers]
+        self._decisions = [(guard(o, "on_decision"), o.on_decision) for o in observers]
+        self._orders = [(guard(o, "on_order"), o.on_order) for o in observers]
+
+    @property
+    def takes_fusion(self) -> bool:
+        """Whether an observer takes the results of measurements."""
+        return bool(self._results)
+
+    def on_samples(self, samples: Sequence[Sample]) -> None:
+        for guard, method in self._samples:
+            for sample in samples:
+                guard.call(method, sample)
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        for guard, method in self._results:
+            guard.call(method, at, result)
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        for guard, method in self._frames:
+            guard.call(method, processed)
+
+    def on_decision(self, decision: Decision) -> None:
+        for guard, method in self._decisions:
+            guard.call(method, decision)
+
+    def on_order(self, handled: HandledOrder) -> None:
+        for guard, method in self._orders:
+            guard.call(method, handled)
+
+
+def name_of(observer: object) -> str:
+    """Return the observer's `name`, or the name of its class if it has none."""
+    name = getattr(observer, "name", None)
+    return name if isinstance(name, str) else type(observer).__name__.lower()
+
+
+def report(text: str, *args: object, why: BaseException) -> None:
+    """Log an error with its traceback. A failure of the log itself is ignored."""
+    with suppress(Exception):
+        log.error(text, *args, exc_info=why)

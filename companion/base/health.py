@@ -1,0 +1,374 @@
+"""The model of the service's health: state and failures of each part, data rates, durations of the stages, verdicts of frames.
+
+Every reporter (log, MQTT, Prometheus, MAVLink) reads the same `HealthSnapshot`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from companion.base.delays import Delays
+from companion.base.mission import ENDED
+from companion.base.observer import Decision, FrameTimes
+from companion.base.response_in_use import ResponseInUse
+from estimator.contracts.errors import in_words
+from estimator.contracts.estimates import PathName, Verdict
+from estimator.contracts.fusion import FusionResult, Source
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Sample, VehicleStatus
+from estimator.contracts.time import MonoNs, seconds_between
+
+NIS_WINDOW = 200
+"""Number of comparisons in the mean NIS of one source: one second of attitude at 200 Hz, seven seconds of a camera."""
+NORMALIZED_NIS_MAX = 20.0
+"""Upper limit of one measurement's normalized NIS in that mean, so that a single outlier does not dominate it."""
+
+
+@dataclass(slots=True)
+class PartHealth:
+    """One supervised part."""
+
+    vital: bool = False
+    """Whether the flight needs it."""
+    up: bool = False
+    since: MonoNs | None = None
+    restarts: int = 0
+    last_error: str = ""
+
+
+@dataclass(slots=True)
+class Flow:
+    """The arrivals of one kind of data."""
+
+    count: int = 0
+    _recent: deque[MonoNs] = field(default_factory=lambda: deque(maxlen=50))
+
+    def beat(self, at: MonoNs, n: int = 1) -> None:
+        self.count += n
+        if n == 1:
+            self._recent.append(at)
+        else:
+            self._recent.extend([at] * n)
+
+    def age_s(self, now: MonoNs) -> float | None:
+        """Return the seconds since the last arrival; None before the first."""
+        return seconds_between(self._recent[-1], now) if self._recent else None
+
+    def rate_hz(self, now: MonoNs) -> float | None:
+        """Return the rate of the newest arrivals; it falls when they stop. None before the second arrival."""
+        if len(self._recent) < 2:
+            return None
+        return (len(self._recent) - 1) / max(1e-9, seconds_between(self._recent[0], now))
+
+
+@dataclass(slots=True)
+class FusionTally:
+    """The results of one source on one path of the estimator."""
+
+    verdicts: Counter[Verdict] = field(default_factory=Counter)
+    newest: FusionResult | None = None
+    test_ratio: float | None = None
+    """The test ratio of the newest measurement that was compared with a prediction."""
+    _normalized: deque[float] = field(default_factory=lambda: deque(maxlen=NIS_WINDOW))
+
+    def add(self, result: FusionResult) -> None:
+        ratio = result.test_ratio
+        self.verdicts[result.verdict] += 1
+        self.newest = result
+        if math.isfinite(ratio):
+            self.test_ratio = ratio
+            normalized = result.normalized_nis
+            self._normalized.append(NORMALIZED_NIS_MAX if normalized > NORMALIZED_NIS_MAX else normalized)
+
+    @property
+    def nis_mean(self) -> float | None:
+        """The mean of NIS over the number of components for the newest `NIS_WINDOW` comparisons; None before the first."""
+        return sum(self._normalized) / len(self._normalized) if self._normalized else None
+
+
+@dataclass(frozen=True, slots=True)
+class PartState:
+    """A supervised part at one instant."""
+
+    up: bool
+    age_s: float
+    """Time since the part came up or went down, s."""
+    restarts: int
+    last_error: str
+    vital: bool = False
+    """Whether the flight needs it."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlowState:
+    """A kind of data at one instant."""
+
+    count: int
+    age_s: float | None
+    """Time since the last arrival, s; None before the first."""
+    rate_hz: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class StageState:
+    """The durations of a stage: of its newest runs, and of all."""
+
+    count: int
+    p50_s: float | None
+    p99_s: float | None
+    sum_s: float = 0.0
+    """Sum of all durations."""
+    buckets: tuple[int, ...] = ()
+    """Number of durations by bucket of `delays.EDGES_S`; the last lies above all edges."""
+
+
+@dataclass(frozen=True, slots=True)
+class FusionState:
+    """Results of one source on one path of the estimator, at one instant."""
+
+    path: str
+    source: str
+    verdicts: Mapping[str, int]
+    """Measurements by verdict."""
+    newest: FusionResult
+    """The result of the newest measurement."""
+    test_ratio: float | None
+    """The test ratio of the newest measurement that was compared with a prediction; None before the first."""
+    nis_mean: float | None
+    """The recent mean of NIS over the number of components: 1 when the filter's covariance is honest; None before the first
+    comparison."""
+
+
+@dataclass(frozen=True, slots=True)
+class MissionHealth:
+    """The newest guidance cycle, and what became of the mission so far."""
+
+    phase: str = ""
+    height_m: float | None = None
+    """Height over the pad by the steering estimate; None without one."""
+    error_m: float | None = None
+    """Horizontal distance from the pad's centre by the same estimate."""
+    battery: float | None = None
+    """Charge from 0 to 1; None if the vehicle does not report it."""
+    transitions: Mapping[tuple[str, str, str, str], int] = field(default_factory=dict)
+    """Number of changes of state by source, target, event and cause."""
+    flights: Mapping[str, int] = field(default_factory=dict)
+    """Number of ended flights by outcome."""
+    response: ResponseInUse | None = None
+    """The vehicle's response, once a flight has said something of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class HealthSnapshot:
+    """Everything known of the service's health at one instant. Immutable."""
+
+    at: MonoNs
+    all_up: bool
+    """Whether every part of the service is up."""
+    flight_up: bool
+    """Whether the parts that the flight needs are up; heartbeats report this."""
+    parts: Mapping[str, PartState]
+    flows: Mapping[str, FlowState]
+    frames: Mapping[str, int]
+    """Frames by verdict."""
+    inputs: Mapping[str, Mapping[str, int]]
+    """Other measurements by kind and verdict."""
+    stages: Mapping[str, StageState]
+    counters: Mapping[str, Mapping[str, float]]
+    """Counters of the parts themselves, by part."""
+    fusion: tuple[FusionState, ...] = ()
+    """Results of the estimator's measurements, by path and source."""
+    mission: MissionHealth = field(default_factory=MissionHealth)
+    awaited: frozenset[str] = frozenset()
+    """Flows that the settings ask for beside those of every flight."""
+
+
+class Health:
+    """The service's health: every part writes it, and every reporter reads it."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._counters: dict[str, Callable[[], Mapping[str, float]]] = {}
+        self._complete: Callable[[], None] = lambda: None
+        self.parts: dict[str, PartHealth] = {}
+        self.frames: Counter[Verdict] = Counter()
+        """Frames by verdict; every frame is counted exactly once."""
+        self.inputs: dict[str, Counter[Verdict]] = {}
+        """Verdicts of the other measurements, by kind."""
+        self.tallies: dict[tuple[PathName, Source], FusionTally] = {}
+        """Results of the estimator by path and source."""
+        self.delays: dict[str, Delays] = {}
+        self.flows: dict[str, Flow] = {}
+
+        self.awaited: frozenset[str] = frozenset()
+        """Flows that the settings ask for beside those of every flight."""
+        self._decided: tuple[Decision, float | None] | None = None
+        self._transitions: Counter[tuple[str, str, str, str]] = Counter()
+        self._flights: Counter[str] = Counter()
+        self._response: ResponseInUse | None = None
+        self.contained: Counter[str] = Counter()
+        """Failures of callees that the flight does not need, by callee."""
+
+    def now(self) -> MonoNs:
+        """Return the time on the clock that all of health uses."""
+        return self._clock.now()
+
+    def vital(self, name: str) -> None:
+        """Mark a part as needed by the flight; it counts as down until `up` is called."""
+        self.parts.setdefault(name, PartHealth()).vital = True
+
+    def up(self, name: str) -> None:
+        part = self.parts.setdefault(name, PartHealth())
+        part.up, part.since = True, self._clock.now()
+
+    def down(self, name: str, why: BaseException) -> None:
+        part = self.parts.setdefault(name, PartHealth())
+        part.up, part.since = False, self._clock.now()
+        part.restarts += 1
+        part.last_error = in_words(why)
+
+    def contain(self, name: str) -> int:
+        """Count a failure of something that the flight does not need; return how many there were so far."""
+        self.contained[name] += 1
+        return self.contained[name]
+
+    def frame(self, verdict: Verdict) -> None:
+        self.frames[verdict] += 1
+
+    def fused(self, sample: Sample, results: Sequence[FusionResult]) -> None:
+        """Count the results of one sample, path by path."""
+        kind = type(sample).__name__
+        for result in results:
+            self.input(kind, result.verdict)
+            self.fusion(result)
+
+    def input(self, kind: str, verdict: Verdict) -> None:
+        tally = self.inputs.get(kind)
+        if tally is None:
+            tally = self.inputs[kind] = Counter()
+        tally[verdict] += 1
+
+    def fusion(self, result: FusionResult) -> None:
+        """Count the result of one measurement on one path of the estimator."""
+        tally = self.tallies.get((result.path, result.source))
+        if tally is None:
+            tally = self.tallies[result.path, result.source] = FusionTally()
+        tally.add(result)
+
+    def completed_by(self, complete: Callable[[], None]) -> None:
+        """Call this before results are read: it counts those that were not counted yet, many at once."""
+        self._complete = complete
+
+    def fusion_states(self) -> tuple[FusionState, ...]:
+        """Return the present results of each path and source, sorted by name."""
+        self._complete()
+        return tuple(
+            FusionState(
+                path, source, {v.value: n for v, n in tally.verdicts.items()}, tally.newest, tally.test_ratio, tally.nis_mean
+            )
+            for (path, source), tally in sorted(self.tallies.items())
+            if tally.newest is not None
+        )
+
+    def decision(self, decision: Decision, vehicle: VehicleStatus | None) -> None:
+        """Note a guidance cycle and count its changes of state."""
+        self._decided = decision, None if vehicle is None else vehicle.battery_fraction
+        self._response = decision.response or self._response
+        for change in decision.transitions:
+            why = change.event.name.lower(), change.reason.cause.name.lower()
+            self._transitions[change.source.value, change.target.value, *why] += 1
+            if change.target in ENDED:
+                self._flights[change.target.value] += 1
+
+    def _mission(self) -> MissionHealth:
+        if self._decided is None:
+            return MissionHealth()
+        decision, battery = self._decided
+        belief = decision.belief
+        height_m, error_m = (None, None) if belief is None else (belief.height_m, belief.lateral_m)
+        return MissionHealth(
+            decision.phase, height_m, error_m, battery, dict(self._transitions), dict(self._flights), self._response
+        )
+
+    def delay(self, stage: str, seconds: float) -> None:
+        delays = self.delays.get(stage)
+        if delays is None:
+            delays = self.delays[stage] = Delays()
+        delays.add(seconds)
+
+    def frame_times(self, times: FrameTimes) -> None:
+        """Note how long each stage of one frame took."""
+        for stage, seconds in times.by_stage():
+            self.delay(stage, seconds)
+
+    def beat(self, name: str, now: MonoNs | None = None, n: int = 1) -> None:
+        """Count arrivals of a kind of data, at this instant if none is given."""
+        flow = self.flows.get(name)
+        if flow is None:
+            flow = self.flows[name] = Flow()
+        flow.beat(self._clock.now() if now is None else now, n)
+
+    def counters(self, part: str, read: Callable[[], Mapping[str, float]]) -> None:
+        """Register `read`, which each snapshot calls to get the part's counters."""
+        self._counters[part] = read
+
+    @property
+    def all_up(self) -> bool:
+        return self.fault() is None
+
+    def fault(self) -> str | None:
+        """Return the first part of the service that is down, and why; None while all are up."""
+        return self._down(vital_only=False)
+
+    def flight_fault(self) -> str | None:
+        """Return the first part that is down among those that the flight needs, and why; None while they are up."""
+        return self._down(vital_only=True)
+
+    def _down(self, *, vital_only: bool) -> str | None:
+        for name, part in self.parts.items():
+            if not part.up and (part.vital or not vital_only):
+                return f"{name} is down: {part.last_error or 'not begun'}"
+        return None
+
+    def _counted(self) -> dict[str, Mapping[str, float]]:
+        """Return the counters of the parts. A part whose `read` fails is left out, and the failure is counted."""
+        counted: dict[str, Mapping[str, float]] = {}
+        for part, read in self._counters.items():
+            try:
+                counted[part] = dict(read())
+            except Exception:
+                self.contained[f"{part}.counters"] += 1
+        if self.contained:
+            counted["contained"] = dict(self.contained)
+        return counted
+
+    def snapshot(self) -> HealthSnapshot:
+        """Return the present health."""
+        self._complete()
+        now = self._clock.now()
+        stages = {}
+        for name, delays in self.delays.items():
+            p50, p99 = delays.quantiles(0.5, 0.99)
+            stages[name] = StageState(delays.count, p50, p99, delays.sum_s, tuple(delays.buckets))
+        return HealthSnapshot(
+            at=now,
+            all_up=self.all_up,
+            flight_up=self.flight_fault() is None,
+            parts={name: _state(part, now) for name, part in self.parts.items()},
+            flows={name: FlowState(f.count, f.age_s(now), f.rate_hz(now)) for name, f in self.flows.items()},
+            frames={verdict.value: n for verdict, n in self.frames.items()},
+            inputs={kind: {v.value: n for v, n in tally.items()} for kind, tally in self.inputs.items()},
+            stages=stages,
+            counters=self._counted(),
+            fusion=self.fusion_states(),
+            mission=self._mission(),
+            awaited=self.awaited,
+        )
+
+
+def _state(part: PartHealth, now: MonoNs) -> PartState:
+    age_s = 0.0 if part.since is None else seconds_between(part.since, now)
+    return PartState(part.up, age_s, part.restarts, part.last_error, part.vital)

@@ -1,0 +1,133 @@
+"""The words of the mission: its states, its events, and a change of state. `companion.guidance.mission` has what follows what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from companion.base.reason import Reason
+from estimator.contracts.time import MonoNs
+
+
+class State(Enum):
+    """What the drone is doing; the value is the phase that people read."""
+
+    # By identity: an enumeration's own hash is that of its name, and the tables here are read in every guidance cycle.
+    __hash__ = object.__hash__
+
+    STANDBY = "waiting for the vehicle and the start"
+    """On the ground, or unknown; nobody has asked for a landing."""
+    WAIT = "waiting for the vehicle"
+    """A landing was asked for; the vehicle does not fly yet."""
+    READY = "waiting for the start"
+    """Flying, in its own hover until somebody asks for a landing; an autopilot stays with whoever flies it."""
+    PAUSED = "paused"
+    """Held still by the operator."""
+    RENDEZVOUS = "rendezvous"
+    """Flying to the place that the vessel reports."""
+    SEARCH = "search"
+    """Waiting for the first sight of the pad."""
+    INTERCEPT = "intercept"
+    """Flying over the pad at height."""
+    DESCEND = "descend"
+    """Descending in the cone over the pad."""
+    GATE = "gate"
+    """Following the deck just above it until every limit holds."""
+    COMMIT = "commit"
+    """Going down to the deck under full control."""
+    PRESS = "press"
+    """Pressing on level after the contact."""
+    DOWN = "down"
+    """Ordering the vehicle to stop its motors, in every cycle."""
+    HOLD_BLIND = "hold blind"
+    """Still against the deck without sight of the pad."""
+    GO_AROUND = "go around"
+    """Climbing on the clear side, to begin again."""
+    ANOTHER_PAD = "another pad"
+    """Climbing, then waiting for the operator's decision about a pad in another place."""
+    LANDED = "landed"
+    """On the ground after our order."""
+    LANDED_BY_OTHERS = "landed by others"
+    """On the ground without our order."""
+    REFUSED = "refused"
+    """Held still: the conditions are beyond the limits."""
+    GAVE_UP = "gave up"
+    """Held still: the pad was not found, or the tries are used up."""
+    ABORTED = "aborted"
+    """Held still: the operator ended the flight."""
+    EMERGENCY = "emergency"
+    """The vehicle cut its motors."""
+
+
+class Event(Enum):
+    """What can happen. Of several in one guidance cycle the one that is named first here is taken first."""
+
+    __hash__ = object.__hash__
+
+    CUT = "motors cut"
+    GROUNDED = "on the ground after our order"
+    GROUNDED_BY_OTHERS = "on the ground without our order"
+    TAKEN_OFF = "taken off"
+    """The vehicle flies, the first time or after it has stood."""
+    ABORT = "abort ordered"
+    PAUSE = "pause ordered"
+    BEGIN = "landing ordered"
+    OTHER_PAD = "another pad seen"
+    CONTACT = "contact"
+    PRESSED = "pressed"
+    NO_CONDITIONS = "conditions beyond the limits"
+    """They will not pass within this flight."""
+    HOPELESS = "no way on"
+    """What this try or this flight allows is used up."""
+    LIMIT = "limit exceeded"
+    """A limit ends this try."""
+    TIMEOUT = "time over"
+    SIGHT_LOST = "sight lost"
+    SIGHT = "sight"
+    """There is a fresh, consistent estimate of the pad."""
+    VESSEL_FAR = "vessel far"
+    ARRIVED = "arrived"
+    CLEAR = "clear"
+    """High enough to begin again, or to look again."""
+    OUT_OF_CONE = "out of the cone"
+    IN_CONE = "in the cone"
+    AT_GATE = "at the gate"
+    GATE_OPEN = "gate open"
+
+
+@dataclass(frozen=True, slots=True)
+class StateChange:
+    """One change of state."""
+
+    at: MonoNs
+    source: State
+    event: Event
+    target: State
+    reason: Reason
+
+
+_STAYS_UP = (State.REFUSED, State.GAVE_UP, State.ABORTED)
+GROUND = frozenset({State.STANDBY, State.WAIT, State.LANDED, State.LANDED_BY_OTHERS, State.EMERGENCY})
+"""States in which guidance leaves the vehicle alone."""
+ENDED = frozenset({State.LANDED, State.LANDED_BY_OTHERS, State.EMERGENCY, *_STAYS_UP})
+"""States that end a flight; the next one begins when the vehicle has stood and flies again."""
+FLOWN = frozenset(State) - GROUND - ENDED - {State.READY, State.PAUSED}
+"""States in which the machine flies a landing."""
+DESCENDS = frozenset({State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN})
+"""States in which the drone may be asked to come nearer to the deck."""
+CONTACT_INTENDED = frozenset({State.COMMIT, State.PRESS, State.DOWN})
+"""States in which the drone may touch the deck with its motors turning."""
+
+FAULTS = frozenset(
+    {
+        Event.CUT,
+        Event.GROUNDED_BY_OTHERS,
+        Event.OTHER_PAD,
+        Event.NO_CONDITIONS,
+        Event.HOPELESS,
+        Event.LIMIT,
+        Event.TIMEOUT,
+        Event.SIGHT_LOST,
+    }
+)
+"""Events that are told to people as warnings."""

@@ -1,0 +1,156 @@
+"""The interface of observers: recorders, pages and reports. Observers must return quickly and must not raise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+
+from msgspec import Struct
+
+from companion.base.mission import StateChange
+from companion.base.orders import HandledOrder
+from companion.base.response_in_use import ResponseInUse
+from estimator.contracts.commands import Command
+from estimator.contracts.estimates import RelativeState, Verdict
+from estimator.contracts.fusion import FusionResult
+from estimator.contracts.samples import Attitude, Frame, Sample
+from estimator.contracts.time import MonoNs
+from estimator.ekf import Forecast
+from estimator.vision.camera import Camera
+from estimator.vision.detection import Detection
+
+
+class FrameTimes(Struct, frozen=True):
+    """How long each stage of one frame took, from the arrival of its last byte until the estimate knew it."""
+
+    decode_s: float
+    """Until the decoded frame reached the service."""
+    wait_s: float
+    """Waiting for an attitude and for the thread of vision, before and after the look."""
+    look_s: float
+    filter_s: float
+    """From the detection to the estimate of every path."""
+
+    def by_stage(self) -> tuple[tuple[str, float], ...]:
+        """Return each stage's name and duration, in order."""
+        return ("decode", self.decode_s), ("wait", self.wait_s), ("look", self.look_s), ("filter", self.filter_s)
+
+
+class ProcessedFrame(Struct, frozen=True, eq=False):
+    """One frame, its attitude, and the results of its processing."""
+
+    frame: Frame
+    attitude: Attitude | None
+    """The vehicle's attitude at the exposure; None if no sample covers it."""
+    detection: Detection | None
+    """The result of vision; None if vision did not search the frame."""
+    verdict: Verdict
+    began: MonoNs
+    """Instant at which vision began with the frame."""
+    done: MonoNs
+    results: tuple[FusionResult, ...] = ()
+    """The fusion result of each path of the estimator; empty without a sighting."""
+    times: FrameTimes | None = None
+    """None if vision did not search the frame, or in virtual time."""
+    camera: Camera | None = None
+    """The camera as its gimbal held it at the exposure; None for a camera that is fixed on the body, or if that is not known."""
+
+
+class DeckOutlook(Struct, frozen=True):
+    """The deck at instants ahead of `at`, with standard deviations, as guidance used it."""
+
+    at: MonoNs
+    horizons_s: tuple[float, ...]
+    height_m: tuple[float, ...]
+    """Of the pad's centre above its mean level, positive up."""
+    sigma_height_m: tuple[float, ...]
+    roll_rad: tuple[float, ...]
+    """Of the deck about the arrow, starboard down positive."""
+    sigma_roll_rad: tuple[float, ...]
+    pitch_rad: tuple[float, ...]
+    """Of the deck, arrow up positive."""
+    sigma_pitch_rad: tuple[float, ...]
+
+    @staticmethod
+    def of(ahead: Forecast) -> DeckOutlook:
+        """Return the deck's part of a forecast."""
+        columns = (
+            ahead.horizons_s, ahead.deck_height_m, ahead.sigma_deck_height_m, ahead.roll_rad, ahead.sigma_roll_rad,
+            ahead.pitch_rad, ahead.sigma_pitch_rad,
+        )  # fmt: skip
+        return DeckOutlook(ahead.at, *(tuple(column.tolist()) for column in columns))
+
+    def rows(self) -> Iterator[tuple[float, float, float, float, float, float, float]]:
+        """Yield horizon, height, roll and pitch, each of the last three with its sigma."""
+        return zip(
+            self.horizons_s, self.height_m, self.sigma_height_m, self.roll_rad, self.sigma_roll_rad, self.pitch_rad,
+            self.sigma_pitch_rad, strict=True,
+        )  # fmt: skip
+
+
+class Decision(Struct, frozen=True, eq=False):
+    """The result of one guidance cycle."""
+
+    at: MonoNs
+    phase: str
+    command: Command | None
+    """The command to the vehicle; None while guidance leaves the vehicle alone."""
+    belief: RelativeState | None
+    shadows: tuple[RelativeState, ...] = ()
+    """Beliefs of the paths that do not steer."""
+    reason: str = ""
+    """Why the vehicle is not simply descending, as text for the operator."""
+    limit: str = ""
+    """The limits that changed the command, or why they ended the landing; empty while there are none."""
+    transitions: tuple[StateChange, ...] = ()
+    """What changed since the previous decision, in order."""
+    response: ResponseInUse | None = None
+    """The vehicle's response, where this cycle has come to know it otherwise than before."""
+    ahead: DeckOutlook | None = None
+    """The deck's forecast, where this cycle made one."""
+
+
+class Observer(Protocol):
+    """An observer of the service. Its methods are called on the service's own thread, in the order of events."""
+
+    def on_sample(self, sample: Sample) -> None: ...
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        """Take the result of one measurement on one path, after the sample or frame that it belongs to.
+
+        Args:
+            at: the time at which the service processed the measurement.
+        """
+        ...
+
+    def on_frame(self, processed: ProcessedFrame) -> None: ...
+
+    def on_decision(self, decision: Decision) -> None: ...
+
+    def on_order(self, handled: HandledOrder) -> None:
+        """Take an order of a person with its answer."""
+        ...
+
+
+class NullObserver:
+    """An observer that does nothing; the base of observers that need only some of the calls."""
+
+    def on_sample(self, sample: Sample) -> None:
+        return None
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        return None
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        return None
+
+    def on_decision(self, decision: Decision) -> None:
+        return None
+
+    def on_order(self, handled: HandledOrder) -> None:
+        return None
+
+
+def listens(observer: Observer, method: str) -> bool:
+    """Return whether an observer does anything in a method: of hundreds of samples a second most take none."""
+    return getattr(type(observer), method, None) is not getattr(NullObserver, method)

@@ -1,0 +1,111 @@
+"""The orders of people, their senders, and the answer that each order gets."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+from estimator.contracts.time import MonoNs
+
+
+class OperatorOrder(Enum):
+    """An order of a person. `companion.guidance.precedence` says when each is accepted."""
+
+    EMERGENCY = "emergency"
+    """Cut the motors at once."""
+    MANUAL = "manual"
+    """Fly by hand: the sender's sticks command the vehicle."""
+    LAND = "land"
+    """Land where the vehicle is, with its own means."""
+    ABORT = "abort"
+    """End the automatic landing and hover."""
+    HOLD = "hold"
+    """Hover in place until BEGIN."""
+    TAKE_OFF = "takeoff"
+    """Leave the ground and hover; call off a landing that a person ordered."""
+    BEGIN = "begin"
+    """Begin the automatic landing, or resume it."""
+    RELEASE = "release"
+    """Give the hand back; the vehicle hovers."""
+    RESET = "reset"
+    """Leave the emergency state; the motors stay off."""
+    PATH = "path"
+    """Steer by another path of the estimator."""
+    RECORD = "record"
+    """Start or stop recording."""
+
+
+class OrderSource(Enum):
+    """The way on which an order arrives."""
+
+    GAMEPAD = "gamepad"
+    TERMINAL = "terminal"
+    PAGE = "page"
+    """The operator page in a browser."""
+    MAVLINK = "mavlink"
+    MQTT = "mqtt"
+    SIGNAL = "signal"
+    LIMITS = "limits"
+    """The geofence or another limit of `companion.guidance.command_limits`, which may only hold."""
+
+
+@dataclass(frozen=True, slots=True)
+class OrderSender:
+    """One sender of orders; two terminals are two senders."""
+
+    source: OrderSource
+    name: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.source.value} {self.name}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class HandledOrder:
+    """An order and its answer."""
+
+    at: MonoNs
+    sender: OrderSender
+    order: OperatorOrder
+    refusal: str | None
+    """The reason why it was refused; None if it was carried out."""
+    detail: str = ""
+    """What the order names (a path, on or off), or the reason why it was given."""
+
+    @property
+    def accepted(self) -> bool:
+        return self.refusal is None
+
+    def __str__(self) -> str:
+        what = f"{self.order.value} {self.detail}".rstrip()
+        return f"{self.sender}: {what}: " + ("accepted" if self.refusal is None else f"refused, {self.refusal}")
+
+
+@dataclass(frozen=True, slots=True)
+class StickPositions:
+    """Positions of the sticks, -1 to 1.
+
+    Raises:
+        ValueError: a position is not finite or out of range.
+    """
+
+    forward: float = 0.0
+    right: float = 0.0
+    climb: float = 0.0
+    turn: float = 0.0
+    """Clockwise from above positive."""
+
+    def __post_init__(self) -> None:
+        for name in ("forward", "right", "climb", "turn"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and abs(value) <= 1.0):
+                raise ValueError(f"a stick's position lies in -1 to 1, got {name} {value!r}")
+
+    @property
+    def centred(self) -> bool:
+        """Whether every stick is in its centre."""
+        return self.forward == self.right == self.climb == self.turn == 0.0
+
+
+CENTRED = StickPositions()

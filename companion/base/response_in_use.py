@@ -1,0 +1,40 @@
+"""What is known of the vehicle's response while it flies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class ResponseState(Enum):
+    """Whether the vehicle's response is known."""
+
+    ASSUMED = "assumed"
+    """Neither its file nor the flight says how well the delay is known."""
+    KNOWN = "known"
+    """The delay of its file holds, by the file's own word or by the flight's."""
+    IDENTIFIED = "identified"
+    """The flight contradicts the delay of its file and takes its place."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseInUse:
+    """The response that the control law flies by."""
+
+    state: ResponseState
+    delay_s: float
+    """Delay of the tilt that is flown with."""
+    sigma_s: float | None
+    """How well it is known; None if nobody says."""
+    longer_s: float = 0.0
+    """By how much it is longer than its file says."""
+
+    @property
+    def text(self) -> str:
+        """The state for the operator."""
+        ms = f"{1e3 * self.delay_s:.0f} ms (sigma {1e3 * (self.sigma_s or 0.0):.0f})"
+        if self.state is ResponseState.IDENTIFIED:
+            return f"the vehicle answers {1e3 * self.longer_s:.0f} ms longer than its response file says: {ms} is flown with"
+        if self.state is ResponseState.KNOWN:
+            return f"the vehicle's response is known: delay {ms}"
+        return f"the vehicle's response is assumed: delay {1e3 * self.delay_s:.0f} ms, softer gains"

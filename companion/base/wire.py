@@ -1,0 +1,105 @@
+"""The messages of the service's local socket: one JSON object a line, requests in, answers and states out. No I/O."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta, Struct
+
+from companion.base.orders import OperatorOrder, StickPositions
+
+LINE_MAX = 1024
+"""The longest line, bytes."""
+_Stick = Annotated[float, Meta(ge=-1.0, le=1.0)]
+
+
+class OrderRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="order", forbid_unknown_fields=True):
+    """Give an order; it is answered by an `OrderAnswer` with the same number."""
+
+    number: Annotated[int, Meta(ge=0, le=1 << 53)]
+    order: OperatorOrder
+
+
+class SticksRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sticks", forbid_unknown_fields=True):
+    """The present positions of the sticks, -1 to 1; without an answer."""
+
+    forward: _Stick = 0.0
+    right: _Stick = 0.0
+    climb: _Stick = 0.0
+    turn: _Stick = 0.0
+
+    @property
+    def positions(self) -> StickPositions:
+        """The positions as the arbiter takes them."""
+        return StickPositions(self.forward, self.right, self.climb, self.turn)
+
+
+class WatchRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="watch", forbid_unknown_fields=True):
+    """Send the state now and then several times a second."""
+
+
+Request = OrderRequest | SticksRequest | WatchRequest
+
+
+class OrderAnswer(Struct, frozen=True, kw_only=True, tag_field="kind", tag="answer"):
+    """The answer to an order."""
+
+    number: int
+    accepted: bool
+    text: str
+
+
+class FlightState(Struct, frozen=True, kw_only=True, tag_field="kind", tag="state"):
+    """The state of the flight for a person; unknown values are null."""
+
+    situation: str
+    phase: str
+    reason: str
+    hand: str | None
+    """The sender that flies by hand."""
+    yours: bool = False
+    """Whether the receiver of this message has the hand."""
+    flying: bool | None
+    mode: str | None
+    battery_fraction: float | None
+    height_m: float | None
+    """Height above the pad, or above what is below if the pad is not known."""
+    lateral_m: float | None
+    """Horizontal distance from the pad."""
+
+
+class RequestRefused(Struct, frozen=True, kw_only=True, tag_field="kind", tag="refused"):
+    """A line that is no request; the connection is closed after it."""
+
+    text: str
+
+
+Answer = OrderAnswer | FlightState | RequestRefused
+
+_requests = msgspec.json.Decoder(Request)
+_answers = msgspec.json.Decoder(Answer)
+_encode = msgspec.json.Encoder().encode
+
+
+def request_of(line: bytes) -> Request | str:
+    """Return the request in a line, or the reason why it is none. Never raises."""
+    try:
+        found: Request = _requests.decode(line)
+        return found
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as why:
+        return str(why)[:200]
+
+
+def answer_of(line: bytes) -> Answer | None:
+    """Return the answer in a line of the service, or None if it is none."""
+    try:
+        found: Answer = _answers.decode(line)
+        return found
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return None
+
+
+def line_of(message: Request | Answer) -> bytes:
+    """Return the line of a message."""
+    return _encode(message) + b"\n"

@@ -1,1 +1,0 @@
-"""Settings: the model, its checks and pages, and the objects built from it."""

@@ -1,0 +1,367 @@
+"""The arbiter of people's orders: it answers each by the table of precedence, and decides who commands the vehicle. No I/O.
+
+It stands between guidance and the vehicle: guidance's command passes while no person commands. A person who flies by hand, or
+who ordered a landing, replaces it. Losing the sender that has the hand leads to a hold, never to its last command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from companion.base.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.guidance.command_limits import Limit, PlaceMemory, limited, place_step
+from companion.guidance.precedence import CROSSING_S, IDLE_HAND_S, REASONS, TABLE, ControlSituation, Rule, crossed
+from companion.settings.limits import LimitOptions
+from companion.settings.operator import ManualOptions
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.samples import Sample, VehicleStatus
+from estimator.contracts.time import MonoNs, seconds_between
+
+_STATUS_FRESH_S = 3.0
+"""A status older than this is none; an autopilot sends one with each heartbeat, every second."""
+_REPEAT_S = 0.5
+"""The time for which a landing, the cut of the motors and its end are repeated: a command may be lost on its way."""
+_CALL_OFF_S = 0.1
+"""The time for which the end of a landing is repeated; sticks count after it."""
+_LIMIT_GAP_S = 1.0
+_SAMPLES_MOST = 64
+"""Number of samples from which on they are processed though no command needs the place."""
+BY_HAND, LANDING_FOR_PERSON = "flown by hand", "landing for the operator"
+"""The phases in which a person commands."""
+
+
+class Guided(Protocol):
+    """What the arbiter asks of guidance."""
+
+    @property
+    def vehicle(self) -> VehicleStatus | None: ...
+
+    @property
+    def outcome(self) -> Enum | None: ...
+
+    @property
+    def paused(self) -> bool: ...
+
+    @property
+    def may_try_again(self) -> bool: ...
+
+    def begin(self) -> None: ...
+
+    def pause(self) -> None: ...
+
+    def abort(self) -> None: ...
+
+
+class Given(Struct, frozen=True):
+    """An order in force: who gave it, and when."""
+
+    sender: OrderSender
+    at: MonoNs
+
+
+class Control(Struct, frozen=True):
+    """Who commands the vehicle."""
+
+    hand: OrderSender | None = None
+    """The sender that flies by hand."""
+    sticks: StickPositions = CENTRED
+    sticks_at: MonoNs | None = None
+    moved_at: MonoNs | None = None
+    """When a stick was last out of its centre, or the hand was taken."""
+    landing: Given | None = None
+    take_off: Given | None = None
+    """A take-off that is not sent yet."""
+    called_off: Given | None = None
+    """The order that called off a person's landing, while the vehicle is told so."""
+    cut: Given | None = None
+    reset: Given | None = None
+    accepted: tuple[OperatorOrder, Given] | None = None
+    """The newest accepted order among those that have a rank."""
+
+
+class Limited(Struct, frozen=True):
+    """The limits that changed commands lately."""
+
+    at: tuple[tuple[Limit, MonoNs], ...] = ()
+    """When each limit changed a command last."""
+    fenced_since: MonoNs | None = None
+    """Since when the fence has changed commands, with gaps below `_LIMIT_GAP_S`."""
+    ended: str = ""
+    """Why the limits ended the landing, while guidance is held for it."""
+
+    def step(self, hit: tuple[Limit, ...], now: MonoNs) -> Limited:
+        """Return the memory after a cycle in which these limits changed the command."""
+        if not hit and not self.at:
+            return self
+        recent = {limit: at for limit, at in self.at if seconds_between(at, now) <= _LIMIT_GAP_S} | dict.fromkeys(hit, now)
+        since = (self.fenced_since or now) if Limit.FENCE in recent else None
+        return replace(self, at=tuple(recent.items()), fenced_since=since)
+
+    def fenced_s(self, now: MonoNs) -> float:
+        """Return for how long the fence has changed commands, s."""
+        return 0.0 if self.fenced_since is None else seconds_between(self.fenced_since, now)
+
+    def text(self) -> str:
+        """Return the limits in force; a limit counts a little longer, so that it is not reported again and again."""
+        return "limited by " + ", ".join(sorted(limit.value for limit, _ in self.at)) if self.at else ""
+
+
+class Chosen(Struct, frozen=True):
+    """The command of one cycle."""
+
+    command: Command | None
+    phase: str | None = None
+    """The phase if a person commands, else None."""
+    reason: str = ""
+    limit: str = ""
+    """The limits that change the command, or ended the landing."""
+
+
+class OperatorArbiter:
+    """Takes orders and stick positions; see the module's docstring.
+
+    Args:
+        guided: guidance, which is held while a person commands, or when a limit ends its landing.
+        limits: the limits of every command.
+    """
+
+    def __init__(self, guided: Guided, manual: ManualOptions | None = None, limits: LimitOptions | None = None) -> None:
+        self._guided = guided
+        self._o = manual or ManualOptions()
+        self._limits = limits or LimitOptions()
+        self._place = PlaceMemory()
+        self._samples: list[Sample] = []
+        """Samples after `_place`."""
+        self._limited = Limited()
+        self._control = Control()
+        self.on_order: Callable[[HandledOrder], None] = lambda handled: None
+        """Receives every order with its answer."""
+        self.ignored_sticks = 0
+        """Stick positions of senders that do not have the hand."""
+
+    @property
+    def hand(self) -> OrderSender | None:
+        """The sender that flies by hand; None while there is none."""
+        return self._control.hand
+
+    def newest_status(self, now: MonoNs) -> VehicleStatus | None:
+        """Return the vehicle's status, or None if it has not reported one lately."""
+        status = self._guided.vehicle
+        return status if status is not None and seconds_between(status.stamp.received_at, now) <= _STATUS_FRESH_S else None
+
+    def situation(self, now: MonoNs) -> ControlSituation:
+        """Return the situation that decides about an order."""
+        status, control = self.newest_status(now), self._control
+        if status is not None and status.emergency:
+            return ControlSituation.EMERGENCY
+        if control.landing is not None:
+            return ControlSituation.LANDING
+        if control.hand is not None:
+            return ControlSituation.MANUAL
+        if status is None:
+            return ControlSituation.UNHEARD
+        over = self._guided.outcome is not None
+        if status.flying is False:
+            return ControlSituation.DONE if over else ControlSituation.GROUND
+        return ControlSituation.OVER if over else ControlSituation.HELD if self._guided.paused else ControlSituation.GUIDED
+
+    def take(self, order: OperatorOrder, sender: OrderSender, now: MonoNs, detail: str = "") -> HandledOrder:
+        """Answer an order, and carry it out if the table allows."""
+        refusal = self.refusal(order, sender, now)
+        if refusal is None:
+            self._carry_out(order, Given(sender, now))
+        return self.tell(HandledOrder(now, sender, order, refusal, detail))
+
+    def tell(self, handled: HandledOrder) -> HandledOrder:
+        """Report an order that was answered, and return it."""
+        self.on_order(handled)
+        return handled
+
+    def move(self, sender: OrderSender, sticks: StickPositions, now: MonoNs) -> None:
+        """Take the present stick positions of a sender; they count only if it has the hand."""
+        if sender == self._control.hand:
+            moved_at = self._control.moved_at if sticks.centred else now
+            self._control = replace(self._control, sticks=sticks, sticks_at=now, moved_at=moved_at)
+        else:
+            self.ignored_sticks += 1
+
+    def lost(self, sender: OrderSender, now: MonoNs, why: str) -> None:
+        """Hold if this sender had the hand, because it is gone."""
+        if sender == self._control.hand:
+            self._hold(sender, now, why)
+
+    def on_samples(self, samples: Sequence[Sample]) -> None:
+        """Take samples of the vehicle, which the limits need."""
+        self._samples += samples
+        if len(self._samples) > _SAMPLES_MOST:
+            self._move()
+
+    def _move(self) -> None:
+        """Follow the vehicle's place through the samples that wait."""
+        self._place = place_step(self._place, self._samples)
+        self._samples.clear()
+
+    def tick(self, now: MonoNs) -> None:
+        """Follow the time and the vehicle's status; call it before each cycle of guidance."""
+        control, status = self._control, self._guided.vehicle
+        if control.hand is not None:
+            if control.sticks_at is None or seconds_between(control.sticks_at, now) > self._o.silence_s:
+                self._hold(control.hand, now, f"nothing received from it for {self._o.silence_s:g} s")
+            else:
+                self._guided.pause()
+        if control.called_off is not None and seconds_between(control.called_off.at, now) > _CALL_OFF_S:
+            self._control = replace(self._control, called_off=None)
+        if status is None:
+            return
+        if control.landing is not None and _since(control.landing, status) and (status.flying is False or status.emergency):
+            self._control = replace(self._control, landing=None)
+        if control.cut is not None and (status.emergency or seconds_between(control.cut.at, now) > _REPEAT_S):
+            self._control = replace(self._control, cut=None)
+        if control.reset is not None and (not status.emergency or seconds_between(control.reset.at, now) > _REPEAT_S):
+            self._control = replace(self._control, reset=None)
+
+    def choose(self, now: MonoNs, guided: Command | None, belief: RelativeState | None = None) -> Chosen:
+        """Return the command of this cycle within the limits: a person's if one commands, else guidance's.
+
+        Args:
+            belief: the steering estimate of the pad.
+        """
+        chosen, manual = self._choose(now, guided), self._control.hand is not None
+        hit: tuple[Limit, ...] = ()
+        if chosen.command is not None:
+            self._move()
+            command, hit = limited(chosen.command, self._limits, self._place, belief, now, manual=manual)
+            if command is not chosen.command:
+                chosen = replace(chosen, command=command)
+        self._limited = self._limited.step(hit, now)
+        fenced_s = self._limited.fenced_s(now)
+        if not manual and fenced_s >= self._limits.fence_ends_s and not self._guided.paused:
+            why = f"{Limit.FENCE.value} held guidance back for {self._limits.fence_ends_s:g} s"
+            self._guided.pause()
+            self.tell(HandledOrder(now, OrderSender(OrderSource.LIMITS), OperatorOrder.HOLD, None, f"({why})"))
+            self._limited = replace(self._limited, ended=f"landing ended: {why}")
+            chosen = replace(chosen, command=Hover())
+        if not self._guided.paused or manual:
+            self._limited = replace(self._limited, ended="")
+        return replace(chosen, limit=self._limited.ended or self._limited.text())
+
+    def _choose(self, now: MonoNs, guided: Command | None) -> Chosen:
+        control = self._control
+        if control.cut is not None:
+            return Chosen(CutMotors(), reason=f"{control.cut.sender} cut the motors")
+        if control.reset is not None:
+            return Chosen(LeaveEmergency())
+        if control.take_off is not None:
+            self._control = replace(control, take_off=None)
+            return Chosen(TakeOff(), reason=f"take-off for {control.take_off.sender}")
+        if control.called_off is not None:
+            return Chosen(Hover(calls_off=True), reason=f"{control.called_off.sender} called the landing off")
+        if control.landing is not None:
+            repeated = seconds_between(control.landing.at, now) <= _REPEAT_S
+            return Chosen(Land(persistent=True) if repeated else None, LANDING_FOR_PERSON, f"ordered by {control.landing.sender}")
+        if control.hand is not None:
+            status = self._guided.vehicle
+            flies = status is not None and status.flying is not False and not status.emergency
+            return Chosen(self._manual() if flies else None, BY_HAND, str(control.hand))
+        return Chosen(guided)
+
+    def undelivered(self, command: Command, now: MonoNs) -> None:
+        """Send a take-off again in the next cycle, because the vehicle's link did not take it."""
+        accepted = self._control.accepted
+        if isinstance(command, TakeOff) and accepted is not None and accepted[0] is OperatorOrder.TAKE_OFF:
+            order = accepted[1] if seconds_between(accepted[1].at, now) <= _REPEAT_S else None
+            self._control = replace(self._control, take_off=order)
+
+    def _manual(self) -> Command:
+        sticks, o = self._control.sticks, self._o
+        if sticks.centred:
+            return Hover()
+        v = np.array([sticks.forward * o.speed_max_m_s, sticks.right * o.speed_max_m_s, -sticks.climb * o.climb_max_m_s])
+        return Velocity(v, sticks.turn * o.turn_max_rad_s)
+
+    def refusal(self, order: OperatorOrder, sender: OrderSender, now: MonoNs) -> str | None:
+        """Return why an order would be refused at this instant; None if it would be carried out."""
+        situation = self.situation(now)
+        rule = TABLE[order][situation]
+        control, status = self._control, self._guided.vehicle
+        if rule in (Rule.HOLDER, Rule.IDLE) and sender == control.hand:
+            flies = order is OperatorOrder.TAKE_OFF and status is not None and status.flying is not False
+            return REASONS[Rule.FLYING] if flies else None
+        idle = control.moved_at is None or seconds_between(control.moved_at, now) > IDLE_HAND_S
+        again = self._guided.outcome is None or self._guided.may_try_again
+        allowed = rule is Rule.YES or (rule is Rule.TRY_AGAIN and again) or (rule is Rule.IDLE and idle)
+        if not allowed:
+            outcome = self._guided.outcome
+            holder = control.landing.sender if situation is ControlSituation.LANDING and control.landing else control.hand
+            return REASONS[rule].format(holder=holder, outcome=None if outcome is None else outcome.value)
+        charge, least = (None if status is None else status.battery_fraction), self._limits.take_off_charge_min
+        if order is OperatorOrder.TAKE_OFF and control.landing is None and charge is not None and charge < least:
+            return f"the battery is at {100 * charge:.0f} %, and a take-off needs {100 * least:.0f} %"
+        if control.accepted is None:
+            return None
+        earlier, given = control.accepted
+        ago_s = seconds_between(given.at, now)
+        if sender != given.sender and ago_s <= CROSSING_S and crossed(order, earlier):
+            return f"{given.sender} ordered {earlier.value} {ago_s:.1f} s ago"
+        return None
+
+    def _carry_out(self, order: OperatorOrder, given: Given) -> None:
+        control, guided = self._control, self._guided
+        if order in (OperatorOrder.PATH, OperatorOrder.RECORD):
+            return
+        self._control = control = replace(control, accepted=(order, given))
+        match order:
+            case OperatorOrder.EMERGENCY:
+                self._control = replace(control, cut=given, hand=None, landing=None, take_off=None, called_off=None)
+                guided.abort()
+            case OperatorOrder.MANUAL:
+                ended = given if control.landing is not None else None
+                self._control = replace(
+                    control,
+                    hand=given.sender,
+                    sticks=CENTRED,
+                    sticks_at=given.at,
+                    moved_at=given.at,
+                    landing=None,
+                    called_off=ended,
+                )
+                guided.pause()
+            case OperatorOrder.LAND:
+                self._control = replace(control, landing=given, hand=None, take_off=None)
+                if guided.vehicle is None or guided.vehicle.flying is not False:
+                    guided.pause()
+            case OperatorOrder.ABORT:
+                self._control = replace(control, hand=None)
+                guided.abort()
+            case OperatorOrder.HOLD:
+                self._control = replace(control, hand=None)
+                guided.pause()
+            case OperatorOrder.TAKE_OFF:
+                # During a landing it may only end that: the motors of a vehicle that has just touched down would start.
+                begins, ends = (given, None) if control.landing is None else (None, given)
+                self._control = replace(control, take_off=begins, called_off=ends, landing=None)
+            case OperatorOrder.BEGIN:
+                self._control = replace(control, hand=None)
+                guided.begin()
+            case OperatorOrder.RELEASE:
+                self._control = replace(control, hand=None)
+            case OperatorOrder.RESET:
+                self._control = replace(control, reset=given)
+
+    def _hold(self, sender: OrderSender, now: MonoNs, why: str) -> None:
+        """Take the hand from a sender that is gone, and hover."""
+        self._control = replace(self._control, hand=None, sticks=CENTRED)
+        self._guided.pause()
+        self.tell(HandledOrder(now, sender, OperatorOrder.HOLD, None, f"({why})"))
+
+
+def _since(given: Given, status: VehicleStatus) -> bool:
+    """Return whether the status is newer than the order."""
+    return status.stamp.received_at > given.at

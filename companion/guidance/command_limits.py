@@ -1,0 +1,205 @@
+"""The limits of every command to the vehicle: geofence, heights and battery. Pure functions; none makes the vehicle descend."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from companion.guidance.fence import Corners, within
+from companion.settings.limits import LimitOptions
+from estimator.contracts.commands import Command, Lean, Velocity
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, Sample, VehicleStatus
+from estimator.contracts.time import MonoNs, seconds_between
+
+_GAP_S = 0.5
+"""The longest gap between two velocities that the position is integrated over."""
+_RANGE_S = 0.5
+_SIGMA_MAX_M = 5.0
+"""The standard deviation of the pad's position above which the fence of a ship does not know where it is."""
+_CLIMB_S = 1.0
+"""The rate of climb is at most the height that is left over this time."""
+
+
+class Limit(Enum):
+    """A limit that changed a command."""
+
+    FENCE = "the geofence"
+    HEIGHT_MAX = "the greatest height"
+    HEIGHT_MIN = "the least height of manual flight"
+    RETURN = "a low battery: no farther away"
+
+
+class PlaceMemory(Struct, frozen=True, eq=False):
+    """Where the vehicle is from its start, by its own velocity, and how high."""
+
+    p_start_ned: tuple[float, float] = (0.0, 0.0)
+    """m north and east of the place where it was first seen to fly."""
+    velocity: BodyVelocity | None = None
+    attitude: Attitude | None = None
+    flying: bool = False
+    baro_m: float | None = None
+    ground_baro_m: float | None = None
+    """The barometer's height on the ground, or where the vehicle was first seen to fly."""
+    range: Range | None = None
+    charge: float | None = None
+    """The battery's charge, 0 to 1."""
+
+
+def place_step(memory: PlaceMemory, samples: Sequence[Sample]) -> PlaceMemory:
+    """Process samples of the vehicle, in the order in which they were received."""
+    p_start_ned, velocity, attitude, flying = memory.p_start_ned, memory.velocity, memory.attitude, memory.flying
+    baro_m, ground_baro_m, newest_range, charge = memory.baro_m, memory.ground_baro_m, memory.range, memory.charge
+    for sample in samples:
+        # By the type itself: hundreds of samples a second, and a match asks one class after the other.
+        if type(sample) is Attitude:
+            attitude = sample
+        elif type(sample) is BodyVelocity:
+            if velocity is not None and attitude is not None and flying:
+                dt_s = seconds_between(velocity.stamp.measured_at, sample.stamp.measured_at)
+                if 0.0 < dt_s <= _GAP_S:
+                    v_north, v_east = _turned_numbers(sample.v_level, attitude.R_ned_body.rpy_rad[2])
+                    p_start_ned = p_start_ned[0] + v_north * dt_s, p_start_ned[1] + v_east * dt_s
+            velocity = sample
+        elif type(sample) is Baro:
+            baro_m = sample.height_m
+            ground_baro_m = baro_m if ground_baro_m is None else ground_baro_m
+        elif type(sample) is Range:
+            newest_range = sample
+        elif type(sample) is VehicleStatus:
+            flying, charge = sample.flying is True, sample.battery_fraction
+            if not flying:
+                p_start_ned, ground_baro_m = (0.0, 0.0), baro_m
+    return PlaceMemory(p_start_ned, velocity, attitude, flying, baro_m, ground_baro_m, newest_range, charge)
+
+
+def limited(
+    command: Command, options: LimitOptions, place: PlaceMemory, belief: RelativeState | None, now: MonoNs, *, manual: bool
+) -> tuple[Command, tuple[Limit, ...]]:
+    """Return the command within the limits, and the limits that changed it.
+
+    Only velocities and leans are changed. A lean that would cross the fence becomes a velocity.
+
+    Args:
+        belief: the steering estimate of the pad, None while there is none.
+        manual: a person flies by hand; the least height and the battery's rule hold for manual flight alone.
+    """
+    if not isinstance(command, Velocity | Lean):
+        return command, ()
+    if options.fence == "off" and not manual:
+        v_down = command.v_level.tolist()[2]
+        if not _vertical(v_down, options, place, belief, now, manual=False)[1]:
+            return command, ()
+    v, hit = np.array(command.v_level), list[Limit]()
+    for limit, frame, radius_m, corners in _fences(options, place, belief, manual=manual):
+        kept = frame.centre_v_level + _turned(
+            within(frame.into(v[:2]), frame.p, radius_m, corners, options.fence_brake_s), -frame.yaw_rad
+        )
+        change = _braking(v[:2], kept - v[:2])
+        if float(np.hypot(*change)) > 1e-9:
+            v[:2] += change
+            hit.append(limit)
+    across = bool(hit)
+    down, vertical = _vertical(float(v[2]), options, place, belief, now, manual=manual)
+    v[2] = down
+    hit += vertical
+    if not hit:
+        return command, ()
+    if isinstance(command, Lean) and not across:
+        return replace(command, v_level=v), tuple(hit)
+    return Velocity(v, command.yaw_rate_rad_s), tuple(hit)
+
+
+def _braking(v: F64, change: F64) -> F64:
+    """Return as much of a change as only takes speed away: a fence that sails away does not make the vehicle follow it."""
+    size_2 = float(change @ change)
+    return change * min(1.0, max(0.0, -float(v @ change) / size_2)) if size_2 > 0.0 else change
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frame:
+    """Where the vehicle is from a fence's centre."""
+
+    p: F64
+    """(2,) m in the fence's axes."""
+    yaw_rad: float
+    """Heading of the body in the fence's axes."""
+    centre_v_level: F64
+    """(2,) m/s, velocity of the centre over the ground, in `level`."""
+
+    def into(self, v_level: F64) -> F64:
+        """Return a velocity over the ground as one relative to the centre, in the fence's axes."""
+        return _turned(v_level - self.centre_v_level, self.yaw_rad)
+
+
+def _fences(
+    options: LimitOptions, place: PlaceMemory, belief: RelativeState | None, *, manual: bool
+) -> list[tuple[Limit, _Frame, float, Corners]]:
+    """Return the fences whose centre is known."""
+    corners, found = options.corners(), list[tuple[Limit, _Frame, float, Corners]]()
+    if options.fence != "off":
+        frame = _start(place) if options.fence == "start" else _pad(place, belief, axes=bool(corners))
+        if frame is not None:
+            found.append((Limit.FENCE, frame, options.fence_radius_m, corners))
+    if manual and place.charge is not None and place.charge < options.return_charge:
+        frame = _pad(place, belief, axes=False) or _start(place)
+        if frame is not None:
+            found.append((Limit.RETURN, frame, 0.0, ()))
+    return found
+
+
+def _start(place: PlaceMemory) -> _Frame | None:
+    if place.attitude is None or place.velocity is None:
+        return None
+    return _Frame(np.array(place.p_start_ned), place.attitude.R_ned_body.rpy_rad[2], np.zeros(2))
+
+
+def _pad(place: PlaceMemory, belief: RelativeState | None, *, axes: bool) -> _Frame | None:
+    """Return the frame around the pad; with `axes` only if the heading against the arrow is known."""
+    if belief is None or math.sqrt(max(float(belief.cov[0, 0]), float(belief.cov[1, 1]))) > _SIGMA_MAX_M:
+        return None
+    if axes and belief.yaw_rad is None:
+        return None
+    yaw_rad = belief.yaw_rad or 0.0
+    body_v = np.zeros(2) if place.velocity is None else place.velocity.v_level[:2]
+    return _Frame(_turned(-belief.d_body_pad_level[:2], yaw_rad), yaw_rad, belief.v_pad_level[:2] + body_v)
+
+
+def _vertical(
+    down: float, options: LimitOptions, place: PlaceMemory, belief: RelativeState | None, now: MonoNs, *, manual: bool
+) -> tuple[float, list[Limit]]:
+    """Return the vertical velocity within the limits, m/s down: each limit only moves it towards zero."""
+    range_m = None
+    if place.range is not None and seconds_between(place.range.stamp.measured_at, now) <= _RANGE_S:
+        range_m = place.range.range_m
+    above_pad_m = None if belief is None else belief.height_m
+    if place.baro_m is not None and place.ground_baro_m is not None:
+        above_start_m: float | None = place.baro_m - place.ground_baro_m
+    else:
+        above_start_m = range_m if range_m is not None else above_pad_m
+    if down < 0.0 and above_start_m is not None:
+        climb = min(-down, max(0.0, (options.height_max_m - above_start_m) / _CLIMB_S))
+        return -climb, [Limit.HEIGHT_MAX] if climb < -down else []
+    above_m = range_m if range_m is not None else above_pad_m
+    if manual and down > 0.0 and above_m is not None:
+        descent = min(down, max(0.0, (above_m - options.manual_height_min_m) / _CLIMB_S))
+        return descent, [Limit.HEIGHT_MIN] if descent < down else []
+    return down, []
+
+
+def _turned(v: F64, angle_rad: float) -> F64:
+    """Return a vector of a body's axes in axes against which the body has this heading."""
+    return np.array(_turned_numbers(v, angle_rad))
+
+
+def _turned_numbers(v: F64, angle_rad: float) -> tuple[float, float]:
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    x, y = v.tolist()[:2]
+    return c * x - s * y, s * x + c * y

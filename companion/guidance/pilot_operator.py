@@ -1,0 +1,60 @@
+"""The operations of one sender on the pilot: each goes through the arbiter, and returns why it is refused or None."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from companion.base.orders import HandledOrder, OperatorOrder, OrderSender
+from companion.guidance.arbiter import OperatorArbiter
+from companion.guidance.pilot import Pilot
+from estimator.contracts.estimates import PathName
+from estimator.contracts.ports import Clock
+
+
+class PilotOperator:
+    """Carries out operations; each returns None if it was carried out, else the reason why it cannot be.
+
+    Args:
+        recording: switches the recorder; None if there is no recorder.
+    """
+
+    def __init__(
+        self, pilot: Pilot, sender: OrderSender, clock: Clock, recording: Callable[[bool], str | None] | None = None
+    ) -> None:
+        self._pilot = pilot
+        self._sender = sender
+        self._clock = clock
+        self._recording = recording
+
+    @property
+    def arbiter(self) -> OperatorArbiter:
+        """The arbiter that answers the orders."""
+        return self._pilot.operator
+
+    def order(self, order: OperatorOrder) -> str | None:
+        """Give an order to the arbiter."""
+        return self.arbiter.take(order, self._sender, self._clock.now()).refusal
+
+    def start(self) -> str | None:
+        """Begin the approach, or resume it."""
+        return self.order(OperatorOrder.BEGIN)
+
+    def pause(self) -> str | None:
+        """Hover until `start`."""
+        return self.order(OperatorOrder.HOLD)
+
+    def abort(self) -> str | None:
+        """Hover and end the landing."""
+        return self.order(OperatorOrder.ABORT)
+
+    def steer_by(self, path: PathName) -> str | None:
+        """Steer by another path of the estimator."""
+        return self._tell(OperatorOrder.PATH, self._pilot.steer_by(path), path)
+
+    def record(self, on: bool) -> str | None:
+        """Start or stop recording."""
+        refusal = "there is no recorder in this service" if self._recording is None else self._recording(on)
+        return self._tell(OperatorOrder.RECORD, refusal, "on" if on else "off")
+
+    def _tell(self, order: OperatorOrder, refusal: str | None, detail: str) -> str | None:
+        return self.arbiter.tell(HandledOrder(self._clock.now(), self._sender, order, refusal, detail)).refusal

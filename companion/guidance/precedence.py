@@ -1,0 +1,137 @@
+"""The precedence of people's orders as a table: which order is accepted in which situation, and from whom.
+
+`python -m companion.guidance.precedence` prints the table of docs/operator.md.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from enum import Enum
+from types import MappingProxyType
+
+from companion.base.orders import OperatorOrder
+
+CROSSING_S = 0.5
+"""An order that ranks lower and arrives within this time after another sender's was given without knowledge of it, s."""
+
+IDLE_HAND_S = 3.0
+"""The time with centred sticks after which another person may take the hand: its holder may be gone, s."""
+
+RANKED = (
+    OperatorOrder.EMERGENCY,
+    OperatorOrder.MANUAL,
+    OperatorOrder.LAND,
+    OperatorOrder.ABORT,
+    OperatorOrder.HOLD,
+    OperatorOrder.TAKE_OFF,
+    OperatorOrder.BEGIN,
+)
+"""The orders that command the vehicle; the first wins over all that follow."""
+
+
+class ControlSituation(Enum):
+    """The state of the vehicle and of its control, as far as orders depend on it."""
+
+    UNHEARD = "not heard"
+    """The vehicle has not reported its status lately."""
+    GROUND = "on ground"
+    DONE = "landed"
+    """The vehicle is on the ground, and the flight before has ended."""
+    GUIDED = "guided"
+    """Guidance commands the vehicle, or waits for the start."""
+    HELD = "held"
+    """A person has paused guidance."""
+    OVER = "over"
+    """Guidance has ended the flight or a person has aborted it; the vehicle hovers."""
+    MANUAL = "by hand"
+    """A person flies by hand, or has the hand already on the ground."""
+    LANDING = "landing"
+    """A landing that a person ordered."""
+    EMERGENCY = "emergency"
+    """The motors were cut."""
+
+
+class Rule(Enum):
+    """The answer to an order in one situation."""
+
+    YES = "yes"
+    HOLDER = "holder"
+    """Accepted from the sender that has the hand, refused from all others."""
+    IDLE = "holder, or idle"
+    """The same, and from everybody while the holder's sticks have been centred for `IDLE_HAND_S`."""
+    TRY_AGAIN = "unless ended"
+    """Accepted while the flight goes on, and after guidance gave up, so that it may try again; refused after an abort."""
+    OVER = "no: over"
+    FLYING = "no: flies"
+    ON_GROUND = "no: ground"
+    LANDING = "no: landing"
+    NO_HAND = "no: no hand"
+    NO_EMERGENCY = "no: none"
+    EMERGENCY = "no: motors off"
+    UNHEARD = "no: not heard"
+
+
+REASONS: Mapping[Rule, str] = MappingProxyType(
+    {
+        Rule.HOLDER: "{holder} has the hand",
+        Rule.IDLE: "{holder} has the hand and moves it",
+        Rule.TRY_AGAIN: "the flight is over: {outcome}",
+        Rule.OVER: "the flight is over: {outcome}",
+        Rule.FLYING: "the vehicle flies already",
+        Rule.ON_GROUND: "the vehicle is on the ground",
+        Rule.LANDING: "a landing that {holder} ordered is under way; takeoff or manual calls it off",
+        Rule.NO_HAND: "nobody flies by hand",
+        Rule.NO_EMERGENCY: "the vehicle is not in its emergency state",
+        Rule.EMERGENCY: "the motors were cut; reset leaves the emergency state",
+        Rule.UNHEARD: "the vehicle is not heard",
+    }
+)
+"""The text of each refusal."""
+
+
+def _row(
+    unheard: Rule, ground: Rule, done: Rule, guided: Rule, held: Rule, over: Rule, manual: Rule, landing: Rule, emergency: Rule
+) -> Mapping[ControlSituation, Rule]:
+    cells = (unheard, ground, done, guided, held, over, manual, landing, emergency)
+    return MappingProxyType(dict(zip(ControlSituation, cells, strict=True)))
+
+
+_Y, _H, _T, _O = Rule.YES, Rule.HOLDER, Rule.TRY_AGAIN, Rule.OVER
+_F, _G, _L, _N, _X, _E, _U = (
+    Rule.FLYING, Rule.ON_GROUND, Rule.LANDING, Rule.NO_HAND, Rule.NO_EMERGENCY, Rule.EMERGENCY, Rule.UNHEARD,
+)  # fmt: skip
+
+TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyType(
+    {
+        #                     unheard ground done guided held over manual landing emergency
+        OperatorOrder.EMERGENCY: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _E),
+        OperatorOrder.MANUAL: _row(_U, _Y, _Y, _Y, _Y, _Y, Rule.IDLE, _Y, _E),
+        OperatorOrder.LAND: _row(_Y, _Y, _Y, _Y, _Y, _Y, _H, _Y, _E),
+        OperatorOrder.ABORT: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _L, _O),
+        OperatorOrder.HOLD: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _L, _O),
+        OperatorOrder.TAKE_OFF: _row(_U, _Y, _Y, _F, _F, _F, _H, _Y, _E),
+        OperatorOrder.BEGIN: _row(_T, _Y, _O, _Y, _Y, _T, _H, _L, _O),
+        OperatorOrder.RELEASE: _row(_N, _N, _N, _N, _N, _N, _H, _N, _N),
+        OperatorOrder.RESET: _row(_X, _X, _X, _X, _X, _X, _X, _X, _Y),
+        OperatorOrder.PATH: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
+        OperatorOrder.RECORD: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
+    }
+)
+"""The rule for each order in each situation."""
+
+
+def crossed(order: OperatorOrder, earlier: OperatorOrder) -> bool:
+    """Return whether `order` yields to another sender's order that was accepted within the last `CROSSING_S` seconds."""
+    return order in RANKED and earlier in RANKED and RANKED.index(earlier) < RANKED.index(order)
+
+
+def markdown() -> str:
+    """Return the table as docs/operator.md shows it."""
+    lines = ["| order | " + " | ".join(s.value for s in ControlSituation) + " |", "|---|" + "---|" * len(ControlSituation)]
+    lines += [f"| `{order.value}` | " + " | ".join(row[s].value for s in ControlSituation) + " |" for order, row in TABLE.items()]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(markdown())

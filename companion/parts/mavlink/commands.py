@@ -1,0 +1,217 @@
+"""Serve COMMAND_LONG and COMMAND_INT: answer each, carry out a repeat only once, report progress of a long one. No I/O.
+
+| command | meaning |
+|---|---|
+| NAV_LAND (21) | start the landing; IN_PROGRESS with percent until it ends |
+| DO_PAUSE_CONTINUE (193) | param1 0: hover where it is; 1: go on |
+| DO_GO_AROUND (191) | call the landing off and hover |
+| USER_1 (31010) | param1: estimator path, 0 median_mean, 1 dead_reckoning, 2 ekf |
+| LOGGING_START (2510), LOGGING_STOP (2511) | start or stop a recording |
+| REQUEST_MESSAGE (512), SET_MESSAGE_INTERVAL (511), GET_MESSAGE_INTERVAL (510) | of our own messages |
+
+Source: mavlink.io, "Command Protocol".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from companion.parts.mavlink.operator import PATHS, Operator
+from drivers.mavlink.dialect import Message, mav
+from estimator.contracts.time import MonoNs, seconds_between
+
+ACCEPTED, DENIED, UNSUPPORTED = int(mav.MAV_RESULT_ACCEPTED), int(mav.MAV_RESULT_DENIED), int(mav.MAV_RESULT_UNSUPPORTED)
+FAILED, IN_PROGRESS = int(mav.MAV_RESULT_FAILED), int(mav.MAV_RESULT_IN_PROGRESS)
+CANCELLED = 6
+"""MAV_RESULT_CANCELLED, which the shipped dialect lacks."""
+_REFUSED = int(mav.MAV_RESULT_TEMPORARILY_REJECTED)
+_PROGRESS_UNKNOWN = 255
+_REPEAT_S = 5.0
+_AT_ONCE_S = 1.0
+_ABOUT_MESSAGES = frozenset(
+    {int(mav.MAV_CMD_REQUEST_MESSAGE), int(mav.MAV_CMD_SET_MESSAGE_INTERVAL), int(mav.MAV_CMD_GET_MESSAGE_INTERVAL)}
+)
+_REPORT_S = 1.0
+_INTERVAL_MIN_S, _INTERVAL_MAX_S = 0.01, 2000.0
+"""Shortest and longest interval of a message that is sent periodically; MESSAGE_INTERVAL cannot carry a longer one."""
+
+Params = tuple[float, float, float, float, float, float, float]
+
+
+class Offered:
+    """The messages that a peer can request, and the interval at which each is sent.
+
+    Args:
+        makers: by message number; a maker returns None while it has nothing to say.
+        intervals_s: of those that are sent by themselves; 0 for not at all.
+    """
+
+    def __init__(self, makers: dict[int, Callable[[MonoNs], Message | None]], intervals_s: dict[int, float]) -> None:
+        self._makers = makers
+        self._defaults = dict(intervals_s)
+        self._intervals_s = dict(intervals_s)
+        self._next: dict[int, MonoNs] = {}
+
+    def make(self, number: int, now: MonoNs) -> Message | None:
+        """Return the message, or None if the number is unknown or there is nothing to send."""
+        maker = self._makers.get(number)
+        return None if maker is None else maker(now)
+
+    def offers(self, number: int) -> bool:
+        return number in self._makers
+
+    def interval_us(self, number: int) -> int:
+        """Return the interval as MESSAGE_INTERVAL encodes it, microseconds: 0 is not available, -1 is not sent periodically."""
+        if number not in self._makers:
+            return 0
+        interval_s = self._intervals_s.get(number, 0.0)
+        return round(interval_s * 1e6) if interval_s > 0 else -1
+
+    def set_interval(self, number: int, interval_us: float) -> bool:
+        """Set a message's interval: -1 stops it, 0 sets the default. Return False if that is impossible or exceeds 2000 s."""
+        if number not in self._makers or not (interval_us == -1 or 0 <= interval_us <= _INTERVAL_MAX_S * 1e6):
+            return False
+        default = self._defaults.get(number, 0.0)
+        wanted_s = max(_INTERVAL_MIN_S, interval_us * 1e-6) if interval_us else default
+        self._intervals_s[number] = 0.0 if interval_us == -1 else wanted_s
+        self._next.pop(number, None)
+        return True
+
+    def due(self, now: MonoNs) -> list[Message]:
+        """Return the messages that are due."""
+        out = []
+        for number, interval_s in self._intervals_s.items():
+            if interval_s > 0 and now >= self._next.get(number, now):
+                self._next[number] = MonoNs(now + round(interval_s * 1e9))
+                message = self.make(number, now)
+                if message is not None:
+                    out.append(message)
+        return out
+
+
+@dataclass(slots=True)
+class _Done:
+    params: Params
+    result: int
+    at: MonoNs
+
+
+@dataclass(slots=True)
+class _Running:
+    command: int
+    sender: tuple[int, int]
+    reported: MonoNs
+
+
+class CommandServer:
+    """Carries out commands through an `Operator` and answers them."""
+
+    def __init__(self, operator: Operator, offered: Offered) -> None:
+        self._operator = operator
+        self._offered = offered
+        self._done: dict[tuple[tuple[int, int], int], _Done] = {}
+        self._last: dict[tuple[int, int], int] = {}
+        """The newest command of each sender."""
+        self._running: _Running | None = None
+        self.refusal: str | None = None
+        """The reason why the newest command was refused; None if it was carried out."""
+
+    def on_message(self, message: Message, sender: tuple[int, int], us: tuple[int, int], now: MonoNs) -> list[Message]:
+        """Return the answer, followed by the messages that the command requested."""
+        kind = message.get_type()
+        if kind not in ("COMMAND_LONG", "COMMAND_INT") or (message.target_system, message.target_component) != us:
+            return []
+        last = (message.param5, message.param6, message.param7) if kind == "COMMAND_LONG" else (message.x, message.y, message.z)
+        params: Params = (message.param1, message.param2, message.param3, message.param4, *last)
+        known = self._done.get((sender, message.command))
+        if known is not None and known.params == params and self._repeats(message, known, sender, now):
+            return [self._ack(message.command, known.result, sender)]
+        self._last[sender] = message.command
+        result, extra = self._do(message.command, params, sender, now)
+        self._done[(sender, message.command)] = _Done(params, result, now)
+        if len(self._done) > 64:
+            oldest = min(self._done, key=lambda k: self._done[k].at)
+            del self._done[oldest]
+            self._last.pop(oldest[0], None)
+        return [self._ack(message.command, result, sender), *extra]
+
+    def _repeats(self, message: Message, known: _Done, sender: tuple[int, int], now: MonoNs) -> bool:
+        """Return whether the command is a repeat: it counts a confirmation, or it is its sender's last command, sent again."""
+        if message.command in _ABOUT_MESSAGES:
+            return False
+        age_s = seconds_between(known.at, now)
+        counted = message.get_type() == "COMMAND_LONG" and message.confirmation > 0 and age_s < _REPEAT_S
+        at_once = self._last.get(sender) == message.command and age_s < _AT_ONCE_S and known.result in (ACCEPTED, IN_PROGRESS)
+        return counted or at_once
+
+    def due(self, now: MonoNs) -> list[Message]:
+        """Return the progress of the long command, or its final result once it ended."""
+        running = self._running
+        if running is None:
+            return []
+        progress = self._operator.progress()
+        if progress.landed is None and not progress.called_off:
+            if seconds_between(running.reported, now) < _REPORT_S:
+                return []
+            running.reported = now
+            return [self._ack(running.command, IN_PROGRESS, running.sender)]
+        self._running = None
+        result = ACCEPTED if progress.landed else CANCELLED if progress.called_off else FAILED
+        if (done := self._done.get((running.sender, running.command))) is not None:
+            done.result = result
+        return [self._ack(running.command, result, running.sender)]
+
+    def _ack(self, command: int, result: int, sender: tuple[int, int]) -> Message:
+        percent = self._operator.progress().percent if result == IN_PROGRESS else None
+        progress = 0 if result != IN_PROGRESS else _PROGRESS_UNKNOWN if percent is None else min(max(percent, 0), 100)
+        return mav.MAVLink_command_ack_message(command, result, progress, 0, *sender)
+
+    def _do(self, command: int, params: Params, sender: tuple[int, int], now: MonoNs) -> tuple[int, list[Message]]:
+        self.refusal = None
+        first = params[0]
+        if command == mav.MAV_CMD_NAV_LAND:
+            result = self._handler(self._operator.begin())
+            if result == ACCEPTED:
+                self._running = _Running(command, sender, now)
+                result = IN_PROGRESS
+            return result, []
+        if command == mav.MAV_CMD_DO_PAUSE_CONTINUE:
+            if first not in (0.0, 1.0):
+                return self._denied(f"pause or continue, not {first:g}"), []
+            return self._handler(self._operator.begin() if first else self._operator.pause()), []
+        if command == mav.MAV_CMD_DO_GO_AROUND:
+            return self._handler(self._operator.abort()), []
+        if command == mav.MAV_CMD_USER_1:
+            if not math.isfinite(first) or first not in range(len(PATHS)):
+                return self._denied(f"no estimator path {first:g}"), []
+            return self._handler(self._operator.choose_path(PATHS[int(first)])), []
+        if command in (mav.MAV_CMD_LOGGING_START, mav.MAV_CMD_LOGGING_STOP):
+            return self._handler(self._operator.record(command == mav.MAV_CMD_LOGGING_START)), []
+        return self._about_messages(command, params, now)
+
+    def _about_messages(self, command: int, params: Params, now: MonoNs) -> tuple[int, list[Message]]:
+        number = int(params[0]) if math.isfinite(params[0]) else -1
+        if command == mav.MAV_CMD_REQUEST_MESSAGE:
+            if not self._offered.offers(number):
+                return UNSUPPORTED, []
+            message = self._offered.make(number, now)
+            return (FAILED, []) if message is None else (ACCEPTED, [message])
+        if command == mav.MAV_CMD_SET_MESSAGE_INTERVAL:
+            if not self._offered.offers(number):
+                return UNSUPPORTED, []
+            return (ACCEPTED if self._offered.set_interval(number, params[1]) else DENIED), []
+        if command == mav.MAV_CMD_GET_MESSAGE_INTERVAL:
+            if not 0 <= number <= 65535:
+                return DENIED, []
+            return ACCEPTED, [mav.MAVLink_message_interval_message(number, self._offered.interval_us(number))]
+        return UNSUPPORTED, []
+
+    def _handler(self, refusal: str | None) -> int:
+        self.refusal = refusal
+        return ACCEPTED if refusal is None else _REFUSED
+
+    def _denied(self, why: str) -> int:
+        self.refusal = why
+        return DENIED

@@ -1,0 +1,384 @@
+"""The service as a MAVLink component: identity, heartbeat, parameters, commands, status texts and messages about the pad.
+
+    component = Component(options, operator, store, healthy=..., clock=clock)
+    async with open_autopilot(...) as autopilot, speaking(component, autopilot, clock): ...
+
+The component is an observer of the service. The heartbeat stops when a vital part is down or guidance has stalled, so that
+nobody takes a dead pipeline for a live one. Any other part that is down (recorder, broker, metrics) is reported in a status
+text and changes nothing else.
+
+The component lives inside the vehicle's context and is not vital itself: a fault in one message costs that message alone.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from importlib import metadata
+
+from companion.base.health import Health
+from companion.base.mission import State
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.base.response_in_use import ResponseState
+from companion.parts.mavlink.commands import CommandServer, Offered
+from companion.parts.mavlink.computer import ComputerReader, computer_status
+from companion.parts.mavlink.operator import Operator
+from companion.parts.mavlink.outputs import Outputs
+from companion.parts.mavlink.parameters import ParameterServer, Store
+from companion.parts.mavlink.refusals import Refusals
+from companion.parts.mavlink.status_texts import MavSeverity, StatusTexts
+from companion.parts.mavlink.target_track import TargetTrack
+from companion.settings.mavlink import OutputOptions
+from drivers.beside import running_beside
+from drivers.mavlink.access import AccessLevel
+from drivers.mavlink.autopilot import Autopilot
+from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
+from drivers.mavlink.links import Links, ReceivedMessage
+from drivers.mavlink.samples import LocalPosition
+from drivers.mavlink.vehicle import Condition, Stack
+from estimator.contracts.estimates import RelativeState, Verdict
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Attitude, Sample
+from estimator.contracts.time import MonoNs, seconds_between
+
+log = logging.getLogger(__name__)
+
+TYPE_ONBOARD, NO_AUTOPILOT = int(mav.MAV_TYPE_ONBOARD_CONTROLLER), int(mav.MAV_AUTOPILOT_INVALID)
+_CAPABILITIES = int(mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2)
+_REPEAT_S = 60.0
+"""The shortest time between two texts about the same part, which may fail and recover many times a minute, s."""
+_SEVERITIES = {
+    state.value: severity
+    for state, severity in {
+        State.LANDED: MavSeverity.NOTICE,
+        State.LANDED_BY_OTHERS: MavSeverity.NOTICE,
+        State.PAUSED: MavSeverity.NOTICE,
+        State.HOLD_BLIND: MavSeverity.WARNING,
+        State.GO_AROUND: MavSeverity.WARNING,
+        State.ABORTED: MavSeverity.WARNING,
+        State.ANOTHER_PAD: MavSeverity.ERROR,
+        State.REFUSED: MavSeverity.CRITICAL,
+        State.GAVE_UP: MavSeverity.CRITICAL,
+        State.EMERGENCY: MavSeverity.CRITICAL,
+    }.items()
+}
+"""The severities of those phases that are more than information."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentOptions:
+    """The messages that the component sends, and their periods.
+
+    Raises:
+        ValueError: a number out of range.
+    """
+
+    pad_radius_m: float
+    stale_s: float
+    """The time without a sighting after which the pad is no longer sent."""
+    outputs: OutputOptions = field(default_factory=OutputOptions)
+    tick_s: float = 0.01
+    heartbeat_s: float = 1.0
+    state_s: float = 0.2
+    """The period of NAMED_VALUE_FLOAT; 0 sends none."""
+    computer_s: float = 1.0
+    guidance_silence_s: float = 1.0
+    """The time without a decision after which guidance counts as stalled."""
+    parameters: tuple[str, ...] = field(
+        default=("PLND_LAG", "PLND_ENABLED", "PLND_TYPE", "RNGFND1_TYPE", "RNGFND2_TYPE", "RNGFND3_TYPE", "RNGFND4_TYPE")
+    )
+    """The parameters that are requested from the autopilot (see `open_autopilot`)."""
+
+    def __post_init__(self) -> None:
+        for name in ("pad_radius_m", "stale_s", "tick_s", "heartbeat_s", "guidance_silence_s"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """The view of the autopilot that `Outputs` reads."""
+
+    autopilot: Autopilot
+
+    @property
+    def stack(self) -> Stack:
+        identity = self.autopilot.identity
+        return Stack.OTHER if identity is None else identity.stack
+
+    @property
+    def condition(self) -> Condition:
+        return self.autopilot.condition
+
+    @property
+    def positions(self) -> tuple[LocalPosition, ...]:
+        return self.autopilot.positions
+
+    @property
+    def round_trip_s(self) -> float | None:
+        return None if self.autopilot.sync is None else self.autopilot.sync.round_trip_s
+
+    @property
+    def parameter_values(self) -> Mapping[str, float]:
+        return {} if self.autopilot.parameters is None else self.autopilot.parameters.values
+
+
+class Component(NullObserver):
+    """The component; see the module's docstring.
+
+    Args:
+        healthy: returns None while everything that the flight needs is up, else one line that names the fault.
+        believe: the steering path's belief at an instant; None takes that of guidance's newest decision.
+        health: the service's health, whose parts it reports; None for a health of its own.
+    """
+
+    def __init__(
+        self,
+        options: ComponentOptions,
+        operator: Operator,
+        store: Store | None,
+        *,
+        healthy: Callable[[], str | None],
+        believe: Callable[[MonoNs], RelativeState | None] | None = None,
+        clock: Clock,
+        health: Health | None = None,
+    ) -> None:
+        self.options = self._o = options
+        self._health = health or Health(clock)
+        self._reported: dict[str, MonoNs] = {}
+        self._healthy = healthy
+        self._believe = believe
+        self._clock = clock
+        self._autopilot: Autopilot | None = None
+        self._links: Links | None = None
+        self._track = TargetTrack()
+        self._computer = ComputerReader()
+        self._phase = ""
+        self._decided: MonoNs | None = None
+        self._belief: RelativeState | None = None
+        self._sick = False
+        self._values = 0
+        self._parameters = None if store is None else ParameterServer(store)
+        self._offered = Offered(
+            {
+                mav.MAVLINK_MSG_ID_HEARTBEAT: lambda now: self._guarded("heartbeat", self._heartbeat, now),
+                mav.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS: lambda now: self._guarded("computer", self._load, now),
+                ComponentInformationBasic.id: self._information,
+                mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: lambda now: self._guarded("values", self._value, now),
+            },
+            {
+                mav.MAVLINK_MSG_ID_HEARTBEAT: options.heartbeat_s,
+                mav.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS: options.computer_s,
+                # The values take turns.
+                mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: options.state_s / len(_VALUES),
+            },
+        )
+        self._commands = CommandServer(operator, self._offered)
+        self.refusals = Refusals("vehicle.operators")
+        self.texts = StatusTexts()
+        self.outputs = Outputs(options.outputs, self._track, options.pad_radius_m, options.stale_s)
+
+    def attach(self, autopilot: Autopilot) -> None:
+        """Send over this autopilot's links from now on."""
+        self._autopilot, self._links = autopilot, autopilot.links
+        autopilot.add_listener(self.on_message)
+
+    def detach(self) -> None:
+        """Stop sending, because the links are about to close."""
+        self._autopilot = self._links = None
+
+    # Events from the service
+
+    def on_sample(self, sample: Sample) -> None:
+        if isinstance(sample, Attitude):
+            self._track.on_attitude(sample)
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        """Send a fused sighting at once instead of at the next tick."""
+        if processed.verdict is Verdict.FUSED and self._autopilot is not None:
+            now = self._clock.now()
+            self._update_belief(now)
+            self._send(self.outputs.target(now, _View(self._autopilot), self._sighted))
+
+    def on_decision(self, decision: Decision) -> None:
+        self._decided = decision.at
+        if self._believe is None:
+            self._belief = decision.belief
+        if decision.response is not None and decision.response.state is ResponseState.IDENTIFIED:
+            self.texts.say(MavSeverity.WARNING, f"Decklander: {decision.response.text}", decision.at)
+        if decision.phase != self._phase:
+            self._phase = decision.phase
+            severity = _SEVERITIES.get(decision.phase, MavSeverity.INFO)
+            why = decision.transitions[-1].reason.text if decision.transitions and decision.phase in _SEVERITIES else ""
+            self.texts.say(severity, ": ".join(filter(None, ("Decklander", decision.phase, why))), decision.at)
+
+    # Messages from other components
+
+    def on_message(self, received: ReceivedMessage) -> None:
+        """Answer a command or parameter message of any link to its sender, and broadcast changes to all."""
+        if self._links is None:
+            return
+        now, us = self._clock.now(), self._links.identity
+        if self.refusals.refuses(received, us):
+            self._answer(received, self.refusals.answer(received))
+            if self._parameters is not None:
+                self._answer(received, self._parameters.in_force(received.message))
+            if (text := self.refusals.text_for(received)) is not None:
+                self.texts.say(MavSeverity.WARNING, f"Decklander: {text}", now)
+            return
+        self._answer(received, self._commands.on_message(received.message, (received.system, received.component), us, now))
+        if received.message.get_type() in ("COMMAND_LONG", "COMMAND_INT") and self._commands.refusal is not None:
+            self.texts.say(MavSeverity.WARNING, f"Decklander: {self._commands.refusal}", now)
+            self._commands.refusal = None
+        if self._parameters is not None and received.access_level >= AccessLevel.PEER:
+            self._send(self._parameters.on_message(received.message, us))
+            if self._parameters.refused is not None:
+                self.texts.say(MavSeverity.WARNING, f"Decklander: {self._parameters.refused}", now)
+                self._parameters.refused = None
+
+    def _answer(self, received: ReceivedMessage, messages: list[Message]) -> None:
+        if self._links is not None:
+            for message in messages:
+                self._links.send(message, received.source)
+
+    # Messages that the component sends
+
+    def tick(self, now: MonoNs) -> None:
+        """Send everything that is due. A bug in one message is contained, and the others are still sent."""
+        if self._links is None:
+            return
+        parts: dict[str, Callable[[MonoNs], None]] = {
+            "health": self._check_health,
+            "the messages sent by themselves": lambda now: self._send(self._offered.due(now)),
+            "the progress of commands": lambda now: self._send(self._commands.due(now)),
+            "the texts": lambda now: self._send(self.texts.due(now)),
+            "the parameters": self._tell_parameters,
+            "the target": self._tell_target,
+        }
+        for name, part in parts.items():
+            self._links.contained.run(f"telling {name}", "us", partial(part, now))
+
+    def _guarded(self, name: str, maker: Callable[[MonoNs], Message | None], now: MonoNs) -> Message | None:
+        """Return what `maker` makes, or None if it raised, so that it does not cost the messages beside it."""
+        return None if self._links is None else self._links.contained.run(f"making the {name}", "us", partial(maker, now))
+
+    def _tell_parameters(self, now: MonoNs) -> None:
+        if self._parameters is not None:
+            self._send(self._parameters.due())
+
+    def _tell_target(self, now: MonoNs) -> None:
+        if self._autopilot is not None and self._autopilot.connected:
+            self._update_belief(now)
+            view = _View(self._autopilot)
+            self._autopilot.take_ranges(not self.outputs.sends_ranges(view))
+            self._send(self.outputs.due(now, view, self._sighted))
+
+    @property
+    def belief(self) -> RelativeState | None:
+        """The newest belief that the component reports."""
+        return self._belief
+
+    @property
+    def sends_ranges(self) -> bool:
+        """Whether the component serves as the autopilot's rangefinder."""
+        return self._autopilot is not None and self.outputs.sends_ranges(_View(self._autopilot))
+
+    @property
+    def _sighted(self) -> MonoNs | None:
+        """Return the time of the last sighting of the pad, without doubtful ones, which are not sent to an autopilot."""
+        return None if self._belief is None or self._belief.alerts else self._belief.sighted
+
+    def _update_belief(self, now: MonoNs) -> None:
+        if self._believe is not None:
+            self._belief = self._believe(now)
+        self._track.believe(self._belief)
+
+    def _send(self, messages: list[Message]) -> None:
+        if self._links is not None:
+            for message in messages:
+                self._links.send(message)
+
+    def _fault(self, now: MonoNs) -> str | None:
+        if self._decided is None or seconds_between(self._decided, now) > self._o.guidance_silence_s:
+            return "guidance stands still"
+        return self._healthy()
+
+    def _check_health(self, now: MonoNs) -> None:
+        why = self._fault(now) if self._decided is not None else None
+        if why is not None and not self._sick:
+            self.texts.say(MavSeverity.ERROR, f"Decklander: {why}", now)
+        self._sick = why is not None
+        for name, part in self._health.parts.items():
+            last = self._reported.get(name)
+            if not (part.up or part.vital) and (last is None or seconds_between(last, now) >= _REPEAT_S):
+                self._reported[name] = now
+                self.texts.say(MavSeverity.WARNING, f"Decklander: {name} is down: {part.last_error}", now)
+
+    def _heartbeat(self, now: MonoNs) -> Message | None:
+        if self._fault(now) is not None:
+            return None
+        state = mav.MAV_STATE_ACTIVE if self._belief is not None else mav.MAV_STATE_STANDBY
+        return mav.MAVLink_heartbeat_message(TYPE_ONBOARD, NO_AUTOPILOT, 0, 0, int(state), 3)
+
+    def _load(self, now: MonoNs) -> Message:
+        return computer_status(self._computer.read(), now)
+
+    def _information(self, now: MonoNs) -> Message:
+        return ComponentInformationBasic(
+            now // 1_000_000 & 0xFFFFFFFF, _CAPABILITIES, 0, "Decklander", "companion", _version(), "", ""
+        )
+
+    def _value(self, now: MonoNs) -> Message | None:
+        for _ in _VALUES:
+            name = _VALUES[self._values % len(_VALUES)]
+            self._values += 1
+            value = self._figure(name, now)
+            if value is not None:
+                return mav.MAVLink_named_value_float_message(now // 1_000_000 & 0xFFFFFFFF, name.encode(), value)
+        return None
+
+    def _figure(self, name: str, now: MonoNs) -> float | None:
+        belief = self._belief
+        if belief is None:
+            return 0.0 if name == "dl_seen" else None
+        if name == "dl_seen":
+            return float(belief.age_s(now) <= self._o.stale_s)
+        if name == "dl_age":
+            return belief.age_s(now)
+        if name == "dl_height":
+            return belief.height_m
+        if name == "dl_lateral":
+            return belief.lateral_m
+        return math.sqrt(max(float(belief.cov[0, 0] + belief.cov[1, 1]) / 2.0, 0.0))
+
+
+_VALUES = ("dl_seen", "dl_age", "dl_sigma", "dl_height", "dl_lateral")
+"""NAMED_VALUE_FLOAT, at most ten characters: seen lately (1 or 0), s since then, m of one horizontal sigma, m, m."""
+
+
+def _version() -> str:
+    try:
+        return metadata.version("decklander")
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+@asynccontextmanager
+async def speaking(component: Component, autopilot: Autopilot, clock: Clock) -> AsyncIterator[None]:
+    """Run the component on the links of an autopilot."""
+
+    async def tick() -> None:
+        while True:
+            component.tick(clock.now())
+            await clock.sleep(component.options.tick_s)
+
+    component.attach(autopilot)
+    async with running_beside([("mavlink-component", tick())]):
+        try:
+            yield
+        finally:
+            component.detach()

@@ -1,0 +1,291 @@
+"""One connection to the broker through aiomqtt, from its opening to a guaranteed end.
+
+This module closes what aiomqtt leaves open. Connecting happens on a thread that cannot be cancelled, so it is bounded and
+awaited. A connection that fails half-way leaves a socket and a task, which are ended. Publications that a broker refused (MQTT 5)
+are counted, because aiomqtt takes any answer for success.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import socket
+import ssl
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from typing import Any
+
+import aiomqtt
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
+
+from companion.parts.mqtt.resolve import Address, resolve
+from companion.settings import secret_files
+from companion.settings.mqtt import MqttSettings
+from companion.settings.tls import tls_context
+from estimator.contracts.errors import Recoverable
+
+INCOMING = 64
+"""The number of incoming messages that may wait before further ones are discarded."""
+_LARGEST_BYTES = 65_536
+_FAREWELL_S = 1.0
+_THREAD_S = 0.02
+_quiet = logging.getLogger("companion.parts.mqtt.paho")
+_quiet.setLevel(logging.CRITICAL)
+"""This logger is silenced because aiomqtt warns once for every message that it discards, which in a flood is a second flood."""
+
+
+@dataclass(frozen=True, slots=True)
+class BrokerEndpoint:
+    """The broker's address, and the identity and secrets that we connect with."""
+
+    host: str
+    port: int
+    user: str | None
+    password: str | None
+    tls: ssl.SSLContext | None
+    mqtt5: bool
+    keepalive_s: int
+    timeout_s: float
+
+    @staticmethod
+    def of(settings: MqttSettings) -> BrokerEndpoint:
+        """Return the endpoint that the settings describe, and read its secrets.
+
+        Raises:
+            BadInput: a secret or certificate cannot be read or used.
+        """
+        return BrokerEndpoint(
+            settings.host,
+            settings.port,
+            settings.user or None,
+            secret_files.text(settings.password_file, "mqtt", "password_file"),
+            tls_context(settings),
+            settings.protocol == "5",
+            settings.keepalive_s,
+            settings.timeout_s,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Publication:
+    """A message from the broker."""
+
+    topic: str
+    payload: bytes
+    retained: bool
+    reply_to: str | None
+    correlation: bytes | None
+
+
+class Connection(aiomqtt.Client):
+    """An open connection. `MqttError` is what its methods raise when the broker fails."""
+
+    def __init__(self, endpoint: BrokerEndpoint, identifier: str, will: aiomqtt.Will | None, incoming: int) -> None:
+        properties = None
+        if endpoint.mqtt5:
+            properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+            properties.MaximumPacketSize = _LARGEST_BYTES
+            properties.ReceiveMaximum = INCOMING
+        super().__init__(
+            endpoint.host,
+            endpoint.port,
+            username=endpoint.user,
+            password=endpoint.password,
+            logger=_quiet,
+            identifier=identifier,
+            protocol=aiomqtt.ProtocolVersion.V5 if endpoint.mqtt5 else aiomqtt.ProtocolVersion.V311,
+            will=will,
+            clean_session=None if endpoint.mqtt5 else True,
+            timeout=endpoint.timeout_s,
+            keepalive=endpoint.keepalive_s,
+            max_queued_incoming_messages=incoming,
+            properties=properties,
+            tls_context=endpoint.tls,
+            socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
+        )
+        self.pending_calls_threshold = 1000
+        self._endpoint = endpoint
+        self._addresses: list[Address] = []
+        self._dialling: socket.socket | None = None
+        self._interrupted = False
+        self.dialling = False
+        """Whether the connecting thread is running."""
+        # These bound what paho leaves to the system or to the broker: the duration of connecting, the addresses (paho's own
+        # look-up cannot be ended), and the size of a packet that an MQTT 3.1.1 broker sends.
+        self._client._create_socket_connection = self._dial  # type: ignore[method-assign]
+        self._receive = self._client._sock_recv
+        self._client._sock_recv = self._receive_bounded  # type: ignore[method-assign]
+        self._client.connect_timeout = endpoint.timeout_s
+        self._mqtt5 = endpoint.mqtt5
+        self.refusals = 0
+        """The number of publications that the broker refused."""
+        self.last_refusal = ""
+
+    async def subscribe_to(self, topic: str, qos: int, *, retained: bool = False) -> None:
+        """Subscribe to a topic; unless `retained`, ask an MQTT 5 broker to leave out retained messages.
+
+        Raises:
+            Recoverable: the broker refuses.
+        """
+        options = SubscribeOptions(qos=qos, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND)
+        qos_fields = {"options": options} if self._mqtt5 and not retained else {"qos": qos}
+        async with self._answered():
+            granted = await self.subscribe(topic, timeout=math.inf, **qos_fields)
+        for code in granted:
+            if code.value >= 0x80 if isinstance(code, ReasonCode) else code >= 0x80:
+                raise Recoverable(f"the broker refuses the subscription to {topic}")
+
+    async def publications(self) -> AsyncIterator[Publication]:
+        """Yield messages as they arrive. Cancel this only when the connection is to end: the next message would be lost."""
+        async for message in self.messages:
+            reply_to = getattr(message.properties, "ResponseTopic", None)
+            correlation = getattr(message.properties, "CorrelationData", None)
+            payload = message.payload if isinstance(message.payload, bytes) else b""
+            yield Publication(str(message.topic), payload, message.retain, reply_to, correlation)
+
+    async def publish_message(
+        self, topic: str, payload: bytes, *, qos: int = 0, retain: bool = False, correlation: bytes | None = None
+    ) -> None:
+        """Publish a message; return when it is written out (QoS 0) or answered (QoS 1)."""
+        properties = None
+        if self._mqtt5 and correlation is not None:
+            properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+            properties.CorrelationData = correlation
+        async with self._answered():
+            await self.publish(topic, payload, qos=qos, retain=retain, properties=properties, timeout=math.inf)
+
+    @asynccontextmanager
+    async def _answered(self) -> AsyncIterator[None]:
+        """Limit the time of an answer in place of aiomqtt.
+
+        Until Python 3.12 its `asyncio.wait_for` swallows a cancellation that arrives together with the answer, and the cancelled
+        task would run for ever.
+        """
+        try:
+            async with asyncio.timeout(self.timeout):
+                yield
+        except TimeoutError as why:
+            raise aiomqtt.MqttError(f"no answer within {self.timeout:g} s") from why
+
+    def dial_to(self, addresses: list[Address]) -> None:
+        """Connect to the first of these that answers."""
+        self._addresses = addresses
+
+    def interrupt(self) -> None:
+        """End an attempt to connect: the thread that waits for the broker gets an error at once."""
+        self._interrupted = True
+        if (dialling := self._dialling) is not None:
+            with suppress(OSError):
+                dialling.shutdown(socket.SHUT_RDWR)
+
+    def _dial(self) -> socket.socket:
+        """Return a connected socket. This runs on the connecting thread.
+
+        Raises:
+            OSError: no address answers in time, or `interrupt` was called.
+        """
+        give_up_s = time.monotonic() + self._endpoint.timeout_s
+        failure = OSError("no address")
+        for family, kind, protocol, _, address in self._addresses:
+            made = socket.socket(family, kind, protocol)
+            # TLS takes the socket over; this duplicate refers to the same connection, so that it can be interrupted.
+            self._forget_dialling()
+            self._dialling = made.dup()
+            made.settimeout(max(0.05, give_up_s - time.monotonic()))
+            try:
+                if self._interrupted:
+                    raise OSError("interrupted")
+                made.connect(address)
+            except OSError as why:
+                made.close()
+                failure = why
+            else:
+                return made
+        raise failure
+
+    def _client_connect(self) -> None:
+        self.dialling = True
+        try:
+            super()._client_connect()
+        finally:
+            self.dialling = False
+
+    def _forget_dialling(self) -> None:
+        if self._dialling is not None:
+            self._dialling.close()
+            self._dialling = None
+
+    def _receive_bounded(self, bufsize: int) -> bytes:
+        if bufsize > _LARGEST_BYTES:
+            raise OSError(f"a packet of {bufsize} bytes, at most {_LARGEST_BYTES} are taken")
+        return self._receive(bufsize)
+
+    def abandon(self) -> None:
+        """Close whatever is still open, without a disconnect message."""
+        self._forget_dialling()
+        self._client._sock_close()
+        if self._disconnected.done() and not self._disconnected.cancelled():
+            self._disconnected.exception()
+
+    def _on_publish(self, client: Any, userdata: Any, mid: int, reason_code: ReasonCode, properties: Properties) -> None:
+        if reason_code.is_failure:
+            self.refusals += 1
+            self.last_refusal = str(reason_code)
+        super()._on_publish(client, userdata, mid, reason_code, properties)
+
+
+@asynccontextmanager
+async def connect(
+    endpoint: BrokerEndpoint, identifier: str, will: aiomqtt.Will | None = None, incoming: int = INCOMING
+) -> AsyncIterator[Connection]:
+    """Open a connection, and keep it while the context is open.
+
+    Raises:
+        Recoverable: the broker cannot be reached, or refuses us.
+    """
+    addresses = await resolve(endpoint.host, endpoint.port, endpoint.timeout_s)
+    connection = Connection(endpoint, identifier, will, incoming)
+    connection.dial_to(addresses)
+    try:
+        failure = await _entered(connection)
+        if failure is not None:
+            raise Recoverable(f"broker {endpoint.host}:{endpoint.port}: {failure}")
+        try:
+            yield connection
+        finally:
+            with suppress(aiomqtt.MqttError, OSError, TimeoutError):
+                async with asyncio.timeout(_FAREWELL_S):
+                    await connection.__aexit__(None, None, None)
+    finally:
+        connection.abandon()
+
+
+async def _entered(connection: Connection) -> str | None:
+    """Connect, and return why that failed. When cancelled, end the connecting thread first: nobody else closes its socket."""
+    async with asyncio.TaskGroup() as group:
+        entering = group.create_task(_enter(connection))
+        try:
+            return await asyncio.shield(entering)
+        except asyncio.CancelledError:
+            connection.interrupt()
+            # End the thread first, so that it opens no further socket, then the task that waits for the broker's answer.
+            while connection.dialling and not entering.done():
+                await asyncio.wait({entering}, timeout=_THREAD_S)
+            entering.cancel()
+            await asyncio.wait({entering})
+            raise
+
+
+async def _enter(connection: Connection) -> str | None:
+    connection.dialling = True  # This is set before the thread can set it itself.
+    try:
+        await connection.__aenter__()
+    except (aiomqtt.MqttError, OSError, ValueError) as why:
+        return str(why) or type(why).__name__
+    return None

@@ -1,0 +1,284 @@
+"""MQTT as a part of the service: an observer that never waits, and a supervised task that talks to the broker.
+
+If a broker is gone, slow, refusing or flooding, the part disconnects and retries with a back-off that doubles; the flight
+continues. State, sighting and health are published as the newest of their kind at their own rates; events wait on disk.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from typing import Literal, NoReturn
+
+import aiomqtt
+
+from companion.base.health import Health
+from companion.base.observer import Decision, ProcessedFrame
+from companion.base.orders import HandledOrder, OrderSource
+from companion.parts.mqtt import encode as encoding
+from companion.parts.mqtt.commands import CommandHandler
+from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, connect
+from companion.parts.mqtt.events import Changes, PendingEvent, order_event
+from companion.parts.mqtt.messages import Message, OperatorNotice, StatusMessage, encode
+from companion.parts.mqtt.outbox import Outbox
+from companion.parts.mqtt.ship_reports import ShipReportReader
+from companion.parts.mqtt.topics import Topics
+from companion.settings.mqtt import MqttSettings
+from drivers.mailbox import Line
+from drivers.reconnect import BackOff, reconnect
+from estimator.contracts.errors import Recoverable, in_words
+from estimator.contracts.fusion import FusionResult
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Sample, VehicleStatus
+from estimator.contracts.time import MonoNs, after, seconds_between
+
+log = logging.getLogger(__name__)
+
+BROKER = "broker"
+"""The connection's own name in health: the part is up while it tries to connect."""
+_GOODBYE_S = 0.4
+"""The time for the farewell, s: the service has 2 s to end in, and its parts have 1 s of that."""
+_WATCH_PARTS_S = 0.5
+_HEALTHY_S = 10.0
+
+
+class MqttPart:
+    """The observer and the supervised task.
+
+    Args:
+        session: the id of this run of the service.
+        version: the software's version, for the status.
+        ship: the reader of the ship's reports, and where its samples are put; None where none are taken.
+    """
+
+    def __init__(
+        self,
+        settings: MqttSettings,
+        endpoint: BrokerEndpoint,
+        outbox: Outbox,
+        command_handler: CommandHandler,
+        health: Health,
+        clock: Clock,
+        *,
+        session: str,
+        version: str,
+        ship: tuple[ShipReportReader, Line[Sample]] | None = None,
+    ) -> None:
+        self._settings = settings
+        self._endpoint = endpoint
+        self._outbox = outbox
+        self._command_handler = command_handler
+        self._topics: Topics = command_handler.topics
+        self._health = health
+        self._clock = clock
+        self._session = session
+        self._version = version
+        self._ship = ship
+        self._started = clock.now()
+        self._started_unix_s = time.time()
+        self._changes = Changes()
+        self._decision: Decision | None = None
+        self._seen: ProcessedFrame | None = None
+        self._vehicle: VehicleStatus | None = None
+        self._results_reported = 0
+        self._counts: Counter[str] = Counter()
+        self._broker_down = False
+        self._stopping = False
+        health.counters("mqtt", self.counts)
+        self.tell(PendingEvent(self._started, "service", "service started", {"version": version, "unix_s": self._started_unix_s}))
+
+    def on_sample(self, sample: Sample) -> None:
+        if isinstance(sample, VehicleStatus):
+            self._vehicle = sample
+            self.tell(*self._changes.vehicle(sample))
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        """Do nothing: health counts the results, and the topic `fusion` is made from it."""
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        self._seen = processed
+        self.tell(*self._changes.frame(processed))
+
+    def on_decision(self, decision: Decision) -> None:
+        self._decision = decision
+        self.tell(*self._changes.decision(decision))
+
+    def on_order(self, handled: HandledOrder) -> None:
+        """Queue an event for each order that did not come over MQTT; those that did have an event with their id."""
+        if handled.sender.source is not OrderSource.MQTT:
+            self.tell(order_event(handled))
+
+    def tell(self, *events: PendingEvent) -> None:
+        """Queue events in order. This never waits and never fails."""
+        for event in events:
+            self._outbox.put(event)
+
+    def counts(self) -> Mapping[str, float]:
+        """Return the counters for health."""
+        commands = {f"commands_{name}": n for name, n in self._command_handler.counts.items()}
+        reports = {} if self._ship is None else {f"ship_reports_{name}": n for name, n in self._ship[0].counts.items()}
+        return {**self._counts, **commands, **reports, **self._outbox.counts()}
+
+    async def run(self) -> None:
+        """Serve the broker until cancelled; then send what is left to the broker if it is there, else to disk."""
+        try:
+            async with asyncio.TaskGroup() as group:
+                group.create_task(self._outbox.keep())
+                group.create_task(self._watch_parts())
+                group.create_task(self._stay_connected())
+        finally:
+            await self._outbox.close()
+
+    async def _watch_parts(self) -> NoReturn:
+        while True:
+            self.tell(*self._changes.health(self._health.snapshot()))
+            await self._clock.sleep(_WATCH_PARTS_S)
+
+    async def _stay_connected(self) -> None:
+        s = self._settings
+        back_off = BackOff(s.reconnect_first_s, s.reconnect_cap_s, _HEALTHY_S, jitter=0.5)
+        name = f"MQTT broker {self._endpoint.host}:{self._endpoint.port}"
+        try:
+            await reconnect(name, self._connection, back_off, self._clock, self._failed, (Recoverable, aiomqtt.MqttError))
+        finally:
+            self._log_stopped()
+
+    def _failed(self, why: BaseException) -> None:
+        """Count a failure, and report it to health once: a broker may be absent for hours."""
+        self._counts["connection_failures"] += 1
+        if not self._broker_down:
+            self._health.down(BROKER, why)
+        self._broker_down = True
+
+    async def _connection(self) -> None:
+        will = aiomqtt.Will(self._topics.status, encode(self._status("lost")), qos=1, retain=True)
+        async with connect(self._endpoint, f"decklander-{self._topics.drone}", will) as connection:
+            try:
+                await self._converse(connection)
+            except asyncio.CancelledError:
+                await self._publish_stopped(connection)
+                raise
+
+    async def _converse(self, connection: Connection) -> None:
+        if self._settings.commands != "off":
+            await connection.subscribe_to(self._topics.command, qos=1)
+            notice = OperatorNotice(
+                session=self._session, at_ns=self._clock.now(), run=self._command_handler.run, commands=self._settings.commands
+            )
+            await connection.publish_message(self._topics.operator, encode(notice), qos=1, retain=True)
+            if self._ship is not None:
+                await connection.subscribe_to(self._topics.vessel, qos=1)
+        await connection.publish_message(self._topics.status, encode(self._status("up")), qos=1, retain=True)
+        self._counts["connections"] += 1
+        self._broker_down = False
+        self._health.up(BROKER)
+        log.info("connected to broker %s:%d", self._endpoint.host, self._endpoint.port)
+        s = self._settings
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._outbox.deliver(connection))
+            group.create_task(self._take_publications(connection))
+            for leaf, rate_hz, newest in (
+                ("state", s.state_hz, self._newest_state),
+                ("sighting", s.sighting_hz, self._newest_sighting),
+                ("fusion", s.sighting_hz, self._newest_fusion),
+                ("health", s.health_hz, self._newest_health),
+            ):
+                if rate_hz > 0:
+                    group.create_task(self._publish_periodically(connection, leaf, rate_hz, newest))
+
+    async def _publish_periodically(
+        self, connection: Connection, leaf: str, rate_hz: float, newest: Callable[[], Message | None]
+    ) -> NoReturn:
+        topic, due = self._topics.of(leaf), self._clock.now()
+        while True:
+            message = newest()
+            if message is not None:
+                await connection.publish_message(topic, encode(message))
+                self._counts[f"{leaf}_sent"] += 1
+            now = self._clock.now()
+            due = max(after(due, 1.0 / rate_hz), now)
+            await self._clock.sleep(seconds_between(now, due))
+
+    def _newest_state(self) -> Message | None:
+        decision, self._decision = self._decision, None
+        return None if decision is None else encoding.state(self._session, decision, self._vehicle)
+
+    def _newest_sighting(self) -> Message | None:
+        processed, self._seen = self._seen, None
+        return None if processed is None else encoding.sighting(self._session, processed)
+
+    def _newest_fusion(self) -> Message | None:
+        """Return the newest result of each source, or None if none came since the last call."""
+        states = self._health.fusion_states()
+        counted = sum(sum(state.verdicts.values()) for state in states)
+        before, self._results_reported = self._results_reported, counted
+        return None if counted == before else encoding.fusion(self._session, self._health.now(), states)
+
+    def _newest_health(self) -> Message:
+        return encoding.health(self._session, self._health.snapshot())
+
+    async def _take_publications(self, connection: Connection) -> None:
+        most = self._settings.commands_max_hz
+        recent: dict[bool, deque[MonoNs]] = {False: deque(maxlen=most), True: deque(maxlen=most)}
+        async for publication in connection.publications():
+            now, of_ship = self._clock.now(), publication.topic == self._topics.vessel
+            before = recent[of_ship]
+            if len(before) == most and seconds_between(before[0], now) < 1.0:
+                self._counts["floods"] += 1
+                raise Recoverable(f"flooded: more than {most} {'reports of the ship' if of_ship else 'commands'} a second")
+            before.append(now)
+            if of_ship:
+                self._take_report(publication, now)
+            elif self._settings.commands != "off":
+                await self._take(connection, publication, now)
+
+    def _take_report(self, publication: Publication, now: MonoNs) -> None:
+        if self._ship is not None:
+            reader, line = self._ship
+            for sample in reader.samples(publication.payload, now, retained=publication.retained):
+                line.offer(sample)
+
+    async def _take(self, connection: Connection, publication: Publication, now: MonoNs) -> None:
+        handled = self._command_handler.take(
+            publication.payload, now, retained=publication.retained, reply_to=publication.reply_to
+        )
+        reply = handled.reply
+        if handled.command is not None and not handled.repeated:
+            words = f"command {handled.command} " + ("accepted" if reply.accepted else f"refused: {reply.text}")
+            data: dict[str, str | float | bool | None] = {
+                "command": handled.command, "id": reply.id, "accepted": reply.accepted, "reason": reply.reason,
+            }  # fmt: skip
+            log.info("%s", words)
+            self._outbox.put(PendingEvent(now, "command", words, data))
+        await connection.publish_message(handled.topic, encode(reply), qos=1, correlation=publication.correlation)
+
+    async def _publish_stopped(self, connection: Connection) -> None:
+        """Publish the last events and the final status, if the broker takes them in time."""
+        self._log_stopped()
+        try:
+            async with asyncio.timeout(_GOODBYE_S):
+                await self._outbox.flush()
+                while await self._outbox.deliver_batch(connection):
+                    pass
+                await connection.publish_message(self._topics.status, encode(self._status("stopped")), qos=1, retain=True)
+        except* (TimeoutError, aiomqtt.MqttError) as group:
+            log.info("the broker did not acknowledge the disconnect: %s", in_words(group))
+
+    def _log_stopped(self) -> None:
+        if not self._stopping:
+            self._stopping = True
+            self._outbox.put(PendingEvent(self._clock.now(), "service", "service stopped"))
+
+    def _status(self, reason: Literal["up", "stopped", "lost"]) -> StatusMessage:
+        return StatusMessage(
+            session=self._session,
+            at_ns=self._clock.now(),
+            online=reason == "up",
+            reason=reason,
+            version=self._version,
+            started_unix_s=self._started_unix_s,
+            started_ns=self._started,
+        )

@@ -1,0 +1,227 @@
+"""Render the model of `decklander watch` as lines. No I/O; colours are ANSI attributes around whole words only."""
+
+from __future__ import annotations
+
+import math
+import unicodedata
+from collections.abc import Callable
+
+from companion.parts.mqtt.messages import EventMessage, StageReport
+from companion.parts.mqtt.watch_model import DroneModel, WatchModel
+from estimator.contracts.motion import G_M_S2
+
+STALE_S = 3.0
+_RED, _GREEN, _YELLOW, _BOLD, _DIM = "31", "32", "33", "1", "2"
+Paint = Callable[[str, str], str]
+
+
+def screen(model: WatchModel, now_s: float, width: int, height: int, *, colour: bool = True) -> list[str]:
+    """Return one screen: `height` lines of at most `width` columns."""
+
+    def paint(text: str, code: str) -> str:
+        return f"\x1b[{code}m{text}\x1b[0m" if colour and text else text
+
+    lines = [_head(model, paint)]
+    drone = model.shown
+    if drone is None:
+        lines += ["", "nothing received yet" if model.connected else ""]
+    else:
+        if len(model.drones) > 1:
+            lines += ["", *_fleet(model, now_s, paint)]
+        lines += ["", *_details(drone, now_s, width, paint)]
+        room = height - len(lines) - 2
+        if room > 0:
+            lines += ["", paint("EVENTS", _BOLD), *(_event(e, paint) for e in list(drone.events)[-room:])]
+    return [_cut(line, width) for line in lines[:height]]
+
+
+def line(drone: DroneModel, event: EventMessage | None) -> str:
+    """Return one plain line: the event, or else the drone's state."""
+    if event is not None:
+        return f"{drone.name} event {event.sequence} {event.kind}: {_clean(event.text)}"
+    if drone.state is None:
+        return f"{drone.name} {_online(drone)}"
+    vehicle = drone.state.vehicle
+    battery = "" if vehicle is None or vehicle.battery_fraction is None else f" battery {100 * vehicle.battery_fraction:.0f} %"
+    return f"{drone.name} {_online(drone)} {_clean(drone.state.phase)}: {_where(drone)}{battery}"
+
+
+def _head(model: WatchModel, paint: Paint) -> str:
+    if model.connected:
+        state = paint("connected", _GREEN)
+    else:
+        state = paint("no broker", _RED) + (f" ({_clean(model.trouble)})" if model.trouble else "")
+    return f"{paint('decklander watch', _BOLD)}  {state}  {paint('ctrl-c ends', _DIM)}"
+
+
+def _fleet(model: WatchModel, now_s: float, paint: Paint) -> list[str]:
+    lines = [paint(f"{'DRONE':<16} {'':<8} {'PHASE':<24} {'BATTERY':<8}", _BOLD)]
+    for name, drone in sorted(model.drones.items()):
+        state = drone.state
+        vehicle = None if state is None else state.vehicle
+        battery = "--" if vehicle is None or vehicle.battery_fraction is None else f"{100 * vehicle.battery_fraction:.0f} %"
+        phase = "--" if state is None else _clean(state.phase)
+        lines.append(f"{name[:16]:<16} {_pad_to(_coloured_online(drone, now_s, paint), 8)} {phase[:24]:<24} {battery:<8}")
+    return lines
+
+
+def _details(drone: DroneModel, now_s: float, width: int, paint: Paint) -> list[str]:
+    status, state = drone.status, drone.state
+    version = "" if status is None else f"  version {_clean(status.version)}  session {_clean(status.session)}"
+    lines = [f"{paint(drone.name, _BOLD)}  {_coloured_online(drone, now_s, paint)}{version}"]
+    if state is not None:
+        age = drone.arrivals["state"].age_s(now_s)
+        old = paint(f"   {age:.0f} s old", _RED) if age is not None and age > STALE_S else ""
+        lines.append(f"phase    {paint(_clean(state.phase), _BOLD)}{old}")
+        lines.append(f"pad      {_where(drone)}")
+        if state.belief is not None:
+            path, sigma, v = state.belief.path, state.belief.sigma_d_m, state.belief.v_pad_level_m_s
+            beside_cm, height_cm = 100 * max(sigma[0], sigma[1]), 100 * sigma[2]
+            yaw = "--" if state.belief.yaw_rad is None else f"{math.degrees(state.belief.yaw_rad):+.0f} deg"
+            doubt = "" if state.belief.consistent else paint("   inconsistent", _RED)
+            lines.append(
+                f"belief   {path}   sigma {beside_cm:.1f} cm beside, {height_cm:.1f} cm height"
+                f"   pad moves {v[0]:+.2f} {v[1]:+.2f} {v[2]:+.2f} m/s   heading {yaw}{doubt}"
+            )
+        lines.append(f"order    {_order(drone)}")
+        lines.append(f"vehicle  {_vehicle(drone, paint)}")
+    if drone.sighting is not None:
+        seen = ", ".join(name for name, found in drone.sighting.methods.items() if found is not None) or "nothing"
+        lines.append(f"frame    {drone.sighting.sequence}: {_clean(drone.sighting.verdict)}; seen by {_clean(seen)}")
+    rates = "   ".join(f"{kind} {_rate(a.rate_hz(now_s))}" for kind, a in sorted(drone.arrivals.items()) if kind != "status")
+    lines.append(f"rates    {rates}")
+    if drone.missing or drone.copies or drone.malformed:
+        lines.append(f"         events missing {drone.missing}, copies {drone.copies}, malformed messages {drone.malformed}")
+    return lines + _health(drone, width, paint)
+
+
+def _health(drone: DroneModel, width: int, paint: Paint) -> list[str]:
+    health = drone.health
+    if health is None:
+        return []
+    lines = ["", paint(f"{'PART':<12} {'':<6} {'SINCE':>8}  FAILURES", _BOLD)]
+    for name, part in health.parts.items():
+        word = paint("up", _GREEN) if part.up else paint("down", _RED)
+        error = f"  {_clean(part.last_error)}" if part.last_error and not part.up else ""
+        lines.append(f"{_clean(name):<12} {_pad_to(word, 6)} {_seconds(part.age_s):>8}  {part.restarts}{error}")
+    lines += [
+        "",
+        *_wrapped("flows", [f"{_clean(n)} {_rate(f.rate_hz)}" for n, f in sorted(health.flows.items())], width),
+        *_wrapped("stages", [f"{_clean(n).replace('_', ' ')} {_stage(s)}" for n, s in sorted(health.stages.items())], width),
+        *_wrapped("frames", [f"{_clean(n).replace('_', ' ')} {c}" for n, c in sorted(health.frames.items())], width),
+    ]
+    mqtt = health.counters.get("mqtt", {})
+    if mqtt:
+        lines.append(
+            f"mqtt     events delivered {mqtt.get('events_delivered', 0):.0f}, waiting {mqtt.get('events_waiting', 0):.0f}, "
+            f"dropped {mqtt.get('events_dropped', 0):.0f}; connection failures {mqtt.get('connection_failures', 0):.0f}"
+        )
+    return lines
+
+
+def _wrapped(label: str, items: list[str], width: int) -> list[str]:
+    """Return the items side by side after a label, on as many lines as they need."""
+    lines = [f"{label:<9}" + ("" if items else "none")]
+    for item in items:
+        if len(lines[-1]) + len(item) > width and len(lines[-1]) > 9:
+            lines.append(" " * 9)
+        lines[-1] += item + "   "
+    return [text.rstrip() for text in lines]
+
+
+def _event(event: EventMessage, paint: Paint) -> str:
+    colour = {"command": _YELLOW, "phase": _GREEN}.get(event.kind, _DIM)
+    return f"{event.at_ns * 1e-9:12.2f} s  {event.sequence:>6}  {paint(f'{event.kind:<8}', colour)} {_clean(event.text)}"
+
+
+def _where(drone: DroneModel) -> str:
+    belief = None if drone.state is None else drone.state.belief
+    if belief is None:
+        return "not seen yet"
+    forward, right, down = belief.d_body_pad_level_m
+    return (
+        f"height {down:5.2f} m   beside {math.hypot(forward, right):5.2f} m   forward {forward:+.2f} right {right:+.2f}"
+        f"   seen {belief.sighted_age_s:.1f} s ago"
+    )
+
+
+def _order(drone: DroneModel) -> str:
+    order = None if drone.state is None else drone.state.order
+    if order is None:
+        return "none"
+    if order.v_level_m_s is None or order.yaw_rate_rad_s is None:
+        return order.kind
+    forward, right, down = order.v_level_m_s
+    turn = f"turn {math.degrees(order.yaw_rate_rad_s):+.0f} deg/s"
+    if order.lean_level_m_s2 is not None:
+        ahead, beside = (math.degrees(math.atan(a / G_M_S2)) for a in order.lean_level_m_s2)
+        return f"lean forward {ahead:+.1f} right {beside:+.1f} deg   down {down:+.2f} m/s   {turn}"
+    return f"forward {forward:+.2f} right {right:+.2f} down {down:+.2f} m/s   {turn}"
+
+
+def _vehicle(drone: DroneModel, paint: Paint) -> str:
+    vehicle = None if drone.state is None else drone.state.vehicle
+    if vehicle is None:
+        return "has said nothing yet"
+    battery = "--" if vehicle.battery_fraction is None else f"{100 * vehicle.battery_fraction:.0f} %"
+    if vehicle.battery_fraction is not None and vehicle.battery_fraction < 0.2:
+        battery = paint(battery, _RED)
+    trouble = paint("   EMERGENCY", _RED) if vehicle.emergency else ""
+    trouble += "" if vehicle.link_ok else paint("   link lost", _RED)
+    return f"{_clean(vehicle.mode)}   battery {battery}   received {vehicle.age_s:.1f} s ago{trouble}"
+
+
+def _online(drone: DroneModel) -> str:
+    if drone.status is None:
+        return "unknown"
+    return "online" if drone.status.online else drone.status.reason
+
+
+def _coloured_online(drone: DroneModel, now_s: float, paint: Paint) -> str:
+    word = _online(drone)
+    ages = [age for a in drone.arrivals.values() if (age := a.age_s(now_s)) is not None]
+    if word == "online" and ages and min(ages) > STALE_S:
+        return paint("silent", _YELLOW)
+    return paint(word, {"online": _GREEN, "lost": _RED}.get(word, _YELLOW))
+
+
+def _rate(rate_hz: float | None) -> str:
+    return "--" if rate_hz is None else f"{rate_hz:.1f}/s"
+
+
+def _stage(stage: StageReport) -> str:
+    if stage.p50_s is None or stage.p99_s is None:
+        return "--"
+    return f"{1e3 * stage.p50_s:.1f} ms (p99 {1e3 * stage.p99_s:.1f})"
+
+
+def _seconds(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def _clean(text: str) -> str:
+    """Return received text without control characters for the terminal, one column per character."""
+    return "".join((c if unicodedata.east_asian_width(c) not in "WF" else "?") if c.isprintable() else " " for c in text)
+
+
+def _pad_to(text: str, width: int) -> str:
+    return text + " " * max(0, width - len(_plain(text)))
+
+
+def _plain(text: str) -> str:
+    parts = text.split("\x1b[")
+    return parts[0] + "".join(part.partition("m")[2] for part in parts[1:])
+
+
+def _cut(text: str, width: int) -> str:
+    """Return the line cut to at most `width` columns; attributes take none."""
+    if len(_plain(text)) <= width:
+        return text
+    shown, out, pieces = 0, "", text.split("\x1b[")
+    for k, piece in enumerate(pieces):
+        code, rest = ("", piece) if k == 0 else (f"\x1b[{piece.partition('m')[0]}m", piece.partition("m")[2])
+        out += code + rest[: width - shown]
+        shown += min(len(rest), width - shown)
+    return out

@@ -1,0 +1,1 @@
+"""The senders of orders beside the links: a local socket for terminals, and a gamepad."""

@@ -1,0 +1,223 @@
+"""The messages of the page's websocket: JSON texts both ways, and pictures as binary messages to the page. No I/O."""
+
+from __future__ import annotations
+
+import struct
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta, Struct
+
+from companion.base.wire import FlightState, OrderAnswer, OrderRequest, RequestRefused, SticksRequest
+from companion.parts.page.tool_messages import CheckSettingsRequest, SaveSettingsRequest, ToolAnswer, ToolRequest
+
+TEXT_MAX = 1024
+"""The longest message from a browser, characters, unless it brings a settings text."""
+MESSAGE_MAX = 65_536
+"""The longest message of all, bytes."""
+Level = Literal["info", "warning", "fault"]
+Line = tuple[float, ...]
+"""Points of a line in the camera's pixels: u, v, u, v, ..."""
+
+
+class LoginRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="login", forbid_unknown_fields=True):
+    """The first message: the token, which no browser sends by itself."""
+
+    token: Annotated[str, Meta(max_length=512)]
+
+
+class DrawnNotice(Struct, frozen=True, kw_only=True, tag_field="kind", tag="drawn", forbid_unknown_fields=True):
+    """A picture is on the screen; another one may be sent."""
+
+    number: Annotated[int, Meta(ge=0, le=1 << 53)]
+
+
+class PictureRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="picture", forbid_unknown_fields=True):
+    """Send pictures so from now on; H.264 begins anew with a key frame."""
+
+    codec: Literal["jpeg", "h264"]
+
+
+class RecordingsRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="recordings", forbid_unknown_fields=True):
+    """Which recordings are there? It is answered by a `RecordingList`."""
+
+
+class DownloadRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="download", forbid_unknown_fields=True):
+    """From where may a recording be loaded? It is answered by a `DownloadAnswer`."""
+
+    name: Annotated[str, Meta(max_length=205)]
+
+
+class ReportRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="report", forbid_unknown_fields=True):
+    """Make the report of a recording. It is answered by a `ReportAnswer` at once, and by another one with the address."""
+
+    name: Annotated[str, Meta(max_length=205)]
+
+
+PageRequest = (
+    LoginRequest
+    | OrderRequest
+    | SticksRequest
+    | DrawnNotice
+    | PictureRequest
+    | RecordingsRequest
+    | DownloadRequest
+    | ReportRequest
+    | ToolRequest
+)
+
+
+class PageWelcome(Struct, frozen=True, kw_only=True, tag_field="kind", tag="welcome"):
+    """The answer to the right token: what does not change while the service runs."""
+
+    you: str
+    """This browser as a sender of orders."""
+    vehicle: str
+    camera_px: tuple[int, int]
+    h264: bool
+    """Whether pictures are sent as H.264 to whoever asks for it."""
+    pad_lines_m: tuple[tuple[tuple[float, float], ...], ...]
+    """The pad's drawing: lines of points along the arrow and to starboard of it, metres."""
+    pad_radius_m: float
+
+
+class PlaceReport(Struct, frozen=True, kw_only=True):
+    """The drone and the deck by the steering estimate. Axes of the pad: x along the arrow, y to starboard of it, z up."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    v_m_s: tuple[float, float, float]
+    """Velocity of the drone against the pad."""
+    heading_known: bool
+    """Whether the heading against the arrow is known; otherwise x is the drone's own forward."""
+    heading_rad: float
+    cov_m2: tuple[float, float, float]
+    """Variance of x, covariance of x and y, variance of y."""
+    sigma_z_m: float
+    age_s: float
+    """Time since the newest sighting that was used."""
+    consistent: bool
+    deck_roll_rad: float | None = None
+    deck_pitch_rad: float | None = None
+    deck_m: tuple[tuple[float, float, float], ...] = ()
+    """The deck's height against its present one: seconds ahead, height, its sigma."""
+
+
+class PageState(FlightState, frozen=True, kw_only=True, tag_field="kind", tag="state"):
+    """The state of the flight for the page, several times a second."""
+
+    at_s: float
+    """Time since the service began, s."""
+    place: PlaceReport | None
+    roll_rad: float | None
+    pitch_rad: float | None
+    refusals: dict[str, str | None]
+    """Why each order would be refused at this instant; null for one that would be carried out."""
+    picture_delay_s: float | None
+    """From the exposure of a picture until this browser has drawn it and said so, s."""
+
+
+class HealthCause(Struct, frozen=True, kw_only=True):
+    """One thing that is not as it should be."""
+
+    level: Level
+    text: str
+
+
+class PageHealth(Struct, frozen=True, kw_only=True, tag_field="kind", tag="health"):
+    """The health of the service, once a second."""
+
+    causes: tuple[HealthCause, ...]
+    """What is wrong, the worst first; empty if nothing is."""
+    figures: tuple[tuple[str, str], ...]
+    """Names and values."""
+
+
+class PageEvent(Struct, frozen=True, kw_only=True, tag_field="kind", tag="event"):
+    """Something that happened once: a change of the mission's state, or an order with its answer."""
+
+    at_s: float
+    level: Level
+    text: str
+    advice: str = ""
+    """What a person can do about it; empty if there is nothing to do."""
+
+
+class RecordingFile(Struct, frozen=True, kw_only=True):
+    """One recording on the service's disk."""
+
+    name: str
+    size_bytes: int
+    unix_s: float
+    """When it was last written, wall time."""
+
+
+class RecordingList(Struct, frozen=True, kw_only=True, tag_field="kind", tag="recordings"):
+    """The recordings, the newest first."""
+
+    files: tuple[RecordingFile, ...]
+    fault: str
+    """Why the folder cannot be read; empty if it can."""
+
+
+class DownloadAnswer(Struct, frozen=True, kw_only=True, tag_field="kind", tag="download"):
+    """Where a recording may be loaded from, once and soon; or why not."""
+
+    name: str
+    address: str | None
+    text: str
+
+
+class ReportAnswer(Struct, frozen=True, kw_only=True, tag_field="kind", tag="report"):
+    """Where a report may be read, as long as it is kept; or what becomes of it, or why there is none."""
+
+    name: str
+    address: str | None
+    text: str
+
+
+class PictureLine(Struct, frozen=True):
+    """A line to draw over the picture."""
+
+    kind: Literal["pad", "seen", "sigma", "ahead"]
+    uv_px: Line
+
+
+class PictureHeader(Struct, frozen=True, kw_only=True):
+    """What goes with a picture."""
+
+    number: int
+    verdict: str
+    codec: str
+    """ "jpeg", "avc1.PPCCLL" of a key frame of H.264, or "" of a frame that follows one."""
+    lines: tuple[PictureLine, ...]
+
+
+FileAnswer = RecordingList | DownloadAnswer | ReportAnswer
+ToPage = PageWelcome | PageState | PageHealth | PageEvent | OrderAnswer | RequestRefused | FileAnswer | ToolAnswer
+
+_requests = msgspec.json.Decoder(PageRequest)
+_encode = msgspec.json.Encoder().encode
+
+
+def request_in(text: str) -> PageRequest | str:
+    """Return the request in a message, or the reason why it is none. Never raises."""
+    try:
+        found: PageRequest = _requests.decode(text)
+        if len(text) > TEXT_MAX and not isinstance(found, CheckSettingsRequest | SaveSettingsRequest):
+            return f"more than {TEXT_MAX} characters"
+        return found
+    except (msgspec.DecodeError, UnicodeError, RecursionError) as why:
+        return str(why)[:200]
+
+
+def text_of(message: ToPage) -> str:
+    """Return a message as the text that the page reads."""
+    return _encode(message).decode()
+
+
+def picture_message(header: PictureHeader, image: bytes) -> bytes:
+    """Return a picture's message: the header's length as a little-endian u32, the header as JSON, the encoded image."""
+    said = _encode(header)
+    return struct.pack("<I", len(said)) + said + image

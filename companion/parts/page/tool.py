@@ -1,0 +1,32 @@
+"""What the page offers beside the flight: tools that answer requests of browsers, each with work of its own."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from companion.base.observer import ProcessedFrame
+from companion.guidance.pilot import Pilot
+from companion.parts.page.tool_messages import ToolRequest
+from companion.parts.page.viewer import PageViewer
+
+
+class Tool(Protocol):
+    """One tool. It must not disturb a flight: what takes time or the link is done on the ground alone."""
+
+    kinds: tuple[type, ...]
+    """The requests that it answers."""
+
+    def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
+        """Take a request and return at once; the answer is told to the viewer, now or later."""
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        """Look at a frame; it must be quick."""
+
+    async def run(self) -> None:
+        """Work until cancelled."""
+
+
+def flying(pilot: Pilot) -> bool:
+    """Return whether the vehicle flies, as far as it has said so."""
+    status = pilot.vehicle
+    return status is not None and bool(status.flying)

@@ -1,0 +1,1 @@
+"""Record the service's inputs, decisions and outputs during the flight."""

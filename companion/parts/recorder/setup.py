@@ -1,0 +1,76 @@
+"""Make the recorders that the settings describe, and the metadata of every recording."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+
+from companion.base.health import Health
+from companion.parts.recorder.recorder import Recorder
+from companion.parts.recorder.storage_policy import Folder, SingleFile
+from companion.recording.mcap_file import About, Attachment
+from companion.recording.reading import CAMERA, PAD, SETTINGS
+from companion.settings import whole_file
+from companion.settings.load import body_camera, find_file, pad_model
+from companion.settings.model import Settings
+from companion.settings.recorder import FrameForm, RecorderOptions
+from estimator.contracts.ports import Clock
+from estimator.vision.camera import Camera
+
+_PACKAGES = ("decklander", "numpy", "opencv-python-headless", "av", "mcap")
+
+
+def about(settings: Settings, flight: Mapping[str, str], offset_ns: int = 0) -> About:
+    """Return versions, settings, camera and pad, and the facts in `flight`: a simulation's scenario and seed, an import's source.
+
+    Raises:
+        BadInput: the camera or pad file is missing.
+    """
+    files = [Attachment(SETTINGS, "application/toml", whole_file.toml(settings).encode())]
+    for name, text, folder in ((CAMERA, settings.camera.file, "cameras"), (PAD, settings.pad.file, "pads")):
+        path = find_file(text, folder, Path(), name)
+        files.append(Attachment(name, "application/toml", path.read_bytes()))
+    return About({"versions": versions(), "flight": dict(flight)}, files, offset_ns, pad_model(settings))
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of everything that a result may depend on."""
+    found = {"python": platform.python_version(), "machine": platform.machine()}
+    for name in _PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+def recorder_of(settings: Settings, clock: Clock, health: Health) -> Recorder:
+    """Return the service's recorder; it is paused if it is not enabled, so that an operator may start it.
+
+    Raises:
+        BadInput: the camera or pad file is missing.
+    """
+    r = settings.recorder
+    started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+    storage_policy = Folder(Path(r.folder), started, r.max_file_mb, r.max_total_mb, r.min_free_mb)
+    described = about(settings, {"kind": "service"}, wall_offset_ns(clock))
+    recorder = Recorder(storage_policy, body_camera(settings), described, r, health, close_s=1.5)
+    if not r.enabled:
+        recorder.switch(False)
+    return recorder
+
+
+def wall_offset_ns(clock: Clock) -> int:
+    """Return the current offset from the clock's instants to Unix time, ns, in whole microseconds."""
+    return (time.time_ns() - clock.now()) // 1000 * 1000
+
+
+def recorder_to_file(
+    path: Path, camera: Camera, described: About, *, frames: FrameForm = "jpeg", frames_each: int = 1, live: bool = False
+) -> Recorder:
+    """Return a recorder of one flight into one file. A flight in virtual time waits for the disk; a `live` one never does."""
+    options = RecorderOptions(frames=frames, frames_each=frames_each)
+    return Recorder(SingleFile(path), camera, described, options, lossless=not live)

@@ -1,0 +1,249 @@
+"""Decode the messages of a recording to the service's inputs: the inverse of `companion.recording.encode`."""
+
+from __future__ import annotations
+
+import math
+from types import MappingProxyType
+from typing import Literal, cast, get_args
+
+import numpy as np
+
+from companion.base.mission import Event, State, StateChange
+from companion.base.observer import DeckOutlook, FrameTimes
+from companion.base.reason import Reason, ReasonCause
+from companion.base.response_in_use import ResponseInUse, ResponseState
+from companion.recording import records as rec
+from companion.recording.encode import COMMANDS
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.estimates import IntegrityAlert, Method, PathName, Pose6, RelativeState, Sighting, Verdict
+from estimator.contracts.fusion import FusionResult, Source
+from estimator.contracts.geodesy import GeoPoint
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import (
+    Attitude,
+    Baro,
+    BodyVelocity,
+    GeoFix,
+    GimbalAttitude,
+    GimbalFrame,
+    Imu,
+    Range,
+    Sample,
+    VehicleStatus,
+    VesselReport,
+)
+from estimator.contracts.time import MonoNs, Stamp, StampSource
+from estimator.vision.detection import Detection
+
+
+def sample(of: rec.SampleRecord) -> Sample:
+    """Return the sample of a record. Raises ValueError if the sample does not accept its numbers."""
+    t = stamp(of.stamp)
+    match of:
+        case rec.ImuRecord():
+            return Imu(t, _vector(of.w_body), _vector(of.f_body))
+        case rec.AttitudeRecord():
+            return attitude(of)
+        case rec.GimbalRecord():
+            frame, R = cast(GimbalFrame, of.frame), Rotation(_matrix(of.R_frame_gimbal, 3))
+            return GimbalAttitude(t, frame, R, _matrix(of.cov_gimbal, 3))
+        case rec.VelocityRecord():
+            return BodyVelocity(t, _vector(of.v_level), _matrix(of.cov_level, 3))
+        case rec.RangeRecord():
+            return Range(t, of.range_m, of.sigma_m)
+        case rec.BaroRecord():
+            return Baro(t, of.height_m, of.sigma_m)
+        case rec.VesselRecord():
+            v = None if of.v_vessel_ned is None else _vector(of.v_vessel_ned)
+            cov = None if of.cov_v_ned is None else _matrix(of.cov_v_ned, 3)
+            return VesselReport(t, v, cov, of.heading_rad, of.sigma_heading_rad)
+        case rec.FixRecord():
+            place = GeoPoint.of_degrees(of.latitude_deg, of.longitude_deg, of.height_m)
+            v = None if of.v_ned is None else _vector(of.v_ned)
+            return GeoFix(t, cast(Literal["vehicle", "vessel"], of.whose), place, of.sigma_m, v)
+        case rec.StatusRecord():
+            return VehicleStatus(t, of.flying, of.mode, of.battery_fraction, of.emergency, of.link_ok)
+
+
+def stamp(of: rec.StampRecord) -> Stamp:
+    """Return the stamp of a record.
+
+    Raises:
+        ValueError: the source of the stamp is unknown.
+    """
+    if of.source not in get_args(StampSource):
+        raise ValueError(f"no such source of a stamp: {of.source!r}")
+    return Stamp(MonoNs(of.measured_at_ns), MonoNs(of.received_at_ns), of.sigma_s, cast(StampSource, of.source))
+
+
+def attitude(of: rec.AttitudeRecord) -> Attitude:
+    """Return the attitude of a record."""
+    return Attitude(stamp(of.stamp), Rotation(_matrix(of.R_ned_body, 3)), _matrix(of.cov_body, 3))
+
+
+def detection(of: rec.DetectionRecord) -> Detection | None:
+    """Return the detection of a record, or None if vision did not run. It has no features: those are annotations."""
+    if of.tried is None:
+        return None
+    t = stamp(of.stamp)
+
+    def seen(name: str) -> Sighting | None:
+        found: rec.SightingRecord | None = getattr(of, name)
+        return None if found is None else sighting(found, t, of.seq)
+
+    methods = {_method(name): seen(name) for name in of.tried}
+    chosen = None if of.chosen is None else _method(of.chosen)
+    return Detection(seen("selected"), chosen, MappingProxyType(methods), elsewhere=seen("elsewhere"))
+
+
+def held_rotation(of: rec.DetectionRecord) -> Rotation | None:
+    """Return the rotation of a camera on the body as its gimbal held it; None of one that is fixed, or if it is not known."""
+    return None if of.R_body_cam is None else Rotation(_matrix(of.R_body_cam, 3))
+
+
+def frame_times(of: rec.DetectionRecord) -> FrameTimes | None:
+    """Return how long the stages of a recorded frame took; None if the record does not say."""
+    t = of.times
+    return None if t is None else FrameTimes(t.decode_s, t.wait_s, t.look_s, t.filter_s)
+
+
+def _method(name: str) -> Method:
+    if name not in get_args(Method):
+        raise ValueError(f"no such method of vision: {name!r}")
+    return cast(Method, name)
+
+
+def sighting(of: rec.SightingRecord, t: Stamp, seq: int) -> Sighting:
+    """Return the sighting of a record, at the stamp and with the number of its frame.
+
+    Raises:
+        ValueError: the method is unknown, or a matrix has a wrong number of elements.
+    """
+    pose6 = None
+    if of.pose6 is not None:
+        p = of.pose6
+        pose6 = Pose6(_vector(p.d_body_pad_level), Rotation(_matrix(p.R_level_pad, 3)), _matrix(p.cov, 6))
+    d, cov = _vector(of.d_body_pad_level), _matrix(of.cov, 4)
+    return Sighting(t, seq, _method(of.method), d, of.yaw_rad, of.yaw_ambiguous, cov, of.confidence, pose6)
+
+
+def belief(of: rec.BeliefRecord) -> RelativeState:
+    """Return the estimate of a record.
+
+    Raises:
+        ValueError: the path or an alert is unknown, or a matrix has a wrong number of elements.
+    """
+    if of.path not in get_args(PathName):
+        raise ValueError(f"no such estimator path: {of.path!r}")
+    return RelativeState(
+        MonoNs(of.at_ns),
+        cast(PathName, of.path),
+        _vector(of.d_body_pad_level),
+        _vector(of.v_pad_level),
+        of.yaw_rad,
+        _matrix(of.cov, 7),
+        MonoNs(of.sighted_ns),
+        of.consistent,
+        tuple((d.name, d.value) for d in of.details),
+        of.track,
+        tuple(_alert_named(name) for name in of.alerts),
+    )
+
+
+def fusion(of: rec.FusionRecord) -> FusionResult:
+    """Return the result of a record. Raises ValueError if names or shapes are not those of a result."""
+    if of.path not in get_args(PathName):
+        raise ValueError(f"no such estimator path: {of.path!r}")
+    if of.source not in get_args(Source):
+        raise ValueError(f"no such source of measurements: {of.source!r}")
+    m = len(of.components)
+    if of.innovation is not None and len(of.innovation) != m:
+        raise ValueError(f"an innovation of {m} components has {m} numbers, got {len(of.innovation)}")
+    return FusionResult(
+        cast(PathName, of.path),
+        cast(Source, of.source),
+        Verdict(of.verdict),
+        MonoNs(of.measured_at_ns),
+        MonoNs(of.received_at_ns),
+        None if of.innovation is None else np.array(of.innovation, dtype=float),
+        None if of.innovation_cov is None else _matrix(of.innovation_cov, m),
+        tuple(of.components),
+        math.nan if of.nis is None else of.nis,
+        math.nan if of.test_ratio is None else of.test_ratio,
+    )
+
+
+def _alert_named(name: str) -> IntegrityAlert:
+    try:
+        return IntegrityAlert[name.upper()]
+    except KeyError as why:
+        raise ValueError(f"no such alert: {name!r}") from why
+
+
+def command(of: rec.DecisionRecord) -> Command | None:
+    """Return the command of a recorded decision; None if none was given."""
+    if of.command is None:
+        return None
+    kind = {name: kind for kind, name in COMMANDS.items()}.get(of.command)
+    if kind is Velocity and of.v_level is not None and of.yaw_rate_rad_s is not None:
+        return Velocity(_vector(of.v_level), of.yaw_rate_rad_s)
+    if kind is Lean and None not in (of.a_level, of.trim_level, of.v_level, of.yaw_rate_rad_s):
+        return Lean(np.array(of.a_level), np.array(of.trim_level), np.array(of.v_level), float(of.yaw_rate_rad_s or 0.0))
+    for simple in (Hover, TakeOff, Land, CutMotors, LeaveEmergency):
+        if kind is simple:
+            return simple()
+    raise ValueError(f"no such command: {of.command!r}")
+
+
+def response(of: rec.ResponseRecord | None) -> ResponseInUse | None:
+    """Return a recorded response of the vehicle. Raises ValueError if there is no such state."""
+    if of is None:
+        return None
+    return ResponseInUse(ResponseState(of.state), of.delay_s, of.sigma_s, of.longer_s)
+
+
+def deck(of: rec.DeckRecord | None, at: MonoNs) -> DeckOutlook | None:
+    """Return a recorded forecast of the deck, made at an instant. Raises ValueError if its columns differ in length."""
+    if of is None:
+        return None
+    columns = (
+        of.horizons_s, of.height_m, of.sigma_height_m, of.roll_rad, of.sigma_roll_rad, of.pitch_rad, of.sigma_pitch_rad,
+    )  # fmt: skip
+    if len({len(column) for column in columns}) != 1:
+        raise ValueError("a forecast of the deck has columns of different lengths")
+    return DeckOutlook(at, *map(tuple, columns))
+
+
+def transition(of: rec.TransitionRecord) -> StateChange:
+    """Return a recorded change of the mission's state. Raises ValueError if a name is not known."""
+    try:
+        detail: IntegrityAlert | Verdict | None = None
+        if of.detail is not None:
+            detail = Verdict[of.detail] if of.detail in Verdict.__members__ else IntegrityAlert[of.detail]
+        reason = Reason(ReasonCause[of.cause], of.measured, of.limit, detail)
+        return StateChange(MonoNs(of.at_ns), State[of.source], Event[of.event], State[of.target], reason)
+    except KeyError as why:
+        raise ValueError(f"no such state, event, cause, verdict or alert: {why.args[0]!r}") from why
+
+
+def truth(of: rec.TruthRecord) -> None:
+    """Check a record of truth. Raises ValueError if its numbers are not valid."""
+    _vector(of.d_body_pad_level)
+    _vector(of.v_pad_level)
+    if of.p_pad_ned is not None:
+        _vector(of.p_pad_ned)
+    for rows in (of.R_ned_body, of.R_ned_pad):
+        if rows is not None:
+            Rotation(_matrix(rows, 3))
+    if not -math.pi < of.yaw_rad <= math.pi:
+        raise ValueError(f"the true heading must lie in (-pi, pi], got {of.yaw_rad}")
+
+
+def _vector(numbers: list[float]) -> F64:
+    if len(numbers) != 3:
+        raise ValueError(f"a vector has 3 numbers, got {len(numbers)}")
+    return np.array(numbers, dtype=float)
+
+
+def _matrix(numbers: list[float], n: int) -> F64:
+    return np.array(numbers, dtype=float).reshape(n, n)

@@ -1,0 +1,245 @@
+"""Encode the events that the service passes to its observers as the messages of a recording."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.base.health import HealthSnapshot
+from companion.base.mission import StateChange
+from companion.base.observer import Decision, DeckOutlook, ProcessedFrame
+from companion.base.orders import HandledOrder
+from companion.base.response_in_use import ResponseInUse
+from companion.recording import records as rec
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.fusion import FusionResult
+from estimator.contracts.samples import (
+    Attitude,
+    Baro,
+    BodyVelocity,
+    GeoFix,
+    GimbalAttitude,
+    Imu,
+    Range,
+    Sample,
+    VehicleStatus,
+    VesselReport,
+)
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.detection import Detection
+
+COMMANDS: dict[type[Command], str] = {
+    Velocity: "velocity", Lean: "lean", Hover: "hover", TakeOff: "take_off", Land: "land",
+    CutMotors: "cut_motors", LeaveEmergency: "leave_emergency",
+}  # fmt: skip
+
+
+def sample(of: Sample) -> rec.SampleRecord:
+    """Return the record of a sample of any kind."""
+    match of:
+        case Imu():
+            return rec.ImuRecord(stamp(of.stamp), of.w_body.tolist(), of.f_body.tolist())
+        case Attitude():
+            return attitude(of)
+        case GimbalAttitude():
+            return rec.GimbalRecord(stamp(of.stamp), of.frame, _flat(of.R_frame_gimbal.matrix), _flat(of.cov_gimbal))
+        case BodyVelocity():
+            return rec.VelocityRecord(stamp(of.stamp), of.v_level.tolist(), _flat(of.cov_level))
+        case Range():
+            return rec.RangeRecord(stamp(of.stamp), of.range_m, of.sigma_m)
+        case Baro():
+            return rec.BaroRecord(stamp(of.stamp), of.height_m, of.sigma_m)
+        case VesselReport():
+            return rec.VesselRecord(
+                stamp(of.stamp),
+                None if of.v_vessel_ned is None else of.v_vessel_ned.tolist(),
+                None if of.cov_v_ned is None else _flat(of.cov_v_ned),
+                of.heading_rad,
+                of.sigma_heading_rad,
+            )
+        case GeoFix():
+            return rec.FixRecord(
+                stamp(of.stamp),
+                of.whose,
+                math.degrees(of.place.latitude_rad),
+                math.degrees(of.place.longitude_rad),
+                of.sigma_m,
+                of.place.height_m,
+                None if of.v_ned is None else of.v_ned.tolist(),
+            )
+        case VehicleStatus():
+            return rec.StatusRecord(stamp(of.stamp), of.mode, of.emergency, of.link_ok, of.flying, of.battery_fraction)
+
+
+def stamp(of: Stamp) -> rec.StampRecord:
+    """Return the record of a stamp."""
+    return rec.StampRecord(int(of.measured_at), int(of.received_at), float(of.sigma_s), of.source)
+
+
+def attitude(of: Attitude) -> rec.AttitudeRecord:
+    """Return the record of an attitude, with roll, pitch and yaw in degrees for the viewer."""
+    roll, pitch, yaw = (math.degrees(a) for a in of.R_ned_body.rpy_rad)
+    return rec.AttitudeRecord(stamp(of.stamp), _flat(of.R_ned_body.matrix), _flat(of.cov_body), roll, pitch, yaw)
+
+
+def detection(of: ProcessedFrame) -> rec.DetectionRecord:
+    """Return the record of a processed frame, with the sighting of every method that was tried."""
+    height, width = of.frame.px.shape[:2]
+    processed = of.detection
+    return rec.DetectionRecord(
+        stamp(of.frame.stamp),
+        of.frame.seq,
+        of.frame.exposure_s,
+        width,
+        height,
+        of.verdict.value,
+        int(of.began),
+        int(of.done),
+        None if of.attitude is None else attitude(of.attitude),
+        None if processed is None else list(processed.methods),
+        None if processed is None else processed.chosen,
+        times=None if of.times is None else rec.FrameTimesRecord(*(seconds for _, seconds in of.times.by_stage())),
+        R_body_cam=None if of.camera is None else _flat(of.camera.T_body_cam.R.matrix),
+        gain=of.frame.gain,
+        coded=of.frame.coded,
+        **({} if processed is None else _methods(processed)),
+    )
+
+
+def _methods(processed: Detection) -> dict[str, rec.SightingRecord]:
+    found: dict[str, rec.SightingRecord] = {name: sighting(s) for name, s in processed.methods.items() if s is not None}
+    if processed.selected is not None:
+        found["selected"] = sighting(processed.selected)
+    if processed.elsewhere is not None:
+        found["elsewhere"] = sighting(processed.elsewhere)
+    return found
+
+
+def sighting(of: Sighting) -> rec.SightingRecord:
+    """Return the record of a sighting, without its stamp."""
+    pose6 = None
+    if of.pose6 is not None:
+        pose6 = rec.Pose6Record(of.pose6.d_body_pad_level.tolist(), _flat(of.pose6.R_level_pad.matrix), _flat(of.pose6.cov))
+    return rec.SightingRecord(
+        of.method, of.d_body_pad_level.tolist(), _flat(of.cov), of.confidence, of.yaw_ambiguous, of.yaw_rad, pose6
+    )
+
+
+def belief(of: RelativeState) -> rec.BeliefRecord:
+    """Return the record of an estimate. Details that are not finite are left out."""
+    return rec.BeliefRecord(
+        int(of.at),
+        of.path,
+        of.d_body_pad_level.tolist(),
+        of.v_pad_level.tolist(),
+        _flat(of.cov),
+        int(of.sighted),
+        of.consistent,
+        of.height_m,
+        of.lateral_m,
+        [rec.NamedNumber(name, float(value)) for name, value in of.details if math.isfinite(value)],
+        of.yaw_rad,
+        of.track,
+        [alert.name.lower() for alert in of.alerts],
+    )
+
+
+def fusion(at: MonoNs, of: FusionResult) -> rec.FusionRecord:
+    """Return the record of a result that the service processed at `at`. Numbers that are not finite are left out."""
+    return rec.FusionRecord(
+        int(at),
+        of.path,
+        of.source,
+        of.verdict.value,
+        int(of.measured_at),
+        int(of.received_at),
+        list(of.components),
+        _finite(of.innovation),
+        _finite(of.innovation_cov),
+        of.nis if math.isfinite(of.nis) else None,
+        of.test_ratio if math.isfinite(of.test_ratio) else None,
+    )
+
+
+def decision(of: Decision) -> rec.DecisionRecord:
+    """Return the record of a decision."""
+    steering = None if of.belief is None else of.belief.path
+    changes, found, ahead = [transition(change) for change in of.transitions], response(of.response), deck(of.ahead)
+    if isinstance(of.command, Velocity):
+        v, turn = of.command.v_level.tolist(), of.command.yaw_rate_rad_s
+        return rec.DecisionRecord(
+            int(of.at), of.phase, steering, "velocity", v, turn, of.reason, None, None, changes, found, ahead
+        )
+    if isinstance(of.command, Lean):
+        lean = of.command
+        v, a, trim = lean.v_level.tolist(), lean.a_level.tolist(), lean.trim_level.tolist()
+        return rec.DecisionRecord(
+            int(of.at), of.phase, steering, "lean", v, lean.yaw_rate_rad_s, of.reason, a, trim, changes, found, ahead
+        )
+    simple = None if of.command is None else COMMANDS[type(of.command)]
+    return rec.DecisionRecord(
+        int(of.at), of.phase, steering, simple, reason=of.reason, transitions=changes, response=found, deck=ahead
+    )
+
+
+def deck(of: DeckOutlook | None) -> rec.DeckRecord | None:
+    """Return the record of a forecast of the deck."""
+    if of is None:
+        return None
+    columns = (
+        of.horizons_s, of.height_m, of.sigma_height_m, of.roll_rad, of.sigma_roll_rad, of.pitch_rad, of.sigma_pitch_rad,
+    )  # fmt: skip
+    return rec.DeckRecord(*map(list, columns))
+
+
+def response(of: ResponseInUse | None) -> rec.ResponseRecord | None:
+    """Return the record of a vehicle's response."""
+    if of is None:
+        return None
+    return rec.ResponseRecord(of.state.value, of.delay_s, of.sigma_s, of.longer_s)
+
+
+def transition(of: StateChange) -> rec.TransitionRecord:
+    """Return the record of a change of the mission's state."""
+    why = of.reason
+    detail = None if why.detail is None else why.detail.name
+    measured, limit = (x if x is None or math.isfinite(x) else None for x in (why.measured, why.limit))
+    return rec.TransitionRecord(
+        int(of.at), of.source.name, of.event.name, of.target.name, why.cause.name, measured, limit, detail, why.text
+    )
+
+
+def order(of: HandledOrder) -> rec.OrderRecord:
+    """Return the record of a person's order and its answer."""
+    sender = of.sender
+    return rec.OrderRecord(int(of.at), sender.source.value, sender.name, of.order.value, of.accepted, of.refusal, of.detail)
+
+
+def health(at: MonoNs, of: HealthSnapshot) -> rec.HealthRecord:
+    """Return the record of the service's health at `at`."""
+    tallies = [rec.TallyRecord("Frame", verdict, n) for verdict, n in of.frames.items()]
+    tallies += [rec.TallyRecord(kind, verdict, n) for kind, counts in of.inputs.items() for verdict, n in counts.items()]
+    return rec.HealthRecord(
+        int(at),
+        [rec.PartRecord(name, p.up, p.age_s, p.restarts, p.last_error) for name, p in of.parts.items()],
+        [rec.FlowRecord(name, f.count, f.rate_hz) for name, f in of.flows.items()],
+        tallies,
+        [rec.StageRecord(name, s.count, s.p50_s, s.p99_s) for name, s in of.stages.items()],
+        [rec.CounterRecord(part, name, float(n)) for part, counts in of.counters.items() for name, n in counts.items()],
+    )
+
+
+def _finite(a: NDArray[np.float64] | None) -> list[float] | None:
+    """Return the numbers row by row, or None if there are none or one of them is not finite."""
+    if a is None:
+        return None
+    flat = _flat(a)
+    return flat if all(map(math.isfinite, flat)) else None
+
+
+def _flat(a: NDArray[np.float64]) -> list[float]:
+    out: list[float] = a.ravel().tolist()
+    return out

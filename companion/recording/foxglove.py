@@ -1,0 +1,301 @@
+"""The Foxglove messages that this recorder writes: images, annotations, calibration, transforms, poses, log lines.
+
+Field names and meanings are those of the published `foxglove.*` schemas. Axes are converted so that a viewer shows
+up as up: the fixed frame is `deck` (x along the arrow, y to port, z up), with `pad`, `level`, `body` and `cam` of
+docs/conventions.md below it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from msgspec import Struct
+
+from companion.recording.palette import colour
+from estimator.contracts.estimates import Feature, RelativeState
+from estimator.contracts.geometry import F64, Rotation
+from estimator.vision.camera import Camera
+
+NS = 1_000_000_000
+POINTS, LINE_LOOP, LINE_STRIP = 1, 2, 3
+INFO, WARNING, ERROR = 2, 3, 4
+R_DECK_PAD = Rotation.from_rotvec([math.pi, 0.0, 0.0])
+"""The rotation from `pad` to `deck`, half a turn about the arrow: down becomes up, starboard becomes port."""
+
+
+class Time(Struct, frozen=True):
+    """A time as Foxglove writes it: seconds and nanoseconds since the viewer's epoch."""
+
+    sec: int
+    nsec: int
+
+
+class Vector3(Struct, frozen=True):
+    """The schema `foxglove.Vector3`."""
+
+    x: float
+    y: float
+    z: float
+
+
+class Quaternion(Struct, frozen=True):
+    """The schema `foxglove.Quaternion`."""
+
+    x: float
+    y: float
+    z: float
+    w: float
+
+
+class Pose(Struct, frozen=True):
+    """The schema `foxglove.Pose`."""
+
+    position: Vector3
+    orientation: Quaternion
+
+
+class PoseInFrame(Struct, frozen=True):
+    """The schema `foxglove.PoseInFrame`."""
+
+    timestamp: Time
+    frame_id: str
+    pose: Pose
+
+
+class FrameTransform(Struct, frozen=True):
+    """The schema `foxglove.FrameTransform`."""
+
+    timestamp: Time
+    parent_frame_id: str
+    child_frame_id: str
+    translation: Vector3
+    rotation: Quaternion
+
+
+class FrameTransforms(Struct, frozen=True):
+    """The schema `foxglove.FrameTransforms`."""
+
+    transforms: list[FrameTransform]
+
+
+class CompressedImage(Struct, frozen=True):
+    """The schema `foxglove.CompressedImage`."""
+
+    timestamp: Time
+    frame_id: str
+    data: bytes
+    format: str
+
+
+class CompressedVideo(Struct, frozen=True):
+    """The schema `foxglove.CompressedVideo`."""
+
+    timestamp: Time
+    frame_id: str
+    data: bytes
+    format: str
+
+
+class CameraCalibration(Struct, frozen=True):
+    """The schema `foxglove.CameraCalibration`."""
+
+    timestamp: Time
+    frame_id: str
+    width: int
+    height: int
+    distortion_model: str
+    D: list[float]
+    K: list[float]
+    R: list[float]
+    P: list[float]
+
+
+class Color(Struct, frozen=True):
+    """The schema `foxglove.Color`."""
+
+    r: float
+    g: float
+    b: float
+    a: float
+
+
+class Point2(Struct, frozen=True):
+    """The schema `foxglove.Point2`."""
+
+    x: float
+    y: float
+
+
+class KeyValuePair(Struct, frozen=True):
+    """The schema `foxglove.KeyValuePair`."""
+
+    key: str
+    value: str
+
+
+class CircleAnnotation(Struct, frozen=True):
+    """The schema `foxglove.CircleAnnotation`."""
+
+    timestamp: Time
+    position: Point2
+    diameter: float
+    thickness: float
+    fill_color: Color
+    outline_color: Color
+
+
+class PointsAnnotation(Struct, frozen=True):
+    """The schema `foxglove.PointsAnnotation`."""
+
+    timestamp: Time
+    type: int
+    points: list[Point2]
+    outline_color: Color
+    outline_colors: list[Color]
+    fill_color: Color
+    thickness: float
+    metadata: list[KeyValuePair]
+
+
+class TextAnnotation(Struct, frozen=True):
+    """The schema `foxglove.TextAnnotation`."""
+
+    timestamp: Time
+    position: Point2
+    text: str
+    font_size: float
+    text_color: Color
+    background_color: Color
+
+
+class ImageAnnotations(Struct, frozen=True):
+    """The schema `foxglove.ImageAnnotations`."""
+
+    timestamp: Time
+    circles: list[CircleAnnotation]
+    points: list[PointsAnnotation]
+    texts: list[TextAnnotation]
+
+
+class Log(Struct, frozen=True):
+    """The schema `foxglove.Log`."""
+
+    timestamp: Time
+    level: int
+    message: str
+    name: str
+    file: str
+    line: int
+
+
+_CLEAR = Color(0.0, 0.0, 0.0, 0.0)
+_POINT_TYPES = {"point": POINTS, "line": LINE_STRIP, "ellipse": LINE_LOOP, "outline": LINE_LOOP}
+
+
+def time_of(at_ns: int) -> Time:
+    """Return the time of a non-negative number of nanoseconds since the viewer's epoch."""
+    return Time(*divmod(max(0, at_ns), NS))
+
+
+def vector(v: F64) -> Vector3:
+    """Return the message of a vector (3,)."""
+    return Vector3(float(v[0]), float(v[1]), float(v[2]))
+
+
+def quaternion(R: Rotation) -> Quaternion:
+    """Return the message of a rotation."""
+    w, x, y, z = (float(q) for q in R.quat_wxyz)
+    return Quaternion(x, y, z, w)
+
+
+def compressed_image(at_ns: int, data: bytes, form: str) -> CompressedImage:
+    """Return the message of an encoded image; `form` is "jpeg" or "png"."""
+    return CompressedImage(time_of(at_ns), "cam", data, form)
+
+
+def compressed_video(at_ns: int, data: bytes) -> CompressedVideo:
+    """Return the message of one H.264 access unit."""
+    return CompressedVideo(time_of(at_ns), "cam", data, "h264")
+
+
+def calibration(at_ns: int, camera: Camera) -> CameraCalibration:
+    """Return the camera's calibration; viewers call Brown-Conrady distortion "plumb_bob"."""
+    K = camera.K
+    P = np.hstack([K, np.zeros((3, 1))])
+    return CameraCalibration(
+        time_of(at_ns), "cam", camera.width, camera.height, "plumb_bob",
+        camera.distortion.tolist(), K.ravel().tolist(), np.eye(3).ravel().tolist(), P.ravel().tolist(),
+    )  # fmt: skip
+
+
+def fixed_transforms(at_ns: int, camera: Camera | None) -> FrameTransforms:
+    """Return the transforms that never change: the deck's own axes and the camera's mount.
+
+    Args:
+        camera: None if a gimbal turns it.
+    """
+    t = time_of(at_ns)
+    transforms = [FrameTransform(t, "deck", "pad", Vector3(0.0, 0.0, 0.0), quaternion(R_DECK_PAD))]
+    if camera is not None:
+        transforms.append(FrameTransform(t, "body", "cam", vector(camera.T_body_cam.t), quaternion(camera.T_body_cam.R)))
+    return FrameTransforms(transforms)
+
+
+def camera_transform(at_ns: int, p_body_cam: F64, R_body_cam: Rotation) -> FrameTransforms:
+    """Return the transform of a camera that a gimbal turns, in `body`; its place is (3,) m."""
+    return FrameTransforms([FrameTransform(time_of(at_ns), "body", "cam", vector(p_body_cam), quaternion(R_body_cam))])
+
+
+def _level_in_pad(d_body_pad_level: F64, yaw_rad: float) -> tuple[Vector3, Quaternion]:
+    """Return the position and heading of `level` in `pad`, from the (3,) m vector to the pad and the heading from the arrow."""
+    R_pad_level = Rotation.from_rpy(0.0, 0.0, yaw_rad)
+    return vector(R_pad_level @ -d_body_pad_level), quaternion(R_pad_level)
+
+
+def belief_transform(at_ns: int, belief: RelativeState) -> FrameTransforms | None:
+    """Return the transform of `level` in `pad`, or None while the heading is not known."""
+    if belief.yaw_rad is None:
+        return None
+    p, q = _level_in_pad(belief.d_body_pad_level, belief.yaw_rad)
+    return FrameTransforms([FrameTransform(time_of(at_ns), "pad", "level", p, q)])
+
+
+def attitude_transform(at_ns: int, R_ned_body: Rotation) -> FrameTransforms:
+    """Return the transform of `body` in `level`."""
+    q = quaternion(R_ned_body.without_heading())
+    return FrameTransforms([FrameTransform(time_of(at_ns), "level", "body", Vector3(0.0, 0.0, 0.0), q)])
+
+
+def pose_in_pad(at_ns: int, d_body_pad_level: F64, yaw_rad: float | None) -> PoseInFrame | None:
+    """Return the pose of the levelled body in `pad`, or None while the heading is not known."""
+    if yaw_rad is None:
+        return None
+    p, q = _level_in_pad(d_body_pad_level, yaw_rad)
+    return PoseInFrame(time_of(at_ns), "pad", Pose(p, q))
+
+
+def image_annotations(at_ns: int, features: Iterable[tuple[str, Feature]], caption: str) -> ImageAnnotations:
+    """Return the features of each method and one line of text. A viewer's pixel (0, 0) is the corner of ours."""
+    t = time_of(at_ns)
+    points = []
+    for method, feature in features:
+        ink = _color(method)
+        # Tenths of a pixel are what an eye sees; every further digit is stored and cannot be packed.
+        known = ((float(u), float(v)) for u, v in feature.uv_px if math.isfinite(u) and math.isfinite(v))
+        uv = [Point2(round(u + 0.5, 1), round(v + 0.5, 1)) for u, v in known]
+        notes = [KeyValuePair("method", method), KeyValuePair("kind", feature.kind), KeyValuePair("label", feature.label)]
+        points.append(PointsAnnotation(t, _POINT_TYPES[feature.kind], uv, ink, [], _CLEAR, 2.0, notes))
+    text = TextAnnotation(t, Point2(8.0, 20.0), caption, 14.0, Color(1.0, 1.0, 1.0, 1.0), Color(0.0, 0.0, 0.0, 0.5))
+    return ImageAnnotations(t, [], points, [text])
+
+
+def _color(method: str) -> Color:
+    value = int(colour(method)[1:], 16)
+    return Color((value >> 16 & 255) / 255.0, (value >> 8 & 255) / 255.0, (value & 255) / 255.0, 1.0)
+
+
+def log_line(at_ns: int, level: int, name: str, message: str) -> Log:
+    """Return the message of a log line; `level` is `INFO`, `WARNING` or `ERROR`."""
+    return Log(time_of(at_ns), level, message, name, "", 0)

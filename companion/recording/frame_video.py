@@ -1,0 +1,90 @@
+"""The camera's frames as H.264 in a recording.
+
+Each frame is encoded from those before it back to the last key frame, so whoever wants one decodes these as well. Frames are
+mostly wanted in order, and then each is decoded once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import av
+import numpy as np
+from av.video.codeccontext import VideoCodecContext
+from numpy.typing import NDArray
+
+from companion.recording.frame_encoder import VideoQuality, is_key_frame
+
+U8 = NDArray[np.uint8]
+
+KEY_EACH = 30
+"""Frames from one key frame to the next: what a viewer decodes for a seek, and what a damaged frame spoils at most."""
+_CRF = 26
+"""At 20 most of the bytes are the sensor's noise: five times as many, for a heading that a replay measures 0.1
+degrees better at 95 %."""
+_PIXELS_MAX = 1 << 24
+"""A file that claims larger frames than any camera here gets no memory for them."""
+RECORDED = VideoQuality(_CRF, KEY_EACH)
+
+
+@dataclass(slots=True, eq=False)
+class _Group:
+    """A key frame and what follows it up to the next."""
+
+    packets: list[bytes] = field(default_factory=list)
+    decoder: VideoCodecContext | None = None
+    decoded: int = 0
+    last: U8 | None = None
+
+    def image(self, number: int) -> U8 | None:
+        if self.decoder is None or number < self.decoded - 1:
+            self.decoder, self.decoded, self.last = _decoder(), 0, None
+        while self.decoded <= number:
+            self.last = _decoded(self.decoder, self.packets[self.decoded])
+            self.decoded += 1
+        return self.last
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VideoImage:
+    """One recorded frame of a video, decoded when it is asked for."""
+
+    _group: _Group
+    _number: int
+
+    def px(self) -> U8 | None:
+        """Return (H, W, 3) BGR, or None if the frame is damaged or what it builds upon is missing."""
+        return self._group.image(self._number)
+
+
+class FrameSequence:
+    """Puts the access units of a recording together, in order."""
+
+    def __init__(self) -> None:
+        self._group: _Group | None = None
+
+    def add(self, data: bytes) -> VideoImage | None:
+        """Return the frame of an access unit; None before the first key frame."""
+        if is_key_frame(data):
+            self._group = _Group()
+        if self._group is None:
+            return None
+        self._group.packets.append(data)
+        return VideoImage(self._group, len(self._group.packets) - 1)
+
+
+def _decoder() -> VideoCodecContext:
+    codec = av.CodecContext.create("h264", "r")
+    codec.thread_type = "NONE"
+    codec.options = {"flags": "low_delay", "max_pixels": str(_PIXELS_MAX)}
+    return codec
+
+
+def _decoded(decoder: VideoCodecContext, data: bytes) -> U8 | None:
+    try:
+        frames = decoder.decode(av.Packet(data))
+    except av.FFmpegError:
+        return None
+    if not frames:
+        return None
+    return np.asarray(frames[-1].to_ndarray(format="bgr24"), np.uint8)

@@ -1,0 +1,349 @@
+"""Read recordings, whole or truncated: everything up to the first byte that is missing or wrong."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, cast
+
+import msgspec
+import numpy as np
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from numpy.typing import NDArray
+
+from companion.base.observer import Decision, FrameTimes
+from companion.recording import channels, decode
+from companion.recording import foxglove as fox
+from companion.recording import records as rec
+from companion.recording.container import records
+from companion.recording.frame_video import FrameSequence, VideoImage
+from companion.settings.load import Settings, from_mapping
+from drivers.camera import images
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import RelativeState, Verdict
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Frame, Sample
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
+from estimator.vision.camera import Camera
+from estimator.vision.detection import Detection
+from estimator.vision.pad import Pad
+
+SETTINGS, CAMERA, PAD = "settings.toml", "camera.toml", "pad.toml"
+NOT_UNDERSTOOD = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)
+"""What a message raises that this version does not understand."""
+_APART_NS = 24 * 3600 * NS_PER_S
+"""The longest time between two consecutive events, ns: a single event that is further away has a damaged instant."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedFrame:
+    """One frame as it was recorded."""
+
+    record: rec.DetectionRecord
+    image: bytes | VideoImage | None
+    """The bytes of the image file (JPEG, PNG), or the frame of a video; None if it was not kept."""
+
+    @property
+    def stamp(self) -> Stamp:
+        return decode.stamp(self.record.stamp)
+
+    @property
+    def done(self) -> MonoNs:
+        """The instant at which vision finished the frame."""
+        return MonoNs(self.record.done_ns)
+
+    @property
+    def attitude(self) -> Attitude | None:
+        """The attitude at the exposure, as the service then knew it."""
+        return None if self.record.attitude is None else decode.attitude(self.record.attitude)
+
+    def check(self) -> None:
+        """Check the frame and its detection. Raises ValueError if numbers or names are not valid."""
+        Verdict(self.record.verdict)
+        _ = self.stamp, self.attitude, self.detection(), self.R_body_cam
+
+    def detection(self) -> Detection | None:
+        """Return the recorded detection without the features in pixels, or None if vision did not run."""
+        return decode.detection(self.record)
+
+    @property
+    def R_body_cam(self) -> Rotation | None:
+        """The rotation of the camera on the body as its gimbal held it; None of one that is fixed, or if it is not known."""
+        return decode.held_rotation(self.record)
+
+    @property
+    def times(self) -> FrameTimes | None:
+        """How long the stages of the frame took; None if the recording does not say."""
+        return decode.frame_times(self.record)
+
+    def frame(self, size: tuple[int, int]) -> Frame | None:
+        """Decode the image again.
+
+        Args:
+            size: width and height of the camera, px.
+
+        Returns:
+            The frame, or None if the image was not kept, is damaged, or claims another size.
+        """
+        if self.image is None:
+            return None
+        if isinstance(self.image, VideoImage):
+            px = self.image.px()
+            if px is None or px.shape[:2] != (size[1], size[0]):
+                return None
+            return self._of(px)
+        try:
+            px = images.decode(self.image, size)
+        except images.ImageRefused:
+            return None
+        return self._of(px)
+
+    def _of(self, px: NDArray[np.uint8]) -> Frame:
+        r = self.record
+        return Frame(self.stamp, r.seq, px, r.exposure_s, r.gain, r.coded or isinstance(self.image, VideoImage))
+
+
+Event = Sample | RecordedFrame | Decision | rec.FusionRecord | rec.TruthRecord | rec.LinkRecord | rec.HealthRecord
+
+
+def instant(event: Event) -> MonoNs:
+    """Return the instant at which the service processed the event."""
+    match event:
+        case RecordedFrame():
+            return event.done
+        case Decision():
+            return event.at
+        case rec.FusionRecord() | rec.TruthRecord() | rec.LinkRecord() | rec.HealthRecord():
+            return MonoNs(event.at_ns)
+        case _:
+            return event.stamp.received_at
+
+
+class _Instants:
+    """Distinguishes a damaged instant from a recording that resumes after days: the latter has more than one event."""
+
+    def __init__(self) -> None:
+        self._last: MonoNs | None = None
+        self._suspect: MonoNs | None = None
+
+    def plausible(self, at: MonoNs) -> bool:
+        near = [known for known in (self._last, self._suspect) if known is not None and abs(at - known) <= _APART_NS]
+        if self._last is not None and not near:
+            self._suspect = at
+            return False
+        self._last, self._suspect = at, None
+        return True
+
+
+@dataclass(slots=True, eq=False)
+class Recording:
+    """One recording, in one file or in the several files that a long one was split into."""
+
+    paths: tuple[Path, ...]
+    metadata: dict[str, dict[str, str]]
+    attachments: dict[str, bytes]
+    counts: Counter[str] = field(default_factory=Counter)
+    """The number of messages in the newest pass through `events`, by topic."""
+    skipped: Counter[str] = field(default_factory=Counter)
+    """The number of messages in that pass that this version does not understand, by topic."""
+    cut: dict[Path, str] = field(default_factory=dict)
+    """The files that are truncated or damaged, and the reason for each."""
+
+    @property
+    def name(self) -> str:
+        return self.paths[0].name
+
+    def events(self) -> Iterator[Event]:
+        """Yield every event in the order of recording; a frame is decoded when it is requested."""
+        self.counts, self.skipped, self.cut = Counter(), Counter(), {}
+        for path in self.paths:
+            with _opened(path) as stream:
+                yield from self._events(path, stream)
+
+    def _events(self, path: Path, stream: IO[bytes]) -> Iterator[Event]:
+        topics: dict[int, str] = {}
+        assembled = EventAssembly()
+        instants = _Instants()
+        for record in records(stream, path, self.cut):
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Message):
+                topic = topics.get(record.channel_id, "")
+                self.counts[topic] += 1
+                try:
+                    event = assembled.event(topic, record.data)
+                    if event is not None and not instants.plausible(instant(event)):
+                        raise ValueError("its instant is days away from those around it")
+                except NOT_UNDERSTOOD:
+                    self.skipped[topic] += 1
+                    continue
+                if event is not None:
+                    yield event
+
+    def offset_ns(self) -> int:
+        """Return the offset from the recording's instants to the time axis of its file, ns.
+
+        Raises:
+            BadInput: it is no number.
+        """
+        text = self.metadata.get("clock", {}).get("monotonic_to_epoch_ns", "0")
+        if not re.fullmatch(r"-?\d{1,19}", text):
+            raise BadInput(f"{self.name}: its clock's offset is no number of nanoseconds: {text[:40]!r}")
+        return int(text)
+
+    def settings(self) -> Settings | None:
+        """Return the settings that the recording was made with, or None if it holds none.
+
+        Raises:
+            BadInput: this version does not understand them.
+        """
+        data = self._toml(SETTINGS)
+        return None if data is None else from_mapping(data, f"{self.name}: {SETTINGS}", recorded=True)
+
+    def camera(self) -> Camera | None:
+        """Return the camera that the recording was made with, or None; raises as `settings`."""
+        data = self._toml(CAMERA)
+        return None if data is None else Camera.from_mapping(data, f"{self.name}: {CAMERA}")
+
+    def pad(self) -> Pad | None:
+        """Return the pad that the recording was made with, or None; raises as `settings`."""
+        data = self._toml(PAD)
+        return None if data is None else Pad.from_mapping(data, f"{self.name}: {PAD}")
+
+    def _toml(self, name: str) -> dict[str, Any] | None:
+        if name not in self.attachments:
+            return None
+        try:
+            return tomllib.loads(self.attachments[name].decode("utf-8"))
+        except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as why:
+            raise BadInput(f"{self.name}: {name}: {why}") from why
+
+
+def open_recording(paths: Sequence[Path]) -> Recording:
+    """Open the recording in these files and read the head of each.
+
+    Raises:
+        BadInput: a file cannot be read, is no MCAP file, holds nothing of ours, or was recorded with the names from before 0.1.0.
+    """
+    if not paths:
+        raise BadInput("no recording named")
+    recording = Recording(tuple(paths), {}, {})
+    for path in paths:
+        ours = False
+        topics: dict[int, str] = {}
+        with _opened(path) as stream:
+            for record in records(stream, path, {}):
+                if isinstance(record, Metadata):
+                    recording.metadata.setdefault(record.name, dict(record.metadata))
+                elif isinstance(record, Attachment):
+                    recording.attachments.setdefault(record.name, record.data)
+                elif isinstance(record, Schema) and any(key.encode() in record.data for key in _OLD_KEYS):
+                    raise _too_old(path)
+                elif isinstance(record, Channel):
+                    if record.topic == _OLD_TOPIC:
+                        raise _too_old(path)
+                    ours = ours or record.topic in channels.TOPICS
+                    topics[record.id] = record.topic
+                elif isinstance(record, Message) and topics.get(record.channel_id) not in FOR_VIEWERS:
+                    break
+        if not ours:
+            raise BadInput(f"{path}: holds no recording of decklander, or is cut before its first message")
+    return recording
+
+
+def _too_old(path: Path) -> BadInput:
+    return BadInput(
+        f"{path}: recorded before topics and keys were renamed ({_OLD_TOPIC} is now {channels.DETECTION}, taken_ns is now "
+        "measured_at_ns, doubts is now alerts); this version cannot read it, replay it with the version that recorded it"
+    )
+
+
+class EventAssembly:
+    """Assembles events that were written as several messages: a frame and its detection, beliefs and their decision."""
+
+    def __init__(self) -> None:
+        self._decoders = {topic: msgspec.json.Decoder(kind) for topic, kind in channels.TOPICS.items()}
+        self._image: bytes | VideoImage | None = None
+        self._video = FrameSequence()
+        self._beliefs: list[RelativeState] = []
+
+    def event(self, topic: str, data: bytes) -> Event | None:
+        """Return the event that a message completes, or None if it is only for viewers or a part of a later event.
+
+        Raises:
+            Exception: one of `NOT_UNDERSTOOD`, for a message that is damaged or of another version.
+        """
+        if topic in FOR_VIEWERS or topic not in self._decoders:
+            return None
+        message = self._decoders[topic].decode(data)
+        match message:
+            case fox.CompressedImage():
+                self._image = message.data
+                return None
+            case fox.CompressedVideo():
+                self._image = self._video.add(message.data)
+                return None
+            case rec.DetectionRecord():
+                image, self._image = self._image, None
+                frame = RecordedFrame(message, image)
+                frame.check()
+                return frame
+            case rec.BeliefRecord():
+                self._beliefs.append(decode.belief(message))
+                return None
+            case rec.DecisionRecord():
+                return self._decision(message)
+            case rec.TruthRecord():
+                decode.truth(message)
+                return message
+            case rec.FusionRecord():
+                decode.fusion(message)
+                return message
+            case rec.LinkRecord() | rec.HealthRecord():
+                return message
+            case _:
+                return decode.sample(cast(rec.SampleRecord, message))
+
+    def _decision(self, message: rec.DecisionRecord) -> Decision:
+        beliefs, self._beliefs = [b for b in self._beliefs if b.at == message.at_ns], []
+        steering = next((b for b in beliefs if b.path == message.steering), None)
+        shadows = tuple(b for b in beliefs if b is not steering)
+        return Decision(
+            MonoNs(message.at_ns),
+            message.phase,
+            decode.command(message),
+            steering,
+            shadows,
+            message.reason,
+            transitions=tuple(decode.transition(change) for change in message.transitions),
+            response=decode.response(message.response),
+            ahead=decode.deck(message.deck, MonoNs(message.at_ns)),
+        )
+
+
+FOR_VIEWERS = {
+    channels.ANNOTATIONS,
+    channels.CALIBRATION,
+    channels.TRANSFORMS,
+    channels.FIXED_TRANSFORMS,
+    channels.LOG,
+    channels.ORDER,
+    channels.TRUE_POSE,
+    channels.SCENE,
+    channels.ELLIPSOID,
+    *(channels.pose(path) for path in channels.PATHS),
+}
+"""Topics that repeat for viewers what others hold."""
+_OLD_TOPIC, _OLD_KEYS = "/look", ('"taken_ns"', '"doubts"')
+"""The topic and key names before 0.1.0, which distinguish an old recording from a damaged one."""
+
+
+def _opened(path: Path) -> IO[bytes]:
+    try:
+        return path.open("rb")
+    except OSError as why:
+        raise BadInput(f"{path}: {why.strerror or why}") from why

@@ -1,0 +1,406 @@
+"""The project's own message types in a recording. They can be plotted directly and replayed bit for bit.
+
+Vectors and matrices (row by row) are lists of numbers in SI units and radians, named as in `estimator.contracts`; instants are
+whole nanoseconds of the recording host's monotonic clock. Unknown values are left out.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+_FARTHEST_NS = 1 << 62
+Instant = Annotated[int, Meta(ge=-_FARTHEST_NS, le=_FARTHEST_NS)]
+"""An instant, ns. Half the range of 64 bits is allowed, so that the sum or difference of two instants fits as well."""
+Count = Annotated[int, Meta(ge=0, le=_FARTHEST_NS)]
+Pixels = Annotated[int, Meta(ge=1, le=65_535)]
+
+
+class StampRecord(Struct, frozen=True):
+    """Time of measurement, time of reception, and the uncertainty of the former."""
+
+    measured_at_ns: Instant
+    received_at_ns: Instant
+    sigma_s: float
+    source: str
+
+
+class ImuRecord(Struct, frozen=True):
+    """A rate (3,) in rad/s and a specific force (3,) in m/s², both in `body`."""
+
+    stamp: StampRecord
+    w_body: list[float]
+    f_body: list[float]
+
+
+class AttitudeRecord(Struct, frozen=True):
+    """An attitude as a matrix (9,), its covariance (9,), and the same angles in degrees for the viewer."""
+
+    stamp: StampRecord
+    R_ned_body: list[float]
+    cov_body: list[float]
+    roll_deg: float
+    pitch_deg: float
+    yaw_deg: float
+
+
+class GimbalRecord(Struct, frozen=True):
+    """A gimbal's attitude as a matrix (9,) in the frame that it names, and its covariance (9,)."""
+
+    stamp: StampRecord
+    frame: str
+    R_frame_gimbal: list[float]
+    cov_gimbal: list[float]
+
+
+class VelocityRecord(Struct, frozen=True):
+    """A velocity (3,) in `level`, m/s, and its covariance (9,)."""
+
+    stamp: StampRecord
+    v_level: list[float]
+    cov_level: list[float]
+
+
+class RangeRecord(Struct, frozen=True):
+    """A distance along the body's down axis and its standard deviation, metres."""
+
+    stamp: StampRecord
+    range_m: float
+    sigma_m: float
+
+
+class BaroRecord(Struct, frozen=True):
+    """A barometric height and its standard deviation, metres."""
+
+    stamp: StampRecord
+    height_m: float
+    sigma_m: float
+
+
+class VesselRecord(Struct, frozen=True, omit_defaults=True):
+    """A vessel's velocity (3,) in `ned`, m/s, with covariance (9,), and its heading; what is unknown is left out."""
+
+    stamp: StampRecord
+    v_vessel_ned: list[float] | None = None
+    cov_v_ned: list[float] | None = None
+    heading_rad: float | None = None
+    sigma_heading_rad: float | None = None
+
+
+class FixRecord(Struct, frozen=True, omit_defaults=True):
+    """The place of the vehicle or of the vessel in WGS-84, and its velocity (3,) in `ned`, m/s; what is unknown is left out."""
+
+    stamp: StampRecord
+    whose: str
+    latitude_deg: float
+    longitude_deg: float
+    sigma_m: float
+    height_m: float | None = None
+    v_ned: list[float] | None = None
+
+
+class StatusRecord(Struct, frozen=True, omit_defaults=True):
+    """The vehicle's status: mode, emergency, link, whether it flies, and the battery's charge, 0 to 1."""
+
+    stamp: StampRecord
+    mode: str
+    emergency: bool
+    link_ok: bool
+    flying: bool | None = None
+    battery_fraction: float | None = None
+
+
+class Pose6Record(Struct, frozen=True):
+    """A pose in six degrees of freedom: vector (3,), rotation (9,) and covariance (36,)."""
+
+    d_body_pad_level: list[float]
+    R_level_pad: list[float]
+    cov: list[float]
+
+
+class SightingRecord(Struct, frozen=True, omit_defaults=True):
+    """The sighting of one method; its stamp and number are those of the detection that contains it."""
+
+    method: str
+    d_body_pad_level: list[float]
+    cov: list[float]
+    confidence: float
+    yaw_ambiguous: bool
+    yaw_rad: float | None = None
+    pose6: Pose6Record | None = None
+
+
+class FrameTimesRecord(Struct, frozen=True):
+    """How long each stage of one frame took, s."""
+
+    decode_s: float
+    wait_s: float
+    look_s: float
+    filter_s: float
+
+
+class DetectionRecord(Struct, frozen=True, omit_defaults=True):
+    """One frame: its stamp, the sighting of every method, and the verdict."""
+
+    stamp: StampRecord
+    seq: Count
+    exposure_s: float
+    width: Pixels
+    height: Pixels
+    verdict: str
+    began_ns: Instant
+    done_ns: Instant
+    attitude: AttitudeRecord | None = None
+    """The vehicle's attitude at the exposure."""
+    tried: list[str] | None = None
+    """Methods that were tried; left out if vision did not run."""
+    chosen: str | None = None
+    selected: SightingRecord | None = None
+    ellipse: SightingRecord | None = None
+    arrow: SightingRecord | None = None
+    corners: SightingRecord | None = None
+    registration: SightingRecord | None = None
+    lamps: SightingRecord | None = None
+    fused: SightingRecord | None = None
+    elsewhere: SightingRecord | None = None
+    """What is surer than the selected one in a place that the belief excluded; left out if there is none."""
+    times: FrameTimesRecord | None = None
+    """Left out if vision did not search the frame, and in virtual time."""
+    R_body_cam: list[float] | None = None
+    """The rotation (9,) of a camera on the body as its gimbal held it; left out for one that is fixed, or if it is not known."""
+    gain: float = 0.0
+    """Amplification of a camera whose exposure is driven; left out if unknown."""
+    coded: bool = False
+    """Whether a codec predicted the frame from others before it came; left out if none did."""
+
+
+class NamedNumber(Struct, frozen=True):
+    """A detail of an estimate."""
+
+    name: str
+    value: float
+
+
+class BeliefRecord(Struct, frozen=True, omit_defaults=True):
+    """An estimate of one path."""
+
+    at_ns: Instant
+    path: str
+    d_body_pad_level: list[float]
+    v_pad_level: list[float]
+    cov: list[float]
+    sighted_ns: Instant
+    consistent: bool
+    height_m: float
+    lateral_m: float
+    details: list[NamedNumber]
+    yaw_rad: float | None = None
+    track: int = 0
+    """Number of the tracked pad; it increases at each jump of the position that motion does not explain."""
+    alerts: list[str] = []
+    """Names of the checks that doubted the estimate."""
+
+
+class FusionRecord(Struct, frozen=True, omit_defaults=True):
+    """The result of one measurement on one path of the estimator; figures are left out if nothing was compared."""
+
+    at_ns: Instant
+    """Instant at which the service processed the measurement."""
+    path: str
+    source: str
+    verdict: str
+    measured_at_ns: Instant
+    received_at_ns: Instant
+    components: list[str] = []
+    """Names of the innovation's components, each with its unit."""
+    innovation: list[float] | None = None
+    innovation_cov: list[float] | None = None
+    nis: float | None = None
+    test_ratio: float | None = None
+    """NIS divided by the gate's limit; the gate refuses a value above 1."""
+
+
+class TransitionRecord(Struct, frozen=True, omit_defaults=True):
+    """One change of the mission's state, with its reason."""
+
+    at_ns: Instant
+    source: str
+    event: str
+    target: str
+    cause: str
+    """Name of the cause; `text` says it with its numbers."""
+    measured: float | None = None
+    limit: float | None = None
+    detail: str | None = None
+    """Name of the alert or verdict that the cause is about."""
+    text: str = ""
+
+
+class ResponseRecord(Struct, frozen=True, omit_defaults=True):
+    """The vehicle's response as a flight has come to know it."""
+
+    state: str
+    """assumed, known, or identified where the flight contradicts the response file."""
+    delay_s: float
+    sigma_s: float | None = None
+    longer_s: float = 0.0
+    """By how much the delay is longer than the response file says."""
+
+
+class DeckRecord(Struct, frozen=True):
+    """The deck's height and tilt some seconds ahead, each with its standard deviation; one number for each horizon."""
+
+    horizons_s: list[float]
+    height_m: list[float]
+    sigma_height_m: list[float]
+    roll_rad: list[float]
+    sigma_roll_rad: list[float]
+    pitch_rad: list[float]
+    sigma_pitch_rad: list[float]
+
+
+class DecisionRecord(Struct, frozen=True, omit_defaults=True):
+    """One guidance cycle; the estimates that it used are the messages of the same instant that precede it."""
+
+    at_ns: Instant
+    phase: str
+    steering: str | None = None
+    """Path of the estimate that steered; left out if there was none."""
+    command: str | None = None
+    """velocity, lean, hover, take_off, land, cut_motors or leave_emergency; left out if no command was sent."""
+    v_level: list[float] | None = None
+    yaw_rate_rad_s: float | None = None
+    reason: str = ""
+    """Reason for anything other than a plain descent."""
+    a_level: list[float] | None = None
+    """Acceleration of a lean, m/s^2 forward and right."""
+    trim_level: list[float] | None = None
+    """What a lean adds against wind and drag, m/s^2 forward and right."""
+    transitions: list[TransitionRecord] = []
+    """What changed since the previous decision, in order."""
+    response: ResponseRecord | None = None
+    """The vehicle's response, where this cycle has come to know it otherwise than before."""
+    deck: DeckRecord | None = None
+    """The deck's forecast, where this cycle made one."""
+
+
+class OrderRecord(Struct, frozen=True, omit_defaults=True):
+    """An order of a person and its answer."""
+
+    at_ns: Instant
+    source: str
+    """Way on which it arrived: gamepad, terminal, mavlink, mqtt, signal; or limits."""
+    sender: str
+    order: str
+    accepted: bool
+    refusal: str | None = None
+    detail: str = ""
+
+
+class ContactRecord(Struct, frozen=True, omit_defaults=True):
+    """The first contact with a surface after flight."""
+
+    at_ns: Instant
+    surface: str
+    on_pad: bool
+    lateral_m: float | None = None
+    yaw_rad: float | None = None
+    vertical_speed_m_s: float | None = None
+    lateral_speed_m_s: float | None = None
+
+
+class TruthRecord(Struct, frozen=True, omit_defaults=True):
+    """The true pose of the pad, known only to a simulator or motion capture."""
+
+    at_ns: Instant
+    d_body_pad_level: list[float]
+    v_pad_level: list[float]
+    yaw_rad: float
+    phase: str | None = None
+    """Phase of the flight as the simulated vehicle knows it."""
+    touchdown: ContactRecord | None = None
+    R_ned_body: list[float] | None = None
+    """True attitude of the vehicle, (3, 3) row by row."""
+    R_ned_pad: list[float] | None = None
+    """True attitude of the pad, (3, 3) row by row."""
+    p_pad_ned: list[float] | None = None
+    """True place of the pad's centre, (3,) m from the simulator's origin."""
+
+
+class LinkRecord(Struct, frozen=True, omit_defaults=True):
+    """One message of a link, with the bytes as they were on the wire."""
+
+    at_ns: Instant
+    link: str
+    direction: str
+    """Direction of the message: `in` or `out`."""
+    data: bytes
+    name: str | None = None
+
+
+class PartRecord(Struct, frozen=True):
+    """State of one part of the service."""
+
+    name: str
+    up: bool
+    age_s: float
+    restarts: Count
+    last_error: str
+
+
+class FlowRecord(Struct, frozen=True, omit_defaults=True):
+    """Count and rate of one flow."""
+
+    name: str
+    count: Count
+    rate_hz: float | None = None
+
+
+class TallyRecord(Struct, frozen=True):
+    """The number of inputs of one kind that ended in one verdict."""
+
+    kind: str
+    verdict: str
+    count: Count
+
+
+class StageRecord(Struct, frozen=True, omit_defaults=True):
+    """Median and 99th percentile of the time of one stage, seconds."""
+
+    name: str
+    count: Count
+    p50_s: float | None = None
+    p99_s: float | None = None
+
+
+class CounterRecord(Struct, frozen=True):
+    """One counter of one part."""
+
+    part: str
+    name: str
+    value: float
+
+
+class HealthRecord(Struct, frozen=True):
+    """Health of the service (`companion.base.health.HealthSnapshot`), recorded once a second."""
+
+    at_ns: Instant
+    parts: list[PartRecord]
+    flows: list[FlowRecord]
+    tallies: list[TallyRecord]
+    stages: list[StageRecord]
+    counters: list[CounterRecord]
+
+
+SampleRecord = (
+    ImuRecord
+    | AttitudeRecord
+    | GimbalRecord
+    | VelocityRecord
+    | RangeRecord
+    | BaroRecord
+    | VesselRecord
+    | FixRecord
+    | StatusRecord
+)

@@ -1,0 +1,126 @@
+"""Rewrite a recording: repair it, shorten it, thin it, or reduce it to its inputs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+
+from companion.base.observer import Decision
+from companion.recording import channels, encode
+from companion.recording import foxglove as fox
+from companion.recording.frame_encoder import FrameEncoder
+from companion.recording.frame_video import RECORDED, VideoImage
+from companion.recording.mcap_file import About, Attachment, McapFile
+from companion.recording.message_encoder import MessageEncoder
+from companion.recording.reading import Event, RecordedFrame, Recording, instant
+from companion.recording.records import DetectionRecord, FusionRecord, HealthRecord, LinkRecord, TruthRecord
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Method
+from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.time import MonoNs, seconds_between
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """The part of a recording that is kept."""
+
+    from_s: float = 0.0
+    to_s: float | None = None
+    """The end of the part; start and end are times after the recording's first event, s."""
+    inputs: bool = False
+    """Whether only samples, frames and truth are kept; of each detection only the selected sighting is kept."""
+    samples_each: int = 1
+    """The step n that keeps each n-th sample of a kind; the vehicle's status is always kept."""
+    frames_each: int = 1
+    images: bool = True
+
+
+def rewrite(recording: Recording, output: Path, cut: Cut) -> int:
+    """Write the part into `output`, which is replaced; return the number of its events.
+
+    Raises:
+        BadInput: the recording does not name the camera that it was made with, or its metadata cannot be read.
+        OSError: the file cannot be written.
+    """
+    camera = recording.camera()
+    if camera is None:
+        raise BadInput(f"{recording.name}: does not hold its camera")
+    metadata = {name: data for name, data in recording.metadata.items() if name != "clock"}
+    offset_ns = recording.offset_ns()
+    attachments = [Attachment(name, "application/toml", data) for name, data in recording.attachments.items()]
+    message_encoder = MessageEncoder(camera, offset_ns, "none", 90, recording.pad())
+    output.unlink(missing_ok=True)
+    file = McapFile(output, About(metadata, attachments, offset_ns))
+    try:
+        n = _copy(recording, file, message_encoder, cut, offset_ns)
+    except BaseException:
+        file.abandon()
+        raise
+    file.close()
+    return n
+
+
+def _copy(recording: Recording, file: McapFile, message_encoder: MessageEncoder, cut: Cut, offset_ns: int) -> int:
+    first: MonoNs | None = None
+    met: Counter[str] = Counter()
+    n = 0
+    video = FrameEncoder(RECORDED)
+    for event in recording.events():
+        at = instant(event)
+        if first is None:
+            first = at
+            for topic, t, message in message_encoder.preamble(at):
+                file.add(topic, t, message)
+        since_s = seconds_between(first, at)
+        if (cut.from_s > 0 and since_s < cut.from_s) or (cut.to_s is not None and since_s > cut.to_s):
+            continue
+        if not _kept(event, cut, met):
+            continue
+        n += 1
+        t = max(0, at + offset_ns)
+        if isinstance(event, RecordedFrame):
+            exposed_at = event.record.stamp.measured_at_ns + offset_ns
+            image = event.image if cut.images else None
+            if isinstance(image, VideoImage):
+                # A part of a video may not begin where a key frame stands, so that it is encoded again.
+                px = image.px()
+                if px is not None:
+                    file.add(channels.VIDEO, t, fox.compressed_video(exposed_at, video.encoded(px)))
+            elif image is not None:
+                form = "png" if image.startswith(b"\x89PNG") else "jpeg"
+                file.add(channels.IMAGE, t, fox.compressed_image(exposed_at, image, form))
+            file.add(channels.DETECTION, t, _without_methods(event.record) if cut.inputs else event.record)
+        elif cut.inputs and not isinstance(event, TruthRecord | FusionRecord | LinkRecord | HealthRecord | Decision):
+            record = encode.sample(event)
+            file.add(channels.SAMPLES[type(record)], t, record)
+        elif cut.inputs and isinstance(event, TruthRecord):
+            file.add(channels.TRUTH, t, event)
+        else:
+            for topic, moment, message in message_encoder.messages(at, event):
+                file.add(topic, moment, message)
+        if file.pending_bytes > 1 << 22:
+            file.flush()
+    return n
+
+
+def _without_methods(record: DetectionRecord) -> DetectionRecord:
+    tried = None if record.tried is None else list[str]()
+    return msgspec.structs.replace(record, tried=tried, **dict.fromkeys(get_args(Method), None) | {"selected": record.selected})
+
+
+def _kept(event: Event, cut: Cut, met: Counter[str]) -> bool:
+    match event:
+        case Decision() | FusionRecord() | LinkRecord() | HealthRecord():
+            return not cut.inputs
+        case TruthRecord() | VehicleStatus():
+            return True
+        case RecordedFrame():
+            kind, each = "frame", cut.frames_each
+        case _:
+            kind, each = type(event).__name__, cut.samples_each
+    met[kind] += 1
+    return (met[kind] - 1) % each == 0

@@ -1,1 +1,0 @@
-"""The asyncio daemon: parts, supervision, signals, health."""

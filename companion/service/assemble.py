@@ -1,0 +1,207 @@
+"""Make the daemon from settings, and run it as a process with signals and logs."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from companion.base import memory
+from companion.base.beside import RestartablePart
+from companion.base.event_loop import heeded
+from companion.base.health import Health
+from companion.base.missing_inputs import SHIP_PLACE
+from companion.base.notify import Manager, Pulse, watchdog_interval_s
+from companion.base.observer import Observer
+from companion.base.orders import OperatorOrder, OrderSender, OrderSource
+from companion.base.supervise import Body
+from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.guidance.pilot_operator import PilotOperator
+from companion.parts.operator.local_socket import OperatorSocket
+from companion.parts.operator.socket_path import OFF, socket_path
+from companion.service.daemon import Daemon
+from companion.service.vehicle_parts import vehicle_parts
+from companion.settings.model import Settings
+from companion.settings.ship_place import sources
+from drivers.clock import SystemClock
+from drivers.mailbox import Line
+from drivers.mavlink.options import AutopilotOptions
+from estimator.contracts.errors import BadInput
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Sample
+
+log = logging.getLogger(__name__)
+
+_REPORTS_MAX = 64
+"""Reports of the ship that may wait; the oldest is dropped."""
+
+if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does not need it
+    from companion.parts.mavlink.bridge import Send
+    from companion.parts.mavlink.camera_component import ShowCamera
+    from drivers.mavlink.links import Tap
+
+
+def make_daemon(
+    settings: Settings,
+    pilot: Pilot,
+    *,
+    clock: Clock | None = None,
+    observers: Sequence[Observer] = (),
+    once: bool = False,
+    settings_file: Path | None = None,
+) -> Daemon:
+    """Return a daemon around the pilot, with the vehicle and the links of the settings.
+
+    Args:
+        settings_file: the file that the settings were read from, for the page; None if there is none.
+
+    Raises:
+        BadInput: a secret, certificate or folder that a link needs cannot be read or used.
+    """
+    ticking = clock or SystemClock()
+    health = Health(ticking)
+    watching, extras = list(observers), dict[str, Body]()
+    recording: Callable[[bool], str | None] | None = None
+    tap: Tap | None = None
+    if settings.recorder.enabled or settings.mqtt.transport != "off" or isinstance(settings.vehicle, AutopilotOptions):
+        from companion.parts.recorder.beside import RecorderBeside
+        from companion.parts.recorder.setup import recorder_of
+
+        recorder = RecorderBeside(lambda: recorder_of(settings, ticking, health), health)
+        watching.append(recorder)
+        extras["recorder"] = recorder.run
+        recording, tap = recorder.switch, recorder.on_link
+    show: ShowCamera | None = None
+    if settings.video_stream.to:
+        from companion.parts.mavlink.camera_component import CameraComponent
+        from companion.parts.video.part import VideoStreamPart
+
+        video = VideoStreamPart(settings.video_stream, pilot, ticking)
+        watching.append(video)
+        extras["video_stream"] = video.run
+        health.counters("video_stream", video.counted)
+
+        def show(send: Send) -> CameraComponent:
+            return CameraComponent(send, pilot.camera, settings.video_stream, video.size, lambda: video.flows)
+
+    vehicle = vehicle_parts(settings, pilot, health, ticking, recording, tap, show)
+    watching += vehicle.observers
+    extras |= vehicle.extras
+    reports: Line[Sample] | None = None
+    if settings.vessel.nmea or settings.vessel.mqtt:
+        reports = Line(_REPORTS_MAX)
+    if settings.vessel.nmea and reports is not None:
+        from companion.base.sentences import SentencesPart
+
+        sentences = SentencesPart(settings.vessel, reports, ticking)
+        extras["sentences"] = sentences.run
+        health.counters("sentences", sentences.counted)
+    if sources(settings):
+        health.awaited |= {SHIP_PLACE}
+        health.counters("ship_place", pilot.vessel_counts)
+    if settings.mqtt.transport != "off":
+        from companion.parts.mqtt.make import make_mqtt
+
+        ship = reports if settings.vessel.mqtt else None
+        mqtt = RestartablePart("mqtt", lambda: make_mqtt(settings.mqtt, pilot, health, ticking, recording, ship))
+        watching.append(mqtt)
+        extras["mqtt"] = mqtt.run
+    if (path := socket_path(settings)) is not None:
+        terminals = OperatorSocket(path, pilot, ticking)
+        watching.append(terminals)
+        extras["operator"] = terminals.run
+        health.counters("operator", terminals.counted)
+    if settings.operator.gamepad != OFF:
+        from companion.parts.operator.gamepad_part import GamepadPart
+        from companion.settings.gamepad import mapping_of
+
+        gamepad = GamepadPart(mapping_of(settings.operator.gamepad), settings.operator.gamepad_device, pilot, ticking)
+        extras["gamepad"] = gamepad.run
+        health.counters("gamepad", gamepad.counted)
+    if settings.metrics.endpoint != "off":
+        from companion.parts.metrics.endpoint import MetricsEndpoint
+
+        extras["metrics"] = MetricsEndpoint(settings.metrics, health).run
+    if settings.foxglove.endpoint != "off":
+        from companion.parts.live.part import FoxgloveEndpoint
+        from companion.parts.recorder.setup import wall_offset_ns
+
+        data = FoxgloveEndpoint(settings.foxglove, pilot, health, ticking, vehicle_name(settings), wall_offset_ns(ticking))
+        watching.append(data)
+        extras["foxglove"] = data.run
+        health.counters("foxglove", data.counted)
+    if settings.page.endpoint != "off":
+        from companion.parts.page.make import make_page
+
+        page = make_page(settings, pilot, health, ticking, vehicle_name(settings), vehicle.autopilot, settings_file)
+        watching.append(page)
+        extras["page"] = page.run
+        health.counters("page", page.counted)
+    if (pulse := _pulse(pilot, health, ticking)) is not None:
+        watching.append(pulse)
+        extras["manager"] = pulse.run
+
+    return Daemon(
+        vehicle.open_link,
+        pilot,
+        ticking,
+        restart=settings.service,
+        guidance_rate_hz=settings.guidance.rate_hz,
+        health_period_s=settings.service.health_period_s,
+        threads=settings.vision.threads,
+        core_fraction=settings.vision.core_fraction,
+        observers=watching,
+        once=once,
+        health=health,
+        extras=extras,
+        reports=reports,
+        prepare=partial(_prepare, pilot),
+    )
+
+
+def vehicle_name(settings: Settings) -> str:
+    """Return the vehicle's name for a person."""
+    v = settings.vehicle
+    return f"autopilot on {v.links}" if isinstance(v, AutopilotOptions) else f"AR.Drone at {v.host}"
+
+
+def _prepare(pilot: Pilot) -> None:
+    """Do before the first frame what would delay it."""
+    pilot.rehearse()
+    memory.give_back()
+
+
+def _pulse(pilot: Pilot, health: Health, clock: Clock) -> Pulse | None:
+    """Return the systemd observer, or None. A wrong environment is only logged: it is no setting and must not stop us."""
+    try:
+        interval_s, manager = watchdog_interval_s(), Manager.of()
+    except BadInput as why:
+        log.error("%s; the service manager is not notified", why)
+        return None
+    if manager is None:
+        return None
+    return Pulse(manager, health, clock, lambda: pilot.vehicle is not None and bool(pilot.vehicle.flying), interval_s)
+
+
+def log_to_stderr(settings: Settings) -> None:
+    """Log one line per message to standard error, without the wall time if journald adds it."""
+    under_journald = not sys.stderr.isatty()
+    form = "%(levelname)s %(name)s: %(message)s" if under_journald else "%(asctime)s %(levelname)s %(name)s: %(message)s"
+    logging.basicConfig(level=settings.service.log_level.upper(), format=form, stream=sys.stderr, force=True)
+
+
+async def live(daemon: Daemon, pilot: Pilot) -> FlightOutcome | None:
+    """Run the daemon; SIGINT and SIGTERM end it, SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it."""
+    operator = PilotOperator(pilot, OrderSender(OrderSource.SIGNAL), SystemClock())
+    handlers: dict[signal.Signals, Callable[[], object]] = {
+        signal.SIGINT: daemon.stop,
+        signal.SIGTERM: daemon.stop,
+        signal.SIGUSR1: lambda: operator.order(OperatorOrder.BEGIN),
+        signal.SIGUSR2: lambda: operator.order(OperatorOrder.HOLD),
+    }
+    with heeded(handlers):
+        return await daemon.run()

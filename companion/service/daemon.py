@@ -1,0 +1,417 @@
+"""The service: it supervises one vehicle, one pad tracker and one pilot until the flight has ended or `stop` is called.
+
+Every frame that the driver offers gets exactly one counted verdict. Vision runs on a thread of its own; everything else runs
+on the event loop. When the service ends, for whatever reason, the driver leaves the vehicle in its own hover.
+
+Vehicle and guidance are vital; observers and every further part run beside the flight and cannot touch it (`supervise`,
+`containment`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager
+from functools import partial
+from typing import Protocol
+
+from companion.base.containment import Audience
+from companion.base.garbage import GroundedCollector, no_full_collections
+from companion.base.health import Health
+from companion.base.missing_inputs import SHIP_PLACE, missing_inputs
+from companion.base.mission import FAULTS
+from companion.base.observer import Decision, FrameTimes, Observer, ProcessedFrame
+from companion.base.orders import HandledOrder
+from companion.base.response_in_use import ResponseState
+from companion.base.supervise import Body, run, uncancelled
+from companion.base.vision_share import VisionShare
+from companion.base.worker import Worker
+from companion.guidance.pilot import WAITING_MOST, FlightOutcome, Pilot
+from companion.settings.restart import RestartOptions
+from drivers.mailbox import Latest, Line
+from estimator.contracts.commands import Command
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.fusion import FusionResult
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample
+from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.gimbal_history import HeldCamera
+from estimator.vision.detection import Detection
+
+log = logging.getLogger(__name__)
+
+_NUMBER = re.compile(r"\d+(\.\d+)?")
+_ATTITUDE_TRIES, _ATTITUDE_PAUSE_S = 10, 0.005
+_UNASKED_S = 0.1
+"""Time between two looks for samples that neither guidance nor vision took, because one of them waits or is being restarted."""
+
+
+class VehicleLink(Protocol):
+    """A vehicle with a camera, as a driver offers it while its context is open."""
+
+    @property
+    def frames(self) -> Latest[Frame]: ...
+
+    @property
+    def samples(self) -> Line[Sample]: ...
+
+    def command(self, command: Command) -> None: ...
+
+    def release(self) -> None:
+        """Leave the vehicle to a person on closing, instead of holding it for a successor."""
+        ...
+
+
+OpenLink = Callable[[], AbstractAsyncContextManager[VehicleLink]]
+
+
+class Daemon:
+    """Connects the vehicle with the pilot.
+
+    Args:
+        open_link: opens the vehicle; called again after each `Recoverable`.
+        pilot: the pad tracker, the estimator and guidance.
+        guidance_rate_hz: the rate of guidance cycles.
+        health_period_s: the time between two log lines of health; 0 logs none.
+        threads: the number of threads that OpenCV may use for one frame.
+        core_fraction: the largest share of the time that looking at frames may take; 1 skips none.
+        once: whether `run` ends with the first flight; otherwise it waits for the next one.
+        health: the health that is shared with parts made before the daemon; if absent, a new one is made.
+        extras: parts by name that run beside the flight. Their failures do not affect it.
+        reports: the ship's reports from other sources than the vehicle's link; None where there are none.
+        prepare: what the thread of vision does before its first frame.
+    """
+
+    def __init__(
+        self,
+        open_link: OpenLink,
+        pilot: Pilot,
+        clock: Clock,
+        *,
+        restart: RestartOptions,
+        guidance_rate_hz: float,
+        health_period_s: float = 0.0,
+        threads: int = 1,
+        core_fraction: float = 1.0,
+        observers: Sequence[Observer] = (),
+        once: bool = False,
+        health: Health | None = None,
+        extras: Mapping[str, Body] | None = None,
+        reports: Line[Sample] | None = None,
+        prepare: Callable[[], None] | None = None,
+    ) -> None:
+        self._open_link = open_link
+        self._pilot = pilot
+        self._clock = clock
+        self._restart = restart
+        self._period_s = 1.0 / guidance_rate_hz
+        self._health_period_s = health_period_s
+        self._threads = threads
+        self._share = VisionShare(core_fraction)
+        self._collector = GroundedCollector()
+        self._once = once
+        self._link: VehicleLink | None = None
+        self._ended = asyncio.Event()
+        self._tracker: Worker | None = None
+        self._prepare = prepare
+        self._loaded = False
+        self._decided = asyncio.Event()
+        """Set after the first guidance cycle, which nothing is to delay."""
+        self._wrong_size_logged = False
+        self._logged = ("", "")
+        self._taken_at = MonoNs(0)
+        """When the samples that wait were last asked for."""
+        self._newest_fused: Stamp | None = None
+        """Stamp of the newest frame in the estimate that no command has used."""
+        self._extras = dict(extras or {})
+        if reports is not None:
+            self._extras["ship_reports"] = partial(self._read_reports, reports)
+        self.health = health or Health(clock)
+        self._audience = Audience(observers, self.health)
+        if not self._audience.takes_fusion:
+            self.health.completed_by(lambda: self._count(pilot.processed()))
+        pilot.operator.on_order = self._on_order
+
+    async def run(self) -> FlightOutcome | None:
+        """Run until the flight has ended (with `once`) or `stop` is called; return its outcome, or None if there is none yet.
+
+        Raises:
+            ExceptionGroup: our code has a bug; the vehicle was left in its hover.
+        """
+        vital: dict[str, Body] = {"vehicle": self._fly, "guidance": self._guide}
+        beside = dict(self._extras)
+        if self._health_period_s > 0:
+            beside["health"] = self._log_health
+        self._tracker = Worker("vision")
+        try:
+            with no_full_collections():
+                await run(vital, self._restart, self.health, self._clock, until=self._ended, beside=beside)
+        finally:
+            self._tracker.close()
+        return self._pilot.outcome
+
+    @property
+    def looking(self) -> bool:
+        """Whether vision is at work on its thread."""
+        return self._tracker is not None and self._tracker.busy
+
+    def stop(self) -> None:
+        """End `run` soon and cleanly, and release the vehicle to a person."""
+        if self._link is not None:
+            self._link.release()
+        self._ended.set()
+
+    async def _fly(self) -> None:
+        async with self._open_link() as link:
+            self._link = link
+            try:
+                async with asyncio.TaskGroup() as group:
+                    group.create_task(uncancelled("hearing the vehicle", lambda: self._read_samples(link)), name="samples")
+                    group.create_task(uncancelled("watching its frames", lambda: self._read_frames(link)), name="frames")
+            finally:
+                self._link = None
+
+    async def _read_samples(self, link: VehicleLink) -> None:
+        """Take the samples that nobody asked for: guidance and vision take what waits just before they need it.
+
+        Most of the time that the loop spends on a datagram is spent on waking for it, hundreds of times a second.
+        """
+        while True:
+            if seconds_between(self._taken_at, self._clock.now()) >= _UNASKED_S:
+                self._take_waiting()
+            link.samples.check()
+            await self._clock.sleep(_UNASKED_S)
+
+    def _take_waiting(self) -> None:
+        self._taken_at = self._clock.now()
+        if self._link is not None and (samples := self._link.samples.waiting()):
+            self._take(samples)
+
+    async def _read_reports(self, reports: Line[Sample]) -> None:
+        async for samples in reports.together():
+            self._take(samples)
+
+    def _take(self, samples: Sequence[Sample]) -> None:
+        waiting, now = self._pilot.take_samples(samples), self._clock.now()
+        arrived: dict[str, int] = {}
+        for sample in samples:
+            place_of_ship = type(sample) is GeoFix and sample.whose == "vessel"
+            name = SHIP_PLACE if place_of_ship else type(sample).__name__
+            arrived[name] = arrived.get(name, 0) + 1
+        for name, n in arrived.items():
+            self.health.beat(name, now, n)
+        self._audience.on_samples(samples)
+        if waiting >= WAITING_MOST:
+            self._count(self._pilot.fused())
+
+    def _report_fused(self) -> None:
+        """Tell health and observers of the samples that the estimator has processed.
+
+        Where no observer takes them, health counts many at once: when so many have come, and before it is read.
+        """
+        if self._audience.takes_fusion:
+            self._count(self._pilot.fused())
+
+    def _count(self, fused: Sequence[tuple[Sample, tuple[FusionResult, ...]]]) -> None:
+        told = self._audience.takes_fusion
+        for sample, results in fused:
+            self.health.fused(sample, results)
+            if told:
+                for result in results:
+                    self._audience.on_fusion(sample.stamp.received_at, result)
+
+    async def _read_frames(self, link: VehicleLink) -> None:
+        await self._load_vision()
+        overtaken = 0
+        async for frame in link.frames:
+            for _ in range(link.frames.replaced - overtaken):
+                self._judged(Verdict.REPLACED)
+            overtaken = link.frames.replaced
+            now = self._clock.now()
+            self.health.beat("Frame", now)
+            if not self._share.admits(now):
+                self.health.frame(Verdict.SKIPPED)
+                continue
+            try:
+                processed = await self._process(frame)
+            except asyncio.CancelledError:
+                self._judged(Verdict.FAILED)
+                raise
+            self._judged(processed.verdict)
+            if processed.times is not None:
+                self.health.frame_times(processed.times)
+            self.health.delay("exposure_to_belief", seconds_between(frame.stamp.measured_at, processed.done))
+            self._audience.on_frame(processed)
+            told = self._clock.now()
+            self.health.delay("outputs", seconds_between(processed.done, told))
+            if processed.verdict is Verdict.FUSED:
+                self.health.delay("arrival_to_outputs", seconds_between(frame.stamp.received_at, told))
+                self._newest_fused = frame.stamp
+            for result in processed.results:
+                self.health.fusion(result)
+                self._audience.on_fusion(processed.done, result)
+
+    async def _load_vision(self) -> None:
+        """Let the thread of vision load and prepare itself once, after the first guidance cycle."""
+        await self._decided.wait()
+        if self._tracker is not None and not self._loaded:
+            self._loaded = True
+            await self._tracker.run(self._prepare_vision)
+
+    def _prepare_vision(self) -> None:
+        import cv2  # a tenth of the service's start, which no guidance cycle waits for
+
+        cv2.setNumThreads(self._threads)
+        if self._prepare is not None:
+            self._prepare()
+
+    def _judged(self, verdict: Verdict) -> None:
+        self.health.frame(verdict)
+        self._pilot.on_verdict(verdict)
+
+    async def _process(self, frame: Frame) -> ProcessedFrame:
+        began = self._clock.now()
+        attitude, held = await self._attitude_of(frame)
+        detection: Detection | None = None
+        results: tuple[FusionResult, ...] = ()
+        seen, look_s = began, 0.0
+        if not self._fits(frame):
+            verdict = Verdict.FAILED
+        elif (refused := self._pilot.admit(frame)) is not None:
+            verdict = refused
+        elif attitude is None:
+            verdict = Verdict.NO_ATTITUDE
+        elif held is None and self._pilot.gimballed:
+            verdict = Verdict.NO_GIMBAL
+        else:
+            assert self._tracker is not None
+            waited_from = self._clock.now()
+            found, look_s = await self._tracker.run(self._look, frame, attitude, held)
+            seen, detection = self._clock.now(), found
+            self._share.looked(waited_from, seconds_between(waited_from, seen))
+            verdict, results = self._pilot.on_detection(found)
+        done, times = self._clock.now(), None
+        self._report_fused()
+        if detection is not None:
+            decode_s, waited_s = seconds_between(frame.stamp.received_at, began), seconds_between(began, seen) - look_s
+            times = FrameTimes(decode_s, waited_s, look_s, seconds_between(seen, done))
+        camera = self._pilot.camera_held(held)
+        return ProcessedFrame(frame, attitude, detection, verdict, began, done, results, times, camera)
+
+    def _look(self, frame: Frame, attitude: Attitude, held: HeldCamera | None) -> tuple[Detection, float]:
+        """Look at a frame on the thread of vision; return what was seen, and how long the look took, s."""
+        began = self._clock.now()
+        detection = self._pilot.detect(frame, attitude, held)
+        return detection, seconds_between(began, self._clock.now())
+
+    async def _attitude_of(self, frame: Frame) -> tuple[Attitude | None, HeldCamera | None]:
+        """Return the attitude at the exposure, and how a gimbal held the camera; wait a little for what covers it.
+
+        On a busy machine the vehicle's samples may still be in a socket when the frame is decoded. There is nothing to wait
+        for before the first ones.
+        """
+        attitude, held = None, None
+        for _ in range(_ATTITUDE_TRIES):
+            self._take_waiting()
+            attitude = self._pilot.attitude_at(frame.stamp)
+            held = None if attitude is None else self._pilot.held_at(frame.stamp, attitude)
+            if attitude is None:
+                lacking = "Attitude" in self.health.flows
+            else:
+                lacking = held is None and self._pilot.awaits_gimbal(frame.stamp)
+            if not lacking or self._link is None:
+                break
+            await self._clock.sleep(_ATTITUDE_PAUSE_S)
+        return attitude, held
+
+    def _fits(self, frame: Frame) -> bool:
+        height, width = frame.px.shape[:2]
+        camera = self._pilot.camera
+        if (width, height) == (camera.width, camera.height):
+            return True
+        if not self._wrong_size_logged:
+            self._wrong_size_logged = True
+            log.error(
+                "the vehicle sends frames of %dx%d px but the camera file describes %dx%d px: none of them can be used",
+                width, height, camera.width, camera.height,
+            )  # fmt: skip
+        return False
+
+    async def _guide(self) -> None:
+        while True:
+            self._take_waiting()
+            began = self._clock.now()
+            self.health.beat("Decision", began)
+            decision = self._pilot.decide(began)
+            self._decided.set()
+            decided = self._clock.now()
+            self.health.delay("decide", seconds_between(began, decided))
+            if decision.command is not None and self._link is not None:
+                try:
+                    self._link.command(decision.command)
+                    self._commanded(decided)
+                except Recoverable as why:
+                    self._pilot.operator.undelivered(decision.command, began)
+                    log.debug("command not sent: %s", why)
+            self._tell(decision)
+            self.health.decision(decision, self._pilot.vehicle)
+            self._report_fused()
+            self._audience.on_decision(decision)
+            vehicle = self._pilot.vehicle
+            self._collector.tick(began, None if vehicle is None else vehicle.flying)
+            if self._pilot.outcome is not None and self._once:
+                self._ended.set()
+                return
+            spent_s = seconds_between(began, self._clock.now())
+            await self._clock.sleep(max(0.001, self._period_s - spent_s))
+            late_s = seconds_between(began, self._clock.now()) - self._period_s
+            self.health.delay("guidance_late", max(0.0, late_s))
+
+    def _commanded(self, decided: MonoNs) -> None:
+        """Note the times of a command that was given to the link."""
+        given = self._clock.now()
+        self.health.delay("send", seconds_between(decided, given))
+        if self._newest_fused is not None:
+            self.health.delay("exposure_to_command", seconds_between(self._newest_fused.measured_at, given))
+            self._newest_fused = None
+
+    def _on_order(self, handled: HandledOrder) -> None:
+        log.log(logging.INFO if handled.accepted else logging.WARNING, "%s", handled)
+        self._audience.on_order(handled)
+
+    def _tell(self, decision: Decision) -> None:
+        """Log each change of the mission's state, and the phase with its reason where these change by themselves.
+
+        A reason in which a number alone has changed is not logged again.
+        """
+        for change in decision.transitions:
+            level = logging.WARNING if change.event in FAULTS else logging.INFO
+            log.log(level, "%s: %s (from %s)", change.target.value, change.reason.text, change.source.value)
+        if decision.response is not None:
+            level = logging.WARNING if decision.response.state is ResponseState.IDENTIFIED else logging.INFO
+            log.log(level, "%s", decision.response.text)
+        entry = (decision.phase, _NUMBER.sub("", decision.reason))
+        if entry != self._logged and not decision.transitions:
+            words = ": ".join(filter(None, (decision.phase, decision.reason)))
+            log.log(logging.WARNING if decision.reason else logging.INFO, "%s", words)
+        self._logged = entry
+
+    async def _log_health(self) -> None:
+        while True:
+            await self._clock.sleep(self._health_period_s)
+            frames = ", ".join(
+                f"{verdict.value} {n}" for verdict, n in sorted(self.health.frames.items(), key=lambda i: i[0].value)
+            )
+            delay = self.health.delays.get("exposure_to_belief")
+            p50 = delay.quantile(0.5) if delay is not None else None
+            missing = missing_inputs(self.health.snapshot())
+            log.log(
+                logging.WARNING if missing else logging.INFO,
+                "%s; frames: %s; exposure to belief %s",
+                ": ".join(filter(None, (self._pilot.phase, ", ".join(missing)))),
+                frames or "none",
+                "unknown" if p50 is None else f"{1e3 * p50:.0f} ms",
+            )

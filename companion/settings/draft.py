@@ -1,0 +1,169 @@
+"""Check a settings text before anybody saves it: every fault with its line, and what it would change.
+
+It is read by the code of `decklander config check`, which stops at the first fault. Here a key that is refused takes the value
+that it has in the settings before, and the text is read again, so that a person sees all faults at once.
+"""
+
+from __future__ import annotations
+
+import copy
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from companion.settings.browser_keys import refused_references, refused_values
+from companion.settings.effect import without_effect
+from companion.settings.load import complete, from_mapping
+from companion.settings.model import Settings
+from companion.settings.referenced_files import check_files
+from companion.settings.ship_place import contradiction
+from estimator.contracts.errors import BadInput
+
+_FAULTS = 20
+_PATH = re.compile(r"(?:the table \[)?([A-Za-z_][\w-]*(?:\.[\w-]+)*)")
+_TOML_LINE = re.compile(r"\(at line (\d+)")
+
+
+@dataclass(frozen=True, slots=True)
+class DraftFault:
+    """One reason why a text cannot be saved."""
+
+    path: str
+    """The key's dotted path; empty for a fault of the whole text."""
+    text: str
+    line: int | None
+    """The line of the text, from 1; None if the key is not in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class DraftChange:
+    """A key whose value differs; None where it has no such key."""
+
+    path: str
+    before: object
+    after: object
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """What is to be said of a text."""
+
+    faults: tuple[DraftFault, ...]
+    changes: tuple[DraftChange, ...] = ()
+    """What differs from the settings in force."""
+    remarks: tuple[str, ...] = ()
+    """Keys without effect, and what hardly is meant."""
+
+
+def check_draft(text: str, path: Path, before: Mapping[str, Any], in_force: Settings) -> Draft:
+    """Return every fault of a settings text, or what it would change.
+
+    Args:
+        path: where the text would be saved; references in it are relative to its folder.
+        before: the mapping of the settings that it replaces.
+        in_force: the settings of the running service.
+    """
+    try:
+        data = tomllib.loads(text)
+    except (ValueError, RecursionError) as why:  # a number of thousands of digits is a plain ValueError
+        found = _TOML_LINE.search(str(why))
+        return Draft((DraftFault("", f"not valid TOML: {why}", int(found[1]) if found else None),))
+    faults, settings = _every_fault(data, before)
+    if settings is not None and (clash := settings.fault()):
+        faults.append(clash)
+    if settings is not None:
+        faults += refused_values(settings, before)
+    faults += refused_references(data, before, path.parent)
+    if settings is not None and not faults:
+        try:
+            settings = complete(settings, path)
+            check_files(settings)
+        except BadInput as why:
+            faults.append(str(why).removeprefix(f"{path}: "))
+    if faults or settings is None:
+        return Draft(tuple(_fault(why, text) for why in faults[:_FAULTS]))
+    doubt = contradiction(settings)
+    remarks = (*without_effect(settings), *(() if doubt is None else (f"{doubt.what}: {doubt.fix}",)))
+    return Draft((), _changes(in_force, settings), remarks)
+
+
+def _every_fault(data: dict[str, Any], before: Mapping[str, Any]) -> tuple[list[str], Settings | None]:
+    """Return the faults of the keys' names and values, and the settings if there are none."""
+    faults: list[str] = []
+    tried, settings = copy.deepcopy(data), None
+    seen: set[str] = set()
+    while len(faults) < _FAULTS:
+        try:
+            settings = from_mapping(tried, "")
+            break
+        except BadInput as why:
+            said = str(why).removeprefix(": ")
+        faults.append(said)
+        path = _path_of(said)
+        if not path or path in seen:
+            break
+        seen.add(path)
+        if not _replaced(tried, path, before):
+            break
+    return faults, None if faults else settings
+
+
+def _replaced(data: dict[str, Any], path: str, before: Mapping[str, Any]) -> bool:
+    """Give a key the value that it has in `before`, or take it out; return whether anything changed."""
+    *tables, last = path.split(".")
+    inner: Any = data
+    old: Any = before
+    for name in tables:
+        inner = inner.get(name) if isinstance(inner, dict) else None
+        old = old.get(name) if isinstance(old, Mapping) else None
+    if not isinstance(inner, dict):
+        return False
+    if isinstance(old, Mapping) and last in old and old[last] != inner.get(last):
+        inner[last] = copy.deepcopy(old[last])
+        return True
+    return inner.pop(last, None) is not None
+
+
+def _path_of(said: str) -> str:
+    found = _PATH.match(said)
+    return found[1] if found else ""
+
+
+def _fault(said: str, text: str) -> DraftFault:
+    path = _path_of(said)
+    return DraftFault(path, said, line_of(text, path))
+
+
+def line_of(text: str, path: str) -> int | None:
+    """Return the line, from 1, on which a key or a table begins in a TOML text; None if it is written in another way."""
+    table = ""
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := re.match(r"\s*\[\s*([\w.-]+)\s*\]", line):
+            table = header[1]
+            if table == path:
+                return number
+        elif (key := re.match(r"\s*([\w.-]+)\s*=", line)) and ".".join(filter(None, (table, key[1]))) == path:
+            return number
+    return None
+
+
+def _changes(before: Settings, after: Settings) -> tuple[DraftChange, ...]:
+    old, new = _flat(msgspec.to_builtins(before)), _flat(msgspec.to_builtins(after))
+    return tuple(
+        DraftChange(path, old.get(path), new.get(path)) for path in dict.fromkeys((*old, *new)) if old.get(path) != new.get(path)
+    )
+
+
+def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for name, value in data.items():
+        if isinstance(value, Mapping):
+            out |= _flat(value, f"{prefix}{name}.")
+        else:
+            out[prefix + name] = value
+    return out

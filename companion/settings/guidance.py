@@ -1,0 +1,144 @@
+"""Guidance's options: when it begins, the position controller's gains and limits; the mission's are in `mission_options`."""
+
+import math
+from typing import Annotated, Literal
+
+from msgspec import Struct
+
+from companion.settings.follow_deck import FollowDeckOptions
+from companion.settings.mission import ConeOptions, LandingLimits, ThesisOptions, TryOptions
+from companion.settings.rendezvous import RendezvousOptions
+from estimator.contracts.keys import check_ranges, choice, name, number
+
+_TUNED = "tuned in simulation"
+_Kp = Annotated[float, number("proportional gain", "1/s", 0.0, 20.0, _TUNED)]
+_Ki = Annotated[float, number("integral gain", "1/s^2", 0.0, 10.0, _TUNED)]
+_Kd = Annotated[float, number("derivative gain", "1", 0.0, 10.0, _TUNED)]
+
+
+class HorizontalGains(Struct, frozen=True, forbid_unknown_fields=True):
+    """Gains from the forward and right error, m, to m/s.
+
+    Raises:
+        ValueError: a gain outside its range.
+    """
+
+    kp: _Kp = 0.9
+    ki: _Ki = 0.05
+    kd: _Kd = 0.1
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
+class VerticalGains(Struct, frozen=True, forbid_unknown_fields=True):
+    """Gains from the height error, m, to m/s.
+
+    Raises:
+        ValueError: a gain outside its range.
+    """
+
+    kp: _Kp = 1.0
+    ki: _Ki = 0.15
+    kd: _Kd = 0.1
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
+class HeadingGains(Struct, frozen=True, forbid_unknown_fields=True):
+    """Gains from the heading error, rad, to rad/s. There is no derivative gain because the estimate has no rate of the heading.
+
+    Raises:
+        ValueError: a gain outside its range.
+    """
+
+    kp: _Kp = 0.8
+    ki: _Ki = 0.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
+class PidOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """The position controller: limits of what it asks for, and where it is soft.
+
+    The defaults suit a vehicle that tilts to follow a velocity command (0.2 s of dead time, then 0.4 s of lag) and is seen
+    0.15 s late.
+    """
+
+    horizontal: HorizontalGains = HorizontalGains()
+    vertical: VerticalGains = VerticalGains()
+    heading: HeadingGains = HeadingGains()
+    speed_max_m_s: Annotated[
+        float, number("largest horizontal velocity; its direction is kept", "m/s", 0.05, 10.0, "1 in the thesis' code")
+    ] = 1.0
+    climb_max_m_s: Annotated[float, number("largest velocity upward", "m/s", 0.05, 5.0)] = 0.5
+    descent_rate_max_m_s: Annotated[float, number("largest velocity downward", "m/s", 0.05, 5.0)] = 0.5
+    turn_max_deg_s: Annotated[float, number("largest turn rate", "deg/s", 1.0, 360.0)] = 34.4
+    integral_max_m_s: Annotated[
+        float,
+        number("largest velocity that the integral commands on one axis: the pad's own speed and the wind", "m/s", 0.0, 10.0),
+    ] = 0.5
+    soft_above_m: Annotated[
+        float,
+        number(
+            "set points higher than this soften the horizontal gains in proportion", "m", 0.1, 100.0, "2.5 in the thesis' code"
+        ),
+    ] = 2.5
+    soft_least: Annotated[
+        float,
+        number("least fraction of the horizontal gains that remains at any height", "1", 0.01, 1.0, "0.1 in the thesis' code"),
+    ] = 0.1
+    forget_after_s: Annotated[
+        float, number("silence of the estimator after which the integrals start again from zero", "s", 0.1, 60.0)
+    ] = 2.0
+
+    @property
+    def turn_max_rad_s(self) -> float:
+        """The largest turn rate, rad/s."""
+        return math.radians(self.turn_max_deg_s)
+
+
+class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """Guidance: from the estimate to commands.
+
+    Raises:
+        ValueError: a number outside its range.
+    """
+
+    mission: Annotated[
+        Literal["cone", "thesis"],
+        choice(
+            "the way down: in a cone to a gate over the deck and from there to the contact under full control; or the way points "
+            "of the thesis and the vehicle's own landing from the last of them"
+        ),
+    ] = "cone"
+    start: Annotated[
+        Literal["automatic", "signal"],
+        choice("approach as soon as the vehicle flies and the pad is seen, or only after SIGUSR1 (SIGUSR2 pauses it)"),
+    ] = "signal"
+    rate_hz: Annotated[float, number("rate of guidance cycles", "Hz", 5.0, 200.0, "controller of the thesis: 100 Hz")] = 50.0
+    stale_after_s: Annotated[float, number("age of the newest sighting above which the drone hovers", "s", 0.05, 10.0)] = 0.5
+    land_timeout_s: Annotated[
+        float,
+        number("longest time from the land command to the landing; after it the drone goes around", "s", 1.0, 120.0),
+    ] = 6.0
+    controller: Annotated[
+        str,
+        name(
+            "the control law: follow_deck (tilt and forecast, down to contact), pid (the thesis' position controller), or "
+            "the name under which an installed package offers one",
+            64,
+        ),
+    ] = "follow_deck"
+    pid: PidOptions = PidOptions()
+    follow_deck: FollowDeckOptions = FollowDeckOptions()
+    cone: ConeOptions = ConeOptions()
+    limits: LandingLimits = LandingLimits()
+    tries: TryOptions = TryOptions()
+    thesis: ThesisOptions = ThesisOptions()
+    rendezvous: RendezvousOptions = RendezvousOptions()
+
+    def __post_init__(self) -> None:
+        check_ranges(self)

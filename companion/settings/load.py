@@ -1,0 +1,302 @@
+"""Read the settings of the service from one TOML file.
+
+    settings = load("rig.toml")        # or the name of a shipped profile: load("sim")
+    camera, pad = camera_model(settings), pad_model(settings)
+
+`companion.settings.model` has the keys; docs/configuration.md is their page.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+import configs
+from companion.settings.effect import refuse_moved, with_moved, without_retired
+from companion.settings.model import PadSettings, Settings
+from companion.settings.response import Response, response_from_mapping
+from companion.settings.secret_files import CREDENTIAL
+from drivers.ardrone.options import ArDroneOptions
+from drivers.mavlink.options import AutopilotOptions
+from estimator.contracts.errors import BadInput, unusable
+from estimator.gimbal_history import DOWN
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+from estimator.vision.pad_rules import check_for_detection
+
+__all__ = [
+    "Settings", "body_camera", "camera_model", "complete", "find_file", "from_mapping", "load", "pad_model", "read_toml",
+    "response_model", "shipped", "shipped_response",
+]  # fmt: skip
+
+_Table = TypeVar("_Table", bound=msgspec.Struct)
+SHIPPED = Path(configs.__file__).parent
+_AUTOPILOT_DEFAULTS: dict[tuple[str, str], dict[str, Any]] = {
+    ("guidance", "tries"): {"heading": "align"},
+    ("estimator", "ekf"): {"sigma_attitude_bias_rad": math.radians(0.5), "asd_accel_bias_m_s3": 0.02},
+}
+"""What differs for an autopilot where a settings file is silent, by the tables that the keys are in.
+
+A ship expects the nose on the arrow, and an autopilot's readings err otherwise than an AR.Drone's
+(docs/decisions/063-an-autopilots-bias-moves.md).
+"""
+
+
+def load(name_or_path: str | Path, *, by_autopilot: bool = False) -> Settings:
+    """Return the settings in a file, or those of a shipped profile (`configs/*.toml`) by its bare name.
+
+    The camera and pad files are read too, so that the result can be flown. In the result `camera.file` and `pad.file` name a
+    shipped file or are paths relative to the working directory; so are those of keys and certificates.
+
+    Args:
+        by_autopilot: whether an autopilot will fly by them, whatever vehicle the file names: keys of which it is silent are then
+            those of an autopilot.
+
+    Raises:
+        BadInput: the file cannot be read or is not TOML; a key is unknown, missing, of the wrong type or out of range; or a
+            camera or pad file has such a fault. The text is one line that names the file and the key.
+    """
+    path = find_file(str(name_or_path), "", Path(), "settings")
+    return complete(from_mapping(read_toml(path), str(path), by_autopilot=by_autopilot), path)
+
+
+def complete(settings: Settings, path: Path) -> Settings:
+    """Return settings that were read from a file with their references resolved, as `load` does.
+
+    Args:
+        path: the settings file, to whose folder the references are relative.
+
+    Raises:
+        BadInput: keys do not go together, or a file that the settings name is missing or has a fault.
+    """
+    if fault := settings.fault():
+        raise BadInput(f"{path}: {fault}")
+    camera = _reference(settings.camera.file, "cameras", path, "camera.file")
+    pad = _reference(settings.pad.file, "pads", path, "pad.file")
+    found = msgspec.structs.replace(settings.camera, file=camera)
+    settings = msgspec.structs.replace(settings, camera=found, pad=PadSettings(pad))
+    signing = [] if isinstance(settings.vehicle, ArDroneOptions) else ["signing_key_file", "signing_time_file"]
+    settings = msgspec.structs.replace(
+        settings,
+        vehicle=_anchored(settings.vehicle, path.parent, signing),
+        bridge=_anchored(settings.bridge, path.parent, ["signing_key_file", "signing_time_file"]),
+        vision=_anchored(settings.vision, path.parent, ["learned_file"]),
+        metrics=_anchored(settings.metrics, path.parent, ["token_file"]),
+        foxglove=_anchored(settings.foxglove, path.parent, ["token_file"]),
+        page=_anchored(settings.page, path.parent, ["token_file", "certificate_file", "key_file"]),
+        mqtt=_anchored(
+            settings.mqtt, path.parent, ["password_file", "ca_file", "certificate_file", "key_file", "command_key_file", "spool"]
+        ),
+    )
+    follow = settings.guidance.follow_deck
+    if not follow.response_by_vehicle:
+        named = _reference(follow.response, "responses", path, "guidance.follow_deck.response")
+        guidance = msgspec.structs.replace(settings.guidance, follow_deck=msgspec.structs.replace(follow, response=named))
+        settings = msgspec.structs.replace(settings, guidance=guidance)
+    camera_model(settings)
+    pad_model(settings)
+    response_model(settings)
+    return settings
+
+
+def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False, by_autopilot: bool = False) -> Settings:
+    """Return the settings that the mapping of a TOML file describes.
+
+    Args:
+        data: the mapping.
+        where: name of the file, for errors.
+        recorded: the file belongs to a recording, which nobody can edit, so keys of older versions are accepted.
+        by_autopilot: as for `load`.
+
+    Raises:
+        BadInput: as for `load`, except that camera and pad files are not read.
+    """
+    data = without_retired(with_moved(data) if recorded else data, where)
+    try:
+        refuse_moved(data)
+        return msgspec.convert(_with_defaults_of_autopilot(data, by_autopilot), Settings, strict=True)
+    except BadInput as why:
+        raise BadInput(f"{where}: {why}") from None
+    except msgspec.ValidationError as why:
+        from companion.settings.refusal import explain  # it describes the whole model
+
+        raise BadInput(f"{where}: {explain(Settings, data, str(why))}") from why
+
+
+def _with_defaults_of_autopilot(data: Mapping[str, Any], by_autopilot: bool) -> Mapping[str, Any]:
+    """Return the mapping with what differs for an autopilot where it says nothing of it; what it says wins."""
+    vehicle = data.get("vehicle")
+    if not by_autopilot and (not isinstance(vehicle, Mapping) or vehicle.get("kind") != "mavlink"):
+        return data
+    for (name, part), values in _AUTOPILOT_DEFAULTS.items():
+        table = data.get(name, {})
+        given = table.get(part, {}) if isinstance(table, Mapping) else None
+        if isinstance(given, Mapping):
+            data = {**data, name: {**table, part: {**values, **given}}}
+    return data
+
+
+def camera_model(settings: Settings) -> Camera:
+    """Return the camera that `settings.camera.file` names.
+
+    Raises:
+        BadInput: the file is missing or has a fault.
+    """
+    path = find_file(settings.camera.file, "cameras", Path(), "camera.file")
+    return Camera.from_mapping(read_toml(path), str(path))
+
+
+def body_camera(settings: Settings) -> Camera:
+    """Return the camera on the body; one on a gimbal as it is while that points straight down.
+
+    Raises:
+        BadInput: the file is missing or has a fault.
+    """
+    camera = camera_model(settings)
+    return camera.held(DOWN) if settings.camera.gimbal.given else camera
+
+
+def pad_model(settings: Settings) -> Pad:
+    """Return the pad that `settings.pad.file` names.
+
+    Raises:
+        BadInput: the file is missing or has a fault, or vision cannot tell this pad from what else lies on decks.
+    """
+    path = find_file(settings.pad.file, "pads", Path(), "pad.file")
+    return _pad_to_detect(read_text(path), path)
+
+
+def pad_of_file(path: Path) -> Pad:
+    """Return the pad of a file; the flights of one process share it.
+
+    Raises:
+        BadInput: the file is missing or has a fault.
+    """
+    return _pad(read_text(path), path)
+
+
+@lru_cache(maxsize=16)
+def _pad(text: str, path: Path) -> Pad:
+    return Pad.from_mapping(toml_of(text, path), str(path))
+
+
+@lru_cache(maxsize=16)
+def _pad_to_detect(text: str, path: Path) -> Pad:
+    pad = _pad(text, path)
+    check_for_detection(pad.regions, pad.lamps, str(path))
+    return pad
+
+
+def response_model(settings: Settings) -> Response:
+    """Return the vehicle's response that `settings.guidance.follow_deck.response` names, or that of the kind of vehicle.
+
+    Raises:
+        BadInput: the file is missing or has a fault.
+    """
+    o = settings.guidance.follow_deck
+    by_kind = "autopilot" if isinstance(settings.vehicle, AutopilotOptions) else "ardrone2"
+    named = by_kind if o.response_by_vehicle else o.response
+    path = find_file(named, "responses", Path(), "guidance.follow_deck.response")
+    return response_from_mapping(read_toml(path), str(path))
+
+
+def shipped_response(name: str) -> Response:
+    """Return a shipped response by its name.
+
+    Raises:
+        BadInput: there is none of that name.
+    """
+    path = find_file(name, "responses", Path(), "response")
+    return response_from_mapping(read_toml(path), str(path))
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file.
+
+    Raises:
+        BadInput: the file cannot be read or is not TOML.
+    """
+    return toml_of(read_text(path), path)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file.
+
+    Raises:
+        BadInput: the file cannot be read.
+    """
+    try:
+        return path.read_bytes().decode("utf-8")
+    except OSError as why:
+        raise unusable(str(path), why) from why
+    except UnicodeDecodeError as why:
+        raise BadInput(f"{path}: not UTF-8 text (byte {why.start})") from why
+
+
+def toml_of(text: str, path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file by its text.
+
+    Raises:
+        BadInput: it is not TOML; the text names the path.
+    """
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as why:  # a number of thousands of digits is a plain ValueError
+        raise BadInput(f"{path}: not valid TOML: {why}") from why
+
+
+def shipped(folder: str = "") -> list[str]:
+    """Return the names of the shipped files of one kind: "" profiles, "cameras", "pads", "responses"."""
+    return sorted(p.stem for p in (SHIPPED / folder).glob("*.toml"))
+
+
+def _is_name(text: str) -> bool:
+    return text.replace("_", "").replace("-", "").isalnum()
+
+
+def find_file(text: str, folder: str, base: Path, what: str) -> Path:
+    """Return the file that `text` means: a shipped one by its bare name (see `shipped`), or a path from `base`.
+
+    Raises:
+        BadInput: there is no such file; the text begins with `what` and names the nearest shipped one.
+    """
+    if _is_name(text) and text in shipped(folder):
+        return SHIPPED / folder / f"{text}.toml"
+    try:
+        path = base / text
+        exists = path.exists()
+    except OSError as why:
+        raise unusable(f"{what}: not a usable file name {text[:60]!r}", why) from why
+    except ValueError as why:
+        raise BadInput(f"{what}: not a usable file name {text[:60]!r}: {why}") from why
+    if exists and text:
+        return path
+    near = difflib.get_close_matches(text, shipped(folder), n=1)
+    hint = f"did you mean {near[0]!r}" if near else f"shipped ones are {', '.join(shipped(folder))}"
+    raise BadInput(f"{what}: there is no file {str(path) if text else text!r} and no shipped one of that name ({hint})")
+
+
+def _anchored(table: _Table, base: Path, keys: Iterable[str]) -> _Table:
+    """Return the table with the relative paths in `keys` made relative to the working directory.
+
+    Args:
+        table: a table of the settings.
+        base: folder of the settings file, to which the paths are relative.
+        keys: names of the keys that hold paths.
+    """
+    given = {key: str(getattr(table, key)) for key in keys}
+    return msgspec.structs.replace(
+        table, **{key: str(base / path) for key, path in given.items() if path and not path.startswith(CREDENTIAL)}
+    )
+
+
+def _reference(text: str, folder: str, settings_file: Path, keypath: str) -> str:
+    found = find_file(text, folder, settings_file.parent, f"{settings_file}: {keypath}")
+    return text if found.parent == SHIPPED / folder and _is_name(text) else str(found)

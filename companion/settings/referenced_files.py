@@ -1,0 +1,92 @@
+"""Check the files that settings name besides camera and pad: keys, passwords, certificates, the gamepad's mapping, a network.
+
+`load` reads the camera and the pad. What is checked here would be read when a link is opened, which may be in flight.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+
+from companion.settings import secret_files
+from companion.settings.model import Settings
+from companion.settings.secret_files import CREDENTIAL
+from drivers.mavlink.options import AutopilotOptions
+from estimator.contracts.errors import BadInput
+
+
+def check_files(settings: Settings, environment: Mapping[str, str] = os.environ) -> tuple[str, ...]:
+    """Read every key, password and certificate that the settings name, as the service does when it opens its links.
+
+    Returns:
+        The settings that name a systemd credential. Outside the systemd unit these files do not exist, so they are not read.
+
+    Raises:
+        BadInput: a file is missing, cannot be read, or does not hold what the setting needs.
+    """
+    outside_unit = not environment.get("CREDENTIALS_DIRECTORY")
+    unchecked = []
+    for key, references, read in _references(settings):
+        if outside_unit and any(reference.startswith(CREDENTIAL) for reference in references):
+            unchecked.append(key)
+        else:
+            read()
+    return tuple(unchecked)
+
+
+def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Callable[[], object]]]:
+    """Yield (settings key, file references, function that reads the files) for everything that is switched on."""
+    if isinstance(settings.vehicle, AutopilotOptions) and settings.vehicle.signing_key_file:
+        yield _signing("vehicle", settings.vehicle.signing_key_file)
+    if settings.bridge.links and settings.bridge.signing_key_file:
+        yield _signing("bridge", settings.bridge.signing_key_file)
+    vision = settings.vision
+    if vision.learned != "off":
+        from companion.settings.learned_file import second_opinion
+
+        yield (
+            "vision.learned_file",
+            (vision.learned_file,),
+            lambda: second_opinion(vision.learned_file, "vision.learned_file"),
+        )
+    m = settings.mqtt
+    if m.transport != "off":
+        from companion.settings.tls import tls_context
+
+        yield "mqtt.password_file", (m.password_file,), lambda: secret_files.text(m.password_file, "mqtt", "password_file")
+        yield (
+            "mqtt.command_key_file",
+            (m.command_key_file,),
+            lambda: secret_files.key(m.command_key_file, "mqtt", "command_key_file"),
+        )
+        yield "mqtt.ca_file", (m.ca_file, m.certificate_file, m.key_file), lambda: tls_context(m)
+    if settings.metrics.endpoint != "off" and settings.metrics.token_file:
+        yield _token("metrics", settings.metrics.token_file)
+    if settings.foxglove.endpoint != "off" and settings.foxglove.token_file:
+        yield _token("foxglove", settings.foxglove.token_file)
+    if settings.page.endpoint != "off":
+        from companion.settings.tls import server_context
+
+        page = settings.page
+        yield _token("page", page.token_file)
+        yield "page.certificate_file", (page.certificate_file, page.key_file), lambda: server_context(page)
+    if settings.operator.gamepad != "off":
+        from companion.settings.gamepad import mapping_of
+
+        yield "operator.gamepad", (settings.operator.gamepad,), lambda: mapping_of(settings.operator.gamepad)
+
+
+def _token(section: str, reference: str) -> tuple[str, tuple[str, ...], Callable[[], object]]:
+    return f"{section}.token_file", (reference,), lambda: secret_files.token(reference, section, "token_file")
+
+
+def _signing(section: str, reference: str) -> tuple[str, tuple[str, ...], Callable[[], object]]:
+    from drivers.mavlink.signing import load_key
+
+    def read() -> None:
+        try:
+            load_key(reference)
+        except BadInput as why:
+            raise BadInput(f"{section}.signing_key_file: {why}") from why
+
+    return f"{section}.signing_key_file", (reference,), read

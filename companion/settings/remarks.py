@@ -1,0 +1,20 @@
+"""Say of settings that are good what their author may want to know."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from companion.settings.effect import without_effect
+from companion.settings.model import Settings
+from companion.settings.ship_place import contradiction
+
+
+def remarks(settings: Settings) -> tuple[str, ...]:
+    """Return a line for each thing in good settings that is hardly what their author meant."""
+    found = contradiction(settings)
+    return (*without_effect(settings), *(() if found is None else (f"{found.what}: {found.fix}",)))
+
+
+def not_checked(keys: Sequence[str]) -> str:
+    """Return a remark about settings that name systemd credentials, which exist only inside the unit; "" if there are none."""
+    return f" ({', '.join(keys)}: credentials of the systemd unit, not checked here)" if keys else ""

@@ -1,0 +1,112 @@
+"""The settings file of a running service: read it, and save another text in its place, which the next start reads."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from companion.settings.load import SHIPPED
+from estimator.contracts.errors import BadInput, in_words, unusable
+
+BEFORE = ".before"
+"""What is added to the name of the file before."""
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsFile:
+    """See the module's docstring. A link is followed: the file that it names is replaced."""
+
+    path: Path
+
+    def read(self) -> tuple[str, str]:
+        """Return the text, and its revision, which another text has not.
+
+        Raises:
+            BadInput: it cannot be read, or is not UTF-8.
+        """
+        try:
+            content = self.path.read_bytes()
+            return content.decode(), _revision(content)
+        except OSError as why:
+            raise unusable(str(self.path), why) from why
+        except UnicodeDecodeError as why:
+            raise BadInput(f"{self.path}: not UTF-8 text (byte {why.start})") from why
+
+    def refusal(self) -> str:
+        """Return why it cannot be saved here; empty if it can, as far as this shows before."""
+        target = self.path.resolve()
+        if target.is_relative_to(SHIPPED):
+            return f"{self.path.name} belongs to the installation, and an update would overwrite it"
+        if not os.access(target.parent, os.W_OK):
+            return f"the service may not write into {target.parent}"
+        return ""
+
+    def save(self, text: str, revision: str) -> str:
+        """Replace the file as a whole, keep the one before beside it, and return the new revision.
+
+        Args:
+            revision: of the text that was edited.
+
+        Raises:
+            BadInput: it cannot be written, or was changed by somebody else since.
+        """
+        if refusal := self.refusal():
+            raise BadInput(f"cannot be saved: {refusal}")
+        if self.read()[1] != revision:
+            raise BadInput(f"{self.path} was changed since it was read here: load it again, and make your changes anew")
+        target, content = self.path.resolve(), text.encode()
+        try:
+            _replace(target.with_name(target.name + BEFORE), target.read_bytes(), like=target)
+            _replace(target, content, like=target)
+        except OSError as why:
+            raise BadInput(f"cannot be saved: {target}: {in_words(why)}") from why
+        return _revision(content)
+
+    def save_beside(self, name: str, text: str) -> None:
+        """Write a file of this name into the settings' folder; one that is there is kept, as `save` keeps it.
+
+        Raises:
+            BadInput: it cannot be written.
+        """
+        if refusal := self.refusal():
+            raise BadInput(f"cannot be saved: {refusal}")
+        like = self.path.resolve()
+        target = like.with_name(name)
+        try:
+            if target.exists():
+                _replace(target.with_name(name + BEFORE), target.read_bytes(), like)
+            _replace(target, text.encode(), like)
+        except OSError as why:
+            raise BadInput(f"cannot be saved: {target}: {in_words(why)}") from why
+
+
+def _revision(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _replace(path: Path, content: bytes, like: Path) -> None:
+    """Write a file so that whoever reads it finds the one before or this one, also after a loss of power."""
+    status = like.stat()
+    number, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(number, "wb") as file:
+            os.fchmod(file.fileno(), status.st_mode & 0o777)
+            with suppress(PermissionError):
+                os.fchown(file.fileno(), status.st_uid, status.st_gid)
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(name, path)
+    except BaseException:
+        with suppress(OSError):
+            os.unlink(name)
+        raise
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

@@ -1,0 +1,156 @@
+"""Mount, delay and readout of the camera from a flight over a pad, by least squares over the whole flight.
+
+A pad that does not turn ties the camera to the gyro: R_ned_body(t + delay) R_body_cam R_cam_pad stays the same. Leans and turns
+about different axes show the rotation between camera and gyro, and their speed shows the delay. The reported attitude bounds the
+gyro's drift. Its own constant error is estimated along, with what its source claims as prior.
+Source: Furgale, Rehder and Siegwart, Unified temporal and spatial calibration for multi-sensor systems, IROS 2013; here with the
+pad's poses in place of splines.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.tools.calibrate.flight_views import FlightViews
+from companion.tools.calibrate.noise_search import likeliest
+from companion.tools.calibrate.rotations import GyroAttitude, exp, exps, interpolated, logs, transposed
+from companion.tools.calibrate.whitening import Noise, whiten
+from estimator.contracts.geometry import F64
+
+MOUNT, DELAY, GYRO, PAD, LEVEL, READOUT = slice(0, 3), 3, slice(4, 7), slice(7, 10), slice(10, 12), 12
+"""Places of the parameters: the mount (rad, a turn of the camera from its file, in `body`), the delay (s), the gyro's bias
+(rad/s), the pad's attitude (rad), the constant error of the reported roll and pitch (rad, in `body`), and the readout time beyond
+that of the views (s), which stays 0 where they do not say what it does."""
+COUNT = 13
+_MOUNT_PRIOR_RAD, _DELAY_PRIOR_S, _GYRO_PRIOR_RAD_S, _PAD_PRIOR_RAD = 0.5, 0.3, 0.05, 1.0
+_READOUT_PRIOR_S, _READOUT_FIXED_S = 0.05, 1e-6
+_LEVEL_LEAST_RAD = math.radians(0.5)
+"""An attitude that claims less than this for its constant error is not believed."""
+_STEPS, _SEARCHED_AT, _GATED_FROM = 8, (2, 4), 1
+_CONVERGED = 1e-5
+_SEARCH_VIEWS = 300
+_BLOCK_S = 4.0
+_OUTLIER_SIGMAS = 5.0
+_RATE_OVER_S = 0.02
+_DELAY_MAX_S = 0.28
+"""Least margin of the gyro's samples before and after the views, s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountFit:
+    """What a flight tells."""
+
+    values: F64
+    """(13,), see `MOUNT` and so on."""
+    cov: F64
+    """(13, 13)."""
+    noise: Noise
+    views: int
+    left_out: int
+    """Number of views that contradict the rest."""
+
+    @property
+    def sigma(self) -> F64:
+        """Standard deviations, (13,)."""
+        return np.sqrt(np.diag(self.cov))
+
+
+def fit_mount(views: FlightViews) -> MountFit:
+    """Return mount and delay with their covariance.
+
+    Each standard deviation is the larger of two: that of the model of the errors, and that of the scores of blocks of four
+    seconds, which holds whatever the errors' correlation within a block.
+    Source: White, Asymptotic Theory for Econometricians, 1984, section 6 (the covariance of scores).
+    """
+    prior = _prior(views)
+    used = np.ones(views.t.size, bool)
+    p, noise = np.zeros(COUNT), Noise()
+    for step in range(_STEPS):
+        columns, cov_view = _columns(views, p)
+        if step in _SEARCHED_AT:
+            noise = _searched(views.t, columns, cov_view, used, noise, prior, p)
+        white = whiten(views.t, columns, cov_view, used, [noise]).rows[0]
+        dp, C = _solved(white, prior, p)
+        p = p + dp
+        p[DELAY] = min(_DELAY_MAX_S, max(-_DELAY_MAX_S, p[DELAY]))
+        if step >= _GATED_FROM:
+            used &= np.sqrt((_left(white, dp)[:, :3] ** 2).sum(axis=1)) < _OUTLIER_SIGMAS
+        if step > max(_SEARCHED_AT) and float(np.abs(dp[[*range(DELAY + 1), READOUT]]).max()) < _CONVERGED:
+            break
+    blocks = ((views.t - views.t[0]) / _BLOCK_S).astype(int)
+    return MountFit(p, _wider(white, dp, C, blocks), noise, views.t.size, int(np.count_nonzero(~used)))
+
+
+def _prior(views: FlightViews) -> F64:
+    """Return the standard deviations that are assumed before the flight, (13,)."""
+    level = max(_LEVEL_LEAST_RAD, views.sigma_tilt_rad)
+    readout = _READOUT_FIXED_S if views.by_readout is None else _READOUT_PRIOR_S
+    of = (_MOUNT_PRIOR_RAD,) * 3, (_DELAY_PRIOR_S,), (_GYRO_PRIOR_RAD_S,) * 3, (_PAD_PRIOR_RAD,) * 3, (level,) * 2, (readout,)
+    return np.concatenate([np.array(part) for part in of])
+
+
+def _columns(v: FlightViews, p: F64) -> tuple[F64, F64]:
+    """Return residuals with their derivatives by the parameters, (N, 6, 14), and the views' covariance in `ned`, (N, 3, 3)."""
+    t = v.t + p[DELAY]
+    gyro = GyroAttitude(v.t_gyro, v.w_body - p[GYRO], v.R_ned_body[0])
+    R, drift = gyro.at(t), gyro.integral_at(t)
+    R_ned_cam = R @ (exp(p[MOUNT]) @ v.camera.T_body_cam.R.matrix)
+    out = np.zeros((t.size, 6, 1 + COUNT))
+    residual, by = out[:, :, 0], out[:, :, 1:]
+    R_cam_pad = v.R_cam_pad
+    if v.by_readout is not None:
+        R_cam_pad = exps(v.by_readout * p[READOUT]) @ R_cam_pad
+        by[:, :3, READOUT] = np.einsum("nij,nj->ni", R_ned_cam, v.by_readout)
+    residual[:, :3] = logs(R_ned_cam @ R_cam_pad @ (exp(p[PAD]) @ _pad_first(v)).T)
+    by[:, :3, MOUNT], by[:, :3, DELAY] = R, gyro.rate_ned(t, _RATE_OVER_S)
+    by[:, :3, GYRO], by[:, :3, PAD] = -drift, -np.eye(3)
+    reported = interpolated(v.t_attitude, v.R_ned_body, t) @ exp(np.r_[p[LEVEL], 0.0]).T
+    residual[:, 3:] = logs(reported @ transposed(R))
+    by[:, 3:, GYRO], by[:, 3:, LEVEL] = drift, -R[:, :, :2]
+    return out, R_ned_cam @ v.cov @ transposed(R_ned_cam)
+
+
+def _pad_first(v: FlightViews) -> F64:
+    """Return the pad's attitude by the view in the middle of the flight, `R_ned_pad` (3, 3)."""
+    i = v.t.size // 2
+    R = interpolated(v.t_attitude, v.R_ned_body, v.t[i : i + 1])[0]
+    return np.asarray(R @ v.camera.T_body_cam.R.matrix @ v.R_cam_pad[i])
+
+
+def _left(white: F64, dp: F64) -> F64:
+    return np.asarray(white[:, :, 0] + white[:, :, 1:] @ dp)
+
+
+def _solved(white: F64, prior: F64, p: F64) -> tuple[F64, F64]:
+    J, r = white[:, :, 1:].reshape(-1, COUNT), white[:, :, 0].ravel()
+    C = np.asarray(np.linalg.inv(J.T @ J + np.diag(prior**-2.0)), dtype=np.float64)
+    return -C @ (J.T @ r + p / prior**2), C
+
+
+def _wider(white: F64, dp: F64, C: F64, blocks: NDArray[np.intp]) -> F64:
+    scores = np.einsum("nij,ni->nj", white[:, :, 1:], _left(white, dp))
+    starts = np.flatnonzero(np.diff(blocks, prepend=-1))
+    summed = np.add.reduceat(scores, starts, axis=0)
+    spread = C @ (summed.T @ summed) @ C * (starts.size / max(1.0, starts.size - DELAY - 1.0))
+    scale = np.sqrt(np.maximum(1.0, np.diag(spread) / np.diag(C)))
+    return np.asarray(scale[:, None] * C * scale)
+
+
+def _searched(t: F64, columns: F64, cov_view: F64, used: NDArray[np.bool_], start: Noise, prior: F64, p: F64) -> Noise:
+    """Return the likeliest noise, the parameters being at their best for each; some views of the flight are enough for it."""
+    some = slice(None, None, max(1, math.ceil(t.size / _SEARCH_VIEWS)))
+
+    def scores(noises: Sequence[Noise]) -> F64:
+        white = whiten(t[some], columns[some], cov_view[some], used[some], noises)
+        out = white.log_det.copy()
+        for k, rows in enumerate(white.rows):
+            dp, _ = _solved(rows, prior, p)
+            out[k] += float((_left(rows, dp) ** 2).sum() + (((p + dp) / prior) ** 2).sum())
+        return out
+
+    return likeliest(start, scores)

@@ -1,0 +1,30 @@
+"""Apply all rules to one snapshot. Pure."""
+
+from __future__ import annotations
+
+from companion.tools.doctor import rules_ardupilot, rules_arming, rules_failsafes, rules_links, rules_log, rules_px4, rules_values
+from companion.tools.doctor.finding import Finding, Rule
+from companion.tools.doctor.snapshot import Snapshot
+
+RULES: tuple[Rule, ...] = (
+    *rules_links.RULES, *rules_arming.RULES, *rules_log.RULES, *rules_ardupilot.RULES, *rules_px4.RULES, *rules_failsafes.RULES,
+    *rules_values.RULES,
+)  # fmt: skip
+
+
+def _asked(stack: str, own: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys((*own, *rules_failsafes.PARAMETERS[stack], *rules_values.PARAMETERS[stack])))
+
+
+PARAMETERS = {
+    "ArduPilot": _asked("ArduPilot", rules_ardupilot.PARAMETERS),
+    "PX4": _asked("PX4", rules_px4.PARAMETERS),
+    "other": (),
+}
+"""Parameters that the rules need from an autopilot, by stack."""
+
+
+def diagnose(snapshot: Snapshot) -> tuple[Finding, ...]:
+    """Return every finding, the most severe first."""
+    found = [finding for rule in RULES if (finding := rule(snapshot)) is not None]
+    return tuple(sorted(found, key=lambda f: f.severity))

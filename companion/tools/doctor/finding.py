@@ -1,0 +1,66 @@
+"""A finding, and the type of a rule that makes one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+
+from companion.tools.doctor.snapshot import Snapshot
+
+
+class Severity(IntEnum):
+    """The severity of a finding; the worst comes first."""
+
+    ERROR = 0
+    """The setup will not work."""
+    WARNING = 1
+    """The setup works until a critical moment."""
+    ADVICE = 2
+    """The setup could work better."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterChange:
+    """A parameter of the autopilot, and the value that it should have."""
+
+    parameter: str
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One fault of the setup, with its fix."""
+
+    rule: str
+    """Short name, the same in every release."""
+    severity: Severity
+    what: str
+    """Description of the fault, in one line."""
+    fix: str
+    """The fix, in one line."""
+    changes: tuple[ParameterChange, ...] = ()
+    """Parameters that `doctor --fix` sets; none where the fix is not a parameter, or needs a choice first."""
+
+
+Rule = Callable[[Snapshot], Finding | None]
+"""A pure function from a snapshot to a finding; None if the fault is not there or cannot be judged."""
+
+
+def error(rule: str, what: str, fix: str, changes: Mapping[str, float] | None = None) -> Finding:
+    """Return a finding that keeps the drone from landing, or makes it land wrongly."""
+    return Finding(rule, Severity.ERROR, what, fix, _changes(changes))
+
+
+def warning(rule: str, what: str, fix: str, changes: Mapping[str, float] | None = None) -> Finding:
+    """Return a finding that makes a landing worse or fail under some conditions."""
+    return Finding(rule, Severity.WARNING, what, fix, _changes(changes))
+
+
+def advice(rule: str, what: str, fix: str, changes: Mapping[str, float] | None = None) -> Finding:
+    """Return a finding that leaves room for improvement."""
+    return Finding(rule, Severity.ADVICE, what, fix, _changes(changes))
+
+
+def _changes(given: Mapping[str, float] | None) -> tuple[ParameterChange, ...]:
+    return tuple(ParameterChange(name, value) for name, value in (given or {}).items())

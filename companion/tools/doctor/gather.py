@@ -1,0 +1,214 @@
+"""Take a snapshot: open the links, listen, send requests, and record the answers. It judges nothing and changes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from msgspec import structs
+
+from companion.tools.doctor.diagnose import PARAMETERS
+from companion.tools.doctor.renamed import names_in
+from companion.tools.doctor.snapshot import (
+    AutopilotSnapshot,
+    GimbalSnapshot,
+    HeardSystem,
+    LinkSnapshot,
+    Snapshot,
+    TimeSyncSnapshot,
+)
+from drivers.mavlink.autopilot import Autopilot, open_autopilot
+from drivers.mavlink.dialect import mav
+from drivers.mavlink.gimbal import Gimbal, tending
+from drivers.mavlink.gimbal_options import GimbalOptions
+from drivers.mavlink.links import LinkOptions, ReceivedMessage
+from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.requests import RATES_HZ
+from drivers.mavlink.vehicle import is_autopilot, stack_of
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs, seconds_between
+
+_PRECLAND_BIT = int(mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION)
+"""The SYS_STATUS bit in which ArduCopter reports precision landing."""
+_ASKING_MAX_S = 30.0
+_VERSION_S = 1.0
+_FIRST_ANSWER_S = 5.0
+"""Time after which an autopilot that answered nothing at all is not waited for, seconds."""
+_POLL_S = 0.05
+_HEARD_MAX = 256
+
+Say = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class _Notes:
+    """Messages on the links that `Autopilot` does not keep."""
+
+    heard: dict[tuple[int, int], HeardSystem] = field(default_factory=dict)
+    firmware: tuple[int, int, int] | None = None
+    enabled: bool | None = None
+    healthy: bool | None = None
+
+    def on_message(self, received: ReceivedMessage) -> None:
+        m, name = received.message, received.message.get_type()
+        if name == "HEARTBEAT" and len(self.heard) < _HEARD_MAX:
+            self.heard[received.system, received.component] = _sender_of(received)
+        elif name == "AUTOPILOT_VERSION" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
+            v = m.flight_sw_version
+            self.firmware = (v >> 24 & 0xFF, v >> 16 & 0xFF, v >> 8 & 0xFF)
+        elif name == "SYS_STATUS" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
+            self.enabled = bool(m.onboard_control_sensors_enabled & _PRECLAND_BIT)
+            self.healthy = bool(m.onboard_control_sensors_health & _PRECLAND_BIT)
+
+
+def _sender_of(received: ReceivedMessage) -> HeardSystem:
+    m = received.message
+    stack = "" if m.autopilot == mav.MAV_AUTOPILOT_INVALID else stack_of(m).value
+    named = mav.enums["MAV_TYPE"].get(m.type)
+    kind = f"type {m.type}" if named is None else named.name.removeprefix("MAV_TYPE_").replace("_", " ").lower()
+    return HeardSystem(received.system, received.component, stack, kind, is_autopilot(m, received.component))
+
+
+async def examine(
+    options: AutopilotOptions,
+    clock: Clock,
+    seconds: float,
+    say: Say = lambda text: None,
+    links: Sequence[LinkOptions] | None = None,
+    gimbal: GimbalOptions | None = None,
+) -> Snapshot:
+    """Listen to the links, query the autopilot, and return the snapshot.
+
+    Args:
+        seconds: how long to wait for an autopilot, and again how long to count its messages.
+        say: called with a progress line for a terminal.
+        links: the links of the options with their keys; None for those of the options without any key.
+        gimbal: the camera's gimbal, which is asked for its reports and left where it points; None without one.
+    """
+    notes = _Notes()
+    began = clock.now()
+    heard = None if gimbal is None or not gimbal.given else Gimbal(structs.replace(gimbal, point_down=False), clock)
+    async with open_autopilot(options, clock, links) as autopilot, tending(heard, autopilot, clock):
+        autopilot.add_listener(notes.on_message)
+        say(f"listening on {', '.join(str(link.endpoint) for link in autopilot.links.all)}")
+        await wait_until(clock, seconds, lambda: autopilot.connected)
+        rates: dict[str, float] = {}
+        if autopilot.identity is not None:
+            rates = await _ask(autopilot, notes, clock, seconds, say)
+        snapshot = _snapshot(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now()))
+        if heard is None or snapshot.autopilot is None:
+            return snapshot
+        return structs.replace(snapshot, gimbal=GimbalSnapshot(heard.device_id, heard.rate_hz, dict(heard.sampler.refused)))
+
+
+async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds: float) -> Snapshot:
+    """Examine the autopilot over the links that a service has open; cancelled, it asks nothing more.
+
+    The links' counters are those since they were opened; texts and events are those of this examination.
+
+    Args:
+        wanted: the system id that the settings ask for; 0 for any.
+        seconds: how long to count messages.
+    """
+    notes, began, events = _Notes(), clock.now(), autopilot.counts["EVENT"]
+    autopilot.add_listener(notes.on_message)
+    try:
+        rates: dict[str, float] = {}
+        if autopilot.identity is None:
+            await clock.sleep(seconds)
+        else:
+            rates = await _ask(autopilot, notes, clock, seconds, lambda text: None)
+        snapshot = _snapshot(autopilot, notes, rates, wanted, seconds_between(began, clock.now()))
+    finally:
+        autopilot.remove_listener(notes.on_message)
+        if autopilot.parameters is not None:
+            autopilot.parameters.forget()
+    if snapshot.autopilot is None:
+        return snapshot
+    texts = tuple(text for at, _, text in autopilot.texts if at >= began)
+    newer = min(autopilot.counts["EVENT"] - events, len(autopilot.events))
+    numbers = tuple(autopilot.events)[len(autopilot.events) - newer :]
+    return structs.replace(snapshot, autopilot=structs.replace(snapshot.autopilot, texts=texts, events=numbers))
+
+
+async def _ask(autopilot: Autopilot, notes: _Notes, clock: Clock, seconds: float, say: Say) -> dict[str, float]:
+    identity, parameters, streams = autopilot.identity, autopilot.parameters, autopilot.streams
+    assert identity is not None
+    assert parameters is not None
+    assert streams is not None
+    say(f"{identity.stack.value}, system {identity.system}: reading parameters, asking for streams")
+    version = int(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+    autopilot.send(mav.MAVLink_command_long_message(*identity.address, mav.MAV_CMD_REQUEST_MESSAGE, 0, version, 0, 0, 0, 0, 0, 0))
+    await wait_until(clock, _VERSION_S, lambda: notes.firmware is not None)
+    parameters.request(names_in(PARAMETERS[identity.stack.value], notes.firmware))
+
+    def answered() -> bool:
+        heard = bool(parameters.values) or autopilot.counts["COMMAND_ACK"] > 0
+        return heard or (autopilot.sync is not None and autopilot.sync.round_trip_s is not None)
+
+    await wait_until(clock, _FIRST_ANSWER_S, answered)
+    if answered():
+        await wait_until(clock, _ASKING_MAX_S, lambda: parameters.settled and streams.settled)
+    if autopilot.condition.armed is False:
+        check = mav.MAV_CMD_RUN_PREARM_CHECKS
+        autopilot.send(mav.MAVLink_command_long_message(*identity.address, check, 0, 0, 0, 0, 0, 0, 0, 0))
+    say("counting messages")
+    before, since = autopilot.counts.copy(), clock.now()
+    await clock.sleep(seconds)
+    lasted_s = max(seconds_between(since, clock.now()), 1e-3)
+    return {name: (n - before[name]) / lasted_s for name, n in autopilot.counts.items() if n > before[name]}
+
+
+async def wait_until(clock: Clock, seconds: float, done: Callable[[], bool]) -> None:
+    """Return as soon as `done`, or after so many seconds."""
+    began: MonoNs = clock.now()
+    while not done() and seconds_between(began, clock.now()) < seconds:
+        await clock.sleep(_POLL_S)
+
+
+def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], wanted: int, seconds: float) -> Snapshot:
+    heard = tuple(notes.heard[ids] for ids in sorted(notes.heard))
+    links = tuple(
+        LinkSnapshot(
+            str(link.endpoint),
+            link.down,
+            link.counters.bytes_in,
+            link.counters.total("messages"),
+            link.counters.total("lost"),
+            link.counters.total("damaged"),
+            link.counters.total("old_version"),
+            link.counters.total("refused_signature"),
+            link.signed,
+            link.counters.unknown_senders,
+        )
+        for link in autopilot.links.all
+    )
+    identity, sync = autopilot.identity, autopilot.sync
+    if identity is None or sync is None:
+        return Snapshot(seconds, links, wanted_system=wanted, heard=heard)
+    parameters, streams, condition = autopilot.parameters, autopilot.streams, autopilot.condition
+    return Snapshot(
+        seconds,
+        links,
+        AutopilotSnapshot(
+            stack=identity.stack.value,
+            system=identity.system,
+            others=tuple(sorted({one.system for one in heard if one.hovers} - {identity.system})),
+            firmware=notes.firmware,
+            mode=condition.mode,
+            armed=condition.armed,
+            flying=condition.flying,
+            parameters={} if parameters is None else dict(sorted(parameters.values.items())),
+            absent=() if parameters is None else tuple(sorted(parameters.absent)),
+            rates_hz={name: round(rate, 2) for name, rate in sorted(rates.items())},
+            wanted_hz=dict(RATES_HZ[identity.stack]),
+            refused={} if streams is None else streams.refused,
+            texts=tuple(text for _, _, text in autopilot.texts),
+            events=tuple(autopilot.events),
+            precland_enabled=notes.enabled,
+            precland_healthy=notes.healthy,
+        ),
+        TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps),
+        wanted_system=wanted,
+        heard=heard,
+    )

@@ -1,0 +1,464 @@
+"""Rules for links, streams and clocks, which apply to any autopilot."""
+
+from __future__ import annotations
+
+from companion.settings.mission import ConeOptions
+from companion.tools.doctor.finding import Finding, Rule, advice, error, warning
+from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
+from drivers.mavlink.endpoint import parse_endpoint
+from drivers.mavlink.requests import INSTEAD
+
+ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
+"""Messages without which the service can neither report to an autopilot nor fly it."""
+_LIMITED_SHARE = 0.1
+"""Share of the frames with a pad that may be too dark or too bright at the camera's limits."""
+_GIMBAL_HZ, _GIMBAL_SILENT_HZ = 10.0, 0.5
+"""Rates of a gimbal's reports below which most frames have none near them, and below which there are none."""
+_NO_ANSWER = -1
+_LISTED_MAX = 6
+_REASONS = {
+    "permission denied": "let the service's user open it: usermod -aG dialout USER, and log in anew",
+    "could not exclusively lock": "another program has it: stop the daemon or ModemManager, or the other ground station",
+    "no such file": "the device is not there: check the cable, and dmesg for its name (/dev/serial/by-id is stable)",
+    "no such device": "the device is not there: check the cable, and dmesg for its name (/dev/serial/by-id is stable)",
+    "address already in use": "another program listens on that port: stop it, or choose another port",
+    "connect call failed": "nothing listens there: start it, or check address and port",
+    "name or service not known": "the host name cannot be resolved: write the address",
+}
+
+
+def link_down(p: Snapshot) -> Finding | None:
+    """Find a link that cannot be opened."""
+    for link in p.links:
+        if link.down is not None:
+            fix = next((c for text, c in _REASONS.items() if text in link.down.lower()), "check what the link's address names")
+            return error("link-down", f"{link.url} is not open: {link.down}", fix)
+    return None
+
+
+def _open(p: Snapshot) -> list[LinkSnapshot]:
+    return [link for link in p.links if link.down is None]
+
+
+def link_silent(p: Snapshot) -> Finding | None:
+    """Find an open link on which no byte arrives."""
+    for link in _open(p):
+        if link.bytes_in == 0 and (p.seconds >= 2.0 or p.autopilot is None):
+            serial = "check RX/TX wiring and, on the autopilot, SERIALn_PROTOCOL 2 (ArduPilot) or MAV_n_CONFIG (PX4)"
+            net = "check that the autopilot (or mavlink-router) sends to this address and port, and the firewall"
+            return error("link-silent", f"{link.url}: not one byte in {p.seconds:.0f} s", serial if "serial" in link.url else net)
+    return None
+
+
+def link_garbage(p: Snapshot) -> Finding | None:
+    """Find a link with bytes but no messages in them."""
+    for link in _open(p):
+        if link.bytes_in > 200 and link.damaged > 2 * max(link.messages, 1):
+            return error(
+                "link-garbage",
+                f"{link.url}: {link.bytes_in} bytes but {link.messages} messages, the rest is damaged",
+                "set the same speed on both sides (SERIALn_BAUD, SER_TELn_BAUD), common ground, shorter wires",
+            )
+    return None
+
+
+def link_signature(p: Snapshot) -> Finding | None:
+    """Find a link that is signed on one side only, or with another key."""
+    for link in _open(p):
+        if link.refused_signature > 0:
+            return error(
+                "link-signature",
+                f"{link.url}: {link.refused_signature} messages refused for their signature",
+                "use the same key on both sides; after a key change restart both; check that the clocks agree to a minute",
+            )
+    return None
+
+
+def link_unsigned(p: Snapshot) -> Finding | None:
+    """Find an unsigned network link, which trusts sender addresses."""
+    for link in _open(p):
+        if link.signed is False and not parse_endpoint(link.url).is_private:
+            return advice(
+                "link-unsigned",
+                f"{link.url}: not signed: whoever reaches that address first can be taken for the autopilot",
+                "decklander keys make FILE, keys install --link URL FILE, then signing_key_file; or keep it to loopback",
+            )
+    return None
+
+
+def link_unknown_senders(p: Snapshot) -> Finding | None:
+    """Find a link with messages from senders that are not accepted."""
+    for link in _open(p):
+        if link.unknown_senders > 20 and p.autopilot is not None:
+            return advice(
+                "link-unknown-senders",
+                f"{link.url}: {link.unknown_senders} messages of systems that may not command and get no messages",
+                "where one is your ground station, name its system in vehicle.operators (QGroundControl is 255), or sign",
+            )
+    return None
+
+
+def link_old_version(p: Snapshot) -> Finding | None:
+    """Find a MAVLink 1 link: it cuts the position off a LANDING_TARGET."""
+    link = _old_link(p)
+    if link is None or unanswered(p):
+        return None
+    return warning(
+        "link-mavlink1",
+        f"{link.url}: the other side speaks MAVLink 1",
+        "set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4): version 1 has no position in LANDING_TARGET",
+    )
+
+
+def _old_link(p: Snapshot) -> LinkSnapshot | None:
+    return next((link for link in _open(p) if link.messages >= 8 and link.old_version > 0.5 * link.messages), None)
+
+
+def link_lossy(p: Snapshot) -> Finding | None:
+    """Find a link that loses messages."""
+    for link in _open(p):
+        total = link.messages + link.lost
+        if total >= 50 and link.lost > 0.05 * total:
+            return warning(
+                "link-lossy",
+                f"{link.url}: {100 * link.lost / total:.0f} % of the messages are lost",
+                "raise the speed to 921600, connect RTS/CTS, or ask for fewer streams on that port",
+            )
+    return None
+
+
+def wrong_system(p: Snapshot) -> Finding | None:
+    """Find a wished system id that no autopilot has, while others are heard."""
+    there = sorted({one.system for one in p.heard if one.hovers})
+    if p.autopilot is not None or not p.wanted_system or not there:
+        return None
+    names = " or ".join(map(str, there))
+    return error(
+        "wrong-system",
+        f"system {p.wanted_system} is not heard; heard: {_listed(p)}",
+        f"give --system {names}, and vehicle.system_id = {names} in the settings; an autopilot's own id is SYSID_THISMAV "
+        "(MAV_SYSID since ArduPilot 4.7) or MAV_SYS_ID (PX4)",
+    )
+
+
+def no_autopilot(p: Snapshot) -> Finding | None:
+    """Find links with messages but no autopilot of a copter."""
+    if p.autopilot is not None or wrong_system(p) is not None or not any(link.messages > 0 for link in p.links):
+        return None
+    others = [one for one in p.heard if one.stack]
+    if others:
+        fix = "this service lands copters: check the firmware, the vehicle's frame type and the link"
+        if any(one.component != 1 for one in others):
+            fix = "an autopilot is expected as component 1: set its component id to 1"
+        return error("no-autopilot", f"no HEARTBEAT of a copter's autopilot (component 1); heard: {_listed(p)}", fix)
+    said = f"heard: {_listed(p)}" if p.heard else "nothing sends HEARTBEATs"
+    return error(
+        "no-autopilot",
+        f"MAVLink messages come, but no HEARTBEAT of a copter's autopilot (component 1); {said}",
+        "check the vehicle's frame type and that this link reaches the autopilot, not only a ground station; check --system",
+    )
+
+
+def _listed(p: Snapshot) -> str:
+    shown = [str(one) if one.component == 1 or not one.stack else f"{one}, component {one.component}" for one in p.heard]
+    return ", ".join(shown[:_LISTED_MAX]) + (f" and {len(shown) - _LISTED_MAX} more" if len(shown) > _LISTED_MAX else "")
+
+
+def several_autopilots(p: Snapshot) -> Finding | None:
+    """Find several vehicles on one network, where the service may choose the wrong one."""
+    a = p.autopilot
+    if a is not None and a.others and not p.wanted_system:
+        there = ", ".join(str(one) for one in p.heard if one.hovers and one.system in a.others) or ", ".join(map(str, a.others))
+        return warning(
+            "several-autopilots",
+            f"system {a.system} was taken, because it was heard first; there too: {there}",
+            f"name the one that is meant by --system and vehicle.system_id ({a.system} or {' or '.join(map(str, a.others))}); "
+            "each vehicle needs an id of its own (SYSID_THISMAV, MAV_SYS_ID)",
+        )
+    return None
+
+
+def unanswered(p: Snapshot) -> bool:
+    """Return whether an autopilot is heard and answered nothing at all: then silence is no refusal, and nothing is absent."""
+    a = p.autopilot
+    if a is None or not p.links or not a.wanted_hz or a.parameters:
+        return False
+    return (
+        bool(a.refused)
+        and all(result == _NO_ANSWER for result in a.refused.values())
+        and (p.sync is None or p.sync.round_trip_s is None)
+    )
+
+
+def link_one_way(p: Snapshot) -> Finding | None:
+    """Find a link on which the autopilot is heard and does not hear us."""
+    if not unanswered(p) or p.autopilot is None:
+        return None
+    what = f"system {p.autopilot.system} is heard, and answers nothing: no parameter, no stream, no TIMESYNC"
+    if _old_link(p) is not None:
+        return error(
+            "link-one-way",
+            f"{what}; it speaks MAVLink 1, and something between drops MAVLink 2",
+            "put a router or radio there that passes MAVLink 2, and set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4)",
+        )
+    return error(
+        "link-one-way",
+        what,
+        "check the wire from our TX to its RX, a radio or router that passes one direction only, and a signing key that it has "
+        "and we have not",
+    )
+
+
+def stream_refused(p: Snapshot) -> Finding | None:
+    """Find a stream that the autopilot refuses to send."""
+    a = p.autopilot
+    if a is None:
+        return None
+    refused = [
+        n
+        for n, result in a.refused.items()
+        if result != _NO_ANSWER and n in ESSENTIAL and a.rates_hz.get(INSTEAD.get(n, ""), 0.0) < 0.2
+    ]
+    if refused:
+        return error(
+            "stream-refused",
+            f"the autopilot refuses to send {', '.join(sorted(refused))}",
+            "it answers to SET_MESSAGE_INTERVAL with an error: update the firmware, or enable the message in its build",
+        )
+    return None
+
+
+def stream_silent(p: Snapshot) -> Finding | None:
+    """Find a stream that was accepted but does not arrive."""
+    a = p.autopilot
+    if a is None or p.seconds < 3.0 or unanswered(p):
+        return None
+    heard = {n for n, rate in a.rates_hz.items() if rate >= 0.2}
+    asked = [n for n in ESSENTIAL if n in a.wanted_hz and a.refused.get(n, _NO_ANSWER) == _NO_ANSWER]
+    silent = [n for n in asked if n not in heard and INSTEAD.get(n, n) not in heard]
+    if silent:
+        return error(
+            "stream-silent",
+            f"asked for and not heard: {', '.join(silent)}",
+            "LOCAL_POSITION_NED needs a position estimate (GNSS or flow, EKF healthy); for the rest another program "
+            "(a ground station's stream rates, SRn_*) turns streams off: set its rates to 0",
+        )
+    return None
+
+
+def stream_slow(p: Snapshot) -> Finding | None:
+    """Find an attitude stream too slow to correct for the tilt."""
+    a = p.autopilot
+    if a is None:
+        return None
+    rate = max(a.rates_hz.get(name, 0.0) for name in ("ATTITUDE_QUATERNION", INSTEAD["ATTITUDE_QUATERNION"]))
+    if 0.2 <= rate < 30.0:
+        return warning(
+            "attitude-slow",
+            f"attitude comes at {rate:.0f} Hz, {a.wanted_hz.get('ATTITUDE_QUATERNION', 100.0):.0f} were asked for",
+            "use a faster link (921600 on serial, USB, Ethernet): at 10 Hz a swinging vehicle's tilt is wrong by degrees",
+        )
+    return None
+
+
+def clock_not_locked(p: Snapshot) -> Finding | None:
+    """Find a clock that is not synchronized, which makes stamps meaningless."""
+    if p.autopilot is None or p.sync is None or p.sync.locked or unanswered(p):
+        return None
+    return error(
+        "clock-not-locked",
+        "TIMESYNC is not answered, or never twice alike: instants of the autopilot are known to some 20 ms only",
+        "check that nothing between filters TIMESYNC (a router, a ground station's forwarding)",
+    )
+
+
+def clock_far(p: Snapshot) -> Finding | None:
+    """Find a round trip that is too long for clock synchronization; PX4 refuses to converge beyond 10 ms."""
+    if p.sync is None or p.autopilot is None or p.sync.round_trip_s is None:
+        return None
+    limit_s = 0.010 if p.autopilot.stack == "PX4" else 0.040
+    if p.sync.round_trip_s <= limit_s:
+        return None
+    found = f"the shortest TIMESYNC round trip is {1e3 * p.sync.round_trip_s:.0f} ms"
+    fix = "connect the autopilot by wire (serial 921600, USB, Ethernet), not by radio or Wi-Fi"
+    if p.autopilot.stack == "PX4":
+        return error("clock-far", f"{found}: PX4 never converges and then ignores our stamps", fix)
+    return warning("clock-far", f"{found}: stamps are known to {500 * p.sync.round_trip_s:.0f} ms", fix)
+
+
+def clock_jumps(p: Snapshot) -> Finding | None:
+    """Find a clock that jumps while we listen."""
+    if p.sync is not None and p.sync.jumps > 0:
+        return warning(
+            "clock-jumps",
+            f"the autopilot's clock jumped {p.sync.jumps} times",
+            "it reboots (power?), or two autopilots share one system id: give each its own",
+        )
+    return None
+
+
+def files_fault(p: Snapshot) -> Finding | None:
+    """Find a key, password, certificate or gamepad mapping that cannot be used."""
+    if p.service.files_fault is not None:
+        return error(
+            "settings-files", p.service.files_fault, "correct the file or the setting that names it; its part cannot begin"
+        )
+    return None
+
+
+def settings_idle(p: Snapshot) -> Finding | None:
+    """Find settings without effect."""
+    if p.service.without_effect:
+        return advice(
+            "settings-idle",
+            "; ".join(p.service.without_effect),
+            "take these keys out, or switch on what they belong to",
+        )
+    return None
+
+
+def feet_not_said(p: Snapshot) -> Finding | None:
+    """Find an autopilot that is flown with an AR.Drone's feet."""
+    feet_m = p.service.feet_below_m
+    if feet_m is not None and feet_m == ConeOptions().feet_below_m:
+        return advice(
+            "feet-not-said",
+            f"guidance.cone.feet_below_m is {feet_m:g} m, an AR.Drone's: taller feet are so much nearer to the deck at the gate",
+            "measure from the autopilot down to the ends of the feet, and set it",
+        )
+    return None
+
+
+def camera_fault(p: Snapshot) -> Finding | None:
+    """Find a fault in the camera or pad file."""
+    if p.service.camera_fault is not None:
+        return error("camera-file", p.service.camera_fault, "correct the file; decklander config check names every key")
+    return None
+
+
+def camera_device(p: Snapshot) -> Finding | None:
+    """Find a camera that is absent, not permitted, or not capable of the settings."""
+    if p.service.device_fault is not None:
+        return error(
+            "camera-device",
+            f"camera: {p.service.device_fault}",
+            "check cable and power; v4l2-ctl --list-devices (libcamera: cam -l) names what is there, and its user must be in the "
+            "group video; stop whatever else holds it",
+        )
+    return None
+
+
+def camera_size(p: Snapshot) -> Finding | None:
+    """Find a calibration for another resolution."""
+    s = p.service
+    if s.frame_size is not None and s.camera_size is not None and s.frame_size != s.camera_size:
+        return error(
+            "camera-size",
+            f"the camera sends {s.frame_size[0]}x{s.frame_size[1]}, its file describes {s.camera_size[0]}x{s.camera_size[1]}",
+            "calibrate at the size that is used, or set the size of the calibration: no frame can be used like this",
+        )
+    return None
+
+
+def camera_slow(p: Snapshot) -> Finding | None:
+    """Find a camera with too low a frame rate."""
+    rate = p.service.frame_rate_hz
+    if rate is not None and rate < 10.0:
+        return warning(
+            "camera-slow",
+            "no frame comes" if rate == 0.0 else f"only {rate:.1f} frames a second come",
+            "check cable and USB power, give the camera its own bus, and more light: exposure time limits the rate",
+        )
+    return None
+
+
+def exposure_limited(p: Snapshot) -> Finding | None:
+    """Find a camera that refuses the exposure that is asked of it, or whose limits leave the pad too dark or too bright."""
+    counts = p.service.exposure
+    if refused := int(counts.get("refused", 0)):
+        return warning(
+            "exposure-refused",
+            f"the camera refused {refused} exposures",
+            'the journal has the reason; without a cure let camera.exposure.mode be "camera"',
+        )
+    tracked, dark, bright = (counts.get(f"frames_{name}", 0.0) for name in ("pad", "dark", "bright"))
+    if tracked and max(dark, bright) > _LIMITED_SHARE * tracked:
+        return warning(
+            "exposure-limited",
+            f"the pad was too {'dark' if dark > bright else 'bright'} in {max(dark, bright) / tracked:.0%} of its frames, "
+            "at the limits of the camera",
+            "too dark: more light, a faster lens, or a greater camera.exposure.blur_px; too bright: a grey filter",
+        )
+    return None
+
+
+def gimbal_silent(p: Snapshot) -> Finding | None:
+    """Find a gimbal whose attitude does not come, or comes too seldom."""
+    gimbal = p.service.gimbal or p.gimbal
+    if gimbal is None or gimbal.rate_hz >= _GIMBAL_HZ:
+        return None
+    counts = ", ".join(f"{why} {n}" for why, n in sorted(gimbal.refused.items(), key=lambda i: -i[1]) if n)
+    refused = f"; refused: {counts}" if counts else ""
+    if gimbal.rate_hz < _GIMBAL_SILENT_HZ:
+        return error(
+            "gimbal-silent",
+            f"gimbal {gimbal.device_id} does not report its attitude{refused}",
+            "correct camera.gimbal.device_id, or let the autopilot forward its messages: every frame is refused without them",
+        )
+    return warning(
+        "gimbal-slow",
+        f"gimbal {gimbal.device_id} reports only {gimbal.rate_hz:.1f} times a second{refused}",
+        "raise the rate in the gimbal or the autopilot (SRn_EXTRA3): most frames fall between two reports and are refused",
+    )
+
+
+def broker_fault(p: Snapshot) -> Finding | None:
+    """Find an MQTT broker that is not connected."""
+    if p.service.broker_fault is not None:
+        return warning(
+            "broker",
+            f"MQTT broker {p.service.broker}: {p.service.broker_fault}",
+            "start the broker, or correct its address; landing does not need it, telemetry does",
+        )
+    return None
+
+
+def drone_fault(p: Snapshot) -> Finding | None:
+    """Find an AR.Drone that is not connected."""
+    if p.service.drone_fault is not None:
+        return error(
+            "drone",
+            f"AR.Drone at {p.service.drone}: {p.service.drone_fault}",
+            "join its Wi-Fi (ardrone2_...), check that this host has an address 192.168.1.x, and power-cycle the drone",
+        )
+    return None
+
+
+def ship_place(p: Snapshot) -> Finding | None:
+    """Find settings about the ship's place that do not go together."""
+    found = p.service.ship_place
+    if found is None:
+        return None
+    return (error if found.refuses else advice)("ship-place", found.what, found.fix)
+
+
+def ship_silent(p: Snapshot) -> Finding | None:
+    """Find a running service that expects the ship's place and takes none."""
+    s = p.service
+    if s.places_taken != 0:
+        return None
+    refused = ", ".join(f"{why} {n}" for why, n in sorted(s.places_refused.items(), key=lambda i: -i[1]) if n)
+    return warning(
+        "ship-silent",
+        "the service took no place of the ship" + (f"; refused: {refused}" if refused else ": nothing arrives"),
+        "docs/rendezvous.md says what each reason means; nothing arrives: check the address, the port and the firewall",
+    )
+
+
+RULES: tuple[Rule, ...] = (
+    link_down, link_silent, link_garbage, link_signature, link_old_version, link_lossy, link_unsigned,
+    link_unknown_senders, link_one_way, wrong_system, no_autopilot, several_autopilots,
+    stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, files_fault, settings_idle,
+    feet_not_said, camera_fault, camera_device, camera_size, camera_slow, exposure_limited,
+    gimbal_silent, broker_fault, drone_fault, ship_place, ship_silent,
+)  # fmt: skip

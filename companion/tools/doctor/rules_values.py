@@ -1,0 +1,214 @@
+"""Rules for single parameters of both stacks that can spoil or endanger a landing: the range in which a value does no harm.
+
+Each row is one rule. The limits are meant for a landing by setpoints on a deck that moves; a value inside them is not praised,
+only not named. Sources: parameter references of ArduCopter 4.5 and PX4 1.16, and flights of both on a deck (docs/ardupilot.md,
+docs/px4.md).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.tools.doctor.finding import Finding, ParameterChange, Severity
+from companion.tools.doctor.renamed import named_value
+from companion.tools.doctor.snapshot import Snapshot
+
+_ERROR, _WARNING, _ADVICE = Severity.ERROR, Severity.WARNING, Severity.ADVICE
+
+
+@dataclass(frozen=True, slots=True)
+class ValueRule:
+    """One parameter, what is wrong with a value outside its range, and a value that is not."""
+
+    rule: str
+    stack: str
+    parameter: str
+    good: float
+    """The value that the fix names; where bits must not be set, the fix clears these alone."""
+    why: str
+    """What a wrong value does."""
+    low: float = -math.inf
+    high: float = math.inf
+    wrong: tuple[float, ...] = ()
+    """Single values that are wrong inside the range."""
+    right: tuple[float, ...] = ()
+    """Single values that are right outside the range: those that switch a filter or a check off."""
+    bits: int = 0
+    """Bits that must not be set."""
+    needed: int = 0
+    """Bits that must be set."""
+    over_ship: float | None = None
+    """By how much a limit of speed must exceed the ship's, m/s; None where her speed is of no matter."""
+    per_m_s: float = 1.0
+    """Value of the parameter for 1 m/s."""
+    severity: Severity = _WARNING
+    on_ship: bool = True
+    """Whether it only matters where the pad moves."""
+
+    def __call__(self, snapshot: Snapshot) -> Finding | None:
+        """Return the finding, or None where the value is good or not known."""
+        autopilot = snapshot.autopilot
+        if autopilot is None or autopilot.stack != self.stack or (self.on_ship and not snapshot.moving_pad):
+            return None
+        named = named_value(autopilot.parameters, self.parameter)
+        if named is None:
+            return None
+        value, low = named.value, self._low(snapshot)
+        inside = low <= value <= self.high and value not in self.wrong
+        if value in self.right or (inside and not int(value) & self.bits and int(value) & self.needed == self.needed):
+            return None
+        masked = self.bits or self.needed
+        to = float(int(value) & ~self.bits | self.needed) if masked else max(self.good, low) if low > self.low else self.good
+        to = named.there(to)
+        what = f"{named.name} is {named.there(value):g}: {self.why}"
+        if low > self.low:
+            what += f" (she makes {snapshot.ship_speed_m_s:g} m/s)"
+        fix = f"set {named.name} {to:g}"
+        return Finding(self.rule, self.severity, what, fix, (ParameterChange(named.name, to),))
+
+    def _low(self, snapshot: Snapshot) -> float:
+        if self.over_ship is None or snapshot.ship_speed_m_s is None:
+            return self.low
+        return max(self.low, self.per_m_s * (snapshot.ship_speed_m_s + self.over_ship))
+
+
+_A, _P = "ArduPilot", "PX4"
+_ARDUPILOT = (
+    ValueRule("guided-timeout", _A, "GUID_TIMEOUT", 1,
+              "a gap in the link stops it over the ground, or a dead service flies on", 1, 5),
+    ValueRule("land-speed", _A, "LAND_SPEED", 40,
+              "it strikes the deck, or never gets down on one that heaves", 20, 70, on_ship=False),
+    ValueRule("land-speed-high", _A, "LAND_SPEED_HIGH", 0,
+              "it comes down on the ship faster than a deck can be followed", 0, 200),
+    ValueRule("range-max", _A, "RNGFND1_MAX_CM", 700, "above it the rangefinder says nothing, and LAND does not slow down", 400),
+    ValueRule("range-min", _A, "RNGFND1_MIN_CM", 5, "below it the rangefinder says nothing of the deck", -1, 30),
+    ValueRule("plnd-distance", _A, "PLND_XY_DIST_MAX", 2.5, "farther off it never descends, and 0 allows it beside the pad", 0.5),
+    ValueRule("plnd-timeout", _A, "PLND_TIMEOUT", 4, "so long it descends without a target before it tries again", 2, 8),
+    ValueRule("plnd-low", _A, "PLND_ALT_MIN", 0.75, "below it it lands where it is, with the pad or without", -1, 1.5),
+    ValueRule("guided-accel", _A, "WPNAV_ACCEL", 250, "it cannot follow the deck sideways", 150),
+    ValueRule("guided-accel-z", _A, "WPNAV_ACCEL_Z", 100, "it cannot follow the deck's heave", 80),
+    ValueRule("descent-limit", _A, "WPNAV_SPEED_DN", 150, "a deck that falls away is not reached", 100),
+    ValueRule("climb-limit", _A, "WPNAV_SPEED_UP", 250, "a deck that rises strikes it from below", 150),
+    ValueRule("jerk", _A, "PSC_JERK_XY", 5, "its lean follows too late for a deck", 3),
+    ValueRule("jerk-z", _A, "PSC_JERK_Z", 5, "its climb follows too late for a deck", 3),
+    ValueRule("velocity-integral", _A, "PSC_VELXY_I", 1, "wind is not cancelled", 0.2),
+    ValueRule("lean-slow", _A, "ATC_INPUT_TC", 0.15, "its lean follows too late for a deck", -1, 0.3),
+    ValueRule("lean-loose", _A, "ATC_ANG_RLL_P", 4.5, "its lean follows too late for a deck", 3),
+    ValueRule("lean-limit", _A, "ANGLE_MAX", 3000, "it cannot hold against wind and follow the deck", 1500),
+    ValueRule("accel-filter", _A, "INS_ACCEL_FILTER", 20, "the contact with the deck is felt too late or not at all", 10),
+    ValueRule("gyro-filter", _A, "INS_GYRO_FILTER", 40, "the filter delays the loops", 15, on_ship=False),
+    ValueRule("notch-low", _A, "INS_HNTCH_FREQ", 80, "a notch so low delays the loops", 30, on_ship=False),
+    ValueRule("disarm-delay", _A, "DISARM_DELAY", 10, "it disarms before it has climbed, or stays armed on deck", 5, 30),
+    ValueRule("spin-min", _A, "MOT_SPIN_MIN", 0.15, "it cannot descend on a deck that falls away", -1, 0.3, on_ship=False),
+    ValueRule("guided-unstabilized", _A, "GUID_OPTIONS", 0, "it holds neither place nor velocity in GUIDED",
+              bits=0b110000, severity=_ERROR, on_ship=False),
+    ValueRule("slow-too-late", _A, "LAND_ALT_LOW", 1000, "LAND slows down only so high over the ground", 500, on_ship=False),
+    ValueRule("cruise-speed", _A, "WPNAV_SPEED", 1000, "it cannot overtake the ship on its way to her", 300,
+              over_ship=3, per_m_s=100),
+    ValueRule("loiter-speed", _A, "LOIT_SPEED", 1250, "a person who takes over in LOITER cannot keep up with the ship", 300,
+              over_ship=3, per_m_s=100),
+    ValueRule("velocity-loose", _A, "PSC_VELXY_P", 2, "its velocity follows too late for a deck", 1),
+    ValueRule("climb-loose", _A, "PSC_VELZ_P", 5, "it cannot follow the deck's heave", 2.5),
+    ValueRule("velocity-filter", _A, "PSC_VELXY_FLTE", 5, "the filter delays the velocity loop", 2),
+    ValueRule("climb-filter", _A, "PSC_VELZ_FLTE", 5, "the filter delays the climb loop", 2),
+    ValueRule("thrust-filter", _A, "PSC_ACCZ_FLTE", 20, "the filter delays the climb loop", 5),
+    ValueRule("roll-filter", _A, "ATC_RAT_RLL_FLTD", 20, "the filter delays the loops", 8, right=(0.0,), on_ship=False),
+    ValueRule("pitch-filter", _A, "ATC_RAT_PIT_FLTD", 20, "the filter delays the loops", 8, right=(0.0,), on_ship=False),
+    ValueRule("pitch-loose", _A, "ATC_ANG_PIT_P", 4.5, "its lean follows too late for a deck", 3),
+    ValueRule("second-notch-low", _A, "INS_HNTC2_FREQ", 80, "a notch so low delays the loops", 30, on_ship=False),
+    ValueRule("notch-wide", _A, "INS_HNTCH_BW", 40, "a notch so wide delays the loops", 1, 100, on_ship=False),
+    ValueRule("gnss-rate", _A, "GPS_RATE_MS", 200, "its velocity comes too rarely for a deck", 50, 200),
+    ValueRule("rotors-slow", _A, "MOT_SPOOL_TIME", 0.5, "take-off is late by so much", 0, 1.5),
+    ValueRule("compass-learns", _A, "COMPASS_LEARN", 0, "it learns the ship's steel", wrong=(2.0, 3.0)),
+    ValueRule("ekf-failsafe", _A, "FS_EKF_THRESH", 0.8, "an EKF that is wrong is flown on", 0.5, 1.0),
+    ValueRule("ekf-action", _A, "FS_EKF_ACTION", 1, "an EKF in doubt lands it even where a person flies it", wrong=(3.0,)),
+    ValueRule("station-loss", _A, "FS_GCS_ENABLE", 0, "without a station it lands where it is, in the sea",
+              wrong=(4.0, 5.0, 7.0)),
+    ValueRule("battery-action", _A, "BATT_FS_LOW_ACT", 0, "with a low battery it comes down where it is, in the sea",
+              wrong=(1.0, 4.0, 5.0, 7.0)),
+    ValueRule("battery-critical", _A, "BATT_FS_CRT_ACT", 0, "with an empty battery it comes down where it is, in the sea",
+              wrong=(1.0, 4.0, 5.0, 7.0)),
+    ValueRule("fence", _A, "FENCE_ENABLE", 0, "the fence stays where the ship was, and ends the flight there", wrong=(1.0,)),
+    ValueRule("gnss-checks", _A, "EK3_GPS_CHECK", 31,
+              "its checks of drift take a ship under way for a bad GNSS", bits=0b11100000, severity=_ERROR),
+    ValueRule("arming-checks", _A, "ARMING_CHECK", 1,
+              "it takes off without its checks", wrong=(0.0,), severity=_ADVICE, on_ship=False),
+    ValueRule("arming-skipped", _A, "ARMING_SKIPCHK", 0,
+              "it takes off without its checks", wrong=(-1.0,), severity=_ADVICE, on_ship=False),
+)  # fmt: skip
+_PX4 = (
+    ValueRule("px4-gnss-checks", _P, "EKF2_GPS_CHECK", 21,
+              "its checks of drift never pass on a ship under way: arming is refused for ever",
+              bits=0b111100000, severity=_ERROR),
+    ValueRule("px4-offboard-short", _P, "COM_OF_LOSS_T", 1,
+              "every gap between setpoints is a failsafe", 0.5, severity=_ERROR, on_ship=False),
+    # It takes 1.1 times this for a descent at the least, and sets the parameter itself to at most MPC_LAND_CRWL / 1.2
+    ValueRule("px4-land-descent", _P, "LNDMC_Z_VEL_MAX", 0.25,
+              "a landing at 0.4 m/s is no descent to it, or the least heave is no standing", 0.1, 0.7, severity=_ADVICE),
+    ValueRule("px4-land-way", _P, "LNDMC_XY_VEL_MAX", 1.5, "the ship's way hides from it that it stands", 1.0,
+              over_ship=0.5, severity=_ADVICE),
+    ValueRule("px4-land-time", _P, "LNDMC_TRIG_TIME", 1, "it sees too late that it stands", -1, 3),
+    ValueRule("px4-land-rotation", _P, "LNDMC_ROT_MAX", 20, "a rolling deck hides from it that it stands", 10),
+    ValueRule("px4-speed-limit", _P, "MPC_XY_VEL_MAX", 12, "it cannot overtake the ship", 3, over_ship=3, severity=_ERROR),
+    ValueRule("px4-descent-limit", _P, "MPC_Z_VEL_MAX_DN", 1.5, "a deck that falls away is not reached", 1, severity=_ERROR),
+    ValueRule("px4-climb-limit", _P, "MPC_Z_VEL_MAX_UP", 3, "a deck that rises strikes it from below", 1.5),
+    ValueRule("px4-lean-limit", _P, "MPC_TILTMAX_AIR", 45, "it cannot hold against wind and follow the deck", 20),
+    ValueRule("px4-lean-take-off", _P, "MPC_TILTMAX_LND", 12,
+              "it cannot go with the ship at take-off, or turns over on deck", 8, 20),
+    ValueRule("px4-velocity-loose", _P, "MPC_XY_VEL_P_ACC", 1.8, "its velocity follows too late for a deck", 1.2),
+    ValueRule("px4-velocity-integral", _P, "MPC_XY_VEL_I_ACC", 0.4, "wind is not cancelled", 0.1),
+    ValueRule("px4-climb-loose", _P, "MPC_Z_VEL_P_ACC", 4, "it cannot follow the deck's heave", 2.5),
+    ValueRule("px4-lean-loose", _P, "MC_ROLL_P", 6.5, "its lean follows too late for a deck", 4),
+    ValueRule("px4-thrust-min", _P, "MPC_THR_MIN", 0.12, "it cannot descend on a deck that falls away", -1, 0.2, on_ship=False),
+    ValueRule("px4-thrust-max", _P, "MPC_THR_MAX", 1, "it cannot climb from a deck that rises", 0.7),
+    ValueRule("px4-spool-up", _P, "COM_SPOOLUP_TIME", 1, "the take-off is late by so much", -1, 3),
+    ValueRule("px4-take-off-ramp", _P, "MPC_TKO_RAMP_T", 3, "it stands half weightless on a moving deck for so long", -1, 4),
+    ValueRule("px4-disarm-late", _P, "COM_DISARM_LAND", 2, "it stays armed on deck", 0.1, 5, on_ship=False),
+    ValueRule("px4-disarm-early", _P, "COM_DISARM_PRFLT", 10, "it disarms before it has climbed", 5, on_ship=False),
+    ValueRule("px4-setpoints-ignored", _P, "MAV_FWDEXTSP", 1, "setpoints are not passed on: OFFBOARD never begins",
+              wrong=(0.0,), severity=_ERROR, on_ship=False),
+    ValueRule("px4-manual-speed", _P, "MPC_VEL_MANUAL", 10, "a person who takes over cannot keep up with the ship", 3,
+              over_ship=2),
+    ValueRule("px4-gnss-control", _P, "EKF2_GPS_CTRL", 7, "GNSS gives it no position or no velocity",
+              needed=0b101, severity=_ERROR),
+    ValueRule("px4-gnss-delay", _P, "EKF2_GPS_DELAY", 110, "its velocity is old by so much", 0, 250),
+    ValueRule("px4-gnss-wait", _P, "EKF2_REQ_GPS_H", 10, "so long it refuses to arm on deck", 0, 30),
+    ValueRule("px4-heading", _P, "EKF2_MAG_TYPE", 0, "it has no heading until it has flown", wrong=(5.0,), severity=_ERROR),
+    ValueRule("px4-compass-strength", _P, "COM_ARM_MAG_STR", 2, "a deck of steel keeps it from arming", wrong=(1.0,),
+              severity=_ADVICE),
+    ValueRule("px4-velocity-doubt", _P, "COM_VEL_FS_EVH", 1, "a small doubt about its velocity ends OFFBOARD", 0.5),
+    ValueRule("px4-wind-limit", _P, "COM_WIND_MAX", -1, "wind at sea ends the landing", 10, right=(-1.0,)),
+    ValueRule("px4-roll-limit", _P, "FD_FAIL_R", 60, "a lean against a gust counts as a failure", 45, right=(0.0,)),
+    ValueRule("px4-pitch-limit", _P, "FD_FAIL_P", 60, "a lean against a gust counts as a failure", 45, right=(0.0,)),
+    ValueRule("px4-pitch-loose", _P, "MC_PITCH_P", 6.5, "its lean follows too late for a deck", 4),
+    ValueRule("px4-hover-thrust", _P, "MPC_THR_HOVER", 0.5, "it leaps or sinks at take-off, and sees landings where none are",
+              0.1, 0.8, on_ship=False),
+    ValueRule("px4-velocity-filter", _P, "MPC_VELD_LP", 5, "the filter delays the velocity loop", 2, right=(0.0,)),
+    ValueRule("px4-notch-low", _P, "IMU_GYRO_NF0_FRQ", 0, "a notch so low delays the loops", 30, right=(0.0,), on_ship=False),
+    ValueRule("px4-second-notch-low", _P, "IMU_GYRO_NF1_FRQ", 0, "a notch so low delays the loops", 30, right=(0.0,),
+              on_ship=False),
+    ValueRule("px4-gyro-rate", _P, "IMU_GYRO_RATEMAX", 400, "the rate loop is too slow", 250, on_ship=False),
+    ValueRule("px4-remote-loss", _P, "NAV_RCL_ACT", 1,
+              "without a remote control it comes down where it is, in the sea", wrong=(3.0, 5.0, 6.0)),
+    ValueRule("px4-station-loss", _P, "NAV_DLL_ACT", 0,
+              "without a station it comes down where it is, in the sea", wrong=(3.0, 5.0, 6.0)),
+    ValueRule("px4-battery-action", _P, "COM_LOW_BAT_ACT", 0,
+              "with a low battery it lands where it is, in the sea", wrong=(2.0, 3.0)),
+    ValueRule("px4-fence", _P, "GF_ACTION", 1,
+              "the fence stays where the ship was, and ends the flight there", wrong=(3.0, 4.0, 5.0)),
+    ValueRule("px4-fence-reach", _P, "GF_MAX_HOR_DIST", 0, "the fence stays where the ship was", -1, 0),
+    ValueRule("px4-return-precland", _P, "RTL_PLD_MD", 0, "a return waits for a pad that never holds still for it", wrong=(2.0,)),
+    ValueRule("px4-still-target", _P, "LTEST_MODE", 0, "it takes the pad to stand still", wrong=(1.0,), severity=_ERROR),
+    ValueRule("px4-range-aid", _P, "EKF2_RNG_CTRL", 0, "its height follows the deck's heave", wrong=(2.0,), severity=_ERROR),
+    ValueRule("px4-flow", _P, "EKF2_OF_CTRL", 0,
+              "optical flow over a deck, where a sensor is fitted, is no speed over the ground", wrong=(1.0,), severity=_ADVICE),
+    ValueRule("px4-accel-filter", _P, "IMU_ACCEL_CUTOFF", 30, "its velocity loop follows too late", 15),
+    ValueRule("px4-gyro-filter", _P, "IMU_GYRO_CUTOFF", 40, "the filter delays the loops", 20, on_ship=False),
+    ValueRule("px4-rate-filter", _P, "IMU_DGYRO_CUTOFF", 30, "the filter delays the loops", 10, on_ship=False),
+    ValueRule("px4-land-speed", _P, "MPC_LAND_SPEED", 0.5,
+              "it strikes the deck where its own mode lands", 0.2, 0.9, on_ship=False),
+)  # fmt: skip
+RULES: tuple[ValueRule, ...] = (*_ARDUPILOT, *_PX4)
+PARAMETERS = {stack: tuple(rule.parameter for rule in RULES if rule.stack == stack) for stack in (_A, _P)}
+"""The parameters that the rules read, by stack."""

@@ -1,0 +1,179 @@
+"""The snapshot of a setup: plain data that can be saved, sent to someone else and examined again.
+
+Unknown values are None or absent, and no rule judges them.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+from msgspec import Struct, field
+
+from companion.settings.ship_place import Contradiction
+from drivers.imports.log_history import LogHistory
+from estimator.contracts.errors import BadInput
+
+
+class LinkSnapshot(Struct, frozen=True):
+    """One MAVLink link over the time of the examination."""
+
+    url: str
+    down: str | None = None
+    """Why the link is not open; None if it is."""
+    bytes_in: int = 0
+    messages: int = 0
+    lost: int = 0
+    damaged: int = 0
+    old_version: int = 0
+    refused_signature: int = 0
+    signed: bool | None = None
+    """Whether we sign our messages on it and accept only signed ones."""
+    unknown_senders: int = 0
+    """Number of messages from senders that are not accepted."""
+
+
+class TimeSyncSnapshot(Struct, frozen=True):
+    """The state of clock synchronization by TIMESYNC."""
+
+    locked: bool
+    round_trip_s: float | None = None
+    jumps: int = 0
+
+
+class AutopilotSnapshot(Struct, frozen=True):
+    """The autopilot that was found."""
+
+    stack: Literal["ArduPilot", "PX4", "other"]
+    system: int
+    others: tuple[int, ...] = ()
+    """System ids of further autopilots."""
+    firmware: tuple[int, int, int] | None = None
+    mode: str = "unknown"
+    armed: bool | None = None
+    flying: bool | None = None
+    parameters: dict[str, float] = field(default_factory=dict)
+    absent: tuple[str, ...] = ()
+    """Requested parameters that this firmware does not have."""
+    rates_hz: dict[str, float] = field(default_factory=dict)
+    """Measured rate of each message, Hz."""
+    wanted_hz: dict[str, float] = field(default_factory=dict)
+    """Requested rate of each message, Hz."""
+    refused: dict[str, int] = field(default_factory=dict)
+    """MAV_RESULT of message streams that were refused; -1 for no answer."""
+    texts: tuple[str, ...] = ()
+    """STATUSTEXTs, oldest first."""
+    events: tuple[int, ...] = ()
+    """Numbers of EVENTs, oldest first; PX4 uses them where other autopilots send texts."""
+    precland_enabled: bool | None = None
+    precland_healthy: bool | None = None
+    """Whether SYS_STATUS reports precision landing as enabled by parameter and its backend as running."""
+
+
+class HeardSystem(Struct, frozen=True):
+    """A component that sent HEARTBEATs, whether or not it is the autopilot that is meant."""
+
+    system: int
+    component: int
+    stack: str
+    """ArduPilot, PX4 or other; empty for what is no autopilot, such as a ground station."""
+    kind: str
+    """Its MAV_TYPE in words, such as "quadrotor" or "gcs"."""
+    hovers: bool
+    """Whether it is the autopilot of a vehicle that can hover."""
+
+    def __str__(self) -> str:
+        return f"system {self.system} ({self.stack} {self.kind})" if self.stack else f"system {self.system} ({self.kind})"
+
+
+class GimbalSnapshot(Struct, frozen=True):
+    """The gimbal that the settings name, over the time of the examination, or as the running service has it."""
+
+    device_id: int
+    rate_hz: float = 0.0
+    """Rate of its reports that were taken, Hz."""
+    refused: dict[str, int] = field(default_factory=dict)
+    """Reports that were refused, by reason."""
+
+
+class ServiceSnapshot(Struct, frozen=True):
+    """The service itself, as far as it runs or could be queried."""
+
+    files_fault: str | None = None
+    """Why a key, password or certificate that the settings name cannot be used."""
+    without_effect: tuple[str, ...] = ()
+    """Lines about settings that have no effect beside others."""
+    camera_fault: str | None = None
+    """Description of the fault of the camera or pad file."""
+    device_fault: str | None = None
+    """Why the camera sends no frames."""
+    frame_rate_hz: float | None = None
+    frame_size: tuple[int, int] | None = None
+    """Size of the frames that the device sends, px."""
+    camera_size: tuple[int, int] | None = None
+    """Size of the frames in the camera file, px."""
+    exposure_to_belief_s: float | None = None
+    """Median delay from the exposure until the estimator has used the frame, seconds."""
+    sends_ranges: bool | None = None
+    """Whether DISTANCE_SENSOR is sent."""
+    withheld: dict[str, int] = field(default_factory=dict)
+    """Targets that were due and not sent, by reason."""
+    targets_sent: int | None = None
+    broker: str | None = None
+    """Address of the MQTT broker in the settings."""
+    broker_fault: str | None = None
+    drone: str | None = None
+    """Address of the AR.Drone in the settings."""
+    drone_fault: str | None = None
+    feet_below_m: float | None = None
+    """Distance of an autopilot's feet below it by the settings, m; None for an AR.Drone."""
+    ship_place: Contradiction | None = None
+    """What does not go together in the settings about the ship's place."""
+    places_refused: dict[str, int] = field(default_factory=dict)
+    """Reports of the ship that the running service refused, by reason."""
+    gimbal: GimbalSnapshot | None = None
+    """The camera's gimbal; None if no service runs, or the camera has none."""
+    exposure: dict[str, float] = field(default_factory=dict)
+    """The counters of the exposure that the running service drives; empty where it does not."""
+    places_taken: int | None = None
+    """Places of the ship that the running service took; None if no service runs, or none are expected."""
+
+
+class Snapshot(Struct, frozen=True):
+    """The complete snapshot of a setup."""
+
+    seconds: float
+    """Duration of the examination, seconds."""
+    links: tuple[LinkSnapshot, ...] = ()
+    autopilot: AutopilotSnapshot | None = None
+    sync: TimeSyncSnapshot | None = None
+    service: ServiceSnapshot = ServiceSnapshot()
+    wanted_system: int = 0
+    """System id of the autopilot that was asked for; 0 for any."""
+    heard: tuple[HeardSystem, ...] = ()
+    """Everything that sent HEARTBEATs."""
+    log: LogHistory | None = None
+    """Events of the flight log that was examined; None for a setup that was examined itself."""
+    ship_speed_m_s: float | None = None
+    """Greatest speed of the ship over the ground, m/s; None if it was not told."""
+    moving_pad: bool = True
+    """Whether the pad is on something that moves."""
+    gimbal: GimbalSnapshot | None = None
+    """The camera's gimbal; None if the settings name none, or no link was examined."""
+
+
+def encode(snapshot: Snapshot) -> bytes:
+    """Return the snapshot as readable JSON."""
+    return msgspec.json.format(msgspec.json.encode(snapshot), indent=2) + b"\n"
+
+
+def decode(data: bytes, where: str) -> Snapshot:
+    """Return the snapshot in a JSON text.
+
+    Raises:
+        BadInput: the text holds no snapshot; the message says where it is wrong.
+    """
+    try:
+        return msgspec.json.decode(data, type=Snapshot)
+    except (msgspec.DecodeError, UnicodeDecodeError) as why:
+        raise BadInput(f"{where}: no snapshot of a set-up: {why}") from why

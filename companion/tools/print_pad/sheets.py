@@ -1,0 +1,124 @@
+"""Divide a drawing over overlapping sheets of paper, with marks for cutting and joining and a ruler for checking the printer."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from companion.tools.print_pad.drawing import Drawing, touches
+from estimator.contracts.errors import BadInput
+
+Paper = Literal["a4", "a3", "full"]
+PAPERS: dict[str, tuple[float, float]] = {"a4": (210.0, 297.0), "a3": (297.0, 420.0)}
+"""Width and height in mm (ISO 216), upright."""
+
+RULER_MM = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class MarkLine:
+    """A thin line, in mm from the sheet's top-left corner."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """A line of text; x and y are its left end on the base line, mm."""
+
+    x: float
+    y: float
+    text: str
+    height_mm: float = 2.6
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """One page: the window of the drawing it shows, and its marks."""
+
+    row: int
+    column: int
+    width_mm: float
+    height_mm: float
+    left_mm: float
+    """Left edge of the printed window on the paper, mm."""
+    top_mm: float
+    from_x_mm: float
+    """Left edge of the window in the drawing, mm."""
+    from_y_mm: float
+    window_width_mm: float
+    window_height_mm: float
+    lines: tuple[MarkLine, ...]
+    labels: tuple[Label, ...]
+
+
+def sheets(drawing: Drawing, paper: Paper, margin_mm: float = 10.0, overlap_mm: float = 10.0) -> list[Sheet]:
+    """Return the pages row by row, in portrait or landscape, whichever takes fewer. Empty pages are omitted.
+
+    Raises:
+        BadInput: the margins or the overlap leave no room.
+    """
+    if not (6.0 <= margin_mm <= 50.0 and 0.0 <= overlap_mm <= 50.0):
+        raise BadInput(f"margin must lie in 6..50 mm and overlap in 0..50 mm, got {margin_mm:g} and {overlap_mm:g}")
+    if paper == "full":
+        size = (max(drawing.width_mm, RULER_MM + 20.0) + 2 * margin_mm, drawing.height_mm + 2 * margin_mm)
+        return _spread(drawing, size, margin_mm, overlap_mm)
+    w, h = PAPERS[paper]
+    upright = _spread(drawing, (w, h), margin_mm, overlap_mm)
+    lying = _spread(drawing, (h, w), margin_mm, overlap_mm)
+    return lying if len(lying) < len(upright) else upright
+
+
+def _spread(drawing: Drawing, size: tuple[float, float], margin: float, overlap: float) -> list[Sheet]:
+    wide, high = size[0] - 2 * margin, size[1] - 2 * margin
+    columns, rows = _count(drawing.width_mm, wide, overlap), _count(drawing.height_mm, high, overlap)
+    # The drawing is centred on all sheets, so that the outer ones hold equal parts.
+    x0 = -(columns * (wide - overlap) + overlap - drawing.width_mm) / 2
+    y0 = -(rows * (high - overlap) + overlap - drawing.height_mm) / 2
+    cells = []
+    for row in range(rows):
+        for column in range(columns):
+            x, y = x0 + column * (wide - overlap), y0 + row * (high - overlap)
+            if any(touches(s, x, y, x + wide, y + high) for s in drawing.shapes):
+                cells.append((row, column, x, y))
+    there = {(row, column) for row, column, _, _ in cells}
+    out = []
+    for number, (row, column, x, y) in enumerate(cells, 1):
+        neighbours = {
+            "left": (row, column - 1) in there, "right": (row, column + 1) in there,
+            "top": (row - 1, column) in there, "bottom": (row + 1, column) in there,
+        }  # fmt: skip
+        lines = _marks(size, margin, overlap, neighbours)
+        text = f"{drawing.name}   sheet {number} of {len(cells)}: row {row + 1}, column {column + 1}"
+        labels = [Label(margin, margin - 3.4, text)]
+        ruler, caption = _ruler(size, margin)
+        out.append(Sheet(row, column, *size, margin, margin, x, y, wide, high, (*lines, *ruler), (*labels, caption)))
+    return out
+
+
+def _count(length: float, sheet: float, overlap: float) -> int:
+    return max(1, math.ceil((length - overlap) / (sheet - overlap) - 1e-9))
+
+
+def _marks(size: tuple[float, float], margin: float, overlap: float, neighbours: dict[str, bool]) -> list[MarkLine]:
+    """Return marks in the margins at the middle of each overlap with a neighbour: cut there and butt the sheets."""
+    w, h = size
+    out = []
+    for side, x in (("left", margin + overlap / 2), ("right", w - margin - overlap / 2)):
+        if neighbours[side]:
+            out += [MarkLine(x, margin - 2.5, x, margin), MarkLine(x, h - margin, x, h - margin + 2.5)]
+    for side, y in (("top", margin + overlap / 2), ("bottom", h - margin - overlap / 2)):
+        if neighbours[side]:
+            out += [MarkLine(margin - 2.5, y, margin, y), MarkLine(w - margin, y, w - margin + 2.5, y)]
+    return out
+
+
+def _ruler(size: tuple[float, float], margin: float) -> tuple[list[MarkLine], Label]:
+    x, y = margin + 12.0, size[1] - margin + 3.5
+    ticks = [MarkLine(x + t, y - (1.2 if t % 50 else 2.0), x + t, y) for t in range(0, int(RULER_MM) + 1, 10)]
+    text = "100 mm: print at 100 %, not fitted to the page"
+    return [MarkLine(x, y, x + RULER_MM, y), *ticks], Label(x, y + 2.6, text, 2.2)

@@ -1,0 +1,231 @@
+"""Replay every recorded sample, frame and guidance cycle through a pilot, in the order in which the service processed them.
+
+Nothing here reads a clock: instants are the recording's. The same recording through the same pilot gives bit-identical outputs,
+and a hash over them proves it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+
+from companion.base.mission import FLOWN, State
+from companion.base.observer import Decision, Observer, ProcessedFrame
+from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.recording import encode
+from companion.recording.reading import Event, RecordedFrame, Recording, instant
+from companion.recording.records import FusionRecord, HealthRecord, LinkRecord, TruthRecord
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.fusion import FusionResult
+from estimator.contracts.samples import Frame, Sample
+from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+from estimator.vision.detection import Detection
+
+_GAP_S = 10.0
+"""The longest gap in the recording that is replayed through guidance, s."""
+_FLOWN = tuple(state.value for state in State if state in FLOWN and state is not State.ANOTHER_PAD)
+"""The phases of a flight that an operator has begun."""
+
+
+@dataclass(slots=True)
+class Counts:
+    """The numbers of replayed events."""
+
+    samples: int = 0
+    frames: int = 0
+    searched: int = 0
+    """The number of frames whose image went through vision again."""
+    as_recorded: int = 0
+    """The number of frames whose recorded sightings were used."""
+    decisions: int = 0
+
+
+class Replay:
+    """One pass of a recording through a pilot.
+
+    Args:
+        sightings: use the recorded sightings instead of running vision again; frames without an image always use them.
+        rate_hz: the rate of guidance cycles if the recording holds none.
+        shift_ns: the time that is added to every instant, to replay the flight as if it happened now.
+        observers: receive the events that the service would send them; frames whose image was not kept are black.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        pilot: Pilot,
+        *,
+        sightings: bool = False,
+        rate_hz: float = 50.0,
+        shift_ns: int = 0,
+        observers: Sequence[Observer] = (),
+    ) -> None:
+        self._recording = recording
+        self._pilot = pilot
+        self._sightings = sightings
+        self._period_s = 1.0 / rate_hz
+        self._shift_ns = shift_ns
+        self._observers = tuple(observers)
+        self._hash = hashlib.sha256()
+        self._encoder = msgspec.json.Encoder()
+        self._guided = False
+        self._due: MonoNs | None = None
+        self._phase = ""
+        self.counts = Counts()
+
+    @property
+    def digest(self) -> str:
+        """Return the SHA-256 over every verdict, sighting, belief and command so far."""
+        return self._hash.hexdigest()
+
+    @property
+    def outcome(self) -> FlightOutcome | None:
+        """Return how the flight ended according to the pilot."""
+        return self._pilot.outcome
+
+    def run(self) -> None:
+        """Replay the recording to its end."""
+        for _ in self.steps():
+            pass
+
+    def steps(self) -> Iterator[tuple[MonoNs, Event]]:
+        """Yield each event just before it is processed, with the instant of the service's processing plus `shift_ns`.
+
+        Raises:
+            BadInput: the recording holds numbers that the estimator cannot take.
+        """
+        self._guided = any(isinstance(event, Decision) for event in self._recording.events())
+        for event in self._recording.events():
+            at = MonoNs(instant(event) + self._shift_ns)
+            yield at, event
+            try:
+                self._take(at, event)
+            # A vehicle's numbers are bounded at their input; a file may hold any.
+            except (ArithmeticError, ValueError) as why:
+                name, kind = self._recording.name, type(event).__name__
+                raise BadInput(f"{name}: {kind} at {instant(event)} ns: not what the estimator can take: {why}") from why
+
+    def _take(self, at: MonoNs, event: Event) -> None:
+        if not self._guided:
+            self._guide_until(at)
+        match event:
+            case RecordedFrame():
+                self._frame(event)
+            case Decision():
+                self._follow_operator(event.phase)
+                self._decide(MonoNs(event.at + self._shift_ns))
+            case FusionRecord() | TruthRecord() | LinkRecord() | HealthRecord():
+                pass
+            case _:
+                self._sample(event)
+
+    def _moved(self, stamp: Stamp) -> Stamp:
+        if not self._shift_ns:
+            return stamp
+        return replace(
+            stamp, measured_at=MonoNs(stamp.measured_at + self._shift_ns), received_at=MonoNs(stamp.received_at + self._shift_ns)
+        )
+
+    def _sample(self, recorded: Sample) -> None:
+        sample = replace(recorded, stamp=self._moved(recorded.stamp))
+        self.counts.samples += 1
+        results = self._pilot.on_sample(sample)
+        for result in results:
+            self._hash.update(f"{result.path} {type(sample).__name__} {result.verdict.value}".encode())
+        for observer in self._observers:
+            observer.on_sample(sample)
+            for result in results:
+                observer.on_fusion(sample.stamp.received_at, result)
+
+    def _frame(self, recorded: RecordedFrame) -> None:
+        size = self._pilot.camera.width, self._pilot.camera.height
+        frame = None if self._sightings else recorded.frame(size)
+        began, done = (MonoNs(t + self._shift_ns) for t in (recorded.record.began_ns, recorded.record.done_ns))
+        stamp = self._moved(recorded.stamp)
+        self.counts.frames += 1
+        attitude = recorded.attitude
+        attitude = self._pilot.attitude_at(stamp) if attitude is None else replace(attitude, stamp=self._moved(attitude.stamp))
+        held = None if attitude is None else self._pilot.held_at(stamp, attitude)
+        detection: Detection | None = None
+        verdict = Verdict.NO_ATTITUDE
+        results: tuple[FusionResult, ...] = ()
+        if frame is None and not self._sightings and (recorded.record.width, recorded.record.height) != size:
+            frame, verdict = _black(recorded), Verdict.FAILED
+        elif frame is None:
+            self.counts.as_recorded += 1
+            detection = self._recorded_detection(recorded)
+            if detection is None:
+                verdict = Verdict(recorded.record.verdict)
+            else:
+                verdict, results = self._pilot.on_detection(detection)
+            frame = _black(recorded)
+        elif (refused := self._pilot.admit(replace(frame, stamp=stamp))) is not None:
+            verdict = refused
+        elif attitude is not None and held is None and self._pilot.gimballed:
+            verdict = Verdict.NO_GIMBAL
+        elif attitude is not None:
+            self.counts.searched += 1
+            detection = self._pilot.detect(replace(frame, stamp=stamp), attitude, held)
+            verdict, results = self._pilot.on_detection(detection)
+        self._pilot.on_verdict(verdict)
+        seen = replace(frame, stamp=stamp)
+        camera = self._pilot.camera_held(held)
+        processed = ProcessedFrame(seen, attitude, detection, verdict, began, done, results, recorded.times, camera)
+        self._hash.update(self._encoder.encode(encode.detection(processed)))
+        for observer in self._observers:
+            observer.on_frame(processed)
+            for result in results:
+                observer.on_fusion(done, result)
+
+    def _recorded_detection(self, recorded: RecordedFrame) -> Detection | None:
+        detection = recorded.detection()
+        if detection is None or not self._shift_ns:
+            return detection
+        selected, elsewhere = self._shifted(detection.selected), self._shifted(detection.elsewhere)
+        methods = {name: self._shifted(seen) for name, seen in detection.methods.items()}
+        return replace(detection, selected=selected, methods=methods, elsewhere=elsewhere)
+
+    def _shifted(self, seen: Sighting | None) -> Sighting | None:
+        return None if seen is None else replace(seen, stamp=self._moved(seen.stamp))
+
+    def _follow_operator(self, phase: str) -> None:
+        """Follow the operator's commands, which are not recorded as such but show in the phases."""
+        if phase == "paused":
+            self._pilot.pause()
+        elif phase == FlightOutcome.ABORTED.value:
+            self._pilot.abort()
+        elif phase in _FLOWN and self._phase not in _FLOWN:
+            self._pilot.begin()
+        self._phase = phase
+
+    def _guide_until(self, now: MonoNs) -> None:
+        if self._due is None:
+            self._due = now
+            self._pilot.begin()
+        if seconds_between(self._due, now) > _GAP_S:
+            self._due = now
+        while self._due <= now:
+            self._decide(self._due)
+            self._due = after(self._due, self._period_s)
+
+    def _decide(self, at: MonoNs) -> None:
+        decision = self._pilot.decide(at)
+        self.counts.decisions += 1
+        for belief in (decision.belief, *decision.shadows):
+            if belief is not None:
+                self._hash.update(self._encoder.encode(encode.belief(belief)))
+        self._hash.update(self._encoder.encode(encode.decision(decision)))
+        for observer in self._observers:
+            observer.on_decision(decision)
+
+
+def _black(recorded: RecordedFrame) -> Frame:
+    """Return a black frame of the right size that takes no memory."""
+    px = np.broadcast_to(np.zeros(1, np.uint8), (recorded.record.height, recorded.record.width, 3))
+    return Frame(recorded.stamp, recorded.record.seq, px, recorded.record.exposure_s, recorded.record.gain, recorded.record.coded)

@@ -1,0 +1,210 @@
+"""The log of a flight for its report. These are plain records that a caller fills in; nothing here computes."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from companion.base.mission import StateChange
+from companion.base.observer import DeckOutlook, ProcessedFrame
+from companion.base.orders import HandledOrder
+from companion.recording.frame_video import VideoImage
+from estimator.contracts.commands import Command
+from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
+from estimator.contracts.fusion import FusionResult
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import checked_vector
+from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
+from estimator.vision.camera import Camera
+from estimator.vision.detection import Detection
+from estimator.vision.pad import Pad
+
+HORIZONS_KEPT_S = (0.0, 1.0, 2.0)
+"""How far ahead the deck's forecast is kept, s; 0 is the deck as the filter has it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TruthSample:
+    """The pad's true position, in the terms of an estimate; only a simulator or motion capture knows it."""
+
+    at: MonoNs
+    d_body_pad_level: F64
+    """The (3,) vector from the body to the pad: forward, right, down, m."""
+    v_pad_level: F64
+    """The (3,) velocity of the pad minus that of the body, m/s."""
+    yaw_rad: float
+    """The heading of the body relative to the arrow, positive clockwise from above, in (-pi, pi]."""
+    p_pad_ned: F64 | None = None
+    """The (3,) place of the pad's centre, m."""
+    R_ned_pad: Rotation | None = None
+    """The attitude of the pad."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "d_body_pad_level", checked_vector("TruthSample.d_body_pad_level", self.d_body_pad_level))
+        object.__setattr__(self, "v_pad_level", checked_vector("TruthSample.v_pad_level", self.v_pad_level))
+        if not -math.pi <= self.yaw_rad <= math.pi:
+            raise ValueError(f"TruthSample.yaw_rad must lie in (-pi, pi], got {self.yaw_rad}")
+
+
+@dataclass(frozen=True, slots=True)
+class CommandRecord:
+    """A command, and the instant at which it was sent to the vehicle."""
+
+    at: MonoNs
+    command: Command
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseChange:
+    """The guidance (or the vehicle) entered a phase; it lasts until the next change."""
+
+    at: MonoNs
+    phase: str
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRecord:
+    """The outcome of one frame. Its sightings are those of `FlightLog.sightings` with the same `seq`."""
+
+    exposed_at: MonoNs
+    seq: int
+    verdict: Verdict
+    R_level_body: Rotation | None = None
+    """The roll and pitch at the exposure, which place the drawn outline; None if not known."""
+    d_expected_level: F64 | None = None
+    """Where the steering path expected the pad's centre in this frame, (3,) m, levelled by `R_level_body`."""
+    R_body_cam: Rotation | None = None
+    """The rotation of a camera on the body as its gimbal held it; None of one that is fixed, or if it is not known."""
+    image: bytes | Path | VideoImage | None = None
+    """The image as bytes or a file, in JPEG or any format that OpenCV reads, or of a video; None if it was not kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedContact:
+    """A contact with a surface. What is not known is nan."""
+
+    at: MonoNs
+    lateral_m: float
+    """The horizontal distance of the body's origin from the pad's centre."""
+    vertical_speed_m_s: float
+    """The closing speed of body and deck, positive downward."""
+    lateral_speed_m_s: float
+    on_pad: bool
+    """Whether the vehicle is on the disc, according to the source of the truth."""
+    surface: str = ""
+    """What was touched: pad, deck or water."""
+    p_pad_m: tuple[float, float] = (math.nan, math.nan)
+    """The place on the pad: along the arrow, and to starboard of it."""
+    yaw_rad: float = math.nan
+    """The heading against the arrow."""
+    phase: str | None = None
+    """The phase of guidance just before the contact."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeckSample:
+    """The deck by a forecast or by truth."""
+
+    at: MonoNs
+    """The instant that it is about."""
+    made_at: MonoNs
+    """The instant at which it was said; `at` for what is not a forecast."""
+    height_m: float
+    """The height of the pad's centre above its mean level, positive up."""
+    sigma_height_m: float
+    roll_rad: float
+    sigma_roll_rad: float
+    pitch_rad: float
+    sigma_pitch_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class StageTime:
+    """How long one stage of one frame took."""
+
+    at: MonoNs
+    """The instant of the exposure."""
+    seconds: float
+
+
+@dataclass(slots=True, eq=False)
+class FlightLog:
+    """The log of one flight. Lists are in order of time; each may be empty, and the page then reports that."""
+
+    title: str
+    started: MonoNs
+    """The zero of the page's time axes."""
+    pad: Pad
+    camera: Camera
+    outcome: str = "unfinished"
+    """One word or two: landed, went around, gave up, unfinished."""
+    facts: list[tuple[str, str]] = field(default_factory=list)
+    """The named lines at the head of the page: scenario, seed, wall time, version."""
+    truth: list[TruthSample] = field(default_factory=list)
+    sightings: list[Sighting] = field(default_factory=list)
+    """The sightings of every method, and the selected ones under the method name "selected"."""
+    estimates: list[RelativeState] = field(default_factory=list)
+    """The estimates of one path or several, distinguished by `RelativeState.path`."""
+    results: list[FusionResult] = field(default_factory=list)
+    """The result of each measurement on each path; `add_result` fills the list."""
+    steering: PathName | None = None
+    """The steering path, whose pad is drawn into the video; None for the first path in `estimates`."""
+    commands: list[CommandRecord] = field(default_factory=list)
+    phases: list[PhaseChange] = field(default_factory=list)
+    transitions: list[StateChange] = field(default_factory=list)
+    """The changes of the mission's state, with their reasons."""
+    frames: list[FrameRecord] = field(default_factory=list)
+    verdicts: Counter[Verdict] = field(default_factory=Counter)
+    """The counts of verdicts on all frames, including those without a `FrameRecord`."""
+    stages: dict[str, list[StageTime]] = field(default_factory=dict)
+    """The measured durations by stage (decode, look, filter, encode, ...), in the order of display."""
+    delays: list[StageTime] = field(default_factory=list)
+    """The delays from mid-exposure until the estimate knew the frame, one per frame."""
+    contacts: list[LoggedContact] = field(default_factory=list)
+    """Every contact; the last is the one that it landed with."""
+    decks: list[DeckSample] = field(default_factory=list)
+    """The deck as the steering path forecast it, `at` 0 and more after `made_at`."""
+    orders: list[HandledOrder] = field(default_factory=list)
+    """The orders of people, with their answers."""
+    settings: str = ""
+    """The settings of the flight, as TOML."""
+
+    @property
+    def touchdown(self) -> LoggedContact | None:
+        """The contact that it landed with; None without one."""
+        return self.contacts[-1] if self.contacts else None
+
+    def add_times(self, processed: ProcessedFrame) -> None:
+        """Keep how long a frame was under way and how long its stages took; as recorded, where a replay hands it on."""
+        stamp = processed.frame.stamp
+        stages = [("camera and link", stamp.delay_s)]
+        if processed.times is not None:
+            stages += processed.times.by_stage()
+        elif processed.detection is not None:
+            stages.append(("vision", seconds_between(processed.began, processed.done)))
+        for name, seconds in stages:
+            self.stages.setdefault(name, []).append(StageTime(stamp.measured_at, seconds))
+        self.delays.append(StageTime(stamp.measured_at, seconds_between(stamp.measured_at, processed.done)))
+
+    def add_detection(self, detection: Detection) -> None:
+        """Keep the sighting of every method, the selected one where it is not one of them, and what was surer elsewhere."""
+        seen = [sighting for sighting in detection.methods.values() if sighting is not None]
+        self.sightings += seen
+        selected = detection.selected
+        if selected is not None and all(selected.method != sighting.method for sighting in seen):
+            self.sightings.append(selected)
+        if detection.elsewhere is not None:
+            self.sightings.append(detection.elsewhere)
+
+    def add_forecast(self, ahead: DeckOutlook) -> None:
+        """Keep the deck at the horizons of `HORIZONS_KEPT_S`."""
+        for row in ahead.rows():
+            if row[0] in HORIZONS_KEPT_S:
+                self.decks.append(DeckSample(MonoNs(ahead.at + round(row[0] * NS_PER_S)), ahead.at, *row[1:]))
+
+    def add_result(self, result: FusionResult) -> None:
+        """Keep a result. Results of accepted IMU samples are left out: they are compared with nothing."""
+        if result.source != "imu" or result.verdict is not Verdict.FUSED:
+            self.results.append(result)

@@ -1,0 +1,121 @@
+"""Draw over a frame: features and the estimated pad."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
+
+from companion.recording.palette import OUTLINE, bgr, colour
+from estimator.contracts.estimates import Feature, RelativeState, Sighting
+from estimator.contracts.geometry import F64, Rotation
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+
+U8 = NDArray[np.uint8]
+
+_SHIFT = 4
+_FAR_PX = 20_000.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overlay:
+    """The items to draw over one frame."""
+
+    sightings: tuple[Sighting, ...] = ()
+    """The sightings of this frame."""
+    estimate: RelativeState | None = None
+    """The belief nearest to the exposure."""
+    R_level_body: Rotation | None = None
+    """The roll and pitch at the exposure; the body is taken as level if they are not known."""
+    d_expected_level: F64 | None = None
+    """Where the estimate expected the pad's centre in this frame, (3,) m; None to draw it where the belief has it."""
+
+
+def annotated_size(width: int, height: int, scale: float = 1.0) -> tuple[int, int]:
+    """Return the (width, height) of the image that `annotate` returns: even numbers, as H.264 requires."""
+    w, h = round(width * scale), round(height * scale)
+    return w + w % 2, h + h % 2
+
+
+def annotate(image: U8, overlay: Overlay, camera: Camera, pad: Pad, scale: float = 1.0) -> U8:
+    """Return a scaled copy of the frame with everything drawn over it.
+
+    Args:
+        frame: (H, W, 3) BGR of any size; drawings follow `camera`'s pixels.
+
+    Returns:
+        BGR of `annotated_size(camera.width, camera.height, scale)`.
+    """
+    out_w, out_h = annotated_size(camera.width, camera.height, scale)
+    how = cv2.INTER_LINEAR if scale >= 1.0 else cv2.INTER_AREA
+    canvas = np.asarray(cv2.resize(image, (out_w, out_h), interpolation=how), np.uint8)
+    pen = _Pen(canvas, scale)
+    if overlay.estimate is not None:
+        drawn = overlay.estimate
+        if overlay.d_expected_level is not None:
+            drawn = structs.replace(drawn, d_body_pad_level=overlay.d_expected_level)
+        for line in pad_lines(drawn, overlay.R_level_body or Rotation.identity(), camera, pad):
+            pen.polyline(line, bgr(OUTLINE), closed=True)
+    for sighting in overlay.sightings:
+        if sighting.method == "selected" and len(overlay.sightings) > 1:
+            continue
+        for feature in sighting.features:
+            pen.feature(feature, bgr(colour(sighting.method)))
+    return canvas
+
+
+class _Pen:
+    """Draws in the camera's pixels onto a scaled frame, each stroke with a dark rim so that it shows on any ground."""
+
+    def __init__(self, view: U8, scale: float) -> None:
+        self._view = view
+        self._scale = scale
+        self._line = max(1, round(1.2 * scale))
+
+    def _fixed(self, uv_px: F64) -> NDArray[np.int32]:
+        # the centre of pixel 0 sits half a pixel in, before and after scaling
+        uv = (np.asarray(uv_px, dtype=float) + 0.5) * self._scale - 0.5
+        return np.asarray(np.round(uv * 2**_SHIFT), dtype=np.int32)
+
+    def polyline(self, uv_px: F64, ink: tuple[int, int, int], closed: bool) -> None:
+        """Draw a line through (n, 2) points; points that are nan or far off break it."""
+        good = np.all(np.isfinite(uv_px), axis=1) & np.all(np.abs(np.nan_to_num(uv_px)) < _FAR_PX, axis=1)
+        if len(uv_px) < 2 or not good.any():
+            return
+        if good.all():
+            pieces = [(uv_px, closed)]
+        else:
+            ring = np.concatenate([uv_px, uv_px[:1]]) if closed else uv_px
+            ok = np.concatenate([good, good[:1]]) if closed else good
+            pieces = [(ring[i : i + 2], False) for i in range(len(ring) - 1) if ok[i] and ok[i + 1]]
+        lines = [(self._fixed(p), c) for p, c in pieces]
+        for width, shade in ((self._line + 1, (0, 0, 0)), (self._line, ink)):
+            for points, ends_meet in lines:
+                cv2.polylines(self._view, [points], ends_meet, shade, width, cv2.LINE_AA, _SHIFT)
+
+    def feature(self, feature: Feature, ink: tuple[int, int, int]) -> None:
+        uv = np.asarray(feature.uv_px, dtype=float).reshape(-1, 2)
+        match feature.kind:
+            case "point":
+                arm = 4.0
+                for u, v in uv:
+                    self.polyline(np.array([[u - arm, v], [u + arm, v]]), ink, closed=False)
+                    self.polyline(np.array([[u, v - arm], [u, v + arm]]), ink, closed=False)
+            case "line":
+                self.polyline(uv, ink, closed=False)
+            case _:
+                self.polyline(uv, ink, closed=True)
+
+
+def pad_lines(estimate: RelativeState, R_level_body: Rotation, camera: Camera, pad: Pad) -> list[F64]:
+    """Return lines of (n, 2) px: the circle around the pad, and if the heading is known the borders of all that is painted."""
+    shapes = [pad.circle(pad.disc_radius_m)]
+    if estimate.yaw_rad is not None:
+        shapes += pad.borders()
+    R_level_pad = Rotation.from_rpy(0.0, 0.0, -(estimate.yaw_rad or 0.0))
+    R_body_level, T_cam_body = R_level_body.inv, camera.T_body_cam.inv
+    return [camera.project(T_cam_body @ (R_body_level @ (R_level_pad @ p + estimate.d_body_pad_level))) for p in shapes]

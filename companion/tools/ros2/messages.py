@@ -1,0 +1,333 @@
+"""One event of a recording as standard messages of ROS 2, in the frames and axes of `companion.tools.ros2.axes`.
+
+A message's header has the instant of the measurement; the bag has the instant at which the service processed it. Both are on
+the time axis of the recording. What was not measured is left out as the message's own definition says: a first element of -1
+in a covariance of `sensor_msgs/Imu`, nan for a place's height, and the variance of an angle that could be anything in a pose.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from companion.base.observer import Decision
+from companion.recording import records as rec
+from companion.recording.decode import held_rotation
+from companion.recording.frame_video import VideoImage
+from companion.recording.message_encoder import packed
+from companion.recording.reading import Event, RecordedFrame, instant
+from companion.tools.ros2 import axes
+from companion.tools.ros2.axes import BODY, CAMERA, DECK, LEVEL, MAP
+from estimator.contracts.commands import Hover, Lean, Velocity
+from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, VehicleStatus, VesselReport
+from estimator.contracts.time import NS_PER_S, MonoNs
+from estimator.vision.camera import Camera
+
+Message = tuple[str, str, int, Any]
+"""Topic, type, time in the bag in ns, and the message."""
+_NOT_GIVEN = np.array([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+_SECONDS_MAX = 2**31 - 1
+_INFO, _OK, _ERROR = 20, 0, 2
+_JPEG_QUALITY = 90
+_FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
+
+
+class RosMessages:
+    """Turns events into messages; it remembers the phase last told and where the newest estimate has the pad.
+
+    Args:
+        types: the class of each message by its name, such as `sensor_msgs/msg/Imu`.
+        offset_ns: the offset from the events' instants to the time axis, ns.
+        camera: the recording's camera; None leaves out what needs one.
+        gimballed: whether a gimbal turns the camera, so that its transform comes with each frame.
+    """
+
+    def __init__(self, types: Mapping[str, Any], offset_ns: int, camera: Camera | None, *, gimballed: bool = False) -> None:
+        self._types = types
+        self._gimballed = gimballed
+        self._offset_ns = offset_ns
+        self._camera = camera
+        self._phase = ""
+
+    def fixed(self, at: MonoNs) -> Message:
+        """Return the transforms that never change: the camera's mount and the range sensor's beam."""
+        stamped = [self._transform(at, BODY, axes.BEAM, np.zeros(3), axes.R_BODY_BEAM)]
+        if self._camera is not None and not self._gimballed:
+            stamped.append(self._camera_transform(at, self._camera, self._camera.T_body_cam.R))
+        return "/tf_static", "tf2_msgs/msg/TFMessage", self._time(at), self._make("tf2_msgs/msg/TFMessage", transforms=stamped)
+
+    def of(self, event: Event) -> Iterator[Message]:
+        """Yield the messages of an event; none of one that ROS has no standard message for."""
+        match event:
+            case RecordedFrame():
+                yield from self._frame(event)
+            case Decision():
+                yield from self._decision(event)
+            case rec.TruthRecord():
+                d, v = np.array(event.d_body_pad_level), np.array(event.v_pad_level)
+                odometry = self._odometry(MonoNs(event.at_ns), d, v, event.yaw_rad, np.zeros((7, 7)))
+                yield "/truth/odometry", "nav_msgs/msg/Odometry", self._time(MonoNs(event.at_ns)), odometry
+            case rec.HealthRecord():
+                yield self._diagnostics(event)
+            case rec.FusionRecord() | rec.LinkRecord():
+                return
+            case _:
+                at = self._time(instant(event))
+                for topic, kind, message in self._sample(event):
+                    yield topic, kind, at, message
+
+    def _make(self, name: str, /, **fields: Any) -> Any:
+        return self._types[name](**fields)
+
+    def _time(self, at: MonoNs) -> int:
+        """Return an instant on the time axis, ns, as far as a stamp of ROS reaches."""
+        return min(max(0, int(at) + self._offset_ns), _SECONDS_MAX * NS_PER_S)
+
+    def _stamp(self, at: MonoNs) -> Any:
+        sec, nanosec = divmod(self._time(at), NS_PER_S)
+        return self._make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+
+    def _header(self, at: MonoNs, frame: str) -> Any:
+        return self._make("std_msgs/msg/Header", stamp=self._stamp(at), frame_id=frame)
+
+    def _vector(self, v: F64) -> Any:
+        x, y, z = v.tolist()
+        return self._make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+    def _quaternion(self, R: Rotation) -> Any:
+        w, x, y, z = R.quat_wxyz.tolist()
+        return self._make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+    def _pose(self, place: F64, R: Rotation, cov: F64) -> Any:
+        x, y, z = place.tolist()
+        point = self._make("geometry_msgs/msg/Point", x=x, y=y, z=z)
+        pose = self._make("geometry_msgs/msg/Pose", position=point, orientation=self._quaternion(R))
+        return self._make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=_row(cov))
+
+    def _twist(self, v: F64, yaw_rate_rad_s: float = 0.0) -> Any:
+        turn = self._vector(np.array([0.0, 0.0, yaw_rate_rad_s]))
+        return self._make("geometry_msgs/msg/Twist", linear=self._vector(v), angular=turn)
+
+    def _twist_with_cov(self, v: F64, cov: F64) -> Any:
+        """Return a twist of which the turn is not known: its variances are those of anything."""
+        whole = np.diag([0.0, 0.0, 0.0, 1e6, 1e6, 1e6])
+        whole[:3, :3] = cov
+        return self._make("geometry_msgs/msg/TwistWithCovariance", twist=self._twist(v), covariance=_row(whole))
+
+    def _transform(self, at: MonoNs, parent: str, child: str, place: F64, R: Rotation) -> Any:
+        transform = self._make("geometry_msgs/msg/Transform", translation=self._vector(place), rotation=self._quaternion(R))
+        return self._make(
+            "geometry_msgs/msg/TransformStamped", header=self._header(at, parent), child_frame_id=child, transform=transform
+        )
+
+    def _sample(self, of: object) -> Iterator[tuple[str, str, Any]]:
+        match of:
+            case Imu():
+                yield "/imu/data_raw", "sensor_msgs/msg/Imu", self._imu(of)
+            case Attitude():
+                yield "/imu/data", "sensor_msgs/msg/Imu", self._attitude(of)
+                tilt = self._transform(of.stamp.measured_at, LEVEL, BODY, np.zeros(3), axes.body_in_level(of.R_ned_body))
+                yield "/tf", "tf2_msgs/msg/TFMessage", self._make("tf2_msgs/msg/TFMessage", transforms=[tilt])
+            case BodyVelocity():
+                twist = self._twist_with_cov(axes.up(of.v_level), axes.up_cov(of.cov_level))
+                yield "/velocity", *self._stamped("TwistWithCovarianceStamped", of.stamp.measured_at, LEVEL, twist=twist)
+            case Range():
+                yield "/range", "sensor_msgs/msg/Range", self._range(of)
+            case Baro():
+                yield "/baro/height", "std_msgs/msg/Float64", self._make("std_msgs/msg/Float64", data=of.height_m)
+            case GeoFix():
+                yield f"/{of.whose}/fix", "sensor_msgs/msg/NavSatFix", self._fix(of)
+            case VesselReport():
+                yield from self._vessel(of)
+            case VehicleStatus():
+                yield "/battery", "sensor_msgs/msg/BatteryState", self._battery(of)
+                yield "/mode", "std_msgs/msg/String", self._make("std_msgs/msg/String", data=of.mode)
+
+    def _stamped(self, kind: str, at: MonoNs, frame: str, **fields: Any) -> tuple[str, Any]:
+        name = f"geometry_msgs/msg/{kind}"
+        return name, self._make(name, header=self._header(at, frame), **fields)
+
+    def _imu(self, of: Imu) -> Any:
+        """Return rates and specific force in `base_link`: at rest and level it reads +9.81 on z."""
+        return self._make(
+            "sensor_msgs/msg/Imu",
+            header=self._header(of.stamp.measured_at, BODY),
+            orientation=self._quaternion(Rotation.identity()), orientation_covariance=_NOT_GIVEN,
+            angular_velocity=self._vector(axes.up(of.w_body)), angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=self._vector(axes.up(of.f_body)), linear_acceleration_covariance=np.zeros(9),
+        )  # fmt: skip
+
+    def _attitude(self, of: Attitude) -> Any:
+        """Return the orientation of `base_link` in `map`; its covariance is about the axes of `base_link`."""
+        nothing = self._vector(np.zeros(3))
+        return self._make(
+            "sensor_msgs/msg/Imu",
+            header=self._header(of.stamp.measured_at, BODY),
+            orientation=self._quaternion(axes.enu_attitude(of.R_ned_body)), orientation_covariance=_row(axes.up_cov(of.cov_body)),
+            angular_velocity=nothing, angular_velocity_covariance=_NOT_GIVEN,
+            linear_acceleration=nothing, linear_acceleration_covariance=_NOT_GIVEN,
+        )  # fmt: skip
+
+    def _range(self, of: Range) -> Any:
+        return self._make(
+            "sensor_msgs/msg/Range",
+            header=self._header(of.stamp.measured_at, axes.BEAM),
+            radiation_type=0, field_of_view=0.0, min_range=0.0, max_range=math.inf,
+            range=of.range_m, variance=of.sigma_m**2,
+        )  # fmt: skip
+
+    def _fix(self, of: GeoFix) -> Any:
+        """Return a place without its height: ours is above mean sea level, that of the message above the ellipsoid."""
+        place, variance = of.place, of.sigma_m**2
+        return self._make(
+            "sensor_msgs/msg/NavSatFix",
+            header=self._header(of.stamp.measured_at, BODY if of.whose == "vehicle" else "vessel"),
+            status=self._make("sensor_msgs/msg/NavSatStatus", status=_FIX, service=_GPS),
+            latitude=math.degrees(place.latitude_rad), longitude=math.degrees(place.longitude_rad), altitude=math.nan,
+            position_covariance=np.array([variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 1e6]),
+            position_covariance_type=_DIAGONAL_KNOWN,
+        )  # fmt: skip
+
+    def _vessel(self, of: VesselReport) -> Iterator[tuple[str, str, Any]]:
+        at = of.stamp.measured_at
+        if of.v_vessel_ned is not None and of.cov_v_ned is not None:
+            twist = self._twist_with_cov(axes.enu(of.v_vessel_ned), axes.enu_cov(of.cov_v_ned))
+            yield "/vessel/velocity", *self._stamped("TwistWithCovarianceStamped", at, MAP, twist=twist)
+        if of.heading_rad is not None:
+            R = axes.enu_attitude(Rotation.from_rpy(0.0, 0.0, of.heading_rad))
+            yield "/vessel/heading", *self._stamped("QuaternionStamped", at, MAP, quaternion=self._quaternion(R))
+
+    def _battery(self, of: VehicleStatus) -> Any:
+        return self._make(
+            "sensor_msgs/msg/BatteryState",
+            header=self._header(of.stamp.measured_at, BODY),
+            voltage=math.nan, temperature=math.nan, current=math.nan, charge=math.nan, capacity=math.nan,
+            design_capacity=math.nan, percentage=math.nan if of.battery_fraction is None else of.battery_fraction,
+            power_supply_status=0, power_supply_health=0, power_supply_technology=0, present=True,
+            cell_voltage=np.zeros(0, np.float32), cell_temperature=np.zeros(0, np.float32), location="", serial_number="",
+        )  # fmt: skip
+
+    def _camera_transform(self, at: MonoNs, camera: Camera, R_body_cam: Rotation) -> Any:
+        return self._transform(at, BODY, CAMERA, axes.up(camera.T_body_cam.t), axes.camera_rotation(R_body_cam))
+
+    def _frame(self, frame: RecordedFrame) -> Iterator[Message]:
+        at, exposed = self._time(frame.done), frame.stamp.measured_at
+        R_body_cam = held_rotation(frame.record)
+        if R_body_cam is not None and self._camera is not None:
+            turned = self._camera_transform(exposed, self._camera, R_body_cam)
+            yield "/tf", "tf2_msgs/msg/TFMessage", at, self._make("tf2_msgs/msg/TFMessage", transforms=[turned])
+        image = _image(frame)
+        if image is not None:
+            form, data = image
+            yield "/camera/image_raw/compressed", "sensor_msgs/msg/CompressedImage", at, self._make(
+                "sensor_msgs/msg/CompressedImage",
+                header=self._header(exposed, CAMERA), format=f"bgr8; {form} compressed bgr8", data=np.frombuffer(data, np.uint8),
+            )  # fmt: skip
+            if self._camera is not None:
+                yield "/camera/camera_info", "sensor_msgs/msg/CameraInfo", at, self._camera_info(exposed, self._camera)
+        detection = frame.detection()
+        if detection is not None and detection.selected is not None:
+            yield "/detection/pad_pose", *self._pad_pose(at, exposed, detection.selected)
+
+    def _camera_info(self, at: MonoNs, camera: Camera) -> Any:
+        K = camera.K
+        roi = self._make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+        return self._make(
+            "sensor_msgs/msg/CameraInfo",
+            header=self._header(at, CAMERA), height=camera.height, width=camera.width, distortion_model="plumb_bob",
+            d=np.array(camera.distortion), k=_row(K), r=_row(np.eye(3)), p=_row(np.hstack([K, np.zeros((3, 1))])),
+            binning_x=0, binning_y=0, roi=roi,
+        )  # fmt: skip
+
+    def _pad_pose(self, at: int, measured_at: MonoNs, of: Sighting | RelativeState) -> tuple[str, int, Any]:
+        """Return the pad's pose in `base_stabilized`; an unknown heading has the variance of anything."""
+        R = axes.deck_heading(of.yaw_rad or 0.0).inv
+        pose = self._pose(axes.up(of.d_body_pad_level), R, axes.pad_in_level(of.cov))
+        kind, message = self._stamped("PoseWithCovarianceStamped", measured_at, LEVEL, pose=pose)
+        return kind, at, message
+
+    def _odometry(self, at: MonoNs, d: F64, v_pad: F64, yaw_rad: float, cov: F64) -> Any:
+        """Return the pose of `base_stabilized` in `deck`, and its velocity against the deck in its own axes."""
+        place, cov_pose = axes.level_in_deck(d, yaw_rad, cov)
+        return self._make(
+            "nav_msgs/msg/Odometry",
+            header=self._header(at, DECK), child_frame_id=LEVEL,
+            pose=self._pose(place, axes.deck_heading(yaw_rad), cov_pose),
+            twist=self._twist_with_cov(axes.up(-v_pad), axes.up_cov(cov[3:6, 3:6])),
+        )  # fmt: skip
+
+    def _decision(self, of: Decision) -> Iterator[Message]:
+        at = self._time(of.at)
+        for belief in (b for b in (of.belief, *of.shadows) if b is not None):
+            yield f"/{belief.path}/pad_pose", *self._pad_pose(at, of.at, belief)
+            if belief.yaw_rad is not None:
+                d, v = belief.d_body_pad_level, belief.v_pad_level
+                odometry = self._odometry(of.at, d, v, belief.yaw_rad, belief.cov)
+                yield f"/{belief.path}/odometry", "nav_msgs/msg/Odometry", at, odometry
+        if of.belief is not None and of.belief.yaw_rad is not None:
+            place, _ = axes.level_in_deck(of.belief.d_body_pad_level, of.belief.yaw_rad, of.belief.cov)
+            above = self._transform(of.at, DECK, LEVEL, place, axes.deck_heading(of.belief.yaw_rad))
+            yield "/tf", "tf2_msgs/msg/TFMessage", at, self._make("tf2_msgs/msg/TFMessage", transforms=[above])
+        yield from self._command(at, of)
+        for change in of.transitions:
+            text = f"{change.source.value}: {change.event.value}, {change.reason.text}: {change.target.value}"
+            yield "/rosout", "rcl_interfaces/msg/Log", at, self._log(change.at, text)
+        if of.phase != self._phase:
+            self._phase = of.phase
+            yield "/phase", "std_msgs/msg/String", at, self._make("std_msgs/msg/String", data=of.phase)
+
+    def _command(self, at: int, of: Decision) -> Iterator[Message]:
+        match of.command:
+            case Velocity(v_level=v, yaw_rate_rad_s=rate) | Lean(v_level=v, yaw_rate_rad_s=rate):
+                twist = self._twist(axes.up(v), -rate)
+            case Hover():
+                twist = self._twist(np.zeros(3))
+            case _:
+                return
+        kind, message = self._stamped("TwistStamped", of.at, LEVEL, twist=twist)
+        yield "/cmd_vel", kind, at, message
+        if isinstance(of.command, Lean):
+            forward, right = of.command.a_level.tolist()
+            linear, still = self._vector(np.array([forward, -right, 0.0])), self._vector(np.zeros(3))
+            accel = self._make("geometry_msgs/msg/Accel", linear=linear, angular=still)
+            kind, message = self._stamped("AccelStamped", of.at, LEVEL, accel=accel)
+            yield "/cmd_accel", kind, at, message
+
+    def _log(self, at: MonoNs, text: str) -> Any:
+        return self._make(
+            "rcl_interfaces/msg/Log",
+            stamp=self._stamp(at), level=_INFO, name="guidance", msg=text, file="", function="", line=0,
+        )  # fmt: skip
+
+    def _diagnostics(self, of: rec.HealthRecord) -> Message:
+        at = MonoNs(of.at_ns)
+        statuses = [
+            self._make(
+                "diagnostic_msgs/msg/DiagnosticStatus",
+                level=_OK if part.up else _ERROR, name=part.name, message="up" if part.up else part.last_error or "down",
+                hardware_id="", values=[self._make("diagnostic_msgs/msg/KeyValue", key="restarts", value=str(part.restarts))],
+            )
+            for part in of.parts
+        ]  # fmt: skip
+        array = self._make("diagnostic_msgs/msg/DiagnosticArray", header=self._header(at, ""), status=statuses)
+        return "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self._time(at), array
+
+
+def _row(matrix: F64) -> F64:
+    """Return a matrix row by row."""
+    return np.ascontiguousarray(matrix, dtype=np.float64).ravel()
+
+
+def _image(frame: RecordedFrame) -> tuple[str, bytes] | None:
+    """Return form and bytes of a frame's image; one of a video is encoded again as JPEG, and a damaged one is left out."""
+    if frame.image is None:
+        return None
+    if isinstance(frame.image, VideoImage):
+        px = frame.image.px()
+        return None if px is None else ("jpeg", packed(px, "jpeg", _JPEG_QUALITY))
+    return ("png" if frame.image.startswith(b"\x89PNG") else "jpeg"), frame.image
