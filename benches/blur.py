@@ -29,7 +29,7 @@ from estimator.vision.pose import OrientedCamera, solve  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
 from estimator.vision.thesis.ellipse import find_disc  # noqa: E402
 from estimator.vision.thesis.segmentation import COLOUR_SETS, segment  # noqa: E402
-from sitl.light import Sensor  # noqa: E402
+from sitl.camera.light import Sensor  # noqa: E402
 from tests.support.pad_views import Stage  # noqa: E402
 from tests.support.shipped import shipped_camera, shipped_pad  # noqa: E402
 

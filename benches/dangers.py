@@ -23,9 +23,9 @@ from companion.base.signals import Stopped, install
 from companion.settings.load import load, shipped
 from companion.settings.model import CameraSettings, PadSettings, Settings
 from estimator.contracts.errors import BadInput
-from sitl.one_flight import fly as fly_once
-from sitl.scenario import FAULTS
-from sitl.scenario import load as load_scenario
+from sitl.flight.one_flight import fly as fly_once
+from sitl.scenario.scenario import FAULTS
+from sitl.scenario.scenario import load as load_scenario
 
 SURFACES = ("pad", "deck", "water")
 """Surfaces, from the best to the worst to touch."""

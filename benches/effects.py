@@ -27,10 +27,10 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 from estimator.vision.options import TrackerOptions
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from sitl.camera import Exposure
-from sitl.scenario import Scenario, camera_model, load, pad_model
-from sitl.stage import flight_seeds, renderer, sea_and_vessel
-from sitl.vessel import Vessel
+from sitl.camera.camera import Exposure
+from sitl.scenario.scenario import Scenario, camera_model, load, pad_model
+from sitl.vessel.vessel import Vessel
+from sitl.world.stage import flight_seeds, renderer, sea_and_vessel
 
 U8 = NDArray[np.uint8]
 

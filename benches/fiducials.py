@@ -36,8 +36,8 @@ from estimator.vision.options import TrackerOptions  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
-from sitl.light import Sensor  # noqa: E402
-from sitl.surroundings import Surroundings  # noqa: E402
+from sitl.camera.light import Sensor  # noqa: E402
+from sitl.camera.surroundings import Surroundings  # noqa: E402
 from tests.support.pad_images import STAMP  # noqa: E402
 from tests.support.pad_views import RenderedView, Stage  # noqa: E402
 from tests.support.plain_light import FLAT  # noqa: E402

@@ -20,8 +20,8 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.options import TrackerOptions
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from sitl.scenario import PadView, Scenario, camera_model, load, pad_model
-from sitl.world import World
+from sitl.scenario.scenario import PadView, Scenario, camera_model, load, pad_model
+from sitl.world.world import World
 
 HEIGHTS_M = (2.0, 3.0, 4.0, 5.0, 7.0, 10.0, 14.0)
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")

@@ -32,10 +32,10 @@ from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame
 from estimator.vision.detection import Detection
-from sitl.autopilots.body import Body
-from sitl.autopilots.miniature import MiniatureAutopilot
-from sitl.autopilots.program import free_udp_port
-from sitl.scenario import load
+from sitl.emulators.autopilots.body import Body
+from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.program import free_udp_port
+from sitl.scenario.scenario import load
 from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"

@@ -21,13 +21,13 @@ from typing import Any
 import msgspec
 
 from companion.base import event_loop
-from companion.guidance.pilot import FlightOutcome
-from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
-from sitl.autopilots.program import executable
-from sitl.faults import ServiceKilled
-from sitl.one_flight import perception_level, settings_for
+from companion.base.mission import FlightOutcome
+from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
+from sitl.emulators.autopilots.program import executable
+from sitl.faults.kinds import ServiceKilled
+from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
-from sitl.scenario import Scenario, load
+from sitl.scenario.scenario import Scenario, load
 
 CASES = {
     "intercept": ServiceKilled(in_phase="intercept"),

@@ -38,10 +38,10 @@ from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.settings.model import Settings
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
-from sitl.one_flight import PERCEPTIONS, fly, perception_level, settings_for
-from sitl.scenario import Scenario, load
-from sitl.truth import Truth
-from sitl.vehicle import VehiclePhase
+from sitl.flight.one_flight import PERCEPTIONS, fly, perception_level, settings_for
+from sitl.scenario.scenario import Scenario, load
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.truth import Truth
 
 _EACH_NS = 1_000_000_000
 _ON_DECK_M = 0.25

@@ -23,7 +23,7 @@ from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
 from companion.parts.mavlink.pilot_operator import PilotTower
-from companion.service.daemon import Daemon
+from companion.service.daemon import Daemon, DaemonOptions
 from companion.settings.restart import RestartOptions
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import open_autopilot
@@ -33,10 +33,10 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import Stamp, after, seconds_between
-from sitl.autopilots.body import Body
-from sitl.autopilots.miniature import MiniatureAutopilot
-from sitl.one_flight import following
-from sitl.scenario import Scenario, load
+from sitl.emulators.autopilots.body import Body
+from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.flight.one_flight import following
+from sitl.scenario.scenario import Scenario, load
 from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"
@@ -78,7 +78,7 @@ async def measure(scenario: Scenario, rate_hz: float, gyro_mrad_s: tuple[int, in
     """Measure and print one frame rate with one gyro beside a camera that stands still."""
     clock = SystemClock()
     pilot = make_pilot(following(scenario, settings_of.load("sim")))
-    pilot.rehearse()
+    pilot.search.rehearse()
     body = Body(scenario, 1, 0.005)
     images = [body.expose()().px for _ in range(4)]
     state = body.state()
@@ -98,7 +98,7 @@ async def measure(scenario: Scenario, rate_hz: float, gyro_mrad_s: tuple[int, in
         await until(lambda: autopilot.links.all[0].local is not None)
         host, port = autopilot.links.all[0].local or ("", 0)
         link, timed = Vehicle(autopilot.samples), Timed(component, clock, lambda: autopilot.links.all[0].counters.bytes_out)
-        daemon = Daemon(link.open, pilot, clock, restart=RestartOptions(), guidance_rate_hz=50.0, observers=[timed])
+        daemon = Daemon(link.open, pilot, clock, DaemonOptions(RestartOptions(), 50.0), observers=[timed])
         async with (
             fake.talking_to(f"udpout://{host}:{port}"),
             speaking(component, autopilot, clock),

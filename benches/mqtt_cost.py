@@ -28,7 +28,7 @@ from companion.settings.model import CameraSettings, PadSettings, Settings
 from companion.settings.mqtt import MqttSettings
 from drivers.clock import SystemClock
 from estimator.contracts.time import MonoNs, after, seconds_between
-from sitl.scenario import load as load_scenario
+from sitl.scenario.scenario import load as load_scenario
 from tests.support.certificates import make_certificates
 from tests.support.mosquitto import MOSQUITTO, Broker, free_port
 from tests.support.mqtt_service import decision, event, running, until
@@ -44,7 +44,15 @@ async def fly(settings: Settings, folder: Path) -> dict[str, Any]:
     """Fly for `FLOWN_S` and return what it took."""
     ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
     drone = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "sitl.ardrone.serve", SCENARIO, "--seed=1", f"--truth={folder / 'truth.jsonl'}", *ports),
+        *(
+            sys.executable,
+            "-m",
+            "sitl.emulators.ardrone.serve",
+            SCENARIO,
+            "--seed=1",
+            f"--truth={folder / 'truth.jsonl'}",
+            *ports,
+        ),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
     )

@@ -21,11 +21,11 @@ from companion.recording.frame_encoder import FrameEncoder
 from companion.settings.page import PageSettings
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from sitl.camera import Renderer
-from sitl.sea import SHELTERED_SLIGHT, Waves
-from sitl.seakeeping import FERRY
-from sitl.surroundings import Deck, Surroundings
-from sitl.vessel import Mooring, Vessel
+from sitl.camera.camera import Renderer
+from sitl.camera.surroundings import Deck, Surroundings
+from sitl.sea.sea import SHELTERED_SLIGHT, Waves
+from sitl.vessel.seakeeping import FERRY
+from sitl.vessel.vessel import Mooring, Vessel
 
 RATE_HZ = 15.0
 

@@ -65,7 +65,7 @@ def drone(scenario: Path | str, seed: int = 0, truth: Path | None = None) -> Ite
     """Run a simulated drone in its own process while the body runs; yield its ports."""
     ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
     log = [] if truth is None else [f"--truth={truth}"]
-    words = [sys.executable, "-m", "sitl.ardrone.serve", str(scenario), f"--seed={seed}", *log, *ports]
+    words = [sys.executable, "-m", "sitl.emulators.ardrone.serve", str(scenario), f"--seed={seed}", *log, *ports]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdin is not None
         assert child.stdout is not None

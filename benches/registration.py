@@ -30,9 +30,9 @@ from estimator.contracts.geometry import F64, Rotation  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
 from estimator.vision.srgb import light_table  # noqa: E402
-from sitl.camera import Exposure  # noqa: E402
-from sitl.light import Light, Sensor  # noqa: E402
-from sitl.surroundings import Surroundings  # noqa: E402
+from sitl.camera.camera import Exposure  # noqa: E402
+from sitl.camera.light import Light, Sensor  # noqa: E402
+from sitl.camera.surroundings import Surroundings  # noqa: E402
 from tests.support.bound import information, sigmas  # noqa: E402
 from tests.support.pad_views import PLAIN, Stage, error, pad_error  # noqa: E402
 from tests.support.plain_light import FLAT  # noqa: E402

@@ -24,11 +24,11 @@ sys.path.insert(0, str(ROOT))
 from estimator.contracts.geometry import Rotation  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
-from sitl.camera import Exposure, Renderer  # noqa: E402
-from sitl.sea import SHELTERED_SLIGHT, Waves  # noqa: E402
-from sitl.seakeeping import FERRY  # noqa: E402
-from sitl.surroundings import Deck, Surroundings  # noqa: E402
-from sitl.vessel import Mooring, Vessel  # noqa: E402
+from sitl.camera.camera import Exposure, Renderer  # noqa: E402
+from sitl.camera.surroundings import Deck, Surroundings  # noqa: E402
+from sitl.sea.sea import SHELTERED_SLIGHT, Waves  # noqa: E402
+from sitl.vessel.seakeeping import FERRY  # noqa: E402
+from sitl.vessel.vessel import Mooring, Vessel  # noqa: E402
 
 HEIGHTS_M = (0.3, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 30.0)
 

@@ -29,7 +29,7 @@ from drivers.ardrone.link import open_ardrone
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Velocity
-from sitl.ardrone.truth_log import read as read_truth
+from sitl.emulators.ardrone.truth_log import read as read_truth
 
 WATCH_S = 3.0
 SCENARIO = 'base = "demo"\nduration_limit_s = 300.0\n[start]\nheight_m = 5.0\n'

@@ -42,7 +42,7 @@ def measured(command: str, runs: int, seed: int) -> list[tuple[float, int]]:
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         if command == "run":
             ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
-            serve = [sys.executable, "-m", "sitl.ardrone.serve", "demo", "--seed=1", "--repeat", *ports]
+            serve = [sys.executable, "-m", "sitl.emulators.ardrone.serve", "demo", "--seed=1", "--repeat", *ports]
             sim = stack.enter_context(started(serve, stdin=subprocess.PIPE, lasting_s=3600.0))
             assert sim.stdout is not None
             found = json.loads(sim.stdout.readline())["ports"]

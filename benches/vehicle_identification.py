@@ -20,7 +20,7 @@ import numpy as np
 
 from companion.settings.load import SHIPPED
 from estimator.contracts.geometry import F64
-from sitl.vehicle_file import load
+from sitl.vehicle.file import load
 from tests.support import mocap_flight
 
 DATA = Path(__file__).parents[2] / "shared/data"

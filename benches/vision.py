@@ -41,7 +41,7 @@ from estimator.vision.pose import Orientation  # noqa: E402
 from estimator.vision.register.registration import Registration, RegistrationOptions, register  # noqa: E402
 from estimator.vision.thesis.detection import detect  # noqa: E402
 from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
-from sitl.light import Sensor  # noqa: E402
+from sitl.camera.light import Sensor  # noqa: E402
 from tests.support.pad_images import STAMP  # noqa: E402
 from tests.support.pad_views import PLAIN, RenderedView, Stage  # noqa: E402
 from tests.support.plain_light import FLAT  # noqa: E402

@@ -37,7 +37,7 @@ from estimator.vision.thesis.corners import find_corners  # noqa: E402
 from estimator.vision.thesis.detection import detect  # noqa: E402
 from estimator.vision.thesis.ellipse import find_disc  # noqa: E402
 from estimator.vision.thesis.segmentation import COLOUR_SETS, SIMULATOR, ColourSet, HsvRange, Segmentation, segment  # noqa: E402
-from sitl.camera import Exposure, Renderer  # noqa: E402
+from sitl.camera.camera import Exposure, Renderer  # noqa: E402
 
 HEIGHTS_M = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 METHODS: tuple[Method, ...] = ("ellipse", "arrow", "corners", "selected")

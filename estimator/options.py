@@ -90,7 +90,8 @@ class EstimatorOptions(Struct, frozen=True, forbid_unknown_fields=True):
     path: Annotated[
         Literal["ekf", "median_mean", "dead_reckoning"],
         choice(
-            "estimator that steers: the error-state filter; filtered sightings alone; or sightings propagated by dead reckoning"
+            "estimator that steers: the error-state filter; filtered sightings alone; or sightings propagated by dead reckoning",
+            public=True,
         ),
     ] = "ekf"
     max_gap_s: Annotated[

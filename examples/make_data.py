@@ -17,9 +17,9 @@ from companion.guidance.make_pilot import make_pilot
 from companion.settings.load import load
 from estimator import Attitude, Imu, Sighting
 from estimator.contracts.samples import Sample
-from sitl.flight import Flight
-from sitl.scenario import load as load_scenario
-from sitl.truth import Truth
+from sitl.flight.flight import Flight
+from sitl.scenario.scenario import load as load_scenario
+from sitl.world.truth import Truth
 
 FOLDER = Path(__file__).parents[1] / "configs/examples"
 IMAGE_AT_S, CSV_FROM_S, CSV_FOR_S = 4.0, 2.0, 4.0

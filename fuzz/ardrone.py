@@ -30,11 +30,11 @@ from sitl.ardrone.drone import Drone
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.state import DroneState
 from sitl.ardrone.uvlc_encoder import encode
-from sitl.ardrone.video import Encoder
-from sitl.autopilots.lock_step import LockStepClock
-from sitl.scenario import load as load_scenario
-from sitl.vehicle import VehiclePhase
-from sitl.world import World
+from sitl.emulators.ardrone.video import Encoder
+from sitl.emulators.autopilots.lock_step import LockStepClock
+from sitl.scenario.scenario import load as load_scenario
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.world import World
 
 _START = MonoNs(1_000_000_000_000)
 _CHECKSUM_BYTES = 8

@@ -28,9 +28,9 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from fuzz.target import Choices, Target, block
-from sitl.ardrone.video import Encoder
-from sitl.scenario import load as load_scenario
-from sitl.world import World
+from sitl.emulators.ardrone.video import Encoder
+from sitl.scenario.scenario import load as load_scenario
+from sitl.world.world import World
 
 _FORMATS = ("MJPG", "YUYV", "NV12", "GREY")
 WIDTH, HEIGHT = 96, 72

@@ -42,7 +42,7 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, BodyVelocity, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from fuzz.target import SHARED_MEMORY, Choices, Target, block
-from sitl.autopilots.lock_step import LockStepClock
+from sitl.emulators.autopilots.lock_step import LockStepClock
 
 SETTINGS = {
     "vehicle": {"kind": "mavlink", "links": "udpin://127.0.0.1:14550, udpout://127.0.0.1:14551, tcp://127.0.0.1:5760"},

@@ -20,7 +20,7 @@ from companion.guidance.make_pilot import estimator_options, tracker
 from companion.parts.mavlink.component import ComponentOptions
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings import whole_file
-from companion.settings.load import SHIPPED, from_mapping, read_toml, shipped
+from companion.settings.load import SHIPPED, from_file, from_mapping, read_toml, shipped
 from companion.settings.model import Settings, ardrone_options
 from companion.tools.print_pad.drawing import pad_drawing
 from companion.tools.print_pad.sheets import sheets
@@ -31,7 +31,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.drawing import edges_of
 from estimator.vision.pad import Pad
 from fuzz.target import SHARED_MEMORY, Choices, Target, block, refused
-from sitl import scenario as scenarios
+from sitl.scenario import scenario as scenarios
 
 Parsed = TypeVar("Parsed")
 
@@ -140,7 +140,7 @@ def _copy(value: Any) -> Any:
 @cache
 def _all_settings() -> tuple[tuple[str, ...], ...]:
     """Return every key that can be set, from the description of the settings."""
-    return tuple(_keys(tomllib.loads(whole_file.toml(from_mapping(_files("")[0], "fuzz")))))
+    return tuple(_keys(tomllib.loads(whole_file.toml(from_file(_files("")[0], "fuzz")))))
 
 
 def run_settings(data: bytes) -> None:
@@ -150,7 +150,7 @@ def run_settings(data: bytes) -> None:
         return
     with suppress(BadInput):
         _options(settings)
-    assert from_mapping(tomllib.loads(whole_file.toml(settings)), "again") == settings
+    assert from_file(tomllib.loads(whole_file.toml(settings)), "again") == settings
 
 
 def _options(settings: Settings) -> None:

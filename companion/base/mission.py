@@ -131,3 +131,24 @@ FAULTS = frozenset(
     }
 )
 """Events that are told to people as warnings."""
+
+
+class FlightOutcome(Enum):
+    """The outcome of a flight."""
+
+    LANDED = State.LANDED.value
+    """The vehicle reports that it is on the ground after our order to land."""
+    LANDED_BY_OTHERS = State.LANDED_BY_OTHERS.value
+    """The vehicle reports that it is on the ground without our order to land."""
+    GAVE_UP = State.GAVE_UP.value
+    """The pad was not found again, or the tries are used up; the vehicle is held still."""
+    REFUSED = State.REFUSED.value
+    """The conditions are beyond the limits; the vehicle is held still."""
+    EMERGENCY = State.EMERGENCY.value
+    """The vehicle cut its motors."""
+    ABORTED = State.ABORTED.value
+    """The operator aborted the flight; the vehicle is held still."""
+
+
+REFUSALS = (FlightOutcome.GAVE_UP, FlightOutcome.REFUSED)
+"""Outcomes in which it did not land by its own decision; the operator may begin again in the air."""

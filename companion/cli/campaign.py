@@ -36,12 +36,12 @@ from sitl.campaign.search import Falsified, Search, refuse_search
 from sitl.campaign.store import FolderStore, ResultStore, manifest_of_plan
 from sitl.campaign.summary import CampaignTally, in_words
 from sitl.campaign.task import Flight, job_of
-from sitl.one_flight import perception_level, settings_for
+from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
-from sitl.scenario import FAULTS, Scenario
-from sitl.scenario import load as load_scenario
-from sitl.scenario_set import is_set, place_of, shipped_sets
-from sitl.scenario_set import load as load_set
+from sitl.scenario.scenario import FAULTS, Scenario
+from sitl.scenario.scenario import load as load_scenario
+from sitl.scenario.sets import is_set, place_of, shipped_sets
+from sitl.scenario.sets import load as load_set
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

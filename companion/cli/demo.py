@@ -20,13 +20,13 @@ import numpy as np
 
 from companion.base import event_loop
 from companion.base.health import Health
+from companion.base.mission import FlightOutcome
 from companion.base.observer import Observer
 from companion.base.signals import check, ending_signal
 from companion.cli import foxglove_option, page_option, record_option, report_option
 from companion.cli.progress import ProgressObserver
 from companion.cli.version import version
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import FlightOutcome
 from companion.service.assemble import live, make_daemon
 from companion.settings import whole_file
 from companion.settings.load import load, shipped
@@ -41,11 +41,11 @@ from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.generations import GENERATIONS
-from sitl.ardrone.truth_log import read as read_truth
-from sitl.ending import Contact, Ending
-from sitl.machine_load import Load
-from sitl.scenario import Scenario, camera_model, with_ardrone1
-from sitl.scenario import load as load_scenario
+from sitl.emulators.ardrone.truth_log import read as read_truth
+from sitl.flight.ending import Contact, Ending
+from sitl.flight.machine_load import Load
+from sitl.scenario.scenario import Scenario, camera_model, with_ardrone1
+from sitl.scenario.scenario import load as load_scenario
 
 SHADOWS: tuple[PathName, ...] = ("median_mean",)
 _READY_S = 30.0
@@ -186,7 +186,7 @@ async def _drone(scenario: str, seed: int, truth: Path, ardrone1: bool) -> Async
         *(
             sys.executable,
             "-m",
-            "sitl.ardrone.serve",
+            "sitl.emulators.ardrone.serve",
             scenario,
             f"--seed={seed}",
             f"--truth={truth}",

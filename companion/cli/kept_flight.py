@@ -20,9 +20,9 @@ from companion.tools.report.log_observer import LogObserver
 from companion.tools.report.page import PAGE, write_report
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
-from sitl.ending import Ending
+from sitl.flight.ending import Ending
 from sitl.perception.port import Level
-from sitl.truth import Truth
+from sitl.world.truth import Truth
 
 SHADOWS: tuple[PathName, ...] = ("median_mean",)
 """Estimator paths that run beside the steering one, for the comparison in the report."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from sitl.one_flight import PERCEPTIONS
+from sitl.flight.one_flight import PERCEPTIONS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -19,7 +19,7 @@ from companion.settings.recorder import FrameForm
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
-from sitl.truth import Touchdown, Truth
+from sitl.world.truth import Touchdown, Truth
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,7 +81,7 @@ def truth_record(truth: Truth) -> TruthRecord:
 
 
 def truth_from_log(record: Mapping[str, Any]) -> TruthRecord:
-    """Return the record of one line of the simulated drone's truth log (`sitl.ardrone.truth_log`)."""
+    """Return the record of one line of the simulated drone's truth log (`sitl.emulators.ardrone.truth_log`)."""
     touched = record["touchdown"]
     touchdown = None if touched is None else ContactRecord(touched["at"], *(touched[n] for n in _CONTACT))
     yaw = math.remainder(record["yaw_rad"], math.tau)

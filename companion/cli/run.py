@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 from companion.base import event_loop, memory
+from companion.base.mission import FlightOutcome
 from companion.base.proven import Proven
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import FlightOutcome
 from companion.service.assemble import live, log_to_stderr, make_daemon
 from companion.settings.load import Settings, find_file, load, shipped
 from companion.settings.mavlink import BridgeOptions

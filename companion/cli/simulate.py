@@ -16,9 +16,9 @@ from companion.settings.load import find_file, shipped
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
 from sitl.campaign.overrides import Overridable
-from sitl.one_flight import fly, perception_level, settings_for
-from sitl.scenario import FAULTS
-from sitl.scenario import load as load_scenario
+from sitl.flight.one_flight import fly, perception_level, settings_for
+from sitl.scenario.scenario import FAULTS
+from sitl.scenario.scenario import load as load_scenario
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

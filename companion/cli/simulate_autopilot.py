@@ -20,17 +20,17 @@ from companion.base.observer import Observer
 from companion.cli.kept_flight import keeping
 from companion.cli.progress import ProgressObserver
 from estimator.contracts.errors import BadInput
-from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
-from sitl.autopilots.program import executable
 from sitl.campaign.overrides import Overridable
-from sitl.ending import Ending
-from sitl.one_flight import contact_of, settings_for
-from sitl.one_flight import ending_of as graded_ending
+from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
+from sitl.emulators.autopilots.program import executable
+from sitl.faults.streams import STREAMS
+from sitl.flight.ending import Ending
+from sitl.flight.one_flight import contact_of, settings_for
+from sitl.flight.one_flight import ending_of as graded_ending
 from sitl.perception.levels import perceive
 from sitl.perception.port import Level
-from sitl.scenario import Scenario
-from sitl.scenario import load as load_scenario
-from sitl.stream_faults import STREAMS
+from sitl.scenario.scenario import Scenario
+from sitl.scenario.scenario import load as load_scenario
 
 CARRIED = frozenset({*STREAMS, "link_lost", "light_falls", "service_killed", "vessel_reports"})
 """Kinds of faults that act on a flight with an autopilot program: those of its streams, of the light on its camera, and of the

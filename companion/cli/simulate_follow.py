@@ -13,10 +13,10 @@ from companion.cli.simulate_autopilot import refuse_faults
 from drivers.mavlink.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import NS_PER_S, MonoNs
-from sitl.autopilots.follow import FollowEnd, follow
-from sitl.ending import Contact, Ending
-from sitl.one_flight import settings_for
-from sitl.scenario import load as load_scenario
+from sitl.emulators.autopilots.follow import FollowEnd, follow
+from sitl.flight.ending import Contact, Ending
+from sitl.flight.one_flight import settings_for
+from sitl.scenario.scenario import load as load_scenario
 
 
 def run(args: argparse.Namespace) -> int:

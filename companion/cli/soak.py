@@ -36,11 +36,11 @@ from companion.tools.report.drawing import require_drawing
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
-from sitl.ardrone.repeated_flights import faulty
-from sitl.one_flight import PERCEPTIONS, Perception, fly, perception_level, settings_for
+from sitl.emulators.ardrone.repeated_flights import faulty
+from sitl.flight.one_flight import PERCEPTIONS, Perception, fly, perception_level, settings_for
 from sitl.perception.levels import perceive, represents
-from sitl.scenario import Scenario
-from sitl.scenario import load as load_scenario
+from sitl.scenario.scenario import Scenario
+from sitl.scenario.scenario import load as load_scenario
 
 WARM_UP_SHARE, WARM_UP_MOST_S = 0.2, 900.0
 """Warm-up as a share of the run, and its limit: textures, caches and the allocator's arenas are filled by then."""
@@ -255,7 +255,7 @@ def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings,
 
 async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) -> None:
     child = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "sitl.ardrone.serve", args.scenario, f"--seed={args.seed}", "--repeat"),
+        *(sys.executable, "-m", "sitl.emulators.ardrone.serve", args.scenario, f"--seed={args.seed}", "--repeat"),
         *([] if args.no_faults else ["--faults"]),
         *(f"--{name}-port=0" for name in ("navdata", "video", "at", "control")),
         stdin=asyncio.subprocess.PIPE,

@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import Any
 
+from companion.base.mission import REFUSALS, FlightOutcome
 from companion.cli.soak_records import Records
-from companion.guidance.pilot import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
-from sitl.ending import Ending
-from sitl.machine_load import Load
-from sitl.safety import Grade, grade
+from sitl.flight.ending import Ending
+from sitl.flight.machine_load import Load
+from sitl.flight.safety import Grade, grade
 
 STARVED_MAX = 0.5
 """Share of the flights that may go unjudged before the run itself means nothing."""
@@ -62,7 +62,7 @@ def real(
     """Return the result of a flight in real time.
 
     Args:
-        said: the line of `sitl.ardrone.repeated_flights` about it.
+        said: the line of `sitl.emulators.ardrone.repeated_flights` about it.
         outcome: the pilot's outcome when the flight had ended.
         frames: what the daemon made of its frames.
         guidance_late_s: median of what guidance cycles came late at the end of the flight, seconds.

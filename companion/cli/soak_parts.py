@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from itertools import chain
 
 from companion.guidance.make_pilot import make_pilot
-from companion.service.daemon import Daemon, VehicleLink
+from companion.service.daemon import Daemon, DaemonOptions, VehicleLink
 from companion.settings.model import Settings, ardrone_options
 from drivers.ardrone import at
 from drivers.ardrone.navdata import Navdata
@@ -30,9 +30,9 @@ from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import Stamp, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
-from sitl.scenario import Scenario
-from sitl.truth import RenderedFrame
-from sitl.world import World
+from sitl.scenario.scenario import Scenario
+from sitl.world.truth import RenderedFrame
+from sitl.world.world import World
 
 _READY_S = 60.0
 _FILM_S = 2.0
@@ -150,9 +150,7 @@ async def cpu_at(rate_hz: int, scenario: Scenario, settings: Settings, duration_
         reel.open,
         make_pilot(settings),
         clock,
-        restart=settings.service,
-        guidance_rate_hz=settings.guidance.rate_hz,
-        threads=settings.vision.threads,
+        DaemonOptions(settings.service, settings.guidance.rate_hz, threads=settings.vision.threads),
     )
     async with asyncio.TaskGroup() as group:
         group.create_task(daemon.run())

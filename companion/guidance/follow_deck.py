@@ -76,7 +76,6 @@ class FollowDeck:
         response: how the vehicle answers.
         period_s: the guidance period.
         view: the camera's field of view; None for no limit by it.
-        weights: of the regulator.
         noise: of the observer.
         forecast: whether the deck's motion is known ahead; without it the deck is followed from behind.
         delay_line: whether commands under way are known; without it the vehicle is taken to answer at once.
@@ -95,7 +94,6 @@ class FollowDeck:
         period_s: float,
         view: FieldOfView | None = None,
         *,
-        weights: TiltWeights | None = None,
         noise: ObserverNoise | None = None,
         forecast: bool = True,
         delay_line: bool = True,
@@ -104,7 +102,7 @@ class FollowDeck:
     ) -> None:
         self._fallback, self._over_ground = fallback, over_ground
         self.response, self.period_s = response, period_s
-        self._weights, self._delay_line = weights or TiltWeights(), delay_line
+        self._delay_line = delay_line
         self._tunings: dict[TuningChoice, TiltTuning] = {}
         for soft in (False, True):
             self._tuning(TuningChoice(0.0, soft)).solve()
@@ -129,7 +127,7 @@ class FollowDeck:
     def _tuning(self, choice: TuningChoice) -> TiltTuning:
         """Return the gains of a choice, kept once they are made."""
         if choice not in self._tunings:
-            response, weights = tuned(self.response.tilt, self._weights, choice)
+            response, weights = tuned(self.response.tilt, TiltWeights(), choice)
             self._tunings[choice] = TiltTuning(response, weights, self.period_s, delay_line=self._delay_line)
         return self._tunings[choice]
 

@@ -10,7 +10,7 @@ from msgspec import structs
 
 from companion.guidance.controller import Controller
 from companion.guidance.controllers import ControllerSetup, make_controller
-from companion.guidance.pilot import Pilot
+from companion.guidance.pilot import Pilot, PilotOptions
 from companion.guidance.view import FieldOfView
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import body_camera, camera_model, pad_model, response_model
@@ -45,15 +45,17 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
         detector,
         with_mount(estimator_options(settings), detector.camera),
         settings.guidance,
-        automatic=settings.guidance.start == "automatic",
-        shadows=shadows,
-        manual=settings.operator.manual,
-        limits=settings.limits,
-        law=law_of(settings),
-        over_ground=_over_ground(settings),
-        reports=settings.vessel,
-        tilt=response_model(settings).tilt,
-        gimballed=settings.camera.gimbal.given,
+        PilotOptions(
+            automatic=settings.guidance.start == "automatic",
+            shadows=shadows,
+            law=law_of(settings),
+            manual=settings.operator.manual,
+            limits=settings.limits,
+            over_ground=_over_ground(settings),
+            reports=settings.vessel,
+            tilt=response_model(settings).tilt,
+            gimballed=settings.camera.gimbal.given,
+        ),
     )
 
 

@@ -90,10 +90,7 @@ REASONS: Mapping[Rule, str] = MappingProxyType(
 """The text of each refusal."""
 
 
-def _row(
-    unheard: Rule, ground: Rule, done: Rule, guided: Rule, held: Rule, over: Rule, manual: Rule, landing: Rule, emergency: Rule
-) -> Mapping[ControlSituation, Rule]:
-    cells = (unheard, ground, done, guided, held, over, manual, landing, emergency)
+def _row(*cells: Rule) -> Mapping[ControlSituation, Rule]:
     return MappingProxyType(dict(zip(ControlSituation, cells, strict=True)))
 
 

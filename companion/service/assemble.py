@@ -15,15 +15,16 @@ from companion.base.beside import RestartablePart
 from companion.base.event_loop import heeded
 from companion.base.health import Health
 from companion.base.missing_inputs import SHIP_PLACE
+from companion.base.mission import FlightOutcome
 from companion.base.notify import Manager, Pulse, watchdog_interval_s
 from companion.base.observer import Observer
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.base.supervise import Body
-from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.operator.local_socket import OperatorSocket
 from companion.parts.operator.socket_path import OFF, socket_path
-from companion.service.daemon import Daemon
+from companion.service.daemon import Daemon, DaemonOptions
 from companion.service.vehicle_parts import vehicle_parts
 from companion.settings.model import Settings
 from companion.settings.ship_place import sources
@@ -102,7 +103,7 @@ def make_daemon(
         health.counters("sentences", sentences.counted)
     if sources(settings):
         health.awaited |= {SHIP_PLACE}
-        health.counters("ship_place", pilot.vessel_counts)
+        health.counters("ship_place", pilot.landing.vessel_counts)
     if settings.mqtt.transport != "off":
         from companion.parts.mqtt.make import make_mqtt
 
@@ -149,17 +150,19 @@ def make_daemon(
         vehicle.open_link,
         pilot,
         ticking,
-        restart=settings.service,
-        guidance_rate_hz=settings.guidance.rate_hz,
-        health_period_s=settings.service.health_period_s,
-        threads=settings.vision.threads,
-        core_fraction=settings.vision.core_fraction,
+        DaemonOptions(
+            settings.service,
+            settings.guidance.rate_hz,
+            health_period_s=settings.service.health_period_s,
+            threads=settings.vision.threads,
+            core_fraction=settings.vision.core_fraction,
+            once=once,
+            prepare=partial(_prepare, pilot),
+        ),
         observers=watching,
-        once=once,
         health=health,
         extras=extras,
         reports=reports,
-        prepare=partial(_prepare, pilot),
     )
 
 
@@ -171,7 +174,7 @@ def vehicle_name(settings: Settings) -> str:
 
 def _prepare(pilot: Pilot) -> None:
     """Do before the first frame what would delay it."""
-    pilot.rehearse()
+    pilot.search.rehearse()
     memory.give_back()
 
 

@@ -14,6 +14,7 @@ import logging
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
 
@@ -21,14 +22,14 @@ from companion.base.containment import Audience
 from companion.base.garbage import GroundedCollector, no_full_collections
 from companion.base.health import Health
 from companion.base.missing_inputs import SHIP_PLACE, missing_inputs
-from companion.base.mission import FAULTS
+from companion.base.mission import FAULTS, FlightOutcome
 from companion.base.observer import Decision, FrameTimes, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.base.response_in_use import ResponseState
 from companion.base.supervise import Body, run, uncancelled
 from companion.base.vision_share import VisionShare
 from companion.base.worker import Worker
-from companion.guidance.pilot import WAITING_MOST, FlightOutcome, Pilot
+from companion.guidance.pilot import WAITING_MOST, Pilot
 from companion.settings.restart import RestartOptions
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command
@@ -68,21 +69,34 @@ class VehicleLink(Protocol):
 OpenLink = Callable[[], AbstractAsyncContextManager[VehicleLink]]
 
 
+@dataclass(frozen=True, slots=True)
+class DaemonOptions:
+    """How the daemon runs."""
+
+    restart: RestartOptions
+    guidance_rate_hz: float
+    """The rate of guidance cycles."""
+    health_period_s: float = 0.0
+    """The time between two log lines of health; 0 logs none."""
+    threads: int = 1
+    """The number of threads that OpenCV may use for one frame."""
+    core_fraction: float = 1.0
+    """The largest share of the time that looking at frames may take; 1 skips none."""
+    once: bool = False
+    """Whether `Daemon.run` ends with the first flight; otherwise it waits for the next one."""
+    prepare: Callable[[], None] | None = None
+    """Called by the thread of vision before its first frame."""
+
+
 class Daemon:
     """Connects the vehicle with the pilot.
 
     Args:
         open_link: opens the vehicle; called again after each `Recoverable`.
         pilot: the pad tracker, the estimator and guidance.
-        guidance_rate_hz: the rate of guidance cycles.
-        health_period_s: the time between two log lines of health; 0 logs none.
-        threads: the number of threads that OpenCV may use for one frame.
-        core_fraction: the largest share of the time that looking at frames may take; 1 skips none.
-        once: whether `run` ends with the first flight; otherwise it waits for the next one.
         health: the health that is shared with parts made before the daemon; if absent, a new one is made.
         extras: parts by name that run beside the flight. Their failures do not affect it.
         reports: the ship's reports from other sources than the vehicle's link; None where there are none.
-        prepare: what the thread of vision does before its first frame.
     """
 
     def __init__(
@@ -90,33 +104,23 @@ class Daemon:
         open_link: OpenLink,
         pilot: Pilot,
         clock: Clock,
+        options: DaemonOptions,
         *,
-        restart: RestartOptions,
-        guidance_rate_hz: float,
-        health_period_s: float = 0.0,
-        threads: int = 1,
-        core_fraction: float = 1.0,
         observers: Sequence[Observer] = (),
-        once: bool = False,
         health: Health | None = None,
         extras: Mapping[str, Body] | None = None,
         reports: Line[Sample] | None = None,
-        prepare: Callable[[], None] | None = None,
     ) -> None:
         self._open_link = open_link
         self._pilot = pilot
         self._clock = clock
-        self._restart = restart
-        self._period_s = 1.0 / guidance_rate_hz
-        self._health_period_s = health_period_s
-        self._threads = threads
-        self._share = VisionShare(core_fraction)
+        self._options = options
+        self._period_s = 1.0 / options.guidance_rate_hz
+        self._share = VisionShare(options.core_fraction)
         self._collector = GroundedCollector()
-        self._once = once
         self._link: VehicleLink | None = None
         self._ended = asyncio.Event()
         self._tracker: Worker | None = None
-        self._prepare = prepare
         self._loaded = False
         self._decided = asyncio.Event()
         """Set after the first guidance cycle, which nothing is to delay."""
@@ -143,12 +147,12 @@ class Daemon:
         """
         vital: dict[str, Body] = {"vehicle": self._fly, "guidance": self._guide}
         beside = dict(self._extras)
-        if self._health_period_s > 0:
+        if self._options.health_period_s > 0:
             beside["health"] = self._log_health
         self._tracker = Worker("vision")
         try:
             with no_full_collections():
-                await run(vital, self._restart, self.health, self._clock, until=self._ended, beside=beside)
+                await run(vital, self._options.restart, self.health, self._clock, until=self._ended, beside=beside)
         finally:
             self._tracker.close()
         return self._pilot.outcome
@@ -264,13 +268,13 @@ class Daemon:
     def _prepare_vision(self) -> None:
         import cv2  # a tenth of the service's start, which no guidance cycle waits for
 
-        cv2.setNumThreads(self._threads)
-        if self._prepare is not None:
-            self._prepare()
+        cv2.setNumThreads(self._options.threads)
+        if self._options.prepare is not None:
+            self._options.prepare()
 
     def _judged(self, verdict: Verdict) -> None:
         self.health.frame(verdict)
-        self._pilot.on_verdict(verdict)
+        self._pilot.landing.on_verdict(verdict)
 
     async def _process(self, frame: Frame) -> ProcessedFrame:
         began = self._clock.now()
@@ -284,7 +288,7 @@ class Daemon:
             verdict = refused
         elif attitude is None:
             verdict = Verdict.NO_ATTITUDE
-        elif held is None and self._pilot.gimballed:
+        elif held is None and self._pilot.search.gimballed:
             verdict = Verdict.NO_GIMBAL
         else:
             assert self._tracker is not None
@@ -298,7 +302,7 @@ class Daemon:
         if detection is not None:
             decode_s, waited_s = seconds_between(frame.stamp.received_at, began), seconds_between(began, seen) - look_s
             times = FrameTimes(decode_s, waited_s, look_s, seconds_between(seen, done))
-        camera = self._pilot.camera_held(held)
+        camera = self._pilot.search.camera_held(held)
         return ProcessedFrame(frame, attitude, detection, verdict, began, done, results, times, camera)
 
     def _look(self, frame: Frame, attitude: Attitude, held: HeldCamera | None) -> tuple[Detection, float]:
@@ -362,7 +366,7 @@ class Daemon:
             self._audience.on_decision(decision)
             vehicle = self._pilot.vehicle
             self._collector.tick(began, None if vehicle is None else vehicle.flying)
-            if self._pilot.outcome is not None and self._once:
+            if self._pilot.outcome is not None and self._options.once:
                 self._ended.set()
                 return
             spent_s = seconds_between(began, self._clock.now())
@@ -401,7 +405,7 @@ class Daemon:
 
     async def _log_health(self) -> None:
         while True:
-            await self._clock.sleep(self._health_period_s)
+            await self._clock.sleep(self._options.health_period_s)
             frames = ", ".join(
                 f"{verdict.value} {n}" for verdict, n in sorted(self.health.frames.items(), key=lambda i: i[0].value)
             )

@@ -13,7 +13,8 @@ from typing import Any
 
 import msgspec
 
-from companion.settings.load import from_mapping
+from companion.settings.expert import in_file
+from companion.settings.load import from_file
 from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
 
@@ -30,7 +31,7 @@ _NAME = re.compile(r"[\w-]*")
 def refused_values(settings: Settings, before: Mapping[str, Any]) -> Iterator[str]:
     """Yield a line for each guarded key that differs from the settings before, which count as good if they can be read."""
     try:
-        old = msgspec.to_builtins(from_mapping(before, ""))
+        old = msgspec.to_builtins(from_file(before, ""))
     except BadInput as why:
         yield f"the settings file itself is refused ({why}): mend it on the drone's computer first"
         return
@@ -43,7 +44,8 @@ def refused_values(settings: Settings, before: Mapping[str, Any]) -> Iterator[st
         elif had == has:
             continue
         for key in changed:
-            yield f"{key} is not changed from a browser: who may command, and where secrets go, is set on the drone itself"
+            shown = in_file(key)
+            yield f"{shown} is not changed from a browser: who may command, and where secrets go, is set on the drone itself"
 
 
 def refused_references(data: Mapping[str, Any], before: Mapping[str, Any], folder: Path) -> Iterator[str]:

@@ -18,7 +18,7 @@ import msgspec
 
 from companion.settings.browser_keys import refused_references, refused_values
 from companion.settings.effect import without_effect
-from companion.settings.load import complete, from_mapping
+from companion.settings.load import complete, from_file
 from companion.settings.model import Settings
 from companion.settings.referenced_files import check_files
 from companion.settings.ship_place import contradiction
@@ -99,7 +99,7 @@ def _every_fault(data: dict[str, Any], before: Mapping[str, Any]) -> tuple[list[
     seen: set[str] = set()
     while len(faults) < _FAULTS:
         try:
-            settings = from_mapping(tried, "")
+            settings = from_file(tried, "")
             break
         except BadInput as why:
             said = str(why).removeprefix(": ")

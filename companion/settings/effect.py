@@ -10,6 +10,7 @@ from typing import Any
 
 from msgspec import NODEFAULT, Struct
 
+from companion.settings.expert import in_file
 from companion.settings.model import Settings
 from companion.settings.ship_place import sources
 from drivers.ardrone.options import ArDroneOptions
@@ -170,7 +171,7 @@ def without_effect(settings: Settings) -> tuple[str, ...]:
             idle = changed.intersection(rule.keys.split(","))
         if idle and rule.idle(settings):
             changed -= idle
-            lines.append(f"{', '.join(sorted(idle))}: without effect, as {rule.why}")
+            lines.append(f"{', '.join(map(in_file, sorted(idle)))}: without effect, as {rule.why}")
     return tuple(lines)
 
 
@@ -194,7 +195,7 @@ def refuse_moved(data: Mapping[str, Any]) -> None:
     """
     for old, new in MOVED.items():
         if _found(data, old) is not None:
-            raise BadInput(f"{old} is now {new}")
+            raise BadInput(f"{old} is now {in_file(new)}")
 
 
 def with_moved(data: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -22,13 +22,15 @@ class FollowDeckOptions(Struct, frozen=True, forbid_unknown_fields=True):
             'file of the vehicle\'s response: the name of a shipped one, or a path relative to the settings file; "auto" '
             "takes the one of the kind of vehicle",
             4096,
+            public=True,
         ),
     ] = _AUTO
     identify: Annotated[
         bool,
         choice(
             "whether the response is identified in flight: the gains are softer until the delay is known, and a delay that "
-            "contradicts the file takes its place"
+            "contradicts the file takes its place",
+            public=True,
         ),
     ] = True
     delay_known_s: Annotated[
@@ -39,12 +41,12 @@ class FollowDeckOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = True
     delay_line: Annotated[bool, choice("whether commands under way are taken into account")] = True
     forecast: Annotated[bool, choice("whether the deck's motion is followed ahead of time")] = True
-    keep_in_view: Annotated[bool, choice("whether the lean is cut so that the pad stays in the picture")] = True
-    tilt_max_deg: Annotated[float, number("largest tilt; the response's own limit where that is smaller", "deg", 2.0, 45.0)] = (
-        45.0
-    )
+    keep_in_view: Annotated[bool, choice("whether the lean is cut so that the pad stays in the picture", public=True)] = True
+    tilt_max_deg: Annotated[
+        float, number("largest tilt; the response's own limit where that is smaller", "deg", 2.0, 45.0, public=True)
+    ] = 45.0
     climb_max_m_s: Annotated[
-        float, number("largest vertical speed; the response's own limit where that is smaller", "m/s", 0.1, 5.0)
+        float, number("largest vertical speed; the response's own limit where that is smaller", "m/s", 0.1, 5.0, public=True)
     ] = 5.0
 
     def __post_init__(self) -> None:

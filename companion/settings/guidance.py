@@ -111,12 +111,15 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
         Literal["cone", "thesis"],
         choice(
             "the way down: in a cone to a gate over the deck and from there to the contact under full control; or the way points "
-            "of the thesis and the vehicle's own landing from the last of them"
+            "of the thesis and the vehicle's own landing from the last of them",
+            public=True,
         ),
     ] = "cone"
     start: Annotated[
         Literal["automatic", "signal"],
-        choice("approach as soon as the vehicle flies and the pad is seen, or only after SIGUSR1 (SIGUSR2 pauses it)"),
+        choice(
+            "approach as soon as the vehicle flies and the pad is seen, or only after SIGUSR1 (SIGUSR2 pauses it)", public=True
+        ),
     ] = "signal"
     rate_hz: Annotated[float, number("rate of guidance cycles", "Hz", 5.0, 200.0, "controller of the thesis: 100 Hz")] = 50.0
     stale_after_s: Annotated[float, number("age of the newest sighting above which the drone hovers", "s", 0.05, 10.0)] = 0.5
@@ -130,6 +133,7 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
             "the control law: follow_deck (tilt and forecast, down to contact), pid (the thesis' position controller), or "
             "the name under which an installed package offers one",
             64,
+            public=True,
         ),
     ] = "follow_deck"
     pid: PidOptions = PidOptions()

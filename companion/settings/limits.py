@@ -18,10 +18,13 @@ class LimitOptions(Struct, frozen=True, forbid_unknown_fields=True):
         Literal["off", "start", "ship"],
         choice(
             "centre of the geofence: the place where the vehicle was first seen to fly, which drifts with its velocity sensor, "
-            "or the pad, while its position is known to 5 m"
+            "or the pad, while its position is known to 5 m",
+            public=True,
         ),
     ] = "off"
-    fence_radius_m: Annotated[float, number("radius of the geofence, unless there is a polygon", "m", 2.0, 10_000.0)] = 50.0
+    fence_radius_m: Annotated[
+        float, number("radius of the geofence, unless there is a polygon", "m", 2.0, 10_000.0, public=True)
+    ] = 50.0
     fence_polygon: Annotated[
         str,
         text(
@@ -29,6 +32,7 @@ class LimitOptions(Struct, frozen=True, forbid_unknown_fields=True):
             "the arrow and to its right on a ship",
             2000,
             shortest=0,
+            public=True,
         ),
     ] = ""
     fence_brake_s: Annotated[
@@ -37,11 +41,15 @@ class LimitOptions(Struct, frozen=True, forbid_unknown_fields=True):
     fence_ends_s: Annotated[
         float, number("time for which the fence may hold guidance back before it ends the landing and holds", "s", 0.5, 60.0)
     ] = 3.0
-    height_max_m: Annotated[float, number("height above the start above which no command climbs", "m", 2.0, 500.0)] = 50.0
+    height_max_m: Annotated[
+        float, number("height above the start above which no command climbs", "m", 2.0, 500.0, public=True)
+    ] = 50.0
     manual_height_min_m: Annotated[
         float, number("height above what is below, under which manual flight does not descend", "m", 0.0, 10.0)
     ] = 0.5
-    take_off_charge_min: Annotated[float, number("charge of the battery below which a take-off is refused", "1", 0.0, 1.0)] = 0.2
+    take_off_charge_min: Annotated[
+        float, number("charge of the battery below which a take-off is refused", "1", 0.0, 1.0, public=True)
+    ] = 0.2
     return_charge: Annotated[
         float,
         number(
@@ -49,6 +57,7 @@ class LimitOptions(Struct, frozen=True, forbid_unknown_fields=True):
             "1",
             0.0,
             1.0,
+            public=True,
         ),
     ] = 0.15
 

@@ -15,9 +15,9 @@ class FoxgloveSettings(Struct, frozen=True, forbid_unknown_fields=True):
         ValueError: others could watch without a token.
     """
 
-    endpoint: Annotated[Literal["off", "websocket"], choice("whether there is one")] = "off"
-    host: Annotated[str, text("address to listen on; one other than loopback needs a token_file", 253)] = "127.0.0.1"
-    port: Annotated[int, number("port to listen on", "port", 1, 65535)] = 8765
+    endpoint: Annotated[Literal["off", "websocket"], choice("whether there is one", public=True)] = "off"
+    host: Annotated[str, text("address to listen on; one other than loopback needs a token_file", 253, public=True)] = "127.0.0.1"
+    port: Annotated[int, number("port to listen on", "port", 1, 65535, public=True)] = 8765
     token_file: Annotated[
         str,
         text(
@@ -25,6 +25,7 @@ class FoxgloveSettings(Struct, frozen=True, forbid_unknown_fields=True):
             'file, or "credential:NAME" for a systemd credential; empty for no token, on loopback alone',
             4096,
             shortest=0,
+            public=True,
         ),
     ] = ""
     origins: Annotated[

@@ -20,6 +20,7 @@ import msgspec
 
 import configs
 from companion.settings.effect import refuse_moved, with_moved, without_retired
+from companion.settings.expert import in_file, joined
 from companion.settings.model import PadSettings, Settings
 from companion.settings.response import Response, response_from_mapping
 from companion.settings.secret_files import CREDENTIAL
@@ -32,8 +33,8 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_rules import check_for_detection
 
 __all__ = [
-    "Settings", "body_camera", "camera_model", "complete", "find_file", "from_mapping", "load", "pad_model", "read_toml",
-    "response_model", "shipped", "shipped_response",
+    "Settings", "body_camera", "camera_model", "complete", "find_file", "from_file", "from_mapping", "load", "pad_model",
+    "read_toml", "response_model", "shipped", "shipped_response",
 ]  # fmt: skip
 
 _Table = TypeVar("_Table", bound=msgspec.Struct)
@@ -64,7 +65,7 @@ def load(name_or_path: str | Path, *, by_autopilot: bool = False) -> Settings:
             camera or pad file has such a fault. The text is one line that names the file and the key.
     """
     path = find_file(str(name_or_path), "", Path(), "settings")
-    return complete(from_mapping(read_toml(path), str(path), by_autopilot=by_autopilot), path)
+    return complete(from_file(read_toml(path), str(path), by_autopilot=by_autopilot), path)
 
 
 def complete(settings: Settings, path: Path) -> Settings:
@@ -106,20 +107,43 @@ def complete(settings: Settings, path: Path) -> Settings:
     return settings
 
 
-def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False, by_autopilot: bool = False) -> Settings:
-    """Return the settings that the mapping of a TOML file describes.
+def from_file(data: Mapping[str, Any], where: str, *, by_autopilot: bool = False) -> Settings:
+    """Return the settings that the mapping of a settings file describes, with the keys of experts in its table `expert`.
 
     Args:
         data: the mapping.
         where: name of the file, for errors.
-        recorded: the file belongs to a recording, which nobody can edit, so keys of older versions are accepted.
+        by_autopilot: as for `load`.
+
+    Raises:
+        BadInput: as for `load`, except that camera and pad files are not read. The keys are named as the file has them.
+    """
+    try:
+        tables = joined(data)
+    except BadInput as why:
+        raise BadInput(f"{where}: {why}") from None
+    try:
+        return from_mapping(tables, where, by_autopilot=by_autopilot)
+    except BadInput as why:
+        said = str(why).removeprefix(f"{where}: ")
+        key = said.partition(" ")[0].rstrip(":,")
+        raise BadInput(f"{where}: {in_file(key)}{said[len(key) :]}") from why
+
+
+def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False, by_autopilot: bool = False) -> Settings:
+    """Return the settings that whole tables describe, those of experts among them.
+
+    Args:
+        data: the tables.
+        where: name of their source, for errors.
+        recorded: they are of a recording, which nobody can edit, so keys of older versions and a table `expert` are accepted.
         by_autopilot: as for `load`.
 
     Raises:
         BadInput: as for `load`, except that camera and pad files are not read.
     """
-    data = without_retired(with_moved(data) if recorded else data, where)
     try:
+        data = without_retired(with_moved(joined(data, recorded=True)) if recorded else data, where)
         refuse_moved(data)
         return msgspec.convert(_with_defaults_of_autopilot(data, by_autopilot), Settings, strict=True)
     except BadInput as why:

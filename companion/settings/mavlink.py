@@ -16,18 +16,21 @@ class OutputOptions(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     rate_hz: Annotated[
-        float, number("LANDING_TARGET messages a second, at least", "Hz", 1.0, 50.0, "10 to 50 suit ArduPilot")
+        float, number("LANDING_TARGET messages a second, at least", "Hz", 1.0, 50.0, "10 to 50 suit ArduPilot", public=True)
     ] = 25.0
     receiver_s: Annotated[
         float,
         number("time from a message's arrival until the autopilot uses it", "s", 0.0, 0.2, "half a period of ArduPilot's 400 Hz"),
     ] = 0.00125
     vision_target_estimator: Annotated[
-        bool, choice("whether PX4 runs its vision target estimator, which needs TARGET_RELATIVE too")
+        bool, choice("whether PX4 runs its vision target estimator, which needs TARGET_RELATIVE too", public=True)
     ] = False
     ranges: Annotated[
         Literal["auto", "on", "off"],
-        choice("whether to send DISTANCE_SENSOR; auto: if an ArduPilot's parameters say that its rangefinder is a MAVLink one"),
+        choice(
+            "whether to send DISTANCE_SENSOR; auto: if an ArduPilot's parameters say that its rangefinder is a MAVLink one",
+            public=True,
+        ),
     ] = "auto"
     range_rate_hz: Annotated[float, number("DISTANCE_SENSOR messages a second", "Hz", 1.0, 50.0)] = 20.0
     range_id: Annotated[int, number("id of the sensor in DISTANCE_SENSOR", "id", 0, 255)] = 0
@@ -47,4 +50,4 @@ class BridgeOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True):
         ValueError: as for `MavlinkOptions`.
     """
 
-    system_id: Annotated[int, number("system id under which the drone appears", "id", 1, 255)] = 1
+    system_id: Annotated[int, number("system id under which the drone appears", "id", 1, 255, public=True)] = 1

@@ -11,9 +11,9 @@ from estimator.contracts.keys import choice, number, text
 class MetricsSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Health over HTTP: /metrics for Prometheus, /health for anything that wants a yes or no."""
 
-    endpoint: Annotated[Literal["off", "http"], choice("whether there is one")] = "off"
-    host: Annotated[str, text("address to listen on; one other than loopback needs a token_file", 253)] = "127.0.0.1"
-    port: Annotated[int, number("port to listen on", "port", 1, 65535)] = 9464
+    endpoint: Annotated[Literal["off", "http"], choice("whether there is one", public=True)] = "off"
+    host: Annotated[str, text("address to listen on; one other than loopback needs a token_file", 253, public=True)] = "127.0.0.1"
+    port: Annotated[int, number("port to listen on", "port", 1, 65535, public=True)] = 9464
     token_file: Annotated[
         str,
         text(
@@ -21,6 +21,7 @@ class MetricsSettings(Struct, frozen=True, forbid_unknown_fields=True):
             '"credential:NAME" for a systemd credential; empty for no token, on loopback alone',
             4096,
             shortest=0,
+            public=True,
         ),
     ] = ""
 

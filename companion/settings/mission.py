@@ -15,17 +15,19 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ValueError: a number outside its range, or two that do not go together.
     """
 
-    intercept_speed_m_s: Annotated[float, number("largest speed with which it flies over the pad", "m/s", 0.1, 10.0)] = 1.5
-    descent_rate_m_s: Annotated[float, number("rate against the deck on the cone's axis", "m/s", 0.05, 3.0)] = 0.7
+    intercept_speed_m_s: Annotated[
+        float, number("largest speed with which it flies over the pad", "m/s", 0.1, 10.0, public=True)
+    ] = 1.5
+    descent_rate_m_s: Annotated[float, number("rate against the deck on the cone's axis", "m/s", 0.05, 3.0, public=True)] = 0.7
     slope: Annotated[
         float,
         number("radius of the cone over the height; at 1.1 times the radius the drone does not descend", "1", 0.02, 1.0),
     ] = 0.22
     feet_below_m: Annotated[
-        float, number("distance of the vehicle's feet below the body's origin; 0.045 on an AR.Drone", "m", 0.0, 1.0)
+        float, number("distance of the vehicle's feet below the body's origin; 0.045 on an AR.Drone", "m", 0.0, 1.0, public=True)
     ] = 0.045
     gate_height_m: Annotated[
-        float, number("height of the feet over the deck at which it waits until every limit holds", "m", 0.1, 3.0)
+        float, number("height of the feet over the deck at which it waits until every limit holds", "m", 0.1, 3.0, public=True)
     ] = 0.25
     gate_dwell_s: Annotated[float, number("time for which every limit must have held", "s", 0.0, 10.0)] = 0.1
     gate_s: Annotated[float, number("longest wait there in one try; after it the drone goes around", "s", 1.0, 600.0)] = 20.0
@@ -69,7 +71,7 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
         ValueError: a number outside its range.
     """
 
-    error_m: Annotated[float, number("largest distance from the pad's axis at the gate", "m", 0.01, 2.0)] = 0.08
+    error_m: Annotated[float, number("largest distance from the pad's axis at the gate", "m", 0.01, 2.0, public=True)] = 0.08
     commit_error_m: Annotated[float, number("the same in the commit", "m", 0.02, 2.0)] = 0.25
     relative_speed_m_s: Annotated[float, number("largest horizontal speed against the deck at the gate", "m/s", 0.02, 5.0)] = 0.3
     sigma_m: Annotated[float, number("largest horizontal standard deviation of the estimate at the gate", "m", 0.01, 2.0)] = 0.15
@@ -77,11 +79,13 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
     commit_sighting_age_s: Annotated[
         float, number("the same in the commit, where the pad leaves the camera's view", "s", 0.1, 5.0)
     ] = 1.5
-    deck_tilt_gate_deg: Annotated[float, number("largest tilt of the deck at the gate", "deg", 0.1, 45.0)] = 2.5
+    deck_tilt_gate_deg: Annotated[float, number("largest tilt of the deck at the gate", "deg", 0.1, 45.0, public=True)] = 2.5
     deck_tilt_commit_deg: Annotated[
         float, number("largest tilt of the deck that is forecast for the contact", "deg", 0.1, 45.0)
     ] = 1.5
-    deck_rate_m_s: Annotated[float, number("largest vertical speed of the deck at the gate", "m/s", 0.05, 10.0)] = 1.2
+    deck_rate_m_s: Annotated[float, number("largest vertical speed of the deck at the gate", "m/s", 0.05, 10.0, public=True)] = (
+        1.2
+    )
     deck_rise_m: Annotated[
         float,
         number(
@@ -106,12 +110,18 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("largest standard deviation of the frames' time stamps at the gate", "s", 0.001, 1.0)
     ] = 0.03
     heading_deg: Annotated[
-        float, number('largest heading off the arrow at the gate if heading is "align"', "deg", 1.0, 180.0)
+        float, number('largest heading off the arrow at the gate if heading is "align"', "deg", 1.0, 180.0, public=True)
     ] = 12.0
-    wind_lean_deg: Annotated[float, number("largest mean lean against the wind", "deg", 1.0, 45.0)] = 15.0
+    wind_lean_deg: Annotated[float, number("largest mean lean against the wind", "deg", 1.0, 45.0, public=True)] = 15.0
     battery: Annotated[
         float,
-        number("least charge with which a landing begins; one that has begun goes on, after a go-around too", "1", 0.0, 1.0),
+        number(
+            "least charge with which a landing begins; one that has begun goes on, after a go-around too",
+            "1",
+            0.0,
+            1.0,
+            public=True,
+        ),
     ] = 0.1
 
     def __post_init__(self) -> None:
@@ -132,10 +142,13 @@ class TryOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
     heading: Annotated[
         Literal["keep", "align"],
-        choice("leave the heading alone, or turn until the nose points along the arrow; an autopilot turns if nothing is set"),
+        choice(
+            "leave the heading alone, or turn until the nose points along the arrow; an autopilot turns if nothing is set",
+            public=True,
+        ),
     ] = "keep"
     search_s: Annotated[
-        float, number("time without any sight of the pad after the start, after which it gives up", "s", 1.0, 3600.0)
+        float, number("time without any sight of the pad after the start, after which it gives up", "s", 1.0, 3600.0, public=True)
     ] = 300.0
     leg_s: Annotated[
         float,
@@ -163,14 +176,18 @@ class TryOptions(Struct, frozen=True, forbid_unknown_fields=True):
     losses_max: Annotated[int, number("largest number of losses of sight below the safe height in one try", "1", 0, 1000)] = 8
     blind_descent_max_m: Annotated[float, number("largest total descent of one try without sight", "m", 0.05, 10.0)] = 0.5
     go_arounds_max: Annotated[
-        int, number("number of go-arounds after which the drone holds still and waits for the operator", "1", 0, 100)
+        int, number("number of go-arounds after which the drone holds still and waits for the operator", "1", 0, 100, public=True)
     ] = 3
-    safe_height_m: Annotated[float, number("height over the pad to which it climbs", "m", 0.5, 50.0)] = 2.0
+    safe_height_m: Annotated[float, number("height over the pad to which it climbs", "m", 0.5, 50.0, public=True)] = 2.0
     climb_m_s: Annotated[float, number("rate against the deck with which it climbs", "m/s", 0.05, 2.0)] = 0.5
     clear_side_deg: Annotated[
         float,
         number(
-            "the side on which nothing stands, clockwise from the pad's arrow; the drone goes around on it", "deg", -180.0, 180.0
+            "the side on which nothing stands, clockwise from the pad's arrow; the drone goes around on it",
+            "deg",
+            -180.0,
+            180.0,
+            public=True,
         ),
     ] = 180.0
     clear_side_m: Annotated[
@@ -187,20 +204,25 @@ class TryOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("time without sight of the pad, below the safe height, after which it goes around", "s", 0.1, 60.0)
     ] = 1.5
     give_up_after_s: Annotated[
-        float, number("total time without sight after which it gives up; 5 s of sight reset it", "s", 0.5, 600.0)
+        float, number("total time without sight after which it gives up; 5 s of sight reset it", "s", 0.5, 600.0, public=True)
     ] = 20.0
     another_pad: Annotated[
         Literal["operator", "automatic"],
         choice(
             "who decides when the pad is suddenly seen in a place that no motion explains: the operator, by beginning again; or, "
-            "once a flight and only above safe_height_m, another_pad_s of unbroken sight of one pad alone"
+            "once a flight and only above safe_height_m, another_pad_s of unbroken sight of one pad alone",
+            public=True,
         ),
     ] = "operator"
     another_pad_s: Annotated[float, number("that sight", "s", 1.0, 120.0)] = 5.0
     operator_wait_s: Annotated[
         float,
         number(
-            "time for which the drone waits for the operator's decision about another pad before it gives up", "s", 1.0, 3600.0
+            "time for which the drone waits for the operator's decision about another pad before it gives up",
+            "s",
+            1.0,
+            3600.0,
+            public=True,
         ),
     ] = 60.0
 

@@ -39,20 +39,20 @@ _SHIPPED_OR_PATH = "the name of a shipped one, or a path relative to the setting
 class CameraSettings(CameraOptions, frozen=True, forbid_unknown_fields=True):
     """The camera that looks down and the source of its frames; intrinsics, distortion and mount are in a file of their own."""
 
-    file: Annotated[str, text(f"camera file: {_SHIPPED_OR_PATH}", 4096)]
+    file: Annotated[str, text(f"camera file: {_SHIPPED_OR_PATH}", 4096, public=True)]
     gimbal: GimbalOptions = GimbalOptions()
 
 
 class PadSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """The pad on the deck; its drawing is in a file of its own."""
 
-    file: Annotated[str, text(f"pad file: {_SHIPPED_OR_PATH}", 4096)]
+    file: Annotated[str, text(f"pad file: {_SHIPPED_OR_PATH}", 4096, public=True)]
 
 
 class VisionSettings(TrackerOptions, frozen=True, forbid_unknown_fields=True):
     """The processing of frames."""
 
-    threads: Annotated[int, number("threads OpenCV may use for one frame", "threads", 1, 64)] = 1
+    threads: Annotated[int, number("threads OpenCV may use for one frame", "threads", 1, 64, public=True)] = 1
     core_fraction: Annotated[
         float,
         number(
@@ -60,6 +60,7 @@ class VisionSettings(TrackerOptions, frozen=True, forbid_unknown_fields=True):
             "1",
             0.1,
             1.0,
+            public=True,
         ),
     ] = 0.7
 
@@ -67,9 +68,9 @@ class VisionSettings(TrackerOptions, frozen=True, forbid_unknown_fields=True):
 class ServiceSettings(RestartOptions, frozen=True, forbid_unknown_fields=True):
     """The process: logging, queues, restarts, health."""
 
-    log_level: Annotated[Literal["debug", "info", "warning", "error"], choice("least important messages that are logged")] = (
-        "info"
-    )
+    log_level: Annotated[
+        Literal["debug", "info", "warning", "error"], choice("least important messages that are logged", public=True)
+    ] = "info"
     sample_queue_items: Annotated[
         int, number("inertial samples that may wait; the oldest is dropped and counted", "samples", 16, 100_000)
     ] = SAMPLE_QUEUE_ITEMS

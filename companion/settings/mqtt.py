@@ -13,28 +13,35 @@ _FILE = 'a path relative to the settings file, or "credential:NAME" for a system
 class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Telemetry, events and commands through an MQTT broker. Topics and messages: docs/mqtt.md."""
 
-    transport: Annotated[Literal["off", "tcp", "tls"], choice("no MQTT, plain TCP, or TLS")] = "off"
-    host: Annotated[str, text("name or address of the broker; with TLS its certificate must be for this name", 253)] = "127.0.0.1"
-    port: Annotated[int, number("port of the broker; customary are 1883 for TCP and 8883 for TLS", "port", 1, 65535)] = 8883
+    transport: Annotated[Literal["off", "tcp", "tls"], choice("no MQTT, plain TCP, or TLS", public=True)] = "off"
+    host: Annotated[
+        str, text("name or address of the broker; with TLS its certificate must be for this name", 253, public=True)
+    ] = "127.0.0.1"
+    port: Annotated[
+        int, number("port of the broker; customary are 1883 for TCP and 8883 for TLS", "port", 1, 65535, public=True)
+    ] = 8883
     protocol: Annotated[
         Literal["5", "3.1.1"],
         choice("MQTT version; 3.1.1 brokers cannot say that they refuse a message: events may be lost there"),
     ] = "5"
-    drone: Annotated[str, name("name of this drone: its topics are decklander/v1/<drone>/...", 64)] = "drone"
-    user: Annotated[str, text("user name; empty for none", 256, shortest=0)] = ""
-    password_file: Annotated[str, text(f"file with the password: {_FILE}", 4096, shortest=0)] = ""
-    ca_file: Annotated[str, text(f"certificates of the CAs to trust in place of the system's: {_FILE}", 4096, shortest=0)] = ""
-    certificate_file: Annotated[str, text(f"client certificate: {_FILE}", 4096, shortest=0)] = ""
-    key_file: Annotated[str, text(f"key of the client certificate: {_FILE}", 4096, shortest=0)] = ""
+    drone: Annotated[str, name("name of this drone: its topics are decklander/v1/<drone>/...", 64, public=True)] = "drone"
+    user: Annotated[str, text("user name; empty for none", 256, shortest=0, public=True)] = ""
+    password_file: Annotated[str, text(f"file with the password: {_FILE}", 4096, shortest=0, public=True)] = ""
+    ca_file: Annotated[
+        str, text(f"certificates of the CAs to trust in place of the system's: {_FILE}", 4096, shortest=0, public=True)
+    ] = ""
+    certificate_file: Annotated[str, text(f"client certificate: {_FILE}", 4096, shortest=0, public=True)] = ""
+    key_file: Annotated[str, text(f"key of the client certificate: {_FILE}", 4096, shortest=0, public=True)] = ""
     commands: Annotated[
         Literal["off", "signed", "broker"],
         choice(
             "who may command: nobody; whoever signs with the key in command_key_file; or whom the broker lets write to the "
-            "command topic (TLS, an access list, and users or client certificates)"
+            "command topic (TLS, an access list, and users or client certificates)",
+            public=True,
         ),
     ] = "off"
     command_key_file: Annotated[
-        str, text(f"key of signed commands, 32 bytes or 64 hexadecimal digits: {_FILE}", 4096, shortest=0)
+        str, text(f"key of signed commands, 32 bytes or 64 hexadecimal digits: {_FILE}", 4096, shortest=0, public=True)
     ] = ""
     state_hz: Annotated[float, number("state messages a second; 0 for none", "Hz", 0.0, 50.0)] = 5.0
     sighting_hz: Annotated[float, number("most sighting messages a second; 0 for none", "Hz", 0.0, 50.0)] = 5.0
@@ -59,6 +66,7 @@ class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
             "folder of events that wait for the broker; empty for $STATE_DIRECTORY/mqtt, or memory alone without that",
             4096,
             shortest=0,
+            public=True,
         ),
     ] = ""
     spool_max_kib: Annotated[int, number("bound of that folder; the oldest events go first", "KiB", 8, 1_048_576)] = 16_384

@@ -44,16 +44,19 @@ class OperatorOptions(Struct, frozen=True, forbid_unknown_fields=True):
             'path of the local socket of `decklander fly`; "auto" for one in the service\'s runtime folder, named after the '
             'vehicle; "off" for none',
             200,
+            public=True,
         ),
     ] = "auto"
     gamepad: Annotated[
         str,
         text(
-            'mapping of the gamepad: the name of a shipped file, or a path from the working directory; "off" for no gamepad', 4096
+            'mapping of the gamepad: the name of a shipped file, or a path from the working directory; "off" for no gamepad',
+            4096,
+            public=True,
         ),
     ] = "off"
     gamepad_device: Annotated[
-        str, text('a part of the gamepad\'s name, or its path; "any" for the first one that is found', 256)
+        str, text('a part of the gamepad\'s name, or its path; "any" for the first one that is found', 256, public=True)
     ] = "any"
     manual: ManualOptions = ManualOptions()
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from companion.settings.expert import EXPERT
 from companion.settings.load import from_mapping
 from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
@@ -18,7 +19,7 @@ NOTHING = object()
 
 
 def with_overrides(settings: Settings, texts: Sequence[str], where: str) -> Settings:
-    """Return the settings in which the keys of `KEY=VALUE` texts have these values.
+    """Return the settings in which the keys of `KEY=VALUE` texts have these values, with or without `expert.` before them.
 
     Args:
         where: the option that the texts were given with, which begins the errors.
@@ -32,6 +33,7 @@ def with_overrides(settings: Settings, texts: Sequence[str], where: str) -> Sett
     tables = plain(settings)
     for text in texts:
         key, value = key_and_text(text, where, "estimator.history_s=1")
+        key = key.removeprefix(f"{EXPERT}.")
         present = leaf(tables, key.split("."))
         if present is NOTHING:
             hint = nearest(key, [*leaves(tables)]) or "keys are written as in guidance.rate_hz"

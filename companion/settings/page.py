@@ -17,10 +17,12 @@ class PageSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     endpoint: Annotated[
         Literal["off", "http", "https"],
-        choice("whether there is one; https needs certificate_file and key_file, and is the only one beyond loopback"),
+        choice(
+            "whether there is one; https needs certificate_file and key_file, and is the only one beyond loopback", public=True
+        ),
     ] = "off"
-    host: Annotated[str, text("address to listen on", 253)] = "127.0.0.1"
-    port: Annotated[int, number("port to listen on", "port", 1, 65535)] = 8480
+    host: Annotated[str, text("address to listen on", 253, public=True)] = "127.0.0.1"
+    port: Annotated[int, number("port to listen on", "port", 1, 65535, public=True)] = 8480
     token_file: Annotated[
         str,
         text(
@@ -28,12 +30,13 @@ class PageSettings(Struct, frozen=True, forbid_unknown_fields=True):
             '"credential:NAME" for a systemd credential',
             4096,
             shortest=0,
+            public=True,
         ),
     ] = ""
     certificate_file: Annotated[
-        str, text("file with the page's own TLS certificate (PEM), and the chain that issued it", 4096, shortest=0)
+        str, text("file with the page's own TLS certificate (PEM), and the chain that issued it", 4096, shortest=0, public=True)
     ] = ""
-    key_file: Annotated[str, text("file with the private key of the certificate (PEM)", 4096, shortest=0)] = ""
+    key_file: Annotated[str, text("file with the private key of the certificate (PEM)", 4096, shortest=0, public=True)] = ""
     viewers_max: Annotated[int, number("browsers that may watch at a time", "1", 1, 16)] = 4
     picture_rate_hz: Annotated[float, number("largest rate of the live picture", "Hz", 1.0, 60.0)] = 15.0
     picture_codec: Annotated[

@@ -16,13 +16,16 @@ class RecorderOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ValueError: a number outside its range, or numbers that do not go together.
     """
 
-    enabled: Annotated[bool, choice("whether the service records from its start on")] = False
-    folder: Annotated[str, text("where recordings go, from the working directory; made when it is missing", 4096)] = "recordings"
+    enabled: Annotated[bool, choice("whether the service records from its start on", public=True)] = False
+    folder: Annotated[
+        str, text("where recordings go, from the working directory; made when it is missing", 4096, public=True)
+    ] = "recordings"
     frames: Annotated[
         FrameForm,
         choice(
             "how frames are kept: as images; as a video, which takes about a twentieth of that; exactly, which takes ten times "
-            "as much; or not at all. What was seen in them is kept always"
+            "as much; or not at all. What was seen in them is kept always",
+            public=True,
         ),
     ] = "jpeg"
     frames_each: Annotated[int, number("keep the frame of each n-th frame only", "frames", 1, 1000)] = 1
@@ -30,10 +33,13 @@ class RecorderOptions(Struct, frozen=True, forbid_unknown_fields=True):
     max_file_mb: Annotated[float, number("a file that is larger ends, and a new one begins", "MB", 1.0, 100_000.0)] = 500.0
     max_file_s: Annotated[float, number("a file that is longer ends, and a new one begins", "s", 1.0, 86_400.0)] = 600.0
     max_total_mb: Annotated[
-        float, number("while all recordings in the folder are larger than this, the oldest is deleted", "MB", 1.0, 10_000_000.0)
+        float,
+        number(
+            "while all recordings in the folder are larger than this, the oldest is deleted", "MB", 1.0, 10_000_000.0, public=True
+        ),
     ] = 8000.0
     min_free_mb: Annotated[
-        float, number("nothing is recorded while less than this is free on the disk", "MB", 0.0, 1_000_000.0)
+        float, number("nothing is recorded while less than this is free on the disk", "MB", 0.0, 1_000_000.0, public=True)
     ] = 500.0
     flush_s: Annotated[
         float, number("interval between written chunks, the most that a killed process loses", "s", 0.01, 60.0)

@@ -43,12 +43,18 @@ class ReportLimits(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("horizontal standard deviation of the place beyond which nobody flies to it", "m", 0.5, 200.0)
     ] = 15.0
     pad_forward_m: Annotated[
-        float, number("the pad from the point that the ship reports, towards her bow", "m", -400.0, 400.0)
+        float, number("the pad from the point that the ship reports, towards her bow", "m", -400.0, 400.0, public=True)
     ] = 0.0
-    pad_right_m: Annotated[float, number("the same to starboard", "m", -100.0, 100.0)] = 0.0
+    pad_right_m: Annotated[float, number("the same to starboard", "m", -100.0, 100.0, public=True)] = 0.0
     pad_up_m: Annotated[
         float,
-        number("the same upward; where the ship reports no height (AIS) it is the pad's height over the sea", "m", -50.0, 50.0),
+        number(
+            "the same upward; where the ship reports no height (AIS) it is the pad's height over the sea",
+            "m",
+            -50.0,
+            50.0,
+            public=True,
+        ),
     ] = 0.0
 
     def __post_init__(self) -> None:
@@ -72,19 +78,37 @@ class RendezvousOptions(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     enabled: Annotated[
-        bool, choice("whether the drone flies to the ship's reported place when a landing is ordered and the pad is not in sight")
+        bool,
+        choice(
+            "whether the drone flies to the ship's reported place when a landing is ordered and the pad is not in sight",
+            public=True,
+        ),
     ] = False
     bearing_deg: Annotated[
         float,
-        number("direction of the hold-off point from the pad, clockwise from the bow: 180 is behind", "deg", -180.0, 180.0),
+        number(
+            "direction of the hold-off point from the pad, clockwise from the bow: 180 is behind",
+            "deg",
+            -180.0,
+            180.0,
+            public=True,
+        ),
     ] = 180.0
-    range_m: Annotated[float, number("horizontal distance of the hold-off point from the pad", "m", 1.0, 200.0)] = 8.0
+    range_m: Annotated[float, number("horizontal distance of the hold-off point from the pad", "m", 1.0, 200.0, public=True)] = (
+        8.0
+    )
     height_m: Annotated[
         float,
-        number("height over the pad to which it climbs on the way, above masts; it does not descend to it", "m", 1.0, 100.0),
+        number(
+            "height over the pad to which it climbs on the way, above masts; it does not descend to it",
+            "m",
+            1.0,
+            100.0,
+            public=True,
+        ),
     ] = 6.0
     reached_m: Annotated[float, number("distance at which it counts as there", "m", 0.5, 50.0)] = 2.0
-    speed_m_s: Annotated[float, number("largest speed against the ship on the way", "m/s", 0.2, 15.0)] = 3.0
+    speed_m_s: Annotated[float, number("largest speed against the ship on the way", "m/s", 0.2, 15.0, public=True)] = 3.0
     time_s: Annotated[float, number("longest time on the way; after it the drone gives up", "s", 5.0, 3600.0)] = 180.0
     lost_s: Annotated[
         float, number("time without sight and without a usable place of ship or drone after which it refuses", "s", 1.0, 600.0)

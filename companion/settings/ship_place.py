@@ -48,9 +48,9 @@ def contradiction(settings: Settings) -> Contradiction | None:
         )
     if told == ("vessel.nmea",) and settings.vessel.mmsi and settings.vessel.age_max_s < _AIS_PERIOD_S:
         return Contradiction(
-            f"vessel.age_max_s is {settings.vessel.age_max_s:g} s, but AIS reports of a ship under way come every "
+            f"expert.vessel.age_max_s is {settings.vessel.age_max_s:g} s, but AIS reports of a ship under way come every "
             f"{_AIS_PERIOD_S:g} s",
-            "where no other sentences tell her place, set vessel.age_max_s = 12 and a smaller vessel.acceleration_m_s2",
+            "where no other sentences give her place, set age_max_s = 12 and a smaller acceleration_m_s2 in [expert.vessel]",
             refuses=False,
         )
     return None

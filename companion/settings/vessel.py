@@ -23,17 +23,23 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
             "none",
             64,
             shortest=0,
+            public=True,
         ),
     ] = ""
     nmea_from: Annotated[
         str,
         text(
-            "the address that they must come from; empty for the first that is heard, until it is silent for 30 s", 64, shortest=0
+            "the address that they must come from; empty for the first that is heard, until it is silent for 30 s",
+            64,
+            shortest=0,
+            public=True,
         ),
     ] = ""
-    mmsi: Annotated[int, number("MMSI of the ship, whose AIS reports alone are taken; 0 takes none", "1", 0, 999_999_999)] = 0
+    mmsi: Annotated[
+        int, number("MMSI of the ship, whose AIS reports alone are taken; 0 takes none", "1", 0, 999_999_999, public=True)
+    ] = 0
     mqtt: Annotated[
-        bool, choice("whether reports arrive on the topic `vessel`, from whom commands may come (`mqtt.commands`)")
+        bool, choice("whether reports arrive on the topic `vessel`, from whom commands may come (`mqtt.commands`)", public=True)
     ] = False
 
     def __post_init__(self) -> None:

@@ -20,11 +20,14 @@ class VideoStreamOptions(Struct, frozen=True, forbid_unknown_fields=True):
             "ADDRESS:PORT that it is sent to, such as 192.168.1.20:5600 (QGroundControl listens on 5600); empty for no stream",
             253,
             shortest=0,
+            public=True,
         ),
     ] = ""
-    rate_hz: Annotated[float, number("largest rate of the pictures", "Hz", 1.0, 60.0)] = 15.0
-    bitrate_kbit_s: Annotated[int, number("largest bit rate", "kbit/s", 50, 20_000)] = 1000
-    drawn: Annotated[bool, choice("whether the pad and the features that were found are drawn over the picture")] = True
+    rate_hz: Annotated[float, number("largest rate of the pictures", "Hz", 1.0, 60.0, public=True)] = 15.0
+    bitrate_kbit_s: Annotated[int, number("largest bit rate", "kbit/s", 50, 20_000, public=True)] = 1000
+    drawn: Annotated[bool, choice("whether the pad and the features that were found are drawn over the picture", public=True)] = (
+        True
+    )
 
     def __post_init__(self) -> None:
         check_ranges(self)

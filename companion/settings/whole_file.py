@@ -8,12 +8,13 @@ from typing import Any
 
 import msgspec
 
+from companion.settings.expert import split
 from companion.settings.model import Settings
 
 
 def toml(settings: Settings) -> str:
     """Return a settings file with every key in it, defaults included; reading it gives the same settings."""
-    return "\n".join(_tables(msgspec.to_builtins(settings), ())).lstrip("\n") + "\n"
+    return "\n".join(_tables(split(msgspec.to_builtins(settings)), ())).lstrip("\n") + "\n"
 
 
 def _tables(data: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:

@@ -19,14 +19,16 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
         ValueError: a number outside its range, or text that cannot be read.
     """
 
-    host: Annotated[str, text("name or address of the drone", 253, "address of every AR.Drone")] = "192.168.1.1"
+    host: Annotated[str, text("name or address of the drone", 253, "address of every AR.Drone", public=True)] = "192.168.1.1"
     navdata_port: Annotated[int, number("UDP port of navdata", "port", 1, 65535)] = 5554
     video_port: Annotated[int, number("port of the video: TCP of a 2.0, UDP of a 1.0", "port", 1, 65535)] = 5555
     at_port: Annotated[int, number("UDP port of AT commands", "port", 1, 65535)] = 5556
     control_port: Annotated[int, number("TCP port of the configuration", "port", 1, 65535)] = 5559
     model: Annotated[
         Literal["1.0", "2.0"],
-        choice("generation of the drone: a 1.0 sends UVLC pictures of 176x144 px over UDP, a 2.0 sends H.264 over TCP"),
+        choice(
+            "generation of the drone: a 1.0 sends UVLC pictures of 176x144 px over UDP, a 2.0 sends H.264 over TCP", public=True
+        ),
     ] = "2.0"
     command_period_s: Annotated[
         float,
@@ -65,9 +67,9 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
         number("least time from mid-exposure to the first byte of the frame", "s", 0.0, 0.5, "assumed until it is calibrated"),
     ] = 0.04
     exposure_s: Annotated[float, number("exposure time; 0 if unknown", "s", 0.0, 0.1)] = 0.0
-    altitude_max_m: Annotated[float, number("height over the take-off point that the drone never exceeds", "m", 1.0, 100.0)] = (
-        20.0
-    )
+    altitude_max_m: Annotated[
+        float, number("height over the take-off point that the drone never exceeds", "m", 1.0, 100.0, public=True)
+    ] = 20.0
     euler_angle_max_deg: Annotated[
         float,
         number(
@@ -76,13 +78,23 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
             1.0,
             30.0,
             "firmware default 0.21 rad; a wind of 4 m/s takes 8 to 9 degrees, and gusts need as much again",
+            public=True,
         ),
     ] = 20.0
     vz_max_m_s: Annotated[
         float,
-        number("largest climb and descent rate", "m/s", 0.2, 2.0, "firmware default 700 mm/s; a deck at sea state 4 reaches it"),
+        number(
+            "largest climb and descent rate",
+            "m/s",
+            0.2,
+            2.0,
+            "firmware default 700 mm/s; a deck at sea state 4 reaches it",
+            public=True,
+        ),
     ] = 1.0
-    yaw_rate_max_deg_s: Annotated[float, number("largest turn rate", "deg/s", 40.0, 350.0, "firmware default")] = 100.0
+    yaw_rate_max_deg_s: Annotated[float, number("largest turn rate", "deg/s", 40.0, 350.0, "firmware default", public=True)] = (
+        100.0
+    )
     velocity_gain_1_s: Annotated[
         float, number("acceleration commanded for each m/s of velocity error", "1/s", 0.0, 10.0, "tuned in simulation")
     ] = 1.8

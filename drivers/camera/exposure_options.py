@@ -21,7 +21,8 @@ class ExposureOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         Literal["camera", "pad"],
         choice(
             "camera: the camera's own automatics, or what camera.controls fixes; pad: the service sets exposure time and gain by "
-            'the light on the pad, and fixes the white balance (source "v4l2" alone)'
+            'the light on the pad, and fixes the white balance (source "v4l2" alone)',
+            public=True,
         ),
     ] = "camera"
     blur_px: Annotated[

@@ -32,7 +32,8 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         Literal["vehicle", "v4l2", "gstreamer", "stream"],
         choice(
             "where frames come from: the vehicle itself; a camera of this computer by the kernel's V4L2, or by a GStreamer "
-            "pipeline (libcamera, Jetson); a network camera or a video file"
+            "pipeline (libcamera, Jetson); a network camera or a video file",
+            public=True,
         ),
     ] = "vehicle"
     device: Annotated[
@@ -42,14 +43,18 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             "libcamerasrc ! video/x-raw,width=640,height=480; of stream: an address (rtsp://...) or a file",
             4096,
             shortest=0,
+            public=True,
         ),
     ] = ""
     format: Annotated[
         Literal["auto", Format],
-        choice("pixel format of v4l2; auto is the first of these that the camera offers in the camera file's size at this rate"),
+        choice(
+            "pixel format of v4l2; auto is the first of these that the camera offers in the camera file's size at this rate",
+            public=True,
+        ),
     ] = "auto"
     rate_hz: Annotated[
-        float, number("frame rate requested from v4l2; of gstreamer, what its pipeline gives", "Hz", 0.1, 1000.0)
+        float, number("frame rate requested from v4l2; of gstreamer, what its pipeline gives", "Hz", 0.1, 1000.0, public=True)
     ] = 30.0
     controls: Annotated[
         str,
@@ -58,6 +63,7 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             "For a steady frame: auto_exposure=1, exposure_time_absolute=50",
             4096,
             shortest=0,
+            public=True,
         ),
     ] = ""
     buffers: Annotated[int, number("frames of v4l2 that the kernel may hold", "buffers", 2, 32)] = 4
@@ -71,9 +77,10 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             "s",
             -0.1,
             0.5,
+            public=True,
         ),
     ] = 0.0
-    latency_sigma_s: Annotated[float, number("one standard deviation of it", "s", 0.0, 0.2)] = 0.005
+    latency_sigma_s: Annotated[float, number("one standard deviation of it", "s", 0.0, 0.2, public=True)] = 0.005
     arrival_sigma_s: Annotated[
         float,
         number(
@@ -81,7 +88,7 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         ),
     ] = 0.02
     exposure_s: Annotated[
-        float, number("exposure time, 0 if unknown; a time reported by v4l2 takes precedence", "s", 0.0, 0.5)
+        float, number("exposure time, 0 if unknown; a time reported by v4l2 takes precedence", "s", 0.0, 0.5, public=True)
     ] = 0.0
     silence_s: Annotated[float, number("time without a frame after which the camera is opened again", "s", 0.02, 30.0)] = 2.0
     reconnect_first_s: Annotated[float, number("first back-off before a lost camera is opened again", "s", 0.01, 60.0)] = 0.2

@@ -29,6 +29,7 @@ class GimbalOptions(Struct, frozen=True, forbid_unknown_fields=True):
             0,
             255,
             "MAVLink",
+            public=True,
         ),
     ] = 0
     report: Annotated[
@@ -51,7 +52,8 @@ class GimbalOptions(Struct, frozen=True, forbid_unknown_fields=True):
         bool,
         choice(
             "whether to take control of the gimbal and point it down, at the start and whenever it has left; otherwise that is "
-            "somebody else's task"
+            "somebody else's task",
+            public=True,
         ),
     ] = False
 

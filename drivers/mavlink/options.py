@@ -48,7 +48,7 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
         ValueError: links or operators cannot be parsed; and as for `LinkLimits`.
     """
 
-    links: Annotated[str, text(f"{LINKS}; empty for none", 4096, shortest=0)] = ""
+    links: Annotated[str, text(f"{LINKS}; empty for none", 4096, shortest=0, public=True)] = ""
     operators: Annotated[
         str,
         text(
@@ -56,6 +56,7 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
             "heard over the autopilot's own link, and whoever signs",
             256,
             shortest=0,
+            public=True,
         ),
     ] = ""
     signing_key_file: Annotated[
@@ -65,6 +66,7 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
             "empty for none",
             4096,
             shortest=0,
+            public=True,
         ),
     ] = ""
     signing_time_file: Annotated[
@@ -163,10 +165,14 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
         ValueError: there is no link, or the ship's id is the autopilot's; and as for `MavlinkOptions`.
     """
 
-    links: Annotated[str, text(LINKS, 4096)]
-    system_id: Annotated[int, number("system id of the autopilot; 0 takes the first that flies", "id", 0, 255)] = 0
-    component_id: Annotated[int, number("our own component id; our system id is the autopilot's", "id", 1, 255, "MAVLink")] = 191
-    vessel_id: Annotated[int, number("system id under which the ship reports its own position; 0 for none", "id", 0, 255)] = 0
+    links: Annotated[str, text(LINKS, 4096, public=True)]
+    system_id: Annotated[int, number("system id of the autopilot; 0 takes the first that flies", "id", 0, 255, public=True)] = 0
+    component_id: Annotated[
+        int, number("our own component id; our system id is the autopilot's", "id", 1, 255, "MAVLink", public=True)
+    ] = 191
+    vessel_id: Annotated[
+        int, number("system id under which the ship reports its own position; 0 for none", "id", 0, 255, public=True)
+    ] = 0
     silence_s: Annotated[
         float,
         number(
@@ -196,10 +202,11 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
         Literal["by stack", "mode", "velocity"],
         choice(
             "the last metre: by the autopilot's own mode, by velocities, or what suits it: mode for ArduPilot, velocity for PX4, "
-            "whose own modes hold still over the ground and lose a moving deck"
+            "whose own modes hold still over the ground and lose a moving deck",
+            public=True,
         ),
     ] = "by stack"
-    descent_rate_m_s: Annotated[float, number("descent rate of a landing by velocity", "m/s", 0.05, 2.0)] = 0.4
+    descent_rate_m_s: Annotated[float, number("descent rate of a landing by velocity", "m/s", 0.05, 2.0, public=True)] = 0.4
     landing_timeout_s: Annotated[
         float, number("time without renewal by guidance after which a landing is called off", "s", 0.05, 10.0)
     ] = 0.5
@@ -220,7 +227,8 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
         bool,
         choice(
             "whether the motors are stopped by force once guidance has felt the deck; otherwise the autopilot is asked, and "
-            "refuses until its own land detector agrees"
+            "refuses until its own land detector agrees",
+            public=True,
         ),
     ] = True
     deck_hold_s: Annotated[
@@ -232,7 +240,7 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
     hold_mode_after_s: Annotated[
         float, number("time without guidance after which the autopilot is put into its own hold mode", "s", 0.5, 120.0)
     ] = 6.0
-    take_off_height_m: Annotated[float, number("height of a take-off on command", "m", 0.5, 50.0)] = 3.0
+    take_off_height_m: Annotated[float, number("height of a take-off on command", "m", 0.5, 50.0, public=True)] = 3.0
     take_off_timeout_s: Annotated[
         float, number("time after which a take-off that has not happened is given up", "s", 0.5, 120.0)
     ] = 15.0

@@ -3,6 +3,9 @@
     class FilterOptions(Struct, frozen=True, forbid_unknown_fields=True):
         forget_s: Annotated[float, number("silence after which the filter starts again", "s", 1.0, 600.0)] = 30.0
 
+A key with `public=True` describes the user's vehicle, links, camera, pad, sea or wishes. Every other key of a settings file
+stands under `[expert]`.
+
 The class is at once what the part takes and what the settings file may hold: the reader, `config check`, the reference page
 and the JSON Schema use the same declaration.
 
@@ -17,34 +20,36 @@ from typing import Annotated, Literal, get_args, get_origin, get_type_hints
 
 from msgspec import Meta, Struct
 
+PUBLIC = "x-public"
+"""Note of a key that stands outside of `[expert]` in a settings file."""
 _Range = tuple[str, float, float]
 _Choice = tuple[str, tuple[object, ...]]
 
 
-def number(meaning: str, unit: str, low: float, high: float, source: str = "") -> Meta:
+def number(meaning: str, unit: str, low: float, high: float, source: str = "", *, public: bool = False) -> Meta:
     """Declare a key that holds a number in `unit` ("1" for a ratio), from `low` to `high`, both included."""
-    return Meta(ge=low, le=high, description=meaning, extra_json_schema=_notes(unit, source))
+    return Meta(ge=low, le=high, description=meaning, extra_json_schema=_notes(unit, source, public))
 
 
-def text(meaning: str, longest: int, source: str = "", shortest: int = 1) -> Meta:
+def text(meaning: str, longest: int, source: str = "", shortest: int = 1, *, public: bool = False) -> Meta:
     """Declare a key that holds text of `shortest` to `longest` characters."""
-    return Meta(min_length=shortest, max_length=longest, description=meaning, extra_json_schema=_notes("", source))
+    return Meta(min_length=shortest, max_length=longest, description=meaning, extra_json_schema=_notes("", source, public))
 
 
-def name(meaning: str, longest: int, source: str = "") -> Meta:
+def name(meaning: str, longest: int, source: str = "", *, public: bool = False) -> Meta:
     """Declare a key that holds one word of letters, digits, - and _."""
     return Meta(
         pattern=rf"^[A-Za-z0-9_-]{{1,{longest}}}(?!\n)$",
         min_length=1,
         max_length=longest,
         description=meaning,
-        extra_json_schema=_notes("", source),
+        extra_json_schema=_notes("", source, public),
     )
 
 
-def choice(meaning: str, source: str = "") -> Meta:
+def choice(meaning: str, source: str = "", *, public: bool = False) -> Meta:
     """Declare a key that holds one of the words of its Literal, or true or false."""
-    return Meta(description=meaning, extra_json_schema=_notes("", source))
+    return Meta(description=meaning, extra_json_schema=_notes("", source, public))
 
 
 def check_ranges(options: Struct) -> None:
@@ -77,5 +82,6 @@ def _limits(kind: type[Struct]) -> tuple[tuple[_Range, ...], tuple[_Choice, ...]
     return tuple(ranges), tuple(choices)
 
 
-def _notes(unit: str, source: str) -> dict[str, str] | None:
-    return {name: note for name, note in (("x-unit", unit), ("x-source", source)) if note} or None
+def _notes(unit: str, source: str, public: bool) -> dict[str, object] | None:
+    given: tuple[tuple[str, object], ...] = (("x-unit", unit), ("x-source", source), (PUBLIC, public))
+    return {name: note for name, note in given if note} or None

@@ -177,7 +177,7 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
         math.radians(1.0)
     )
     pad_yaw_in_vessel_rad: Annotated[
-        float, number("direction of the pad's arrow from the bow, clockwise from above", "rad", 0.0, 2.0 * math.pi)
+        float, number("direction of the pad's arrow from the bow, clockwise from above", "rad", 0.0, 2.0 * math.pi, public=True)
     ] = 0.0
     deck_radius_m: Annotated[
         float,
@@ -186,6 +186,7 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
             "m",
             0.05,
             100.0,
+            public=True,
         ),
     ] = 0.6
     sigma_range_offset_m: Annotated[

@@ -23,22 +23,31 @@ class TrackerOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
     method: Annotated[
         TrackerMethod,
-        choice("methods of detection: registration alone; all four, fused; the thesis' three, chosen by priority"),
+        choice("methods of detection: registration alone; all four, fused; the thesis' three, chosen by priority", public=True),
     ] = "registration"
     colours: Annotated[
         ColourSetName,
-        choice("set of colour limits by which the thesis' methods segment the pad", "thesis table 4.1"),
+        choice("set of colour limits by which the thesis' methods segment the pad", "thesis table 4.1", public=True),
     ] = "indoor"
     deck_tilt_sigma_deg: Annotated[
         float, number("standard deviation of the deck's roll and pitch", "deg", 0.0, 30.0, "supply vessel in a slight sea")
     ] = 2.0
     learned: Annotated[
         Learned,
-        choice("whether a trained network is asked about what a search finds; it can only lower a confidence", "docs/vision.md"),
+        choice(
+            "whether a trained network is asked about what a search finds; it can only lower a confidence",
+            "docs/vision.md",
+            public=True,
+        ),
     ] = "off"
     learned_file: Annotated[
         str,
-        text("network that is asked, an ONNX file relative to the settings file; empty for the shipped one", 4096, shortest=0),
+        text(
+            "network that is asked, an ONNX file relative to the settings file; empty for the shipped one",
+            4096,
+            shortest=0,
+            public=True,
+        ),
     ] = ""
 
     def __post_init__(self) -> None:

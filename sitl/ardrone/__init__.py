@@ -1,1 +1,1 @@
-"""An AR.Drone 2.0 on real sockets: the ports, bytes and habits of the real one around a simulated world."""
+"""The AR.Drone without its sockets: its configuration, state, navdata and commands, on a simulated vehicle."""

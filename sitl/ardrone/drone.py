@@ -17,8 +17,8 @@ from sitl.ardrone.flight_recorder import FlightRecorder
 from sitl.ardrone.generations import SECOND, Generation
 from sitl.ardrone.navdata_from_world import SentFrame, Situation, datagram, upright_m
 from sitl.ardrone.state import HOVER, DroneState, RefAction
-from sitl.vehicle import VehiclePhase
-from sitl.world import Stick, World
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.world import Stick, World
 
 TICK_S = 0.005
 """Period of the physics and of full navdata (200 Hz), s."""

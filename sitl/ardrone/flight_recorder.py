@@ -6,8 +6,8 @@ import math
 
 from drivers.ardrone.navdata import Gps
 from estimator.contracts.time import after
-from sitl.gnss import GnssErrors
-from sitl.world import World
+from sitl.sensors.gnss import GnssErrors
+from sitl.world.world import World
 
 _HDOP = 0.6
 _SATELLITES = 9

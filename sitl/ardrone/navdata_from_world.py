@@ -13,10 +13,10 @@ from msgspec import Struct, field
 
 from drivers.ardrone import navdata
 from drivers.ardrone.navdata import Navdata
-from sitl.airframe import StickLimits
-from sitl.sensors import Readings
-from sitl.vehicle import VehiclePhase
-from sitl.world import Stick
+from sitl.sensors.sensors import Readings
+from sitl.vehicle.airframe import StickLimits
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.world import Stick
 
 STANDARD_GRAVITY = 9.80665
 TESLA_PER_MILLIGAUSS = 1e-7

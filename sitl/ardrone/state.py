@@ -18,8 +18,8 @@ from drivers.ardrone.navdata import ControlState, NavdataState
 from drivers.ardrone.refusal import Refusal
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.config import Answer, Configuration, Ids
-from sitl.vehicle import VehiclePhase
-from sitl.world import Stick
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.world import Stick
 
 LIMIT_KEYS = frozenset(
     f"control:{where}{name}"

@@ -6,13 +6,14 @@ import copy
 from collections.abc import Sequence
 from typing import Any
 
+from companion.settings.expert import EXPERT
 from companion.settings.load import from_mapping as settings_from_mapping
 from companion.settings.model import Settings
 from companion.settings.overrides import NOTHING, Value, key_and_text, leaf, leaves, nearest, plain, put, value_like
 from estimator.contracts.errors import BadInput
-from sitl.one_flight import following
-from sitl.scenario import Scenario
-from sitl.scenario import from_mapping as scenario_from_mapping
+from sitl.flight.one_flight import following
+from sitl.scenario.scenario import Scenario
+from sitl.scenario.scenario import from_mapping as scenario_from_mapping
 
 Override = tuple[str, Value]
 _FORCED = "settings."
@@ -27,7 +28,8 @@ class Overridable:
     A key is looked for in the scenario first, then in the settings; `settings.` before it skips the scenario. An item of a list
     has its number for a key, as in `faults.0.speed_m_s`. The scenario's camera and pad are also those of the settings, unless
     `settings.camera.file` or `settings.pad.file` is given too; and settings that follow the scenario in all that
-    `sitl.one_flight.following` names go on following it. The methods' argument `where` begins their errors, as in `--vary`.
+    `sitl.flight.one_flight.following` names go on following it. The methods' argument `where` begins their errors, as in
+    `--vary`.
     """
 
     def __init__(self, scenario: Scenario, settings: Settings) -> None:
@@ -94,7 +96,7 @@ class Overridable:
     def _place(self, key: str) -> tuple[int, list[str]]:
         if key.startswith(_FORCED):
             return 1, key.removeprefix(_FORCED).split(".")
-        path = key.split(".")
+        path = key.removeprefix(f"{EXPERT}.").split(".")
         return (0 if leaf(self._tables[0], path) is not NOTHING else 1), path
 
     def _find(self, key: str, where: str) -> Any:

@@ -19,9 +19,9 @@ from companion.settings.overrides import plain
 from estimator.contracts.errors import BadInput
 from sitl.campaign.code import code_version
 from sitl.campaign.overrides import Overridable, Override
-from sitl.one_flight import Perception, perception_level
-from sitl.scenario import Scenario, camera_model, pad_model, refuse_gimbal
-from sitl.scenario import from_mapping as scenario_from_mapping
+from sitl.flight.one_flight import Perception, perception_level
+from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal
+from sitl.scenario.scenario import from_mapping as scenario_from_mapping
 
 Point = tuple[Override, ...]
 """The varied keys of a flight with their values; empty where nothing is varied."""
@@ -164,7 +164,7 @@ def make_plan(
     own.
 
     Raises:
-        BadInput: a camera or pad file is missing or has a fault, or as `sitl.scenario.refuse_gimbal`.
+        BadInput: a camera or pad file is missing or has a fault, or as `sitl.scenario.scenario.refuse_gimbal`.
     """
     refuse_gimbal(scenario)
     files: dict[str, str] = {}

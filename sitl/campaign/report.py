@@ -18,7 +18,7 @@ from sitl.campaign.compare import PairedDifference, differences_of
 from sitl.campaign.figures import CampaignFigures, effect_of, figures_of, map_of
 from sitl.campaign.summary import name_of, wilson
 from sitl.campaign.task import Flight
-from sitl.scenario import from_mapping, pad_model
+from sitl.scenario.scenario import from_mapping, pad_model
 
 REPORT = "report.html"
 _MAPS_MAX = 10

@@ -13,8 +13,8 @@ from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput, in_words
 from sitl.campaign.code import code_version, differences
 from sitl.campaign.plan import AnyPlan, Job, canonical, unpacked
-from sitl.one_flight import Perception, fly
-from sitl.scenario import Scenario
+from sitl.flight.one_flight import Perception, fly
+from sitl.scenario.scenario import Scenario
 
 Flight = dict[str, Any]
 """What `decklander simulate --json` prints, with `perception`, `varied` where something is, and `hash`."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from companion.guidance.pilot import FlightOutcome
+from companion.base.mission import FlightOutcome
 from companion.settings.model import Settings
 from estimator.contracts.geometry import F64, wrap_pi
 from sitl.experiments.flown import METHODS, Estimate, ExperimentFlight, fly_by_hand, fly_pilot

@@ -18,10 +18,10 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.experiments.hand import HandPilot
 from sitl.experiments.paths import HeldPose, Path, level_axes, thesis_axes, thesis_yaw_rad
-from sitl.flight import Flight, Timing
-from sitl.flight_grader import FlightResult
-from sitl.scenario import Scenario, load
-from sitl.truth import Truth
+from sitl.flight.flight import Flight, Timing
+from sitl.flight.grader import FlightResult
+from sitl.scenario.scenario import Scenario, load
+from sitl.world.truth import Truth
 
 METHODS = ("ellipse", "arrow", "corners", "registration", "best")
 """The thesis' three methods as they are here, the fourth, and the estimate that all of them make together."""

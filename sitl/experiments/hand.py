@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace
 
+from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision
-from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.guidance.pilot import Pilot
 from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.experiments.paths import Path, level_axes, thesis_yaw_rad
-from sitl.truth import Truth
+from sitl.world.truth import Truth
 
 _GAIN, _YAW_GAIN = 0.9, 1.2
 _FASTEST_M_S, _FASTEST_RAD_S = 0.7, 0.8

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from estimator.contracts.errors import BadInput
-from sitl.fault import Fault
+from sitl.faults.fault import Fault
 from sitl.perception.model import Model
 from sitl.perception.pixels import Pixels
 from sitl.perception.port import LEVELS, Level, Perception

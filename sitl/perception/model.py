@@ -32,15 +32,15 @@ from estimator.vision.detection import Detection
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.sighting import sighting_of
-from sitl.camera import Exposure
-from sitl.fault import Fault
+from sitl.camera.camera import Exposure
+from sitl.camera.render_worker import RenderWorker
+from sitl.faults.fault import Fault
+from sitl.faults.picture import FocalLength, LightFalls, PadCovered, PictureFault, light_stops
 from sitl.perception.draw import Chance, detection_table
 from sitl.perception.parameters import PerceptionModel, load
 from sitl.perception.port import Level, PerceivedWorld
 from sitl.perception.view import View, Viewer
-from sitl.picture_faults import FocalLength, LightFalls, PadCovered, PictureFault, light_stops
-from sitl.render_worker import RenderWorker
-from sitl.truth import RenderedFrame
+from sitl.world.truth import RenderedFrame
 
 KEPT_SCENES = 512
 """Number of exposures that may be under way: ten seconds of delay at 50 frames a second."""

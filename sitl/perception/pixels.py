@@ -8,10 +8,10 @@ from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings
 from estimator.contracts.estimates import PathName
-from sitl.fault import Fault
+from sitl.camera.render_worker import RenderWorker
+from sitl.faults.fault import Fault
 from sitl.perception.port import Level, PerceivedWorld
-from sitl.render_worker import RenderWorker
-from sitl.truth import RenderedFrame
+from sitl.world.truth import RenderedFrame
 
 
 class Pixels:

@@ -14,13 +14,13 @@ from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from sitl.camera import Exposure
-from sitl.fault import Fault
-from sitl.fault_timer import FaultTimer
-from sitl.render_worker import RenderWorker
-from sitl.scenario import Scenario
-from sitl.truth import RenderedFrame, Truth
-from sitl.vessel import Mounted, Vessel
+from sitl.camera.camera import Exposure
+from sitl.camera.render_worker import RenderWorker
+from sitl.faults.fault import Fault
+from sitl.faults.timer import FaultTimer
+from sitl.scenario.scenario import Scenario
+from sitl.vessel.vessel import Mounted, Vessel
+from sitl.world.truth import RenderedFrame, Truth
 
 Level = Literal["pixels", "model", "truth"]
 LEVELS: tuple[Level, ...] = ("pixels", "model", "truth")

@@ -13,7 +13,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from sitl.scenario import Scenario, load
+from sitl.scenario.scenario import Scenario, load
 
 
 class Recorded(NamedTuple):

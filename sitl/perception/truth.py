@@ -29,16 +29,16 @@ from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
 from estimator.gimbal_history import HeldCamera
 from estimator.vision.detection import Detection
-from sitl.fault import Fault
+from sitl.camera.render_worker import RenderWorker
+from sitl.faults.fault import Fault
+from sitl.faults.reports import VesselReports
+from sitl.faults.streams import FrameStream
 from sitl.perception.draw import detection_table, root_of, symmetric
 from sitl.perception.model import Scenes, model_for, refuse_pictures
 from sitl.perception.parameters import EstimateModel, PerceptionModel, load
 from sitl.perception.port import Level, PerceivedWorld
 from sitl.perception.true_motion import TrueMotion
-from sitl.render_worker import RenderWorker
-from sitl.report_faults import VesselReports
-from sitl.stream_faults import FrameStream
-from sitl.truth import RenderedFrame
+from sitl.world.truth import RenderedFrame
 
 REPRESENTED = frozenset(
     {

@@ -24,8 +24,8 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import F64
-from sitl.autopilots.miniature import MiniatureAutopilot
-from sitl.gnss import ORIGIN
+from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.sensors.gnss import ORIGIN
 from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"

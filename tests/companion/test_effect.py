@@ -11,6 +11,7 @@ import pytest
 
 from companion.cli.main import main
 from companion.settings.effect import MOVED, without_effect
+from companion.settings.expert import in_file
 from companion.settings.load import from_mapping, load, shipped
 from companion.settings.model import Settings
 from companion.settings.refusal import walk
@@ -36,19 +37,22 @@ AUTOPILOT: dict[str, Any] = ARDRONE | {"vehicle": {"kind": "mavlink", "links": "
             ("video_stream.drawn: without effect, as video_stream.to is empty",),
         ),
         (ARDRONE | {"metrics": {"port": 1}}, ('metrics.port: without effect, as metrics.endpoint is "off"',)),
-        (ARDRONE | {"vessel": {"jump_m": 20.0}}, ("vessel.jump_m: without effect, as no source of the ship's place is set",)),
+        (
+            ARDRONE | {"vessel": {"jump_m": 20.0}},
+            ("expert.vessel.jump_m: without effect, as no source of the ship's place is set",),
+        ),
         (
             ARDRONE | {"guidance": {"rendezvous": {"range_m": 9.0}}, "vessel": {"nmea": "127.0.0.1:10110", "mmsi": 7}},
             ("guidance.rendezvous.range_m: without effect, as guidance.rendezvous.enabled is false",),
         ),
         (
             AUTOPILOT | {"landing_target": {"ranges": "off", "range_rate_hz": 5.0}},
-            ('landing_target.range_rate_hz: without effect, as landing_target.ranges is "off"',),
+            ('expert.landing_target.range_rate_hz: without effect, as landing_target.ranges is "off"',),
         ),
         (
             ARDRONE | {"estimator": {"ekf": {"min_confidence": 0.1}}},
             (
-                "estimator.ekf.min_confidence: without effect, as it does not exceed estimator.min_confidence, "
+                "expert.estimator.ekf.min_confidence: without effect, as it does not exceed estimator.min_confidence, "
                 "which refuses before",
             ),
         ),
@@ -79,7 +83,7 @@ def test_check_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         ('vessel.nmea = "127.0.0.1:10110"', "vessel.nmea: the ship's velocity and heading are used, her place is not"),
         (
             'vessel.nmea = "127.0.0.1:10110"\nvessel.mmsi = 211234560\nguidance.rendezvous.enabled = true',
-            "vessel.age_max_s is 5 s, but AIS reports of a ship under way come every 10 s",
+            "expert.vessel.age_max_s is 5 s, but AIS reports of a ship under way come every 10 s",
         ),
         ('vessel.nmea = "127.0.0.1:10110"\nguidance.rendezvous.enabled = true', None),
     ],
@@ -122,7 +126,7 @@ def test_a_key_that_has_another_name_now_is_refused_in_a_file_and_read_in_a_reco
     default = dict(walk(Settings, "mavlink"))[new].default
     value = "on" if default == "auto" else not default if isinstance(default, bool) else 1.5 * default
     data = with_key(old, value)
-    with pytest.raises(BadInput, match=rf"^own\.toml: {old} is now {new}$"):
+    with pytest.raises(BadInput, match=rf"^own\.toml: {old} is now {in_file(new)}$"):
         from_mapping(data, "own.toml")
     assert from_mapping(data, "a recording", recorded=True) == from_mapping(with_key(new, value), "own.toml")
 

@@ -24,7 +24,7 @@ from companion.parts.mqtt.part import MqttPart
 from companion.parts.page.endpoint import PageEndpoint
 from companion.parts.recorder.recorder import Recorder
 from companion.service import assemble as service
-from companion.service.daemon import Daemon
+from companion.service.daemon import Daemon, DaemonOptions
 from companion.settings.load import load
 from companion.settings.model import Settings
 from companion.settings.page import PageSettings
@@ -162,9 +162,7 @@ async def flown(
         vehicle.open,
         OrderingPilot(vehicle),
         clock,
-        restart=RestartOptions(0.02, 2.0, 0.1, 5.0),
-        guidance_rate_hz=50.0,
-        health_period_s=0.3,
+        DaemonOptions(RestartOptions(0.02, 2.0, 0.1, 5.0), 50.0, health_period_s=0.3),
         observers=[failing, Curious()],
         health=health,
         extras={"failing": failing.run},

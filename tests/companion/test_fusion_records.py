@@ -38,8 +38,8 @@ from companion.tools.report.page import render
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import COMPONENTS, FusionResult, Source
 from estimator.contracts.time import MonoNs
-from sitl.flight import Flight
-from sitl.scenario import load as load_scenario
+from sitl.flight.flight import Flight
+from sitl.scenario.scenario import load as load_scenario
 from tests.companion.recorder_parts import ABOUT, CAMERA
 from tests.companion.test_report import PAD
 from tests.support.recorded_flight import sim_settings

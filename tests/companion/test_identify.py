@@ -34,7 +34,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
-from sitl.vehicle_file import load
+from sitl.vehicle.file import load
 from tests.support.recorded_flight import sim_settings
 
 GIVEN = shipped_response("ardrone2")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from companion.base.mission import FlightOutcome
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import FlightOutcome
 from companion.settings.load import load
 from estimator.contracts.commands import Hover
 from estimator.contracts.samples import VehicleStatus

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
+from companion.base.mission import FlightOutcome
 from companion.guidance.mission_step import mission_step
-from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.guidance.pilot import Pilot, PilotOptions
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
 from companion.settings.guidance import GuidanceOptions
@@ -38,7 +39,7 @@ class Cockpit:
 
     def __init__(self, *, automatic: bool = True, path: str = "dead_reckoning") -> None:
         options = EstimatorOptions(path=path)  # type: ignore[arg-type]
-        self.pilot = Pilot(EYES, options, GuidanceOptions(mission="thesis", controller="pid"), automatic=automatic)
+        self.pilot = Pilot(EYES, options, GuidanceOptions(mission="thesis", controller="pid"), PilotOptions(automatic=automatic))
         self.now = MonoNs(0)
         self.d = np.array([0.3, -0.2, 3.0])
         self.flying: bool | None = True
@@ -220,7 +221,7 @@ def test_the_ship_s_own_word_does_not_break_the_vehicle_s_silence(monkeypatch: p
         cycles.append(s)
         return mission_step(progress, s, *args, **kwargs)
 
-    monkeypatch.setattr("companion.guidance.pilot.mission_step", seen)
+    monkeypatch.setattr("companion.guidance.landing.mission_step", seen)
     for _ in range(50):
         cockpit.now = now = after(cockpit.now, TICK_S)
         stamp = Stamp(now, now, 0.001, "sim")

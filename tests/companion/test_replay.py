@@ -29,8 +29,8 @@ from companion.tools.replay.pilots import pilot_of
 from companion.tools.report.flight_log import FlightLog
 from estimator.contracts.commands import Land
 from estimator.contracts.time import MonoNs
-from sitl.flight import Flight
-from sitl.scenario import load as load_scenario
+from sitl.flight.flight import Flight
+from sitl.scenario.scenario import load as load_scenario
 from tests.support.recorded_flight import SCENARIO, ObservedCalls, record_to, sim_settings
 
 

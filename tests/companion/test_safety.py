@@ -125,7 +125,7 @@ class Loop:
             decision = self.tick(fault)
             if done(decision):
                 return decision
-        raise AssertionError(f"not within {seconds} s: {self.pilot.phase}, {self.pilot.reason}, {self.d}")
+        raise AssertionError(f"not within {seconds} s: {self.pilot.phase}, {self.pilot.landing.reason}, {self.d}")
 
 
 def descends(decision: Decision) -> bool:

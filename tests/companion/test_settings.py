@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,17 @@ from hypothesis import strategies as st
 from msgspec import inspect
 
 from companion.settings import reference, whole_file
-from companion.settings.load import SHIPPED, Settings, camera_model, from_mapping, load, pad_model, pad_of_file, shipped
+from companion.settings.load import (
+    SHIPPED,
+    Settings,
+    camera_model,
+    from_file,
+    from_mapping,
+    load,
+    pad_model,
+    pad_of_file,
+    shipped,
+)
 from companion.settings.refusal import walk
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
@@ -248,7 +259,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
 @given(good_settings())
 @runs(max_examples=60)
 def test_what_show_prints_reads_back_as_the_same_settings(drawn: Settings) -> None:
-    assert from_mapping(tomllib.loads(whole_file.toml(drawn)), "shown") == drawn
+    assert from_file(tomllib.loads(whole_file.toml(drawn)), "shown") == drawn
 
 
 junk = st.recursive(
@@ -374,6 +385,36 @@ def test_broken_toml_is_refused_with_its_place(tmp_path: Path) -> None:
     file.write_text("a = " + "[" * 100_000)
     with pytest.raises(BadInput, match="not valid TOML"):
         load(file)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "[guidance]\nrate_hz = 25.0\n[guidance.cone]\nslope = 0.4",
+            "guidance.rate_hz belongs in [expert.guidance]; guidance.cone.slope belongs in [expert.guidance.cone]",
+        ),
+        ('[expert.guidance]\nstart = "signal"', "expert.guidance.start belongs in [guidance]"),
+        ("[expert.guidance.cone]\nslope = 9", "expert.guidance.cone.slope must be a number from"),
+        ("[expert.guidance.cone]\nslop = 9", "slop is not a known key; did you mean guidance.cone.slope?"),
+    ],
+)
+def test_keys_on_the_wrong_side_of_expert_are_each_named_with_their_place(text: str, said: str, tmp_path: Path) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text(f"{MINIMAL}\n{text}\n")
+    with pytest.raises(BadInput, match=r"^[^\n]*$") as caught:
+        load(file)
+    assert said in str(caught.value)
+
+
+def test_a_recording_may_have_a_key_on_either_side_of_expert() -> None:
+    for guidance in ({"guidance": {"rate_hz": 25.0}}, {"expert": {"guidance": {"rate_hz": 25.0}}}):
+        assert from_mapping({**minimal(), **guidance}, "a recording", recorded=True).guidance.rate_hz == 25.0
+
+
+def test_a_user_sees_at_most_130_keys() -> None:
+    public = (ROOT / "docs/configuration.md").read_text().partition("## Expert keys")[0]
+    assert len(re.findall(r"^\| `\w+` \|", public, re.MULTILINE)) <= 130
 
 
 def test_the_schema_lists_every_key_with_its_unit() -> None:

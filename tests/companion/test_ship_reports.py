@@ -23,7 +23,7 @@ from drivers.mavlink.links import LinkOptions, open_links
 from drivers.nmea.sentences import KNOT_M_S
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from sitl.autopilots.miniature import global_position
+from sitl.emulators.autopilots.miniature import global_position
 from tests.companion.ship_flights import HOST, SHIP, SHIP_NED, Flying, flying, free_port, rmc, sentence, settings_of
 from tests.support.fake_ardrone import until
 
@@ -39,10 +39,10 @@ async def test_sentences_over_udp_lead_the_drone_to_the_ship() -> None:
                 await asyncio.sleep(0.1)
                 if service.towards_ship():
                     break
-        assert service.towards_ship(), (service.pilot.phase, service.pilot.reason, service.pilot.vessel_counts())
+        assert service.towards_ship(), (service.pilot.phase, service.pilot.landing.reason, service.pilot.landing.vessel_counts())
         assert service.pilot.state is State.RENDEZVOUS
         assert not [words for words in service.missing() if "ship" in words]
-        assert service.pilot.vessel_counts()["taken"] >= 1
+        assert service.pilot.landing.vessel_counts()["taken"] >= 1
 
 
 async def test_the_ship_s_own_mavlink_system_leads_it_there_and_no_other_system() -> None:
@@ -60,10 +60,10 @@ async def test_the_ship_s_own_mavlink_system_leads_it_there_and_no_other_system(
 
     async with flying(settings_of(port), port) as service:
         await send_for(SHIP + 1, 1.0, service)
-        assert service.pilot.vessel_counts()["taken"] == 0
+        assert service.pilot.landing.vessel_counts()["taken"] == 0
         assert "no place from the ship yet" in service.missing()
         await send_for(SHIP, 30.0, service)
-        assert service.towards_ship(), (service.pilot.phase, service.pilot.reason, service.pilot.vessel_counts())
+        assert service.towards_ship(), (service.pilot.phase, service.pilot.landing.reason, service.pilot.landing.vessel_counts())
         assert service.pilot.state is State.RENDEZVOUS
 
 
@@ -110,7 +110,7 @@ async def test_among_garbage_it_flies_astern_of_her_searches_and_waits_level_whe
             told_m: list[tuple[float, float]] = []
 
             def arrives() -> bool:
-                if said := re.search(r"the vessel is (\d+) m away", pilot.reason):
+                if said := re.search(r"the vessel is (\d+) m away", pilot.landing.reason):
                     told_m.append((float(said[1]), math.hypot(*(fake.p_ned - ship_s_place())[:2])))
                 return pilot.state is State.SEARCH
 
@@ -122,7 +122,7 @@ async def test_among_garbage_it_flies_astern_of_her_searches_and_waits_level_whe
             await tell(ship, lambda: math.hypot(*(fake.p_ned - ship_s_place())[:2]) < 2.5)
         assert pilot.state is State.SEARCH
         await until(lambda: pilot.state is State.REFUSED)
-        assert "no rendezvous: the ship's newest place is" in pilot.reason
+        assert "no rendezvous: the ship's newest place is" in pilot.landing.reason
         assert fake.p_ned[2] <= -10.0
         assert all(v[2] <= 0.0 for v in service.setpoints)
         counted = service.counted("sentences")

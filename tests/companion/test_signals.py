@@ -21,7 +21,7 @@ from tests.support.processes import burners, decklander, python, started
 BOUND_S = 10.0
 HEAD = """
 import asyncio, contextlib, hashlib, os, signal, sys, threading, time
-from companion.service import signals
+from companion.base import signals
 from companion.base.event_loop import heeded, run
 
 def say(*words): print(*words, flush=True)
@@ -440,7 +440,7 @@ signals.threading.Thread = Late
 @pytest.mark.parametrize("moment", [WHILE_A_CLASS_IS_MADE, WHILE_IT_IS_INSTALLED], ids=["class", "install"])
 def test_sigterm_before_anything_was_begun_is_an_end_and_no_error(moment: str) -> None:
     """Python wraps what is raised while it makes a class, and a handler raises while the next one is installed."""
-    first = "import os, signal, sys, threading\nfrom companion.cli import main\nfrom companion.service import signals\n"
+    first = "import os, signal, sys, threading\nfrom companion.cli import main\nfrom companion.base import signals\n"
     last = "sys.argv = ['decklander', 'pad', 'list']\nsys.exit(main.main())\n"
     ended = subprocess.run([sys.executable, "-c", first + moment + last], capture_output=True, text=True, timeout=60, check=False)
     assert (ended.returncode, ended.stderr) == (143, "")

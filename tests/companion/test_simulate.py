@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from companion.base.mission import FlightOutcome
 from companion.cli import main as cli
-from companion.guidance.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
-from sitl.ending import Contact, Ending, FlightGrade
+from sitl.flight.ending import Contact, Ending, FlightGrade
 from tests.sitl.near import NEAR
 
 STRIKE = Contact(MonoNs(9_500_000_000), "deck", 0.48, 0.5, 0.56, 0.05, "flying", True, "descend")

@@ -15,7 +15,7 @@ import pytest
 from companion.cli import main as cli
 from companion.cli.soak import OPERATOR_WAIT_S, flown_settings, warm_up_s
 from companion.cli.soak_judge import Reading, findings, give_back, read
-from sitl.scenario import load as load_scenario
+from sitl.scenario.scenario import load as load_scenario
 from tests.sitl.near import NEAR
 from tests.support.processes import started
 

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.base.mission import FlightOutcome
 from companion.cli import main as cli
 from companion.cli import soak
 from companion.cli.soak_flights import Class, Flown, Outcomes, by_fault, real
 from companion.cli.soak_judge import Reading
 from companion.cli.soak_plot import plot
-from companion.guidance.pilot import FlightOutcome
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
-from sitl.ardrone.repeated_flights import faulty
-from sitl.machine_load import Load
-from sitl.scenario import load
+from sitl.emulators.ardrone.repeated_flights import faulty
+from sitl.flight.machine_load import Load
+from sitl.scenario.scenario import load
 from tests.sitl.near import NEAR
 
 GOOD = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 50})

@@ -15,7 +15,7 @@ from msgspec import inspect
 
 from companion.base.observer import Decision
 from companion.guidance.pilot import Pilot
-from companion.service.daemon import Daemon
+from companion.service.daemon import Daemon, DaemonOptions
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.model import Settings
 from companion.settings.refusal import described
@@ -28,8 +28,8 @@ LATER = ("av", "cv2", "email", "importlib.metadata", "msgspec.inspect", "numpy.m
 PROBE = """
 import sys
 from companion.cli import main, run
-from companion.service import signals
-from companion.service.daemon import Daemon
+from companion.base import signals
+from companion.service.daemon import Daemon, DaemonOptions
 
 def first(self, decision):
     print(*sorted(set(sys.argv[2].split(",")) & set(sys.modules)))
@@ -97,11 +97,10 @@ async def test_vision_is_prepared_once_on_its_own_thread_between_the_first_cycle
         vehicle.open,
         Looks(EYES, EstimatorOptions(), GuidanceOptions()),
         CLOCK,
-        restart=RestartOptions(0.01, 1.0, 0.01, 5.0),
-        guidance_rate_hz=50.0,
-        threads=1,
+        DaemonOptions(
+            RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0, threads=1, prepare=lambda: order.append(threading.current_thread().name)
+        ),
         observers=[Order(order)],
-        prepare=lambda: order.append(threading.current_thread().name),
     )
     cv2.setNumThreads(2)
     async with asyncio.TaskGroup() as group:

@@ -14,6 +14,7 @@ from msgspec import inspect
 
 from companion.cli.main import COMMANDS
 from companion.parts.mqtt.topics import Topics
+from companion.settings.expert import EXPERT, in_file
 from companion.settings.model import Settings
 from companion.settings.refusal import variants
 
@@ -38,10 +39,12 @@ def keys() -> frozenset[str]:
                 yield f"{path}.{struct.tag_field}"
             for field in struct.fields:
                 here = f"{path}.{field.encode_name}".lstrip(".")
-                yield here
+                yield in_file(here)
+                if variants(field.type):
+                    yield f"{EXPERT}.{here}"
                 yield from below(field.type, here)
 
-    return frozenset(below(inspect.type_info(Settings), ""))
+    return frozenset((EXPERT, *below(inspect.type_info(Settings), "")))
 
 
 @cache

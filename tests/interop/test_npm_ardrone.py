@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from sitl.ardrone import truth_log
+from sitl.emulators.ardrone import truth_log
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = Path(__file__).parent / "ardrone_client" / "fly.js"
@@ -50,7 +50,7 @@ def stranger() -> tuple[str, Path]:
 async def drone(scenario: Path, truth: Path) -> AsyncIterator[dict[str, int]]:
     """The simulated drone in a process of its own; ends when its standard input closes."""
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "sitl.ardrone.serve", str(scenario), "--seed", "3", "--truth", str(truth),
+        sys.executable, "-m", "sitl.emulators.ardrone.serve", str(scenario), "--seed", "3", "--truth", str(truth),
         "--navdata-port", "0", "--video-port", "0", "--at-port", "0", "--control-port", "0",
         cwd=ROOT, stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
     )  # fmt: skip

@@ -163,7 +163,9 @@ def fly(guest: Guest, wheels: Path) -> None:
     )
     guest.expect("decklander rollback --on-ground", 0, f"version {first} is current; the service runs with it")
     guest.expect(
-        f"systemd-run --quiet --unit sim {CURRENT}/bin/python -m sitl.ardrone.serve demo --host 127.0.0.1 --seed 1 --repeat", 0
+        f"systemd-run --quiet --unit sim {CURRENT}/bin/python -m sitl.emulators.ardrone.serve demo"
+        " --host 127.0.0.1 --seed 1 --repeat",
+        0,
     )
     until("the drone flies", lambda: '"flying":true' in guest.run("decklander fly status --json").stdout, 120)
     for command in (update.format(good.name), "decklander rollback --on-ground"):

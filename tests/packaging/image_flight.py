@@ -94,7 +94,12 @@ def main(work: Path, config: Path) -> None:
         _until("the broker answers in TLS", lambda: ask(broker, alive, [keys]).returncode == 0, 60, children)
         wrong = ["sh", "-c", " ".join([*sub, "-u", "ground", "-P", "guess", "-t", "'#'", "-E", "-W", "2"])]
         assert ask(broker, wrong, [keys]).returncode != 0, "the broker lets in whoever guesses"
-        start("sim", service, ["python", "-m", "sitl.ardrone.serve", "demo", "--host", "0.0.0.0", "--seed", "1", "--repeat"], [])
+        start(
+            "sim",
+            service,
+            ["python", "-m", "sitl.emulators.ardrone.serve", "demo", "--host", "0.0.0.0", "--seed", "1", "--repeat"],
+            [],
+        )
         _until("the simulated drone listens", lambda: '"ready"' in (work / "sim.log").read_text(), 60, children)
         start(
             "daemon",

@@ -15,7 +15,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.regions import part_of
-from sitl.camera import Exposure
+from sitl.camera.camera import Exposure
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MOUNT = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.array([0.15, 0.0, 0.0]))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from sitl.ardrone.repeated_flights import faulty
-from sitl.one_flight import fly, settings_for
-from sitl.scenario import load
+from sitl.emulators.ardrone.repeated_flights import faulty
+from sitl.flight.one_flight import fly, settings_for
+from sitl.scenario.scenario import load
 
 
 @pytest.mark.parametrize("seed", [7020, 7021])

@@ -15,9 +15,9 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from sitl.camera import Exposure, Renderer
-from sitl.light import linear_from_srgb
-from sitl.surroundings import Surroundings
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.light import linear_from_srgb
+from sitl.camera.surroundings import Surroundings
 from tests.sitl.images import BENT, BLACK, PLAIN, WHITE, pad, project, shot
 from tests.support.plain_light import FLAT, IDEAL
 

@@ -21,9 +21,9 @@ from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
-from sitl.scenario import Start, load
-from sitl.vehicle import VehiclePhase
-from sitl.world import World
+from sitl.scenario.scenario import Start, load
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.world import World
 
 OPTIONS = ArDroneOptions()
 PERIOD_TICKS = 6

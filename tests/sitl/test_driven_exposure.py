@@ -17,13 +17,13 @@ from drivers.camera.metering import meter_inside
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
-from sitl.autopilots.body import Body
-from sitl.camera import Exposure
-from sitl.driven_exposure import SimulatedExposure, Taken, taken_with
-from sitl.film import Film
-from sitl.light import Light, Sensor
-from sitl.scenario import load
-from sitl.stage import film, renderer
+from sitl.camera.camera import Exposure
+from sitl.camera.driven_exposure import SimulatedExposure, Taken, taken_with
+from sitl.camera.film import Film
+from sitl.camera.light import Light, Sensor
+from sitl.emulators.autopilots.body import Body
+from sitl.scenario.scenario import load
+from sitl.world.stage import film, renderer
 
 OPTIONS = ExposureOptions(mode="pad")
 

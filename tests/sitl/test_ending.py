@@ -2,9 +2,9 @@
 
 from collections import Counter
 
-from companion.guidance.pilot import FlightOutcome
+from companion.base.mission import FlightOutcome
 from estimator.contracts.time import MonoNs
-from sitl.ending import Contact, Ending, FlightGrade
+from sitl.flight.ending import Contact, Ending, FlightGrade
 
 KEYS = {
     "scenario", "seed", "landed_on_pad", "outcome", "refused", "duration_s", "touchdown", "contacts", "contacts_outside_commit",

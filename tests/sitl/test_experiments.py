@@ -26,7 +26,7 @@ from sitl.experiments.paths import (
     up_and_down,
 )
 from sitl.experiments.printed import HEIGHTS_M, printed
-from sitl.world import World
+from sitl.world.world import World
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.1, 10), st.floats(-3.1, 3.1))

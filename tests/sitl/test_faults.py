@@ -19,9 +19,8 @@ from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.samples import Imu, Sample
 from estimator.contracts.time import MonoNs, after, seconds_between
-from sitl.fault import Fault
-from sitl.fault_timer import FaultTimer
-from sitl.faults import (
+from sitl.faults.fault import Fault
+from sitl.faults.kinds import (
     KINDS,
     FlowBlind,
     FramesFrozen,
@@ -33,11 +32,8 @@ from sitl.faults import (
     NavdataMisstamped,
     ServiceKilled,
 )
-from sitl.flight import Flight
-from sitl.picture_faults import PictureFault
-from sitl.safety import Grade
-from sitl.scenario import Scenario, Sea, Start, VesselSettings, WindSettings
-from sitl.sensor_faults import (
+from sitl.faults.picture import PictureFault
+from sitl.faults.sensors import (
     Accelerometer,
     AttitudeReading,
     Barometer,
@@ -48,10 +44,14 @@ from sitl.sensor_faults import (
     Ultrasound,
     VelocityReading,
 )
-from sitl.sensors import Readings
-from sitl.stream_faults import STREAMS, FrameStream
-from sitl.vehicle import VehiclePhase
-from sitl.world import Stick, World
+from sitl.faults.streams import STREAMS, FrameStream
+from sitl.faults.timer import FaultTimer
+from sitl.flight.flight import Flight
+from sitl.flight.safety import Grade
+from sitl.scenario.scenario import Scenario, Sea, Start, VesselSettings, WindSettings
+from sitl.sensors.sensors import Readings
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.world import Stick, World
 
 CALM = Scenario(
     title="bench",
@@ -327,7 +327,7 @@ def test_a_refusal_says_what_guidance_said_and_what_became_of_the_frames(monkeyp
     pilot = flight._pilot
 
     def gives_up(now: MonoNs) -> Decision:
-        pilot._mission = replace(pilot._mission, state=State.GAVE_UP)
+        pilot.landing.mission = replace(pilot.landing.mission, state=State.GAVE_UP)
         return Decision(now, "gave up", Hover(), None, (), "the pad was not found again")
 
     monkeypatch.setattr(pilot, "decide", gives_up)

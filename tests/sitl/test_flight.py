@@ -7,21 +7,20 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.base.mission import State
+from companion.base.mission import FlightOutcome, State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import FlightOutcome
 from companion.settings.load import load
 from estimator.contracts.commands import Land, Lean, Velocity
 from estimator.contracts.estimates import Verdict
-from sitl.faults import KINDS, LensCovered
-from sitl.flight import Flight
-from sitl.flight_grader import FlightResult
+from sitl.camera.render_worker import render_worker
+from sitl.faults.kinds import KINDS, LensCovered
+from sitl.faults.streams import STREAMS
+from sitl.flight.flight import Flight
+from sitl.flight.grader import FlightResult
 from sitl.perception.levels import perceive
-from sitl.render_worker import render_worker
-from sitl.scenario import Scenario
-from sitl.scenario import load as load_scenario
-from sitl.stream_faults import STREAMS
+from sitl.scenario.scenario import Scenario
+from sitl.scenario.scenario import load as load_scenario
 
 SIM = load("sim")
 CALM = load_scenario("calm")

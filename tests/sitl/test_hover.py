@@ -7,9 +7,9 @@ import numpy as np
 
 from companion.base.observer import Decision, NullObserver
 from companion.settings.load import load
-from sitl.flight import Flight
+from sitl.flight.flight import Flight
 from sitl.perception.levels import perceive
-from sitl.scenario import load as load_scenario
+from sitl.scenario.scenario import load as load_scenario
 
 SIM = load("sim")
 SETTLED_S = 20.0

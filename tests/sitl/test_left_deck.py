@@ -10,9 +10,9 @@ from msgspec.structs import replace
 from companion.base.mission import Event, State, StateChange
 from companion.base.observer import Decision, NullObserver
 from companion.base.reason import ReasonCause
-from sitl.ending import Ending
-from sitl.one_flight import fly, perception_level, settings_for
-from sitl.scenario import load
+from sitl.flight.ending import Ending
+from sitl.flight.one_flight import fly, perception_level, settings_for
+from sitl.scenario.scenario import load
 
 SCENARIO = "sea_state_5"
 AT_THE_GATE, AS_IT_IS_MET = 30231, 30561

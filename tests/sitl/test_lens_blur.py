@@ -14,11 +14,11 @@ from estimator.contracts.geometry import F64
 from estimator.core.interface.render import GAIN_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from sitl import light
-from sitl.camera import Exposure, Renderer
-from sitl.light import Light, PadBlur, Sensor
-from sitl.render_light import Lamps
-from sitl.surroundings import Surroundings
+from sitl.camera import light
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.light import Light, PadBlur, Sensor
+from sitl.camera.render.light import Lamps
+from sitl.camera.surroundings import Surroundings
 from tests.sitl.images import BENT, BLACK, PLAIN, WHITE, pad, project, shot
 from tests.support.plain_light import FLAT, IDEAL
 

@@ -10,8 +10,8 @@ import pytest
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from sitl.camera import Renderer
-from sitl.light import FULL_SCALE, Development, Light, Sensor, counts, linear_from_srgb, planck_rgb
+from sitl.camera.camera import Renderer
+from sitl.camera.light import FULL_SCALE, Development, Light, Sensor, counts, linear_from_srgb, planck_rgb
 from tests.sitl.images import PLAIN, WHITE, pad, project, shot
 from tests.support.plain_light import FLAT, IDEAL
 

@@ -11,14 +11,14 @@ from typing import Any
 import pytest
 
 from companion.base.health import Health
+from companion.base.mission import FlightOutcome
 from companion.cli import demo
-from companion.guidance.pilot import FlightOutcome
-from companion.service.daemon import Daemon
+from companion.service.daemon import Daemon, DaemonOptions
 from companion.settings.restart import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
-from sitl.ending import Contact, Ending
-from sitl.machine_load import GUIDANCE_LATE_MAX_S, Load
+from sitl.flight.ending import Contact, Ending
+from sitl.flight.machine_load import GUIDANCE_LATE_MAX_S, Load
 from tests.companion.virtual_flight import FakeFlight, SeeingPilot, VirtualClock, fly
 
 SAID: dict[str, Any] = {"event": "ended", "phase": "hovering", "stood_still_s": 0.25, "counters": {"video_sent": 880}}
@@ -82,9 +82,7 @@ class LateClock(VirtualClock):
 @pytest.mark.parametrize(("clock", "late_s"), [(VirtualClock(), 0.0), (LateClock(), 0.05)])
 def test_the_daemon_measures_how_late_guidance_comes(clock: VirtualClock, late_s: float) -> None:
     vehicle = FakeFlight(clock)
-    daemon = Daemon(
-        vehicle.open, SeeingPilot(vehicle), clock, restart=RestartOptions(), guidance_rate_hz=50.0, health_period_s=0.0,
-    )  # fmt: skip
+    daemon = Daemon(vehicle.open, SeeingPilot(vehicle), clock, DaemonOptions(RestartOptions(), 50.0, health_period_s=0.0))
     asyncio.run(fly(daemon, vehicle, clock, 0.6))
     stage = daemon.health.snapshot().stages["guidance_late"]
     assert stage.count >= 8

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 
 from companion.base.observer import NullObserver, ProcessedFrame
-from sitl.one_flight import fly, perception_level, settings_for
-from sitl.scenario import load
+from sitl.flight.one_flight import fly, perception_level, settings_for
+from sitl.scenario.scenario import load
 
 
 class Chosen(NullObserver):

@@ -6,18 +6,17 @@ import tomllib
 
 import pytest
 
-from companion.base.mission import State
+from companion.base.mission import FlightOutcome, State
 from companion.cli import main as cli
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import FlightOutcome
 from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
-from sitl.ardrone.repeated_flights import faulty
-from sitl.flight import Flight
-from sitl.one_flight import TRUTH_EACH, fly, perception_level, settings_for
-from sitl.safety import Grade
-from sitl.scenario import Scenario, from_mapping, load
-from sitl.truth import Truth
+from sitl.emulators.ardrone.repeated_flights import faulty
+from sitl.flight.flight import Flight
+from sitl.flight.one_flight import TRUTH_EACH, fly, perception_level, settings_for
+from sitl.flight.safety import Grade
+from sitl.scenario.scenario import Scenario, from_mapping, load
+from sitl.world.truth import Truth
 from tests.sitl.near import NEAR
 
 

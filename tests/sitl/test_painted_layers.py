@@ -8,8 +8,8 @@ import pytest
 from estimator.core.interface.render import PAINTS
 from estimator.vision.pad import Pad
 from estimator.vision.regions import covers, part_of
-from sitl.projection import lens_of
-from sitl.render_pad import PadPainter, Stroke
+from sitl.camera.projection import lens_of
+from sitl.camera.render.pad import PadPainter, Stroke
 from tests.sitl.images import PLAIN, pad_pose, shot
 from tests.support.shipped import shipped_pad
 

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.cli.main import main
-from companion.guidance.pilot import FlightOutcome
 from companion.settings.load import load
 from companion.settings.model import Settings
 from estimator.contracts.commands import Velocity
@@ -22,10 +22,10 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.sighting import sighting_of
-from sitl.faults import KINDS
-from sitl.flight import Flight
-from sitl.flight_grader import FlightResult
-from sitl.one_flight import settings_for
+from sitl.faults.kinds import KINDS
+from sitl.flight.flight import Flight
+from sitl.flight.grader import FlightResult
+from sitl.flight.one_flight import settings_for
 from sitl.perception import detection_samples as samples_module
 from sitl.perception import parameters
 from sitl.perception.draw import Chance, DetectionTable, root_of, symmetric
@@ -36,9 +36,9 @@ from sitl.perception.model import KEPT_SCENES, Scenes, _turned
 from sitl.perception.port import LEVELS, Level
 from sitl.perception.truth import REPRESENTED
 from sitl.perception.view import View, Viewer
-from sitl.scenario import Scenario
-from sitl.scenario import load as load_scenario
-from sitl.world import World
+from sitl.scenario.scenario import Scenario
+from sitl.scenario.scenario import load as load_scenario
+from sitl.world.world import World
 
 SIM = load("sim")
 CALM = load_scenario("calm")

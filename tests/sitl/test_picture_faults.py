@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
-from sitl.fault import Fault
-from sitl.flight import Flight
+from sitl.faults.fault import Fault
+from sitl.faults.picture import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
+from sitl.flight.flight import Flight
 from sitl.perception.levels import perceive
 from sitl.perception.model import MODELLED
-from sitl.picture_faults import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
-from sitl.scenario import from_mapping, load, pad_model, shipped_scenarios
-from sitl.truth import RenderedFrame
-from sitl.world import World
+from sitl.scenario.scenario import from_mapping, load, pad_model, shipped_scenarios
+from sitl.world.truth import RenderedFrame
+from sitl.world.world import World
 from tests.sitl.test_faults import CALM, at
 
 SIM = load_settings("sim")

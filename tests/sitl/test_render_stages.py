@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from sitl.light import Light
-from sitl.projection import lens_of
-from sitl.render_lens import smear
-from sitl.render_sea import SeaPainter
-from sitl.sea import SHELTERED_SLIGHT, Waves
-from sitl.surroundings import Surroundings
+from sitl.camera.light import Light
+from sitl.camera.projection import lens_of
+from sitl.camera.render.lens import smear
+from sitl.camera.render.sea import SeaPainter
+from sitl.camera.surroundings import Surroundings
+from sitl.sea.sea import SHELTERED_SLIGHT, Waves
 from tests.sitl.images import PLAIN
 
 

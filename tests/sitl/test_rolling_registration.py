@@ -23,8 +23,8 @@ from estimator.vision.pose import Orientation
 from estimator.vision.register.registration import register
 from estimator.vision.rolling import CameraMotion, at_one_instant
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from sitl.camera import Exposure, Renderer
-from sitl.surroundings import Surroundings
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.surroundings import Surroundings
 from tests.sitl.images import BENT, PLAIN, pad, pad_pose, shot
 from tests.support.plain_light import FLAT, IDEAL
 
@@ -97,12 +97,12 @@ def test_the_camera_s_motion_is_that_of_the_attitude_and_the_belief() -> None:
     d, at = np.array([0.1, 0.2, 1.5]), stamp.measured_at
     belief = RelativeState(at, "ekf", d, level @ -v_body_ned, 0.0, 1e-4 * np.eye(7), at, True)
     rolling = replace(PLAIN, readout_s=READOUT_S)
-    found = camera_motion(pilot._memory, stamp, rolling, belief)
+    found = camera_motion(pilot.estimation.memory, stamp, rolling, belief)
     true = motion_of(replace(shot(1.0), R_ned_body=R, v_body_ned=v_body_ned, w_body=w_body), PLAIN)
     assert found is not None
     assert found.w_cam == pytest.approx(true.w_cam, abs=1e-3)
     assert found.v_pad_cam == pytest.approx(true.v_pad_cam, abs=5e-3)
-    assert camera_motion(pilot._memory, Stamp.from_seconds(9.0, sigma_s=0.001), rolling, belief) is None
+    assert camera_motion(pilot.estimation.memory, Stamp.from_seconds(9.0, sigma_s=0.001), rolling, belief) is None
 
 
 def test_the_gyro_says_how_fast_the_camera_turns_where_the_filter_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,9 +124,9 @@ def test_the_gyro_says_how_fast_the_camera_turns_where_the_filter_has_one(monkey
         return moves, None
 
     rolling = replace(PLAIN, readout_s=READOUT_S)
-    by_attitude = camera_motion(pilot._memory, stamp, rolling, belief)
+    by_attitude = camera_motion(pilot.estimation.memory, stamp, rolling, belief)
     monkeypatch.setattr(pipeline, "motion", motion)
-    by_gyro = camera_motion(pilot._memory, stamp, rolling, belief)
+    by_gyro = camera_motion(pilot.estimation.memory, stamp, rolling, belief)
     assert by_attitude is not None
     assert by_gyro is not None
     true = PLAIN.T_body_cam.R.inv @ w_body

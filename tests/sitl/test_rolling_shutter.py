@@ -9,8 +9,8 @@ import pytest
 
 from estimator.contracts.geometry import Rotation
 from estimator.vision.camera import Camera
-from sitl.camera import Renderer
-from sitl.surroundings import Surroundings
+from sitl.camera.camera import Renderer
+from sitl.camera.surroundings import Surroundings
 from tests.sitl.images import BENT, PLAIN, pad, shot
 from tests.support.plain_light import FLAT, IDEAL
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.base.mission import FlightOutcome
 from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON
-from companion.guidance.pilot import FlightOutcome
 from companion.settings.guidance import GuidanceOptions, PidOptions
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
-from sitl.safety import (
+from sitl.flight.safety import (
     BlindDescent,
     Grade,
     SightWatch,
@@ -25,8 +25,8 @@ from sitl.safety import (
     outside_commit,
     unreached_descent_max_m,
 )
-from sitl.truth import Touchdown, Truth
-from sitl.vehicle import VehiclePhase
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.truth import Touchdown, Truth
 
 START = MonoNs(0)
 SAFE = BlindDescent(0.2, 0.2, 1.4)

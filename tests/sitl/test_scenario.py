@@ -13,9 +13,9 @@ from msgspec import inspect
 from companion.settings.load import shipped
 from companion.settings.refusal import unit_of, walk
 from estimator.contracts.errors import BadInput
-from sitl.faults import KINDS
-from sitl.scenario import Scenario, camera_model, from_mapping, load, pad_model, shipped_scenarios
-from sitl.sea import SEA_STATES
+from sitl.faults.kinds import KINDS
+from sitl.scenario.scenario import Scenario, camera_model, from_mapping, load, pad_model, shipped_scenarios
+from sitl.sea.sea import SEA_STATES
 
 
 @pytest.mark.parametrize("name", ["calm", "demo", "moderate", "sea_state_4"])

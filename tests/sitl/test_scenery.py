@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
-from sitl.camera import Exposure, Renderer
-from sitl.light import Light, Sensor
-from sitl.sea import SEA_STATES, SHELTERED_SLIGHT, Waves
-from sitl.seakeeping import FERRY, SUPPLY_SHIP
-from sitl.surroundings import Decal, DecalKind, Deck, Surroundings
-from sitl.vessel import Mooring, Vessel
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.light import Light, Sensor
+from sitl.camera.surroundings import Decal, DecalKind, Deck, Surroundings
+from sitl.sea.sea import SEA_STATES, SHELTERED_SLIGHT, Waves
+from sitl.vessel.seakeeping import FERRY, SUPPLY_SHIP
+from sitl.vessel.vessel import Mooring, Vessel
 from tests.sitl.images import BENT, PLAIN, pad, project, shot
 from tests.support.plain_light import FLAT, IDEAL
 

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
-from sitl.sea import GRAVITY_M_S2, SEA_STATES, SHELTERED_SLIGHT, SeaState, Waves, sea_state
-from sitl.spectra import jonswap
-from tests.sitl.oracle.spectra import ittc
+from sitl.sea.sea import GRAVITY_M_S2, SEA_STATES, SHELTERED_SLIGHT, SeaState, Waves, sea_state
+from sitl.sea.spectra import jonswap
+from tests.sitl.closed_forms import ittc
 
 W = np.linspace(0.02, 60.0, 200_000)
 

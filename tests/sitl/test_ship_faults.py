@@ -11,11 +11,11 @@ import pytest
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
-from sitl.fault import Fault
-from sitl.faults import TiltLimited
-from sitl.scenario import Scenario, Sea, VesselSettings, from_mapping, ship_model, vehicle_model
-from sitl.ship_faults import DeckRoll, FerryWake, ShipSpeed, ShipTurn
-from sitl.world import Stick, World
+from sitl.faults.fault import Fault
+from sitl.faults.kinds import TiltLimited
+from sitl.faults.ship import DeckRoll, FerryWake, ShipSpeed, ShipTurn
+from sitl.scenario.scenario import Scenario, Sea, VesselSettings, from_mapping, ship_model, vehicle_model
+from sitl.world.world import Stick, World
 from tests.sitl.test_faults import CALM, at
 
 UNDER_WAY = msgspec.structs.replace(

@@ -8,22 +8,22 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.guidance.pilot import FlightOutcome as Outcome
+from companion.base.mission import FlightOutcome as Outcome
 from companion.guidance.precedence import ControlSituation
 from companion.settings.load import load as load_settings
 from estimator.contracts.time import MonoNs, after, seconds_between
-from sitl.camera import Exposure
-from sitl.fault import Fault
-from sitl.faults import KINDS, ServiceKilled
-from sitl.flight import Flight
-from sitl.operator_faults import OperatorActs
+from sitl.camera.camera import Exposure
+from sitl.faults.fault import Fault
+from sitl.faults.kinds import KINDS, ServiceKilled
+from sitl.faults.operator import OperatorActs
+from sitl.faults.picture import PictureFault
+from sitl.faults.reports import VesselReports
+from sitl.faults.streams import STREAMS
+from sitl.flight.flight import Flight
+from sitl.flight.safety import Grade, grade
 from sitl.perception.levels import perceive
-from sitl.picture_faults import PictureFault
-from sitl.report_faults import VesselReports
-from sitl.safety import Grade, grade
-from sitl.scenario import FAULTS, Scenario, load, shipped_scenarios
-from sitl.stream_faults import STREAMS
-from sitl.world import Stick, World
+from sitl.scenario.scenario import FAULTS, Scenario, load, shipped_scenarios
+from sitl.world.world import Stick, World
 from tests.sitl.test_faults import CALM
 
 BEGINS_S, BEFORE_S, LATER_S = 0.5, 0.4, 2.0

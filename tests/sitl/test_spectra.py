@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from sitl.sea import SEA_STATES, WMO_3700_M, Components, SeaState, Waves
-from sitl.sea_settings import Sea, WaveSystem
-from sitl.spectra import jonswap, ochi_hubble_part
-from tests.sitl.oracle.spectra import ittc, ochi_hubble_moment, spread_density
+from sitl.sea.sea import SEA_STATES, WMO_3700_M, Components, SeaState, Waves
+from sitl.sea.settings import Sea, WaveSystem
+from sitl.sea.spectra import jonswap, ochi_hubble_part
+from tests.sitl.closed_forms import ittc, ochi_hubble_moment, spread_density
 
 W = np.geomspace(0.02, 80.0, 40_000)
 SWELL, WIND = SeaState.swell_and_wind_sea(2.0)

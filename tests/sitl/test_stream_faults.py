@@ -14,10 +14,10 @@ from drivers.ardrone.navdata_order import SequencePlace as P
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
-from sitl.fault_timer import FaultTimer
-from sitl.faults import LinkLost
-from sitl.faulty_streams import FaultyStream, InTransit
-from sitl.stream_faults import KIND_OF_STREAM, STREAMS, CommandStream, FrameStream, NavdataStream, StreamFault
+from sitl.faults.faulty_streams import FaultyStream, InTransit
+from sitl.faults.kinds import LinkLost
+from sitl.faults.streams import KIND_OF_STREAM, STREAMS, CommandStream, FrameStream, NavdataStream, StreamFault
+from sitl.faults.timer import FaultTimer
 from tests.sitl.test_faults import at, flown, world
 
 TICK_NS = 10_000_000

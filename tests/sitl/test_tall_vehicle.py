@@ -7,8 +7,8 @@ from msgspec.structs import replace
 
 from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver
-from sitl.one_flight import fly, settings_for
-from sitl.scenario import load
+from sitl.flight.one_flight import fly, settings_for
+from sitl.scenario.scenario import load
 
 FEET_M = 0.25
 

@@ -10,8 +10,8 @@ from msgspec import structs
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 from sitl.perception.true_motion import TrueMotion
-from sitl.scenario import load
-from sitl.world import World
+from sitl.scenario.scenario import load
+from sitl.world.world import World
 
 STEP_NS = 4_000_000
 

@@ -16,8 +16,8 @@ import pytest
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from sitl.scenario import load
-from sitl.world import Stick, World
+from sitl.scenario.scenario import load
+from sitl.world.world import Stick, World
 
 KEPT: dict[str, str] = {
     "calm": """

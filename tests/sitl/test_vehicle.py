@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from estimator.contracts.geometry import F64, Rotation
-from sitl.airframe import Airframe, Avionics, Loops
-from sitl.contact import DeckShape, Ground
-from sitl.disturbances import Wind
-from sitl.sea import GRAVITY_M_S2
-from sitl.vehicle import DECK, SEA, Vehicle, VehiclePhase
-from tests.sitl.oracle.rotors import thrusts
+from sitl.sea.sea import GRAVITY_M_S2
+from sitl.vehicle.airframe import Airframe, Avionics, Loops
+from sitl.vehicle.disturbances import Wind
+from sitl.vehicle.vehicle import DECK, SEA, Vehicle, VehiclePhase
+from sitl.vessel.contact import DeckShape, Ground
 
 DT = 0.004
 SHAPE = DeckShape(fore_m=3.0, aft_m=2.0, port_m=1.4, starboard_m=1.4)
@@ -364,14 +363,6 @@ def test_a_weak_rotor_drops_its_corner_and_a_dead_one_ends_the_flight() -> None:
     v.rotor_health = (0.0, 1.0, 1.0, 1.0)
     run(v, 3.0)
     assert v.phase == VehiclePhase.EMERGENCY
-
-
-def test_rotors_add_up() -> None:
-    f = STILL
-    x, y = np.array([1, 1, -1, -1]) * f.arm_m, np.array([-1, 1, 1, -1]) * f.arm_m
-    t = np.array(thrusts(f, 14.0, (0.1, -0.2, 0.03)))
-    assert t.sum() == pytest.approx(14.0)
-    assert [-(y * t).sum(), (x * t).sum()] == pytest.approx([0.1, -0.2])
 
 
 def test_gusts_have_their_size_and_memory() -> None:

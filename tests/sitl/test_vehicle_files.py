@@ -15,16 +15,14 @@ from companion.settings.load import SHIPPED, response_model, shipped, shipped_re
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
-from sitl.airframe import Airframe, StickLimits
-from sitl.contact import DeckShape, Ground
-from sitl.one_flight import fly, settings_for
-from sitl.rotors import rotors
-from sitl.scenario import load as load_scenario
-from sitl.vehicle import Vehicle
-from sitl.vehicle_file import VehicleFile, load
-from sitl.world import Stick, World
-from tests.sitl.oracle.contact import coverage, relative
-from tests.sitl.oracle.rotors import delivered, ground_effect, ground_effect_by_rotor, thrusts
+from sitl.flight.one_flight import fly, settings_for
+from sitl.scenario.scenario import load as load_scenario
+from sitl.vehicle.airframe import Airframe, StickLimits
+from sitl.vehicle.file import VehicleFile, load
+from sitl.vehicle.rotors import rotors
+from sitl.vehicle.vehicle import Vehicle
+from sitl.vessel.contact import DeckShape, Ground
+from sitl.world.world import Stick, World
 
 STEP_S = 0.004
 
@@ -77,25 +75,6 @@ def test_a_tilt_step_has_the_frequency_and_damping_of_the_file(name: str) -> Non
         roll += STEP_S * rate
         model.append(roll)
     np.testing.assert_allclose(flown, model, atol=0.04 * asked)
-
-
-@pytest.mark.parametrize("name", shipped("vehicles"))
-def test_rotors_give_the_thrust_and_torque_that_were_asked_for(name: str) -> None:
-    f = shipped_vehicle(name).airframe()
-    lift_n = 0.5 * f.thrust_max_n
-    wanted = (lift_n, (0.7, -0.4, 0.11))
-    n = len(rotors(f))
-    lift, torque = delivered(f, *wanted, (1.0,) * n)
-    assert (lift, *torque) == pytest.approx((lift_n, 0.7, -0.4, 0.11))
-    # None gives more than its part of the whole, and none pushes down.
-    assert delivered(f, 9.0 * f.thrust_max_n, (0.0, 0.0, 0.0), (1.0,) * n)[0] == pytest.approx(f.thrust_max_n)
-    assert delivered(f, -1.0, (0.0, 0.0, 0.0), (1.0,) * n)[0] == 0.0
-    # From the places of the rotors themselves: roll to starboard is force on the port side.
-    t = np.array(thrusts(f, *wanted))
-    x, y = (f.arm_m * np.array([getattr(r, axis) for r in rotors(f)]) for axis in ("forward", "right"))
-    assert (-(y * t).sum(), (x * t).sum()) == pytest.approx((0.7, -0.4))
-    assert f.yaw_torque_per_thrust_m * sum(r.spin * k for r, k in zip(rotors(f), t, strict=True)) == pytest.approx(0.11)
-    assert np.hypot(x, y) == pytest.approx(np.hypot(x, y)[0])
 
 
 def test_a_hexacopter_flies_on_with_a_weak_rotor_and_rolls_away_from_a_lost_side(tmp_path: Path) -> None:
@@ -173,37 +152,6 @@ def test_a_bad_vehicle_is_refused_in_one_line(tmp_path: Path, old: str, new: str
     assert str(why.value).startswith(f"{path}: ")
     assert said in str(why.value)
     assert "\n" not in str(why.value)
-
-
-@pytest.mark.parametrize("yaw", [0.0, 0.8])
-def test_the_share_of_a_disc_over_the_deck_is_that_of_its_area(yaw: float) -> None:
-    shape = DeckShape(2.0, 3.0, 1.5, 1.5, pad_yaw_rad=yaw)
-    rng = np.random.default_rng(2)
-    radius = 0.4
-    a, b = rng.uniform(0, math.tau, 20_000), radius * np.sqrt(rng.uniform(0, 1, 20_000))
-    for along, across in ((0.0, 0.0), (1.9, 0.0), (2.2, 0.3), (2.5, 0.0), (0.0, -1.4), (-3.2, 0.0)):
-        x, y = along * math.cos(yaw) + across * math.sin(yaw), -along * math.sin(yaw) + across * math.cos(yaw)
-        expected = np.mean([shape.holds(*at) for at in zip(x + b * np.cos(a), y + b * np.sin(a), strict=True)])
-        assert coverage(shape, x, y, radius) == pytest.approx(expected, abs=0.015)
-
-
-def test_over_the_edge_the_rotors_over_the_deck_lift_more() -> None:
-    """Half over the deck, low: the factors lie between water's and deck's, the inner rotors' higher; well inside, all alike."""
-    shape = DeckShape(2.0, 2.0, 2.0, 2.0)
-    ground = Ground((0.0, 0.0, -3.0), (0.0, 0.0, 0.0), LEVEL, (0.0, 0.0, 0.0), 0.0)
-
-    def factors(y: float) -> dict[str, float]:
-        r = relative(ground, (0.0, y, -3.25), (0.0, 0.0, 0.0), LEVEL, (0.0, 0.0, 0.0))
-        each = ground_effect_by_rotor(HEXA, shape, r, 3.25)
-        return {rotor.name: float(k) for rotor, k in zip(rotors(HEXA), each, strict=True)}
-
-    deck, water = float(ground_effect(HEXA, 0.25)), float(ground_effect(HEXA, 3.25))
-    assert list(factors(0.0).values()) == pytest.approx([deck] * 6)
-    edge = factors(1.9)
-    assert edge["left"] == pytest.approx(deck)
-    assert edge["right"] == pytest.approx(water)
-    assert water < edge["front_right"] < edge["front_left"] <= deck + 1e-12
-    assert list(factors(4.0).values()) == pytest.approx([water] * 6)
 
 
 def test_a_vehicle_that_comes_over_the_edge_is_lifted_by_degrees() -> None:

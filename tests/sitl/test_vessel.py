@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
-from sitl.sea import GRAVITY_M_S2, SEA_STATES, SHELTERED_SLIGHT, Waves
-from sitl.seakeeping import FERRY, HULLS, OTTER, SUPPLY_SHIP, Hull, hull, responses
-from sitl.vessel import Mooring, Vessel
+from sitl.sea.sea import GRAVITY_M_S2, SEA_STATES, SHELTERED_SLIGHT, Waves
+from sitl.vessel.seakeeping import FERRY, HULLS, OTTER, SUPPLY_SHIP, Hull, hull, responses
+from sitl.vessel.vessel import Mooring, Vessel
 
 PERIODS = np.arange(5.0, 18.0, 0.25)
 

@@ -11,16 +11,16 @@ import pytest
 from companion.settings.load import SHIPPED, shipped
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from sitl.recorded_motion import RecordedMotion
-from sitl.response_table import ResponseTable
-from sitl.scenario import load as load_scenario
-from sitl.sea import SEA_STATES, Waves
-from sitl.seakeeping import FERRY, HULLS, SUPPLY_SHIP, Hull, encounter_rad_s, responses
-from sitl.special_vessels import RecordedVessel, TurningVessel
-from sitl.stage import sea_and_vessel
-from sitl.turn import Turn, TurningCourse, speed_in_turn_m_s
-from sitl.vessel import Mooring, Vessel
-from sitl.vessel_file import Mode, Table, load
+from sitl.scenario.scenario import load as load_scenario
+from sitl.sea.sea import SEA_STATES, Waves
+from sitl.vessel.file import Mode, Table, load
+from sitl.vessel.recorded_motion import RecordedMotion
+from sitl.vessel.response_table import ResponseTable
+from sitl.vessel.seakeeping import FERRY, HULLS, SUPPLY_SHIP, Hull, encounter_rad_s, responses
+from sitl.vessel.special import RecordedVessel, TurningVessel
+from sitl.vessel.turn import Turn, TurningCourse, speed_in_turn_m_s
+from sitl.vessel.vessel import Mooring, Vessel
+from sitl.world.stage import sea_and_vessel
 from tests.support.vessel_table_text import as_toml
 
 HEADER = "time_s,surge_m,sway_m,heave_down_m,roll_deg,pitch_deg,yaw_deg\n"

@@ -11,11 +11,11 @@ import pytest
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import VesselReport
 from estimator.contracts.time import after
-from sitl.fault import Fault
-from sitl.report_faults import VesselReports
-from sitl.scenario import VesselSettings, from_mapping
-from sitl.vessel_reports import VesselReporter
-from sitl.world import World
+from sitl.faults.fault import Fault
+from sitl.faults.reports import VesselReports
+from sitl.flight.vessel_reports import VesselReporter
+from sitl.scenario.scenario import VesselSettings, from_mapping
+from sitl.world.world import World
 from tests.sitl.test_faults import CALM
 
 SHIP = VesselSettings(moored=False, speed_m_s=3.0, heading_deg=40.0, reports_hz=5.0)

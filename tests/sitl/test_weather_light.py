@@ -10,11 +10,11 @@ import pytest
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from sitl.camera import Renderer
-from sitl.drops import Drop, Drops, wet_lens
-from sitl.light import FULL_SCALE, Light, Mast
-from sitl.render_light import Lamps
-from sitl.surroundings import Deck, Surroundings
+from sitl.camera.camera import Renderer
+from sitl.camera.drops import Drop, Drops, wet_lens
+from sitl.camera.light import FULL_SCALE, Light, Mast
+from sitl.camera.render.light import Lamps
+from sitl.camera.surroundings import Deck, Surroundings
 from tests.sitl.images import PLAIN, WHITE, pad, project, shot
 from tests.support.plain_light import FLAT, IDEAL
 

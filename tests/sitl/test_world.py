@@ -12,16 +12,16 @@ import pytest
 from companion.base.mission import State
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
-from sitl.ardrone.truth_log import record
-from sitl.faults import KINDS, Gust, WeakRotor
-from sitl.safety import outside_commit
-from sitl.scenario import Scenario, Sea, Start, VesselSettings, WindSettings, load
-from sitl.sensor_faults import Magnetometer, Ultrasound
-from sitl.sensor_settings import SensorSettings
-from sitl.sensors import Readings
-from sitl.truth import RenderedFrame, Truth
-from sitl.vehicle import VehiclePhase
-from sitl.world import Stick, World
+from sitl.emulators.ardrone.truth_log import record
+from sitl.faults.kinds import KINDS, Gust, WeakRotor
+from sitl.faults.sensors import Magnetometer, Ultrasound
+from sitl.flight.safety import outside_commit
+from sitl.scenario.scenario import Scenario, Sea, Start, VesselSettings, WindSettings, load
+from sitl.sensors.sensors import Readings
+from sitl.sensors.settings import SensorSettings
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.truth import RenderedFrame, Truth
+from sitl.world.world import Stick, World
 
 CALM = Scenario(
     title="bench",

@@ -14,9 +14,9 @@ from estimator.contracts.geometry import Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from sitl.camera import Exposure, Renderer
-from sitl.light import Light
-from sitl.surroundings import Decal, Deck, Surroundings
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.light import Light
+from sitl.camera.surroundings import Decal, Deck, Surroundings
 
 
 @dataclass(frozen=True, eq=False)

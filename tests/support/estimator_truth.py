@@ -16,9 +16,9 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Pose6, Sighting
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu, Range
 from estimator.contracts.time import MonoNs, Stamp
-from sitl.sea import Waves, sea_state
-from sitl.seakeeping import HULLS
-from sitl.vessel import Vessel
+from sitl.sea.sea import Waves, sea_state
+from sitl.vessel.seakeeping import HULLS
+from sitl.vessel.vessel import Vessel
 
 G = 9.80665
 EPOCH_NS = 5_000_000_000

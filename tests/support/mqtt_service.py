@@ -106,9 +106,7 @@ async def running(settings: MqttSettings, folder: Path, session: str = SESSION) 
     command_handler = CommandHandler(
         topics, session, operator, RUN, secret_files.key(settings.command_key_file, "mqtt", "command_key_file")
     )
-    part = MqttPart(
-        settings, BrokerEndpoint.of(settings), outbox, command_handler, health, clock, session=session, version="1.2.3"
-    )
+    part = MqttPart(settings, BrokerEndpoint.of(settings), outbox, command_handler, health, clock, version="1.2.3")
     ended = asyncio.Event()
     async with asyncio.TaskGroup() as group:
         group.create_task(run({"mqtt": part.run}, RestartOptions(), health, clock, until=ended))

@@ -16,10 +16,10 @@ from estimator.vision.lamp import points_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from sitl.camera import Exposure, Renderer
-from sitl.light import Light, Sensor
-from sitl.render_light import Lamps
-from sitl.surroundings import Deck, Surroundings
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.light import Light, Sensor
+from sitl.camera.render.light import Lamps
+from sitl.camera.surroundings import Deck, Surroundings
 from tests.support.pad_scenes import truth_of
 
 ATTITUDE_SIGMA_RAD, DECK_SIGMA_RAD = math.radians(1.0), math.radians(2.0)

@@ -17,10 +17,10 @@ from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from sitl.camera import Exposure, Renderer
-from sitl.light import Light, Sensor
-from sitl.sea import SEA_STATES, Waves
-from sitl.surroundings import RGB, Decal, Deck, Surroundings
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.light import Light, Sensor
+from sitl.camera.surroundings import RGB, Decal, Deck, Surroundings
+from sitl.sea.sea import SEA_STATES, Waves
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / ".." / "shared" / "data"

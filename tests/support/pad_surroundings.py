@@ -13,12 +13,12 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from sitl.camera import Exposure, Renderer
-from sitl.light import I16, U16, Light, Sensor
-from sitl.projection import F32
-from sitl.sea import SEA_STATES, Waves
-from sitl.surroundings import Deck, Surroundings
-from sitl.textures import Tile
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.light import I16, U16, Light, Sensor
+from sitl.camera.projection import F32
+from sitl.camera.render.textures import Tile
+from sitl.camera.surroundings import Deck, Surroundings
+from sitl.sea.sea import SEA_STATES, Waves
 from tests.support.pad_scenes import truth_of
 from tests.support.pad_views import PLAIN
 from tests.support.plain_light import FLAT

@@ -14,9 +14,9 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from sitl.camera import Exposure, Renderer
-from sitl.light import Light, Sensor
-from sitl.surroundings import Decal, Deck, Surroundings
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.light import Light, Sensor
+from sitl.camera.surroundings import Decal, Deck, Surroundings
 from tests.support.pad_images import STAMP
 from tests.support.plain_light import FLAT
 

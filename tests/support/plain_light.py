@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from sitl.light import Light, Sensor
+from sitl.camera.light import Light, Sensor
 
 FLAT = Light(vignetting=0.0, drone_shadow=0.0, wear=0.0)
 """Even light on perfect paint."""

@@ -16,8 +16,8 @@ from companion.recording.records import TruthRecord
 from companion.settings.load import Settings, load
 from companion.settings.model import CameraSettings, PadSettings
 from estimator.contracts.samples import Sample
-from sitl.flight import Flight
-from sitl.scenario import load as load_scenario
+from sitl.flight.flight import Flight
+from sitl.scenario.scenario import load as load_scenario
 
 SCENARIO = "demo"
 

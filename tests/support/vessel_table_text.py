@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from sitl.response_table import MODES
-from sitl.vessel_file import Mode, Table
+from sitl.vessel.file import Mode, Table
+from sitl.vessel.response_table import MODES
 
 
 def as_toml(table: Table) -> str:

@@ -158,7 +158,7 @@ class FoxgloveEndpoint:
                 return web.Response(status=401, text="the token is missing or wrong\n", headers={"WWW-Authenticate": "Bearer"})
         elif (origin := request.headers.get("Origin")) is not None and origin.lower() not in self._origins:
             self.count("foreign_origins")
-            return web.Response(status=403, text="this page is not among foxglove.origins\n")
+            return web.Response(status=403, text="this page is not among expert.foxglove.origins\n")
         if len(self._viewers) >= self._settings.viewers_max:
             self.count("too_many")
             return web.Response(status=503, text=f"{self._settings.viewers_max} viewers watch already\n")

@@ -88,7 +88,7 @@ class AutopilotPart:
         )
         async with opening as autopilot:
             self._links, autopilot.links.tap = autopilot.links, self._tap
-            autopilot.deck_velocity = DeckVelocity(self._pilot.belief, autopilot, self._pilot.vessel_velocity)
+            autopilot.deck_velocity = DeckVelocity(self._pilot.belief, autopilot, self._pilot.landing.vessel_velocity)
             async with (
                 speaking(self.component, autopilot, self._clock),
                 showing(self._show, autopilot, self._clock),

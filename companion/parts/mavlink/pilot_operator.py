@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from companion.base.mission import FlightOutcome
 from companion.base.orders import OrderSender, OrderSource
-from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.mavlink.operator import LandingProgress
 from estimator.contracts.estimates import PathName, RelativeState

@@ -53,7 +53,7 @@ def make_mqtt(
     run = secrets.token_hex(16)
     command_handler = CommandHandler(topics, session, operator, run, key)
     ship = None if reports is None else (ShipReportReader(topics, run, key), reports)
-    return MqttPart(settings, endpoint, outbox, command_handler, health, clock, session=session, version=_version(), ship=ship)
+    return MqttPart(settings, endpoint, outbox, command_handler, health, clock, version=_version(), ship=ship)
 
 
 def spool_folder(settings: MqttSettings, environment: Mapping[str, str] = os.environ) -> Path | None:

@@ -49,7 +49,6 @@ class MqttPart:
     """The observer and the supervised task.
 
     Args:
-        session: the id of this run of the service.
         version: the software's version, for the status.
         ship: the reader of the ship's reports, and where its samples are put; None where none are taken.
     """
@@ -63,7 +62,6 @@ class MqttPart:
         health: Health,
         clock: Clock,
         *,
-        session: str,
         version: str,
         ship: tuple[ShipReportReader, Line[Sample]] | None = None,
     ) -> None:
@@ -74,7 +72,7 @@ class MqttPart:
         self._topics: Topics = command_handler.topics
         self._health = health
         self._clock = clock
-        self._session = session
+        self._session = command_handler.session
         self._version = version
         self._ship = ship
         self._started = clock.now()

@@ -32,6 +32,7 @@ from companion.parts.page.viewer import PageViewer
 from companion.settings import whole_file
 from companion.settings.address_masks import masked, unmasked
 from companion.settings.draft import Draft, check_draft
+from companion.settings.expert import split
 from companion.settings.model import Settings
 from companion.settings.settings_file import BEFORE, SettingsFile
 from drivers.mailbox import Line
@@ -146,7 +147,8 @@ class SettingsTool:
         original = whole if self._file is None else self._file.read()[0]
         path = Path("settings.toml") if self._file is None else self._file.path
         restored = unmasked(text, original)
-        return restored, check_draft(restored, path, _mapping(original) or msgspec.to_builtins(self._in_force), self._in_force)
+        before = _mapping(original) or split(msgspec.to_builtins(self._in_force))
+        return restored, check_draft(restored, path, before, self._in_force)
 
 
 def _mapping(text: str) -> Mapping[str, Any] | None:

@@ -387,7 +387,7 @@ def exposure_limited(p: Snapshot) -> Finding | None:
             "exposure-limited",
             f"the pad was too {'dark' if dark > bright else 'bright'} in {max(dark, bright) / tracked:.0%} of its frames, "
             "at the limits of the camera",
-            "too dark: more light, a faster lens, or a greater camera.exposure.blur_px; too bright: a grey filter",
+            "too dark: more light, a faster lens, or a greater expert.camera.exposure.blur_px; too bright: a grey filter",
         )
     return None
 

@@ -14,9 +14,9 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from companion.base.mission import FLOWN, State
+from companion.base.mission import FLOWN, FlightOutcome, State
 from companion.base.observer import Decision, Observer, ProcessedFrame
-from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.guidance.pilot import Pilot
 from companion.recording import encode
 from companion.recording.reading import Event, RecordedFrame, Recording, instant
 from companion.recording.records import FusionRecord, HealthRecord, LinkRecord, TruthRecord
@@ -167,15 +167,15 @@ class Replay:
             frame = _black(recorded)
         elif (refused := self._pilot.admit(replace(frame, stamp=stamp))) is not None:
             verdict = refused
-        elif attitude is not None and held is None and self._pilot.gimballed:
+        elif attitude is not None and held is None and self._pilot.search.gimballed:
             verdict = Verdict.NO_GIMBAL
         elif attitude is not None:
             self.counts.searched += 1
             detection = self._pilot.detect(replace(frame, stamp=stamp), attitude, held)
             verdict, results = self._pilot.on_detection(detection)
-        self._pilot.on_verdict(verdict)
+        self._pilot.landing.on_verdict(verdict)
         seen = replace(frame, stamp=stamp)
-        camera = self._pilot.camera_held(held)
+        camera = self._pilot.search.camera_held(held)
         processed = ProcessedFrame(seen, attitude, detection, verdict, began, done, results, recorded.times, camera)
         self._hash.update(self._encoder.encode(encode.detection(processed)))
         for observer in self._observers:

@@ -1,4 +1,4 @@
-/* The vehicle's sensors, with the errors measured on a real AR.Drone 2.0 (provenance: `sitl.scenario.SensorSettings`). */
+/* The vehicle's sensors, with the errors measured on a real AR.Drone 2.0 (provenance: `sitl.scenario.scenario.SensorSettings`). */
 
 #include <math.h>
 #include <string.h>

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
-from sitl.autopilots import arducopter, px4
-from sitl.autopilots.program import Program, free_udp_port, running
+from sitl.emulators.autopilots import arducopter, px4
+from sitl.emulators.autopilots.program import Program, free_udp_port, running
 from tests.companion.doctor.test_set_ups import DATA
 
 PROGRAMS = {stack: os.environ.get(f"DECKLANDER_{name}", "") for stack, name in (("ArduPilot", "ARDUCOPTER"), ("PX4", "PX4"))}

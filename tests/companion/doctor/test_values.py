@@ -11,9 +11,9 @@ from companion.tools.doctor.diagnose import PARAMETERS, diagnose
 from companion.tools.doctor.rules_values import RULES, ValueRule
 from companion.tools.doctor.snapshot import Snapshot
 from estimator.contracts.ports import Clock
-from sitl.autopilots.lock_step import LockStepClock
-from sitl.autopilots.stand_in.arducopter import CopterStandIn
-from sitl.autopilots.stand_in.px4 import Px4StandIn
+from sitl.emulators.autopilots.lock_step import LockStepClock
+from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
+from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, PX4
 
 

@@ -36,8 +36,8 @@ from companion.settings.effect import without_effect
 from companion.settings.live import FoxgloveSettings
 from companion.settings.load import from_mapping
 from drivers.clock import SystemClock
-from sitl.flight import Flight
-from sitl.scenario import load as load_scenario
+from sitl.flight.flight import Flight
+from sitl.scenario.scenario import load as load_scenario
 from tests.support.fake_ardrone import until
 from tests.support.recorded_flight import SCENARIO, sim_settings
 

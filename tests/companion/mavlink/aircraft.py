@@ -18,10 +18,10 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import Stamp, after
-from sitl.airframe import Airframe
-from sitl.autopilots.body import Body
-from sitl.autopilots.miniature import MiniatureAutopilot
-from sitl.scenario import load
+from sitl.emulators.autopilots.body import Body
+from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.scenario.scenario import load
+from sitl.vehicle.airframe import Airframe
 from tests.companion.mavlink.receivers import Px4Receiver
 from tests.sitl.autopilots.pilot import Cascade
 

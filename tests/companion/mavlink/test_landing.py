@@ -13,14 +13,14 @@ import pytest
 
 import companion.settings.load as settings_of
 from companion.base.health import Health
+from companion.base.mission import FlightOutcome
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import FlightOutcome
 from companion.parts.mavlink.make import AutopilotPart
-from companion.service.daemon import Daemon, VehicleLink
+from companion.service.daemon import Daemon, DaemonOptions, VehicleLink
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.options import AutopilotOptions
-from sitl.autopilots.lock_step import LockStepClock
+from sitl.emulators.autopilots.lock_step import LockStepClock
 from tests.companion.mavlink.aircraft import TICK_S, Aircraft, settled
 from tests.support.fake_ardrone import until
 
@@ -59,14 +59,7 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
             yield link
 
     daemon = Daemon(
-        open_link,
-        pilot,
-        clock,
-        restart=loaded.service,
-        guidance_rate_hz=50.0,
-        observers=(part.component,),
-        once=True,
-        health=health,
+        open_link, pilot, clock, DaemonOptions(loaded.service, 50.0, once=True), observers=(part.component,), health=health
     )
     outcomes: list[FlightOutcome | None] = []
 

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.base.mission import FlightOutcome
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON, OperatorArbiter
-from companion.guidance.pilot import FlightOutcome
 from companion.guidance.precedence import CROSSING_S, RANKED, REASONS, TABLE, ControlSituation, Rule
 from estimator.contracts.commands import CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.samples import VehicleStatus

@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import pytest
 
+from companion.base.mission import FlightOutcome
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import FlightOutcome, Pilot
+from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.settings.load import load
 from estimator.contracts.commands import Hover
@@ -58,7 +59,7 @@ def test_a_path_that_runs_along_may_take_over_in_an_approach_another_only_while_
     assert operator.steer_by("median_mean") == "median_mean does not run along; pause the approach first"
     assert operator.pause() is None
     assert operator.steer_by("median_mean") is None
-    assert pilot._memory.paths[0].name == pilot._memory.options.path == "median_mean"
+    assert pilot.estimation.memory.paths[0].name == pilot.estimation.memory.options.path == "median_mean"
     assert operator.start() is None
     assert operator.steer_by(first) is None, "the path that steered goes on as a shadow"
 

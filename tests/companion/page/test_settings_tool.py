@@ -35,6 +35,9 @@ device = "rtsp://admin:hunter2@10.0.0.8/live?token=s3cret"
 file = "thesis"
 
 [guidance]
+start = "signal"
+
+[expert.guidance]
 rate_hz = 20.0
 """
 FASTER = RIG.replace("rate_hz = 20.0", "rate_hz = 30.0")
@@ -172,8 +175,8 @@ def test_every_fault_is_told_with_its_line() -> None:
     assert [(fault.path, fault.line) for fault in found] == [
         ("vehicle.model", 4),
         ("pad.colour", 12),
-        ("guidance.rate_hz", 16),
-        ("recorder.frame", 18),
+        ("expert.guidance.rate_hz", 19),
+        ("recorder.frame", 21),
     ]
     assert "did you mean recorder.frames?" in found[3].text
 

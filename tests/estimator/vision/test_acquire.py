@@ -16,8 +16,8 @@ from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import PadCandidate, acquire
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from sitl.light import Light
-from sitl.surroundings import Decal
+from sitl.camera.light import Light
+from sitl.camera.surroundings import Decal
 from tests.support.deck_images import covered, disc_of, shown
 from tests.support.pad_claims import keeps_claim
 from tests.support.shipped import shipped_camera, shipped_pad

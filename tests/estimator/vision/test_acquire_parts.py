@@ -26,7 +26,7 @@ from estimator.vision.detect.template import DISC, ORANGE, STEP_M, H, paints_at,
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.srgb import LINEAR_LIGHT
-from sitl.light import Light
+from sitl.camera.light import Light
 from tests.support.deck_images import shown
 from tests.support.pad_images import sim_camera
 

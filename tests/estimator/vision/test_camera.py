@@ -6,7 +6,7 @@ import numpy as np
 
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.vision.camera import Camera, ray_map
-from sitl.projection import lens_of
+from sitl.camera.projection import lens_of
 
 
 def camera(k1: float = -0.2) -> Camera:

@@ -14,7 +14,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.register.registration import Registration, RegistrationOptions, register
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.verified import CODED_PX
-from sitl.ardrone.video import Encoder
+from sitl.emulators.ardrone.video import Encoder
 from tests.support.pad_images import STAMP
 from tests.support.pad_views import RenderedView, Stage, error
 

@@ -27,7 +27,7 @@ from estimator.vision.regions import depth_in, outlines_of, rectangles_of
 from estimator.vision.register.fiducial_cells import cells_log_odds
 from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from sitl.camera import Renderer
+from sitl.camera.camera import Renderer
 from tests.sitl.images import PLAIN, pad_pose, shot
 from tests.support.pad_images import STAMP
 from tests.support.shipped import CONFIGS, shipped_pad

@@ -21,7 +21,7 @@ from estimator.vision.pose import Orientation
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.tracker_config import FRAME_WORK
 from estimator.vision.verified import SURE, verified
-from sitl.light import Light
+from sitl.camera.light import Light
 from tests.support.deck_images import shown
 from tests.support.hard_light import HARD, U8, dusk, grey, hard_scene, haze
 from tests.support.pad_scenes import PadScene, empty_scene, pad_scene

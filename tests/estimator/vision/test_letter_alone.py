@@ -12,7 +12,7 @@ from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.options import TrackerOptions
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from sitl.camera import Renderer
+from sitl.camera.camera import Renderer
 from tests.sitl.images import PLAIN, shot
 from tests.support.pad_images import STAMP
 from tests.support.pad_scenes import empty_scene, load_camera

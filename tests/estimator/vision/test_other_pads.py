@@ -25,7 +25,7 @@ from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.register.turned import heading_z_scores
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.verified import verified
-from sitl.camera import Renderer
+from sitl.camera.camera import Renderer
 from tests.sitl.images import PLAIN, pad_pose, shot
 from tests.support.pad_images import STAMP
 from tests.support.shipped import shipped_pad

@@ -18,8 +18,8 @@ from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.register.registration import RegistrationOptions, register
-from sitl.light import Light, Sensor
-from sitl.surroundings import Surroundings
+from sitl.camera.light import Light, Sensor
+from sitl.camera.surroundings import Surroundings
 from tests.support.pad_images import sim_camera
 from tests.support.pad_views import RenderedView, Stage, error, pad_error
 from tests.support.plain_light import FLAT

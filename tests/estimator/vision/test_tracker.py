@@ -15,8 +15,8 @@ from estimator.contracts.time import MonoNs
 from estimator.vision.believed import expected
 from estimator.vision.options import TrackerMethod, TrackerOptions
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from sitl.light import Light
-from sitl.surroundings import Decal, Surroundings
+from sitl.camera.light import Light
+from sitl.camera.surroundings import Decal, Surroundings
 from tests.support.deck_images import Shown, covered, shown
 from tests.support.pad_images import STAMP
 from tests.support.pad_views import RenderedView, Stage

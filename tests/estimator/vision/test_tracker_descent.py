@@ -12,8 +12,8 @@ from estimator.contracts.estimates import Method, Sighting
 from estimator.contracts.geometry import F64
 from estimator.vision.fusion import fuse
 from estimator.vision.tracker import TrackerMemory, track
-from sitl.light import Light
-from sitl.surroundings import Surroundings
+from sitl.camera.light import Light
+from sitl.camera.surroundings import Surroundings
 from tests.estimator.vision.test_tracker import CAMERA, PAD, attitude, belief, tracker
 from tests.support.pad_views import Stage
 

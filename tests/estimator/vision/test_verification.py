@@ -13,7 +13,7 @@ from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.verification import FEATURES, arrow_support, confidence
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from sitl.light import Light
+from sitl.camera.light import Light
 from tests.support.deck_images import covered, disc_of, shown
 from tests.support.pad_claims import keeps_claim
 

@@ -23,7 +23,7 @@ from estimator.vision.register.fit_verification import SEARCHED, confidence
 from estimator.vision.register.look import Looked, look
 from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.register.sighting import sighting_of, sighting_of_look
-from sitl.surroundings import Decal
+from sitl.camera.surroundings import Decal
 from tests.support.deck_images import covered, disc_of, shown
 from tests.support.hard_light import HARD
 from tests.support.pad_images import STAMP

@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager
 
 from drivers.ardrone import at, navdata, pave
 from drivers.ardrone.navdata import Navdata, NavdataState
-from sitl.ardrone.server import Ports
+from sitl.emulators.ardrone.server import Ports
 
 ASK = b"\x01\x00\x00\x00"
 

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.airframe import StickLimits
-from sitl.fault import Fault
-from sitl.fault_timer import FaultTimer
-from sitl.faulty_streams import VehicleStreams
-from sitl.scenario import Scenario
-from sitl.sensors import Readings
-from sitl.truth import RenderedFrame, Truth
-from sitl.vehicle import VehiclePhase
-from sitl.world import Stick
+from sitl.faults.fault import Fault
+from sitl.faults.faulty_streams import VehicleStreams
+from sitl.faults.timer import FaultTimer
+from sitl.scenario.scenario import Scenario
+from sitl.sensors.sensors import Readings
+from sitl.vehicle.airframe import StickLimits
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.truth import RenderedFrame, Truth
+from sitl.world.world import Stick
 
 G = 9.80665
 HOVER_HEIGHT_M = 0.8

@@ -21,13 +21,13 @@ from estimator.contracts.pictures import CodedPicture
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import NS_PER_S, MonoNs
 from estimator.uvlc import UvlcDecoder
+from sitl.ardrone.arriving_frames import ArrivingFrames
 from sitl.ardrone.generations import FIRST, SECOND
-from sitl.ardrone.server import ArDroneServer, Habits, Ports
-from sitl.arriving_frames import ArrivingFrames
-from sitl.one_flight import fly, settings_for
-from sitl.scenario import load as load_scenario
-from sitl.truth import RenderedFrame
-from sitl.world import World
+from sitl.emulators.ardrone.server import ArDroneServer, Habits, Ports
+from sitl.flight.one_flight import fly, settings_for
+from sitl.scenario.scenario import load as load_scenario
+from sitl.world.truth import RenderedFrame
+from sitl.world.world import World
 from tests.sitl.ardrone.point_mass import PointMass
 
 HOST = "127.0.0.1"

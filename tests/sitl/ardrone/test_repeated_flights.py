@@ -13,13 +13,13 @@ from drivers.clock import SystemClock
 from estimator.contracts.commands import Land
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.ardrone.repeated_flights import PauseBetweenFlights, faulty, fly_repeatedly, real_time
-from sitl.ardrone.server import ArDroneServer, Ports
+from sitl.emulators.ardrone.repeated_flights import PauseBetweenFlights, faulty, fly_repeatedly, real_time
+from sitl.emulators.ardrone.server import ArDroneServer, Ports
 from sitl.perception.levels import perceive, represents
 from sitl.perception.port import Perception
-from sitl.scenario import Start
-from sitl.scenario import load as load_scenario
-from sitl.world import World
+from sitl.scenario.scenario import Start
+from sitl.scenario.scenario import load as load_scenario
+from sitl.world.world import World
 from tests.sitl.ardrone.patient_clock import PatientClock
 
 CLOCK = SystemClock()

@@ -12,14 +12,14 @@ from typing import Any
 
 import pytest
 
-from sitl.ardrone import serve, truth_log
+from sitl.emulators.ardrone import serve, truth_log
 from tests.support.processes import started
 
 ANY = ("--navdata-port", "0", "--video-port", "0", "--at-port", "0", "--control-port", "0")
 
 
 def start(*arguments: str, **options: Any) -> AbstractContextManager[subprocess.Popen[str]]:
-    return started([sys.executable, "-m", "sitl.ardrone.serve", *arguments], stderr=subprocess.PIPE, **options)
+    return started([sys.executable, "-m", "sitl.emulators.ardrone.serve", *arguments], stderr=subprocess.PIPE, **options)
 
 
 @pytest.mark.parametrize("how", ["stdin closes", "SIGTERM"])

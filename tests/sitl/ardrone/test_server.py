@@ -18,10 +18,10 @@ from drivers.ardrone import at, control, navdata, pave
 from drivers.ardrone.navdata import ControlState, NavdataState
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
-from sitl.ardrone import truth_log
-from sitl.ardrone.server import ArDroneServer, Habits, Ports
-from sitl.stream_faults import FrameStream, NavdataStream
-from sitl.world import World
+from sitl.emulators.ardrone import truth_log
+from sitl.emulators.ardrone.server import ArDroneServer, Habits, Ports
+from sitl.faults.streams import FrameStream, NavdataStream
+from sitl.world.world import World
 from tests.sitl.ardrone.patient_clock import PatientClock
 from tests.sitl.ardrone.peer import Peer, Watcher
 from tests.sitl.ardrone.point_mass import PointMass
@@ -239,7 +239,7 @@ async def test_a_client_vanishes_and_comes_back(server: ArDroneServer, stack: Ex
 async def test_navdata_clients_are_forgotten_in_the_end(
     server: ArDroneServer, monkeypatch: pytest.MonkeyPatch, stack: ExitStack
 ) -> None:
-    monkeypatch.setattr("sitl.ardrone.sockets.NAVDATA_LEASE_S", 0.6)
+    monkeypatch.setattr("sitl.emulators.ardrone.sockets.NAVDATA_LEASE_S", 0.6)
     peer = Peer(HOST, server.ports)
     stack.callback(peer.close)
     peer.ask()

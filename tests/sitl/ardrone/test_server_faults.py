@@ -12,10 +12,10 @@ import pytest
 from drivers.ardrone import at
 from drivers.ardrone.navdata import ControlState
 from drivers.clock import SystemClock
-from sitl.ardrone.server import ArDroneServer, Ports
-from sitl.faults import LinkLost
-from sitl.stream_faults import FrameStream
-from sitl.world import World
+from sitl.emulators.ardrone.server import ArDroneServer, Ports
+from sitl.faults.kinds import LinkLost
+from sitl.faults.streams import FrameStream
+from sitl.world.world import World
 from tests.sitl.ardrone.peer import Peer, Watcher
 from tests.sitl.ardrone.point_mass import PointMass
 

@@ -10,8 +10,8 @@ from drivers.ardrone import at
 from drivers.ardrone.navdata import ControlState, NavdataState
 from estimator.contracts.time import MonoNs
 from sitl.ardrone.state import HOVER, LOST_COM, DroneState, RefAction
-from sitl.vehicle import VehiclePhase
-from sitl.world import Stick
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.world import Stick
 
 FLY = at.Ref(at.REF_BASE | at.REF_TAKE_OFF)
 LAND = at.Ref(at.REF_BASE)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
 from sitl.ardrone.drone_clock import DroneClock
-from sitl.ardrone.front_view import front_view
-from sitl.ardrone.video import IDR_EVERY, Encoder, split_annex_b
+from sitl.emulators.ardrone.front_view import front_view
+from sitl.emulators.ardrone.video import IDR_EVERY, Encoder, split_annex_b
 
 SPS, PPS, IDR, SLICE = 7, 8, 5, 1
 

@@ -14,9 +14,9 @@ from drivers.clock import SystemClock
 from estimator.contracts.commands import Land, TakeOff, Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.ardrone.server import ArDroneServer, Ports
-from sitl.vehicle import VehiclePhase
-from sitl.world import World
+from sitl.emulators.ardrone.server import ArDroneServer, Ports
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.world import World
 from tests.sitl.ardrone.point_mass import PointMass
 
 HOST = "127.0.0.1"

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
-from sitl.airframe import Airframe
-from sitl.autopilots.motors import Motors
+from sitl.emulators.autopilots.motors import Motors
+from sitl.vehicle.airframe import Airframe
 
 
 def command_of(share: float, curve: float) -> float:

@@ -19,9 +19,9 @@ import numpy as np
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, open_links
 from estimator.contracts.geometry import Rotation
-from sitl.autopilots.body import BodyState
-from sitl.autopilots.lock_step import LockStepClock
-from sitl.autopilots.stand_in.arducopter import CopterStandIn
+from sitl.emulators.autopilots.body import BodyState
+from sitl.emulators.autopilots.lock_step import LockStepClock
+from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 
 HOST = "127.0.0.1"
 STEP_S = 0.00125

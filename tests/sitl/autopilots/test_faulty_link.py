@@ -19,13 +19,13 @@ from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.commands import Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
-from sitl.autopilots.faulty_link import FaultyLink
-from sitl.autopilots.miniature import MiniatureAutopilot
-from sitl.autopilots.program import free_udp_port
-from sitl.fault_timer import FaultTimer
-from sitl.faults import LinkLost
-from sitl.faulty_streams import VehicleStreams
-from sitl.stream_faults import CommandStream, NavdataStream, StreamFault
+from sitl.emulators.autopilots.faulty_link import FaultyLink
+from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.program import free_udp_port
+from sitl.faults.faulty_streams import VehicleStreams
+from sitl.faults.kinds import LinkLost
+from sitl.faults.streams import CommandStream, NavdataStream, StreamFault
+from sitl.faults.timer import FaultTimer
 from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"

@@ -16,19 +16,19 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from companion.guidance.pilot import FlightOutcome
+from companion.base.mission import FlightOutcome
 from companion.settings.load import load as load_settings
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from estimator.contracts.errors import BadInput
-from sitl.autopilots import px4
-from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram
-from sitl.autopilots.stand_in.px4 import Px4StandIn
-from sitl.one_flight import settings_for
+from sitl.emulators.autopilots import px4
+from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
+from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
+from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
-from sitl.scenario import load
+from sitl.scenario.scenario import load
 
 HOST = "127.0.0.1"
 REAL = os.environ.get("DECKLANDER_PX4", "")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.guidance.pilot import FlightOutcome
+from companion.base.mission import FlightOutcome
 from companion.settings.load import load as load_settings
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.samples import LocalPosition
@@ -17,11 +17,11 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
-from sitl.autopilots.follow import DeckUnder, follow
-from sitl.autopilots.miniature import MiniatureAutopilot
-from sitl.autopilots.pose import AutopilotPose, PoseSource
-from sitl.autopilots.program import free_udp_port
-from sitl.scenario import load
+from sitl.emulators.autopilots.follow import DeckUnder, follow
+from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.pose import AutopilotPose, PoseSource
+from sitl.emulators.autopilots.program import free_udp_port
+from sitl.scenario.scenario import load
 
 HOST = "127.0.0.1"
 

@@ -8,15 +8,15 @@ from typing import Any
 import msgspec
 import pytest
 
+from companion.base.mission import FlightOutcome
 from companion.cli.main import main
-from companion.guidance.pilot import FlightOutcome
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.gimbal_options import GimbalOptions
 from estimator.contracts.estimates import Verdict
-from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram
-from sitl.one_flight import settings_for
+from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
+from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
-from sitl.scenario import load
+from sitl.scenario.scenario import load
 
 
 def flight(

@@ -13,13 +13,13 @@ from msgspec.structs import replace
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import seconds_between
-from sitl.autopilots.body import Body
-from sitl.autopilots.camera import CameraTiming, LockStepCamera
-from sitl.autopilots.lock_step import LockStepClock
-from sitl.autopilots.program import executable, running
-from sitl.fault_timer import FaultTimer
-from sitl.faulty_streams import VehicleStreams
-from sitl.scenario import load
+from sitl.emulators.autopilots.body import Body
+from sitl.emulators.autopilots.camera import CameraTiming, LockStepCamera
+from sitl.emulators.autopilots.lock_step import LockStepClock
+from sitl.emulators.autopilots.program import executable, running
+from sitl.faults.faulty_streams import VehicleStreams
+from sitl.faults.timer import FaultTimer
+from sitl.scenario.scenario import load
 from tests.support.fake_ardrone import until
 from tests.support.processes import alive
 
@@ -106,7 +106,7 @@ def script(folder: Path, body: str) -> Path:
 
 
 async def test_a_stubborn_program_and_its_children_are_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sitl.autopilots.program._END_S", 0.2)
+    monkeypatch.setattr("sitl.emulators.autopilots.program._END_S", 0.2)
     binary = script(tmp_path, "trap '' TERM\nsleep 60 &\necho $$ $! > ids\nwhile :; do sleep 1; done")
     async with asyncio.timeout(60), running([str(binary)], tmp_path):
         await until(lambda: (tmp_path / "ids").exists() and (tmp_path / "ids").read_text().endswith("\n"))

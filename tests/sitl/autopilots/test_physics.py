@@ -18,13 +18,13 @@ from drivers.mavlink.dialect import mav
 from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.geodesy import GeoPoint, ned_between
 from estimator.contracts.geometry import Rotation
-from sitl.airframe import Airframe
-from sitl.autopilots.ardupilot_json import CURVE, JsonBackend, decode, encode, serve_json
-from sitl.autopilots.body import Body
-from sitl.autopilots.motors import thrust_fraction, wrench
-from sitl.autopilots.px4_hil import HilBackend, Home, SensorNoise, gnss, motors_of, sensors, serve_hil
-from sitl.gnss import ORIGIN
-from sitl.scenario import Scenario, load
+from sitl.emulators.autopilots.ardupilot_json import CURVE, JsonBackend, decode, encode, serve_json
+from sitl.emulators.autopilots.body import Body
+from sitl.emulators.autopilots.motors import thrust_fraction, wrench
+from sitl.emulators.autopilots.px4_hil import HilBackend, Home, SensorNoise, gnss, motors_of, sensors, serve_hil
+from sitl.scenario.scenario import Scenario, load
+from sitl.sensors.gnss import ORIGIN
+from sitl.vehicle.airframe import Airframe
 from tests.sitl.autopilots.pilot import Cascade, command_of
 
 HOST = "127.0.0.1"

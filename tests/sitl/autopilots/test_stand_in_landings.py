@@ -9,16 +9,16 @@ from typing import Literal
 import msgspec
 import pytest
 
+from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver
 from companion.guidance import contact
-from companion.guidance.pilot import FlightOutcome
-from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram
 from sitl.campaign.overrides import Overridable
-from sitl.faults import ServiceKilled
-from sitl.one_flight import settings_for
+from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
+from sitl.faults.kinds import ServiceKilled
+from sitl.flight.one_flight import settings_for
+from sitl.flight.safety import Grade
 from sitl.perception.levels import perceive
-from sitl.safety import Grade
-from sitl.scenario import load
+from sitl.scenario.scenario import load
 
 
 def test_what_is_said_of_a_key_wins_over_what_an_autopilot_has(tmp_path: Path) -> None:

@@ -17,14 +17,14 @@ from drivers.mavlink.vehicle import Stack, set_mode
 from estimator.contracts.commands import Velocity
 from estimator.contracts.geodesy import moved
 from estimator.contracts.time import MonoNs
-from sitl.autopilots.ardupilot_json import CURVE
-from sitl.autopilots.body import Body
-from sitl.autopilots.stand_in.arducopter import CopterStandIn
-from sitl.autopilots.stand_in.base import StandIn
-from sitl.autopilots.stand_in.fly import STEP_S
-from sitl.autopilots.stand_in.px4 import Px4StandIn
-from sitl.gnss import ORIGIN
-from sitl.scenario import load
+from sitl.emulators.autopilots.ardupilot_json import CURVE
+from sitl.emulators.autopilots.body import Body
+from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
+from sitl.emulators.autopilots.stand_in.base import StandIn
+from sitl.emulators.autopilots.stand_in.fly import STEP_S
+from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
+from sitl.scenario.scenario import load
+from sitl.sensors.gnss import ORIGIN
 
 ARM = (mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
 DISARM = (mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)

@@ -11,10 +11,10 @@ import pytest
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.vehicle import ARMED, Stack, custom_mode
 from estimator.contracts.time import NS_PER_S, MonoNs
-from sitl.autopilots.body import Body
-from sitl.autopilots.operator_view import view_of
-from sitl.autopilots.station import GroundStation, OperatorView, Task
-from sitl.scenario import load
+from sitl.emulators.autopilots.body import Body
+from sitl.emulators.autopilots.operator_view import view_of
+from sitl.emulators.autopilots.station import GroundStation, OperatorView, Task
+from sitl.scenario.scenario import load
 
 FAR = OperatorView(np.array([3.0, 4.0, 0.0]), np.array([1.5, 0.0, 0.0]), np.array([1.5, 0.0, 0.0]), 0.3, 0.5, 0.05)
 

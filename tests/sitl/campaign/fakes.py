@@ -17,8 +17,8 @@ from sitl.campaign.plan import CampaignPlan, Job, make_plan, seeds_of
 from sitl.campaign.run import Session
 from sitl.campaign.store import FolderStore
 from sitl.campaign.task import Flight
-from sitl.one_flight import Perception, settings_for
-from sitl.scenario import Scenario, from_mapping
+from sitl.flight.one_flight import Perception, settings_for
+from sitl.scenario.scenario import Scenario, from_mapping
 from tests.sitl.near import NEAR
 
 RAISES, KILLS = 13, 66

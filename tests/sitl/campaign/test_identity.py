@@ -14,8 +14,8 @@ from sitl.campaign import cluster
 from sitl.campaign.cluster import ClusterWorkers
 from sitl.campaign.overrides import Overridable
 from sitl.campaign.plan import make_plan
-from sitl.one_flight import settings_for
-from sitl.scenario import load
+from sitl.flight.one_flight import settings_for
+from sitl.scenario.scenario import load
 
 ROWS = "time_s,surge_m,sway_m,heave_down_m,roll_deg,pitch_deg,yaw_deg\n"
 

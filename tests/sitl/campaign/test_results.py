@@ -31,7 +31,7 @@ from sitl.campaign.search import Search
 from sitl.campaign.store import FolderStore, flights_in, manifest_of, manifest_of_plan
 from sitl.campaign.summary import in_words, tally
 from sitl.campaign.task import Flight, Order, fly_order
-from sitl.one_flight import settings_for
+from sitl.flight.one_flight import settings_for
 from tests.sitl.campaign.fakes import RAISES, fake_fly, near, plan
 
 AT = "--vary"

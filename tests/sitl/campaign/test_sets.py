@@ -18,8 +18,8 @@ from sitl.campaign.plan import Job, SetPlan
 from sitl.campaign.report import REPORT
 from sitl.campaign.task import Order, base_of, fly_order, job_of
 from sitl.perception.levels import perceive
-from sitl.scenario import load as load_scenario
-from sitl.scenario_set import is_set, load, shipped_sets
+from sitl.scenario.scenario import load as load_scenario
+from sitl.scenario.sets import is_set, load, shipped_sets
 from tests.sitl.campaign.fakes import fake_fly, plan
 from tests.sitl.near import NEAR
 

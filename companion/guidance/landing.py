@@ -1,0 +1,287 @@
+"""The landing's decisions: the mission, the control law, and what they know beside the estimate."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from companion.base.mission import GROUND, Event, State, StateChange
+from companion.base.reason import Reason, ReasonCause
+from companion.base.response_in_use import ResponseInUse
+from companion.guidance import held_up, steer, vessel_track
+from companion.guidance.contact import ContactWatch, watched
+from companion.guidance.controller import HORIZONS_S, Controller, Impact, Knowledge, Target
+from companion.guidance.held_up import HeldUp
+from companion.guidance.limits import InputQuality
+from companion.guidance.mission_step import mission_step, ordered, reported
+from companion.guidance.progress import Progress
+from companion.guidance.response_course import reported_lean
+from companion.guidance.response_identifier import ResponseIdentifier
+from companion.guidance.situation import GuidanceCycle, VesselPosition
+from companion.guidance.vessel_track import VesselTrack
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.rendezvous import ReportLimits
+from companion.settings.response import TiltResponse
+from estimator.contracts.commands import Command, Lean
+from estimator.contracts.estimates import RelativeState, Verdict
+from estimator.contracts.fusion import FusionResult
+from estimator.contracts.geometry import F64
+from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
+from estimator.contracts.samples import Attitude, BodyVelocity, GeoFix, GimbalAttitude, Imu, Sample, VehicleStatus, VesselReport
+from estimator.contracts.time import MonoNs, seconds_between
+from estimator.ekf import Forecast
+
+FORECAST_S = 0.2
+"""Time between two forecasts of the deck, s: they cost more than the rest of a guidance cycle, and change slowly."""
+_LEAN_TIME_S = 3.0
+"""Time constant of the mean lean, s: shorter than a gust front, longer than a correction."""
+_NIS_WEIGHT = 0.1
+_PLAIN = (
+    State.WAIT,
+    State.STANDBY,
+    State.READY,
+    State.PAUSED,
+    State.SEARCH,
+    State.INTERCEPT,
+    State.DESCEND,
+    State.COMMIT,
+    State.PRESS,
+    State.DOWN,
+    State.LANDED,
+)
+_BY_REPORTS = (State.SEARCH, State.RENDEZVOUS)
+"""States in which the drone flies by the reports of ship and vehicle, where it may."""
+_FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
+
+
+class Landing:
+    """Decides on commands by what is sensed and believed.
+
+    Args:
+        automatic: whether the approach begins as soon as the vehicle flies; otherwise it waits for an order.
+        law: makes the control law from guidance's options.
+        over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
+        reports: what is believed of the places that ship and vehicle report.
+        tilt: how the vehicle's tilt answers, by its file.
+    """
+
+    def __init__(
+        self,
+        guidance: GuidanceOptions,
+        *,
+        automatic: bool,
+        law: Callable[[GuidanceOptions], Controller[Any]],
+        over_ground: bool,
+        reports: ReportLimits,
+        tilt: TiltResponse,
+    ) -> None:
+        self._guidance = guidance
+        self.mission = Progress.start(automatic=automatic)
+        self._make_law = law
+        self._law = law(guidance)
+        self._law_memory = self._law.start()
+        self._over_ground = over_ground
+        self._response = ResponseIdentifier(tilt, guidance)
+        self._changes: list[StateChange] = []
+        self.vehicle: VehicleStatus | None = None
+        """The vehicle's latest status; None before the first."""
+        self._now = MonoNs(0)
+        self._attitude: Attitude | None = None
+        """The newest attitude."""
+        self._heard: MonoNs | None = None
+        """When the newest sample of the vehicle itself was received."""
+        self._contact = ContactWatch()
+        self._held, self._held_by_deck = HeldUp(), HeldUp()
+        self._deck_down_m_s: float | None = None
+        """The deck's vertical speed over the ground in the newest guidance cycle; None if it is not known."""
+        self._impact: Impact | None = None
+        self._forecast: Forecast | None = None
+        self._lean: tuple[MonoNs, float, float] | None = None
+        """Instant of the newest attitude; mean lean as an acceleration, m/s^2 forward and right."""
+        self._quality = InputQuality()
+        self._frames: Counter[Verdict] = Counter()
+        self._vessel_track = VesselTrack(reports)
+        self._vessel: VesselPosition | Reason | None = None
+        """The ship's place by reports in the newest guidance cycle, or why it is not known; None while nobody flies by it."""
+
+    @property
+    def state(self) -> State:
+        """The state of the mission."""
+        return self.mission.state
+
+    @property
+    def reason(self) -> str:
+        """Why the vehicle is not simply on its way down, as text for the operator; empty while it is."""
+        if self.mission.state is State.GATE:
+            return "" if self.mission.waits_for is None else self.mission.waits_for.text
+        if isinstance(self._vessel, Reason) and self.mission.state in _BY_REPORTS:
+            return self._vessel.text
+        if isinstance(self._vessel, VesselPosition) and self.mission.state is State.RENDEZVOUS:
+            return Reason(ReasonCause.VESSEL_AWAY, self._vessel.distance_m).text
+        if self.mission.state in _PLAIN:
+            return ""
+        why = self.mission.fault if self.mission.state in _FAULTED else self.mission.reason
+        return "" if why is None else why.text
+
+    def order(self, event: Event) -> None:
+        """Take an order of the operator."""
+        if event is Event.BEGIN:
+            self._vessel_track = vessel_track.restarted(self._vessel_track)
+        self.mission, changes = ordered(self.mission, event, self._now, self._guidance)
+        self._changes += changes
+
+    def retune(self, guidance: GuidanceOptions) -> None:
+        """Use other settings from now on; the present approach continues."""
+        if guidance != self._guidance:
+            self._law = self._make_law(guidance)
+            self._law_memory = self._law.start()
+            self._response.retune(guidance)
+        self._guidance = guidance
+
+    def changed(self) -> tuple[StateChange, ...]:
+        """Return the changes of state since the last call."""
+        changes, self._changes = tuple(self._changes), []
+        return changes
+
+    def on_samples(self, samples: Sequence[Sample]) -> None:
+        """Note what samples tell beside what the estimator makes of them."""
+        for sample in samples:
+            received_at = sample.stamp.received_at
+            if received_at > self._now:
+                self._now = received_at
+            # By the type itself: hundreds of samples a second, and a match asks one class after the other.
+            if type(sample) is Imu:
+                if self.mission.state not in GROUND:
+                    before, self._contact = self._contact.newest, watched(self._contact, sample)
+                    if self._contact.newest is not before:
+                        self._impact = self._contact.newest
+            elif type(sample) is Attitude:
+                lean = reported_lean(sample.R_ned_body)
+                self._lean = _leant(self._lean, sample.stamp.measured_at, lean)
+                self._response.on_attitude(sample.stamp, lean)
+                self._attitude = sample
+            elif type(sample) is VehicleStatus:
+                self._on_status(sample)
+            elif type(sample) is BodyVelocity and self._over_ground and self.state not in GROUND:
+                self._feel_held(sample.stamp.measured_at, float(sample.v_level[2]))
+            elif type(sample) is GeoFix or type(sample) is VesselReport:
+                self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
+                if of_ship(sample):
+                    continue
+            elif type(sample) is GimbalAttitude:
+                continue
+            self._heard = received_at
+
+    def _feel_held(self, at: MonoNs, down_m_s: float) -> None:
+        """Note the vehicle's vertical speed over the ground, m/s down, against the commands over the ground and to the deck."""
+        ground, deck = self._held, self._held_by_deck
+        self._held = held_up.measured(ground, at, down_m_s)
+        if self._deck_down_m_s is not None:
+            self._held_by_deck = held_up.measured(deck, at, down_m_s - self._deck_down_m_s)
+        for before, after in ((ground, self._held), (deck, self._held_by_deck)):
+            if after.newest is not before.newest:
+                self._impact = after.newest
+
+    def _on_status(self, status: VehicleStatus) -> None:
+        self.vehicle = status
+        if self.state not in GROUND and status.flying is False and (self._impact is None or self._impact.by != "vehicle"):
+            self._impact = Impact(status.stamp.measured_at, "vehicle")
+        self.mission, changes = reported(self.mission, status, self._guidance)
+        if any(change.event is Event.TAKEN_OFF for change in changes):
+            self._contact, self._impact, self._forecast = ContactWatch(), None, None
+            self._held, self._held_by_deck = HeldUp(), HeldUp()
+            self._law_memory = self._law.start()
+            self._response.on_take_off()
+        self._changes += changes
+
+    def knowledge(
+        self,
+        now: MonoNs,
+        relative: RelativeState | None,
+        motion: tuple[BodyMotion | None, DeckMotion | None],
+        forecast: Callable[[MonoNs, Sequence[float]], Forecast | None],
+    ) -> Knowledge:
+        """Return what guidance knows at an instant, by the steering path's estimate, motions and forecast."""
+        body, deck = motion
+        self._deck_down_m_s = None if deck is None else float(deck.v_level[2])
+        known = self._forecast
+        if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
+            self._forecast = forecast(now, HORIZONS_S)
+        return Knowledge(now, relative, body, deck, self._forecast, self._impact, self._response.in_use, self._law.climb_max_m_s)
+
+    def command(self, knowledge: Knowledge) -> Command | None:
+        """Run one guidance cycle; return its command, None while guidance leaves the vehicle alone."""
+        now = knowledge.at
+        self._now = max(self._now, now)
+        lean = None if self._lean is None else math.atan(math.hypot(*self._lean[1:]) / G_M_S2)
+        battery = None if self.vehicle is None else self.vehicle.battery_fraction
+        place: VesselPosition | Reason | None = None
+        if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
+            if self._attitude is not None:
+                self._vessel_track = vessel_track.on_sample(self._vessel_track, self._attitude)
+            place = vessel_track.position(self._vessel_track, now)
+        self._vessel = place
+        silent_s = 0.0 if self._heard is None else max(0.0, seconds_between(self._heard, now))
+        s = GuidanceCycle(now, knowledge, battery, lean, self._quality, self._frames, place, silent_s)
+        self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
+        self._changes += changes
+        target = aim if isinstance(aim, Target) else None
+        self._law_memory, command = self._law.step(self._law_memory, now, knowledge, target)
+        if target is None:
+            return None if isinstance(aim, Target) else aim
+        return steer.allowed(command, self.mission, s, self._guidance, over_ground=self._over_ground)
+
+    def on_command(self, now: MonoNs, command: Command | None) -> ResponseInUse | None:
+        """Take the command that is sent; return the vehicle's response when it is another one than last reported, else None."""
+        response = self._response.on_command(now, command, self.state)
+        if self._over_ground:
+            down_m_s = float(command.v_level[2]) if isinstance(command, Lean) else None
+            self._held = held_up.commanded(self._held, now, down_m_s)
+            to_deck_m_s = held_up.to_deck(self._held, now, self._deck_down_m_s)
+            self._held_by_deck = held_up.commanded(self._held_by_deck, now, to_deck_m_s)
+        return response
+
+    def forecast_made(self, now: MonoNs) -> Forecast | None:
+        """Return the deck's forecast if it was made in the cycle of this instant."""
+        made = self._forecast
+        return None if made is None or made.at != now else made
+
+    def on_fused(self, steering: FusionResult, stamp_sigma_s: float) -> None:
+        """Note how well a sighting agreed with the steering path's estimate, and how well its time is known."""
+        mean = self._quality.normalized_nis
+        if math.isfinite(steering.nis):
+            now = steering.normalized_nis
+            mean = now if mean is None else mean + _NIS_WEIGHT * (now - mean)
+        self._quality = InputQuality(mean, stamp_sigma_s)
+
+    def on_verdict(self, verdict: Verdict) -> None:
+        """Take the verdict on a frame, whoever gave it."""
+        if verdict is Verdict.FUSED:
+            self._frames.clear()
+        else:
+            self._frames[verdict] += 1
+
+    def vessel_counts(self) -> dict[str, float]:
+        """Return the number of places of the ship that were taken, and of reports that were refused, by reason."""
+        return self._vessel_track.counted()
+
+    def vessel_velocity(self, now: MonoNs) -> F64 | None:
+        """Return the velocity that the ship reports, (2,) m/s north and east; None if there is no fresh report of it."""
+        return vessel_track.velocity_ned(self._vessel_track, now)
+
+
+def of_ship(sample: Sample) -> bool:
+    """Return whether a sample tells of the ship and not of the vehicle."""
+    return type(sample) is VesselReport or (type(sample) is GeoFix and sample.whose == "vessel")
+
+
+def _leant(mean: tuple[MonoNs, float, float] | None, at: MonoNs, lean_m_s2: tuple[float, float]) -> tuple[MonoNs, float, float]:
+    """Return the mean lean after one more attitude."""
+    ahead, aside = lean_m_s2
+    if mean is None:
+        return at, ahead, aside
+    before, mean_ahead, mean_aside = mean
+    weight = 1.0 - math.exp(-max(0.0, seconds_between(before, at)) / _LEAN_TIME_S)
+    return at, mean_ahead + weight * (ahead - mean_ahead), mean_aside + weight * (aside - mean_aside)

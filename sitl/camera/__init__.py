@@ -1,0 +1,1 @@
+"""The simulated camera: scene, light, lens, sensor, automatics, gimbal and video link."""

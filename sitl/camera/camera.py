@@ -1,0 +1,396 @@
+"""The simulated camera: a pad on a deck on a sea, through a lens, onto a sensor.
+
+The same exposure and random state give the same bits. The geometry of the pad is exact (pinhole and distortion per pixel,
+coverage integrated over pixel and exposure); sea, deck and decals are scenery.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64, Rotation
+from estimator.core.interface.render import GAIN_ONE
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+from sitl.camera.drops import Drops, wet_lens
+from sitl.camera.light import FULL_SCALE, I16, U16, Development, Light, PadBlur, PadInImage, Sensor, counts, scene_of
+from sitl.camera.projection import F32, lens_of
+from sitl.camera.render.deck import DeckPainter, Part, bounds, draw, drone_shadow
+from sitl.camera.render.lens import moved, moved_scene, row_map, smear, vignette
+from sitl.camera.render.light import Lamps, glint, mast_shadow, through_haze
+from sitl.camera.render.pad import PadPainter, Pose, Stroke
+from sitl.camera.render.sea import SeaPainter
+from sitl.camera.render.ship import hull_side, on_water
+from sitl.camera.surroundings import Surroundings
+
+U8 = NDArray[np.uint8]
+
+
+def _zeros() -> F64:
+    return np.zeros(3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exposure:
+    """The pose of every object in the middle of the exposure, and its motion during the exposure."""
+
+    t_s: float
+    """Time, s, at which the waves and the vessel's motion are computed."""
+    R_ned_body: Rotation
+    p_body_ned: F64
+    """Position (3,) of the body, m; the surface of calm water is z = 0."""
+    R_ned_pad: Rotation
+    p_pad_ned: F64
+    """Position (3,) of the pad's centre, m."""
+    v_body_ned: F64 = field(default_factory=_zeros)
+    """Velocity (3,) of the body, m/s."""
+    w_body: F64 = field(default_factory=_zeros)
+    """Angular velocity (3,) of the body in `body`, rad/s."""
+    v_pad_ned: F64 = field(default_factory=_zeros)
+    """Velocity (3,) of the pad's centre, m/s."""
+    w_pad: F64 = field(default_factory=_zeros)
+    """Angular velocity (3,) of the pad in `pad`, rad/s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """What a camera sees during an exposure."""
+
+    pose: Pose
+    """Of the pad, in the middle of the exposure."""
+    scene: U16
+    """(H, W, 4) everything except the pad."""
+    gain: I16
+    """(H, W) factors on its light."""
+    added: F32 | None
+    """(H, W) light beside it."""
+    rows: F32 | None
+    """(H, W, 2) where the rows of a rolling shutter look, px."""
+    pad: PadInImage | None
+
+
+class Renderer:
+    """Renders frames of one scene through one camera.
+
+    Args:
+        pad: the pad, or None for a scene without one; the deck then lies where the pad would be.
+        drops: water on the lens; None for a dry one.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        pad: Pad | None,
+        surroundings: Surroundings | None = None,
+        light: Light | None = None,
+        sensor: Sensor | None = None,
+        lamps: Lamps | None = None,
+        drops: Drops | None = None,
+    ) -> None:
+        self.camera, self.pad = camera, pad
+        self.surroundings = surroundings if surroundings is not None else Surroundings()
+        self.light = light if light is not None else Light()
+        self.sensor = sensor if sensor is not None else Sensor()
+        self._lens = lens_of(camera)
+        self._pad = PadPainter(self._lens, pad) if pad is not None else None
+        self._sea = SeaPainter(self._lens, self.surroundings, self.light, self.sensor.blend)
+        deck = self.surroundings.deck
+        self._deck = DeckPainter(self._lens, deck, self.light, self.sensor.blend) if deck is not None else None
+        self.lamps, self.drops = lamps if lamps is not None else Lamps(), drops
+        self._own_lamps = pad.lamps if pad is not None and self.lamps.own_level > 0.0 else ()
+        self._development = self.development(self.light, self.sensor)
+        self._vignette = vignette(self._lens, self.light.vignetting)
+        self._even = np.full_like(self._vignette, GAIN_ONE)
+        self._darkened, self._dark_part = self._vignette.copy(), (slice(0), slice(0))
+        # The largest arrays of a frame: asking for their memory each time costs as much as filling it.
+        self._scene = np.empty((camera.height, camera.width, 4), np.uint16)
+        self._room = np.empty((camera.height, camera.width, 3), np.int16)
+        self._pad_scene = _pad_scene(pad, self.sensor.blend) if pad is not None else None
+        self._decals = [
+            (decal.on, [(points, scene_of(rgb[::-1], self.sensor.blend)) for points, rgb in decal.polygons()])
+            for decal in self.surroundings.decals
+        ]
+        e, a = self.light.sun_elevation_rad, self.light.sun_azimuth_rad
+        self._to_sun = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), -math.sin(e)])
+
+    @property
+    def _has_small_lamps(self) -> bool:
+        return bool(self.lamps.pad_lamps or self._own_lamps)
+
+    def development(self, light: Light, sensor: Sensor) -> Development:
+        """Return the sensor model with another exposure, amplification or white balance than this renderer's own."""
+        return Development(light, sensor, self.lamps.most_bgr(light) if self.lamps.floods else None)
+
+    def render(self, shot: Exposure, rng: np.random.Generator, development: Development | None = None) -> U8:
+        """Return the sensor's image, (H, W, 3) BGR. One number is drawn from `rng`, for the noise."""
+        development = development or self._development
+        view = self._view(shot, development)
+        if self.lamps.floods or self._has_small_lamps or self.drops is not None or view.added is not None:
+            light, blur = self._light_on_sensor(shot, development, view)
+            return development.sensor_image(light, rng, blur)
+        return development.image(view.scene, view.gain, view.pad, self._pad_scene, rng)
+
+    def order(self, shot: Exposure, rng: np.random.Generator) -> Callable[[], U8]:
+        """Return the function that renders a frame; it may be called again."""
+        return cache(lambda: self.render(shot, rng))
+
+    def radiance(self, shot: Exposure) -> F32:
+        """Return the linear light on the sensor before noise and tone curve, (H, W, 3) BGR; 1 is full scale, clipped at 4."""
+        development = self._development
+        light, blur = self._light_on_sensor(shot, development, self._view(shot, development))
+        return development.blur(light, blur) * np.float32(1.0 / FULL_SCALE)
+
+    def _view(self, shot: Exposure, development: Development) -> _View:
+        """Return what the camera sees during an exposure, before the light is counted."""
+        poses = [_pose(shot, self.camera, 0.0)]
+        exposure_s = development.sensor.exposure_s
+        ends = [_pose(shot, self.camera, s * exposure_s) for s in (-0.5, 0.5)] if exposure_s > 0 else []
+
+        scene, gain, added = self._scenery(shot, *poses[0])
+        if ends:
+            scene = smear(scene, self._lens, poses[0], ends)
+        half = development.sensor.readout_s / 2
+        rows = None
+        if half > 0:
+            cells = row_map(self._lens, _pose(shot, self.camera, -half), poses[0], _pose(shot, self.camera, half))
+            if cells is not None:
+                rows, scene = self._lens.spread(cells), moved_scene(scene, cells)
+                gain = np.asarray(moved(gain, rows), np.int16)
+                added = None if added is None else np.asarray(moved(added, rows), np.float32)
+        return _View(poses[0], scene, gain, added, rows, self._place(shot, poses[0], ends, development.sensor))
+
+    def _light_on_sensor(self, shot: Exposure, development: Development, view: _View) -> tuple[I16, PadBlur | None]:
+        """Return the light before the blur of the lens, (H, W, 3) in counts, and what that blur makes of the pad's edges."""
+        gain, added, rows = view.gain, view.added, view.rows
+        # Floodlights differ in colour from the sky: their light and the sky's are added up for each channel.
+        even = self._even if self.lamps.floods else gain
+        light = development.expose(view.scene, even, view.pad, self._pad_scene, self._room)
+        # Drops refract what is blurred, and blur more than the lens does.
+        blur = development.pad_blur(view.scene, even, view.pad, self._pad_scene) if self.drops is None else None
+        if self.lamps.floods:
+            gains = self._gains(gain, development, *view.pose)
+            cv2.multiply(light, gains, dst=light, scale=1.0 / GAIN_ONE)
+            blur = blur.under(gains) if blur is not None else None
+        if added is not None:
+            cv2.add(light, counts(cv2.merge([added * g for g in development.gains_bgr])), dst=light)
+        if self._has_small_lamps:
+            own = np.zeros(gain.shape, np.float32)
+            self.lamps.shine(own, self._lens, *view.pose, self._own_lamps)
+            own = own if rows is None else np.asarray(moved(own, rows), np.float32)
+            level = np.float32(2.0**-self.light.daylight_ev)
+            cv2.add(light, counts(cv2.merge([own * g * level for g in development.gains_bgr])), dst=light)
+        if self.drops is not None:
+            wet_lens(light, self.drops.present(shot.t_s, self.camera.width, self.camera.height))
+        return light, blur
+
+    def _gains(self, gain: I16, development: Development, R_cam_pad: F64, t_cam_pad: F64) -> I16:
+        """Return the factors (H, W, 3) on the light of sky and floodlights from those under the sky alone (H, W)."""
+        plane = self._lens.plane_at(R_cam_pad, t_cam_pad)
+        if plane is not None and float(R_cam_pad[:, 2] @ t_cam_pad) > 1e-3:
+            # Shadows are the sun's: what the lamps add is not darker in them.
+            lamp = self.lamps.on_plane(self._lens, plane) * (self._vignette * np.float32(1.0))
+            each = [
+                np.clip((gain + lamp * ratio) / lifted, 0.0, 32767.0).astype(np.int16)
+                for ratio, lifted in zip(self.lamps.ratios_bgr(self.light), development.lifted_bgr, strict=True)
+            ]
+            return np.asarray(cv2.merge(each), dtype=np.int16)
+        each = [(gain / lifted).astype(np.int16) for lifted in development.lifted_bgr]
+        return np.asarray(cv2.merge(each), dtype=np.int16)
+
+    def _place(self, shot: Exposure, middle: Pose, ends: list[Pose], sensor: Sensor) -> PadInImage | None:
+        """Return the pad in the frame; the exposure is divided into parts so short that the pad's way is straight in each."""
+        if self._pad is None:
+            return None
+        half = sensor.readout_s / 2
+
+        def rows(at_s: float) -> tuple[Pose, Pose] | None:
+            return (_pose(shot, self.camera, at_s - half), _pose(shot, self.camera, at_s + half)) if half > 0 else None
+
+        way = self._pad.travel_px(*ends) if ends else np.zeros(2)
+        travel = float(way.max())
+        if not travel > 0.3:
+            return self._pad.place([Stroke.still(middle, rows(0.0))])
+        n = 1 if travel < 6.0 else 3 if travel < 20.0 else 5
+        if n == 1:
+            return self._pad.place([Stroke(ends[0], middle, ends[1], rows(0.0))])
+        times = (np.arange(2 * n + 1) / (2 * n) - 0.5) * sensor.exposure_s
+        poses = [_pose(shot, self.camera, float(s)) for s in times]
+        strokes = [Stroke(poses[2 * i], poses[2 * i + 1], poses[2 * i + 2], rows(float(times[2 * i + 1]))) for i in range(n)]
+        return self._pad.place(strokes)
+
+    def _scenery(self, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64) -> tuple[U16, I16, F32 | None]:
+        """Return the scene (H, W, 4) of everything except the pad, the factors on its light, and the added light."""
+        h, w = self.camera.height, self.camera.width
+        gain = self._vignette
+        added: F32 | None = None
+        normal_distance = float(R_cam_pad[:, 2].dot(t_cam_pad))
+        plane = self._lens.plane_at(R_cam_pad, t_cam_pad)
+        deck = self._deck if normal_distance > 1e-3 and plane is not None else None
+        mask = None
+        part = around = slice(0, h), slice(0, w)
+        if deck is not None and plane is not None and not deck.fills(plane):
+            mask = deck.mask(R_cam_pad, t_cam_pad)
+            part, around = bounds(mask)
+            mask = mask if around[0].stop else None
+        scene = self._scene
+        if deck is None or mask is not None:
+            self._paint_water(scene, shot, mask, around)
+        if deck is not None and plane is not None and part[0].stop:
+            footprint = normal_distance / self.camera.fx
+            deck.paint(scene, part, plane, footprint, mask)
+            wet = deck.wet(part, plane, footprint)
+            if wet is not None:
+                covered = np.float32(1.0) if mask is None else mask[part].astype(np.float32) * np.float32(1.0 / 255.0)
+                gain = gain.copy()
+                gain[part] = np.round(gain[part] * ((wet[0] - np.float32(1.0)) * covered + np.float32(1.0)))
+                added = np.zeros((h, w), np.float32)
+                added[part] = wet[1] * covered
+            for on, polygons in self._decals:
+                if on == "deck":
+                    for points, colour in polygons:
+                        draw(scene, self._lens, np.c_[points, np.zeros(len(points))] @ R_cam_pad.T + t_cam_pad, colour)
+        if normal_distance > 1e-3 and plane is not None and (deck is not None or self._pad is not None):
+            gain = self._cast_shadow(gain, shot, R_cam_pad, t_cam_pad, plane, mask)
+            if self.light.glare > 0:
+                added = self._add_glare(added, R_cam_pad, t_cam_pad, plane)
+        if self.light.glint > 0:
+            added = self._add_glint(added, shot, R_cam_pad, plane if deck is not None else None, mask)
+        if math.isfinite(self.light.visibility_m):
+            gain, added = self._haze(gain, added, shot, R_cam_pad, normal_distance if deck is not None else None)
+        return scene, gain, added
+
+    def _paint_water(self, scene: U16, shot: Exposure, mask: U8 | None, part: Part) -> None:
+        """Paint the sea and what floats on it in a part of the frame; elsewhere the scene stays as it is."""
+        h, w = self.camera.height, self.camera.width
+        R_ned_cam = shot.R_ned_body.matrix.dot(self.camera.T_body_cam.R.matrix)
+        p_cam_ned = shot.p_body_ned + shot.R_ned_body.matrix.dot(self.camera.T_body_cam.t)
+        rows, cols = (slice(side.start // 2 * 2, min(n, -(-side.stop // 2) * 2)) for side, n in zip(part, (h, w), strict=True))
+        ship, rim = [], np.empty((0, 3))
+        if self._deck is not None and self.surroundings.deck is not None:
+            R_ned_pad = shot.R_ned_pad.matrix
+            rim = self._deck.rim_pad.dot(R_ned_pad.T) + shot.p_pad_ned
+            ship = on_water(self.surroundings.deck, rim, R_ned_pad, self._to_sun, self.surroundings.wake_speed_m_s)
+        self._sea.paint(scene, R_ned_cam, p_cam_ned, shot.t_s, (rows, cols), ship, mask)
+        for on, polygons in self._decals:
+            if on == "sea":
+                for points, colour in polygons:
+                    draw(scene, self._lens, (np.c_[points, np.zeros(len(points))] - p_cam_ned) @ R_ned_cam, colour)
+        if ship:
+            hull_side(scene, self._lens, rim, R_ned_cam, p_cam_ned, self.sensor.blend)
+
+    def _cast_shadow(self, gain: I16, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64, plane: F64, mask: U8 | None) -> I16:
+        R_pad_ned = shot.R_ned_pad.matrix.T
+        if self.light.mast is not None:
+            fallen = mast_shadow(self._lens, self.light.mast, R_cam_pad, t_cam_pad, R_pad_ned @ self._to_sun)
+            gain = gain if fallen is None else self._shaded(gain, fallen, self.light.mast.shadow, mask)
+        if self.light.drone_shadow == 0:
+            return gain
+        if gain is self._vignette:
+            gain = self._restored()
+        p_body_pad = R_pad_ned.dot(shot.p_body_ned - shot.p_pad_ned)
+        R_pad_body, to_sun_pad = R_pad_ned.dot(shot.R_ned_body.matrix), R_pad_ned.dot(self._to_sun)
+        pose, share = (R_cam_pad, t_cam_pad), self.light.drone_shadow
+        part = drone_shadow(gain, self._lens, plane, pose, R_pad_body, p_body_pad, to_sun_pad, share, mask)
+        if gain is self._darkened and part is not None:
+            self._dark_part = part
+        return gain
+
+    def _restored(self) -> I16:
+        """Return the vignetting in room of our own, where the last frame's shadow is taken off."""
+        self._darkened[self._dark_part] = self._vignette[self._dark_part]
+        self._dark_part = slice(0), slice(0)
+        return self._darkened
+
+    def _shaded(self, gain: I16, cast: tuple[U8, slice, slice], share: float, mask: U8 | None) -> I16:
+        """Return the factors on the light with a shadow that takes `share` of it, where the deck is."""
+        depth, rows, cols = cast
+        if mask is not None:
+            depth = np.asarray(cv2.multiply(depth, mask[rows, cols], scale=1.0 / 255.0), dtype=np.uint8)
+        left = np.asarray(np.round(GAIN_ONE * (1.0 - share * np.arange(256) / 255.0)), dtype=np.int16)
+        if gain is self._vignette:
+            gain = gain.copy()
+        part = gain[rows, cols]
+        cv2.multiply(part, cv2.LUT(depth, left), dst=part, scale=1.0 / GAIN_ONE)
+        return gain
+
+    def _add_glint(self, added: F32 | None, shot: Exposure, R_cam_pad: F64, deck_plane: F64 | None, mask: U8 | None) -> F32:
+        """Add the mirrored sun: on the sea, and on the deck as far as it is wet."""
+        h, w = self.camera.height, self.camera.width
+        out = np.zeros((h, w), np.float32) if added is None else added
+        whole = slice(0, h), slice(0, w)
+        R_ned_cam = shot.R_ned_body.matrix @ self.camera.T_body_cam.R.matrix
+        p_cam_ned = shot.p_body_ned + shot.R_ned_body.matrix @ self.camera.T_body_cam.t
+        on_deck = deck_plane is not None
+        cover = (
+            np.float32(0.0) if not on_deck else np.float32(1.0) if mask is None else mask.astype(np.float32) / np.float32(255.0)
+        )
+        sea = self._lens.plane_from_ray(np.stack([R_ned_cam[0], R_ned_cam[1], -(R_ned_cam.T @ p_cam_ned)], axis=1))
+        if sea is not None and p_cam_ned[2] < 0 and not (on_deck and mask is None):
+            places, px_m = self._lens.meet_halves(sea, whole), -float(p_cam_ned[2]) / self.camera.fx
+            spots = glint(self._lens, R_ned_cam, self._to_sun, places, px_m, sea=True, t_s=shot.t_s)
+            out += np.float32(self.light.glint) * (np.float32(1.0) - cover) * spots
+        if deck_plane is not None and self.light.wetness > 0:
+            places, px_m = (
+                self._lens.meet_halves(deck_plane, whole),
+                abs(float(p_cam_ned[2] - shot.p_pad_ned[2])) / self.camera.fx,
+            )
+            to_sun_pad = shot.R_ned_pad.matrix.T @ self._to_sun
+            spots = glint(self._lens, R_cam_pad.T, to_sun_pad, places, px_m, sea=False, t_s=0.0)
+            out += np.float32(self.light.glint * self.light.wetness) * cover * spots
+        return out
+
+    def _haze(self, gain: I16, added: F32 | None, shot: Exposure, R_cam_pad: F64, deck_m: float | None) -> tuple[I16, F32]:
+        """Return the factors on the light and the added light through haze; `deck_m` is the distance from a deck in sight."""
+        R_ned_cam = shot.R_ned_body.matrix @ self.camera.T_body_cam.R.matrix
+        height = -float((shot.p_body_ned + shot.R_ned_body.matrix @ self.camera.T_body_cam.t)[2])
+        normal, away = (R_ned_cam[2], height) if deck_m is None else (R_cam_pad[:, 2], deck_m)
+        share, air = through_haze(self._lens, normal, max(0.0, away), self.light.visibility_m)
+        left = np.asarray(np.round(gain * share), dtype=np.int16)
+        return left, air if added is None else added * share + air
+
+    def _add_glare(self, added: F32 | None, R_cam_pad: F64, t_cam_pad: F64, plane: F64) -> F32:
+        h, w = self.camera.height, self.camera.width
+        out = np.zeros((h, w), np.float32) if added is None else added
+        light = self.light
+        reach = 2.6 * light.glare_radius_m
+        a = np.linspace(0.0, math.tau, 24, endpoint=False)
+        around = np.stack([reach * np.cos(a), reach * np.sin(a), 0.0 * a], axis=1) + np.array([*light.glare_centre_m, 0.0])
+        uv = self._lens.outline(around @ R_cam_pad.T + t_cam_pad)
+        if not len(uv):
+            return out
+        x0, y0 = np.clip(np.floor(uv.min(axis=0)), 0, (w - 1, h - 1)).astype(int)
+        x1, y1 = np.clip(np.ceil(uv.max(axis=0)) + 1, 1, (w, h)).astype(int)
+        if x1 - x0 < 1 or y1 - y0 < 1:
+            return out
+        places = self._lens.meet(plane, (slice(y0, y1), slice(x0, x1))) - np.array(light.glare_centre_m, np.float32)
+        r2 = places[..., 0] ** 2 + places[..., 1] ** 2
+        # Flat in the middle and soft at the rim, as the image of the sun on varnished paint is: half of it at the radius.
+        spot = np.exp(np.float32(-math.log(2.0)) * (r2 * np.float32(1.0 / light.glare_radius_m**2)) ** 2)
+        out[y0:y1, x0:x1] += np.float32(light.glare) * spot
+        return out
+
+
+def _pose(shot: Exposure, camera: Camera, later_s: float) -> tuple[F64, F64]:
+    """Return the rotation (3, 3) and position (3,) m of the pad in `cam`, `later_s` after the middle of the exposure."""
+    R_ned_body, R_ned_pad = shot.R_ned_body.matrix, shot.R_ned_pad.matrix
+    away = shot.p_pad_ned - shot.p_body_ned
+    if later_s != 0.0:
+        R_ned_body = R_ned_body.dot(cv2.Rodrigues(shot.w_body * later_s)[0])
+        R_ned_pad = R_ned_pad.dot(cv2.Rodrigues(shot.w_pad * later_s)[0])
+        away = away + (shot.v_pad_ned - shot.v_body_ned) * later_s
+    R_cam_ned = R_ned_body.dot(camera.T_body_cam.R.matrix).T
+    return R_cam_ned.dot(R_ned_pad), R_cam_ned.dot(away - R_ned_body.dot(camera.T_body_cam.t))
+
+
+def _pad_scene(pad: Pad, blend: str) -> U16:
+    """Return the paints (6, 4) of the background (unused), rim, disc, orange, white, upper lettering, as pixels of a scene."""
+    c = pad.markings.colours
+    rim, upper = c.rim if c.rim is not None else c.disc, c.upper if c.upper is not None else c.h
+    return scene_of(np.array([(0, 0, 0), rim[::-1], c.disc[::-1], c.ring[::-1], c.h[::-1], upper[::-1]]), blend)

@@ -1,0 +1,451 @@
+"""The light on the scene and the sensor model.
+
+Everything between paint and frame is computed in linear light, because a lens and a sensor add up light and the tone curve
+comes last. Adding up sRGB values instead moves the place where an edge crosses half way, by a fifth of a pixel between dark and
+bright paint. `Sensor.blend = "srgb"` does just that, for comparison with renderers that do so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.errors import BadInput
+from estimator.core.interface.render import (
+    CELL_PX,
+    COUNTS_BY_EIGHT,
+    GAIN_ONE,
+    GRAIN_LEVELS,
+    LENS_BLOCK,
+    LEVELS_BY_EIGHT,
+    LEVELS_BY_ONE,
+    LIGHT_LEVELS,
+    PAINTS,
+    SCENE_ONE,
+)
+from sitl.camera.projection import F32
+from sitl.native import address, render_blur, render_expose, render_frame, render_image, render_mix, render_pad_lens
+
+U8 = NDArray[np.uint8]
+I16 = NDArray[np.int16]
+U16 = NDArray[np.uint16]
+
+
+@dataclass(frozen=True, slots=True)
+class Mast:
+    """A mast whose shadow may fall on deck."""
+
+    height_m: float
+    p_m: tuple[float, float]
+    """Position of its foot in `pad`, m."""
+    shadow: float = 0.6
+    """Share of light missing in its shadow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """The light on the scene, and the optics between it and the sensor."""
+
+    colour_temperature_k: float = 6500.0
+    """Colour temperature of the light, 1700 to 25000 K."""
+    balanced_for_k: float | None = 6500.0
+    """Colour temperature that the camera takes for white; None if the camera follows the light without error."""
+    white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Gains on red, green and blue beyond that: an error of 20 % is (1.2, 1, 1) or the like."""
+    exposure_ev: float = 0.0
+    """Stops against the exposure that puts white paint at 80 % of full scale."""
+    vignetting: float = 0.20
+    """Share of light lost in the corners of the frame."""
+    sun_elevation_rad: float = math.radians(55.0)
+    sun_azimuth_rad: float = math.radians(140.0)
+    """Azimuth of the sun, clockwise from north."""
+    drone_shadow: float = 0.45
+    """Share of light that the drone's own shadow takes away; 0 under a cloudy sky."""
+    glare: float = 0.0
+    """Mirrored sun on the pad: light added at the spot's centre, in units of white paint."""
+    glare_centre_m: tuple[float, float] = (0.12, 0.08)
+    """Centre of the glare spot in `pad`."""
+    glare_radius_m: float = 0.225
+    """Radius at which the spot has fallen to a half; 0.225 m covers a third of the thesis' disc."""
+    wetness: float = 0.0
+    """0 dry to 1 soaked: darker paint, and puddles that mirror the sky."""
+    wear: float = 0.06
+    """Standard deviation of the paint's brightness over deck and pad; 0 for perfect paint."""
+    daylight_ev: float = 0.0
+    """Stops of light on the scene against full daylight. Lamps add to it."""
+    visibility_m: float = math.inf
+    """Distance at which haze leaves a fiftieth of the contrast."""
+    glint: float = 0.0
+    """Light of the mirrored sun on the sea and, times the wetness, on the deck, in units of white paint in daylight."""
+    mast: Mast | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("colour_temperature_k", "balanced_for_k"):
+            k = getattr(self, name)
+            if k is not None and not 1700.0 <= k <= 25000.0:
+                raise BadInput(f"light: {name} must lie in 1700..25000 K, got {k!r}")
+        if not all(math.isfinite(g) and g > 0 for g in self.white_balance):
+            raise BadInput(f"light: white_balance gains must be positive, got {self.white_balance!r}")
+        for name in ("vignetting", "drone_shadow", "wetness"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise BadInput(f"light: {name} must lie in 0..1, got {getattr(self, name)!r}")
+        if not (self.glare >= 0 and self.glare_radius_m > 0 and 0 <= self.wear <= 0.5 and abs(self.exposure_ev) <= 10):
+            raise BadInput("light: glare 0 or more, glare_radius_m positive, wear 0..0.5, exposure_ev within +-10 stops")
+        if not (self.visibility_m > 0 and self.glint >= 0 and abs(self.daylight_ev) <= 20):
+            raise BadInput("light: visibility_m positive, glint 0 or more, daylight_ev within +-20 stops")
+        if not 0.05 <= self.sun_elevation_rad <= math.pi / 2:
+            raise BadInput(f"light: sun_elevation_rad must lie in 0.05..pi/2, got {self.sun_elevation_rad!r}")
+
+    def gains_bgr(self) -> F32:
+        """Factors (3,) from paint to the sensor's full scale in blue, green, red."""
+        rgb = planck_rgb(self.colour_temperature_k)
+        rgb = rgb / (rgb if self.balanced_for_k is None else planck_rgb(self.balanced_for_k))
+        rgb = rgb / rgb[1] * np.array(self.white_balance) * 0.8 * 2.0 ** (self.exposure_ev + self.daylight_ev)
+        return np.asarray(rgb[::-1], dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """The imager behind the lens."""
+
+    exposure_s: float = 0.008
+    psf_sigma_px: float = 0.6
+    """Sigma of the Gaussian blur of the lens and the colour filter's interpolation together; the square pixel adds to it."""
+    full_well_e: float = 8000.0
+    """Electrons at full scale: sets the shot noise."""
+    read_noise_e: float = 12.0
+    blend: Literal["linear", "srgb"] = "linear"
+    readout_s: float = 0.0
+    """Time from the middle of the first row's exposure to that of the last row's; 0 for a global shutter."""
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.exposure_s <= 0.5 and 0.0 <= self.psf_sigma_px <= 10.0 and 0.0 <= self.readout_s <= 0.5):
+            raise BadInput("sensor: exposure_s and readout_s must lie in 0..0.5 and psf_sigma_px in 0..10")
+        if not (self.full_well_e > 0 and self.read_noise_e >= 0):
+            raise BadInput("sensor: full_well_e must be positive and read_noise_e 0 or more")
+
+
+def planck_rgb(kelvin: float) -> NDArray[np.float64]:
+    """Return the linear sRGB (3,) of a black body, with its greatest component 1; 6500 K is white to about 1 %.
+
+    Source: Kim et al., US patent 7024034 B2 (2006), cubic fit of the Planckian locus, 1667 to 25000 K; IEC 61966-2-1 for sRGB.
+    """
+    t = 1000.0 / kelvin
+    if kelvin < 4000.0:
+        x = -0.2661239 * t**3 - 0.2343589 * t**2 + 0.8776956 * t + 0.179910
+    else:
+        x = -3.0258469 * t**3 + 2.1070379 * t**2 + 0.2226347 * t + 0.240390
+    if kelvin < 2222.0:
+        y = -1.1063814 * x**3 - 1.34811020 * x**2 + 2.18555832 * x - 0.20219683
+    elif kelvin < 4000.0:
+        y = -0.9549476 * x**3 - 1.37418593 * x**2 + 2.09137015 * x - 0.16748867
+    else:
+        y = 3.0817580 * x**3 - 5.87338670 * x**2 + 3.75112997 * x - 0.37001483
+    xyz = np.array([x / y, 1.0, (1.0 - x - y) / y])
+    matrix = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
+    rgb = np.maximum(matrix @ xyz, 0.01)
+    return np.asarray(rgb / rgb.max())
+
+
+def linear_from_srgb(value: NDArray[np.floating] | NDArray[np.integer]) -> NDArray[np.float64]:
+    """Return linear light 0..1 for sRGB values 0..255. Source: IEC 61966-2-1."""
+    v = np.asarray(value, dtype=float) / 255.0
+    return np.asarray(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))
+
+
+FULL_SCALE = 8192
+"""Counts of linear light at the sensor's full scale. Light is kept in int16: steps of a thirteenth of the default read noise, and
+clipped before the blur of the lens at four times full scale."""
+
+
+@lru_cache(maxsize=2)
+def _decode(blend: str) -> F32:
+    codes = np.arange(256)
+    return np.asarray(linear_from_srgb(codes) if blend == "linear" else codes / 255.0, dtype=np.float32)
+
+
+def _encode(blend: str, light: NDArray[np.float64]) -> U8:
+    """Return the frame's values for light 0..1 of full scale; light outside is clipped."""
+    light = np.clip(light, 0.0, 1.0)
+    if blend == "linear":
+        light = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.round(light * 255.0).astype(np.uint8)
+
+
+_GRAIN_STEP = 0.25
+"""Deviations from one level of noise to the next."""
+
+
+@lru_cache(maxsize=1)
+def _noise_bank() -> U8:
+    """Return 4194304 levels of normal noise, always the same; a frame uses a part from a random place on."""
+    bank = np.random.default_rng(0x0153).standard_normal(1 << 22, dtype=np.float32)
+    levels = np.round(bank * np.float32(1.0 / _GRAIN_STEP)) + GRAIN_LEVELS // 2
+    return np.asarray(np.clip(levels, 0, GRAIN_LEVELS - 1), dtype=np.uint8)
+
+
+def _level_light() -> NDArray[np.float64]:
+    """Return the light (LIGHT_LEVELS,) in the middle of each level, 1 at full scale."""
+    level = np.arange(LIGHT_LEVELS)
+    by_four = LEVELS_BY_ONE + 4 * (level - LEVELS_BY_ONE) + 1.5
+    by_eight = COUNTS_BY_EIGHT + 8 * (level - LEVELS_BY_EIGHT) + 3.5
+    return np.asarray(np.select([level < LEVELS_BY_ONE, level < LEVELS_BY_EIGHT], [level, by_four], by_eight) / FULL_SCALE)
+
+
+@lru_cache(maxsize=16)
+def _noisy(well: float, read_noise_e: float, blend: str) -> U8 | None:
+    """Return the values of the frame (LIGHT_LEVELS, GRAIN_LEVELS) by light and noise, or None if noise is less than a step.
+
+    Noise is added to light transformed by g(L) = 2 F (sqrt(L / F + r^2) - r), whose slope is one over the standard deviation
+    where the variance is L / F + r^2: its own deviation is one at every light. Source: Anscombe, The transformation of Poisson,
+    binomial and negative-binomial data, Biometrika 35, 1948.
+    """
+    read = read_noise_e / well
+    light = _level_light()
+    deviation = np.sqrt(light / well + read**2)
+    if not deviation.max() > 0.5 / FULL_SCALE:
+        return None
+    even = 2.0 * well * (deviation - read) if math.isfinite(well) else light / read
+    # Rounding to levels adds a twelfth of a step squared to the variance (Sheppard, Proc. London Math. Soc. 29, 1897).
+    step = _GRAIN_STEP / math.sqrt(1.0 + _GRAIN_STEP**2 / 12.0)
+    g = even[:, None] + step * (np.arange(GRAIN_LEVELS) - GRAIN_LEVELS // 2)
+    back = g * (g / (4.0 * well) + read) if math.isfinite(well) else g * read
+    # Below the vertex of the parabola, some read noise under black, everything is black.
+    return _encode(blend, np.where(g < -2.0 * well * read, 0.0, back))
+
+
+@lru_cache(maxsize=2)
+def _clean(blend: str) -> U8:
+    """Return (65536,) the value of the frame by the count of light, without noise."""
+    return _encode(blend, np.arange(65536) / FULL_SCALE)
+
+
+@lru_cache(maxsize=16)
+def _taps(sigma_px: float) -> U16:
+    """Return a Gaussian's weights from its middle outwards, (radius + 1,), parts of 65536; radius 0 is no blur."""
+    if sigma_px < 0.05:
+        return np.zeros(1, np.uint16)
+    radius = math.ceil(3.0 * sigma_px)
+    taps = np.round(65536.0 * cv2.getGaussianKernel(2 * radius + 1, sigma_px)[radius:, 0])
+    taps[0] = min(65535.0, 65536.0 - 2.0 * taps[1:].sum())
+    return np.asarray(taps, dtype=np.uint16)
+
+
+@lru_cache(maxsize=2)
+def _reflected(blend: str) -> U16:
+    """Return what a paint value reflects, (256,), parts of `SCENE_ONE`."""
+    return np.round(SCENE_ONE * _decode(blend)).astype(np.uint16)
+
+
+def scene_of(bgr: U8 | Sequence[int], blend: str) -> U16:
+    """Return pixels of a scene (..., 4), without wear, for paint values (..., 3) in blue, green, red."""
+    light = _reflected(blend)[np.asarray(bgr, dtype=np.intp)]
+    return np.concatenate([light, np.full((*light.shape[:-1], 1), SCENE_ONE, np.uint16)], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PadInImage:
+    """The pad in one frame."""
+
+    kinds: U8
+    """(H, W) paint of each pixel in the order of `PAINTS`, or `PAD_EDGE` where there are several."""
+    edges: NDArray[np.int32]
+    """(N,) numbers of the pixels that edges touch, by bands of `CELL_PX` rows from the top of the frame to its bottom."""
+    shares: F32
+    """(N, 6) coverage of these by the paints in the order of `PAINTS`; each row sums to 1."""
+    fine: int = 1
+    """Each of these is divided into `fine` x `fine` parts."""
+    parts: F32 | None = None
+    """(N, 6, fine * fine) coverage of these parts, row by row; None if they are not divided."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PadBlur:
+    """What the blur of the lens makes of the pad's edges beyond what a blur of pixels makes of them, in a part of the frame."""
+
+    window: NDArray[np.int32]
+    """(4,) first column and row of the part, and their numbers."""
+    added: I16
+    """(rows, 3, columns) light to add to the blurred one, in counts."""
+
+    def under(self, gains: I16) -> PadBlur:
+        """Return the same under a light that differs by factors (H, W, 3), parts of `GAIN_ONE`."""
+        x, y, columns, rows = self.window.tolist()
+        here = gains[y : y + rows, x : x + columns].transpose(0, 2, 1) * np.float32(1.0 / GAIN_ONE)
+        return PadBlur(self.window, np.asarray(np.round(self.added * here), dtype=np.int16))
+
+
+_LENS_PX_MOST = 12_000
+"""Parts of the frame up to so large are blurred exactly: pads from three metres on. Nearer by edges are so long, and cross pixels
+in so many ways, that their aliasing averages out, and the exact blur would cost more than all else."""
+
+
+@lru_cache(maxsize=64)
+def _lens_kernels(sigma_px: float, fine: int) -> tuple[F32, F32]:
+    """Return the kernel of the lens and the square pixel on parts of pixels (fine, 2 reach + 1), and `_taps` (2, 2 reach + 1).
+
+    The first row of the latter is for sums over parts, the second is negative.
+
+    Parts are squares, as are the steps of the kernel: the variance of both is taken off the Gaussian's.
+    """
+    half = _taps(sigma_px) / 65536.0
+    sampled = np.concatenate([[0.0], half[:0:-1], half, [0.0]])
+    reach = len(half)
+    s = math.sqrt(max(sigma_px**2 - 1.0 / (6 * fine**2), 1e-6))
+    x = (np.arange((2 * reach + 1) * fine + 1) / fine - reach - 0.5) / s
+    below = np.array([[0.5 * math.erfc(-(v + a) * math.sqrt(0.5)) for v in x] for a in (0.5 / s, -0.5 / s)])
+    z = x + np.array([[0.5 / s], [-0.5 / s]])
+    whole = z * below + np.exp(-0.5 * z**2) / math.sqrt(math.tau)
+    exact = np.diff(s * (whole[0] - whole[1]))
+    exact = (exact / exact.sum()).reshape(-1, fine).T
+    return np.ascontiguousarray(exact, np.float32), np.stack([sampled / fine, -sampled]).astype(np.float32)
+
+
+class Development:
+    """The sensor model: it turns paint values into light and light into the frame, for one light and one sensor."""
+
+    def __init__(self, light: Light, sensor: Sensor, most_bgr: F32 | None = None) -> None:
+        self.sensor = sensor
+        self.gains_bgr = light.gains_bgr() if sensor.blend == "linear" else light.gains_bgr() ** np.float32(1 / 2.2)
+        self.lifted_bgr: F32 = np.ones(3, np.float32)
+        """Factors by which `exposure` holds more than the light of the sky, where lamps add to it."""
+        if most_bgr is not None:
+            self.lifted_bgr = np.maximum(np.minimum(most_bgr, 3.9 / np.maximum(self.gains_bgr, 1e-6)), 1e-3).astype(np.float32)
+        gains = self.gains_bgr * self.lifted_bgr * np.float32(FULL_SCALE / SCENE_ONE)
+        self._exposure: F32 = np.append(gains, np.float32(0.0)).astype(np.float32)
+        self._noisy = _noisy(sensor.full_well_e, sensor.read_noise_e, sensor.blend)
+        self._clean = _clean(sensor.blend)
+        self._taps = _taps(sensor.psf_sigma_px)
+        self._room: U16 | None = None
+        self._room_width = 0
+
+    def expose(
+        self, scene: U16, gain: I16, pad: PadInImage | None = None, pad_scene: U16 | None = None, room: I16 | None = None
+    ) -> I16:
+        """Return the light of a scene, (H, W, 3) in counts.
+
+        Args:
+            scene: (H, W, 4) what blue, green and red reflect, and the wear of the paint, parts of `SCENE_ONE`.
+            gain: (H, W) factors on the light, parts of `GAIN_ONE`.
+            pad: the pad on top of the scene, if it is in the frame.
+            pad_scene: (6, 4) the pad's paints, as pixels of a scene, if there is a pad.
+            room: (H, W, 3) room for the result; a new one if it is None.
+        """
+        h, w = gain.shape
+        light = np.empty((h, w, 3), np.int16) if room is None else room
+        pixels, kinds, factors, exposure, paints, edges, where, shares = self._seen(scene, gain, pad, pad_scene)
+        out = address(light, np.int16)
+        render_expose(h * w, pixels, kinds, factors, exposure, paints, out)
+        if edges:
+            render_mix(edges, where, shares, pixels, factors, exposure, paints, out)
+        return light
+
+    def image(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None, rng: np.random.Generator) -> U8:
+        """Return `sensor_image` of the light that `expose` returns, which is not kept."""
+        h, w = gain.shape
+        frame = np.empty((h, w, 3), np.uint8)
+        blur = self.pad_blur(scene, gain, pad, pad_scene)
+        render_image(h, w, *self._seen(scene, gain, pad, pad_scene), *self._onto_sensor(frame, rng, blur))
+        return frame
+
+    def pad_blur(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None) -> PadBlur | None:
+        """Return what the exact blur of the pad's edges adds; None if they are too many, too coarse, or not blurred at all."""
+        if pad is None or pad.parts is None or not len(pad.edges) or len(self._taps) == 1:
+            return None
+        h, w = gain.shape
+        exact, sampled = _lens_kernels(self.sensor.psf_sigma_px, pad.fine)
+        reach = sampled.shape[1] // 2
+        rows, columns = np.divmod(pad.edges, w)
+        x0, y0 = max(0, int(columns.min()) - reach), max(0, int(rows.min()) - reach)
+        wide, high = min(w, int(columns.max()) + reach + 1) - x0, min(h, int(rows.max()) + reach + 1) - y0
+        if wide * high > _LENS_PX_MOST:
+            return None
+        window, added = np.array([x0, y0, wide, high], np.int32), np.empty((high, 3, wide), np.int16)
+        blocks = -(-wide // LENS_BLOCK)
+        places = np.empty(high * blocks * (LENS_BLOCK + 1), np.int32)
+        room = np.empty((pad.fine + 1) * (LENS_BLOCK * blocks * (high + 1) + 2 * reach), np.float32)
+        render_pad_lens(
+            w, address(window, np.int32), address(pad.kinds, np.uint8),
+            len(pad.edges), address(pad.edges, np.int32), address(pad.shares, np.float32),
+            pad.fine, address(pad.parts, np.float32), reach, address(exact, np.float32), address(sampled, np.float32),
+            address(scene, np.uint16, (*gain.shape, 4)), address(gain, np.int16),
+            address(self._exposure, np.float32), address(pad_scene, np.uint16, (len(PAINTS), 4)),
+            address(places, np.int32), address(room, np.float32), address(added, np.int16),
+        )  # fmt: skip
+        return PadBlur(window, added)
+
+    def _seen(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None) -> tuple[int, ...]:
+        """Return the core's view of a scene: scene, kinds, gain, exposure, paints, number of edge pixels, where, shares."""
+        shape = gain.shape
+        edges = len(pad.edges) if pad is not None else 0
+        return (
+            address(scene, np.uint16, (*shape, 4)),
+            address(pad.kinds if pad is not None else None, np.uint8, shape),
+            address(gain, np.int16),
+            address(self._exposure, np.float32),
+            address(pad_scene, np.uint16, (len(PAINTS), 4)),
+            edges,
+            address(pad.edges if pad is not None else None, np.int32),
+            address(pad.shares if pad is not None else None, np.float32, (edges, len(PAINTS))),
+        )
+
+    def blur(self, light: I16, pad: PadBlur | None = None) -> I16:
+        """Return the light (H, W, 3) after the blur of the lens."""
+        h, w = light.shape[:2]
+        blurred, taps = np.empty_like(light), address(self._taps, np.uint16)
+        scratch = address(self._scratch(w), np.uint16)
+        radius, out = len(self._taps) - 1, address(blurred, np.int16)
+        render_blur(h, w, address(light, np.int16), radius, taps, *_part(pad), scratch, out)
+        return blurred
+
+    def sensor_image(self, light: I16, rng: np.random.Generator, pad: PadBlur | None = None) -> U8:
+        """Return the frame of eight bits: blur the light (H, W, 3), add shot and read noise and apply the tone curve.
+
+        One number is drawn from `rng`.
+        """
+        h, w = light.shape[:2]
+        frame = np.empty((h, w, 3), np.uint8)
+        render_frame(h, w, address(light, np.int16), *self._onto_sensor(frame, rng, pad))
+        return frame
+
+    def _onto_sensor(self, frame: U8, rng: np.random.Generator, pad: PadBlur | None) -> tuple[int, ...]:
+        """Return the core's view of lens and sensor: weights of the blur, the pad's edges, noise, tone curve, room, and frame."""
+        part, codes = None, self._clean
+        if self._noisy is not None:
+            bank, codes = _noise_bank(), self._noisy
+            start = int(rng.integers(bank.size - frame.size))
+            part = bank[start : start + frame.size]
+        return (
+            len(self._taps) - 1,
+            address(self._taps, np.uint16),
+            *_part(pad),
+            address(part, np.uint8),
+            address(codes, np.uint8),
+            address(self._scratch(frame.shape[1]), np.uint16),
+            address(frame, np.uint8),
+        )
+
+    def _scratch(self, width: int) -> U16:
+        """Return room for the rows that the core works on."""
+        radius, values = len(self._taps) - 1, 3 * width
+        if self._room is None or self._room_width != width:
+            self._room = np.zeros((2 * radius + 4 + CELL_PX) * values + 6 * radius + 1, np.uint16)
+            self._room_width = width
+        return self._room
+
+
+def _part(pad: PadBlur | None) -> tuple[int, int]:
+    """Return the core's view of what the pad's edges add."""
+    return (address(pad.window, np.int32), address(pad.added, np.int16)) if pad is not None else (0, 0)
+
+
+def counts(light: F32) -> I16:
+    """Return light of 1 at full scale in counts, clipped to what is kept."""
+    return np.asarray(np.round(np.clip(light * np.float32(FULL_SCALE), 0.0, 32767.0)), dtype=np.int16)

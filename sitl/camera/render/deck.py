@@ -1,0 +1,283 @@
+"""Render the deck: its drawing, edges and side, decals, the drone's shadow, wear and puddles."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from estimator.core.interface.render import SCENE_ONE
+from sitl.camera.light import I16, U16, Light, scene_of
+from sitl.camera.projection import F32, SHIFT, Lens, fixed_point
+from sitl.camera.render.textures import grain
+from sitl.camera.surroundings import Deck, draw_deck
+from sitl.native import address, render_bounds, render_deck, render_fill, render_shadow
+
+U8 = NDArray[np.uint8]
+
+_NEAR_M, _NEAR_PPM = 1.2, 500.0
+"""Half side and resolution of the drawing for pictures from near by."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WornDrawing:
+    """A deck's drawing with the wear of its paint as fourth channel, in several resolutions."""
+
+    levels: tuple[tuple[U16, F64], ...]
+    """Drawings as pixels of a scene, and the homographies from the deck's axes to texels. The first covers the pad's
+    surroundings, the others all of the deck, each one coarser than the one before."""
+    texels_per_m: float
+    """Resolution of the second level; each one after it has half of that of the one before."""
+
+
+@lru_cache(maxsize=4)
+def worn(deck: Deck, wear: float, blend: str) -> WornDrawing:
+    """Return the drawing of a deck whose paint's brightness has the standard deviation `wear`; `blend` as in `Sensor`."""
+    drawing = draw_deck(deck)
+    whole = _with_wear(drawing.paint, drawing.corner_m, drawing.texels_per_m, deck.seed, wear, blend)
+    levels = [whole]
+    while min(levels[-1].shape[:2]) >= 32:
+        levels.append(np.asarray(cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint16))
+    (x0, y0), ppm = drawing.corner_m, drawing.texels_per_m
+    placed = []
+    for level in levels:
+        per_x, per_y = (level.shape[i] / whole.shape[i] * ppm for i in (0, 1))
+        placed.append((level, np.array([[0.0, per_y, -per_y * y0 - 0.5], [per_x, 0.0, -per_x * x0 - 0.5], [0.0, 0.0, 1.0]])))
+    side = round(2 * _NEAR_M * _NEAR_PPM)
+    near_from_deck = np.array([[0.0, 1.0, _NEAR_M], [1.0, 0.0, _NEAR_M], [0.0, 0.0, 1.0 / _NEAR_PPM]]) * _NEAR_PPM
+    near_from_deck[:2, 2] -= 0.5
+    whole_from_near = (placed[0][1] @ np.linalg.inv(near_from_deck))[:2]
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    paint = cv2.warpAffine(drawing.paint, whole_from_near, (side, side), flags=flags, borderMode=cv2.BORDER_REFLECT)
+    near = _with_wear(np.asarray(paint, dtype=np.uint8), (-_NEAR_M, -_NEAR_M), _NEAR_PPM, deck.seed, wear, blend)
+    return WornDrawing(((near, near_from_deck), *placed), ppm)
+
+
+def _with_wear(paint: U8, corner_m: tuple[float, float], texels_per_m: float, seed: int, wear: float, blend: str) -> U16:
+    """Return a drawing as pixels of a scene: paint wears in patches of two texels or more."""
+    h, w = paint.shape[:2]
+    rows, cols = (h + 1) // 2, (w + 1) // 2
+    step = 2.0 / texels_per_m
+    y, x = np.meshgrid(corner_m[1] + (np.arange(cols) + 0.5) * step, corner_m[0] + (np.arange(rows) + 0.5) * step)
+    gain = 1.0 + wear * grain(seed).read(np.stack([x, y], axis=-1).astype(np.float32), step)
+    each = cv2.resize(np.clip(gain, 0.05, 64000.0 / SCENE_ONE).astype(np.float32), (2 * cols, 2 * rows))[:h, :w]
+    return np.asarray(np.round(scene_of(paint, blend) * each[..., None]), dtype=np.uint16)
+
+
+class DeckPainter:
+    """Renders a deck through one lens."""
+
+    def __init__(self, lens: Lens, deck: Deck, light: Light, blend: str) -> None:
+        self._lens, self._deck, self._light = lens, deck, light
+        self._drawing = worn(deck, light.wear, blend)
+        self._grain = grain(deck.seed)
+        outline = deck.outline()
+        self._rim = np.concatenate([outline, np.zeros((len(outline), 1))], axis=1)
+        self._side = np.roll(outline, -1, axis=0) - outline
+        self._border = np.c_[lens.border_rays, np.ones(len(lens.border_rays))]
+        self._corners = np.c_[lens.corner_rays, np.ones(4)]
+        # The distance of a point of the deck from each of its sides, times the side's length.
+        corner, (along, across) = outline, self._side.T
+        self._inwards = np.stack([-across, along, across * corner[:, 0] - along * corner[:, 1]])
+        c, s = math.cos(deck.pad_yaw_rad), math.sin(deck.pad_yaw_rad)
+        self._R_deck_pad = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        self.rim_pad: F64 = self._rim @ self._R_deck_pad
+        """Outline of the deck, (N, 3) m in `pad`."""
+        self._mask = np.empty((lens.camera.height, lens.camera.width), np.uint8)
+
+    def fills(self, pad_from_ray: F64) -> bool:
+        """Whether the deck certainly covers all of the frame; near its edges the answer may be False even so."""
+        q = self._border.dot(self._R_deck_pad.dot(pad_from_ray).T)
+        return bool(q[:, 2].min() > 0 and q.dot(self._inwards).min() > 0)
+
+    def mask(self, R_cam_pad: F64, t_cam_pad: F64) -> U8:
+        """Return the deck's coverage of each pixel, (H, W) 0..255, until the next one. OpenCV's drawing antialiases edges."""
+        out = self._mask
+        out.fill(0)
+        uv = self._lens.outline(self.rim_pad.dot(R_cam_pad.T) + t_cam_pad, 12)
+        if len(uv):
+            cv2.fillPoly(out, [fixed_point(uv)], 255, cv2.LINE_AA, SHIFT)
+        return out
+
+    def paint(self, scene: U16, part: tuple[slice, slice], pad_from_ray: F64, footprint_m: float, mask: U8 | None = None) -> None:
+        """Put the deck on a scene (H, W, 4) where the rays of a part of the frame meet it.
+
+        Args:
+            scene: what lies around the deck.
+            part: rows and columns.
+            pad_from_ray: homography from rays to `pad`.
+            footprint_m: size of a pixel on the deck.
+            mask: coverage of each pixel by the deck, (H, W) 0..255; None where it covers all.
+        """
+        drawing = self._drawing
+        deck_from_ray = self._R_deck_pad.dot(pad_from_ray)
+        # A texel of up to 1.7 pixels: finer ones cost more memory traffic than they show.
+        whole = max(0, round(math.log2(max(footprint_m * drawing.texels_per_m, 1e-3)) + 0.25))
+        level = 1 + min(len(drawing.levels) - 2, whole)
+        if whole == 0 and footprint_m * _NEAR_PPM < 0.75 and self._near(deck_from_ray):
+            level = 0
+        image, texel_from_deck = drawing.levels[level]
+        cells = self._lens.cells(texel_from_deck.dot(deck_from_ray))
+        rows, columns = part
+        render_deck(
+            scene.shape[1], columns.start, columns.stop, rows.start, rows.stop,
+            address(cells, np.float32), cells.shape[1], address(image, np.uint16), *image.shape[:2],
+            address(mask, np.uint8, scene.shape[:2]), address(scene, np.uint16),
+        )  # fmt: skip
+
+    def _near(self, deck_from_ray: F64) -> bool:
+        """Whether all of the frame shows the pad's surroundings."""
+        q = (self._corners @ deck_from_ray.T).tolist()
+        return all(z > 0 and max(abs(x), abs(y)) < _NEAR_M * z for x, y, z in q)
+
+    def wet(self, part: tuple[slice, slice], pad_from_ray: F64, footprint_m: float) -> tuple[F32, F32] | None:
+        """Return the factors of a wet deck on its light, and the sky's light that its puddles mirror, (h, w) each.
+
+        Returns:
+            None on a dry deck.
+        """
+        wetness = self._light.wetness
+        if wetness == 0:
+            return None
+        places = self._lens.meet(self._R_deck_pad @ pad_from_ray, part)
+        h, w = places.shape[:2]
+        coarse: F32 = np.asarray(cv2.resize(places, (max(1, w // 2), max(1, h // 2))), dtype=np.float32)
+        puddle = self._grain.read(coarse, max(2.0 * footprint_m, 0.12), 3.1)
+        puddle = np.clip((puddle + np.float32(1.8 * wetness - 1.3)) * np.float32(1.8), 0.0, 1.0)
+        puddle = np.asarray(cv2.resize(puddle, (w, h)), dtype=np.float32)
+        gain = np.float32(1.0 - 0.25 * wetness) - np.float32(0.2 * wetness) * puddle
+        return gain, np.float32(0.08 * wetness) * puddle
+
+
+Part = tuple[slice, slice]
+"""Rows and columns of a frame."""
+
+
+def bounds(mask: U8) -> tuple[Part, Part]:
+    """Return the part of the frame that a mask (H, W) covers, in part at least, and the part around what it covers altogether.
+
+    A part without pixels ends at zero.
+    """
+    found = np.empty((2, 4), np.int32)
+    at = address(found, np.int32)
+    render_bounds(*mask.shape, address(mask, np.uint8), at, at + 16)
+    covered, around = ((slice(y0, y1), slice(x0, x1)) for x0, x1, y0, y1 in found.tolist())
+    return covered, around
+
+
+_DRONE: F32 = np.array([0.14, 0.115, 0.20, 0.05], np.float32)
+"""The drone's shape, m: the rotors' place along and across, their guards' radius, half the hull's length and width."""
+
+
+def drone_shadow(
+    gain: I16,
+    lens: Lens,
+    pad_from_ray: F64,
+    cam_from_pad: tuple[F64, F64],
+    R_pad_body: F64,
+    p_body_pad: F64,
+    to_sun_pad: F64,
+    share: float,
+    mask: U8 | None,
+) -> Part | None:
+    """Take the drone's shadow off factors (H, W) on the light; return the part of the frame that it can darken.
+
+    The shadow is that of a quadcopter half a metre wide, with four rotors inside guards and a slim hull, cast along the sun onto
+    the pad's plane. The width of the sun softens its edge.
+
+    Args:
+        cam_from_pad: rotation (3, 3) of the pad and its centre (3,) m in `cam`.
+        share: of the light, that is missing in the full shadow.
+        mask: how much of each pixel, (H, W) 0..255, can be in shadow; None for all.
+    """
+    if to_sun_pad[2] > -0.05 or p_body_pad[2] > -0.01:
+        return None
+    # A point of the body's plane falls onto the pad's plane along the sun.
+    slant = to_sun_pad[:2] / to_sun_pad[2]
+    (a, b), (c, d) = (R_pad_body[:2, :2] - slant[:, None] * R_pad_body[2, :2]).tolist()
+    u, v = (p_body_pad[:2] - slant * p_body_pad[2]).tolist()
+    det = a * d - b * c
+    if abs(det) < 1e-3:
+        return None
+    body_from_pad = np.array([[d, -b, b * v - d * u], [-c, a, c * u - a * v], [0.0, 0.0, det]]) / det
+    depth_m = max(0.05, float(cam_from_pad[1][2]))
+    sigma_px = _penumbra_px(lens, float(p_body_pad[2] / to_sun_pad[2]), depth_m)
+    # Limited, for far from the shadow sums of very large and small numbers would be wrong.
+    cells = lens.cells(body_from_pad.dot(pad_from_ray), 8.0)
+    # A smooth step has the deviation of a Gaussian edge if it is so much wider.
+    soft_m = math.sqrt(20.0) * sigma_px * depth_m / lens.camera.fx
+    part = np.empty(4, np.int32)
+    render_shadow(
+        *gain.shape, address(cells, np.float32), cells.shape[1], address(_DRONE, np.float32), soft_m, share,
+        address(mask, np.uint8, gain.shape), address(gain, np.int16), address(part, np.int32),
+    )  # fmt: skip
+    x0, x1, y0, y1 = part.tolist()
+    return slice(y0, y1), slice(x0, x1)
+
+
+def _penumbra_px(lens: Lens, away_m: float, depth_m: float) -> float:
+    """Return the standard deviation of a shadow's edge, for what casts it so far away, at a distance from the camera.
+
+    The sun's disc is half a degree wide: the penumbra is 0.0093 of the distance wide, its standard deviation a quarter of that.
+    """
+    return min(6.0, max(0.7, 0.0023 * away_m * lens.camera.fx / max(0.05, depth_m)))
+
+
+def _part_of(lens: Lens, outlines: list[F64], sigma_px: float) -> tuple[slice, slice] | None:
+    """Return the rows and columns of the frame that blurred outlines (N, 2) px touch, or None if there are too few."""
+    outlines = [uv for uv in outlines if len(uv)]
+    if not outlines:
+        return None
+    everything = np.concatenate(outlines)
+    margin = 3 * sigma_px + 2
+    low, high = everything.min(axis=0) - margin, everything.max(axis=0) + margin
+    x0, y0 = max(0, math.floor(low[0])), max(0, math.floor(low[1]))
+    x1, y1 = min(lens.camera.width, math.ceil(high[0])), min(lens.camera.height, math.ceil(high[1]))
+    return None if x1 - x0 < 2 or y1 - y0 < 2 else (slice(y0, y1), slice(x0, x1))
+
+
+def soft_shadow(lens: Lens, polygons_cam: list[F64], away_m: float, depth_m: float) -> tuple[U8, slice, slice] | None:
+    """Return how deep each pixel is in a shadow, 0..255, and the part of the frame that it covers, or None outside the frame.
+
+    Args:
+        polygons_cam: outlines (N, 3) m of the full shadow.
+        away_m: distance of what casts it, along the sun.
+        depth_m: distance of the shadow from the camera, along the axis.
+    """
+    polygons = [uv for uv in lens.outlines(polygons_cam) if len(uv)]
+    sigma = _penumbra_px(lens, away_m, depth_m)
+    part = _part_of(lens, polygons, sigma)
+    if part is None:
+        return None
+    (y0, y1), (x0, x1) = ((side.start, side.stop) for side in part)
+    # A blurred shape needs no more resolution than its blur.
+    coarser = 4 if sigma >= 2.4 else 2 if sigma >= 0.9 else 1
+    size = (max(2, (x1 - x0) // coarser), max(2, (y1 - y0) // coarser))
+    scale = np.array([size[0] / (x1 - x0), size[1] / (y1 - y0)])
+    canvas = np.zeros(size[::-1], np.uint8)
+    for uv in polygons:
+        line = cv2.LINE_AA if coarser > 1 else cv2.LINE_8
+        cv2.fillPoly(canvas, [fixed_point((uv - (x0, y0) + 0.5) * scale - 0.5)], 255, line, SHIFT)
+    width = 2 * math.ceil(2.5 * sigma / coarser) + 1
+    soft = cv2.GaussianBlur(canvas, (width, width), sigma / coarser)
+    return np.asarray(cv2.resize(soft, (x1 - x0, y1 - y0)), np.uint8), *part
+
+
+def draw(scene: U16, lens: Lens, points_cam: F64, colour: U16) -> None:
+    """Fill a polygon (N, 3) m in `cam` on a scene (H, W, 4), antialiased by OpenCV's drawing."""
+    uv = lens.outline(points_cam, 6)
+    if len(uv) < 3:
+        return
+    h, w = scene.shape[:2]
+    x0, y0 = (int(np.clip(math.floor(low) - 1, 0, most)) for low, most in zip(uv.min(axis=0), (w, h), strict=True))
+    x1, y1 = (int(np.clip(math.ceil(high) + 2, 0, most)) for high, most in zip(uv.max(axis=0), (w, h), strict=True))
+    if x1 <= x0 or y1 <= y0:
+        return
+    mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    cv2.fillPoly(mask, [fixed_point(uv - (x0, y0))], 255, cv2.LINE_AA, SHIFT)
+    render_fill(w, x0, x1, y0, y1, address(mask, np.uint8), address(colour, np.uint16, (4,)), address(scene, np.uint16))

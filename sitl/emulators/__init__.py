@@ -1,0 +1,1 @@
+"""Vehicles on real sockets and autopilot programs, for the service that flies them in real time."""

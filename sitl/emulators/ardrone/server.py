@@ -1,0 +1,283 @@
+"""A simulated AR.Drone behind its four ports, in real time."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections import Counter
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+
+from drivers.ardrone import navdata
+from drivers.clock import SystemClock
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs, after, seconds_between
+from sitl.ardrone.drone import TICK_S, Drone
+from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.generations import FIRST, SECOND, Generation
+from sitl.ardrone.navdata_from_world import SentFrame
+from sitl.emulators.ardrone.sockets import Address, AtPort, ControlPort, NavdataPort, VideoDatagramPort, VideoPort
+from sitl.emulators.ardrone.truth_log import TruthLog
+from sitl.emulators.ardrone.wire_pictures import PavePictures, Shot, UvlcPictures, WirePicture, WirePictures
+from sitl.faults.faulty_streams import LAG_S, Fate, InTransit
+from sitl.world.truth import RenderedFrame
+from sitl.world.world import World
+
+DEMO_TICKS = 13
+"""Ticks between two datagrams in demo mode and in the bootstrap: 15.4 Hz."""
+TRUTH_TICKS = 2
+CATCH_UP_MAX_S = 0.25
+"""After a host stood still for longer than this the datagrams it missed are not sent late; the physics runs up to now."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """Ports on which the drone listens; 0 lets the system choose."""
+
+    navdata: int = 5554
+    video: int = 5555
+    at: int = 5556
+    control: int = 5559
+
+
+@dataclass(frozen=True, slots=True)
+class Habits:
+    """The properties that differ from drone to drone."""
+
+    generation: Generation = SECOND
+    pave_header_size: int = 68
+    """64, 68 or 76 bytes, by firmware."""
+    frames_hz: float = 30.0
+    """Rate of a 1.0's frames, Hz; clients choose that of a 2.0."""
+    uptime_s: float = 90.0
+    """Time for which the drone has been running when the server starts, s. Until 65.5 s the time stamps of its video contain
+    bytes that ffmpeg, which takes the stream for plain H.264, mistakes for start codes."""
+    clock_drift_ppm: float = 15.0
+    """A crystal of its own."""
+    video_delay_s: float = 0.04
+    """Delay from mid-exposure to the frame's first byte: read-out, encoder, radio. A slower host adds its own delay."""
+    crf: float = 23.0
+    """Quality of the H.264 encoder, x264's scale."""
+
+
+class ArDroneServer:
+    """`async with ArDroneServer(world, host, ports, clock) as server`: flies `world` in real time and speaks for it.
+
+    `server.ports` holds the ports in use, `server.drone` what is behind them, `server.counters` what passed. A bug inside takes
+    the body of the `async with` down with an ExceptionGroup.
+
+    Raises:
+        Recoverable: a port is taken.
+        BadInput: the truth log cannot be written.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        host: str = "127.0.0.1",
+        ports: Ports | None = None,
+        clock: Clock | None = None,
+        *,
+        truth_path: Path | None = None,
+        habits: Habits | None = None,
+    ) -> None:
+        """`world` begins at an instant of `clock`; the truth log then is in this host's monotonic time."""
+        self.world = world
+        self.host = host
+        self.ports = ports or Ports()
+        self.counters: Counter[str] = Counter()
+        self._clock = clock or SystemClock()
+        self._truth_path = truth_path
+        self._habits = habits or Habits()
+        self._drone_clock = DroneClock(after(world.now, -self._habits.uptime_s), self._habits.clock_drift_ppm)
+        self._stack = AsyncExitStack()
+        self._truth: TruthLog | None = None
+        self._navdata = NavdataPort(self._clock.now, self.counters)
+        first = self._habits.generation is FIRST
+        self._video = VideoDatagramPort(self._clock.now, self.counters) if first else VideoPort(self.counters)
+        self._pictures: WirePictures = UvlcPictures() if first else PavePictures(self._habits.pave_header_size, self._habits.crf)
+        self._control = ControlPort(self.counters)
+        self._ticks = 0
+        self.drone = self._new_drone({})
+        self._carry(world)
+        self.stood_still_s = 0.0
+        """Total time in which this host kept the drone from sending; up to `CATCH_UP_MAX_S` at a time is caught up."""
+        self.silent = False
+        """Send no navdata, as a drone that is switched off."""
+
+    async def __aenter__(self) -> ArDroneServer:
+        async with AsyncExitStack() as stack:
+            if self._truth_path is not None:
+                self._truth = stack.enter_context(TruthLog(self._truth_path))
+            await self._listen(stack)
+            network = {
+                "navdata_port": self.ports.navdata,
+                "video_port": self.ports.video,
+                "at_port": self.ports.at,
+                "cmd_port": self.ports.control,
+            }
+            self.drone = self._new_drone(network)
+            # The first frame takes longest, as textures are made for it: before the drone has to keep time.
+            self.world.render()
+            pool = stack.enter_context(ThreadPoolExecutor(1, "render"))
+            group = await stack.enter_async_context(asyncio.TaskGroup())
+            tasks = [group.create_task(self._fly(), name="fly"), group.create_task(self._film(pool), name="film")]
+            stack.callback(lambda: [task.cancel() for task in tasks])
+            self._stack = stack.pop_all()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, why: BaseException | None, where: TracebackType | None
+    ) -> bool | None:
+        return await self._stack.__aexit__(kind, why, where)
+
+    def enter(self, world: World) -> None:
+        """Go on in another world that nothing has happened in yet; its time begins now. Sockets and configuration stay."""
+        world.started = world.now = self._clock.now()
+        self.world = world
+        self.drone.enter(world)
+        self._carry(world)
+
+    def _carry(self, world: World) -> None:
+        """Carry the packets of this world's drone."""
+        self._sent: InTransit[bytes] = InTransit(world.streams.navdata)
+        self._asked: InTransit[tuple[bytes, Address]] = InTransit(world.streams.commands)
+        self._filmed: InTransit[bytes] = InTransit(world.streams.frames)
+
+    def _new_drone(self, network: dict[str, int]) -> Drone:
+        drone = Drone(self.world, self._drone_clock, network, self._habits.generation)
+        drone.state.config.fix("video:camif_fps", f"{self._habits.frames_hz:.0f}")
+        return drone
+
+    async def _listen(self, stack: AsyncExitStack) -> None:
+        loop = asyncio.get_running_loop()
+        host, asked = self.host, self.ports
+        at_port = AtPort(self._take, self.counters)
+        try:
+            udp_navdata, _ = await loop.create_datagram_endpoint(lambda: self._navdata, local_addr=(host, asked.navdata))
+            stack.callback(udp_navdata.close)
+            udp_at, _ = await loop.create_datagram_endpoint(lambda: at_port, local_addr=(host, asked.at))
+            stack.callback(udp_at.close)
+            video_port = await self._video.listen(host, asked.video, stack)
+            tcp_control = await loop.create_server(self._control.connection, host, asked.control)
+            stack.callback(self._control.close)
+            stack.callback(tcp_control.close)
+        except OSError as why:
+            raise Recoverable(f"the simulated drone cannot listen on {host}: {os.strerror(why.errno or 0)}") from why
+        self.ports = Ports(
+            navdata=udp_navdata.get_extra_info("sockname")[1],
+            video=video_port,
+            at=udp_at.get_extra_info("sockname")[1],
+            control=tcp_control.sockets[0].getsockname()[1],
+        )
+
+    # Flying
+
+    async def _fly(self) -> None:
+        due = self._clock.now()
+        while True:
+            behind_s = seconds_between(due, self._clock.now())
+            if behind_s > CATCH_UP_MAX_S:
+                self.counters["stood_still"] += 1
+                self.stood_still_s += behind_s
+                due = self._clock.now()
+            elif behind_s < 0.0:
+                await self._clock.sleep(-behind_s)
+                continue
+            self._tick(due)
+            due = after(due, TICK_S)
+            # Even when many ticks are due, sockets get their turn between two of them.
+            await self._clock.sleep(0.0)
+
+    def _tick(self, at: MonoNs) -> None:
+        drone = self.drone
+        self._obey()
+        drone.tick(at)
+        self._ticks += 1
+        if not drone.in_demo_mode or self._ticks % DEMO_TICKS == 0:
+            self._send_navdata()
+        if drone.answers and self._control.connected:
+            for answer in drone.answers.values():
+                self._control.send(answer())
+            drone.answers.clear()
+        if self._truth is not None and self._ticks % TRUTH_TICKS == 0:
+            self._truth.write(self.world.truth())
+
+    def _send_navdata(self) -> None:
+        now = self._clock.now()
+        if self._navdata.clients and not self.silent:
+            self._sent.send(lambda: navdata.encode(self.drone.navdata()), now)
+        while (packet := self._sent.arrived(now)) is not None:
+            self._navdata.send(packet[1])
+
+    def _take(self, data: bytes, sender: Address) -> None:
+        self._asked.send(lambda: (data, sender), self._clock.now())
+        self._obey()
+
+    def _obey(self) -> None:
+        now = self._clock.now()
+        while (packet := self._asked.arrived(now)) is not None:
+            data, sender = packet[1]
+            self.drone.take(data, now)
+            self._navdata.received_from(sender[0])
+            self._video.received_from(sender[0])
+
+    # Frames
+
+    async def _film(self, pool: ThreadPoolExecutor) -> None:
+        loop = asyncio.get_running_loop()
+        due = self._clock.now()
+        while True:
+            await self._clock.sleep(max(0.0, seconds_between(self._clock.now(), due)))
+            config = self.drone.state.config
+            period_s = 1.0 / config.number(self._habits.generation.frame_rate)
+            # A host too slow to render them all films fewer, evenly numbered: only what is lost on the way leaves a gap.
+            due = max(after(due, period_s), after(self._clock.now(), -period_s))
+            if not self._video.busy or not config.flag("general:video_enable"):
+                continue
+            fate = self.world.streams.frames.fate()
+            if not fate.copies:
+                continue
+            rpy, altitude_m = self.drone.rpy_rad, self.drone.altitude_m
+            keys = {name: config[name] for name in self._habits.generation.film_keys}
+            R_ned_body, number = self.world.truth().R_ned_body, self.drone.shot.number + 1
+            shoot = partial(self._shoot, self.world.expose(), R_ned_body, number, 1.0 / period_s, keys)
+            image, sent, picture = await loop.run_in_executor(pool, shoot)
+            self._send_image(image, sent, picture, rpy, altitude_m, fate)
+
+    def _shoot(
+        self, expose: Callable[[], RenderedFrame], R_ned_body: Rotation, number: int, fps: float, keys: Mapping[str, str]
+    ) -> tuple[RenderedFrame, Shot, WirePicture]:
+        """Runs in the pool's thread, and touches nothing of the world's but what was fixed for it."""
+        image = expose()
+        timestamp_ms = self._drone_clock.milliseconds(after(image.exposed_at, image.stamp_error_s))
+        shot = Shot(image.px, R_ned_body, number, timestamp_ms, fps, keys)
+        return image, shot, self._pictures.make(shot)
+
+    def _send_image(
+        self,
+        image: RenderedFrame,
+        shot: Shot,
+        picture: WirePicture,
+        rpy: tuple[float, float, float],
+        altitude_m: float,
+        fate: Fate,
+    ) -> None:
+        self.drone.shot = SentFrame(shot.number, shot.timestamp_ms, rpy, altitude_m, picture.payload_bytes, picture.bitrate_kbps)
+        now = self._clock.now()
+        wait_s = max(0.0, self._habits.video_delay_s - seconds_between(image.exposed_at, now))
+        due = self._filmed.put(picture.data, fate, now, wait_s)
+        if due is not None:
+            for at in (due, after(due, LAG_S)):
+                asyncio.get_running_loop().call_later(seconds_between(now, at), self._send_frames, at)
+
+    def _send_frames(self, due: MonoNs) -> None:
+        while (packet := self._filmed.arrived(due)) is not None:
+            self._video.send(packet[1])

@@ -1,0 +1,420 @@
+"""Fly a real autopilot program: the simulated sea, deck, vehicle and camera are its physics, and the daemon runs beside it.
+
+Four parties share one time. The autopilot program requests a step of the physics and waits for the answer; the daemon's clock,
+the camera and the operator at the ground station advance with the steps. As in a real vehicle, the program is connected to the
+daemon and the ground station by MAVLink over UDP.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import msgspec
+
+from companion.base.health import Health
+from companion.base.mission import FlightOutcome
+from companion.base.observer import Observer
+from companion.settings.model import Settings
+from drivers.camera.exposure_law import ExposureSetting
+from drivers.mavlink.access import NamedSenders
+from drivers.mavlink.dialect import mav
+from drivers.mavlink.endpoint import parse_endpoint
+from drivers.mavlink.links import LinkOptions, Links, open_links
+from drivers.mavlink.vehicle import Stack
+from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.estimates import PathName
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.camera.driven_exposure import SimulatedExposure
+from sitl.emulators.autopilots import arducopter, px4
+from sitl.emulators.autopilots.ardupilot_json import CURVE, STEP_S, JsonBackend, serve_json
+from sitl.emulators.autopilots.beside import FlightDaemon, beside_autopilot
+from sitl.emulators.autopilots.body import Body, Landing
+from sitl.emulators.autopilots.camera import LockStepCamera
+from sitl.emulators.autopilots.faulty_link import FaultyLink
+from sitl.emulators.autopilots.graded_body import GradedBody
+from sitl.emulators.autopilots.lock_step import LockStepClock
+from sitl.emulators.autopilots.operator_view import view_of
+from sitl.emulators.autopilots.perceived_body import PerceivedBody
+from sitl.emulators.autopilots.program import Program, free_udp_port, running
+from sitl.emulators.autopilots.px4_hil import HilBackend, serve_hil
+from sitl.emulators.autopilots.service import KillableService
+from sitl.emulators.autopilots.silence import Silence
+from sitl.emulators.autopilots.stand_in import fly as in_process
+from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
+from sitl.emulators.autopilots.stand_in.base import StandIn
+from sitl.emulators.autopilots.stand_in.gimbal import GimbalLink
+from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
+from sitl.emulators.autopilots.station import STATION, GroundStation, Task
+from sitl.flight.grader import FlightResult
+from sitl.flight.vessel_reports import VesselReporter
+from sitl.perception.pixels import Pixels
+from sitl.perception.port import Perception
+from sitl.scenario.scenario import Scenario
+from sitl.world.truth import RenderedFrame, Touchdown, Truth
+
+Name = Literal["arducopter", "px4"]
+HOST = "127.0.0.1"
+COM_WATCHDOG_S: dict[Name, float] = {
+    "arducopter": arducopter.PARAMETERS["GUID_TIMEOUT"],
+    "px4": px4.PARAMETERS["COM_OF_LOSS_T"],
+}
+"""Time for which each program flies on with the last setpoint."""
+_STATION_S = 0.05
+_AFTER_S = 1.5
+"""Time that the flight continues after its end, so that a later contact is recorded."""
+_TRUTH_S = 0.02 - 1e-6
+_SILENT_S = 60.0
+"""Wall time without a step of the physics after which the program counts as hung."""
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotProgram:
+    """The autopilot program that is flown, and its settings."""
+
+    name: Name
+    binary: Path | None
+    """The program; None flies the stand-in for it (`sitl.emulators.autopilots.stand_in`)."""
+    pace: float = 10.0
+    """Largest speed of the program in multiples of real time; the lock step limits it to what the machine can do."""
+    parameters: tuple[tuple[str, float], ...] = ()
+    """Parameters of the program, in addition to those with which it is always started."""
+    unaided: bool = False
+    """Whether it lands by its own landing mode, and nothing of the daemon's reaches it: the control flight."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightEnd:
+    """The result of the flight."""
+
+    outcome: FlightOutcome | None
+    """The pilot's outcome, and of an unaided flight a landing where the motors stopped; None if the flight ended otherwise."""
+    landing: Landing | None
+    duration_s: float
+    """Time since the landing was commanded."""
+    health: Health
+    texts: tuple[tuple[float, int, str], ...]
+    """Status texts of autopilot and companion: s since the program's start, component, text."""
+    upright: bool
+    failure: str = ""
+    """The reason why no landing took place."""
+    contacts: tuple[Touchdown, ...] = ()
+    """Every contact since the order to land."""
+    result: FlightResult | None = None
+    """The graded result of a scenario with faults; None without."""
+    armed_after_contact_s: float | None = None
+    """Time for which the motors turned after the newest contact; None if they never stopped, or there was none."""
+    silences: tuple[Silence, ...] = ()
+    """What the vehicle did while the service was killed."""
+
+    @property
+    def without_outcome(self) -> str:
+        """Why a flight without an outcome ended."""
+        return "time ran out" if self.upright else "turned over or fell into the water"
+
+    @property
+    def failsafes(self) -> tuple[str, ...]:
+        """Texts of the autopilot about a failsafe."""
+        own = int(mav.MAV_COMP_ID_AUTOPILOT1)
+        return tuple(text for _, component, text in self.texts if component == own and "failsafe" in text.lower())
+
+
+@dataclass(slots=True)
+class AutopilotFlight:
+    """One flight of an autopilot program; `fly` runs it."""
+
+    scenario: Scenario
+    seed: int
+    settings: Settings
+    """Settings of the daemon, read for an autopilot (`settings_for` with `by_autopilot`), which becomes its vehicle."""
+    autopilot: AutopilotProgram
+    folder: Path
+    """The program's working directory."""
+    observers: Sequence[Observer] = ()
+    perception: Perception = field(default_factory=Pixels)
+    shadows: Sequence[PathName] = ()
+    """Estimator paths that run beside the steering one; they do not change the flight."""
+    on_start: Callable[[Health], None] | None = None
+    """Receives the counters of the service's health before it runs."""
+    on_truth: Callable[[Truth], None] | None = None
+    """Receives the true state after the first step of the physics, every 20 ms and at every exposure of a frame."""
+    clock: LockStepClock = field(default_factory=LockStepClock)
+    body: Body | None = None
+    stand_in: StandIn | None = None
+    """The stand-in that is flown; None while a program is."""
+    station: GroundStation = field(init=False)
+    graded: GradedBody = field(init=False)
+    link: FaultyLink = field(init=False)
+    _camera: LockStepCamera | None = None
+    _reporter: VesselReporter = field(init=False)
+    _world: PerceivedBody | None = None
+    _service: KillableService | None = None
+    _silences: list[Silence] = field(default_factory=list)
+    _stepped_at: float = 0.0
+    _stopped_s: float | None = None
+    """When the motors stopped, by the physics' time."""
+    _told: MonoNs | None = None
+    """Instant of the newest truth that `on_truth` got."""
+    _told_exposures: int = 0
+
+    def __post_init__(self) -> None:
+        if self.scenario.gimbal.given and (self.autopilot.binary is not None or self.perception.level != "pixels"):
+            raise BadInput("gimbal: only the stand-in (--binary stand-in) with rendered frames (--perception pixels) has one")
+        stack = Stack.PX4 if self.autopilot.name == "px4" else Stack.ARDUPILOT
+        self.station = GroundStation(stack, height_m=self.height_m, unaided=self.autopilot.unaided)
+        watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
+        self.graded = GradedBody(self.scenario, self.seed, self.settings, self.clock, watchdog_s)
+        self.link = FaultyLink(self.graded.streams, self.clock)
+        self._reporter = VesselReporter(self.graded)
+
+    def service_settings(self, port: int) -> Settings:
+        """Return the settings that the daemon flies with, which hears the autopilot at a UDP port of this machine."""
+        response = "px4" if self.autopilot.name == "px4" else None
+        return beside_autopilot(self.settings, f"udpin://{HOST}:{port}", response=response)
+
+    @property
+    def height_m(self) -> float:
+        """Height of the take-off."""
+        return max(self.scenario.start.height_m, 2.0)
+
+    async def fly(self) -> FlightEnd:
+        """Run the flight from the program's start to the landing or another end.
+
+        Raises:
+            BadInput: the program cannot be run.
+            Recoverable: the program ended by itself or hangs.
+        """
+        cv2.setNumThreads(1)
+        fixed = self.autopilot.name == "px4" and self.autopilot.binary is not None
+        from_program, to_station = px4.MAVLINK_PORTS if fixed else (free_udp_port(), free_udp_port())
+        relayed = self.autopilot.unaided or bool(self.scenario.faults)
+        to_daemon = free_udp_port() if relayed else from_program
+        settings = self.service_settings(to_daemon)
+        service = self._service = KillableService(lambda once: self._serving(settings, once))
+        # The world begins before the program does: at the level `truth` the pilot reads it from its first cycle on.
+        copter = self.autopilot.name == "arducopter"
+        step_s = in_process.STEP_S if self.autopilot.binary is None else STEP_S if copter else px4.STEP_S
+        self._make(step_s, CURVE if copter else 0.0)
+        link = LinkOptions(parse_endpoint(f"udpin://{HOST}:{to_station}"))
+        failed: Recoverable | None = None
+        with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
+            frames = self.graded.streams.frames
+            camera = self._camera = LockStepCamera(
+                self.clock, service.offer, service.concluded, service.looking, pool, frames, expose=self._expose
+            )
+            self._expose_by(service.now, camera)
+            async with AsyncExitStack() as stack:
+                links = await stack.enter_async_context(
+                    open_links((link,), self.clock, STATION, access=NamedSenders(everybody=True))
+                )
+                if relayed:
+                    await stack.enter_async_context(self.link.relaying(HOST, from_program, to_daemon))
+                program = await stack.enter_async_context(self._program((from_program, to_station)))
+                self._stepped_at = time.monotonic()
+                try:
+                    async with asyncio.TaskGroup() as group:
+                        others = [
+                            group.create_task(program.ended()),
+                            group.create_task(self._watch(program)),
+                            group.create_task(self._listen(links)),
+                        ]
+                        service.start(group)
+                        end = await self._conduct(links, service, group)
+                        await service.stop()
+                        for task in others:
+                            task.cancel()
+                except* Recoverable as why:
+                    failed = _first(why)
+        if failed is not None:
+            raise failed
+        return end
+
+    def _serving(self, settings: Settings, once: bool) -> FlightDaemon:
+        """Return a daemon that knows nothing yet."""
+        pilot = self.perception.pilot(settings, self.shadows)
+        side = FlightDaemon(settings, pilot, self.clock, (*self.observers, self.graded), once=once)
+        if self.on_start is not None:
+            self.on_start(side.daemon.health)
+        return side
+
+    def _expose_by(self, side: FlightDaemon, camera: LockStepCamera) -> None:
+        """Let a daemon drive the camera's exposure, where its settings say so."""
+        if side.exposure is None or self.body is None or self.perception.level != "pixels":
+            return
+        start = ExposureSetting(self.scenario.camera.exposure_s, 1.0)
+        white_k = self.settings.camera.exposure.white_balance_k
+        self.body.exposure = SimulatedExposure(side.exposure, start, camera.period_s, white_k, lambda: camera.frames)
+
+    async def _conduct(self, links: Links, service: KillableService, group: asyncio.TaskGroup) -> FlightEnd:
+        station, camera = self.station, self._camera
+        assert camera is not None
+        while station.task is not Task.FAILED:
+            await self.clock.sleep(_STATION_S)
+            if self.body is None:
+                continue
+            camera.on = station.task not in (Task.MEET, Task.ARM)
+            for message in station.period(self.clock.now(), view_of(self.body)):
+                links.send(message)
+            lost = not self.body.upright
+            if self.autopilot.unaided and station.task is Task.ORDER:
+                self.link.muted = True
+            if service.gone and not self.graded.active("service_killed"):
+                await service.restart(group)
+                self._expose_by(service.now, camera)
+                self.link.cut = False
+                station.again(self.clock.now(), self.graded.height_m)
+            if station.began is not None:
+                flown_s = seconds_between(station.began, self.clock.now())
+                if self._flown(service) or flown_s > self.scenario.duration_limit_s or lost:
+                    break
+            elif lost or service.ended(ordered=False):
+                station.failure = "it turned over or fell into the water before the landing was ordered"
+                break
+        await self.clock.sleep(_AFTER_S)
+        began = station.began or self.clock.now()
+        texts = tuple((seconds_between(self.clock.started, at), component, text) for at, component, text in station.texts)
+        landing = None if self.body is None or station.began is None else self.body.landing()
+        stopped = None if landing is None or self._stopped_s is None else max(self._stopped_s - landing.t_s, 0.0)
+        pilot, health = service.now.pilot, service.now.daemon.health
+        outcome = pilot.outcome
+        if self.autopilot.unaided:
+            outcome = FlightOutcome.LANDED if stopped is not None and self.body is not None and self.body.upright else None
+        return FlightEnd(
+            outcome,
+            landing,
+            max(seconds_between(began, self.clock.now()) - _AFTER_S, 0.0),
+            health,
+            texts,
+            self.body is not None and self.body.upright,
+            station.failure,
+            self.graded.contacts,
+            self.graded.result(pilot, health),
+            stopped,
+            tuple(self._silences),
+        )
+
+    def _flown(self, service: KillableService) -> bool:
+        """Return whether the landing that was ordered has ended by itself."""
+        if self.autopilot.unaided:
+            return self.body is not None and not self.body.flying
+        return service.ended(self.station.task is Task.WATCH)
+
+    async def _listen(self, links: Links) -> None:
+        async for received in links.received:
+            self.station.on_message(received.message, received.received_at)
+
+    async def _watch(self, program: Program | in_process.StandInProgram) -> None:
+        """Raise an error if the program stops stepping the physics."""
+        while True:
+            await asyncio.sleep(1.0)
+            if time.monotonic() - self._stepped_at > _SILENT_S:
+                raise Recoverable(
+                    f"the autopilot program asked for no step in {_SILENT_S:.0f} s; it said last: {program.last_line}"
+                )
+
+    def _make(self, step_s: float, curve: float) -> Body:
+        on_pad = msgspec.structs.replace(self.scenario, start=msgspec.structs.replace(self.scenario.start, where="pad"))
+        self.body = Body(on_pad, self.seed, step_s, curve)
+        self._world = PerceivedBody(self.body, self.seed, self.clock, self.graded.faults)
+        self.perception.begin(self._world)
+        return self.body
+
+    def _expose(self, body: Body) -> Callable[[], RenderedFrame]:
+        assert self._world is not None
+        return self.perception.expose(self._world, None)
+
+    def _stepped(self, body: Body) -> None:
+        self._stepped_at = time.monotonic()
+        if body.flying:
+            self._stopped_s = None
+        elif self._stopped_s is None:
+            self._stopped_s = body.t_s
+        self.clock.advance(body.step_s)
+        self.graded.stepped(body, self.station.began)
+        self._leave_alone(body)
+        self._report()
+        self.link.deliver()
+        assert self._camera is not None
+        self._camera.stepped(body)
+        if self.on_truth is not None:
+            exposed = self._camera.exposures
+            if exposed > self._told_exposures or self._told is None or seconds_between(self._told, self.clock.now()) >= _TRUTH_S:
+                self._told, self._told_exposures = self.clock.now(), exposed
+                self.on_truth(self.graded.truth())
+
+    def _report(self) -> None:
+        """Give the service what the ship reports."""
+        if self._service is not None:
+            for report in self._reporter.reports(self.clock.now()):
+                self._service.report(report)
+
+    def _leave_alone(self, body: Body) -> None:
+        """Kill the service when its time has come, and note what the vehicle does without one."""
+        if self._service is None or not self.graded.active("service_killed"):
+            return
+        now_s, height_m = seconds_between(self.graded.started, self.clock.now()), self.graded.height_m
+        if not self._service.gone:
+            self._service.kill()
+            self.link.cut = True
+            self._silences.append(Silence(now_s, self.graded.guidance_phase, height_m))
+        silence = self._silences[-1]
+        silence.step(now_s - silence.at_s, body.state(), height_m, self.station.mode, len(self.graded.contacts))
+
+    async def _settle(self) -> None:
+        assert self._camera is not None
+        await self.clock.settle()
+        await self._camera.settle()
+
+    @asynccontextmanager
+    async def _program(self, ports: tuple[int, int]) -> AsyncIterator[Program | in_process.StandInProgram]:
+        """Serve the physics and run the program on it until the context ends."""
+        chosen = self.autopilot
+        if chosen.binary is None:
+            self.stand_in, body, urls = self._stand_in(), self.body, tuple(f"udpout://{HOST}:{port}" for port in ports)
+            assert body is not None
+            if body.gimbal is not None:
+                self.stand_in.gimbal = GimbalLink(body.gimbal, self.stand_in.system)
+            async with in_process.flying(
+                self.stand_in, body, self.clock, (urls[0], urls[1]), self._stepped, self._settle
+            ) as program:
+                yield program
+            return
+        if chosen.name == "px4":
+            assert self.body is not None
+            hil = HilBackend(self.body, seed=self.seed, stepped=self._stepped)
+            argv, environment = px4.start(chosen.binary, height_m=self.height_m, parameters=dict(chosen.parameters))
+            async with (
+                serve_hil(hil, HOST, px4.PHYSICS_PORT, settle=self._settle),
+                running(argv, self.folder, environment) as program,
+            ):
+                yield program
+            return
+        backend = JsonBackend(lambda step_s: self._make(step_s, CURVE), self._stepped, self.body)
+        async with serve_json(backend, HOST, 0, settle=self._settle) as port:
+            argv = arducopter.argv(
+                chosen.binary, self.folder, physics_port=port, mavlink_ports=ports, speedup=chosen.pace,
+                parameters=dict(chosen.parameters),
+            )  # fmt: skip
+            async with running(argv, self.folder) as program:
+                yield program
+
+    def _stand_in(self) -> StandIn:
+        given = dict(self.autopilot.parameters)
+        if self.autopilot.name == "px4":
+            return Px4StandIn(self.clock, {"MIS_TAKEOFF_ALT": self.height_m, **given})
+        return CopterStandIn(self.clock, given, in_process.STEP_S)
+
+
+def _first(group: BaseExceptionGroup[Recoverable]) -> Recoverable:
+    error: BaseException = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, Recoverable)
+    return error

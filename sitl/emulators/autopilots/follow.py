@@ -1,0 +1,238 @@
+"""Add a simulated deck and camera to a vehicle that another simulator flies.
+
+The vehicle's pose comes over MAVLink, the camera renders from that pose, and the daemon flies the landing. The deck moves, but
+the ground of the other simulator does not: if the deck heaves, only the horizontal position of a touchdown counts.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from companion.base.health import Health
+from companion.base.mission import FlightOutcome
+from companion.base.observer import Observer
+from companion.guidance.make_pilot import make_pilot
+from companion.settings.model import Settings
+from drivers.clock import SystemClock
+from drivers.mavlink.links import ReceivedMessage
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.samples import Frame
+from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from sitl.camera.camera import Exposure
+from sitl.emulators.autopilots.beside import FlightDaemon, beside_autopilot
+from sitl.emulators.autopilots.body import Landing
+from sitl.emulators.autopilots.pose import AutopilotPose, PoseSource
+from sitl.scenario.scenario import Scenario, pad_model
+from sitl.vehicle.airframe import Airframe
+from sitl.world.stage import flight_seeds, renderer, sea_and_vessel
+from sitl.world.truth import RenderedFrame
+
+PERIOD_S = 0.04
+_STAMP_SIGMA_S = 0.002
+_OLD_S = 0.3
+_TRUTH_S = 3.0
+"""Time after the first reported position for which the simulator's truth is awaited."""
+_MEET_S, _PLACE_S = 30.0, 180.0
+_CLEAR_M = 0.15
+"""Height over the pad, m, above which the vehicle is not down yet: the last descent rate above it is that of the touchdown."""
+
+
+@dataclass(frozen=True, slots=True)
+class FollowEnd:
+    """The result of the flight."""
+
+    outcome: FlightOutcome | None
+    landing: Landing | None
+    duration_s: float
+    """Time since the vehicle was first seen flying, s."""
+    health: Health
+    by_truth: bool
+    """Whether the simulator reported the true position; otherwise it is the autopilot's estimate."""
+    failure: str = ""
+
+
+class DeckUnder:
+    """The scenario's sea and vessel under a vehicle whose position has another origin.
+
+    Args:
+        first: the vehicle's first pose; the pad lies relative to it as at the scenario's start.
+        on_ground: the vehicle stands on the ground, so the pad is placed at the height of its feet.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, first: AutopilotPose, on_ground: bool) -> None:
+        seeds = flight_seeds(seed)
+        self._waves, self._vessel = sea_and_vessel(scenario, [seeds.sea])
+        self._renderer = renderer(scenario, self._waves, self._vessel, seeds.camera)
+        self._camera_seed = seeds.camera
+        self._exposure_s = scenario.camera.exposure_s
+        self._began, self._images = first.at, 0
+        start, pad = scenario.start, self._vessel.pad_at(0.0)
+        below_m = Airframe().feet.below_m if on_ground else start.height_m
+        # The arrow keeps the scenario's heading and the vehicle its own.
+        heading = first.R_ned_body.rpy_rad[2]
+        to_pad = Rotation.from_rpy(0.0, 0.0, heading) @ np.array([start.pad_forward_m, start.pad_right_m, below_m])
+        self._shift = pad.p_ned - (first.p_ned + to_pad)
+        self.pad_radius_m = pad_model(scenario).disc_radius_m
+
+    def _deck(self, at: MonoNs) -> tuple[float, F64, F64, F64, F64]:
+        t_s = max(seconds_between(self._began, at), 0.0)
+        pad = self._vessel.pad_at(t_s)
+        return t_s, pad.p_ned, pad.v_ned, pad.R_ned, pad.w
+
+    def frame_at(self, pose: AutopilotPose) -> Callable[[], RenderedFrame]:
+        """Return a function that renders the frame from this pose."""
+        t_s, p, v, R, w = self._deck(pose.at)
+        shot = Exposure(
+            t_s=t_s, R_ned_body=pose.R_ned_body, p_body_ned=pose.p_ned + self._shift, R_ned_pad=Rotation(R), p_pad_ned=p,
+            v_body_ned=pose.v_ned, w_body=pose.w_body, v_pad_ned=v, w_pad=w,
+        )  # fmt: skip
+        self._images += 1
+        rng = np.random.default_rng([self._camera_seed, self._images])
+        return lambda: RenderedFrame(self._renderer.render(shot, rng), pose.at, self._exposure_s)
+
+    def height_m(self, pose: AutopilotPose) -> float:
+        """Return the body's height over the pad's centre, metres."""
+        return float((self._deck(pose.at)[1] - pose.p_ned - self._shift)[2])
+
+    def landing(self, pose: AutopilotPose, descent_rate_m_s: float) -> Landing:
+        """Return the landing that this pose would be if the body were on the deck there.
+
+        Args:
+            descent_rate_m_s: the descent rate before the contact.
+        """
+        t_s, p, v, R, _ = self._deck(pose.at)
+        d = R.T @ (pose.p_ned + self._shift - p)
+        lateral_m = float(np.hypot(d[0], d[1]))
+        yaw = wrap_pi(pose.R_ned_body.rpy_rad[2] - Rotation(R).rpy_rad[2])
+        slide = pose.v_ned - v
+        return Landing(
+            t_s, True, lateral_m <= self.pad_radius_m, lateral_m, yaw, descent_rate_m_s, math.hypot(slide[0], slide[1])
+        )
+
+
+async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, observers: Sequence[Observer] = ()) -> FollowEnd:
+    """Run the daemon until its flight has ended or the scenario's time is over.
+
+    Raises:
+        BadInput: the URL is not valid, or the scenario's camera hangs on a gimbal.
+    """
+    if scenario.gimbal.given:
+        raise BadInput("gimbal: only the stand-in for an autopilot (--autopilot, --binary stand-in) has a simulated one")
+    cv2.setNumThreads(1)
+    clock = SystemClock()
+    settings = beside_autopilot(settings, url, start=settings.guidance.start)
+    pilot = make_pilot(settings)
+    side = FlightDaemon(settings, pilot, clock, observers)
+    watcher = _Watcher(scenario, seed, side, clock)
+    with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
+        async with asyncio.TaskGroup() as group:
+            daemon = group.create_task(side.daemon.run())
+            failure = await watcher.film(pool, daemon)
+            side.daemon.stop()
+            await daemon
+    on_ground = pilot.outcome in (FlightOutcome.LANDED, FlightOutcome.LANDED_BY_OTHERS)
+    return FollowEnd(
+        pilot.outcome, watcher.landing if on_ground else None, watcher.flown_s, side.daemon.health, watcher.by_truth, failure
+    )
+
+
+class _Watcher:
+    """Receives poses, makes frames and records the touchdown."""
+
+    def __init__(self, scenario: Scenario, seed: int, side: FlightDaemon, clock: SystemClock) -> None:
+        self._scenario, self._seed, self._side, self._clock = scenario, seed, side, clock
+        self._source = PoseSource()
+        self._deck: DeckUnder | None = None
+        self._flew: MonoNs | None = None
+        self._newest: AutopilotPose | None = None
+        self._placed: MonoNs | None = None
+        """Instant of the first pose with a position."""
+        self._descent_rate_m_s = 0.0
+        self._listening: object = None
+        self._last: AutopilotPose | None = None
+        self.by_truth = False
+        self.frames = 0
+
+    @property
+    def landing(self) -> Landing | None:
+        """The landing by the last received pose; None if none was received."""
+        if self._deck is None or self._last is None:
+            return None
+        return self._deck.landing(self._last, self._descent_rate_m_s)
+
+    @property
+    def flown_s(self) -> float:
+        return 0.0 if self._flew is None else seconds_between(self._flew, self._clock.now())
+
+    async def film(self, pool: ThreadPoolExecutor, daemon: asyncio.Task[FlightOutcome | None]) -> str:
+        """Make frames, one a period, and return the reason why there was no flight, or an empty text."""
+        loop, began = asyncio.get_running_loop(), self._clock.now()
+        while not daemon.done():
+            turn = self._clock.now()
+            pose = self._next_pose(turn)
+            if pose is None:
+                met = self._side.autopilot is not None and self._side.autopilot.identity is not None
+                limit_s = _PLACE_S if met else _MEET_S
+                if self._deck is None and seconds_between(began, turn) > limit_s:
+                    return f"{'it did not tell where it is' if met else 'no autopilot was heard'} within {limit_s:.0f} s"
+            elif self._ready_for(pose):
+                assert self._deck is not None
+                self._newest = pose
+                image = await loop.run_in_executor(pool, self._deck.frame_at(pose))
+                self.frames += 1
+                stamp = Stamp(pose.at, max(self._clock.now(), pose.at), _STAMP_SIGMA_S, "sim")
+                self._side.offer(Frame(stamp, self.frames, image.px, image.exposure_s))
+            if self.flown_s > self._scenario.duration_limit_s:
+                return ""
+            await self._clock.sleep(max(PERIOD_S - seconds_between(turn, self._clock.now()), 0.002))
+        return ""
+
+    def _ready_for(self, pose: AutopilotPose) -> bool:
+        """Return whether a new frame can be made and vision is free: a slow machine gets fewer frames, not later ones."""
+        if self._deck is None or (self._newest is not None and pose.at <= self._newest.at):
+            return False
+        waited_s = _OLD_S if self._newest is None else seconds_between(self._newest.at, pose.at)
+        return self._side.concluded() >= self.frames or waited_s >= _OLD_S
+
+    def _next_pose(self, now: MonoNs) -> AutopilotPose | None:
+        autopilot = self._side.autopilot
+        if autopilot is None or autopilot.identity is None:
+            return None
+        if autopilot is not self._listening:
+            self._listening = autopilot
+            autopilot.add_listener(self._on_message)
+        late = self._deck is not None and not self.by_truth
+        if autopilot.streams is not None and autopilot.streams.settled and not late:
+            for message in self._source.ask(autopilot.identity.stack, autopilot.identity.address, now):
+                autopilot.send(message)
+        pose = self._source.newest(now, autopilot.positions, autopilot.attitude, by_truth=not late)
+        flying = autopilot.condition.flying
+        if pose is None or flying is None or abs(seconds_between(pose.at, now)) > _OLD_S:
+            return None
+        if self._deck is None:
+            self._placed = self._placed or now
+            if not pose.is_truth and seconds_between(self._placed, now) < _TRUTH_S:
+                return None  # the simulator may still report the true position, which has another origin
+            self._deck, self.by_truth = DeckUnder(self._scenario, self._seed, pose, not flying), pose.is_truth
+        if pose.is_truth is not self.by_truth:
+            return None
+        if flying and self._flew is None:
+            self._flew = now
+        if self._deck.height_m(pose) > _CLEAR_M:
+            self._descent_rate_m_s = float(pose.v_ned[2])
+        self._last = pose
+        return pose
+
+    def _on_message(self, received: ReceivedMessage) -> None:
+        autopilot = self._side.autopilot
+        if autopilot is None or autopilot.identity is None or received.system != autopilot.identity.system:
+            return
+        self._source.on_message(received.message, received.received_at, autopilot.positions)

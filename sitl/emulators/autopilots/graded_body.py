@@ -1,0 +1,134 @@
+"""A body that an autopilot program flies, as the grader of simulated flights sees a world, and the faults of its streams."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from companion.base.health import Health
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.guidance.pilot import Pilot
+from companion.settings.model import Settings
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.emulators.autopilots.body import Body, Landing
+from sitl.faults.faulty_streams import VehicleStreams
+from sitl.faults.timer import FaultTimer
+from sitl.flight.grader import FlightGrader, FlightResult
+from sitl.scenario.scenario import Scenario
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.truth import RenderedFrame, Touchdown, Truth
+
+_WATCH_EACH_S = 0.05
+_NO_PIXELS = np.empty((0, 0, 3), np.uint8)
+
+
+class GradedBody(NullObserver):
+    """The faults of one flight with an autopilot program; they begin by the time since the order to land.
+
+    As an observer of the daemon it learns guidance's phase, in which faults may begin, and what became of each frame.
+
+    Args:
+        settings: the daemon's.
+        com_watchdog_s: time for which the program flies on with its last setpoint.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, settings: Settings, clock: Clock, com_watchdog_s: float) -> None:
+        self.scenario, self.seed = scenario, seed
+        self.faults = FaultTimer(scenario.faults, seed)
+        self.streams = VehicleStreams(self.faults, seed)
+        self.guidance_phase: str | None = None
+        """Phase of guidance; None before its first decision."""
+        self.height_m = 0.0
+        """Height over the deck's plane at the newest step, where faults are watched."""
+        self._settings, self._com_watchdog_s = settings, com_watchdog_s
+        self._grader: FlightGrader | None = None
+        self._clock = clock
+        self.started = clock.now()
+        """Instant of the order to land."""
+        self._body: Body | None = None
+        self._contacts: list[Touchdown] = []
+        self._newest: Landing | None = None
+        self._watched: MonoNs | None = None
+
+    @property
+    def now(self) -> MonoNs:
+        """The flight's time."""
+        return self._clock.now()
+
+    at = now
+
+    @property
+    def contacts(self) -> tuple[Touchdown, ...]:
+        """Every contact since the order to land."""
+        return tuple(self._contacts)
+
+    @property
+    def reached(self) -> bool:
+        """Whether a service's commands reach the vehicle."""
+        return not (self.streams.commands.silent or self.active("service_killed"))
+
+    def active(self, kind: str) -> bool:
+        """Return whether a fault of this kind is active."""
+        return self.faults.active(kind)
+
+    def stepped(self, body: Body, began: MonoNs | None) -> None:
+        """Note a step of the physics.
+
+        Args:
+            began: instant of the order to land; nothing is wrong, graded or counted as a contact before it.
+        """
+        self._body = body
+        if began is None:
+            return
+        self.started, now, landing = began, self._clock.now(), body.landing()
+        if self.active("service_killed"):
+            self.guidance_phase = None
+        if landing is not None and (self._newest is None or landing.t_s != self._newest.t_s):
+            self._newest = landing
+            self._contacts.append(self._contact(body, landing, now))
+        if not self.faults:
+            return
+        if self._grader is None:
+            self._grader = FlightGrader(self, self._settings, self._com_watchdog_s)
+        self.height_m = float(body.R_ned_pad.matrix[:, 2] @ (body.p_pad_ned - body.state().p_ned))
+        self.faults.update(seconds_between(began, now), self.height_m, self.guidance_phase)
+        if self._watched is None or seconds_between(self._watched, now) >= _WATCH_EACH_S:
+            self._watched = now
+            self._grader.step()
+
+    def result(self, pilot: Pilot, health: Health) -> FlightResult | None:
+        """Return the graded result; None without faults or without an order to land."""
+        if self._grader is None:
+            return None
+        return self._grader.result(pilot.outcome, pilot.operator.situation(self._clock.now()), health)
+
+    def truth(self) -> Truth:
+        """Return the true state at the newest step; call it after one."""
+        body = self._body
+        assert body is not None
+        s = body.state()
+        phase = VehiclePhase.FLYING if body.flying else VehiclePhase.LANDED if body.upright else VehiclePhase.EMERGENCY
+        contacts = self.contacts
+        return Truth(
+            self._clock.now(), s.p_ned, s.v_ned, s.R_ned_body, body.p_pad_ned, body.v_pad_ned, body.R_ned_pad, phase,
+            contacts[-1] if contacts else None, contacts, w_body=s.w_body,
+        )  # fmt: skip
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        stamp = processed.frame.stamp
+        if self._grader is not None:
+            self._grader.on_verdict(RenderedFrame(_NO_PIXELS, stamp.measured_at, processed.frame.exposure_s), processed.verdict)
+
+    def on_decision(self, decision: Decision) -> None:
+        if self._grader is not None:
+            self._grader.on_decision(decision)
+        self.guidance_phase = decision.phase
+
+    def _contact(self, body: Body, t: Landing, now: MonoNs) -> Touchdown:
+        surface: Literal["pad", "deck", "water"] = "pad" if t.on_pad else "deck" if t.on_deck else "water"
+        p_pad = body.R_ned_pad.inv @ (body.state().p_ned - body.p_pad_ned)
+        return Touchdown(
+            now, surface, p_pad, t.lateral_m, t.yaw_rad, t.speed_m_s, t.slide_m_s, VehiclePhase.FLYING, True, self.guidance_phase
+        )

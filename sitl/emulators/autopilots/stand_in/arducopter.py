@@ -1,0 +1,214 @@
+"""A stand-in for ArduCopter 4.5: GUIDED with its time limit and its shaping, take-off, LAND on targets, armed on deck for ever.
+
+Sources: ArduPilot's documentation of Copter (GUIDED mode, landing detector, precision landing) and its parameter reference; the
+behaviour on a deck was measured on the program itself (docs/ardupilot.md).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.links import ReceivedMessage
+from drivers.mavlink.vehicle import Stack
+from estimator.contracts.geometry import F64
+from estimator.contracts.motion import G_M_S2
+from estimator.contracts.ports import Clock
+from sitl.emulators.autopilots import arducopter
+from sitl.emulators.autopilots.ardupilot_json import CURVE
+from sitl.emulators.autopilots.body import BodyState
+from sitl.emulators.autopilots.motors import Motors
+from sitl.emulators.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
+from sitl.emulators.autopilots.stand_in.cascade import COPTER_GAINS, Cascade
+from sitl.emulators.autopilots.stand_in.low_pass import LowPass
+from sitl.vehicle.airframe import Airframe
+
+DEFAULTS: dict[str, float] = {
+    "GUID_TIMEOUT": 3.0, "LAND_SPEED": 50.0, "WPNAV_ACCEL": 250.0, "WPNAV_ACCEL_Z": 100.0, "WPNAV_SPEED_DN": 150.0,
+    "WPNAV_SPEED_UP": 250.0, "PSC_JERK_XY": 5.0, "PSC_JERK_Z": 5.0, "INS_ACCEL_FILTER": 20.0, "INS_GYRO_FILTER": 20.0,
+    "PLND_XY_DIST_MAX": 2.5,
+    "PLND_ALT_MAX": 8.0, "PLND_ORIENT": 25, "PLND_YAW_ALIGN": 0, "INS_GYR_CAL": 0, "EK3_SRC1_POSXY": 3, "EK3_SRC1_VELXY": 3,
+    "EK3_SRC1_POSZ": 1, "EK3_SRC1_VELZ": 3, "EK3_SRC1_YAW": 1, "EK3_RNG_USE_HGT": -1,
+    **{f"PLND_CAM_POS_{axis}": 0.0 for axis in "XYZ"},
+}  # fmt: skip
+"""ArduCopter's defaults of the parameters that the stand-in reads or that are asked for."""
+READY_S = 1.0
+"""Time after the start for which there is no position; the program needs some 40 s."""
+_STILL_M_S2, _DETECT_S, _LOW_THRUST = 1.0, 1.0, 0.25
+"""LAND_DETECTOR_ACCEL_MAX and LAND_DETECTOR_TRIGGER_SEC of the program; the thrust that counts as the least."""
+_ACCEL_MEAN_S = 0.16
+"""Time constant of the filtered acceleration that the landing detector reads: 1 Hz."""
+_RAMP_S = 0.5
+_TARGET_S = 0.15
+"""Time constant of the target's position and velocity in the precision-landing estimator."""
+_SLOW_BELOW_M = 10.0
+_SEEN_S = 2.0
+
+
+class CopterStandIn(StandIn):
+    """Flies a body as ArduCopter does."""
+
+    def __init__(self, clock: Clock, parameters: Mapping[str, float] | None = None, step_s: float = 0.0025) -> None:
+        given = {**DEFAULTS, **arducopter.PARAMETERS, **(parameters or {})}
+        super().__init__(Stack.ARDUPILOT, clock, given, "stabilize")
+        self.step_s = step_s
+        self._cascade = Cascade(COPTER_GAINS, Airframe(), CURVE, step_s)
+        self._v_wanted, self._a_wanted, self._yaw_rate = np.zeros(3), np.zeros(3), 0.0
+        self._wanted_s = -math.inf
+        self._v_shaped, self._a_shaped = np.zeros(3), np.zeros(3)
+        self._p_shaped: F64 | None = None
+        self._place = np.zeros(3)
+        self._take_off_to_m: float | None = None
+        self._lift_s = self._idle_s = self._still_s = 0.0
+        self._f_slow = np.array([0.0, 0.0, -G_M_S2])
+        self._f_filtered, self._w_filtered = LowPass(self._f_slow, step_s), LowPass(np.zeros(3), step_s)
+        self._target: tuple[float, F64, F64] | None = None
+
+    # What is asked of it
+
+    def why_not_armed(self) -> str | None:
+        """Return the refusal before there is a position, and in modes without one."""
+        early = self.now_s - self._began_s < READY_S
+        return "Arm: Need Position Estimate" if early or self.mode not in ("guided", "loiter") else None
+
+    def _on_arm_disarm(self, m: Message) -> int:
+        self._idle_s = self._lift_s = 0.0
+        return super()._on_arm_disarm(m)
+
+    def _on_take_off(self, m: Message) -> int:
+        """Climb from here: ArduCopter reads no place in it. On the ground it is the only way up in GUIDED."""
+        if not self.armed or self.mode != "guided" or self.landed_state != ON_GROUND:
+            return int(mav.MAV_RESULT_FAILED)
+        self._take_off_to_m, self._lift_s = float(m.param7), 0.0
+        return int(mav.MAV_RESULT_ACCEPTED)
+
+    def _on_set_position_target_local_ned(self, m: Message, received: ReceivedMessage) -> None:
+        super()._on_set_position_target_local_ned(m, received)
+        del self.setpoints[:-200]
+        if self.mode != "guided" or self.landed_state == ON_GROUND:
+            return
+        if m.coordinate_frame != 1 or m.type_mask not in (0x05C7, 0x0407):
+            self._v_wanted, self._a_wanted, self._yaw_rate = np.zeros(3), np.zeros(3), 0.0
+            return
+        if self._take_off_to_m is not None:
+            self._take_off_to_m = None
+        self._v_wanted, self._wanted_s, self._yaw_rate = np.array([m.vx, m.vy, m.vz]), self.now_s, m.yaw_rate
+        self._a_wanted = np.array([m.afx, m.afy, m.afz]) if m.type_mask == 0x0407 else np.zeros(3)
+
+    def _on_landing_target(self, m: Message, received: ReceivedMessage) -> None:
+        told = m.frame == 12 and m.position_valid == 1 and m.distance > 0
+        if self.state is None or not self.parameter("PLND_ENABLED") or not told:
+            return
+        seen = self.state.p_ned + self.state.R_ned_body @ np.array([m.x, m.y, m.z])
+        if self._target is None or self.now_s - self._target[0] > _SEEN_S:
+            self._target = (self.now_s, seen, np.zeros(3))
+            return
+        at, place, velocity = self._target
+        dt = max(self.now_s - at, 1e-3)
+        carried = place + velocity * dt
+        share = 1.0 - math.exp(-dt / _TARGET_S)
+        moving = bool(int(self.parameter("PLND_OPTIONS")) & 1)
+        velocity = velocity + (0.3 * share / dt) * (seen - carried) if moving else np.zeros(3)
+        self._target = (self.now_s, carried + share * (seen - carried), velocity)
+
+    def entered(self, name: str) -> None:
+        """Hold from here: modes that hold do so over the ground."""
+        if self.state is not None:
+            self._place = self.state.p_ned.copy()
+            self._v_shaped, self._a_shaped, self._p_shaped = self.state.v_ned.copy(), np.zeros(3), None
+        if name != "guided":
+            self._take_off_to_m = None
+
+    # What it does
+
+    def imu(self, s: BodyState) -> Message:
+        """Return RAW_IMU: readings behind the filters of INS_ACCEL_FILTER and INS_GYRO_FILTER, stamped as they are sent."""
+        milli = [round(1e3 * c) for c in (*(self._f_filtered.value / G_M_S2), *self._w_filtered.value)]
+        return mav.MAVLink_raw_imu_message(self.boot_ns // 1000, *milli, 0, 0, 0)
+
+    def fly(self, s: BodyState) -> Motors:
+        """Return the motors for the body's state."""
+        self._f_filtered.step(s.f_body, self.parameter("INS_ACCEL_FILTER"))
+        self._w_filtered.step(s.w_body, self.parameter("INS_GYRO_FILTER"))
+        self._f_slow = self._f_slow + (1.0 - math.exp(-self.step_s / _ACCEL_MEAN_S)) * (s.f_body - self._f_slow)
+        if not self.armed:
+            self.landed_state, self._take_off_to_m = ON_GROUND, None
+            self._cascade.reset()
+            self.entered(self.mode)
+            return STILL
+        if self.landed_state == ON_GROUND and not self._lifts(s):
+            return (0.1, 0.1, 0.1, 0.1)
+        v_wanted, a_wanted = self._wanted(s)
+        v, a = self._shaped(s, v_wanted, a_wanted)
+        motors = self._cascade.motors(s, self._cascade.accelerations(s, v, a), self._yaw_rate if self.mode == "guided" else 0.0)
+        self._detect_landing(s, descends=v_wanted[2] > 0.0)
+        return motors
+
+    def _lifts(self, s: BodyState) -> bool:
+        """Return whether the rotors have spooled up for a take-off; without one the motors idle, and it disarms at last."""
+        self._cascade.reset()
+        self.entered(self.mode)
+        if self._take_off_to_m is None:
+            self._idle_s += self.step_s
+            if self._idle_s >= self.parameter("DISARM_DELAY") > 0.0:
+                self._disarm()
+            return False
+        self._lift_s += self.step_s
+        if self._lift_s < _RAMP_S:
+            return False
+        self.landed_state, self._still_s, self._v_wanted = IN_AIR, 0.0, np.zeros(3)
+        return True
+
+    def _wanted(self, s: BodyState) -> tuple[F64, F64]:
+        nothing = np.zeros(3)
+        if self.mode == "guided":
+            if self._take_off_to_m is not None:
+                return np.array([0.0, 0.0, max(-1.0, min(0.0, -(self._take_off_to_m + self.p_ned[2])))]), nothing
+            fresh = self.now_s - self._wanted_s <= self.parameter("GUID_TIMEOUT")
+            return (self._v_wanted, self._a_wanted) if fresh else (nothing, nothing)
+        if self.mode == "land":
+            v = toward(self._place - s.p_ned, 1.0, 1.0)
+            if self._target is not None and self.now_s - self._target[0] <= _SEEN_S:
+                at, place, velocity = self._target
+                v = velocity + toward(place + velocity * (self.now_s - at) - s.p_ned, 1.0, 1.0)
+                self._place = s.p_ned.copy()
+            v[2] = 0.01 * self.parameter("LAND_SPEED") if (s.range_m or 0.0) < _SLOW_BELOW_M else 1.5
+            return v, nothing
+        return toward(self._place - s.p_ned, 1.0, 5.0), nothing
+
+    def _shaped(self, s: BodyState, v_wanted: F64, a_wanted: F64) -> tuple[F64, F64]:
+        """Return velocity and acceleration behind the limits of acceleration and jerk through which every mode is flown."""
+        most = np.array([self.parameter("WPNAV_ACCEL"), self.parameter("WPNAV_ACCEL"), self.parameter("WPNAV_ACCEL_Z")]) * 0.01
+        jerk = np.array([self.parameter("PSC_JERK_XY"), self.parameter("PSC_JERK_XY"), self.parameter("PSC_JERK_Z")])
+        up, down = 0.01 * self.parameter("WPNAV_SPEED_UP"), 0.01 * self.parameter("WPNAV_SPEED_DN")
+        v_wanted = np.array([v_wanted[0], v_wanted[1], min(max(v_wanted[2], -up), down)])
+        a = np.clip(a_wanted + (jerk / most) * (v_wanted - self._v_shaped), -most, most)
+        self._a_shaped = self._a_shaped + np.clip(a - self._a_shaped, -jerk * self.step_s, jerk * self.step_s)
+        self._v_shaped = self._v_shaped + self._a_shaped * self.step_s
+        # What is shaped stays near what is flown: on deck, or at a limit, it does not run away.
+        self._v_shaped = s.v_ned + np.clip(self._v_shaped - s.v_ned, -1.0, 1.0)
+        return self._v_shaped, self._a_shaped
+
+    def _detect_landing(self, s: BodyState, *, descends: bool) -> None:
+        """Detect the ground by the least thrust and a small acceleration while a descent is wanted.
+
+        Whoever stands on a deck and holds has not landed, so that setpoints lift it and a take-off is refused
+        (`Copter::update_throttle_mix`, descent_not_demanded). Only LAND disarms on the ground, other modes stay armed.
+        """
+        least = self._cascade.thrust_fraction < _LOW_THRUST
+        shaken = float(np.linalg.norm(self._f_slow)) - G_M_S2
+        still = descends and least and abs(shaken) < _STILL_M_S2 and (s.range_m is None or s.range_m < 2.0)
+        self._still_s = self._still_s + self.step_s if still else 0.0
+        if self._still_s < _DETECT_S:
+            return
+        self.landed_state, self._idle_s = ON_GROUND, 0.0
+        if self.mode == "land":
+            self._disarm()
+
+    def _disarm(self) -> None:
+        self.armed = False
+        self.text(6, "Disarming motors")
+        self.send(self.heartbeat())

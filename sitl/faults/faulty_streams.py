@@ -1,0 +1,153 @@
+"""The effect of faults on the streams between vehicle and service.
+
+The same packets, faults and seed give the same result.
+"""
+
+from __future__ import annotations
+
+from bisect import insort
+from collections.abc import Callable
+from operator import itemgetter
+from typing import Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from estimator.contracts.time import MonoNs, after
+from sitl.faults.streams import KIND_OF_STREAM, STREAMS, Stream
+from sitl.faults.timer import FaultTimer
+
+_T = TypeVar("_T")
+LAG_S = 0.015
+"""Time after which a doubled packet arrives again, and an overtaken one after the other: by then the service has finished with
+the first."""
+
+
+class Fate(NamedTuple):
+    """What becomes of one packet."""
+
+    copies: int
+    """How often it arrives, 0 to 2."""
+    overtaken: bool = False
+    """Whether the next one overtakes it."""
+
+
+_ARRIVES = Fate(1)
+
+
+class FaultyStream:
+    """What becomes of the packets of one stream.
+
+    Args:
+        faults: which faults are active.
+        stream: which stream this is.
+        seed: seed of what is lost, doubled or overtaken.
+    """
+
+    def __init__(self, faults: FaultTimer, stream: Stream, seed: int) -> None:
+        self._faults = faults
+        self._kind = KIND_OF_STREAM[stream]
+        self._rng = np.random.default_rng([seed, 0x57EA, STREAMS.index(stream)])
+
+    @property
+    def clear(self) -> bool:
+        """Whether every packet passes, at its time and in its order."""
+        return not self._faults.active_kinds
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing passes."""
+        return self._faults.active("link_lost") or any(fault.silent for fault, _ in self._faults.on(self._kind))
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of a packet that is sent now, in addition to the usual one, s."""
+        if not self._faults.active_kinds:
+            return 0.0
+        return sum(fault.delay_s for fault, _ in self._faults.on(self._kind))
+
+    def fate(self) -> Fate:
+        """Return what becomes of the packet that is sent now; every call is another packet."""
+        if not self._faults.active_kinds:
+            return _ARRIVES
+        if self._faults.active("link_lost"):
+            return Fate(0)
+        copies, overtaken = 1, False
+        for fault, _ in self._faults.on(self._kind):
+            lost, twice, late = self._rng.random(3)
+            if lost < fault.dropped_fraction:
+                copies = 0
+            elif twice < fault.duplicated_fraction:
+                copies = min(2, 2 * copies)
+            overtaken = overtaken or late < fault.reordered_fraction
+        return Fate(copies, overtaken)
+
+
+class VehicleStreams:
+    """The three streams of one vehicle."""
+
+    def __init__(self, faults: FaultTimer, seed: int) -> None:
+        self.frames, self.navdata, self.commands = (FaultyStream(faults, stream, seed) for stream in STREAMS)
+
+
+class InTransit(Generic[_T]):
+    """Packets of one stream under way, each with the instant of its arrival.
+
+    A stream keeps its order: what follows a late packet waits behind it. Only a packet that is overtaken
+    arrives `LAG_S` after the one that overtook it, and a doubled one again `LAG_S` after the first.
+    """
+
+    def __init__(self, stream: FaultyStream) -> None:
+        self._stream = stream
+        self._under_way: list[tuple[MonoNs, _T]] = []
+        self._held: list[tuple[_T, int]] = []
+        self._due: MonoNs | None = None
+
+    def send(self, make: Callable[[], _T], now: MonoNs, usual_s: float = 0.0) -> None:
+        """Send a packet.
+
+        Args:
+            make: makes the packet; it is not called where the packet is lost.
+            usual_s: time that the packet needs without a fault.
+        """
+        if self._stream.clear and not self._held:
+            due = after(now, usual_s) if usual_s else now
+            before, under_way = self._due, self._under_way
+            if (before is None or before <= due) and (not under_way or under_way[-1][0] <= due):
+                self._due = due
+                under_way.append((due, make()))
+                return
+        fate = self._stream.fate()
+        if fate.copies:
+            self.put(make(), fate, now, usual_s)
+
+    def put(self, packet: _T, fate: Fate, now: MonoNs, usual_s: float = 0.0) -> MonoNs | None:
+        """Send a packet of a known fate; return the instant of its arrival, None while that is not known."""
+        if fate.overtaken:
+            self._held.append((packet, fate.copies))
+            return None
+        late_s = usual_s + self._stream.delay_s
+        due = after(now, late_s) if late_s else now
+        if self._due is not None and self._due > due:
+            due = self._due
+        self._due = due
+        if fate.copies == 1 and not self._held and (not self._under_way or self._under_way[-1][0] <= due):
+            self._under_way.append((due, packet))
+            return due
+        later = after(due, LAG_S)
+        again = [(due if n == 0 else later, packet) for n in range(fate.copies)]
+        for each in [*again, *((later, held) for held, copies in self._held for _ in range(copies))]:
+            insort(self._under_way, each, key=itemgetter(0))
+        self._held.clear()
+        return due
+
+    def arrived(self, now: MonoNs) -> tuple[MonoNs, _T] | None:
+        """Return the next packet that has arrived, with the instant of its arrival, and forget it; None if there is none."""
+        if not self._under_way or self._under_way[0][0] > now:
+            return None
+        return self._under_way.pop(0)
+
+    def clear(self) -> None:
+        """Forget all that is under way."""
+        self._under_way.clear()
+        self._held.clear()
+        self._due = None

@@ -1,0 +1,1 @@
+"""Flights in virtual time: one flight, its grades and its ending."""

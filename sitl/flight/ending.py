@@ -1,0 +1,211 @@
+"""The ending of a simulated flight, as text, as JSON and for its report."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+from companion.base.mission import FlightOutcome
+from companion.tools.report.flight_log import FlightLog, LoggedContact
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.flight.machine_load import Load
+
+_ZERO = MonoNs(0)
+_WHERE = {"pad": "on the pad", "deck": "on deck, off the pad", "water": "in the water"}
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """A contact with a surface after flight, from the simulator's truth."""
+
+    at: MonoNs
+    surface: str
+    """Surface that was touched: pad, deck or water."""
+    lateral_m: float
+    yaw_rad: float
+    vertical_speed_m_s: float
+    lateral_speed_m_s: float
+    vehicle_phase: str | None = None
+    """The vehicle's phase just before the contact."""
+    motors: bool | None = None
+    """Whether its motors were turning."""
+    phase: str | None = None
+    """Phase of guidance just before the contact."""
+    p_pad_m: tuple[float, float] | None = None
+    """Position on the pad: along the arrow, and to starboard of it; None if it is not known."""
+
+    @property
+    def on_pad(self) -> bool:
+        """Whether the contact is on the pad."""
+        return self.surface == "pad"
+
+
+@dataclass(frozen=True, slots=True)
+class FlightGrade:
+    """The simulator's grade of a whole flight."""
+
+    grade: str
+    """Grade: on pad, refused rightly or failed."""
+    because: str
+    unsafe: tuple[str, ...]
+    refused: str | None
+    """Why the pilot gave up; None if it did not."""
+    contacts_outside_commit: int
+    lowest_blind_m: float | None
+    """Lowest height over the deck in its deepest descent without true sight of the pad; None where there was none."""
+    go_arounds: int
+    """How often guidance went around."""
+    faults: tuple[tuple[str, float], ...]
+    """Faults that began: kind, and seconds after the start."""
+    expect: str
+    cpu_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """The ending of a flight."""
+
+    scenario: str
+    seed: int
+    outcome: FlightOutcome | None
+    """Outcome in the pilot's eyes; None if the flight ended without one, as `without_outcome` says."""
+    contacts: tuple[Contact, ...]
+    duration_s: float
+    frames: Counter[Verdict]
+    started: MonoNs = _ZERO
+    judged: FlightGrade | None = None
+    load: Load | None = None
+    """The load of the machine; None for a flight in virtual time."""
+    without_outcome: str = "time ran out"
+
+    @property
+    def contact(self) -> Contact | None:
+        """The newest contact, with which it landed; None without one."""
+        return self.contacts[-1] if self.contacts else None
+
+    @property
+    def on_pad(self) -> bool:
+        """Whether the pilot reports a landing and the simulator's contact is on the pad."""
+        return self.outcome is FlightOutcome.LANDED and self.contact is not None and self.contact.on_pad
+
+    @property
+    def good(self) -> bool:
+        """Whether it landed on the pad safely, or refused as its scenario expects."""
+        return self.on_pad if self.judged is None else self.judged.grade != "failed"
+
+    @property
+    def word(self) -> str:
+        """The outcome in words, or why there is none."""
+        return self.without_outcome if self.outcome is None else self.outcome.value
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain values; lengths in m, speeds in m/s, angles in degrees, times in s; None for what nobody judged."""
+        out: dict[str, Any] = {
+            "scenario": self.scenario,
+            "seed": self.seed,
+            "landed_on_pad": self.on_pad,
+            "outcome": self.word,
+            "refused": None,
+            "duration_s": round(self.duration_s, 3),
+            "touchdown": None if self.contact is None else _plain(self.contact),
+            "contacts": [self._whole(contact) for contact in self.contacts],
+            "contacts_outside_commit": None,
+            "in_water": any(contact.surface == "water" for contact in self.contacts),
+            **({} if self.load is None else {"machine_too_slow": self.load.starved()}),
+            "frames": {verdict.value: n for verdict, n in sorted(self.frames.items(), key=lambda item: item[0].value)},
+            "cpu_s": None,
+        }
+        if self.judged is not None:
+            j = self.judged
+            out |= {
+                "grade": j.grade,
+                "because": j.because,
+                "expect": j.expect,
+                "refused": j.refused,
+                "unsafe": list(j.unsafe),
+                "lowest_blind_m": j.lowest_blind_m,
+                "contacts_outside_commit": j.contacts_outside_commit,
+                "go_arounds": j.go_arounds,
+                "faults": [{"kind": kind, "at_s": round(at_s, 3)} for kind, at_s in j.faults],
+                "cpu_s": round(j.cpu_s, 2),
+            }
+        return out
+
+    def in_words(self) -> str:
+        """Return lines that say how it ended, name each further contact and unsafe act, and say if the machine was too slow."""
+        lines = [f"{self.word} after {self.duration_s:.1f} s, without touching anything"]
+        if self.contact is not None:
+            lines = [f"{self.word} after {self.duration_s:.1f} s, {_in_words(self.contact)}"]
+            lines += [
+                f"before that, at {seconds_between(self.started, c.at):.1f} s, {_in_words(c)}"
+                + ("" if c.phase is None else f" (guidance: {c.phase})")
+                for c in self.contacts[:-1]
+            ]
+        if self.judged is not None:
+            j = self.judged
+            lines += [f"fault: {kind} from {at_s:.1f} s on" for kind, at_s in j.faults]
+            lines += [f"refused: {j.refused}"] if j.refused else []
+            lines += [f"UNSAFE: {line}" for line in j.unsafe]
+            if j.grade == "failed" and not j.unsafe:
+                lines.append(f"failed: {j.because}")
+        if self.load is not None and not self.good and (slow := self.load.starved()) is not None:
+            lines.append(f"this machine was too slow to fly in real time; the result means nothing: {slow}")
+        return "\n".join(lines)
+
+    def facts(self) -> list[tuple[str, str]]:
+        """Return the simulator's facts for the report."""
+        out = [(f"contact at {seconds_between(self.started, c.at):.1f} s", _in_words(c)) for c in self.contacts]
+        if self.judged is not None:
+            out += [("fault", f"{kind} from {at_s:.1f} s on") for kind, at_s in self.judged.faults]
+            out += [("judged", f"{self.judged.grade}: {self.judged.because}")]
+        return out
+
+    def write_into(self, log: FlightLog) -> None:
+        """Write outcome, contacts and verdicts into the log of the report."""
+        log.outcome = self.word
+        log.verdicts = Counter(self.frames)
+        log.contacts = [
+            LoggedContact(
+                c.at,
+                c.lateral_m,
+                c.vertical_speed_m_s,
+                c.lateral_speed_m_s,
+                c.on_pad,
+                c.surface,
+                (math.nan, math.nan) if c.p_pad_m is None else c.p_pad_m,
+                c.yaw_rad,
+                c.phase,
+            )
+            for c in self.contacts
+        ]
+
+    def _whole(self, contact: Contact) -> dict[str, Any]:
+        return {
+            **_plain(contact),
+            "at_s": round(seconds_between(self.started, contact.at), 3),
+            "phase": contact.phase,
+            "vehicle_phase": contact.vehicle_phase,
+            "motors": contact.motors,
+        }
+
+
+def _plain(c: Contact) -> dict[str, Any]:
+    return {
+        "surface": c.surface,
+        "on_pad": c.on_pad,
+        "lateral_m": round(c.lateral_m, 4),
+        "p_pad_m": None if c.p_pad_m is None else [round(x, 4) for x in c.p_pad_m],
+        "yaw_deg": round(math.degrees(c.yaw_rad), 2),
+        "vertical_speed_m_s": round(c.vertical_speed_m_s, 4),
+        "lateral_speed_m_s": round(c.lateral_speed_m_s, 4),
+    }
+
+
+def _in_words(c: Contact) -> str:
+    return (
+        f"{_WHERE[c.surface]}: {100 * c.lateral_m:.1f} cm from its centre, "
+        f"descending at {c.vertical_speed_m_s:.2f} m/s, sliding at {c.lateral_speed_m_s:.2f} m/s"
+    )

@@ -1,0 +1,401 @@
+"""Fly one flight in virtual time: the daemon's pilot and the driver's logic against the simulated drone, without sockets.
+
+Everything between the two is the code of a real flight: AT commands as bytes, navdata, samples, vision, estimator, guidance.
+Sockets, the video codec and threads are left out, so that a scenario and a seed give the same result to the bit.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+from msgspec.structs import replace
+
+from companion.base.health import Health
+from companion.base.mission import FLOWN
+from companion.base.observer import Observer, ProcessedFrame, listens
+from companion.base.orders import HandledOrder
+from companion.guidance.pilot import WAITING_MOST, Pilot
+from companion.guidance.precedence import ControlSituation
+from companion.settings.model import Settings, ardrone_options
+from drivers.ardrone import at
+from drivers.ardrone.arbiter import CommandArbiter
+from drivers.ardrone.command_streamer import CommandStreamer
+from drivers.ardrone.counters import Counters
+from drivers.ardrone.landing_watch import DroneReport
+from drivers.ardrone.navdata import Navdata
+from drivers.ardrone.navdata_order import NavdataOrder, SequencePlace
+from drivers.ardrone.samples import NavdataSampler
+from drivers.ardrone.setup import configuration_commands
+from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.fusion import FusionResult
+from estimator.contracts.samples import Frame, Sample
+from estimator.contracts.time import NS_PER_S, MonoNs, after, seconds_between
+from sitl.ardrone.arriving_frames import ArrivingFrames, synced
+from sitl.ardrone.drone import TICK_S, Drone
+from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.generations import GENERATIONS
+from sitl.ardrone.state import refusal
+from sitl.camera.render_worker import RenderWorker
+from sitl.faults.faulty_streams import InTransit
+from sitl.faults.kinds import ServiceKilled
+from sitl.flight.grader import FlightGrader, FlightResult
+from sitl.flight.simulated_person import SimulatedPerson
+from sitl.flight.vessel_reports import VesselReporter
+from sitl.perception.pixels import Pixels
+from sitl.perception.port import Perception
+from sitl.scenario.scenario import Scenario, camera_model
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.stage import flight_seeds
+from sitl.world.truth import RenderedFrame
+from sitl.world.world import World
+
+NAVDATA_DELAY_S = 0.004
+_TICK_NS, _NAVDATA_DELAY_NS = round(TICK_S * NS_PER_S), round(NAVDATA_DELAY_S * NS_PER_S)
+_NO_PIXELS = np.empty((0, 0, 3), np.uint8)
+_WATCH_EACH = 10
+"""Number of ticks between two checks of the truth for the grade: 50 ms."""
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """The delays of the simulated service."""
+
+    frame_period_s: float | None = None
+    """None: as the drone is configured (`video:codec_fps`)."""
+    frame_delay_s: float = 0.09
+    """Delay from mid-exposure to the frame's arrival: half the exposure, encoder, link, decoder."""
+    vision_s: float = 0.01
+    """Time that vision takes for a frame."""
+
+
+class _VirtualClock:
+    """A clock that advances only when its time is set."""
+
+    def __init__(self, now: MonoNs) -> None:
+        self.t = now
+
+    def now(self) -> MonoNs:
+        return self.t
+
+    async def sleep(self, seconds: float) -> None:
+        raise RuntimeError("nothing sleeps in virtual time")
+
+
+class Flight:
+    """A flight that is stepped from outside.
+
+    Args:
+        observers: objects that receive what the daemon's observers would receive.
+        renew: makes the pilot of a service that restarts after it was killed.
+        perception: the way in which the pilot, which must be its own, perceives the pad; rendered frames if None.
+        contain: whether a bug of the service ends the flight and is part of the result, instead of being raised.
+        overtime_s: how much longer than the scenario's time a flight may last whose guidance is still trying to land.
+
+    Raises:
+        BadInput: the scenario kills the service for a while and there is no `renew`.
+            Or the scenario has a fault that the perception cannot represent.
+        SetupImpossible: the simulated drone refuses a key of the configuration.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        settings: Settings,
+        pilot: Pilot,
+        *,
+        observers: Sequence[Observer] = (),
+        timing: Timing | None = None,
+        renew: Callable[[], Pilot] | None = None,
+        contain: bool = False,
+        perception: Perception | None = None,
+        overtime_s: float = 0.0,
+    ) -> None:
+        cv2.setNumThreads(1)
+        self.world = World(scenario, seed)
+        self._perception = perception or Pixels()
+        self._perception.begin(self.world)
+        self.worker: RenderWorker | None = None
+        """Makes the frames, where one is set before the first step; else they are made in place. The same bits either way."""
+        if renew is None and any(isinstance(f, ServiceKilled) and f.for_s is not None for f in scenario.faults):
+            raise BadInput("service_killed comes back after for_s, and this flight cannot make the service anew")
+        self._renew = renew or (lambda: pilot)
+        self._contain = contain
+        self._grader = FlightGrader(self.world, settings, ardrone_options(settings).com_watchdog_s)
+        self._person = SimulatedPerson(self.world.faults)
+        self._reporter = VesselReporter(self.world)
+        self._views: dict[int, RenderedFrame] = {}
+        self._observers = tuple(observers)
+        self._on_fusion = [o.on_fusion for o in observers if listens(o, "on_fusion")]
+        self._timing = timing or Timing()
+        self._limit_s, self._overtime_s = scenario.duration_limit_s, overtime_s
+        self._options = ardrone_options(settings)
+        self._arbiter = CommandArbiter(self._options.hold_s)
+        self._generation = GENERATIONS[scenario.vehicle.generation]
+        self._generation.check_model(self._options.model)
+        self._generation.check_camera(camera_model(scenario))
+        link = flight_seeds(self.world.seed).link
+        self._arriving = ArrivingFrames(self._generation, self._options, link, rendered=self._perception.level == "pixels")
+        self._sequence = self._ticks = 0
+        start = self.world.now
+        self._clock = _VirtualClock(start)
+        streams = self.world.streams
+        self._frames_under_way: InTransit[Callable[[], RenderedFrame]] = InTransit(streams.frames)
+        self._navdata_under_way: InTransit[tuple[Navdata, MonoNs]] = InTransit(streams.navdata)
+        self._commands_under_way: InTransit[bytes] = InTransit(streams.commands)
+        self._looking: tuple[MonoNs, ProcessedFrame] | None = None
+        self._due_guidance = self._due_frame = self._due_command = start
+        self._gone = False
+        self._begin_service(pilot)
+        self.health = Health(self._clock)
+        if not self._on_fusion:
+            self.health.completed_by(self._count_processed)
+        self._drone = Drone(self.world, DroneClock(start), generation=self._generation)
+        for key, commands in configuration_commands(self._options):
+            for command in [*commands, at.Ctrl(at.CTRL_ACK)]:
+                self._drone.take(self._encoded(command), start)
+            if refused := refusal(self._drone.state.counters):
+                raise SetupImpossible(f"the simulated drone refused the configuration key {key}: {refused}")
+        self._guidance_period_s = 1.0 / settings.guidance.rate_hz
+        self._frames = 0
+        self.exposures = 0
+        """Number of frames exposed so far, whether they arrive or not."""
+
+    def step(self) -> bool:
+        """Run one tick of 5 ms; return False when the flight is over."""
+        now = MonoNs(self._clock.t + _TICK_NS)
+        self._clock.t = now
+        self._deliver_commands(now)
+        self._drone.tick(now)
+        self._ticks += 1
+        if self._ticks % _WATCH_EACH == 0:
+            self._grader.step()
+        if self._killed():
+            self.world.guidance_phase = None
+            self._hold(now)
+            ended = self.world.phase in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
+            return not ended and seconds_between(self.world.started, now) < self._limit_s
+        try:
+            self._serve(now)
+        except DecklanderError:
+            raise
+        except Exception as why:
+            if not self._contain:
+                raise
+            place = traceback.extract_tb(why.__traceback__)[-1]
+            self._grader.died = f"{type(why).__name__}: {why} ({place.filename.rpartition('/')[2]}:{place.lineno})"
+            return False
+        if self._pilot.outcome is not None:
+            return False
+        left_s = self._limit_s - seconds_between(self.world.started, now)
+        return left_s > 0.0 or (left_s > -self._overtime_s and self._tries(now))
+
+    def _tries(self, now: MonoNs) -> bool:
+        """Return whether guidance commands and is trying to land, so that an outcome will come."""
+        return self._pilot.state in FLOWN and self._pilot.operator.situation(now) is ControlSituation.GUIDED
+
+    def _serve(self, now: MonoNs) -> None:
+        """Run the service for one tick."""
+        self._send_navdata(now)
+        while (arrived := self._arrived_navdata(now)) is not None:
+            self._deliver_samples(*arrived)
+        if reports := self._reporter.reports(now):
+            self._take(reports)
+        self._film(now)
+        self._process(now)
+        if now >= self._due_guidance:
+            self._due_guidance = after(self._due_guidance, self._guidance_period_s)
+            self._decide(now)
+        if now >= self._due_command:
+            self._due_command = after(self._due_command, self._options.command_period_s)
+            self._arbiter.take(self._streamer.command(now))
+            self._send(self._arbiter.commands(now))
+
+    def run(self) -> FlightResult:
+        """Run the flight to its end."""
+        while self.step():
+            pass
+        return self.result()
+
+    def _killed(self) -> bool:
+        """Whether the service's process is gone; after a restart it is a new process."""
+        if self.world.active("service_killed"):
+            if not self._gone:
+                self._count(self._pilot.fused())
+                self._arbiter.lost(self._clock.t)
+                self._send(self._options.timeouts(self._options.hold_com_watchdog_s))
+            self._gone = True
+            return True
+        if self._gone:
+            self._gone = False
+            self._send(self._options.timeouts(self._options.com_watchdog_s))
+            self._begin_service(self._renew())
+        return False
+
+    def _hold(self, now: MonoNs) -> None:
+        """Act as the sender, which outlives the service."""
+        self._send_navdata(now)
+        while (arrived := self._arrived_navdata(now)) is not None:
+            self._arbiter.on_report(DroneReport.of(arrived[0]), arrived[2])
+        if now >= self._due_command:
+            self._due_command = after(self._due_command, self._options.command_period_s)
+            self._send(self._arbiter.commands(now))
+
+    def _begin_service(self, pilot: Pilot) -> None:
+        """Reset the state of the service's process to that of a new process."""
+        now = self._clock.t
+        self._pilot = pilot
+        pilot.operator.on_order = self._on_order
+        self._streamer = CommandStreamer(self._options, Counters())
+        self._sampler = NavdataSampler(self._options)
+        self._due_guidance = self._due_frame = self._due_command = now
+        self._navdata_order = NavdataOrder()
+        self._frames_under_way.clear()
+        self._looking = None
+
+    def _on_order(self, handled: HandledOrder) -> None:
+        for observer in self._observers:
+            observer.on_order(handled)
+
+    def _encoded(self, command: at.AtCommand) -> bytes:
+        self._sequence += 1
+        return at.encode(self._sequence, command)
+
+    def _send(self, commands: Sequence[at.AtCommand]) -> None:
+        for command in commands:
+            self._commands_under_way.send(partial(bytes, self._encoded(command)), self._clock.t)
+        self._deliver_commands(self._clock.t)
+
+    def _deliver_commands(self, now: MonoNs) -> None:
+        while (packet := self._commands_under_way.arrived(now)) is not None:
+            self._drone.take(packet[1], now)
+
+    def _send_navdata(self, now: MonoNs) -> None:
+        """Send the drone's next datagram."""
+        self._navdata_under_way.send(self._datagram, now)
+
+    def _datagram(self) -> tuple[Navdata, MonoNs]:
+        return self._drone.navdata(), self._drone.measured_at
+
+    def _arrived_navdata(self, now: MonoNs) -> tuple[Navdata, MonoNs, MonoNs] | None:
+        """Return the next datagram that has arrived, in order, and the instants of measuring and of arrival; None without one."""
+        while (packet := self._navdata_under_way.arrived(now)) is not None:
+            navdata, measured_at = packet[1]
+            if self._navdata_order.place(navdata.sequence)[0] is not SequencePlace.OLD:
+                return navdata, measured_at, MonoNs(now + _NAVDATA_DELAY_NS)
+        return None
+
+    def _deliver_samples(self, navdata: Navdata, measured_at: MonoNs, received_at: MonoNs) -> None:
+        self._streamer.on_navdata(navdata, received_at)
+        samples = self._sampler.samples(navdata, synced(measured_at, received_at))
+        for sample in samples:
+            self._streamer.on_sample(sample)
+        self._take(samples)
+
+    def _take(self, samples: Sequence[Sample]) -> None:
+        waiting = self._pilot.take_samples(samples)
+        for observer in self._observers:
+            for sample in samples:
+                observer.on_sample(sample)
+        if waiting >= WAITING_MOST:
+            self._count(self._pilot.fused())
+
+    def _report_fused(self) -> None:
+        """Tell health and observers of the samples that the estimator has processed, as the daemon does."""
+        if self._on_fusion:
+            self._count(self._pilot.fused())
+
+    def _count_processed(self) -> None:
+        self._count(self._pilot.processed())
+
+    def _count(self, fused: Sequence[tuple[Sample, tuple[FusionResult, ...]]]) -> None:
+        count = self.health.fused
+        for sample, results in fused:
+            if results:
+                count(sample, results)
+        for on_fusion in self._on_fusion:
+            for sample, results in fused:
+                for result in results:
+                    on_fusion(sample.stamp.received_at, result)
+
+    def _film(self, now: MonoNs) -> None:
+        if now < self._due_frame:
+            return
+        own = self._timing.frame_period_s
+        self._due_frame = after(self._due_frame, own or 1.0 / self._drone.state.config.number(self._generation.frame_rate))
+        self._frames_under_way.send(self._expose, self.world.at, self._timing.frame_delay_s)
+
+    def _expose(self) -> Callable[[], RenderedFrame]:
+        self.exposures += 1
+        return self._perception.expose(self.world, self.worker)
+
+    def _process(self, now: MonoNs) -> None:
+        if self._looking is not None and now >= self._looking[0]:
+            self._conclude(self._looking[1])
+            self._looking = None
+        arrived: Frame | None = None
+        while self._looking is None and (packet := self._frames_under_way.arrived(now)) is not None:
+            if arrived is not None:
+                self.health.frame(Verdict.REPLACED)
+                self._pilot.landing.on_verdict(Verdict.REPLACED)
+                self._judge(arrived.seq, Verdict.REPLACED)
+            received_at, exposed = packet
+            image = exposed()
+            self._frames += 1
+            self._views[self._frames] = replace(image, px=_NO_PIXELS)
+            arrived = self._arriving.frame(self._frames, image, received_at)
+        if arrived is None:
+            return
+        refused = self._pilot.admit(arrived)
+        if refused is not None:
+            self._conclude(ProcessedFrame(arrived, None, None, refused, now, now))
+            return
+        attitude = self._pilot.attitude_at(arrived.stamp)
+        done = after(now, self._timing.vision_s)
+        if attitude is None:
+            self._conclude(ProcessedFrame(arrived, None, None, Verdict.NO_ATTITUDE, now, now))
+        else:
+            processed = self._pilot.detect(arrived, attitude)
+            self._looking = done, ProcessedFrame(arrived, attitude, processed, Verdict.NO_PAD, now, done)
+
+    def _conclude(self, processed: ProcessedFrame) -> None:
+        if processed.detection is not None:
+            verdict, results = self._pilot.on_detection(processed.detection)
+            self._report_fused()
+            processed = replace(processed, verdict=verdict, results=results)
+        self.health.frame(processed.verdict)
+        self._pilot.landing.on_verdict(processed.verdict)
+        self._judge(processed.frame.seq, processed.verdict)
+        self.health.delay("exposure_to_belief", seconds_between(processed.frame.stamp.measured_at, processed.done))
+        for result in processed.results:
+            self.health.fusion(result)
+        for observer in self._observers:
+            observer.on_frame(processed)
+            for result in processed.results:
+                observer.on_fusion(processed.done, result)
+
+    def _judge(self, seq: int, verdict: Verdict) -> None:
+        self._grader.on_verdict(self._views.pop(seq), verdict)
+
+    def _decide(self, now: MonoNs) -> None:
+        self._person.act(self._pilot.operator, now)
+        decision = self._pilot.decide(now)
+        self._report_fused()
+        self._grader.on_decision(decision)
+        if decision.command is not None:
+            self._streamer.take(decision.command, now)
+        self.world.guidance_phase = decision.phase
+        self.health.decision(decision, self._pilot.vehicle)
+        for observer in self._observers:
+            observer.on_decision(decision)
+
+    def result(self) -> FlightResult:
+        """Return the result of the flight: final if it has ended, else the result so far."""
+        self._count(self._pilot.fused())
+        return self._grader.result(self._pilot.outcome, self._pilot.operator.situation(self._clock.t), self.health)

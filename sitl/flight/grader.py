@@ -1,0 +1,190 @@
+"""Watch a flight by the simulator's truth while it is flown, and grade it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
+
+from companion.base.health import Health
+from companion.base.mission import REFUSALS, FlightOutcome, State
+from companion.base.observer import Decision
+from companion.guidance.precedence import ControlSituation
+from companion.settings.model import Settings
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.faults.timer import FaultTimer
+from sitl.flight.safety import (
+    BLIND_DESCENT_MAX_M,
+    GO_AROUND_PHASES,
+    BlindDescent,
+    Grade,
+    SightWatch,
+    UnreachedContacts,
+    dangers,
+    grade,
+    on_pad_m,
+    unreached_descent_max_m,
+)
+from sitl.scenario.scenario import Scenario
+from sitl.world.truth import RenderedFrame, Touchdown, Truth
+
+
+class GradedWorld(Protocol):
+    """What the grader needs of a flight's world."""
+
+    @property
+    def scenario(self) -> Scenario: ...
+
+    @property
+    def started(self) -> MonoNs: ...
+
+    @property
+    def now(self) -> MonoNs: ...
+
+    @property
+    def at(self) -> MonoNs:
+        """Instant of the newest step of the physics."""
+        ...
+
+    @property
+    def faults(self) -> FaultTimer: ...
+
+    @property
+    def reached(self) -> bool:
+        """Whether commands reach the vehicle."""
+        ...
+
+    @property
+    def guidance_phase(self) -> str | None: ...
+
+    def active(self, kind: str) -> bool: ...
+
+    def truth(self) -> Truth: ...
+
+
+@dataclass(frozen=True, slots=True)
+class FlightResult:
+    """The result of one flight."""
+
+    outcome: FlightOutcome | None
+    """The pilot's outcome; None if the scenario's time ran out."""
+    duration_s: float
+    touchdown: Touchdown | None
+    """The newest contact."""
+    health: Health
+    truth: Truth
+    """The true state at the end of the flight."""
+    blind: BlindDescent
+    """The deepest descent without true sight of the pad."""
+    unsafe: tuple[str, ...]
+    """The unsafe events, one line each."""
+    grade: Grade
+    because: str
+    """The reason for the grade."""
+    refused: str | None
+    """The reason why the pilot gave up; None if it did not."""
+    go_arounds: int
+    """How often guidance went around."""
+    faults: tuple[tuple[str, float], ...]
+    """The kind of each fault that began, and the time at which it began, in seconds after the start."""
+
+    @property
+    def landed_on_pad(self) -> bool:
+        return self.outcome is FlightOutcome.LANDED and self.touchdown is not None and self.touchdown.on_pad
+
+
+class FlightGrader:
+    """Watches one flight and grades it.
+
+    Args:
+        world: the flight's world.
+        settings: the settings that are flown.
+        com_watchdog_s: time for which the vehicle flies on with its last command when nothing reaches it.
+    """
+
+    def __init__(self, world: GradedWorld, settings: Settings, com_watchdog_s: float) -> None:
+        self.died: str | None = None
+        """Why the service died; None if it did not."""
+        self._world = world
+        self._watch = SightWatch(world.now)
+        self._unreached = UnreachedContacts()
+        self._unreached_max_m = partial(unreached_descent_max_m, settings.guidance, com_watchdog_s)
+        self._reason = ""
+        self._go_arounds = 0
+
+    def step(self) -> None:
+        """Note the true state; call it in order of time."""
+        truth, reached = self._world.truth(), self._world.reached
+        self._watch.step(truth, reached=reached)
+        self._unreached.step(truth, reached=reached)
+
+    def on_verdict(self, view: RenderedFrame, verdict: Verdict) -> None:
+        """Note the service's verdict on a frame."""
+        self._watch.frame(view.exposed_at, verdict, true_view=view.true_view, stamp_error_s=view.stamp_error_s)
+
+    def on_decision(self, decision: Decision) -> None:
+        """Note a guidance cycle's decision, before the world learns its phase."""
+        goes_around, went_around = (phase in GO_AROUND_PHASES for phase in (decision.phase, self._world.guidance_phase))
+        self._go_arounds += goes_around and not went_around
+        self._reason = decision.reason or self._reason
+
+    def result(self, outcome: FlightOutcome | None, situation: ControlSituation, health: Health) -> FlightResult:
+        """Return the result of the flight so far.
+
+        Args:
+            outcome: the pilot's.
+            situation: who commands now.
+            health: of the service.
+        """
+        world, truth, unreached_m = self._world, self._world.truth(), self._watch.unreached_m
+        scenario, refused = world.scenario, self._refused(outcome)
+        self._unreached.step(truth, reached=world.reached)
+        unreached = self._unreached.at if scenario.unreached_contacts else ()
+        unreached_max_m = self._unreached_max_m(self._watch.deck_fell_m_s)
+        unsafe = dangers(self._watch.worst, truth.contacts, self.died, unreached_m, unreached_max_m, unreached=unreached)
+        worth, because = grade(
+            outcome,
+            on_pad_m(truth.contacts),
+            unsafe,
+            scenario.expect,
+            left_alone=world.active("service_killed") or world.active("link_lost"),
+            asks=world.guidance_phase == State.ANOTHER_PAD.value,
+            held=outcome is FlightOutcome.ABORTED or situation in (ControlSituation.HELD, ControlSituation.MANUAL),
+            go_arounds=self._go_arounds,
+            refusal=(scenario.refusal, refused or ""),
+            put_down=bool(truth.contacts) and truth.contacts[-1].at in unreached,
+        )
+        if unreached_m > BLIND_DESCENT_MAX_M and not unsafe:
+            because += f"; came down {unreached_m:.2f} m while nothing reached it"
+        if unreached and not unsafe:
+            because += (
+                "; touched "
+                + ", ".join(
+                    f"the {c.surface} {c.lateral_m:.2f} m from the pad's centre" for c in truth.contacts if c.at in unreached
+                )
+                + " then"
+            )
+        return FlightResult(
+            outcome,
+            seconds_between(world.started, world.at),
+            truth.touchdown,
+            health,
+            truth,
+            self._watch.worst,
+            unsafe,
+            worth,
+            because,
+            refused,
+            self._go_arounds,
+            tuple((fault.kind, began_s) for fault, began_s in world.faults.begun),
+        )
+
+    def _refused(self, outcome: FlightOutcome | None) -> str | None:
+        """Return why the pilot gave up; None if it did not."""
+        if outcome not in REFUSALS:
+            return None
+        frames = self._watch.since_sight
+        counts = ", ".join(f"{n} {verdict.value}" for verdict, n in frames.most_common())
+        reason = self._reason or outcome.value
+        return f"{reason}; frames since the pad was last truly seen: {counts or 'none'}"

@@ -1,0 +1,189 @@
+"""Fly one scenario once, in virtual time: the same scenario, seed, settings and perception give the same ending to the bit.
+
+`simulate`, `soak --virtual`, the benches and campaigns all fly by `fly`.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from functools import partial
+
+import msgspec
+
+from companion.base.health import Health
+from companion.base.observer import Observer
+from companion.settings.load import load
+from companion.settings.model import CameraSettings, PadSettings, Settings
+from drivers.mavlink.gimbal_options import GimbalOptions
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import PathName
+from sitl.camera.render_worker import render_worker
+from sitl.flight.ending import Contact, Ending, FlightGrade
+from sitl.flight.flight import Flight
+from sitl.flight.grader import FlightResult
+from sitl.flight.safety import outside_commit
+from sitl.perception.levels import perceive
+from sitl.perception.port import LEVELS, Level
+from sitl.scenario.scenario import Scenario, vehicle_model
+from sitl.world.truth import Touchdown, Truth
+
+Perception = Level
+"""How the service perceives the pad: `pixels` renders frames for the real detectors, `model` draws detections from an error
+model, `truth` gives guidance the truth with an error model of the filter."""
+PERCEPTIONS: tuple[str, ...] = LEVELS
+TRUTH_EACH = 4
+"""Number of 5 ms steps between two samples of the truth."""
+
+
+def perception_level(text: str) -> Perception:
+    """Return the level of perception of this name.
+
+    Raises:
+        BadInput: there is none; the message names those that exist.
+    """
+    for level in LEVELS:
+        if text == level:
+            return level
+    raise BadInput(f"--perception: there is no level {text!r}; known are {', '.join(PERCEPTIONS)}")
+
+
+def settings_for(scenario: Scenario, config: str | None, *, by_autopilot: bool = False) -> Settings:
+    """Return the settings of a file, or without one the profile `sim` with the scenario's camera and pad.
+
+    A file's flight begins by itself, whatever its `guidance.start`: nobody is there to order the landing.
+
+    Args:
+        by_autopilot: whether an autopilot flies, as for `companion.settings.load.load`.
+
+    Raises:
+        BadInput: as `companion.settings.load.load`, and as `following`.
+    """
+    settings = load("sim" if config is None else config, by_autopilot=by_autopilot)
+    if config is not None:
+        return msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="automatic"))
+    return following(scenario, settings)
+
+
+def following(scenario: Scenario, settings: Settings) -> Settings:
+    """Return the settings with what a scenario says of camera, pad, vehicle and the ship's reports.
+
+    Where the scenario's ship reports her place, they fly to it. They fly by the response that the vehicle's file names, on its
+    feet.
+
+    Raises:
+        BadInput: as `sitl.scenario.scenario.vehicle_model`.
+    """
+    rendezvous = msgspec.structs.replace(settings.guidance.rendezvous, enabled=scenario.vessel.reports_place)
+    vehicle = vehicle_model(scenario)
+    follow = msgspec.structs.replace(settings.guidance.follow_deck, response=vehicle.response)
+    cone = msgspec.structs.replace(settings.guidance.cone, feet_below_m=vehicle.feet.below_m)
+    gimbal = GimbalOptions(scenario.gimbal.device_id, point_down=scenario.gimbal.given)
+    return msgspec.structs.replace(
+        settings,
+        vehicle=msgspec.structs.replace(settings.vehicle, model=scenario.vehicle.generation),
+        camera=CameraSettings(scenario.camera.file, gimbal=gimbal),
+        pad=PadSettings(scenario.pad.file),
+        guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous, follow_deck=follow, cone=cone),
+    )
+
+
+def fly(
+    name: str,
+    scenario: Scenario,
+    seed: int,
+    settings: Settings,
+    perception: Perception = "pixels",
+    *,
+    perception_model: str | None = None,
+    observers: Sequence[Observer] = (),
+    shadows: Sequence[PathName] = (),
+    on_start: Callable[[Health], None] | None = None,
+    on_truth: Callable[[Truth], None] | None = None,
+    render_beside: bool = False,
+    overtime_s: float = 0.0,
+) -> Ending:
+    """Fly a scenario once and return how it ended.
+
+    Args:
+        name: what the caller calls the scenario: the name of a shipped one or a path. It does not change the flight.
+        seed: of all random numbers, 0 or more.
+        perception: how the service perceives the pad.
+        perception_model: the error model's file, or the name of a shipped one; None for the one of the settings' vision.
+        observers: receive what the daemon's observers would receive.
+        shadows: estimator paths that run beside the steering one; they do not change the flight.
+        on_start: receives the counters of the flight's health before the first step.
+        on_truth: receives the true state every 20 ms, at every exposure of a frame, and at the end.
+        overtime_s: how much longer than the scenario's time a flight may last whose guidance is still trying to land.
+        render_beside: frames are rendered in a process of their own. The same bits, sooner where a second core is idle.
+
+    Raises:
+        BadInput: the settings name a camera or pad file with a fault; there is no such perception or error model, or it cannot
+            represent a fault of the scenario.
+        SetupImpossible: the simulated drone refuses a key of the configuration.
+    """
+    if perception not in PERCEPTIONS:
+        raise BadInput(f"there is no perception {perception!r}; known are {', '.join(PERCEPTIONS)}")
+    seen_by = perceive(perception, perception_model)
+    renew = partial(seen_by.pilot, settings, shadows)
+    began_s = _cpu_s()
+    flight = Flight(
+        scenario, seed, settings, renew(), observers=observers, renew=renew, contain=True, perception=seen_by,
+        overtime_s=overtime_s,
+    )  # fmt: skip
+    if on_start is not None:
+        on_start(flight.health)
+    with ExitStack() as stack:
+        if render_beside and perception == "pixels":
+            flight.worker = stack.enter_context(render_worker(flight.world.renderer))
+        steps = exposures = 0
+        while flight.step():
+            steps += 1
+            exposed, exposures = flight.exposures > exposures, flight.exposures
+            if on_truth is not None and (exposed or steps % TRUTH_EACH == 0):
+                on_truth(flight.world.truth())
+    if on_truth is not None:
+        on_truth(flight.world.truth())
+    return ending_of(name, seed, scenario, flight.result(), _cpu_s() - began_s)
+
+
+def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cpu_s: float) -> Ending:
+    """Return how a flight in virtual time ended, with the simulator's grade."""
+    contacts = tuple(contact_of(t) for t in result.truth.contacts)
+    judged = FlightGrade(
+        result.grade.value,
+        result.because,
+        result.unsafe,
+        result.refused,
+        outside_commit(result.truth.contacts),
+        round(result.blind.lowest_m, 3) if math.isfinite(result.blind.lowest_m) else None,
+        result.go_arounds,
+        result.faults,
+        scenario.expect,
+        cpu_s,
+    )
+    return Ending(name, seed, result.outcome, contacts, result.duration_s, result.health.frames, judged=judged)
+
+
+def contact_of(t: Touchdown) -> Contact:
+    """Return a contact of the truth as a part of an ending."""
+    return Contact(
+        t.at,
+        t.surface,
+        t.lateral_m,
+        t.yaw_rad,
+        t.vertical_speed_m_s,
+        t.lateral_speed_m_s,
+        t.phase.name.lower(),
+        t.motors,
+        t.guidance_phase,
+        (float(t.p_body_pad[0]), float(t.p_body_pad[1])),
+    )
+
+
+def _cpu_s() -> float:
+    """Return the CPU time of this process and of its ended children, s."""
+    spent = os.times()
+    return spent.user + spent.system + spent.children_user + spent.children_system

@@ -1,0 +1,287 @@
+"""Grade a simulated flight by the simulator's truth: whether it was safe and whether its outcome was right.
+
+A descent without true sight of the pad, a contact off the pad, a contact that guidance did not intend, and a service that dies in
+flight are unsafe.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal
+
+from companion.base.mission import CONTACT_INTENDED, REFUSALS, FlightOutcome, State
+from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON
+from companion.settings.guidance import GuidanceOptions
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.time import MonoNs, after, seconds_between
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.truth import Touchdown, Truth
+
+BLIND_AFTER_S = 1.0
+"""Time after the newest true sight that still counts as sight; the last 0.3 m of a landing, without the pad, take less."""
+BLIND_DESCENT_MAX_M = 0.5
+"""Descent without sight that is allowed: what wind and the vehicle's own landing cause, and no more."""
+UNREACHED_STOP_M = 0.3
+"""Way down that an AR.Drone needs to stop when nothing reaches it and it begins to hover by itself."""
+MET_AFTER_S = 0.5
+"""Time after a command at which the vehicle has the speed that it asks for, and meets the deck's."""
+CLIMB_OUT_S = 1.0
+"""Time that a vehicle needs to climb out of a deck's reach when it is reached again."""
+STAMP_ERROR_MAX_S = 0.5
+"""Error of a frame's stamp beyond which the frame says nothing about the pad's present position."""
+COMMIT_PHASES = frozenset(state.value for state in CONTACT_INTENDED)
+"""The phases of guidance in which contact is intended."""
+PERSON_PHASES = frozenset({BY_HAND, LANDING_FOR_PERSON})
+"""The phases in which a person commands; a contact is then the person's."""
+GO_AROUND_PHASES = frozenset({State.GO_AROUND.value, State.ANOTHER_PAD.value})
+"""The phases of guidance that end a try by climbing."""
+Expected = Literal["land", "refuse", "go_around", "hold", "either"]
+"""The outcome that a scenario expects: it lands on the pad, refuses to, goes around and then lands, holds for the operator, or
+either lands or refuses."""
+_IN_THE_AIR = (VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING)
+
+
+@dataclass(frozen=True, slots=True)
+class BlindDescent:
+    """The deepest descent without true sight of the pad."""
+
+    descent_m: float
+    """Descent from the height at which sight was lost: the smaller of those against the deck and over the ground."""
+    lowest_m: float
+    """Lowest height over the deck meanwhile."""
+    blind_s: float
+    """Time since the newest true sight, at that height."""
+
+
+class SightWatch:
+    """Watches how far the vehicle comes down without true sight of the pad.
+
+    A descent while nothing reaches the vehicle is kept apart: no order ends it, whatever the service does.
+    """
+
+    def __init__(self, start: MonoNs) -> None:
+        self.worst = BlindDescent(0.0, math.inf, 0.0)
+        self.unreached_m = 0.0
+        """Deepest descent during one time in which nothing reached the vehicle, metres."""
+        self.deck_fell_m_s = 0.0
+        """Fastest fall of the deck at the beginning of such a time, where the last command was meant to meet it."""
+        self.since_sight: Counter[Verdict] = Counter()
+        """Number of frames by verdict since the newest true sight."""
+        self._seen_at = start
+        self._lost_at_m: tuple[float, float] | None = None
+        self._unreached_at_m: tuple[float, float] | None = None
+        self._unreached_since = start
+
+    def frame(self, exposed_at: MonoNs, verdict: Verdict, *, true_view: bool, stamp_error_s: float) -> None:
+        """Note a frame and the service's verdict on it."""
+        if verdict is Verdict.FUSED and true_view and abs(stamp_error_s) <= STAMP_ERROR_MAX_S:
+            self._seen_at = max(self._seen_at, exposed_at)
+            self.since_sight.clear()
+        else:
+            self.since_sight[verdict] += 1
+
+    def step(self, truth: Truth, *, reached: bool = True) -> None:
+        """Note the true state at an instant; call it in order of time.
+
+        Args:
+            reached: whether the service's commands reach the vehicle.
+        """
+        at_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
+        if not reached:
+            if self._unreached_at_m is None:
+                self._unreached_at_m, self._unreached_since = at_m, truth.at
+            if seconds_between(self._unreached_since, truth.at) <= MET_AFTER_S:
+                self.deck_fell_m_s = max(self.deck_fell_m_s, float(truth.v_pad_ned[2]))
+            if truth.phase in _IN_THE_AIR:
+                self.unreached_m = max(self.unreached_m, _descent_m(self._unreached_at_m, at_m))
+            return
+        if self._unreached_at_m is not None:
+            if self._lost_at_m is not None:
+                height_m, altitude_m = (now - was for now, was in zip(at_m, self._unreached_at_m, strict=True))
+                self._lost_at_m = self._lost_at_m[0] + height_m, self._lost_at_m[1] + altitude_m
+            self._unreached_at_m = None
+        blind_s = seconds_between(self._seen_at, truth.at)
+        if blind_s <= BLIND_AFTER_S or truth.phase not in _IN_THE_AIR:
+            self._lost_at_m = None
+            return
+        if self._lost_at_m is None:
+            self._lost_at_m = at_m
+        descent_m = _descent_m(self._lost_at_m, at_m)
+        if descent_m > self.worst.descent_m:
+            self.worst = BlindDescent(descent_m, at_m[0], blind_s)
+
+
+def _descent_m(from_m: tuple[float, float], to_m: tuple[float, float]) -> float:
+    """Return the descent between two pairs of height over the deck and altitude, the smaller of both.
+
+    Against the deck alone a hovering vehicle over a heaving ship would seem to descend.
+    """
+    return min(from_m[0] - to_m[0], from_m[1] - to_m[1])
+
+
+def unreached_descent_max_m(guidance: GuidanceOptions, com_watchdog_s: float, deck_fell_m_s: float = 0.0) -> float:
+    """Return the descent that is allowed while nothing reaches the vehicle, metres.
+
+    Without commands an AR.Drone flies on for `com_watchdog_s`, at most at the fastest rate of the mission's way down against the
+    deck. Then it hovers. A landing that it begins by itself goes deeper.
+
+    Args:
+        deck_fell_m_s: how fast the deck fell where the last command was meant to meet it.
+    """
+    rate_m_s = guidance.thesis.speed_m_s if guidance.mission == "thesis" else guidance.cone.descent_rate_m_s
+    if guidance.controller == "pid":
+        rate_m_s = min(rate_m_s, guidance.pid.descent_rate_max_m_s)
+    return com_watchdog_s * (rate_m_s + deck_fell_m_s) + UNREACHED_STOP_M
+
+
+def dangers(
+    worst: BlindDescent | None,
+    contacts: Sequence[Touchdown],
+    died: str | None,
+    unreached_m: float = 0.0,
+    unreached_max_m: float = UNREACHED_STOP_M,
+    *,
+    phases_known: bool = True,
+    unreached: Collection[MonoNs] = (),
+) -> tuple[str, ...]:
+    """Return the unsafe events, one line each; the result is empty for a safe flight.
+
+    Args:
+        worst: the deepest descent without true sight, None if it was not watched.
+        contacts: all contacts of the flight.
+        died: the reason why the service died, None if it did not.
+        unreached_m: the deepest descent while nothing reached the vehicle, metres.
+        unreached_max_m: the result of `unreached_descent_max_m`.
+        phases_known: whether the contacts have the phase of guidance, so that those which it did not intend are told.
+        unreached: instants of the contacts that no order could prevent, where the scenario allows them: of these only those with
+            water are unsafe.
+    """
+    out = []
+    if died is not None:
+        out.append(f"the service died in flight: {died}")
+    if worst is not None and worst.descent_m > BLIND_DESCENT_MAX_M:
+        out.append(
+            f"came down {worst.descent_m:.2f} m, to {worst.lowest_m:.2f} m over the deck, without true sight of the pad "
+            f"for {worst.blind_s:.1f} s"
+        )
+    if unreached_m > unreached_max_m:
+        out.append(f"came down {unreached_m:.2f} m while nothing reached it")
+    for contact in contacts:
+        phase = contact.guidance_phase or "no service"
+        stray = f", outside commit ({phase})" if phases_known and _outside_commit(contact) else ""
+        if contact.surface == "water":
+            out.append(f"in the water, {contact.lateral_m:.2f} m from the pad's centre{stray}")
+        elif contact.at in unreached:
+            continue
+        elif contact.surface == "deck" or stray:
+            out.append(f"touched the {contact.surface} {contact.lateral_m:.2f} m from the pad's centre{stray}")
+    return tuple(out)
+
+
+def outside_commit(contacts: Sequence[Touchdown]) -> int:
+    """Return the number of contacts with turning motors while neither guidance intended to land nor a person commanded."""
+    return sum(map(_outside_commit, contacts))
+
+
+def _outside_commit(contact: Touchdown) -> bool:
+    return contact.motors and contact.guidance_phase not in COMMIT_PHASES | PERSON_PHASES
+
+
+class UnreachedContacts:
+    """Notes the contacts that no order could prevent, because nothing reached the vehicle when it came down.
+
+    A contact is one of them while nothing reaches the vehicle, for `CLIMB_OUT_S` after that, and until a landing that the
+    vehicle began meanwhile has ended.
+    """
+
+    def __init__(self) -> None:
+        self.at: list[MonoNs] = []
+        """Instants of these contacts."""
+        self._count = 0
+        self._until: MonoNs | None = None
+        self._lands = False
+
+    def step(self, truth: Truth, *, reached: bool) -> None:
+        """Note the true state at an instant; call it in order of time.
+
+        Args:
+            reached: whether the service's commands reach the vehicle.
+        """
+        if not reached:
+            self._until = after(truth.at, CLIMB_OUT_S)
+        until = self._until
+        self._lands |= truth.phase is VehiclePhase.LANDING and until is not None and truth.at <= until
+        for contact in truth.contacts[self._count :]:
+            lands = self._lands and contact.phase is VehiclePhase.LANDING
+            if lands or (until is not None and contact.at <= until):
+                self.at.append(contact.at)
+        self._count = len(truth.contacts)
+        self._lands &= truth.phase in (VehiclePhase.LANDING, VehiclePhase.LANDED)
+
+
+class Grade(Enum):
+    """The grade of a flight."""
+
+    ON_PAD = "on pad"
+    REFUSED_RIGHTLY = "refused rightly"
+    FAILED = "failed"
+
+
+def on_pad_m(contacts: Sequence[Touchdown]) -> float | None:
+    """Return the distance of the newest contact from the pad's centre, or None if it was not on the pad."""
+    return contacts[-1].lateral_m if contacts and contacts[-1].on_pad else None
+
+
+def grade(
+    outcome: FlightOutcome | None,
+    landed_m: float | None,
+    unsafe: Sequence[str],
+    expect: Expected,
+    *,
+    left_alone: bool = False,
+    asks: bool = False,
+    held: bool = False,
+    go_arounds: int = 0,
+    refusal: tuple[str, str] = ("", ""),
+    put_down: bool = False,
+) -> tuple[Grade, str]:
+    """Return the grade of a flight and the reason for it.
+
+    Args:
+        outcome: the pilot's outcome; None if the time ran out.
+        landed_m: the result of `on_pad_m`.
+        unsafe: the result of `dangers`.
+        expect: the outcome that the scenario expects.
+        left_alone: at the end there was no service or no link, so that nothing could be decided.
+        asks: at the end it hovered and waited for the operator's decision about another pad, which nobody makes in a simulation.
+        held: at the end a person held it, flew it, or had ended the landing.
+        go_arounds: how often it went around.
+        refusal: words that the reason of a refusal must hold, and the reason that it gave.
+        put_down: it stands because it landed by itself while nothing reached it, and the scenario allows that.
+    """
+    if unsafe:
+        return Grade.FAILED, "; ".join(unsafe)
+    if expect == "hold":
+        if held:
+            return Grade.REFUSED_RIGHTLY, "held for the operator"
+        return Grade.FAILED, f"did not hold for the operator: {'time ran out' if outcome is None else outcome.value}"
+    if outcome is FlightOutcome.LANDED and landed_m is not None:
+        if expect == "go_around" and not go_arounds:
+            return Grade.FAILED, f"landed {100 * landed_m:.1f} cm from the centre without going around first"
+        return Grade.ON_PAD, f"{100 * landed_m:.1f} cm from the centre"
+    if put_down and outcome is FlightOutcome.LANDED_BY_OTHERS:
+        return Grade.REFUSED_RIGHTLY, "landed by itself while nothing reached it"
+    if outcome in REFUSALS or (outcome is None and (left_alone or asks)):
+        said = "hovered without a service" if left_alone else "hovered and waited for the operator"
+        if outcome is not None:
+            said = outcome.value
+        if expect in ("land", "go_around"):
+            return Grade.FAILED, f"{said}, though nothing was wrong enough for that"
+        if outcome in REFUSALS and refusal[0].lower() not in refusal[1].lower():
+            return Grade.FAILED, f"{said} for another reason than {refusal[0]!r}: {refusal[1]}"
+        return Grade.REFUSED_RIGHTLY, said
+    return Grade.FAILED, "time ran out: it neither landed nor gave up" if outcome is None else outcome.value

@@ -1,0 +1,114 @@
+"""The ship's own reports to the service: velocity, heading and place by her GNSS and compass, as they come over a radio link."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Protocol
+
+import numpy as np
+
+from estimator.contracts.geodesy import moved
+from estimator.contracts.geometry import wrap_pi
+from estimator.contracts.samples import GeoFix, VesselReport
+from estimator.contracts.time import MonoNs, Stamp, after
+from sitl.faults.reports import VesselReports
+from sitl.faults.timer import FaultTimer
+from sitl.scenario.scenario import Scenario
+from sitl.sensors.gnss import SIGMA_M, GnssErrors
+from sitl.world.truth import Truth
+
+_DELAY_S = 0.2
+"""From the ship's receiver to the service (assumed)."""
+_SIGMA_M_S, _SIGMA_HEADING_RAD = 0.1, math.radians(1.0)
+"""A GNSS receiver's velocity and a ship's compass (assumed); the report claims the same."""
+
+Reports = tuple[VesselReport | GeoFix, ...]
+
+
+class ReportedWorld(Protocol):
+    """What the reports of the ship are made of."""
+
+    @property
+    def scenario(self) -> Scenario: ...
+
+    @property
+    def seed(self) -> int: ...
+
+    @property
+    def faults(self) -> FaultTimer: ...
+
+    @property
+    def started(self) -> MonoNs: ...
+
+    @property
+    def now(self) -> MonoNs: ...
+
+    @property
+    def at(self) -> MonoNs: ...
+
+    def truth(self) -> Truth:
+        """Return the true state at the newest step."""
+        ...
+
+
+class VesselReporter:
+    """Makes the reports that reach the service; none where the scenario's ship sends none."""
+
+    def __init__(self, world: ReportedWorld) -> None:
+        self._world = world
+        self._period_s = 1.0 / world.scenario.vessel.reports_hz if world.scenario.vessel.reports_hz > 0.0 else None
+        self._rng = np.random.default_rng([world.seed, 0x6E55])
+        self._receiver = GnssErrors([world.seed, 0x6E56])
+        self._due = world.now
+        self._frozen: tuple[np.ndarray, float] | None = None
+        self._under_way: deque[tuple[MonoNs, Reports]] = deque()
+
+    def reports(self, now: MonoNs) -> Reports:
+        """Return the reports that arrive at this instant."""
+        if self._period_s is not None and now >= self._due:
+            self._due = after(self._due, self._period_s)
+            self._make(now)
+        if not self._under_way:
+            return ()
+        faults = [fault for fault, _ in self._world.faults.on(VesselReports)]
+        late_s = max((fault.late_s for fault in faults), default=0.0)
+        newest: Reports = ()
+        while self._under_way and after(self._under_way[0][0], late_s) <= now:
+            newest = self._under_way.popleft()[1]
+        return tuple(_arrived(report, now) for report in newest)
+
+    def _make(self, now: MonoNs) -> None:
+        """Send one report."""
+        truth, noise = self._world.truth(), self._rng.standard_normal(4)
+        pad_yaw = math.radians(self._world.scenario.vessel.pad_yaw_deg)
+        velocity = truth.v_pad_ned + _SIGMA_M_S * noise[:3]
+        heading = truth.R_ned_pad.rpy_rad[2] - pad_yaw + _SIGMA_HEADING_RAD * noise[3]
+        place = self._receiver.place(truth.p_pad_ned, now)
+        faults = [fault for fault, _ in self._world.faults.on(VesselReports)]
+        if any(fault.silent for fault in faults):
+            return
+        if any(fault.frozen for fault in faults):
+            self._frozen = self._frozen or (velocity, heading)
+            velocity, heading = self._frozen
+        else:
+            self._frozen = None
+        for fault in faults:
+            velocity = velocity + np.array([fault.north_m_s, fault.east_m_s, 0.0])
+            heading += math.radians(fault.heading_deg)
+            place = moved(place, np.array([fault.place_north_m, fault.place_east_m, 0.0]))
+        stamp = Stamp(max(self._world.started, after(self._world.at, -_DELAY_S)), now, 0.05, "sim")
+        cov = _SIGMA_M_S**2 * np.eye(3)
+        made: Reports = (VesselReport(stamp, velocity, cov, wrap_pi(heading), _SIGMA_HEADING_RAD),)
+        if self._world.scenario.vessel.reports_place:
+            made = (*made, GeoFix(stamp, "vessel", place, SIGMA_M, velocity))
+        self._under_way.append((now, made))
+
+
+def _arrived(report: VesselReport | GeoFix, now: MonoNs) -> VesselReport | GeoFix:
+    """Return a report as it is when it arrives at an instant."""
+    made = report.stamp
+    stamp = Stamp(made.measured_at, now, made.sigma_s, made.source)
+    if isinstance(report, GeoFix):
+        return GeoFix(stamp, report.whose, report.place, report.sigma_m, report.v_ned)
+    return VesselReport(stamp, report.v_vessel_ned, report.cov_v_ned, report.heading_rad, report.sigma_heading_rad)

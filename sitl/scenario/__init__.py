@@ -1,0 +1,1 @@
+"""Scenario files: what a flight is flown in, checked as a whole."""

@@ -1,0 +1,367 @@
+"""The parts of a simulated flight, read from one TOML file.
+
+    scenario = load("demo")            # a shipped one (configs/scenarios) or a path
+
+Every key has its unit in its name, a range and a meaning; unknown keys, wrong types and values out of range are refused with
+the key's path.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta, Struct
+
+from companion.settings.load import SHIPPED, pad_of_file, read_toml, shipped
+from companion.settings.refusal import explain
+from estimator.contracts.errors import BadInput
+from estimator.contracts.keys import choice, number, text
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+from sitl.camera.gimbal_settings import GimbalSettings
+from sitl.camera.light_settings import LightSettings
+from sitl.camera.picture_settings import DropSettings, LampSettings, VideoSettings
+from sitl.faults.kinds import AnyFault, WeakRotor
+from sitl.faults.operator import OperatorActs
+from sitl.faults.picture import OtherPad
+from sitl.faults.ship import ShipTurn
+from sitl.scenario.contradictions import contradictions
+from sitl.sea.settings import EXCLUDES as SEA_EXCLUDES
+from sitl.sea.settings import Sea as Sea
+from sitl.sensors.settings import SensorSettings
+from sitl.vehicle.file import VehicleFile
+from sitl.vehicle.file import load as load_vehicle
+from sitl.vehicle.rotors import rotors
+from sitl.vehicle.settings import VehicleSettings as VehicleSettings
+from sitl.vessel.file import Ship
+from sitl.vessel.file import load as load_vessel
+from sitl.vessel.seakeeping import hull
+from sitl.vessel.settings import DEFAULT_HULL
+from sitl.vessel.settings import EXCLUDES as VESSEL_EXCLUDES
+from sitl.vessel.settings import VesselSettings as VesselSettings
+from sitl.vessel.wind_settings import EXCLUDES as WIND_EXCLUDES
+from sitl.vessel.wind_settings import WindSettings as WindSettings
+
+_EXCLUDES: dict[str, dict[str, tuple[str, ...]]] = {"sea": SEA_EXCLUDES, "vessel": VESSEL_EXCLUDES, "wind": WIND_EXCLUDES}
+FAULTS = "faults"
+"""Folder of the shipped scenarios that have one fault each."""
+
+
+def _switch(meaning: str) -> Meta:
+    return Meta(description=meaning)
+
+
+class Start(Struct, frozen=True, forbid_unknown_fields=True):
+    """The start of the vehicle, relative to the pad at that instant."""
+
+    where: Annotated[
+        Literal["air", "pad"], choice("start of the vehicle: hovering in the air, or on the pad's centre with its motors off")
+    ] = "air"
+    height_m: Annotated[float, number("height of the body's origin over the pad's centre, in the air", "m", 0.3, 60.0)] = 5.0
+    pad_forward_m: Annotated[float, number("distance of the pad ahead of the vehicle, in the air", "m", -100.0, 100.0)] = 0.0
+    pad_right_m: Annotated[float, number("distance of the pad to the right of the vehicle, in the air", "m", -100.0, 100.0)] = 0.0
+    heading_deg: Annotated[float, number("heading of the vehicle from the arrow, clockwise from above", "deg", -360.0, 360.0)] = (
+        0.0
+    )
+    with_vessel: Annotated[
+        bool, _switch("whether the vehicle starts with the vessel's steady velocity instead of at rest over the ground")
+    ] = True
+
+
+class CameraView(Struct, frozen=True, forbid_unknown_fields=True):
+    """The bottom camera."""
+
+    file: Annotated[str, text("a shipped camera (configs/cameras), or a path relative to the scenario file", 200)] = "sim"
+    exposure_s: Annotated[float, number("exposure time", "s", 0.0, 0.1, "assumed")] = 0.008
+    blur_sigma_px: Annotated[
+        float, number("standard deviation of the Gaussian blur of lens and colour filter", "px", 0.0, 10.0, "assumed")
+    ] = 0.6
+    full_well_e: Annotated[
+        float, number("electrons at full scale, which determine the shot noise", "1", 100.0, 1e6, "assumed")
+    ] = 8000.0
+    read_noise_e: Annotated[float, number("standard deviation of the read noise, electrons", "1", 0.0, 1000.0, "assumed")] = 12.0
+    readout_s: Annotated[
+        float, number("time from the first row's exposure to the last one's; 0 for a global shutter", "s", 0.0, 0.1)
+    ] = 0.0
+    exposure_lag_s: Annotated[
+        float, number("time constant of the automatic exposure, which meters the whole picture; 0 for none", "s", 0.0, 30.0)
+    ] = 0.0
+    exposure_longest_s: Annotated[
+        float, number("longest exposure of the automatic; with less light it amplifies", "s", 0.001, 0.1, "assumed")
+    ] = 0.02
+    white_balance_lag_s: Annotated[
+        float,
+        number("time constant of the automatic white balance, which takes the picture for grey; 0 for none", "s", 0.0, 60.0),
+    ] = 0.0
+
+
+class PadView(Struct, frozen=True, forbid_unknown_fields=True):
+    """The pad on deck."""
+
+    file: Annotated[str, text("a shipped pad (configs/pads), or a path relative to the scenario file", 200)] = "thesis"
+
+
+class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
+    """One flight to simulate."""
+
+    title: Annotated[str, text("one line for people", 120)]
+    duration_limit_s: Annotated[float, number("longest time of the flight", "s", 1.0, 36000.0)] = 120.0
+    sea: Sea = Sea()
+    vessel: VesselSettings = VesselSettings()
+    wind: WindSettings = WindSettings()
+    start: Start = Start()
+    camera: CameraView = CameraView()
+    gimbal: GimbalSettings = GimbalSettings()
+    pad: PadView = PadView()
+    light: LightSettings = LightSettings()
+    lamps: LampSettings = LampSettings()
+    drops: DropSettings = DropSettings()
+    video: VideoSettings = VideoSettings()
+    sensors: SensorSettings = SensorSettings()
+    vehicle: VehicleSettings = VehicleSettings()
+    faults: Annotated[tuple[AnyFault, ...], Meta(max_length=100, description="in any order")] = ()
+    expect: Annotated[
+        Literal["land", "refuse", "go_around", "hold", "either"],
+        choice(
+            "the right outcome: it lands on the pad, it refuses to (hovers or climbs and says so), it goes around and lands, "
+            "it holds for the operator, or it either lands or refuses"
+        ),
+    ] = "land"
+    unreached_contacts: Annotated[
+        bool,
+        choice(
+            "whether it may touch pad or deck while nothing reaches it, and in the landing that it then begins by itself: "
+            "for faults in which no order could prevent it"
+        ),
+    ] = False
+    refusal: Annotated[str, text("words that the reason of a refusal must hold; empty for any reason", 100, shortest=0)] = ""
+    because: Annotated[str, text("one line that says why that is right", 300, shortest=0)] = ""
+
+    def __post_init__(self) -> None:
+        start_m = self.start.height_m if self.start.where == "air" else None
+        for why in contradictions(self.faults, self.duration_limit_s, start_m, self.vessel):
+            raise ValueError(why)
+        if self.refusal and self.expect not in ("refuse", "either"):
+            raise ValueError(
+                f"refusal is the reason of a refusal, and expect is {self.expect!r}: give refusal only with refuse or either"
+            )
+        if self.expect == "hold" and not any(isinstance(fault, OperatorActs) for fault in self.faults):
+            raise ValueError("expect is 'hold', but nobody takes over: give a fault of kind operator")
+
+
+def load(name_or_path: str | Path, base: str | None = None) -> Scenario:
+    """Return the scenario in a file, or a shipped one (`configs/scenarios/*.toml`, `faults/*.toml` there) by its bare name.
+
+    A file may name a `base`. It then has only what differs, and its faults are added to those of the base. Camera and pad files
+    are read too; in the result `camera.file` and `pad.file` are relative to the working directory.
+
+    Args:
+        base: a scenario that takes the place of the base that the file names; so the same fault is flown in another sea.
+
+    Raises:
+        BadInput: a file cannot be read as TOML; a key is unknown, missing, of the wrong type or out of range; a base refers
+            to itself; or a camera or pad file has such a fault. The text is one line that names the file and the key.
+    """
+    path = _find(str(name_or_path), "scenarios", Path(), "scenario")
+    if base is not None:
+        base = str(_find(base, "scenarios", Path(), "base"))
+    scenario = from_mapping(_with_base(path, (), base), str(path))
+    camera_model(scenario)
+    pad_model(scenario)
+    ship_model(scenario)
+    vehicle_model(scenario)
+    return scenario
+
+
+def _with_base(path: Path, above: tuple[Path, ...], instead: str | None = None) -> dict[str, Any]:
+    """Return the merged content of a file and its bases; each is checked alone, so that an error names its own file."""
+    if path.resolve() in above:
+        raise BadInput(f"{path}: base leads back to this file")
+    data = read_toml(path)
+    name = data.pop("base", None)
+    beside = path.parent
+    if instead is not None:
+        name, beside = instead, Path()
+    base: dict[str, Any] = {}
+    if name is not None:
+        if not isinstance(name, str):
+            raise BadInput(f"{path}: base must be the name of a scenario or a path, found {name!r}")
+        base = _with_base(_find(name, "scenarios", beside, f"{path}: base"), (*above, path.resolve()))
+    whole = _merged(base, data)
+    try:
+        scenario = msgspec.convert(whole, Scenario, strict=True)
+    except msgspec.ValidationError as why:
+        raise BadInput(f"{path}: {_explain(whole, str(why), len(base.get('faults', ())))}") from why
+    for table, folder, named in (("camera", "cameras", scenario.camera.file), ("pad", "pads", scenario.pad.file)):
+        if table not in base or table in data:
+            found = _find(named, folder, path.parent, f"{path}: {table}.file")
+            whole[table] = {**whole.get(table, {}), "file": str(found)}
+    for table, folder in (("vessel", "vessels"), ("vehicle", "vehicles")):
+        said: Any = data.get(table, {})
+        if "file" in said:
+            whole[table]["file"] = str(_find(said["file"], folder, path.parent, f"{path}: {table}.file"))
+    return whole
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Return the tables of both, merged key by key; the faults of the base come first.
+
+    A key of `over` that replaces others, as `sea.sea_state` replaces a height, removes them from the base.
+    """
+    out = dict(base)
+    for key, value in over.items():
+        excludes: dict[str, tuple[str, ...]] = _EXCLUDES.get(key, {})
+        under = out.get(key)
+        if isinstance(under, dict) and isinstance(value, dict):
+            gone = {name for said in value for name in excludes.get(said, ())} - value.keys()
+            out[key] = {**{name: kept for name, kept in under.items() if name not in gone}, **value}
+        elif key == "faults" and isinstance(under, list) and isinstance(value, list):
+            out[key] = [*under, *value]
+        else:
+            out[key] = value
+    return out
+
+
+def shipped_scenarios() -> list[str]:
+    """Return the names of the shipped scenarios; those with a fault are `faults/NAME`."""
+    return [*shipped("scenarios"), *(f"{FAULTS}/{name}" for name in shipped(f"scenarios/{FAULTS}"))]
+
+
+def from_mapping(data: dict[str, Any], where: str) -> Scenario:
+    """Return the scenario that the mapping of a TOML file describes; `where` names the file in errors.
+
+    Raises:
+        BadInput: as for `load`, except that camera and pad files are not read.
+    """
+    try:
+        return msgspec.convert(data, Scenario, strict=True)
+    except msgspec.ValidationError as why:
+        raise BadInput(f"{where}: {_explain(data, str(why))}") from why
+
+
+def camera_model(scenario: Scenario) -> Camera:
+    """Return the camera that `scenario.camera.file` names.
+
+    Raises:
+        BadInput: the file is missing or has a fault.
+    """
+    path = _find(scenario.camera.file, "cameras", Path(), "camera.file")
+    return Camera.from_mapping(read_toml(path), str(path))
+
+
+def with_ardrone1(scenario: Scenario) -> Scenario:
+    """Return the scenario flown by an AR.Drone 1.0, with its bottom camera."""
+    vehicle = msgspec.structs.replace(scenario.vehicle, generation="1.0")
+    camera = msgspec.structs.replace(scenario.camera, file="ardrone1_bottom")
+    return msgspec.structs.replace(scenario, vehicle=vehicle, camera=camera)
+
+
+def refuse_gimbal(scenario: Scenario) -> None:
+    """Refuse a scenario that an AR.Drone cannot fly.
+
+    Raises:
+        BadInput: the scenario's camera hangs on a gimbal.
+    """
+    if scenario.gimbal.given:
+        raise BadInput("gimbal: an AR.Drone has none; fly it with simulate --autopilot arducopter --binary stand-in")
+
+
+def pad_model(scenario: Scenario) -> Pad:
+    """Return the pad that `scenario.pad.file` names.
+
+    Raises:
+        BadInput: the file is missing or has a fault.
+    """
+    for n, fault in enumerate(scenario.faults):
+        if isinstance(fault, OtherPad):
+            other = _find(fault.file, "pads", Path(), f"faults[{n}].file")
+            pad_of_file(other)
+    return pad_of_file(_find(scenario.pad.file, "pads", Path(), "pad.file"))
+
+
+def vehicle_model(scenario: Scenario) -> VehicleFile:
+    """Return the vehicle that `scenario.vehicle.file` names.
+
+    Raises:
+        BadInput: the file is missing or has a fault, or a fault of the scenario is of a rotor that the vehicle does not have or
+            begins lower than it ever is.
+    """
+    path = _find(scenario.vehicle.file, "vehicles", Path(), "vehicle.file")
+    vehicle = load_vehicle(path)
+    frame = vehicle.airframe()
+    names = [rotor.name for rotor in rotors(frame)]
+    for n, fault in enumerate(scenario.faults):
+        if fault.below_height_m is not None and fault.below_height_m <= frame.feet.below_m:
+            stands = f"{path} stands {frame.feet.below_m:g} m over the deck and is never lower"
+            raise BadInput(f"faults[{n}].below_height_m is {fault.below_height_m:g} m, but {stands}")
+        if isinstance(fault, WeakRotor) and fault.rotor not in names:
+            raise BadInput(f"faults[{n}].rotor must be one of {', '.join(names)} of {path}, found {fault.rotor!r}")
+    return vehicle
+
+
+def ship_model(scenario: Scenario) -> Ship:
+    """Return the vessel that `scenario.vessel` names.
+
+    Raises:
+        BadInput: its file is missing, has a fault, or contradicts the scenario: a recording that is too short or moored, a
+            turn of a ship that is recorded or whose metacentric height is not known.
+    """
+    v = scenario.vessel
+    if v.file is None:
+        return _fitting(Ship(hull(v.hull or DEFAULT_HULL)), scenario, f"hull {v.hull or DEFAULT_HULL}")
+    path = _find(v.file, "vessels", Path(), "vessel.file")
+    return _fitting(load_vessel(path), scenario, str(path))
+
+
+def _fitting(ship: Ship, scenario: Scenario, where: str) -> Ship:
+    v, recorded = scenario.vessel, ship.recorded
+    if scenario.wind.wake and ship.hull.superstructure is None:
+        raise BadInput(f"{where}: wind.wake needs a vessel with a superstructure in its file")
+    if recorded is not None:
+        if v.moored:
+            raise BadInput(f"{where}: a recording holds the vessel's whole motion; vessel.moored must be false")
+        if v.turn_rate_deg_s != 0.0:
+            raise BadInput(f"{where}: a recorded vessel does not turn; vessel.turn_rate_deg_s must be 0")
+        if recorded.lasts_s < scenario.duration_limit_s:
+            raise BadInput(
+                f"{where}: the recording lasts {recorded.lasts_s:.1f} s and the flight up to {scenario.duration_limit_s:g} s; "
+                "shorten duration_limit_s, or repeat it with recording.loop_blend_s"
+            )
+    turns = v.turn_rate_deg_s != 0.0 or any(isinstance(fault, ShipTurn) for fault in scenario.faults)
+    if turns and (ship.hull.gm_m is None or ship.hull.kg_m is None):
+        raise BadInput(f"{where}: a turn needs gm_m and kg_m of the vessel, for its heel")
+    return ship
+
+
+class _One(Struct, frozen=True):
+    fault: AnyFault
+
+
+def _explain(data: dict[str, Any], said: str, inherited: int = 0) -> str:
+    """Return one line; a fault in the list is compared with its own kind, and numbered as in its own file."""
+    if found := re.search(r"\$\.faults\[(\d+)\]", said):
+        n = int(found[1])
+        line = explain(_One, {"fault": data["faults"][n]}, said.replace(f".faults[{n}]", ".fault"))
+        return re.sub(r"\bfault(?=[.: ]|$)", f"faults[{n - inherited}]", line)
+    return explain(Scenario, data, said)
+
+
+def _find(name: str, folder: str, base: Path, what: str) -> Path:
+    known = shipped_scenarios() if folder == "scenarios" else shipped(folder)
+    if name in known:
+        return SHIPPED / folder / f"{name}.toml"
+    try:
+        path = base / name
+        if path.is_file():
+            return path
+        if name and path.is_dir():
+            raise BadInput(f"{what}: {str(path)!r} is a folder, and not a file")
+    except (OSError, ValueError) as why:
+        raise BadInput(f"{what}: not a usable file name {name[:60]!r}") from why
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]!r}" if near else f"shipped ones are {', '.join(known)}"
+    raise BadInput(f"{what}: there is no file {str(path) if name else name!r} and no shipped one of that name ({hint})")

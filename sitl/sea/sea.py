@@ -1,0 +1,243 @@
+"""The sea as a sum of harmonics: sea states, and the surface's height at any place and time.
+
+Waves are linear and run over deep water. `towards_rad` is the compass direction a wave runs to, clockwise from north.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import F64
+from sitl.sea.spectra import GRAVITY_M_S2 as GRAVITY_M_S2
+from sitl.sea.spectra import fully_grown_period_s, jonswap, most_probable_ochi_hubble, ochi_hubble_part
+
+Components = Literal["geometric", "equal_energy"]
+"""The choice of the harmonics' frequencies: a random place inside each of geometric bins, or of bins of equal energy."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeaState:
+    """One system of waves: significant height 4 sqrt(m0), peak period of the spectrum, and its shape.
+
+    Raises:
+        ValueError: a negative height, a period or shape that is not positive, or an enhancement below 1.
+    """
+
+    hs_m: float
+    tp_s: float
+    gamma: float = 3.3
+    """Peak enhancement: 1 gives the ITTC (Bretschneider) shape, 3.3 the mean JONSWAP one."""
+    shape: float | None = None
+    """The shape parameter of an Ochi-Hubble part, in place of JONSWAP; 3 is a swell, 1.5 a wind sea."""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.hs_m) and self.hs_m >= 0):
+            raise ValueError(f"hs_m must be a height of 0 m or more, got {self.hs_m!r}")
+        if not (math.isfinite(self.tp_s) and self.tp_s > 0 and math.isfinite(self.gamma) and self.gamma >= 1):
+            raise ValueError(f"tp_s must be positive and gamma 1 or more, got {self.tp_s!r}, {self.gamma!r}")
+        if self.shape is not None and not (math.isfinite(self.shape) and self.shape > 0):
+            raise ValueError(f"shape must be positive, got {self.shape!r}")
+
+    def density(self, w_rad_s: F64) -> F64:
+        """Return the spectrum, m^2 s, at angular frequencies, positive, of any shape."""
+        if self.shape is not None:
+            return ochi_hubble_part(w_rad_s, self.hs_m, self.tp_s, self.shape)
+        return jonswap(w_rad_s, self.hs_m, self.tp_s, self.gamma)
+
+    @staticmethod
+    def fully_grown(hs_m: float) -> SeaState:
+        """Return the one-parameter Pierson-Moskowitz sea: the height sets the period."""
+        return SeaState(hs_m, fully_grown_period_s(hs_m) if hs_m > 0 else 2.0, 1.0)
+
+    @staticmethod
+    def swell_and_wind_sea(hs_m: float) -> tuple[SeaState, SeaState]:
+        """Return the two parts of the most probable Ochi-Hubble spectrum of this significant height."""
+        swell, wind = (SeaState(h, tp, 1.0, shape) for h, tp, shape in most_probable_ochi_hubble(hs_m))
+        return swell, wind
+
+
+SEA_STATES: dict[int, SeaState] = {
+    0: SeaState(0.0, 2.0),
+    1: SeaState(0.05, 2.0),
+    2: SeaState(0.30, 7.0),
+    3: SeaState(0.88, 7.5),
+    4: SeaState(1.88, 8.8),
+    5: SeaState(3.25, 9.7),
+    6: SeaState(5.00, 12.4),
+}
+"""Mean heights of the WMO 3700 bands with the most probable modal periods of the open North Atlantic.
+
+Source: Bales, Designing ships to the natural environment, Naval Engineers Journal 1983, as in STANAG 4194; the periods of 0, 1
+and 2 are assumed (waves that low have no typical period there).
+"""
+
+WMO_3700_M: dict[int, tuple[float, float]] = {
+    0: (0.0, 0.0), 1: (0.0, 0.1), 2: (0.1, 0.5), 3: (0.5, 1.25), 4: (1.25, 2.5), 5: (2.5, 4.0), 6: (4.0, 6.0)
+}  # fmt: skip
+"""Lowest and highest significant height of each sea state: WMO Manual on Codes (WMO-No. 306), code table 3700."""
+
+SHELTERED_SLIGHT = SeaState(0.20, 3.0)
+"""Sea state 2 in sheltered water, where the period is 2 to 4 s: what a boat at anchor in a bay feels."""
+
+
+def sea_state(code: int) -> SeaState:
+    """Return the preset of a WMO sea state code 0..6.
+
+    Raises:
+        BadInput: the code is another one.
+    """
+    if code not in SEA_STATES:
+        raise BadInput(f"sea state must be one of {', '.join(map(str, SEA_STATES))}, got {code!r}")
+    return SEA_STATES[code]
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """B seas of N harmonics each; the surface is at sum a cos(k.p - w t + phase) above mean water."""
+
+    amplitude_m: F64
+    """(B, N) amplitudes, m."""
+    w_rad_s: F64
+    """(B, N) angular frequencies, rad/s, positive."""
+    towards_rad: F64
+    """(B, N) directions to which the harmonics run, rad."""
+    phase_rad: F64
+    """(B, N) phases, rad."""
+    current_ne_m_s: tuple[float, float] = (0.0, 0.0)
+    """Velocity of the water itself, m/s north and east, which carries the waves along; `w_rad_s` is relative to the water."""
+
+    @staticmethod
+    def draw(
+        state: SeaState,
+        seeds: int | Sequence[int],
+        *,
+        towards_rad: float = 0.0,
+        spreading: float = 10.0,
+        harmonics: int = 60,
+        components: Components = "geometric",
+        stream: int = 0,
+    ) -> Waves:
+        """Draw one sea for each seed. The same seed gives the same sea, alone or in a batch, and `hs_m` is met exactly.
+
+        Frequencies lie at random places inside bins from 0.5 to 5 times the peak's, so that the sum does not repeat itself within
+        a flight; amplitudes come from the spectrum's energy in the bin.
+
+        Args:
+            components: geometric bins show the tail that moves small vessels; bins of equal energy lie close around the peak.
+            stream: distinguishes the systems of waves of one seed.
+            towards_rad: mean direction to which the waves run.
+            spreading: exponent s of the cos^2s((towards - mean) / 2) spread; 10 is a wind sea, 75 a long swell.
+
+        Source: spread after Longuet-Higgins, Cartwright & Smith 1963; random phases and places as in DNV-RP-C205, 3.3.2.
+        """
+        edges = np.geomspace(0.5, 5.0, harmonics + 1) * math.tau / state.tp_s
+        grid = np.geomspace(edges[0], edges[-1], 8 * harmonics + 1)
+        density = state.density(grid)
+        energy = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(grid))])
+        if components == "equal_energy" and energy[-1] > 0:
+            in_bin = np.full(harmonics, energy[-1] / harmonics)
+        else:
+            in_bin = np.diff(energy[::8])
+        total = float(in_bin.sum())
+        amplitude = np.sqrt(2.0 * in_bin * ((state.hs_m / 4.0) ** 2 / total)) if total > 0 else np.zeros(harmonics)
+        angle = np.linspace(-math.pi, math.pi, 721)
+        cdf = np.cumsum(np.cos(angle / 2.0) ** (2.0 * spreading))
+        cdf = cdf / cdf[-1]
+        w, towards, phase = [], [], []
+        for seed in [seeds] if isinstance(seeds, int) else seeds:
+            rng = np.random.default_rng([seed, 0x5EA, stream] if stream else [seed, 0x5EA])
+            place, direction, start = rng.random((3, harmonics))
+            if components == "equal_energy" and total > 0:  # a place by energy, or the tail of the last bin would be overstated
+                w.append(np.interp((np.arange(harmonics) + place) / harmonics, energy / energy[-1], grid))
+            else:
+                w.append(edges[:-1] + place * np.diff(edges))
+            towards.append(towards_rad + np.interp(direction, cdf, angle))
+            phase.append(math.tau * start)
+        w_all = np.array(w)
+        return Waves(np.broadcast_to(amplitude, w_all.shape), w_all, np.array(towards), np.array(phase))
+
+    @staticmethod
+    def flat(batch: int = 1) -> Waves:
+        """Return seas without waves."""
+        zero = np.zeros((batch, 1))
+        return Waves(zero, zero + 1.0, zero, zero)
+
+    @staticmethod
+    def together(systems: Sequence[Waves]) -> Waves:
+        """Return the sum of systems of waves of the same batch, such as a swell and a wind sea."""
+        first = systems[0]
+        amplitude, w, towards, phase = (
+            np.concatenate([getattr(s, name) for s in systems], axis=1)
+            for name in ("amplitude_m", "w_rad_s", "towards_rad", "phase_rad")
+        )
+        return Waves(amplitude, w, towards, phase, first.current_ne_m_s)
+
+    def carried(self, current_ne_m_s: tuple[float, float]) -> Waves:
+        """Return the same waves on water that moves with this velocity, m/s north and east."""
+        return replace(self, current_ne_m_s=current_ne_m_s)
+
+    @property
+    def batch(self) -> int:
+        return int(self.amplitude_m.shape[0])
+
+    @property
+    def hs_m(self) -> F64:
+        """Significant wave height (B,), m: 4 sqrt(m0) of the harmonics."""
+        return np.asarray(4.0 * np.sqrt((self.amplitude_m**2).sum(axis=1) / 2.0))
+
+    @cached_property
+    def k_ne(self) -> F64:
+        """Wave numbers (B, N, 2) north and east, rad/m: w^2 = g k in deep water."""
+        k = self.w_rad_s**2 / GRAVITY_M_S2
+        return np.stack([k * np.cos(self.towards_rad), k * np.sin(self.towards_rad)], axis=-1)
+
+    @cached_property
+    def seen_rad_s(self) -> F64:
+        """Angular frequencies (B, N), rad/s, at a place fixed over the ground: w + k . current (Doppler)."""
+        north, east = self.current_ne_m_s
+        return self.w_rad_s if north == 0.0 and east == 0.0 else self.w_rad_s + self.k_ne @ np.array([north, east])
+
+    def longest(self, n: int) -> Waves:
+        """Return the n harmonics of greatest amplitude, which a frame from some metres up shows as swell."""
+        order = np.argsort(-self.amplitude_m, axis=1, kind="stable")[:, :n]
+        amplitude, w, towards, phase = (
+            np.take_along_axis(v, order, 1) for v in (self.amplitude_m, self.w_rad_s, self.towards_rad, self.phase_rad)
+        )
+        return Waves(amplitude, w, towards, phase, self.current_ne_m_s)
+
+    def elevation(self, p_ne: ArrayLike, t_s: ArrayLike = 0.0) -> F64:
+        """Return the surface's height (B, ...), m above mean water, at places (..., 2) m north and east and times (...)."""
+        return np.asarray((self.amplitude_m * np.cos(self._angle(p_ne, t_s))).sum(axis=-1).transpose(self._order(p_ne, t_s)))
+
+    def packed(self, index: int = 0) -> F64:
+        """Return one sea as the core's `wave`s: (N, 5) amplitude, wave number north and east, frequency as seen, phase."""
+        i = index
+        columns = (self.amplitude_m[i], *self.k_ne[i].T, self.seen_rad_s[i], self.phase_rad[i])
+        return np.stack([np.asarray(column) for column in columns], axis=-1)
+
+    def slope(self, p_ne: ArrayLike, t_s: ArrayLike = 0.0) -> F64:
+        """Return the slope (B, ..., 2): rise of the surface per metre north and east; shapes as in `elevation`."""
+        s = -self.amplitude_m * np.sin(self._angle(p_ne, t_s))
+        k = self.k_ne
+        order = self._order(p_ne, t_s)
+        return np.stack([(s * k[..., i]).sum(axis=-1).transpose(order) for i in (0, 1)], axis=-1)
+
+    def _angle(self, p_ne: ArrayLike, t_s: ArrayLike) -> F64:
+        """Return the phase angle (..., B, N) of each harmonic, rad."""
+        p = np.asarray(p_ne, dtype=float)[..., None, None, :]
+        t = np.asarray(t_s, dtype=float)[..., None, None]
+        k = self.k_ne
+        return np.asarray(p[..., 0] * k[..., 0] + p[..., 1] * k[..., 1] - self.seen_rad_s * t + self.phase_rad)
+
+    @staticmethod
+    def _order(p_ne: ArrayLike, t_s: ArrayLike) -> tuple[int, ...]:
+        n = max(np.ndim(p_ne) - 1, np.ndim(t_s))
+        return (n, *range(n))

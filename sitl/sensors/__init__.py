@@ -1,0 +1,1 @@
+"""The vehicle's sensors and their faults."""

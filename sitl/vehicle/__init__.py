@@ -1,0 +1,1 @@
+"""The simulated vehicle: airframe, rotors, flight dynamics, and its files."""

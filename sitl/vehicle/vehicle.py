@@ -1,0 +1,358 @@
+"""The quadcopter: a rigid body under rotor thrust, drag, wind and contact, flown by an AR.Drone's inner loops.
+
+The formulae and their sources are in `sitl/core/physics/vehicle.c`; here are one vehicle's parameters and state.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from enum import IntEnum
+
+import numpy as np
+
+from estimator.contracts.geometry import F64, Rotation
+from estimator.core.interface import CONSTANTS, places_of
+from estimator.core.interface.sim import COMMANDS_MAX, FLIGHT_NOISE, PHASES, ROTORS_MAX
+from sitl.native import Number, Numbers, Packed, vehicle_carry, vehicle_step, write
+from sitl.sea.spectra import GRAVITY_M_S2
+from sitl.vehicle.airframe import Airframe, StickLimits
+from sitl.vehicle.disturbances import Wind, keep_and_fresh
+from sitl.vehicle.noise import NoiseRows
+from sitl.vehicle.rotors import rotors
+from sitl.vessel.air import AirModel
+from sitl.vessel.contact import DeckShape, Ground
+
+DECK, SEA = CONSTANTS["TOUCHED_DECK"], CONSTANTS["TOUCHED_SEA"]
+"""Codes of `Vehicle.touched_what`; 0 before any contact."""
+
+_PARAMS, _STATE = places_of("vehicle_params"), places_of("vehicle")
+_LIMITS, _LIMITS_AT = struct.Struct("3d"), 8 * _PARAMS["euler_angle_max_rad"].start
+_COMMAND, _COMMAND_AT = struct.Struct("5d"), 8 * _STATE["command"].start
+_AIR_SEED = 0xA12
+
+
+class VehiclePhase(IntEnum):
+    """What the vehicle is doing."""
+
+    LANDED = 0
+    TAKING_OFF = 1
+    HOVERING = 2
+    FLYING = 3
+    LANDING = 4
+    EMERGENCY = 5
+
+
+assert tuple(phase.name for phase in VehiclePhase) == PHASES
+_CAN_LAND = (VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING)
+
+
+class Vehicle:
+    """One vehicle.
+
+    Args:
+        step_s: length of a step; 2 to 5 ms keeps the feet's springs stable.
+        seed: of its wind and of its own errors.
+        air: the air, where it is more than the uniform wind with its gusts.
+
+    Attributes:
+        p: m in ned.
+        v: m/s in ned.
+        q: unit quaternion (w, x, y, z) of R_ned_body.
+        w: rad/s in body.
+        a: mean acceleration over the last step, m/s^2 in ned.
+        flow: velocity forward and right that the drone itself believes in, m/s.
+        gust: m/s in ned, on top of the steady wind.
+        air_ned: velocity of the air at the vehicle, without `gust` and `extra_wind`, m/s.
+        unasked_rad_s2: angular acceleration about the body's axes that the loops did not ask for, as they observe it.
+        tied: whether it stands still on the deck and is carried with it.
+        touched_s: seconds since the first step of the newest contact after flight; nan before any.
+        touched_phase: phase before that contact.
+        touched_d: body's origin from the pad's centre in the pad frame at that contact, m.
+        touched_v: velocity against the deck (against the water) just before it, in the pad frame, m/s.
+        touched_yaw: heading against the arrow at it, rad.
+        tilt_max_rad: largest roll or pitch that any loop asks for.
+        extra_wind: m/s in ned, on top of the wind: a single gust as it passes.
+        current: velocity of the water, m/s north and east, against which the optical flow measures beside the deck.
+
+    Raises:
+        ValueError: the step is too long for the springs, or too short for the delay of the commands.
+    """
+
+    p = Numbers("state", "vehicle.p")
+    v = Numbers("state", "vehicle.v")
+    w = Numbers("state", "vehicle.w")
+    a = Numbers("state", "vehicle.a")
+    thrust_n = Number("state", "vehicle.thrust_n")
+    torque_n_m = Numbers("state", "vehicle.torque_n_m")
+    flow = Numbers("state", "vehicle.flow")
+    gust = Numbers("state", "vehicle.gust")
+    air_ned = Numbers("state", "vehicle.air")
+    unasked_rad_s2 = Numbers("state", "vehicle.unasked")
+    seconds = Number("state", "vehicle.seconds")
+    phase = Number("state", "vehicle.phase")
+    tied = Number("state", "vehicle.tied")
+    ditched = Number("state", "vehicle.ditched")
+    touched_what = Number("state", "vehicle.touched_what")
+    touched_phase = Number("state", "vehicle.touched_phase")
+    touched_s = Number("state", "vehicle.touched_s")
+    touched_d = Numbers("state", "vehicle.touched_d")
+    touched_v = Numbers("state", "vehicle.touched_v")
+    touched_yaw = Number("state", "vehicle.touched_yaw")
+    tilt_max_rad = Number("params", "vehicle_params.tilt_max_rad")
+    extra_wind = Numbers("params", "vehicle_params.extra_wind")
+    current = Numbers("params", "vehicle_params.current")
+    flow_works = Number("params", "vehicle_params.flow_works")
+    _q = Numbers("state", "vehicle.q")
+    _R = Numbers("state", "vehicle.R")
+    _tilt_bias = Numbers("state", "vehicle.tilt_bias")
+    _tilt_drift = Numbers("state", "vehicle.tilt_drift")
+    _rotor_health = Numbers("params", "vehicle_params.rotor_health")
+
+    def __init__(
+        self,
+        airframe: Airframe,
+        shape: DeckShape,
+        step_s: float,
+        seed: np.random.SeedSequence,
+        wind: Wind | None = None,
+        air: AirModel | None = None,
+    ) -> None:
+        if not 0.0 < step_s <= 0.01:
+            raise ValueError(f"step_s must lie in (0, 0.01] s, got {step_s!r}")
+        if airframe.command_delay_s > COMMANDS_MAX * step_s:
+            raise ValueError(f"a delay of {airframe.command_delay_s} s is more than {COMMANDS_MAX} steps of {step_s} s")
+        self.airframe, self.shape, self.step_s = airframe, shape, step_s
+        self.limits = StickLimits()
+        self.wind = wind or Wind()
+        self.params = _packed_params(airframe, shape, self.wind, step_s)
+        """The core's `vehicle_params`."""
+        self.state = Packed("vehicle", q=(1.0, 0.0, 0.0, 0.0), R=np.eye(3).ravel(), attached_q=(1.0, 0.0, 0.0, 0.0),
+                            touched_s=math.nan, touched_d=math.nan, touched_v=math.nan, touched_yaw=math.nan)  # fmt: skip
+        """The core's `vehicle`."""
+        self.phase_word = self.state.buffer.cast("B").cast("q")[_STATE["phase"]]
+        """The phase in that memory, for those who ask hundreds of times a second."""
+        self.touched_word = self.state.buffer.cast("B").cast("q")[_STATE["touched_what"]]
+        """`touched_what`, for the same."""
+        self._deck = Packed("deck")
+        self.noise = NoiseRows.of(seed, FLIGHT_NOISE)
+        """The numbers of its own errors and of the gusts."""
+        self._begin_errors()
+        self.air_noise: NoiseRows | None = None
+        """The numbers of the air, where it is more than a uniform wind."""
+        if air is not None:
+            self.params.words[_PARAMS["air"]] = air.packed(step_s).words
+            self.air_noise = NoiseRows.of(
+                np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, _AIR_SEED)), FLIGHT_NOISE
+            )
+            self._begin_air(self.air_noise)
+
+    def _begin_errors(self) -> None:
+        """Start the random processes in their steady state."""
+        start, bias, av = self.noise.next(), self.noise.next(), self.airframe.avionics
+        gust, flow, drift = self.wind.gust_sigma_m_s, av.flow_noise_sigma_m_s, av.tilt_drift_sigma_rad
+        write(
+            self.state.words, "vehicle",
+            gust=(gust * start[0], gust * start[1], 0.5 * gust * start[2]),
+            flow_error=(flow * start[3], flow * start[4]),
+            tilt_bias=(av.tilt_bias_sigma_rad * bias[0], av.tilt_bias_sigma_rad * bias[1]),
+            tilt_drift=(drift * start[5], drift * start[6]),
+        )  # fmt: skip
+
+    def _begin_air(self, noise: NoiseRows) -> None:
+        """Start turbulence and eddies in their steady state.
+
+        The lag of the lag of white noise has half the variance of the lag, and a covariance of a half with it.
+        """
+        start, second = noise.next(), noise.next()
+        write(
+            self.state.words, "vehicle",
+            air_u=start[0],
+            air_v=(start[1], 0.5 * (start[1] + second[1])),
+            air_w=(start[2], 0.5 * (start[2] + second[2])),
+            eddy=start[3:6],
+        )  # fmt: skip
+
+    def place(self, p_ned: F64, v_ned: F64, yaw_rad: float) -> None:
+        """Put it into the air, hovering and leaning against the steady wind: (3,) m and m/s, and the heading."""
+        k, air = self.airframe.drag_per_s, self.wind.v_ned
+        against_x, against_y = k[0] * (float(v_ned[0]) - air[0]), k[1] * (float(v_ned[1]) - air[1])
+        c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+        forward, right = c * against_x + s * against_y, c * against_y - s * against_x
+        self.q = quaternion_of_rpy(right / GRAVITY_M_S2, -forward / GRAVITY_M_S2, yaw_rad)
+        write(
+            self.state.words, "vehicle",
+            p=p_ned, v=v_ned, z_hold=p_ned[2], airborne_s=1.0, phase=VehiclePhase.HOVERING, integral=(forward, right, 0.0),
+            thrust_n=self.airframe.mass_kg * math.sqrt(against_x * against_x + against_y * against_y + GRAVITY_M_S2**2),
+        )  # fmt: skip
+
+    def stand(self, ground: Ground, d_pad: F64, yaw_rad: float) -> None:
+        """Put it on the deck, motors off: (3,) m from the pad's centre in the pad frame, heading against the arrow."""
+        write(
+            self.state.words, "vehicle",
+            attached_d=d_pad, attached_q=quaternion_of_rpy(0.0, 0.0, yaw_rad), tied=1, phase=VehiclePhase.LANDED,
+            thrust_n=0.0, airborne_s=0.0, a=0.0,
+        )  # fmt: skip
+        ground.write_deck(self._deck)
+        vehicle_carry(self.state.address, self._deck.address)
+
+    def command(self, roll: float, pitch: float, gaz: float, yaw: float, progressive: bool) -> None:
+        """Stick fractions -1..1 with PCMD's signs: right, nose up, up, clockwise; ignored without `progressive` (hover)."""
+        sticks = [min(max(x, -1.0), 1.0) for x in (roll, pitch, gaz, yaw)]
+        _COMMAND.pack_into(self.state.buffer, _COMMAND_AT, *sticks, progressive)
+
+    def take_off(self) -> None:
+        """Take off if it is landed with its motors off."""
+        if self.phase == VehiclePhase.LANDED:
+            self.phase = VehiclePhase.TAKING_OFF
+
+    def land(self) -> None:
+        """Land if it flies."""
+        if self.phase in _CAN_LAND:
+            self.phase = VehiclePhase.LANDING
+
+    def stay_up(self) -> None:
+        """Hover instead if it is landing."""
+        if self.phase == VehiclePhase.LANDING:
+            self.phase = VehiclePhase.HOVERING
+
+    def cut_motors(self) -> None:
+        """Stop the motors at once, in any phase."""
+        self.phase = VehiclePhase.EMERGENCY
+
+    def leave_emergency(self) -> None:
+        """End the emergency if it lies still on deck and not in the water."""
+        if self.phase == VehiclePhase.EMERGENCY and self.tied and not self.ditched:
+            self.phase = VehiclePhase.LANDED
+
+    @property
+    def q(self) -> tuple[float, ...]:
+        return self._q
+
+    @q.setter
+    def q(self, q: Sequence[float]) -> None:
+        self._q = tuple(q)
+        self._R = tuple(Rotation.from_quat(np.array(q)).matrix.ravel().tolist())
+
+    @property
+    def rotor_health(self) -> tuple[float, ...]:
+        """Share of its thrust that each rotor (in the order of `sitl.vehicle.rotors.rotors`) delivers."""
+        return self._rotor_health[: len(rotors(self.airframe))]
+
+    @rotor_health.setter
+    def rotor_health(self, shares: Sequence[float]) -> None:
+        missing = ROTORS_MAX - len(shares)
+        self._rotor_health = (*shares, *[1.0] * missing)
+        write(self.params.words, "vehicle_params", all_healthy=all(share == 1.0 for share in shares))
+
+    @property
+    def p_ned(self) -> F64:
+        """(3,) m."""
+        return self.state.words[_STATE["p"]].copy()
+
+    @property
+    def v_ned(self) -> F64:
+        """(3,) m/s."""
+        return self.state.words[_STATE["v"]].copy()
+
+    @property
+    def R_ned_body(self) -> F64:
+        """(3, 3)."""
+        return self.state.words[_STATE["R"]].reshape(3, 3).copy()
+
+    @property
+    def w_body(self) -> F64:
+        """(3,) rad/s."""
+        return self.state.words[_STATE["w"]].copy()
+
+    @property
+    def a_ned(self) -> F64:
+        """(3,) m/s^2."""
+        return self.state.words[_STATE["a"]].copy()
+
+    @property
+    def f_body(self) -> F64:
+        """(3,) m/s^2, specific force: at rest and level (0, 0, -9.81)."""
+        return np.asarray((self.a_ned - [0.0, 0.0, GRAVITY_M_S2]) @ self.R_ned_body)
+
+    @property
+    def tilt_error_rad(self) -> Sequence[float]:
+        """Error of the drone's own roll and pitch."""
+        return [bias + drift for bias, drift in zip(self._tilt_bias, self._tilt_drift, strict=True)]
+
+    def keep_limits(self) -> None:
+        """Give the core the stick's limits, whose fields may have been set."""
+        s = self.limits
+        _LIMITS.pack_into(self.params.buffer, _LIMITS_AT, s.euler_angle_max_rad, s.vz_max_m_s, s.yaw_rate_max_rad_s)
+
+    def step(self, ground: Ground) -> None:
+        """Advance by `step_s` to the instant for which `ground` holds."""
+        self.keep_limits()
+        ground.write_deck(self._deck)
+        air = self.air_noise or self.noise
+        self.noise.prepare()
+        air.prepare()
+        vehicle_step(
+            self.params.address, self.state.address, self._deck.address, ground.sea_z, ground.sea_vz,
+            self.noise.address, air.address,
+        )  # fmt: skip
+        self.noise.used(1)
+        if self.air_noise is not None:
+            self.air_noise.used(1)
+
+
+def quaternion_of_rpy(roll: float, pitch: float, yaw: float) -> Sequence[float]:
+    """Return the unit quaternion (w, x, y, z) of Rz(yaw) Ry(pitch) Rx(roll)."""
+    return Rotation.from_rpy(roll, pitch, yaw).quat_wxyz.tolist()  # type: ignore[no-any-return]
+
+
+def _packed_params(f: Airframe, shape: DeckShape, wind: Wind, step_s: float) -> Packed:
+    """Return the core's `vehicle_params`, without the stick's limits and the air."""
+    k, av, feet, each = f.loops, f.avionics, f.feet, rotors(f)
+    spare = [0.0] * (ROTORS_MAX - len(each))
+    cos_yaw, sin_yaw, middle, half = shape.turned
+    gust, flow, tilt = (
+        keep_and_fresh(*process, step_s)
+        for process in (
+            (wind.gust_sigma_m_s, wind.gust_time_s),
+            (av.flow_noise_sigma_m_s, av.flow_noise_time_s),
+            (av.tilt_drift_sigma_rad, av.tilt_drift_time_s),
+        )
+    )
+    same = (
+        "mass_kg", "inertia_kg_m2", "thrust_max_n", "torque_max_n_m", "arm_m", "rotor_radius_m", "rotors_above_m",
+        "yaw_torque_per_thrust_m", "drag_per_s", "landing_speed_m_s", "take_off_speed_m_s", "take_off_height_m",
+        "motors_off_after_s",
+    )  # fmt: skip
+    gains = (
+        "tilt_p", "tilt_d", "tilt_max_rad", "yaw_rate_p", "velocity_p", "velocity_d", "velocity_i", "velocity_i_max_m_s2",
+        "climb_p", "climb_d", "climb_i", "climb_i_max_m_s2", "height_p",
+    )  # fmt: skip
+    return Packed(
+        "vehicle_params",
+        **{name: getattr(f, name) for name in same},
+        **{name: getattr(k, name) for name in gains},
+        quad_x=f.layout == "quad_x", rotors=len(each), effect_by_rotor=f.ground_effect == "rotors",
+        flow_sees_deck=av.flow_sees_deck, flow_works=1, all_healthy=1, delay_steps=round(f.command_delay_s / step_s),
+        step_s=step_s, motor_lag=_lag(f.motor_lag_s, step_s), tilt_cut_off_cos=math.cos(f.tilt_cut_off_rad),
+        rotor_forward=[r.forward for r in each] + spare, rotor_right=[r.right for r in each] + spare,
+        rotor_spin=[r.spin for r in each] + spare, rotor_health=1.0,
+        rotor_squares=(sum(r.forward**2 for r in each), sum(r.right**2 for r in each)),
+        effect_radius_m=math.sqrt(len(each)) * f.rotor_radius_m,
+        observer_share=step_s / (step_s + k.disturbance_s),
+        unasked_max_rad_s2=[most / inertia for most, inertia in zip(f.torque_max_n_m, f.inertia_kg_m2, strict=True)],
+        flow_scale=av.flow_scale, flow_lag=_lag(av.flow_lag_s, step_s),
+        foot_m=feet.half_base_m, feet_below_m=feet.below_m, hull_top_m=feet.top_m, foot_n_m=feet.stiffness_n_m / 4.0,
+        foot_n_s_m=2.0 * feet.damping_ratio * math.sqrt(feet.stiffness_n_m * f.mass_kg) / 4.0,
+        foot_stop_kg_s=0.3 * f.mass_kg / (4.0 * step_s), friction=feet.friction,
+        deck_fore_m=shape.fore_m, deck_aft_m=shape.aft_m, deck_middle_m=middle, deck_half_m=half,
+        deck_taper_m=shape.taper_m, deck_yaw=(cos_yaw, sin_yaw),
+        gust_sigma_m_s=wind.gust_sigma_m_s, gust_keep=gust[0], gust_fresh=gust[1], flow_keep=flow[0], flow_fresh=flow[1],
+        tilt_keep=tilt[0], tilt_fresh=tilt[1], wind=wind.v_ned,
+    )  # fmt: skip
+
+
+def _lag(time_s: float, step_s: float) -> float:
+    """Return the share of the way to its input that a first-order lag goes in a step."""
+    return 1.0 - math.exp(-step_s / time_s) if time_s > 0 else 1.0

@@ -1,0 +1,194 @@
+"""Build the parts of the world for a scenario: seeds, vehicle, deck, wind, sea, vessel, camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from estimator.contracts.geometry import F64
+from sitl.camera.automatic import Automatics
+from sitl.camera.camera import Renderer
+from sitl.camera.drops import Drops
+from sitl.camera.film import Film
+from sitl.camera.light import Light, Mast, Sensor
+from sitl.camera.picture_settings import CLEAR_M
+from sitl.camera.render.light import Lamps
+from sitl.camera.surroundings import Deck, Surroundings
+from sitl.camera.video_link import VideoLinkOptions
+from sitl.scenario.scenario import Scenario, camera_model, pad_model, ship_model, vehicle_model
+from sitl.sea.sea import Waves
+from sitl.vehicle.airframe import Airframe, Avionics, StickLimits
+from sitl.vehicle.disturbances import Wind
+from sitl.vehicle.vehicle import Vehicle
+from sitl.vessel.air import AirModel
+from sitl.vessel.contact import DeckShape, Ground
+from sitl.vessel.seakeeping import Hull
+from sitl.vessel.special import RecordedVessel, TurningVessel
+from sitl.vessel.turn import Turn
+from sitl.vessel.vessel import Mooring, Vessel
+
+
+class Seeds(NamedTuple):
+    """The seeds of the random parts of one flight."""
+
+    flight: np.random.SeedSequence
+    """Seed of the wind and of the vehicle's own errors."""
+    sensors: np.random.SeedSequence
+    sea: int
+    camera: int
+    link: np.random.SeedSequence
+    """Seed of the times at which an AR.Drone's frames arrive."""
+
+
+def flight_seeds(seed: int) -> Seeds:
+    """Return independent seeds for the parts of a flight."""
+    flight, sensors, sea, camera, link = np.random.SeedSequence(seed).spawn(5)
+    return Seeds(flight, sensors, int(sea.generate_state(1)[0]), int(camera.generate_state(1)[0]), link)
+
+
+def airframe(scenario: Scenario) -> Airframe:
+    """Return the vehicle that a scenario asks for; the inertia is scaled with the mass."""
+    s = scenario.sensors
+    return replace(
+        scenario.vehicle.airframe(vehicle_model(scenario)),
+        avionics=Avionics(
+            tilt_bias_sigma_rad=math.radians(s.tilt_bias_sigma_deg),
+            tilt_drift_sigma_rad=math.radians(s.tilt_drift_sigma_deg),
+            tilt_drift_time_s=s.tilt_drift_time_s,
+            flow_scale=s.velocity_scale,
+            flow_noise_sigma_m_s=s.velocity_noise_sigma_m_s,
+            flow_noise_time_s=s.velocity_noise_time_s,
+            flow_lag_s=s.velocity_lag_s,
+            flow_sees_deck=s.velocity_over == "seen",
+        ),
+    )
+
+
+def limits(scenario: Scenario) -> StickLimits:
+    """Return the initial values that a full stick asks for."""
+    return scenario.vehicle.stick_limits(vehicle_model(scenario))
+
+
+def deck_shape(ship: Hull, pad_yaw_rad: float) -> DeckShape:
+    """Return the outline of a hull's whole deck about its pad."""
+    x, y = ship.d_vessel_pad_m
+    length, beam = (0.5 * size for size in ship.deck_m)
+    return DeckShape(length - x, length + x, beam + y, beam - y, ship.bow_taper_m, pad_yaw_rad)
+
+
+def wind(scenario: Scenario) -> Wind:
+    """Return the steady wind with its gusts."""
+    w = scenario.wind
+    return Wind(wind_from(w.speed_m_s, w.from_deg), w.sigma_m_s, w.time_s)
+
+
+def air(scenario: Scenario, ship: Hull) -> AirModel | None:
+    """Return the air, for scenarios that ask for more than a uniform wind with gusts; else None."""
+    return scenario.wind.air(ship, math.radians(scenario.vessel.pad_yaw_deg))
+
+
+def renderer(scenario: Scenario, waves: Waves, vessel: Vessel, seed: int) -> Renderer | Film:
+    """Return what renders the frames of the camera over the scenario's deck and sea.
+
+    Args:
+        seed: of the water on the lens and of the packets that the video link loses.
+    """
+    c, s, d, v = scenario.camera, scenario.light, scenario.drops, scenario.video
+    light = Light(
+        colour_temperature_k=s.colour_temperature_k,
+        balanced_for_k=s.balanced_for_k,
+        white_balance=(s.gain_red, 1.0, s.gain_blue),
+        exposure_ev=s.exposure_ev,
+        vignetting=s.vignetting,
+        sun_elevation_rad=math.radians(s.sun_elevation_deg),
+        sun_azimuth_rad=math.radians(s.sun_azimuth_deg),
+        drone_shadow=s.drone_shadow,
+        glare=s.glare,
+        wetness=s.wetness,
+        wear=s.wear,
+        daylight_ev=s.daylight_ev,
+        visibility_m=s.visibility_m if s.visibility_m < CLEAR_M else math.inf,
+        glint=s.glint,
+        mast=Mast(s.mast_height_m, (s.mast_forward_m, s.mast_right_m), s.mast_shadow) if s.mast_height_m > 0 else None,
+    )
+    scene = Surroundings(
+        deck=Deck.of(vessel.hull, math.radians(scenario.vessel.pad_yaw_deg)),
+        waves=waves,
+        wake_speed_m_s=scenario.vessel.speed_m_s,
+    )
+    sensor = Sensor(c.exposure_s, c.blur_sigma_px, c.full_well_e, c.read_noise_e, readout_s=c.readout_s)
+    water = Drops(d.rain_per_minute / 60.0, d.spray_per_minute / 60.0, d.spray_drops, d.radius_px, d.stays_s, seed)
+    one_by_one = Renderer(
+        camera_model(scenario),
+        pad_model(scenario),
+        scene,
+        light,
+        sensor,
+        Lamps(**msgspec.structs.asdict(scenario.lamps)),
+        water if d.rain_per_minute > 0 or d.spray_per_minute > 0 else None,
+    )
+    if _automatics(scenario).any or v.bitrate_kbit_s > 0:
+        return film(scenario, one_by_one, seed)
+    return one_by_one
+
+
+def film(scenario: Scenario, made: Renderer | Film, seed: int) -> Film:
+    """Return what renders the frames one after the other, each taken as it is told (`Taken`)."""
+    if isinstance(made, Film):
+        return made
+    v = scenario.video
+    link = VideoLinkOptions(v.bitrate_kbit_s, v.loss, v.burst_packets, v.keyframe_s) if v.bitrate_kbit_s > 0 else None
+    return Film(made, _automatics(scenario), link, seed)
+
+
+def _automatics(scenario: Scenario) -> Automatics:
+    c = scenario.camera
+    return Automatics(c.exposure_lag_s, c.exposure_longest_s, c.white_balance_lag_s)
+
+
+def sea_and_vessel(scenario: Scenario, seeds: list[int]) -> tuple[Waves, Vessel]:
+    """Return B seas and the B vessels that ride on them, one for each seed."""
+    v, ship = scenario.vessel, ship_model(scenario)
+    waves = scenario.sea.waves(seeds)
+    course: dict[str, Any] = {
+        "heading_rad": math.radians(v.heading_deg),
+        "speed_m_s": v.speed_m_s,
+        "pad_yaw_rad": math.radians(v.pad_yaw_deg),
+        "mooring": Mooring() if v.moored else None,
+        "seeds": seeds,
+    }
+    if ship.recorded is not None:
+        spare = ship.recorded.period_s if math.isinf(ship.recorded.lasts_s) else ship.recorded.lasts_s - scenario.duration_limit_s
+        starts = [np.random.default_rng([seed, 0x4EC]).random() * spare if ship.random_start else 0.0 for seed in seeds]
+        return waves, RecordedVessel(ship.hull, waves, ship.recorded, starts, **course)
+    if v.turn_rate_deg_s != 0.0:
+        turn = Turn(math.radians(v.turn_rate_deg_s), v.turn_at_s, v.turn_over_s)
+        return waves, TurningVessel(ship.hull, waves, turn, **course)
+    return waves, Vessel(ship.hull, waves, **course)
+
+
+def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, p_pad_ned: F64, R_ned_pad: F64) -> None:
+    """Put the vehicle at the scenario's start position relative to the pad, (3,) m and (3, 3)."""
+    s, v = scenario.start, scenario.vessel
+    yaw = math.radians(s.heading_deg)
+    if s.where == "pad":
+        vehicle.stand(ground, np.array([0.0, 0.0, -vehicle.airframe.feet.below_m]), yaw)
+        return
+    heading = math.atan2(R_ned_pad[1, 0], R_ned_pad[0, 0]) + yaw
+    c, n = math.cos(heading), math.sin(heading)
+    to_pad = (c * s.pad_forward_m - n * s.pad_right_m, n * s.pad_forward_m + c * s.pad_right_m, s.height_m)
+    course = math.radians(v.heading_deg)
+    speed = v.speed_m_s if s.with_vessel else 0.0
+    north, east = scenario.sea.current_ne_m_s if s.with_vessel and not v.moored else (0.0, 0.0)
+    along = np.array([speed * math.cos(course) + north, speed * math.sin(course) + east, 0.0])
+    vehicle.place(p_pad_ned - to_pad, along, heading)
+
+
+def wind_from(speed_m_s: float, from_deg: float) -> tuple[float, float, float]:
+    """Return the velocity of the air in ned, m/s, for a wind that blows from `from_deg`."""
+    a = math.radians(from_deg)
+    return (-speed_m_s * math.cos(a), -speed_m_s * math.sin(a), 0.0)

@@ -1,0 +1,385 @@
+"""One vehicle over one vessel on one sea, in fixed steps: the same scenario and seed give the same flight to the bit.
+
+    world = World(load("demo"), seed=1)
+    world.advance(MonoNs(40_000_000))
+    world.stick(Stick(roll=0.1, progressive=True))
+    world.readings(), world.render(), world.truth()
+
+Commands take effect at the next step; asking for readings, frames or truth changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import Literal
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64, known_rotation
+from estimator.contracts.time import NS_PER_S, MonoNs
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.film import Film
+from sitl.camera.picture_effects import PictureEffects
+from sitl.camera.render_worker import RenderWorker
+from sitl.faults.faulty_streams import VehicleStreams
+from sitl.faults.kinds import FramesMisstamped, FramesShifted, Gust, TiltLimited, WeakRotor
+from sitl.faults.picture import OtherPad, PictureFault
+from sitl.faults.timer import FaultTimer
+from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal
+from sitl.sensors.faulty_sensors import FaultySensors
+from sitl.sensors.sensors import Readings, Sensors
+from sitl.vehicle.airframe import StickLimits
+from sitl.vehicle.rotors import rotors
+from sitl.vehicle.vehicle import SEA, Vehicle, VehiclePhase
+from sitl.vessel.contact import Ground
+from sitl.vessel.manoeuvre import Manoeuvre
+from sitl.vessel.vessel import Mounted
+from sitl.world.physics import Physics, decks_of
+from sitl.world.stage import air, airframe, deck_shape, flight_seeds, limits, place, renderer, sea_and_vessel, wind, wind_from
+from sitl.world.truth import RenderedFrame, Touchdown, Truth
+
+STEP_NS = 4_000_000
+"""Step of the physics: 250 Hz, some fifteen steps to a radian of the stiffest spring."""
+
+_ORIGIN = MonoNs(0)
+_CHUNK = 250
+"""Steps of deck motion computed at once: those of a second."""
+_PHASES = tuple(VehiclePhase)
+
+
+class Stick(Struct, frozen=True):
+    """Stick fractions -1..1 with PCMD's signs. Without `progressive` the vehicle hovers and ignores the fractions."""
+
+    roll: float = 0.0
+    """Roll to the right."""
+    pitch: float = 0.0
+    """Pitch with the nose up, which flies backward."""
+    gaz: float = 0.0
+    """Climb, upward positive."""
+    yaw: float = 0.0
+    """Yaw, clockwise from above."""
+    progressive: bool = False
+
+
+class World:
+    """A simulated flight.
+
+    Args:
+        start: this host's instant at which the flight begins.
+
+    Raises:
+        BadInput: as `sitl.scenario.scenario.refuse_gimbal`.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, start: MonoNs = _ORIGIN) -> None:
+        refuse_gimbal(scenario)
+        self.scenario, self.seed, self.started = scenario, seed, start
+        self.pad, self.camera = pad_model(scenario), camera_model(scenario)
+        self._step_s = STEP_NS / NS_PER_S
+        seeds = flight_seeds(seed)
+        self._camera_seed = seeds.camera
+        self.waves, self.vessel = sea_and_vessel(scenario, [seeds.sea])
+        shape = deck_shape(self.vessel.hull, math.radians(scenario.vessel.pad_yaw_deg))
+        self._vehicle = Vehicle(
+            airframe(scenario), shape, self._step_s, seeds.flight, wind(scenario), air(scenario, self.vessel.hull)
+        )
+        self._vehicle.limits = limits(scenario)
+        self._vehicle.current = scenario.sea.current_ne_m_s
+        self._sensors = Sensors(scenario.sensors, self._vehicle, seeds.sensors)
+        self._tick = 0
+        self.now = start
+        """The latest instant requested; the physics is at most one step behind."""
+        self._physics = Physics(self._vehicle, self._sensors, self.waves)
+        at = self.vessel.pad_at(0.0)
+        self._pads = Mounted(*(x[None, None] for x in (at.p_ned, at.v_ned, at.a_ned, at.R_ned, at.w)))
+        """The pad's motion at the steps after `_pads_at`."""
+        self._pads_at = -1
+        self._decks = decks_of(self._pads)
+        """The same as the core reads it: the next row is `_deck_next`, and those before `_deck_end` hold."""
+        self._deck_next = self._deck_end = 0
+        place(scenario, self._vehicle, Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w), at.p_ned, at.R_ned)
+        self.faults = FaultTimer(scenario.faults, seed)
+        """The faults that are active now."""
+        self.guidance_phase: str | None = None
+        """Phase of guidance if the flight's runner sets it, for faults that begin in a phase."""
+        self.streams = VehicleStreams(self.faults, seed)
+        """What becomes of samples, frames and commands, for the code that carries them."""
+        self._has_faults = bool(self.faults)
+        self._faulty = FaultySensors(self.faults, seed)
+        self._manoeuvre = Manoeuvre(self.vessel, scenario.vessel.speed_m_s, 0.0)
+        self._contacts: list[Touchdown] = []
+        self._touched_s = math.nan
+        """When the newest of them began, by the vehicle's own clock."""
+        self._truth: tuple[tuple[int, float, int], Truth] | None = None
+        """The newest truth that was asked for, and of what it was made: step, phase, contacts."""
+        self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
+        self._picture_effects: PictureEffects | None = None
+        self._renderer: Renderer | Film | None = None
+        self._apply_faults()
+
+    @property
+    def phase(self) -> VehiclePhase:
+        return _PHASES[self._vehicle.phase_word[0]]
+
+    @property
+    def limits(self) -> StickLimits:
+        """The values at full stick; its fields may be set at any time."""
+        return self._vehicle.limits
+
+    @property
+    def at(self) -> MonoNs:
+        """Instant of the newest step of the physics."""
+        return MonoNs(self.started + self._tick * STEP_NS)
+
+    def stick(self, stick: Stick) -> None:
+        """Apply a stick command, which holds until the next one."""
+        self._vehicle.command(stick.roll, stick.pitch, stick.gaz, stick.yaw, stick.progressive)
+
+    def take_off(self) -> None:
+        """Leave the deck and hover; do nothing unless the vehicle is on deck with its motors off."""
+        self._vehicle.take_off()
+
+    def land(self) -> None:
+        """Descend on the spot, held by optical flow, and stop the motors on contact; do nothing unless the vehicle flies."""
+        self._vehicle.land()
+
+    def stay_up(self) -> None:
+        """End the present landing and hover; do nothing unless the vehicle is landing."""
+        self._vehicle.stay_up()
+
+    def emergency(self) -> None:
+        """Stop the motors, wherever it is."""
+        self._vehicle.cut_motors()
+
+    def leave_emergency(self) -> None:
+        """Make the vehicle ready to take off again; do nothing unless it lies still on deck."""
+        self._vehicle.leave_emergency()
+
+    @property
+    def reached(self) -> bool:
+        """Whether commands reach the vehicle."""
+        return not self.streams.commands.silent
+
+    def active(self, kind: str) -> bool:
+        """Return whether a fault of this kind is active."""
+        return self.faults.active(kind)
+
+    def advance(self, to: MonoNs) -> None:
+        """Run the physics up to `to`; an instant in the past changes nothing."""
+        while (left := (to - self.started) // STEP_NS - self._tick) > 0:
+            if self._deck_next == self._deck_end:
+                self._move_deck()
+            if self._has_faults:
+                self._tick += 1  # what begins acts from this step on
+                self._apply_faults()
+                self._run(1)
+            else:
+                self._tick += self._run(left)
+        self.now = max(self.now, to)
+
+    def readings(self) -> Readings:
+        """Return the sensors' readings of the newest step."""
+        true = self._sensors.read(self.at)
+        return self._faulty.distorted(true) if self._has_faults else true
+
+    def render(self) -> RenderedFrame:
+        """Return the bottom camera's frame; the newest step is the middle of its exposure."""
+        return self.expose()()
+
+    @property
+    def renderer(self) -> Renderer | Film:
+        """The renderer of the bottom camera."""
+        if self._renderer is None:
+            self._renderer = renderer(self.scenario, self.waves, self.vessel, self._camera_seed)
+        return self._renderer
+
+    @property
+    def _effects(self) -> PictureEffects:
+        if self._picture_effects is None:
+            self._picture_effects = PictureEffects(self.camera, self.pad, self.renderer.light, self._camera_seed)
+        return self._picture_effects
+
+    def expose(
+        self, worker: RenderWorker | None = None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None = None
+    ) -> Callable[[], RenderedFrame]:
+        """Fix the scene now, and return the call that makes the frame.
+
+        The call may run in another thread while the world goes on. One such call at a time.
+
+        Args:
+            worker: renders the frame from now on; the function then waits for it.
+            camera: replaces the renderer: it receives the scene, or None while the lens is covered, and the number of the step,
+                and returns the image at once.
+        """
+        at, exposure_s = self.at, self.scenario.camera.exposure_s
+        error_s = sum(fault.by_s for fault, _ in self.faults.on(FramesMisstamped))
+        frozen = self.faults.active("frames_frozen") and self._newest_image is not None
+        image, true_view = (self._newest_image, False) if frozen else self._image(worker, camera)
+        assert image is not None
+        self._newest_image = image
+        return lambda: RenderedFrame(image(), at, exposure_s, error_s, true_view)
+
+    def _image(
+        self, worker: RenderWorker | None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None
+    ) -> tuple[Callable[[], NDArray[np.uint8]], bool]:
+        """Return the function that makes the image of the present scene, and whether that is the camera's true view."""
+        covered = self.faults.active("lens_covered")
+        if covered and camera is not None:
+            black = camera(None, self._tick)
+            return lambda: black, False
+        if covered:
+            rng = np.random.default_rng([self._camera_seed, self._tick])
+            dark = rng.integers(0, 8, (self.camera.height, self.camera.width, 3), dtype=np.uint8)
+            return lambda: dark, False
+        aside = self._aside()
+        shot = self._scene(aside)
+        if camera is not None:
+            seen = camera(shot, self._tick)
+            return lambda: seen, aside is None
+        rng = np.random.default_rng([self._camera_seed, self._tick])
+        made = worker.order(shot, rng) if worker is not None else self.renderer.order(shot, rng)
+        wrong = [fault for fault, _ in self.faults.on(PictureFault)]
+        if not wrong:
+            return cache(made), aside is None
+        own, effects = np.random.default_rng([self._camera_seed, self._tick, 3]), self._effects
+        hidden = any(isinstance(fault, OtherPad) and fault.instead for fault in wrong)
+        return cache(lambda: effects.drawn(made(), wrong, shot, own)), aside is None and not hidden
+
+    def _scene(self, aside: F64 | None) -> Exposure:
+        """Return the scene of the camera, `aside` (3,) m in the pad frame beside its true place."""
+        v, pad = self._vehicle, self.pad_motion()
+        p_body_ned = v.p_ned
+        if aside is not None:
+            # The scene stays where it is and the camera looks from beside its true place: every part is seen shifted alike.
+            p_body_ned = p_body_ned - pad.R_ned @ aside
+        return Exposure(
+            t_s=self._seconds,
+            R_ned_body=known_rotation(v.R_ned_body),
+            p_body_ned=p_body_ned,
+            R_ned_pad=known_rotation(pad.R_ned),
+            p_pad_ned=pad.p_ned,
+            v_body_ned=v.v_ned,
+            w_body=v.w_body,
+            v_pad_ned=pad.v_ned,
+            w_pad=pad.w,
+        )
+
+    def _aside(self) -> F64 | None:
+        """Return the offset (3,) m in the pad frame by which a frame exposed now is shifted; None if it is not."""
+        shifting = self.faults.on(FramesShifted)
+        if not shifting:
+            return None
+        chance = np.random.default_rng([self._camera_seed, self._tick, 2])
+        shifts = [f for f, _ in shifting if f.fraction >= 1.0 or chance.random() < f.fraction]
+        aside = np.array([sum(f.forward_m for f in shifts), sum(f.right_m for f in shifts), 0.0])
+        return aside if aside.any() else None
+
+    def truth(self) -> Truth:
+        """Return the true state at the newest step."""
+        of = self._tick, self._vehicle.phase, len(self._contacts)
+        if self._truth is None or self._truth[0] != of:
+            self._truth = of, self._true_state()
+        return self._truth[1]
+
+    def _true_state(self) -> Truth:
+        v, pad = self._vehicle, self.pad_motion()
+        return Truth(
+            at=self.at,
+            p_body_ned=v.p_ned,
+            v_body_ned=v.v_ned,
+            R_ned_body=known_rotation(v.R_ned_body),
+            p_pad_ned=pad.p_ned,
+            v_pad_ned=pad.v_ned,
+            R_ned_pad=known_rotation(pad.R_ned),
+            phase=self.phase,
+            touchdown=self._contacts[-1] if self._contacts else None,
+            contacts=tuple(self._contacts),
+            a_body_ned=v.a_ned,
+            w_body=v.w_body,
+        )
+
+    def pad_ahead(self, ahead_s: F64) -> Mounted:
+        """Return the pad's true motion at (H,) s after the newest step."""
+        times: F64 = self._seconds + ahead_s
+        return self._manoeuvre.pad_ahead(self._seconds, times) if self._manoeuvre else self.vessel.pad(times)
+
+    def pad_motion(self) -> Mounted:
+        """Return the pad's true motion at the newest step, with shapes (3,) and (3, 3)."""
+        n, pads = self._pads_row, self._pads
+        return Mounted(pads.p_ned[0, n], pads.v_ned[0, n], pads.a_ned[0, n], pads.R_ned[0, n], pads.w[0, n])
+
+    @property
+    def _pads_row(self) -> int:
+        return self._tick - self._pads_at - 1
+
+    @property
+    def _seconds(self) -> float:
+        return self._tick * self._step_s
+
+    def _run(self, at_most: int) -> int:
+        """Take so many steps of the physics, or fewer: up to a contact, which is noted; return how many."""
+        v = self._vehicle
+        done = self._physics.run(self._decks, self._deck_next, min(at_most, self._deck_end - self._deck_next))
+        self._deck_next += done
+        if v.touched_word[0] and v.touched_s != self._touched_s:
+            self._touched_s = v.touched_s
+            self._contacts.append(self._contact())
+        return done
+
+    def _move_deck(self) -> None:
+        """Compute the deck's motion at the next steps, many at once."""
+        times = self._step_s * np.arange(self._tick + 1, self._tick + 1 + _CHUNK, dtype=np.float64)
+        self._pads = pads = self._manoeuvre.pad(times) if self._manoeuvre else self.vessel.pad(times)
+        self._decks = decks_of(pads)
+        self._pads_at, self._deck_next, self._deck_end = self._tick, 0, _CHUNK
+
+    def _apply_faults(self) -> None:
+        faults, v = self.faults, self._vehicle
+        for begun in faults.update(self._seconds, self._height_m(), self.guidance_phase):
+            self._faulty.begin(begun, self._sensors.read(self.at))
+            if self._manoeuvre.begin(begun, self._seconds):
+                self._deck_end = min(self._deck_end, self._deck_next + 1)
+        gusts = [_gust(fault, since_s) for fault, since_s in faults.on(Gust)]
+        health = {rotor.name: 1.0 for rotor in rotors(v.airframe)}
+        for fault, _ in faults.on(WeakRotor):
+            health[fault.rotor] *= fault.thrust_fraction
+        v.extra_wind = (sum(g[0] for g in gusts), sum(g[1] for g in gusts), 0.0)
+        v.rotor_health = tuple(health.values())
+        v.flow_works = not faults.active("flow_blind")
+        tilts = [math.radians(fault.to_deg) for fault, _ in faults.on(TiltLimited)]
+        v.tilt_max_rad = min([v.airframe.loops.tilt_max_rad, *tilts])
+
+    def _height_m(self) -> float:
+        """Height of the body's origin over the deck's plane."""
+        pad = self.pad_motion()
+        p, g, R = self._vehicle.p, pad.p_ned.tolist(), pad.R_ned.tolist()
+        return -float(sum(R[i][2] * (p[i] - g[i]) for i in range(3)))
+
+    def _contact(self) -> Touchdown:
+        """Return the contact of the newest step of the physics."""
+        v = self._vehicle
+        d, u, phase = np.array(v.touched_d), v.touched_v, _PHASES[int(v.touched_phase)]
+        lateral = math.hypot(d[0], d[1])
+        deck: Literal["pad", "deck"] = "pad" if lateral <= self.pad.disc_radius_m else "deck"
+        return Touchdown(
+            at=MonoNs(self.started + round(v.touched_s * NS_PER_S)),
+            surface="water" if v.touched_what == SEA else deck,
+            p_body_pad=d,
+            lateral_m=lateral,
+            yaw_rad=v.touched_yaw,
+            vertical_speed_m_s=u[2],
+            lateral_speed_m_s=math.hypot(u[0], u[1]),
+            phase=phase,
+            motors=phase not in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY),
+            guidance_phase=self.guidance_phase,
+        )
+
+
+def _gust(fault: Gust, since_s: float) -> tuple[float, float, float]:
+    """Return the gust's velocity in ned, m/s. Source: the "1 - cosine" discrete gust of MIL-F-8785C, 3.7.1.3, over time."""
+    share = 0.5 * (1.0 - math.cos(math.tau * since_s / (fault.for_s or math.inf)))
+    return wind_from(share * fault.speed_m_s, fault.from_deg)

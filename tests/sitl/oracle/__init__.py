@@ -1,1 +1,0 @@
-"""The simulator's step in plain Python floats: another implementation, against which the core's is checked."""
