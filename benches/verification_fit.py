@@ -26,12 +26,12 @@ sys.path.insert(0, str(ROOT))
 
 from estimator.contracts.samples import Attitude  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
-from estimator.core.interface.look import FITTED  # noqa: E402
 from estimator.vision.detect.acquire import acquire  # noqa: E402
 from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
 from estimator.vision.detect.verification import FEATURES  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
+from estimator.vision.register.fit_verification import FITTED  # noqa: E402
 from estimator.vision.register.look import look  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions  # noqa: E402
 from tests.support.pad_claims import keeps_claim  # noqa: E402

@@ -9,19 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.pictures import CodedPicture, PictureRefusal
+from estimator.core import abi
 from estimator.core.library import CORE
 
-_HEADER, _DECODE = CORE.function("uvlc_header"), CORE.function("uvlc_decode")
-_REFUSALS = (
-    None,
-    PictureRefusal.TOO_SHORT,
-    PictureRefusal.BAD_MAGIC,
-    PictureRefusal.BAD_SIZE,
-    PictureRefusal.INTER_PICTURE,
-    PictureRefusal.TORN,
-    PictureRefusal.BAD_CODE,
-)
-"""What the results of the core mean, in their order (`estimator.core.interface.video.RESULTS`)."""
+_REFUSALS = {
+    abi.UVLC_SHORT: PictureRefusal.TOO_SHORT,
+    abi.UVLC_NO_PICTURE: PictureRefusal.BAD_MAGIC,
+    abi.UVLC_SIZE: PictureRefusal.BAD_SIZE,
+    abi.UVLC_INTER: PictureRefusal.INTER_PICTURE,
+    abi.UVLC_TORN: PictureRefusal.TORN,
+    abi.UVLC_BAD_CODE: PictureRefusal.BAD_CODE,
+}
 
 
 class UvlcDecoder:
@@ -29,16 +27,13 @@ class UvlcDecoder:
 
     def header(self, data: bytes) -> CodedPicture | PictureRefusal:
         """Read what picture the data hold. Never raises."""
-        words = np.zeros(5, np.int64)
-        refusal = _REFUSALS[_HEADER(data, len(data), words.ctypes.data)]
-        if refusal is not None:
-            return refusal
-        width, height, _, quantizer, number = words.tolist()
-        return CodedPicture(width, height, quantizer, number)
+        read = CORE.ffi.new("dl_uvlc_picture *")
+        refusal = _REFUSALS.get(CORE.lib.dl_uvlc_header(data, len(data), read))
+        return refusal or CodedPicture(read.width, read.height, read.quantizer, read.number)
 
     def decode(self, data: bytes, picture: CodedPicture) -> NDArray[np.uint8] | PictureRefusal:
         """Return a whole picture's pixels, (height, width, 3) BGR; `picture` is its header. Never raises."""
-        words = np.array([picture.width, picture.height, 1, picture.quantizer, picture.number], np.int64)
+        header = CORE.ffi.new("dl_uvlc_picture *", {"width": picture.width, "height": picture.height})
         px = np.empty((picture.height, picture.width, 3), np.uint8)
-        refusal = _REFUSALS[_DECODE(data, len(data), words.ctypes.data, px.ctypes.data)]
+        refusal = _REFUSALS.get(CORE.lib.dl_uvlc_decode(data, len(data), header, CORE.array("uint8_t", px), px.size))
         return px if refusal is None else refusal

@@ -1,7 +1,7 @@
 """Mutants of the native core's C files.
 
-Only the changed file is compiled; it is linked with the objects of the others. The tests meet a door to the core whose
-library can be replaced.
+Only the changed file is compiled; it is linked with the objects of the others. The door to the core loads the library that is
+made of them in place of its own.
 """
 
 from __future__ import annotations
@@ -28,31 +28,6 @@ _THOROUGH = ("-O2",)
 _TRAPPED = (*_THOROUGH, "-fsanitize=bounds-strict,object-size", "-fsanitize-undefined-trap-on-error", "-fstack-protector-all")
 """How the changed file is compiled: an index beyond the end of an array ends the test, whatever lies there. Only the optimizer
 follows an array into a called function."""
-
-
-class Replaceable:
-    """Stands for the loaded core while the modules under test are imported: its library is chosen later, and again."""
-
-    def __init__(self, load: Callable[[str], Any], library: Path) -> None:
-        self._load = load
-        self._core = load(str(library))
-        self._calls: dict[str, Any] = {}
-
-    def replace(self, library: Path) -> None:
-        """Call another library from now on."""
-        self._core, self._calls = self._load(str(library)), {}
-
-    def function(self, name: str) -> Callable[..., Any]:
-        """Return what calls a function of the library that is loaded at the time of the call."""
-        self._core.function(name)
-
-        def call(*arguments: Any) -> Any:
-            known = self._calls.get(name)
-            if known is None:
-                known = self._calls[name] = self._core.function(name)
-            return known(*arguments)
-
-        return call
 
 
 class Workshop:
@@ -112,13 +87,13 @@ class Workshop:
 
 
 class _Native(Forks):
-    def __init__(self, shop: Workshop, door: Replaceable, tally: Tally, mutants: Sequence[Mutant]) -> None:
+    def __init__(self, shop: Workshop, door: Any, tally: Tally, mutants: Sequence[Mutant]) -> None:
         super().__init__(tally)
         self._shop, self._door, self._mutants = shop, door, mutants
         self._original = shop.original(_TRAPPED)
 
     def on_original(self, k: int) -> Callable[[], None]:
-        return lambda: self._door.replace(self._original)
+        return lambda: self._door.load(str(self._original))
 
     def judge(self) -> None:
         for mutant in self._mutants:
@@ -129,7 +104,7 @@ class _Native(Forks):
                 library = self._shop.linked("mutant.so", self._shop.compiled(mutant.source, "mutant.c", _TRAPPED))
             except core.BuildError:
                 continue
-            killed = self.is_killed(lambda made=library: self._door.replace(made))  # type: ignore[misc]
+            killed = self.is_killed(lambda made=library: self._door.load(str(made)))  # type: ignore[misc]
             if not killed and self._shop.alike(mutant.source, _THOROUGH):
                 self.tally.compiled_alike += 1
             else:
@@ -150,8 +125,7 @@ def judge_native(path: str, tests: Sequence[str], share: float, seed: int, *, ro
             tally = Tally(path, out=child.quiet())
             shop = Workshop(Path(folder), core.FLYING, root / path)
             sys.path.insert(0, str(root))
-            library = importlib.import_module("estimator.core.library")
-            door = vars(library)["CORE"] = Replaceable(library.load, shop.linked("first.so"))
+            door = importlib.import_module("estimator.core.library").CORE
             wrong = _Native(shop, door, tally, drawn).run([str(root / test) for test in tests])
             report.write_text(tally.dumped())
             return wrong

@@ -11,35 +11,33 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import STRUCTS, places_of, size_of
 from estimator.core.library import start_of
-from sitl.core.library import CORE
+from sitl.core.library import SIM, places_of, size_of
 
-render_average = CORE.function("render_average")
-render_blur = CORE.function("render_blur")
-render_bounds = CORE.function("render_bounds")
-render_deck = CORE.function("render_deck")
-render_expose = CORE.function("render_expose")
-render_fill = CORE.function("render_fill")
-render_frame = CORE.function("render_frame")
-render_image = CORE.function("render_image")
-render_meet = CORE.function("render_meet")
-render_mix = CORE.function("render_mix")
-render_pad_kinds = CORE.function("render_pad_kinds")
-render_pad_lens = CORE.function("render_pad_lens")
-render_pad_shares = CORE.function("render_pad_shares")
-render_sea = CORE.function("render_sea")
-render_shadow = CORE.function("render_shadow")
-render_smear = CORE.function("render_smear")
-render_swell = CORE.function("render_swell")
-render_water = CORE.function("render_water")
-sensors_read = CORE.function("sensors_read")
-sim_run = CORE.function("sim_run")
-uvlc_encode = CORE.function("uvlc_encode")
-vehicle_carry = CORE.function("vehicle_carry")
-vehicle_step = CORE.function("vehicle_step")
-vessel_mounted = CORE.function("vessel_mounted")
-vessel_moved = CORE.function("vessel_moved")
+render_average = SIM.function("render_average")
+render_blur = SIM.function("render_blur")
+render_bounds = SIM.function("render_bounds")
+render_deck = SIM.function("render_deck")
+render_expose = SIM.function("render_expose")
+render_fill = SIM.function("render_fill")
+render_frame = SIM.function("render_frame")
+render_image = SIM.function("render_image")
+render_meet = SIM.function("render_meet")
+render_mix = SIM.function("render_mix")
+render_pad_kinds = SIM.function("render_pad_kinds")
+render_pad_lens = SIM.function("render_pad_lens")
+render_pad_shares = SIM.function("render_pad_shares")
+render_sea = SIM.function("render_sea")
+render_shadow = SIM.function("render_shadow")
+render_smear = SIM.function("render_smear")
+render_swell = SIM.function("render_swell")
+render_water = SIM.function("render_water")
+sensors_read = SIM.function("sensors_read")
+sim_run = SIM.function("sim_run")
+vehicle_carry = SIM.function("vehicle_carry")
+vehicle_step = SIM.function("vehicle_step")
+vessel_mounted = SIM.function("vessel_mounted")
+vessel_moved = SIM.function("vessel_moved")
 
 
 _first_byte: Callable[[Any], Any] = ctypes.c_char.from_buffer
@@ -66,7 +64,7 @@ class Packed:
     """One structure of the core, in memory of our own.
 
     Args:
-        name: of the structure in `estimator.core.interface`.
+        name: of the structure in `decklander_sim.h`.
         values: its members by name; those that are left out are zero.
 
     Raises:
@@ -83,10 +81,9 @@ class Packed:
 
 def write(words: F64, name: str, **values: Any) -> None:
     """Write members of a structure whose words these are; errors as `Packed`."""
-    places, types = places_of(name), {member.name: member.type for member in STRUCTS[name]}
-    integers = words.view(np.int64)
+    places, integers = places_of(name), words.view(np.int64)
     for member, value in values.items():
-        (integers if types[member] == "int64_t" else words)[places[member]] = value
+        (integers if SIM.dtype(name)[member].base == np.int64 else words)[places[member]] = value
 
 
 _T = TypeVar("_T", bound="Member")
@@ -103,9 +100,9 @@ class Member:
     def __init__(self, owner: str, name: str) -> None:
         of, _, member = name.partition(".")
         place = places_of(of)[member]
-        kind = next(m.type for m in STRUCTS[of] if m.name == member)
+        kind = SIM.dtype(of)[member].base
         self._owner, self._at = owner, 8 * place.start
-        self._layout = struct.Struct(f"{place.stop - place.start}{'q' if kind == 'int64_t' else 'd'}")
+        self._layout = struct.Struct(f"{place.stop - place.start}{'q' if kind == np.int64 else 'd'}")
 
     def _read(self, owner: object) -> tuple[Any, ...]:
         return self._layout.unpack_from(getattr(owner, self._owner).buffer, self._at)

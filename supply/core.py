@@ -1,12 +1,13 @@
-"""Build the native libraries: `python -m supply.core` compiles the C files of each and links those that changed.
+"""Build the native libraries: `python -m supply.core` compiles the C files of each that changed, links them, and binds them.
 
-The compiler is `cc` where there is one, else zig's, from `requirements/compiler.txt`. `--header` writes `interface.h` from
-`interface/`. This module needs only the standard library: a build environment has no other.
+The compiler is `cc` where there is one, else zig's, from `requirements/compiler.txt`. Python's side of a library is `abi.py`
+beside it, which cffi makes from the library's header. A build environment has no other package.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hashlib
 import importlib.util
 import os
@@ -15,36 +16,50 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import zlib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
+from cffi import FFI
+
 ROOT = Path(__file__).parents[1]
 CORE = ROOT / "estimator/core"
 SIM_CORE = ROOT / "sitl/core"
-HEADER = CORE / "interface.h"
 OBJECTS = ROOT / "build/core"
 """The folder of compiled files. An object's name holds the digest of all that it was compiled from."""
 
 
 class Library(NamedTuple):
-    """A native library: the file that it is built into, the folders of its headers, and its C files."""
+    """A native library: the file that it is built into, the header that it is called by, its C files, folders of headers."""
 
     file: Path
-    includes: tuple[Path, ...]
+    header: Path
     sources: tuple[Path, ...]
+    includes: tuple[Path, ...]
+
+    @property
+    def abi(self) -> Path:
+        """Return the module that Python calls the library through."""
+        return self.header.with_name("abi.py")
+
+    @property
+    def digest(self) -> int:
+        """Return the digest of the header, by which the library and the module know each other."""
+        return zlib.crc32(self.header.read_bytes())
 
     def part(self, *patterns: str) -> Library:
         """Return a library of those C files alone whose paths match."""
         return self._replace(sources=tuple(s for s in self.sources if any(s.match(pattern) for pattern in patterns)))
 
 
-FLYING = Library(CORE / "libdecklander.so.1", (CORE,), tuple(sorted(CORE.rglob("*.c"))))
+FLYING = Library(CORE / "libdecklander.so.1", CORE / "decklander.h", tuple(sorted(CORE.rglob("*.c"))), (CORE,))
 SIMULATED = Library(
     SIM_CORE / "libdecklander_sim.so.1",
-    (SIM_CORE, CORE),
+    SIM_CORE / "decklander_sim.h",
     (*sorted(SIM_CORE.rglob("*.c")), CORE / "base/digest.c", CORE / "base/rotation.c"),
+    (SIM_CORE, CORE),
 )
 LIBRARIES = (FLYING, SIMULATED)
 
@@ -52,7 +67,7 @@ LIBRARIES = (FLYING, SIMULATED)
 def all_in_one() -> list[str]:
     """Return the compiler's arguments for a program of both libraries: folders of headers, and every C file once."""
     sources = {source for library in LIBRARIES for source in library.sources}
-    return [*(f"-I{folder}" for folder in SIMULATED.includes), *map(str, sorted(sources))]
+    return [f"-DHEADER_DIGEST={FLYING.digest}u", *(f"-I{folder}" for folder in SIMULATED.includes), *map(str, sorted(sources))]
 
 
 FLAGS = (
@@ -118,11 +133,16 @@ def build(library: Library, out: Path | None = None, extra: Sequence[str] = (), 
     """
     out = out or library.file
     used = compiler() if architecture is None else cross_compiler(architecture)
-    command = [*used, *FLAGS, *extra, *(f"-I{folder}" for folder in library.includes)]
-    identity = f"{command}{_run([*used, '--version'])}"
+    common = [*used, *FLAGS, *extra, *(f"-I{folder}" for folder in library.includes)]
+    version = _run([*used, "--version"])
     OBJECTS.mkdir(parents=True, exist_ok=True)
+
+    def compiled(source: Path) -> Path:
+        digest = [f"-DHEADER_DIGEST={library.digest}u"] if source.name == "digest.c" else []
+        return _object([*common, *digest, "-c", str(source)], _read_by(source, library.includes), version)
+
     with ThreadPoolExecutor(os.cpu_count()) as workers:
-        objects = list(workers.map(lambda source: _object(command, source, library.includes, identity), library.sources))
+        objects = list(workers.map(compiled, library.sources))
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".core-") as folder:
         made = Path(folder, out.name)
         _run([*used, "-shared", *extra, *map(str, objects), "-o", str(made), "-lm"])
@@ -130,13 +150,13 @@ def build(library: Library, out: Path | None = None, extra: Sequence[str] = (), 
     return out
 
 
-def _object(command: Sequence[str], source: Path, includes: Sequence[Path], identity: str) -> Path:
-    """Return the object of a C file; compile it if nothing was compiled from the same texts by the same command."""
-    texts = [identity, *(path.read_text() for path in _read_by(source, includes))]
-    made = OBJECTS / f"{source.stem}-{hashlib.sha256(chr(0).join(texts).encode()).hexdigest()[:20]}.o"
+def _object(command: Sequence[str], read: Sequence[Path], version: str) -> Path:
+    """Return the object that a command makes of some files; run it if it was not yet run on the same texts."""
+    texts = [version, *command, *(path.read_text() for path in read)]
+    made = OBJECTS / f"{read[0].stem}-{hashlib.sha256(chr(0).join(texts).encode()).hexdigest()[:20]}.o"
     if not made.exists():
         with tempfile.TemporaryDirectory(dir=OBJECTS) as folder:
-            _run([*command, "-c", str(source), "-o", f"{folder}/made.o"])
+            _run([*command, "-o", f"{folder}/made.o"])
             Path(folder, "made.o").replace(made)
     return made
 
@@ -160,28 +180,37 @@ def _run(command: Sequence[str]) -> str:
     return done.stdout
 
 
-def header() -> str:
-    """Return the C header of the interface that `estimator/core/interface` describes."""
-    place = CORE / "interface"
-    spec = importlib.util.spec_from_file_location("interface", place / "__init__.py", submodule_search_locations=[str(place)])
-    assert spec is not None
-    assert spec.loader is not None
-    interface = sys.modules["interface"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(interface)
-    return str(interface.header())
+def bind(library: Library, out: Path | None = None) -> Path:
+    """Write the module that Python calls a library through: its declarations, its enumerations, and its digest.
+
+    Args:
+        library: the library.
+        out: the file to write, by default the library's own.
+    """
+    out = out or library.abi
+    declared = FFI()
+    declared.set_source(".".join(library.abi.relative_to(ROOT).with_suffix("").parts), None)
+    declared.cdef(re.sub(r"^#.*$", "", library.header.read_text(), flags=re.MULTILINE))  # without the preprocessor's lines
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=".core-") as folder:
+        made = Path(folder, out.name)
+        with contextlib.redirect_stdout(None):
+            declared.emit_python_code(str(made))
+        entries = declared.dlopen(None)
+        numbers = {name: value for name in dir(entries) if isinstance(value := getattr(entries, name, None), int)}
+        with made.open("a") as file:
+            file.write("".join(f"{name} = {value}\n" for name, value in {"DIGEST": library.digest, **numbers}.items()))
+        made.replace(out)
+    return out
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m supply.core", description="Build the native libraries.")
-    parser.add_argument("--header", action="store_true", help="write interface.h from interface/, and build nothing")
-    args = parser.parse_args(argv)
-    if args.header:
-        HEADER.write_text(header())
-        return 0
+    parser.parse_args(argv)
     try:
         for library in LIBRARIES:
             build(library)
+            bind(library)
     except BuildError as why:
         print(f"{why}", file=sys.stderr)
         return 1

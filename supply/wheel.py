@@ -34,6 +34,8 @@ class CoreHook(BuildHookInterface[Any]):
         for library in core.LIBRARIES:
             made = core.build(library, Path(self._folder.name, library.file.name), architecture=architecture)
             build_data["force_include"][str(made)] = str(library.file.relative_to(self.root))
+            bound = core.bind(library, Path(self._folder.name, f"{library.file.name}.py"))
+            build_data["force_include"][str(bound)] = str(library.abi.relative_to(self.root))
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{platform.replace('-', '_').replace('.', '_')}"
 

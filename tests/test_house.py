@@ -64,8 +64,6 @@ MACHINE = [
     re.compile("|".join([re.escape("/" + "work/"), r"/ro" + r"ot/", r"/home/\w+/", r"/Us" + r"ers/\w+/"])),
     re.compile("index" + "-url|find" + "-links|files.python" + r"hosted|\"resolved\": *\"http|registry = \"http"),
 ]
-READ_BY_PATH = "estimator.core.interface"
-"""A package that is read by its path where `estimator` cannot be imported yet; it imports its own parts by relative names."""
 UNFINISHED = re.compile("|".join(["TO" + "DO", "FIX" + "ME", "XX" + "X", "NotImplemented" + "Error"]))
 
 
@@ -114,7 +112,7 @@ def wrong_imports(module: str, source: str) -> list[str]:
     found = set(imports(parsed(source)))
     ours = {name for name in found if within(name, *PACKAGES, "tests")}
     beside = {name for name in found if name.startswith(".")}
-    wrong = (set() if within(module, READ_BY_PATH) else beside) | {name for name in ours if within(name, "tests")}
+    wrong = beside | {name for name in ours if within(name, "tests")}
     if within(module, "estimator.contracts"):
         wrong |= {name for name in ours if not within(name, "estimator.contracts") and name != "estimator"}
         wrong |= {n for n in found - ours if n.partition(".")[0] not in sys.stdlib_module_names | {"msgspec", "numpy"}}

@@ -10,6 +10,7 @@ import struct
 from functools import lru_cache
 
 import numpy as np
+from estimator.core.abi import UNDER_WAY_MAX
 
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.disturbance import ObserverGains
@@ -19,7 +20,6 @@ from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import BodyMotion
 from estimator.core.interface import size_of
-from estimator.core.interface.guidance import UNDER_WAY_MAX
 from estimator.core.library import address
 from estimator.core.records import record
 from estimator.ekf import Forecast

@@ -1,12 +1,14 @@
-"""The door to the built library: the only place of the estimator that loads a file.
+"""The door to a native library: its entries, the numbers of its header, and its structures in memory of ours.
 
-The library lies beside this module. It has no state and allocates nothing, so any thread may call it. ctypes releases the
-interpreter's lock for the time of a call.
+The library of the estimator lies beside this module. Any thread may call it: its entries change only what they are given. A call
+releases the interpreter's lock. cffi refuses a pointer to another structure with a TypeError.
 """
 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Mapping
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -14,73 +16,149 @@ from numpy.typing import NDArray
 
 from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.geometry import F64
-from estimator.core.interface import FUNCTIONS, digest
-from estimator.core.interface.describe import Function
+from estimator.core import CURE, abi
 
 FILE = f"{__file__.rpartition('/')[0]}/libdecklander.so.1"
 """Where `python -m supply.core` puts the library. Python would take a name that ends with ".so" for an extension module."""
-_CURE = "build it: `make core` in a checkout, or install decklander again"
-_TYPES = {
-    "double": ctypes.c_double,
-    "float": ctypes.c_float,
-    "uint8_t": ctypes.c_uint8,
-    "int32_t": ctypes.c_int32,
-    "uint32_t": ctypes.c_uint32,
-    "int64_t": ctypes.c_int64,
-    "uint64_t": ctypes.c_uint64,
-}
 
 
-class Core:
-    """The functions of one loaded library, by name."""
+class Door:
+    """A loaded library. `lib` has its entries, `ffi` the types of its header.
 
-    def __init__(self, library: ctypes.CDLL) -> None:
-        self._library = library
+    Call entries as `door.lib.name(...)` each time: tests load another library in its place.
 
-    def function(self, name: str) -> Any:
-        """Return a function with its types declared; pointers are given as addresses.
-
-        Raises:
-            KeyError: the interface has no such function.
-        """
-        found = next((function for function in FUNCTIONS if function.name == name), None)
-        if found is None:
-            raise KeyError(f"the core's interface has no function {name!r}")
-        call = getattr(self._library, name)
-        call.restype = _TYPES[found.result] if found.result != "void" else None
-        call.argtypes = _parameter_types(found)
-        return call
-
-
-def _parameter_types(function: Function) -> list[Any]:
-    if function.parameters == "void":
-        return []
-    return [
-        ctypes.c_void_p if "*" in parameter else _TYPES[parameter.strip().partition(" ")[0]]
-        for parameter in function.parameters.split(",")
-    ]
-
-
-def load(file: str = FILE) -> Core:
-    """Load the library and hold it to the interface.
+    Args:
+        made: the module that was made from the library's header.
+        file: the library.
 
     Raises:
-        SetupImpossible: it is missing, no library for this machine, or built for another interface.
+        SetupImpossible: it is missing, no library for this machine, or built from another header.
     """
-    try:
-        library = ctypes.CDLL(file)
-    except OSError as why:
-        raise SetupImpossible(f"the native core {file} cannot be loaded ({why}); {_CURE}") from why
-    try:
-        library.core_digest.restype = ctypes.c_uint32
-        found = int(library.core_digest())
-    except AttributeError as why:
-        raise SetupImpossible(f"{file} is not the native core; {_CURE}") from why
-    if found != digest():
-        raise SetupImpossible(
-            f"the native core {file} was built for interface {found:08x}, this code needs {digest():08x}; {_CURE}"
+
+    lib: Any
+
+    def __init__(self, made: ModuleType, file: str) -> None:
+        self.ffi = made.ffi
+        self._digest: int = made.DIGEST
+        self._dtypes: dict[str, tuple[np.dtype[Any], Any]] = {}
+        self.load(file)
+
+    def load(self, file: str) -> None:
+        """Call this library from now on.
+
+        Raises:
+            SetupImpossible: as at the start.
+        """
+        try:
+            lib = self.ffi.dlopen(file)
+            found = int(lib.dl_digest())
+        except OSError as why:
+            raise SetupImpossible(f"the native core {file} cannot be loaded ({why}); {CURE}") from why
+        except self.ffi.error as why:
+            raise SetupImpossible(f"{file} is not the native core; {CURE}") from why
+        if found != self._digest:
+            raise SetupImpossible(
+                f"the native core {file} was built for interface {found:08x}, this code needs {self._digest:08x}; {CURE}"
+            )
+        self.lib = lib
+
+    def dtype(self, kind: str) -> np.dtype[Any]:
+        """Return the layout of a C type as numpy's: of a number by its name, of a structure with its members."""
+        return self._known(kind)[0]
+
+    def names(self, enumeration: str) -> dict[str, int]:
+        """Return the names of an enumeration and their values, in order."""
+        return dict(sorted(self.ffi.typeof(f"enum {enumeration}").relements.items(), key=lambda named: named[1]))
+
+    def function(self, name: str) -> Any:
+        """Return a function with its types declared; pointers are given as addresses."""
+
+        def call(*values: Any) -> Any:
+            entry = getattr(self.lib, name)
+            types = self.ffi.typeof(entry).args
+            return entry(
+                *(
+                    self._pointer(kind, value) if kind.kind == "pointer" else value
+                    for kind, value in zip(types, values, strict=True)
+                )
+            )
+
+        return call
+
+    def _pointer(self, kind: Any, value: Any) -> Any:
+        return self.ffi.cast(kind, value if isinstance(value, int) else self.ffi.from_buffer(value) if value is not None else 0)
+
+    def record(self, kind: str, /, **values: Any) -> NDArray[Any]:
+        """Return a structure, an array without axes whose members are read and written as `record["name"]`.
+
+        Args:
+            kind: the structure's name in the header.
+            values: its members by name: a number, an array, a mapping for a structure, or a sequence of mappings. Those that are
+                left out are zero, as are elements after those given.
+
+        Raises:
+            ValueError: the structure has no such member, or it holds fewer elements.
+            TypeError: a number of another kind.
+        """
+        made = np.zeros((), self.dtype(kind))
+        _fill(made, values)
+        return made
+
+    def array(self, kind: str, values: NDArray[Any], count: int | None = None) -> Any:
+        """Return the memory of an array as C's, for a parameter that points to this kind.
+
+        Args:
+            kind: a number or a structure of the header.
+            values: the array, its elements one after the other.
+            count: how many elements C takes for granted. By default C is told by another parameter.
+
+        Raises:
+            TypeError: the elements are of another kind.
+            ValueError: there are more or fewer of them, or they do not lie one after the other.
+        """
+        dtype, pointer = self._known(kind)
+        if values.dtype != dtype:
+            raise TypeError(f"the core takes {kind}, not {values.dtype}")
+        if count is not None and values.size != count:
+            raise ValueError(f"the core takes {count} of {kind}, not {values.size}")
+        return self.ffi.from_buffer(pointer, values)
+
+    def _known(self, kind: str) -> tuple[np.dtype[Any], Any]:
+        known = self._dtypes.get(kind)
+        if known is None:
+            known = self._dtypes[kind] = (self._dtype(self.ffi.typeof(kind)), self.ffi.typeof(f"{kind}[]"))
+        return known
+
+    def _dtype(self, kind: Any) -> np.dtype[Any]:
+        if kind.kind == "primitive":
+            return np.dtype({"double": "f8", "float": "f4"}.get(kind.cname) or kind.cname.removesuffix("_t"))
+        if kind.kind == "array":
+            return np.dtype((self._dtype(kind.item), (kind.length,)))
+        members = dict(kind.fields)
+        return np.dtype(
+            {
+                "names": list(members),
+                "formats": [self._dtype(member.type) for member in members.values()],
+                "offsets": [member.offset for member in members.values()],
+                "itemsize": self.ffi.sizeof(kind),
+            }
         )
-    return Core(library)
+
+
+def _fill(place: NDArray[Any], values: Mapping[str, Any]) -> None:
+    for name, value in values.items():
+        member = place[name].reshape(-1)
+        if member.dtype.names is None:
+            each = np.ravel(value)
+        else:
+            each = [value] if isinstance(value, Mapping) else value
+        if len(each) > len(member):
+            raise ValueError(f"{name} holds {len(member)} elements, not {len(each)}")
+        if member.dtype.names is None:
+            np.copyto(member[: len(each)], each, casting="same_kind")
+            continue
+        for i, one in enumerate(each):
+            _fill(member[i, ...], one)
 
 
 def address(array: F64) -> int:
@@ -99,5 +177,5 @@ def start_of(block: NDArray[Any]) -> int:
     return ctypes.addressof(ctypes.c_double.from_buffer(block.data))
 
 
-CORE = load()
+CORE = Door(abi, FILE)
 """The library that flies."""

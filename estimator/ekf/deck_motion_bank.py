@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
+from estimator.core.abi import DIRECTIONS, MEMBER_PAIRS, MEMBER_STATES, MEMBERS
 from estimator.core.interface import places_of, size_of
-from estimator.core.interface.filter import DIRECTIONS, MEMBER_PAIRS, MEMBER_STATES, MEMBERS
 from estimator.core.library import CORE, address, start_of
 from estimator.ekf import skill
 from estimator.ekf.oscillator import stationary

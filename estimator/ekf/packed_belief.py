@@ -1,6 +1,6 @@
 """Beliefs as the native core holds them, and the calls of the core that make one of another.
 
-A packed belief is one in the layout of `estimator.core.interface`: its numbers, its covariance and its deck motion bank, each in
+A packed belief is one in the layout of the core's header: its numbers, its covariance and its deck motion bank, each in
 a block that later beliefs share until an event changes it. It becomes a `Belief` when one asks.
 """
 
@@ -15,8 +15,9 @@ from msgspec import Struct
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
-from estimator.core.interface import CONSTANTS, places_of, size_of
-from estimator.core.interface.filter import COLUMNS_MAX, EXCESSES_MAX, KINDS
+from estimator.core import abi
+from estimator.core.abi import COLUMNS_MAX, EXCESSES_MAX, KINDS
+from estimator.core.interface import places_of, size_of
 from estimator.core.library import CORE, address, start_of
 from estimator.ekf.deck_motion_bank import SEA_SIZE, PackedSea
 from estimator.ekf.outcome import Outcome
@@ -27,11 +28,8 @@ from estimator.late import Late
 if TYPE_CHECKING:
     from estimator.ekf.motion import ProcessNoise
 
-STATE_ALONE, WITH_COVARIANCE, WITH_AIDING = (CONSTANTS[name] for name in ("STATE_ALONE", "WITH_COVARIANCE", "WITH_AIDING"))
-"""How far `propagate` goes: the covariance as often as the options ask, to the instant, or with all gathered samples fused."""
-
 _RUN, _PROPAGATE, _SETTLE = (CORE.function(name) for name in ("filter_run", "filter_propagate", "filter_settle"))
-_VERDICTS = {CONSTANTS[v.name]: v for v in (Verdict.FUSED, Verdict.GATED, Verdict.SINGULAR, Verdict.LOW_CONFIDENCE)}
+_VERDICTS = {getattr(abi, v.name): v for v in (Verdict.FUSED, Verdict.GATED, Verdict.SINGULAR, Verdict.LOW_CONFIDENCE)}
 
 
 _BELIEF, _AID, _OUTCOME = places_of("belief"), places_of("aid"), places_of("outcome")

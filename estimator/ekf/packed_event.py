@@ -10,7 +10,8 @@ from msgspec import Struct
 
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
-from estimator.core.interface import CONSTANTS, size_of
+from estimator.core import abi
+from estimator.core.interface import size_of
 
 Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
 """What the filter processes."""
@@ -77,7 +78,7 @@ def _seen(s: Sighting) -> bytes:
 
 
 def _kind(name: str, values_of: Callable[[Any], bytes], n: int) -> tuple[int, Callable[[Any], bytes], bytes]:
-    return CONSTANTS[name], values_of, bytes(8 * (_VALUES - n))
+    return getattr(abi, name), values_of, bytes(8 * (_VALUES - n))
 
 
 _KINDS: dict[type[Event], tuple[int, Callable[[Any], bytes], bytes]] = {

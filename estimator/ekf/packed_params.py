@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import CONSTANTS, places_of, size_of
-from estimator.core.interface.filter import ROWS_MAX
+from estimator.core import abi
+from estimator.core.abi import ROWS_MAX
+from estimator.core.interface import places_of, size_of
 from estimator.ekf import deck_motion_bank, gate
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def packed_params(noise: ProcessNoise) -> F64:
     integers = words.view(np.int64)
     surface = {"auto": "OVER_EITHER", "either": "OVER_EITHER", "pad": "OVER_PAD"}.get(o.velocity_is_over, "OVER_GROUND")
     integers[places["hold_ns"]] = round(o.hold_s * 1e9)
-    integers[places["velocity_is_over"]] = CONSTANTS[surface]
+    integers[places["velocity_is_over"]] = getattr(abi, surface)
     for name in ("reopen_count", "sighting_has_attitude_error"):
         integers[places[name]] = getattr(o, name)
     for name in (

@@ -9,10 +9,11 @@ import numpy as np
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, rpy_matrix
 from estimator.contracts.samples import Attitude, Imu
+from estimator.core.abi import WITH_COVARIANCE
 from estimator.ekf import deck_motion_bank, so3
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.packed_belief import WITH_COVARIANCE, PackedBelief
+from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import Event, packed_event
 from estimator.ekf.propagate import FilterParams
 from estimator.ekf.so3 import Vec3

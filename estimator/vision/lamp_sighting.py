@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from estimator.contracts.estimates import Feature, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
+from estimator.core.abi import LAMP_PAIRS
 from estimator.core.interface import places_of, size_of
-from estimator.core.interface.lamps import LAMP_PAIRS
 from estimator.core.library import CORE, start_of
 from estimator.core.records import record
 from estimator.vision.believed import expected, sigma_of

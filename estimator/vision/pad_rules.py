@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from estimator.core.interface.registration import FIGURE_CUTS, FIGURE_RECTANGLES, FIGURE_SIDES
+from estimator.core.abi import FIGURE_CUTS, FIGURE_RECTANGLES, FIGURE_SIDES
 from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.file_numbers import shown
 from estimator.vision.lamp import Lamp

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.native import address, uvlc_encode
+from sitl.core.library import SIM
 
 FINEST = 31
 """The quantizer that captures of the real drone show: it stands for the steps of quantizer 2, the finest that the drone uses."""
@@ -30,8 +30,9 @@ def encode(px: NDArray[np.uint8], number: int, quantizer: int = FINEST) -> bytes
     px = np.ascontiguousarray(px)
     out = np.empty(DATAGRAM_MAX, np.uint8)
     for steps in (quantizer, *_COARSER):
-        words = np.array([width, height, 1, steps, number % 2**32], np.int64)
-        size = uvlc_encode(address(px, np.uint8, (height, width, 3)), address(words, np.int64), len(out), address(out, np.uint8))
+        picture = SIM.ffi.new("sim_uvlc_picture *", (width, height, steps, number % 2**32))
+        coded = SIM.array("uint8_t", out)
+        size = SIM.lib.sim_uvlc_encode(SIM.array("uint8_t", px, 3 * width * height), px.size, picture, coded, len(out))
         if size < 0:
             raise ValueError(f"UVLC has no picture of {width}x{height} px with quantizer {steps}")
         if size > 0:

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.interface.render import GAIN_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.camera.drops import Drops, wet_lens
@@ -29,6 +28,7 @@ from sitl.camera.render.pad import PadPainter, Pose, Stroke
 from sitl.camera.render.sea import SeaPainter
 from sitl.camera.render.ship import hull_side, on_water
 from sitl.camera.surroundings import Surroundings
+from sitl.core.abi import GAIN_ONE
 
 U8 = NDArray[np.uint8]
 

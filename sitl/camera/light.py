@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput
-from estimator.core.interface.render import (
+from sitl.camera.projection import F32
+from sitl.core.abi import (
     CELL_PX,
     COUNTS_BY_EIGHT,
     GAIN_ONE,
@@ -27,10 +28,9 @@ from estimator.core.interface.render import (
     LEVELS_BY_EIGHT,
     LEVELS_BY_ONE,
     LIGHT_LEVELS,
-    PAINTS,
+    PAD_PAINTS,
     SCENE_ONE,
 )
-from sitl.camera.projection import F32
 from sitl.native import address, render_blur, render_expose, render_frame, render_image, render_mix, render_pad_lens
 
 U8 = NDArray[np.uint8]
@@ -255,11 +255,11 @@ class PadInImage:
     """The pad in one frame."""
 
     kinds: U8
-    """(H, W) paint of each pixel in the order of `PAINTS`, or `PAD_EDGE` where there are several."""
+    """(H, W) paint of each pixel in the order of `pad_paint_kind`, or `PAD_EDGE` where there are several."""
     edges: NDArray[np.int32]
     """(N,) numbers of the pixels that edges touch, by bands of `CELL_PX` rows from the top of the frame to its bottom."""
     shares: F32
-    """(N, 6) coverage of these by the paints in the order of `PAINTS`; each row sums to 1."""
+    """(N, 6) coverage of these by the paints in the order of `pad_paint_kind`; each row sums to 1."""
     fine: int = 1
     """Each of these is divided into `fine` x `fine` parts."""
     parts: F32 | None = None
@@ -376,7 +376,7 @@ class Development:
             len(pad.edges), address(pad.edges, np.int32), address(pad.shares, np.float32),
             pad.fine, address(pad.parts, np.float32), reach, address(exact, np.float32), address(sampled, np.float32),
             address(scene, np.uint16, (*gain.shape, 4)), address(gain, np.int16),
-            address(self._exposure, np.float32), address(pad_scene, np.uint16, (len(PAINTS), 4)),
+            address(self._exposure, np.float32), address(pad_scene, np.uint16, (PAD_PAINTS, 4)),
             address(places, np.int32), address(room, np.float32), address(added, np.int16),
         )  # fmt: skip
         return PadBlur(window, added)
@@ -390,10 +390,10 @@ class Development:
             address(pad.kinds if pad is not None else None, np.uint8, shape),
             address(gain, np.int16),
             address(self._exposure, np.float32),
-            address(pad_scene, np.uint16, (len(PAINTS), 4)),
+            address(pad_scene, np.uint16, (PAD_PAINTS, 4)),
             edges,
             address(pad.edges if pad is not None else None, np.int32),
-            address(pad.shares if pad is not None else None, np.float32, (edges, len(PAINTS))),
+            address(pad.shares if pad is not None else None, np.float32, (edges, PAD_PAINTS)),
         )
 
     def blur(self, light: I16, pad: PadBlur | None = None) -> I16:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.render import CELL_PX
 from estimator.vision.camera import Camera
+from sitl.core.abi import CELL_PX
 from sitl.native import address, render_meet
 
 F32 = NDArray[np.float32]

@@ -1,11 +1,16 @@
-"""The door to the built library of the simulator. A service that flies does not load it."""
+"""The door to the library of the simulator. A service that flies does not load it."""
 
 from __future__ import annotations
 
-from estimator.core.library import load
+from functools import partial
+
+from estimator.core import interface
+from estimator.core.library import Door
+from sitl.core import abi
 
 FILE = f"{__file__.rpartition('/')[0]}/libdecklander_sim.so.1"
 """Where `python -m supply.core` puts the library."""
 
-CORE = load(FILE)
+SIM = Door(abi, FILE)
 """The library that simulates."""
+places_of, size_of = partial(interface.places_of, door=SIM), partial(interface.size_of, door=SIM)

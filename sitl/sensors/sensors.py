@@ -14,9 +14,9 @@ from msgspec import Struct
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.core.interface import size_of
-from estimator.core.interface.sim import ECHOES_MAX, SENSOR_NOISE
 from estimator.core.library import start_of
+from sitl.core.abi import ECHOES_MAX, SENSOR_NOISE
+from sitl.core.library import size_of
 from sitl.native import Packed, sensors_read
 from sitl.sea.spectra import GRAVITY_M_S2
 from sitl.sensors.settings import SensorSettings
@@ -151,7 +151,7 @@ class _NoiseBlocks:
 
     def draw(self) -> F64:
         """Return the next (BLOCK, SENSOR_NOISE) numbers; the ultrasound has one where it measures."""
-        rows = np.zeros((BLOCK, sum(SENSOR_NOISE.values())))
+        rows = np.zeros((BLOCK, SENSOR_NOISE))
         rows[:, 0:6] = self._imu.standard_normal((BLOCK, 6))
         rows[:, 6:9] = self._field.standard_normal((BLOCK, 3))
         rows[:, 9] = self._pressure.standard_normal(BLOCK)

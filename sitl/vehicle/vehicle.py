@@ -13,8 +13,8 @@ from enum import IntEnum
 import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.interface import CONSTANTS, places_of
-from estimator.core.interface.sim import COMMANDS_MAX, FLIGHT_NOISE, PHASES, ROTORS_MAX
+from sitl.core.abi import COMMANDS_MAX, FLIGHT_NOISE, ROTORS_MAX, TOUCHED_DECK, TOUCHED_SEA
+from sitl.core.library import SIM, places_of
 from sitl.native import Number, Numbers, Packed, vehicle_carry, vehicle_step, write
 from sitl.sea.spectra import GRAVITY_M_S2
 from sitl.vehicle.airframe import Airframe, StickLimits
@@ -24,7 +24,7 @@ from sitl.vehicle.rotors import rotors
 from sitl.vessel.air import AirModel
 from sitl.vessel.contact import DeckShape, Ground
 
-DECK, SEA = CONSTANTS["TOUCHED_DECK"], CONSTANTS["TOUCHED_SEA"]
+DECK, SEA = TOUCHED_DECK, TOUCHED_SEA
 """Codes of `Vehicle.touched_what`; 0 before any contact."""
 
 _PARAMS, _STATE = places_of("vehicle_params"), places_of("vehicle")
@@ -44,7 +44,7 @@ class VehiclePhase(IntEnum):
     EMERGENCY = 5
 
 
-assert tuple(phase.name for phase in VehiclePhase) == PHASES
+assert {f"PHASE_{phase.name}": phase.value for phase in VehiclePhase} == SIM.names("flight_phase")
 _CAN_LAND = (VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from estimator.core.interface.sim import GUSTS_MAX
+from sitl.core.abi import GUSTS_MAX
 from sitl.native import Packed, write
 from sitl.vessel.seakeeping import Superstructure
 

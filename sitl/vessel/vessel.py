@@ -11,8 +11,8 @@ from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from estimator.contracts.geometry import F64, Rotation, known_rotation
-from estimator.core.interface import size_of
 from estimator.core.library import start_of
+from sitl.core.library import size_of
 from sitl.native import address, vessel_mounted, vessel_moved
 from sitl.sea.sea import Waves
 from sitl.vessel.seakeeping import Hull, encounter_rad_s, responses

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import size_of
 from estimator.core.library import start_of
+from sitl.core.library import size_of
 from sitl.native import Packed, sim_run
 from sitl.sea.sea import Waves
 from sitl.sensors.sensors import Sensors

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from estimator.core.abi import UNDER_WAY_MAX
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
@@ -23,7 +24,6 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
-from estimator.core.interface.guidance import UNDER_WAY_MAX
 from estimator.ekf import Forecast
 from tests.companion.oracle.follow_deck import OracleLaw, OracleMemory
 from tests.companion.oracle.memory import packed, plain

@@ -118,7 +118,8 @@ def test_wheel_and_source_archive_hold_what_they_should(tmp_path: Path, monkeypa
     assert wheel.stem.endswith(f"-py3-none-linux_{platform.machine()}")
     assert {
         *(library.file.relative_to(core.ROOT).as_posix() for library in core.LIBRARIES),
-        "estimator/core/interface.h",
+        "estimator/core/decklander.h",
+        "estimator/core/abi.py",
         "estimator/core/base/kalman.c",
     } <= set(names)
     tops = {name.split("/")[0] for name in names if ".dist-info/" not in name}

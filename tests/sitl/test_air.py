@@ -11,7 +11,7 @@ import pytest
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.core.interface import places_of
+from sitl.core.library import places_of
 from sitl.scenario.scenario import from_mapping, load
 from sitl.vehicle.airframe import Airframe
 from sitl.vehicle.vehicle import Vehicle

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+from sitl.core.abi import GAIN_ONE
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.render import GAIN_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.camera import light

@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sitl.core.abi import PAD_EDGE
 
-from estimator.core.interface.render import PAD_EDGE
-from estimator.core.library import Core, load
-from sitl.core.library import CORE
+from estimator.core.library import Door
+from sitl.core import abi
+from sitl.core.library import SIM
 from sitl.native import address
 from supply import core
 
 H, W, TAPS = 10, 24, np.array([40000, 12000, 768], np.uint16)
 
 
-def deck(library: Core, rng: np.random.Generator) -> NDArray[Any]:
+def deck(library: Door, rng: np.random.Generator) -> NDArray[Any]:
     """Positions of texels from well outside the drawing on one side to the other, under a mask with every coverage."""
     across, down = np.meshgrid(np.linspace(-20.0, 70.0, W // 8 + 2), np.linspace(-15.0, 50.0, 2 + 2))
     cells = np.stack([across, down + 0.3 * across], axis=-1).astype(np.float32)
@@ -31,7 +32,7 @@ def deck(library: Core, rng: np.random.Generator) -> NDArray[Any]:
     return scene
 
 
-def exposed(library: Core, rng: np.random.Generator) -> NDArray[Any]:
+def exposed(library: Door, rng: np.random.Generator) -> NDArray[Any]:
     scene = rng.integers(0, 65536, (H, W, 4)).astype(np.uint16)
     kinds, gain = rng.integers(0, 5, (H, W)).astype(np.uint8), rng.integers(0, 32768, (H, W)).astype(np.int16)
     exposure, paints = np.array([0.2, 0.9, 3.0, 0.0], np.float32), rng.integers(0, 65536, (5, 4)).astype(np.uint16)
@@ -41,7 +42,7 @@ def exposed(library: Core, rng: np.random.Generator) -> NDArray[Any]:
     return light
 
 
-def imaged(library: Core, rng: np.random.Generator) -> NDArray[Any]:
+def imaged(library: Door, rng: np.random.Generator) -> NDArray[Any]:
     """A frame by `render_image`, which the frame of the light by `render_expose` equals."""
     scene, gain = rng.integers(0, 65536, (H, W, 4)).astype(np.uint16), rng.integers(0, 16385, (H, W)).astype(np.int16)
     kinds, exposure = (
@@ -67,7 +68,7 @@ def imaged(library: Core, rng: np.random.Generator) -> NDArray[Any]:
     return frame
 
 
-def smeared(library: Core, rng: np.random.Generator) -> NDArray[Any]:
+def smeared(library: Door, rng: np.random.Generator) -> NDArray[Any]:
     scene, out = rng.integers(0, 65000, (H, W, 4)).astype(np.uint16), np.zeros((2, H, W, 4), np.uint16)
     shifts, weights = np.array([(-2, 1), (0, 0), (2, -1)], np.int32), np.array([20000, 25000, 20000], np.uint16)
     library.function("render_smear")(H, W, scene.ctypes.data, 3, shifts.ctypes.data, weights.ctypes.data, out[0].ctypes.data)
@@ -76,17 +77,17 @@ def smeared(library: Core, rng: np.random.Generator) -> NDArray[Any]:
 
 
 @pytest.fixture(scope="module")
-def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Core:
+def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Door:
     folder: Path = tmp_path_factory.mktemp("core")
     renderer = core.SIMULATED.part("base/digest.c", "render/*.c", "sea/*.c")
-    return load(str(core.build(renderer, folder / "one_by_one.so", ("-DLANES_ONE_BY_ONE", "-O0"))))
+    return Door(abi, str(core.build(renderer, folder / "one_by_one.so", ("-DLANES_ONE_BY_ONE", "-O0"))))
 
 
 @pytest.mark.parametrize("step", [deck, exposed, imaged, smeared])
 def test_a_machine_without_vector_instructions_renders_the_same_bits(
-    one_by_one: Core, step: Callable[[Core, np.random.Generator], NDArray[Any]]
+    one_by_one: Door, step: Callable[[Door, np.random.Generator], NDArray[Any]]
 ) -> None:
-    here, there = step(CORE, np.random.default_rng(5)), step(one_by_one, np.random.default_rng(5))
+    here, there = step(SIM, np.random.default_rng(5)), step(one_by_one, np.random.default_rng(5))
     assert np.array_equal(here, there)
     assert np.ptp(here) > 100
 

@@ -1,8 +1,8 @@
-/* What the library says about itself. */
+/* Report which header the library was compiled with. */
 
-#include "interface.h"
+#include "decklander.h"
 
-uint32_t core_digest(void)
+uint32_t dl_digest(void)
 {
-    return INTERFACE_DIGEST;
+    return HEADER_DIGEST;
 }

@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_KALMAN_H
 #define DECKLANDER_KALMAN_H
 
-#include "interface.h"
+#include "decklander.h"
 
 enum { NOT_POSITIVE = 0, DONE = 1 };
 

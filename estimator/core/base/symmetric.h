@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_SYMMETRIC_H
 #define DECKLANDER_SYMMETRIC_H
 
-#include "interface.h"
+#include "decklander.h"
 
 /* A = V diag(values) V' by Jacobi's rotations; A is used up.
  * Source: Golub, Van Loan, Matrix Computations, 4th ed., 2013, sec. 8.5.2 and 8.5.3. */

@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "interface.h"
+#include "decklander.h"
 #include "filter/jacobian.h"
 #include "filter/propagate.h"
 #include "base/rotation.h"

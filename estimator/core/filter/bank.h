@@ -10,7 +10,7 @@
 #ifndef DECKLANDER_BANK_H
 #define DECKLANDER_BANK_H
 
-#include "interface.h"
+#include "decklander.h"
 
 /* Members look at most this often, s; a wave is seen dozens of times anyway. */
 #define LOOK_PERIOD_S 0.2

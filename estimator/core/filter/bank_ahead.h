@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_BANK_AHEAD_H
 #define DECKLANDER_BANK_AHEAD_H
 
-#include "interface.h"
+#include "decklander.h"
 
 /* Transition and noise of every oscillator over the time since the bank's last look; for the members, the transition and the noise
  * of the rate. */

@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_CORRECTION_H
 #define DECKLANDER_CORRECTION_H
 
-#include "interface.h"
+#include "decklander.h"
 #include "filter/propagate.h"
 
 #define AT(M, row, column) ((M)[(row) * N + (column)])

@@ -10,7 +10,7 @@
 #ifndef DECKLANDER_DECK_JOLT_H
 #define DECKLANDER_DECK_JOLT_H
 
-#include "interface.h"
+#include "decklander.h"
 
 /* Count one more sighting; innov_ned in m, cov_ned (3, 3) in m^2 as the filter claims it. */
 void jolt_extend(innovation_excesses *excesses, int64_t t, const double innov_ned[3], const double cov_ned[9]);

@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "filter/bank_ahead.h"
-#include "interface.h"
+#include "decklander.h"
 #include "filter/jacobian.h"
 #include "filter/oscillator.h"
 #include "filter/propagate.h"

@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_GATE_H
 #define DECKLANDER_GATE_H
 
-#include "interface.h"
+#include "decklander.h"
 
 /* End the streak of rejected sightings. */
 void streak_end(belief *b);

@@ -6,7 +6,7 @@
 #include "filter/aiding.h"
 #include "filter/gate.h"
 #include "filter/gathering.h"
-#include "interface.h"
+#include "decklander.h"
 #include "filter/propagate.h"
 #include "filter/vessel.h"
 #include "filter/vision_update.h"

@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_SIGHTING_H
 #define DECKLANDER_SIGHTING_H
 
-#include "interface.h"
+#include "decklander.h"
 
 /* The largest number of numbers that a sighting measures: a place and an orientation. */
 #define SEEN_MAX 6

@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_SKILL_H
 #define DECKLANDER_SKILL_H
 
-#include "interface.h"
+#include "decklander.h"
 
 /* Horizons of the forecasts that are compared, s. */
 extern const double SKILL_HORIZONS_S[SKILL_HORIZONS];

@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_LAW_H
 #define DECKLANDER_LAW_H
 
-#include "interface.h"
+#include "decklander.h"
 
 /* The deck some time ahead, in `level`: velocity, acceleration, and how far it has moved until then. */
 typedef struct {

@@ -4,7 +4,7 @@
 #ifndef DECKLANDER_UVLC_H
 #define DECKLANDER_UVLC_H
 
-#include "interface.h"
+#include "decklander.h"
 
 enum {
     UVLC_SIDE = 8,

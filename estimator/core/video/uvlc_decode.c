@@ -13,7 +13,7 @@ enum {
     LEVEL_ZEROS_MAX = 9
 };
 
-static int32_t picture_header(bit_reader *in, uvlc_picture *picture)
+static int32_t picture_header(bit_reader *in, dl_uvlc_picture *picture)
 {
     if (take_bits(in, UVLC_START_BITS) != UVLC_START) {
         return UVLC_NO_PICTURE;
@@ -35,7 +35,7 @@ static int32_t picture_header(bit_reader *in, uvlc_picture *picture)
 }
 
 /* Read where a picture says what it is. Width and height are those of a picture that can be decoded, or the result says why not. */
-int32_t uvlc_header(const uint8_t *data, int32_t bytes, uvlc_picture *picture)
+int32_t dl_uvlc_header(const uint8_t *data, int32_t bytes, dl_uvlc_picture *picture)
 {
     memset(picture, 0, sizeof *picture);
     if (bytes < HEADER_BYTES) {
@@ -199,15 +199,14 @@ static int32_t read_row(bit_reader *in, int32_t quantizer, int32_t width, uint8_
     return UVLC_DONE;
 }
 
-/* Decode a picture whose header is `picture` into (height, width, 3) bytes. If it fails, they hold a part of it. */
-int32_t uvlc_decode(const uint8_t *data, int32_t bytes, const uvlc_picture *picture, uint8_t *bgr)
+int32_t dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_uvlc_picture *picture, uint8_t *bgr, int32_t room)
 {
-    uvlc_picture header;
-    const int32_t known = uvlc_header(data, bytes, &header);
+    dl_uvlc_picture header;
+    const int32_t known = dl_uvlc_header(data, bytes, &header);
     if (known != UVLC_DONE) {
         return known;
     }
-    if (header.width != picture->width || header.height != picture->height) {
+    if (header.width != picture->width || header.height != picture->height || room != 3 * header.width * header.height) {
         return UVLC_SIZE;
     }
     bit_reader in = read_bits_of(data, bytes);

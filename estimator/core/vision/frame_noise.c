@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "interface.h"
+#include "decklander.h"
 
 /* The noise of a frame, of whatever the frame shows: second differences along both axes let no plane and no straight edge along an
  * axis through. Quiet places say it: the lower quartile of what they let through. Waves, rust and letters raise the upper ones.

@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-#include "interface.h"
+#include "decklander.h"
 #include "base/rotation.h"
 
 /* Roll and pitch; place and small rotation; place and heading. */

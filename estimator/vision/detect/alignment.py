@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.interface import places_of, size_of
-from estimator.core.interface.eyes import (
+from estimator.core.abi import (
     APPROACH_SAMPLES,
     APPROACH_STEPS,
     FINAL_SAMPLES,
@@ -27,6 +26,7 @@ from estimator.core.interface.eyes import (
     SAMPLE_LANES,
     SCRATCH_ROWS,
 )
+from estimator.core.interface import places_of, size_of
 from estimator.core.library import CORE, start_of
 from estimator.vision.camera import Camera
 from estimator.vision.detect.pyramid import Pyramid

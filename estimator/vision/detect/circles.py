@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from estimator.core.abi import SEARCH_BLOCK
 from estimator.core.interface import places_of, size_of
-from estimator.core.interface.search import SEARCH_BLOCK
 from estimator.core.library import CORE, start_of
 from estimator.core.records import record
 from estimator.vision.camera import Camera

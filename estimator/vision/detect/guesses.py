@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
+from estimator.core.abi import SEARCH_LEVELS
 from estimator.core.interface import places_of, size_of
-from estimator.core.interface.search import SEARCH_LEVELS
 from estimator.core.library import CORE, start_of
 from estimator.core.records import record
 from estimator.vision.camera import Camera

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.eyes import TEMPLATE_ONE
-from estimator.core.interface.search import POLAR_ANGLES, POLAR_RADII
+from estimator.core.abi import POLAR_ANGLES, POLAR_RADII, TEMPLATE_ONE
 from estimator.core.records import record
 from estimator.vision.pad import Pad
 from estimator.vision.regions import Lettering, covers, is_slanted, rectangles_of

@@ -13,10 +13,10 @@ import math
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import eyes
+from estimator.core.library import CORE
 from estimator.vision.detect.alignment import AlignedTemplate
 
-FEATURES = eyes.FEATURES
+FEATURES = tuple(name.removeprefix("FEATURE_").lower() for name in CORE.names("align_feature") if name != "FEATURES")
 """Names of the model's inputs, in order. A part counts by the better half of the directions from the centre, so that an occluder
 on one side of the pad does not count against it, and by all directions (`_all`).
 """

@@ -12,8 +12,13 @@ import math
 
 import numpy as np
 
-from estimator.core.interface.look import HAND_SET
+from estimator.core.abi import EVIDENCE_FITTED
+from estimator.core.library import CORE
 
+EVIDENCE = tuple(name.removeprefix("EVIDENCE_").lower() for name in CORE.names("look_evidence") if name != "EVIDENCE")
+"""Names of the inputs, in order."""
+FITTED, HAND_SET = EVIDENCE[:EVIDENCE_FITTED], EVIDENCE[EVIDENCE_FITTED:]
+"""Those whose weights are fitted, and those whose weights are set by hand."""
 _HAND_SET = {
     "no_ring": -3.0,
     "no_h": -2.5,
@@ -65,7 +70,7 @@ _UNTRACKED = ("no_ring", "no_h", "corner", "edges_astray", "h_astray", "half_dis
 _COEFFICIENTS = np.array(
     [0.167, 2.068, 1.423, 0.878, 0.000, 0.000, 0.760, 1.500, -0.107, 1.009, 0.000, -0.560, -0.542, 0.337, 1.462]
 )
-"""Weights in the order of `estimator.core.interface.look.FITTED`. Fitted by
+"""Weights in the order of `FITTED`. Fitted by
 `python -m benches.verification_fit --registered --frames 2400`: 2526 registrations. The weight of `h_unseen`
 is set and not fitted: glare on a green disc with a ring may hide the H.
 """

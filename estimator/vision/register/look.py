@@ -13,9 +13,8 @@ from functools import lru_cache
 import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
+from estimator.core.abi import FINAL_SAMPLES, FIT_ROWS, FRAME_LEVELS, LOCAL_MAX, SAMPLE_LANES, SCRATCH_ROWS
 from estimator.core.interface import places_of, size_of
-from estimator.core.interface.eyes import FINAL_SAMPLES, FRAME_LEVELS, LOCAL_MAX, SAMPLE_LANES, SCRATCH_ROWS
-from estimator.core.interface.registration import FIT_ROWS
 from estimator.core.library import CORE, address, start_of
 from estimator.core.records import record
 from estimator.vision.camera import Camera
@@ -80,7 +79,7 @@ class Looked:
 
     @property
     def evidence(self) -> F64:
-        """The inputs of the verification, in the order of `estimator.core.interface.look.EVIDENCE`."""
+        """The inputs of the verification, in the order of `look_evidence` in the core's header."""
         return self.words[_EVIDENCE]
 
     @property

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
+from estimator.core.abi import FIT_ROWS, PROFILE_PIXELS
 from estimator.core.interface import places_of, size_of
-from estimator.core.interface.registration import FIT_ROWS, PROFILE_PIXELS
 from estimator.core.library import CORE, address, start_of
 from estimator.core.records import record
 from estimator.vision.camera import Camera, ray_map

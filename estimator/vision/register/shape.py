@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.registration import PAD_CONTRASTS, POINTER_MARKS
+from estimator.core.abi import PAD_CONTRASTS, POINTER_MARKS
 from estimator.core.records import record
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.markings import Markings

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.render import SCENE_ONE
 from sitl.camera.light import I16, U16, Light, scene_of
 from sitl.camera.projection import F32, SHIFT, Lens, fixed_point
 from sitl.camera.render.textures import grain
 from sitl.camera.surroundings import Deck, draw_deck
+from sitl.core.abi import SCENE_ONE
 from sitl.native import address, render_bounds, render_deck, render_fill, render_shadow
 
 U8 = NDArray[np.uint8]

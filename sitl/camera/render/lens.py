@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.render import CELL_PX, GAIN_ONE
 from estimator.vision.camera import Camera
 from sitl.camera.light import I16, U16
 from sitl.camera.projection import F32, Lens
 from sitl.camera.render.pad import Pose, in_row, pad_from_ray
+from sitl.core.abi import CELL_PX, GAIN_ONE
 from sitl.native import address, render_average, render_deck, render_smear
 
 

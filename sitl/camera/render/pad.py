@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.render import PAINTS, REGION_NUMBERS, SHAPES, STROKE_NUMBERS
 from estimator.vision.pad import Pad
 from estimator.vision.regions import (
     PaintedArrowhead,
@@ -29,14 +28,14 @@ from estimator.vision.regions import (
 )
 from sitl.camera.light import PadInImage
 from sitl.camera.projection import F32, Lens, planes_from_rays
+from sitl.core.abi import PAD_ANNULUS, PAD_ARROW, PAD_PAINTS, PAD_POLYGON, PAD_RECTANGLE, PAD_REGION, STROKE_NUMBERS
 from sitl.native import address, render_pad_kinds, render_pad_shares
 
 _BUDGET = 16_000
 """Aim for the number of subsamples of a frame: 3 x 3 a pixel at 5 m, 5 x 5 at 20 m, 8 x 8 at 30 m, one from near by."""
 
-_ANNULUS, _RECTANGLE, _ARROW, _POLYGON = map(list(SHAPES).index, ("PAD_ANNULUS", "PAD_RECTANGLE", "PAD_ARROW", "PAD_POLYGON"))
 _PAINT_OF = {"rim": 1, "disc": 2, "panel": 2, "ring": 3, "arrow": 3, "triangle": 4, "letter": 4, "fiducial": 4}
-"""Index in `PAINTS` of the paint of each part."""
+"""Index in `pad_paint_kind` of the paint of each part."""
 _UPPER = 5
 """That of lettering of a second paint."""
 
@@ -100,13 +99,13 @@ class PadPainter:
         where = address(edges, np.int32)
         division = address(self._lens.coarse, np.float32), address(whole, np.float32), int(rolling)
         count = render_pad_kinds(*seen, *division, *drawn, address(kinds, np.uint8), where)
-        shares, fine, parts = np.empty((count, len(PAINTS)), np.float32), 1, None
+        shares, fine, parts = np.empty((count, PAD_PAINTS), np.float32), 1, None
         if count:
             samples = _BUDGET / (count * len(strokes))
             fine = 8 if samples >= 64 else 5 if samples >= 20 else 3 if samples >= 7 else 2 if samples >= 5 else 1
             numbers = _numbers(strokes) if len(strokes) > 1 else whole
             if fine > 1:
-                parts = np.empty((count, len(PAINTS), fine * fine), np.float32)
+                parts = np.empty((count, PAD_PAINTS, fine * fine), np.float32)
             exposed = len(strokes), address(numbers, np.float32), int(rolling)
             room = address(shares, np.float32), address(parts, np.float32)
             render_pad_shares(*seen, *exposed, *drawn, fine, count, where, *room)
@@ -123,32 +122,32 @@ class PadPainter:
 
 
 def regions_of(pad: Pad) -> F32:
-    """Return the regions of a pad, the lowest first, (N, `REGION_NUMBERS`)."""
+    """Return the regions of a pad, the lowest first, (N, `PAD_REGION`)."""
     rows: list[tuple[float, ...]] = []
     below = _PAINT_OF["disc"] if pad.markings.has_ground else 0
     for region in pad.regions:
         paint = _PAINT_OF[part_of(region)]
         match region:
             case PaintedDisc():
-                rows.append((_ANNULUS, paint, 0, 0.0, region.radius_m, -1.0, region.radius_m))
+                rows.append((PAD_ANNULUS, paint, 0, 0.0, region.radius_m, -1.0, region.radius_m))
             case PaintedPanel():
                 x, y = 0.5 * region.length_m, 0.5 * region.width_m
-                rows.append((_RECTANGLE, paint, 0, *_rectangle((-x, x, -y, y))))
+                rows.append((PAD_RECTANGLE, paint, 0, *_rectangle((-x, x, -y, y))))
             case PaintedRing():
                 around = 0 if region.part == "rim" else below
-                rows.append((_ANNULUS, paint, around, region.inner_m, region.outer_m, region.inner_m, region.outer_m))
+                rows.append((PAD_ANNULUS, paint, around, region.inner_m, region.outer_m, region.inner_m, region.outer_m))
             case PaintedArrowhead():
                 slant = math.hypot(region.half_base_m, region.depth_m)
                 sides = region.half_base_m / slant, region.depth_m / slant
                 base = region.tip_m - region.depth_m
                 far = max(region.tip_m, math.hypot(base, region.half_base_m))
-                rows.append((_ARROW, paint, below, base, far, region.tip_m, base, *sides))
+                rows.append((PAD_ARROW, paint, below, base, far, region.tip_m, base, *sides))
             case _:
                 pass
     marks, letter = pad.markings, _PAINT_OF["letter"]
     rows += _lettering([*marks.letters, *([] if marks.triangle is None else [marks.triangle])], letter, below)
     rows += _lettering(marks.upper, _UPPER, letter if marks.upper_on_letters else below)
-    return np.array([(*row, *[0.0] * (REGION_NUMBERS - len(row))) for row in rows], np.float32)
+    return np.array([(*row, *[0.0] * (PAD_REGION - len(row))) for row in rows], np.float32)
 
 
 def _lettering(shapes: Sequence[Region], paint: int, below: int) -> list[tuple[float, ...]]:
@@ -156,8 +155,8 @@ def _lettering(shapes: Sequence[Region], paint: int, below: int) -> list[tuple[f
     upright = [s for s in shapes if not isinstance(s, PaintedTriangle) and not is_slanted(s)]
     pieces = [piece for s in shapes if is_slanted(s) for piece in convex_pieces_of(s)]
     return [
-        *((_RECTANGLE, paint, below, *_rectangle(limits)) for limits in rectangles_of(upright)),  # type: ignore[arg-type]
-        *((_POLYGON, paint, below, *_polygon(piece)) for piece in pieces),
+        *((PAD_RECTANGLE, paint, below, *_rectangle(limits)) for limits in rectangles_of(upright)),  # type: ignore[arg-type]
+        *((PAD_POLYGON, paint, below, *_polygon(piece)) for piece in pieces),
     ]
 
 

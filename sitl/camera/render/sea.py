@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.render import SEA_OUTLINES, SEA_WEIGHTS
 from sitl.camera.light import U16, Light, scene_of
 from sitl.camera.projection import F32, Lens
 from sitl.camera.render.textures import foam, ripples
 from sitl.camera.surroundings import Surroundings
+from sitl.core.abi import SEA_OUTLINES, SEA_WEIGHTS
 from sitl.native import address, render_sea, render_swell, render_water
 
 U8 = NDArray[np.uint8]
@@ -92,7 +92,7 @@ class SeaPainter:
             *scene.shape[:2], address(mask, np.uint8, scene.shape[:2]),
             cols.start // 2, cols.stop // 2, rows.start // 2, rows.stop // 2, address(cells, np.float32), cells.shape[1],
             *(address(texels, np.int16) for texels, _ in layers), address(sizes, np.int32), address(drift, np.float64),
-            address(weights, np.float32, (len(SEA_WEIGHTS),)), address(slow, np.float32),
+            address(weights, np.float32, (SEA_WEIGHTS,)), address(slow, np.float32),
             address(outlines, np.float64), address(counts, np.int32, (SEA_OUTLINES,)), address(soft_m, np.float32),
             address(codes, np.uint8),
         )  # fmt: skip

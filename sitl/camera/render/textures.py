@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.core.interface.render import TILE_ONE
 from sitl.camera.projection import F32
+from sitl.core.abi import TILE_ONE
 
 I16 = NDArray[np.int16]
 

@@ -1,8 +1,8 @@
 /* The simulated vehicle, its contacts, its air and its sensors. */
-#ifndef DECKLANDER_SIM_H
-#define DECKLANDER_SIM_H
+#ifndef DECKLANDER_PHYSICS_H
+#define DECKLANDER_PHYSICS_H
 
-#include "interface.h"
+#include "decklander_sim.h"
 #include "base/rotation.h"
 
 /* Depth below the deck's plane beyond which a point is under the deck and not in contact. No fall reaches it in one step. */

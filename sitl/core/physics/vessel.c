@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "interface.h"
+#include "decklander_sim.h"
 #include "base/rotation.h"
 #include "base/wide.h"
 

@@ -1,6 +1,6 @@
 /* Which part of a frame a mask covers, and which part it leaves open. */
 
-#include "interface.h"
+#include "decklander_sim.h"
 #include "base/wide.h"
 
 enum { CHUNK = 256 };

@@ -4,7 +4,7 @@
  * frame has, and is linear between them. A pixel is four numbers of sixteen bits, as in light.c.
  */
 
-#include "interface.h"
+#include "decklander_sim.h"
 #include "base/lanes.h"
 #include "base/wide.h"
 

@@ -3,7 +3,7 @@
 #ifndef RENDER_LIGHT_H
 #define RENDER_LIGHT_H
 
-#include "interface.h"
+#include "decklander_sim.h"
 
 enum { CHANNELS = 3, LIGHT_MOST = 32767 };
 

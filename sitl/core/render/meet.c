@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-#include "interface.h"
+#include "decklander_sim.h"
 #include "base/wide.h"
 
 /* Rays that do not meet the plane are at its origin; places are limited, for beyond the horizon they have no meaning. */

@@ -5,7 +5,7 @@
 
 #include <math.h>
 
-#include "interface.h"
+#include "decklander_sim.h"
 #include "base/wide.h"
 
 /* So many pixels are computed together. */

@@ -7,7 +7,7 @@
 
 #include <math.h>
 
-#include "interface.h"
+#include "decklander_sim.h"
 #include "base/wide.h"
 
 enum { ROTOR_AT, ROTOR_RADIUS, HALF_LENGTH, HALF_WIDTH, PIXELS = CELL_PX * CELL_PX };

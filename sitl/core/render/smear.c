@@ -3,7 +3,7 @@
  * A pixel is four numbers of sixteen bits, as in light.c. Beyond the frame its last pixels continue.
  */
 
-#include "interface.h"
+#include "decklander_sim.h"
 #include "base/wide.h"
 
 enum { NUMBERS = 4 };

@@ -6,7 +6,7 @@
 
 #include <math.h>
 
-#include "interface.h"
+#include "decklander_sim.h"
 #include "base/lanes.h"
 #include "base/wide.h"
 

@@ -1,3 +1,4 @@
+#include "decklander_sim.h"
 #include "video/uvlc.h"
 #include "video/uvlc_bits.h"
 
@@ -112,18 +113,16 @@ static void put_macroblock(bit_writer *out, const uint8_t *bgr, intptr_t row_byt
     }
 }
 
-static void put_picture(bit_writer *out, const uvlc_picture *picture, uint32_t format, uint32_t resolution)
+static void put_picture(bit_writer *out, const sim_uvlc_picture *picture, uint32_t format, uint32_t resolution)
 {
     put_bits(out, format, 2);
     put_bits(out, resolution, 3);
-    put_bits(out, picture->intra ? 0 : 1, 3);
+    put_bits(out, 0, 3);
     put_bits(out, (uint32_t)picture->quantizer, 5);
     put_bits(out, (uint32_t)picture->number, 32);
 }
 
-/* Encode (height, width, 3) bytes as one picture. Return its length in bytes, 0 if it is longer than the room, -1 for a picture
- * that the format cannot hold. */
-int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t room, uint8_t *out)
+int32_t sim_uvlc_encode(const uint8_t *bgr, int32_t bytes, const sim_uvlc_picture *picture, uint8_t *out, int32_t room)
 {
     uint32_t format = 0, resolution = 0;
     for (int32_t k = 1; k <= 3; k++) {
@@ -133,7 +132,7 @@ int32_t uvlc_encode(const uint8_t *bgr, const uvlc_picture *picture, int32_t roo
             format = UVLC_VGA, resolution = (uint32_t)k;
         }
     }
-    if (resolution < 2 || picture->quantizer < 1 || picture->quantizer > UVLC_TABLE) {
+    if (resolution < 2 || bytes != 3 * picture->width * picture->height || picture->quantizer < 1 || picture->quantizer > UVLC_TABLE) {
         return -1;
     }
     bit_writer bits = {out, room, 0, 0, 0};

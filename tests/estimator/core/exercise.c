@@ -4,7 +4,8 @@
 #include <stdio.h>
 
 #include "draws.h"
-#include "interface.h"
+#include "decklander.h"
+#include "decklander_sim.h"
 
 static double found;
 
@@ -353,7 +354,7 @@ int main(int count, char **files)
     if (count > 1) {
         return 0;
     }
-    printf("%u core_digest\n", core_digest());
+    printf("%u dl_digest\n", dl_digest());
     const double poisons[] = {1.0, 0.0, -1e300, 1e300, NAN, INFINITY};
     for (int n = 1; n <= ORDER_MAX; n += 7) {
         for (int m = 1; m <= ROWS_MAX; m++) {
@@ -389,7 +390,7 @@ int main(int count, char **files)
     report("search_room search_circles search_heading search_guesses search_strokes_room search_strokes search_blobs_room "
            "search_blobs");
     video(40);
-    report("uvlc_header uvlc_decode uvlc_encode");
+    report("dl_uvlc_header dl_uvlc_decode sim_uvlc_encode");
     for (int k = 0; k < 40; k++) {
         law(25, poisons[k % 8 == 7 ? 4 : 0]);
     }

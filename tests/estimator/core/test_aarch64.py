@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from estimator.core.interface import digest
+from estimator.core import abi
 from supply import core
 
 CALLS = Path(__file__).parent / "exercise.c"
@@ -37,7 +37,7 @@ def test_both_architectures_compute_the_same(tmp_path: Path) -> None:
     subprocess.run([*zig, *FLAGS, "-o", str(other)], check=True, env={**os.environ, "ZIG_LOCAL_CACHE_DIR": str(tmp_path)})
     here, there = _called([str(own)]), _called(["qemu-aarch64", str(other)])
     assert here.keys() == there.keys()
-    assert int(here["core_digest"]) == digest()
+    assert int(here["dl_digest"]) == abi.DIGEST
     assert len(here) > 3
     for functions, found in here.items():
         assert there[functions] == pytest.approx(found, rel=1e-9), functions

@@ -12,46 +12,75 @@ import numpy as np
 import pytest
 
 from estimator.contracts.errors import SetupImpossible
-from estimator.core import interface
-from estimator.core.library import CORE, address, load
-from sitl.core.library import CORE as SIM_CORE
+from estimator.core import abi
+from estimator.core.library import CORE, Door
+from sitl.core import abi as sim_abi
+from sitl.core.library import SIM
 from supply import core
 
 ROOT = Path(__file__).parents[3]
-DIGEST_ALONE = core.FLYING.part("base/digest.c")
 
 
-def test_the_header_is_made_of_the_interface() -> None:
-    assert core.HEADER.read_text() == core.header(), "python -m supply.core --header"
+def entries(door: Door) -> set[str]:
+    """Return the names of the functions that a library's header declares."""
+    return {name for name in dir(door.lib) if not isinstance(getattr(door.lib, name), int)}
 
 
-def test_every_function_is_defined_in_its_file_and_declared_to_python() -> None:
-    for function in interface.FUNCTIONS:
-        assert re.search(rf"^\w+ {function.name}\(", (ROOT / function.source).read_text(), re.MULTILINE), function
-        parameters = 0 if function.parameters == "void" else function.parameters.count(",") + 1
-        library = SIM_CORE if function.source.startswith("sitl/") else CORE
-        assert len(library.function(function.name).argtypes) == parameters
-    with pytest.raises(KeyError, match="no function 'take_off'"):
-        CORE.function("take_off")
+def test_each_library_has_what_its_header_declares() -> None:
+    for door, made, library in ((CORE, abi, core.FLYING), (SIM, sim_abi, core.SIMULATED)):
+        assert library.digest == made.DIGEST, "make core"
+        assert {"dl_digest"} < entries(door)
+    with pytest.raises(AttributeError, match="take_off"):
+        CORE.lib.take_off()
+
+
+def test_another_structure_another_kind_or_size_is_refused() -> None:
+    picture, lens = CORE.ffi.new("dl_uvlc_picture *"), CORE.record("camera_lens", width=640, distortion=[0.1, 0.2])
+    with pytest.raises(TypeError, match="dl_uvlc_picture"):
+        CORE.lib.dl_uvlc_header(b"", 0, CORE.array("camera_lens", lens))
+    with pytest.raises(TypeError, match="takes camera_lens, not"):
+        CORE.array("camera_lens", np.zeros(1, CORE.dtype("dl_uvlc_picture")))
+    with pytest.raises(TypeError, match="float32"):
+        CORE.array("double", np.zeros(3, np.float32))
+    with pytest.raises(ValueError, match="takes 9 of double, not 8"):
+        CORE.array("double", np.zeros(8), 9)
+    with pytest.raises(ValueError, match="contiguous"):
+        CORE.array("double", np.zeros((3, 3)).T[:, :2])
+    assert CORE.array("double", np.zeros((3, 3)), 9)
+    assert picture.width == 0
+
+
+def test_a_record_is_written_by_the_names_of_the_header() -> None:
+    lens = CORE.record("camera_lens", width=640, distortion=[0.1, 0.2])
+    assert (lens["width"], *lens["distortion"]) == (640, 0.1, 0.2, 0.0, 0.0, 0.0)
+    nested = CORE.record("pad_shape", zones=[{}, {"box_m": np.ones(4)}], wedge={"sides": 3})
+    assert nested["zones"]["box_m"].sum(axis=1).tolist() == [0.0, 4.0, 0.0, 0.0, 0.0]
+    assert nested["wedge"]["sides"] == 3
+    with pytest.raises(ValueError, match="widht"):
+        CORE.record("camera_lens", widht=640)
+    with pytest.raises(ValueError, match="distortion holds 5 elements, not 6"):
+        CORE.record("camera_lens", distortion=np.zeros(6))
+    with pytest.raises(TypeError, match="float64"):
+        CORE.record("camera_lens", width=640.5)
+    assert list(CORE.names("dl_uvlc_result"))[:2] == ["UVLC_DONE", "UVLC_SHORT"]
 
 
 def test_a_missing_library_or_one_of_another_interface_is_refused_with_the_cure(tmp_path: Path) -> None:
     with pytest.raises(SetupImpossible, match=r"none\.so cannot be loaded .*make core"):
-        load(str(tmp_path / "none.so"))
+        Door(abi, str(tmp_path / "none.so"))
     (tmp_path / "torn.so").write_bytes(core.FLYING.file.read_bytes()[:100])
     with pytest.raises(SetupImpossible, match=r"torn\.so cannot be loaded .*make core"):
-        load(str(tmp_path / "torn.so"))
-    flags = (f"-DINTERFACE_DIGEST={interface.digest() ^ 1}u",)
-    other = core.build(DIGEST_ALONE, tmp_path / "other.so", flags)
-    with pytest.raises(SetupImpossible, match=rf"built for interface {interface.digest() ^ 1:08x}, this code needs .*make core"):
-        load(str(other))
+        Door(abi, str(tmp_path / "torn.so"))
+    other = core.build(core.SIMULATED.part("base/digest.c"), tmp_path / "other.so")
+    with pytest.raises(SetupImpossible, match=rf"built for interface {sim_abi.DIGEST:08x}, this code needs .*make core"):
+        Door(abi, str(other))
 
 
 def test_a_library_without_the_core_in_it_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.c").write_text("int nothing(void) { return 0; }\n")
     subprocess.run([*core.compiler(), "-shared", "-fPIC", "empty.c", "-o", "empty.so"], cwd=tmp_path, check=True)
     with pytest.raises(SetupImpossible, match=r"empty\.so is not the native core; .*make core"):
-        load(str(tmp_path / "empty.so"))
+        Door(abi, str(tmp_path / "empty.so"))
 
 
 def test_the_command_line_says_the_cure_in_one_line(tmp_path: Path) -> None:
@@ -75,18 +104,10 @@ def test_without_a_compiler_the_build_names_both(monkeypatch: pytest.MonkeyPatch
 def test_a_source_that_the_compiler_refuses_leaves_the_library_as_it_was(tmp_path: Path) -> None:
     out = tmp_path / "libdecklander.so.1"
     out.write_bytes(b"before")
-    with pytest.raises(core.BuildError, match="INTERFACE_DIGEST"):
-        core.build(DIGEST_ALONE, out, ("-DINTERFACE_DIGEST=(",))
+    with pytest.raises(core.BuildError, match="uint32_t"):
+        core.build(core.FLYING.part("base/digest.c"), out, ("-Duint32_t=(",))
     assert out.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [out]
-
-
-def test_an_array_that_c_would_misread_is_refused() -> None:
-    assert address(np.zeros((2, 2))) != 0
-    with pytest.raises(TypeError, match="float32"):
-        address(np.zeros(3, dtype=np.float32))
-    with pytest.raises(TypeError, match="strides"):
-        address(np.zeros((3, 3)).T[:, :2])
 
 
 def test_the_core_runs_clean_under_the_sanitizers(tmp_path: Path) -> None:
@@ -99,4 +120,4 @@ def test_the_core_runs_clean_under_the_sanitizers(tmp_path: Path) -> None:
     assert built.returncode == 0, built.stderr
     ran = subprocess.run([str(program)], capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stderr) == (0, "")
-    assert {function.name for function in interface.FUNCTIONS} <= set(ran.stdout.split()), "exercise.c misses a function"
+    assert entries(CORE) | entries(SIM) <= set(ran.stdout.split()), "exercise.c misses a function"

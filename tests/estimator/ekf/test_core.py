@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
-from estimator.core import interface
+from estimator.core import abi
+from estimator.core.interface import size_of
 from estimator.ekf import state as names
 from estimator.ekf.deck_motion_bank import DeckMotionBank
 from estimator.ekf.outcome import Outcome
@@ -29,7 +30,7 @@ from tests.support.estimator_truth import Setting, TruthFlight, events
 EITHER = params(velocity_is_over="either", deck_radius_m=3.0)
 OVER_PAD = params(velocity_is_over="pad", aiding_period_s=0.02, hold_s=0.02)
 FORGETFUL = params(velocity_is_over="ground", forget_s=0.5, accel_step_m_s2=1.0, gyro_step_rad_s=0.1)
-NUMBERS = interface.size_of("belief")
+NUMBERS = size_of("belief")
 ALL = (TOOLS, EITHER, OVER_PAD, FORGETFUL)
 
 
@@ -250,8 +251,8 @@ def test_a_snapshot_gives_back_its_belief() -> None:
 
 def test_the_states_of_a_sample_s_jacobian_are_those_of_the_core() -> None:
     assert [len(columns) for columns in names.SAMPLE_COLUMNS] == [5, 14, 12, 3]
-    assert max(map(len, names.SAMPLE_COLUMNS)) == interface.CONSTANTS["COLUMNS_MAX"]
-    assert tuple(interface.CONSTANTS[name] for name in ("ATTITUDE", "VELOCITY", "RANGE", "HEIGHT")) == (
+    assert max(map(len, names.SAMPLE_COLUMNS)) == abi.COLUMNS_MAX
+    assert (abi.ATTITUDE, abi.VELOCITY, abi.RANGE, abi.HEIGHT) == (
         names.ATTITUDE,
         names.VELOCITY,
         names.RANGE,

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from estimator.core.abi import EXCESSES_MAX, WITH_COVARIANCE
 from msgspec.structs import replace
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation, rpy_matrix
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
-from estimator.core.interface.filter import EXCESSES_MAX
-from estimator.ekf.packed_belief import WITH_COVARIANCE, PackedBelief
+from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import PackedEvent, packed_event
 from estimator.ekf.so3 import about_down, wrap
 from estimator.ekf.state import (

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from estimator.core.abi import WITH_COVARIANCE
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Verdict
 from estimator.contracts.geometry import F64
@@ -15,7 +16,7 @@ from estimator.contracts.time import MonoNs
 from estimator.ekf import Ekf, EkfOptions, at, deck_motion_bank, forecast, moving, start, step
 from estimator.ekf.forecast import probability_of_motion
 from estimator.ekf.history import History
-from estimator.ekf.packed_belief import WITH_COVARIANCE, PackedBelief
+from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.so3 import about_down
 from estimator.ekf.state import (
     ACCEL_BIAS,

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from estimator.core.abi import ROWS_MAX
 from scipy.linalg import eigh
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.filter import ROWS_MAX
 from estimator.core.library import CORE, address
 
 KEPT, NOT_A_PART = 0.02, 1.5

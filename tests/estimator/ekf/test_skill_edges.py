@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from estimator.core.abi import MEMBERS
 
-from estimator.core.interface.filter import MEMBERS
 from estimator.ekf import deck_motion_bank
 from estimator.ekf.skill import IssuedForecast, Skill
 from tests.estimator.ekf import flown

@@ -7,12 +7,12 @@ import math
 import cv2
 import numpy as np
 import pytest
+from estimator.core.abi import TEMPLATE_ONE
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.interface.eyes import TEMPLATE_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.circles import EdgeCircle, Radii, edge_circles

@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_LAMPS_H
 #define DECKLANDER_LAMPS_H
 
-#include "interface.h"
+#include "decklander.h"
 
 /* The most rows of pixels that the bright places of a frame are made of: a dark deck with as many lights as a pad may have, and
  * each of them as near as the camera comes, has less. */

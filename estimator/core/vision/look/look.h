@@ -4,7 +4,7 @@
 
 #include <stddef.h>
 
-#include "interface.h"
+#include "decklander.h"
 
 /* Pixels of an image some levels higher, (rows, columns), from the pixel on where they begin; behind them `out` has room for as many
  * rows of the level below as one of them takes. */

@@ -2,7 +2,7 @@
 #include <string.h>
 
 #include "vision/camera.h"
-#include "interface.h"
+#include "decklander.h"
 #include "vision/register/coded.h"
 #include "vision/register/near.h"
 #include "vision/register/solver.h"

@@ -6,7 +6,7 @@
 #ifndef DECKLANDER_REGISTER_STATE_H
 #define DECKLANDER_REGISTER_STATE_H
 
-#include "interface.h"
+#include "decklander.h"
 
 /* States: dt (3) m, dr (3) rad, blur xx, xy, yy px^2. `BY`: derivatives of a coverage, by x, y and the blur's xx, xy, yy. */
 enum { STATES = 9, POSE = 6, BY = 5, LANES = 8 };

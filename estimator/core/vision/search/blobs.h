@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_BLOBS_H
 #define DECKLANDER_BLOBS_H
 
-#include "interface.h"
+#include "decklander.h"
 
 /* Sizes that blobs are looked for at: half the sides of their boxes, px of the image at half size, all even. */
 enum { BLOB_SIZES = 3 };

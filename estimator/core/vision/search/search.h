@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_SEARCH_H
 #define DECKLANDER_SEARCH_H
 
-#include "interface.h"
+#include "decklander.h"
 
 /* Edges of an image: place, px, and the way from the edge to the centre of a circle of unit radius that is bright inside, px. */
 typedef struct {

@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_STROKES_H
 #define DECKLANDER_STROKES_H
 
-#include "interface.h"
+#include "decklander.h"
 
 /* Places that are kept for each of two headings, and in all. */
 enum { STROKES_BEST = 3, STROKES_PLACES = 2 * STROKES_BEST };

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from estimator.core.abi import ORDER_MAX, ROWS_MAX, N
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.filter import ORDER_MAX, ROWS_MAX, N
 from estimator.core.library import CORE, address
 
 

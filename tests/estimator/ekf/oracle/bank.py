@@ -6,9 +6,9 @@ import math
 from functools import lru_cache
 
 import numpy as np
+from estimator.core.abi import MEMBER_STATES
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface.filter import MEMBER_STATES
 from estimator.ekf.deck_motion_bank import (
     LOG_PRIOR,
     REST_ODDS,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from estimator.core.abi import WITH_AIDING
 
 from estimator.contracts.geometry import F64, skew
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.packed_belief import WITH_AIDING, PackedBelief
+from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.propagate import FilterParams
 from estimator.ekf.so3 import wrap
 from estimator.ekf.state import ATT_ERR, PAD_YAW, POS_REL, VEL_SCALE, Belief, N, RejectionStreak

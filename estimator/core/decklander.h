@@ -1,0 +1,669 @@
+/* The interface of the library that flies. Python's side is made from this file.
+ *
+ * It is plain C99 that the binding generator reads too: structures, enumerations with their values, and prototypes. Lengths that
+ * both sides need are named here. Matrices are row-major; what an entry writes overlaps nothing that it reads. */
+#ifndef DECKLANDER_H
+#define DECKLANDER_H
+
+#include <stdint.h>
+
+/* The digest of this file, by which a library and the Python code that calls it know each other. */
+uint32_t dl_digest(void);
+
+/* ---- video/: the AR.Drone 1.0's pictures ---- */
+
+/* The results of reading a picture: done, or why not. The data are shorter than a header; they do not begin as a picture
+ * does; its size is none that is decoded; it is coded as the change of another one; they end before it does; they hold a
+ * code that the format does not have. */
+enum dl_uvlc_result {
+    UVLC_DONE, UVLC_SHORT, UVLC_NO_PICTURE, UVLC_SIZE, UVLC_INTER, UVLC_TORN, UVLC_BAD_CODE,
+};
+
+/* The size of the largest picture, px. */
+enum {
+    UVLC_WIDTH_MAX = 640, UVLC_HEIGHT_MAX = 480,
+};
+
+/* A picture's header; intra is 1 if the picture needs no other one. */
+typedef struct {
+    int64_t width, height, intra, quantizer, number;
+} dl_uvlc_picture;
+
+/* Read a picture's header. Return a dl_uvlc_result. */
+int32_t dl_uvlc_header(const uint8_t *data, int32_t bytes, dl_uvlc_picture *picture);
+
+/* Decode a picture whose header is known into (height, width, 3) bytes; `room` is how many there are. If it fails, they hold a part
+ * of it. Return a dl_uvlc_result. */
+int32_t dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_uvlc_picture *picture, uint8_t *bgr, int32_t room);
+
+/* ---- filter/: the error-state filter and the bank of oscillators ---- */
+
+/* The parts of the filter's state by their first index, and its size. estimator.ekf.state says what they are. */
+enum filter_state {
+    ATT_ERR = 0, POS_REL = 3, VEL = 6, GYRO_BIAS = 9, ACCEL_BIAS = 12, VEL_SCALE = 15, VESSEL_VEL = 16, WAVES = 18,
+    PAD_YAW = 38, YAW_RATE = 39, DECK_TRIM = 40, CAMERA_DELAY = 42, CAMERA_MOUNT = 43, BARO_OFFSET = 46, ATT_BIAS = 47,
+    RANGE_OFFSET = 49, WAVE_YAW = 50, TURN_RATE = 51, SWAY_PER_HEAVE = 52, N = 54,
+};
+
+enum {
+    /* The largest number of states that a linear-algebra function takes. */
+    ORDER_MAX = N,
+    /* The largest number of measured numbers that a linear-algebra function takes. */
+    ROWS_MAX = 9,
+    /* The largest number of states on which one kind of aiding depends. */
+    COLUMNS_MAX = 14,
+    /* Number of kinds of aiding. */
+    KINDS = 4,
+    /* Directions in which a deck moves on waves: north, east, down, roll, pitch. */
+    DIRECTIONS = 5,
+    /* Number of different oscillators in the bank of a direction: the one at rest, then the others. */
+    OSCILLATORS = 28,
+    /* Number of sizes in which each oscillator but the one at rest comes; they lie side by side. */
+    MEMBER_SIZES = 5,
+    /* Number of states of a wave: displacement, rate, force, its rate. */
+    WAVE_STATES = 4,
+    /* Numbers of a wave's covariance: its upper triangle in rows. */
+    WAVE_PAIRS = WAVE_STATES * (WAVE_STATES + 1) / 2,
+    /* Number of oscillators of some size that the bank of each direction compares. */
+    MEMBERS = 1 + (OSCILLATORS - 1) * MEMBER_SIZES,
+    /* Number of states of one: displacement, rate, force, its rate; offset of the IMU's carrying on, its rate, acceleration. */
+    MEMBER_STATES = 7,
+    /* Numbers of a member's covariance, which is symmetric: its upper triangle in rows. */
+    MEMBER_PAIRS = MEMBER_STATES * (MEMBER_STATES + 1) / 2,
+    /* Number of horizons at which past forecasts are compared with what happened. */
+    SKILL_HORIZONS = 3,
+    /* The largest number of forecasts whose comparison is not over. */
+    ISSUED_MAX = 9,
+    /* The largest number of recent sightings whose innovations are compared with what the filter claimed. */
+    EXCESSES_MAX = 24,
+};
+
+/* Kinds of samples; the first KINDS are those of aiding. */
+enum event_kind {
+    ATTITUDE, VELOCITY, RANGE, HEIGHT, IMU, VESSEL, SIGHTING,
+};
+
+enum verdict {
+    FUSED, GATED, SINGULAR, LOW_CONFIDENCE,
+};
+
+/* The surface below a velocity sensor. */
+enum velocity_surface {
+    OVER_GROUND, OVER_PAD, OVER_EITHER,
+};
+
+/* How far filter_propagate goes: the covariance as often as the options ask, to the instant, or with all gathered samples fused. */
+enum propagation {
+    STATE_ALONE, WITH_COVARIANCE, WITH_AIDING,
+};
+
+/* Members mean what those of Belief, Aid and Gathered in estimator.ekf.state, of DeckMotionBank and Skill of the same
+ * names mean; matrices are in rows, instants are in ns. In sea and bank_members, arrays are by direction, then by state or
+ * pair of states, then by member of the bank. An answer has numbers of pad and deck where it has a pad, and of the body
+ * where it has a body; estimator.ekf.answers says what they are. A horizon_reach has, for one horizon and by oscillator,
+ * the rows of the transition to displacement and rate, their noise, and the products of the numbers of these rows and of
+ * the first one's change. A deck_ahead has what Forecast has for one horizon. */
+typedef struct {
+    double w[MEMBERS], zeta[MEMBERS], log_zeta[MEMBERS], log_prior[MEMBERS], sigma[DIRECTIONS * MEMBERS];
+} bank_members;
+
+typedef struct {
+    int64_t t;
+    double waves[SKILL_HORIZONS * DIRECTIONS * 2];
+} issued_forecast;
+
+typedef struct {
+    int64_t issued_n;
+    issued_forecast issued[ISSUED_MAX];
+    double n[SKILL_HORIZONS], product[SKILL_HORIZONS * DIRECTIONS * 2], square[SKILL_HORIZONS * DIRECTIONS * 2],
+        came[SKILL_HORIZONS * DIRECTIONS * 2];
+} forecast_skill;
+
+typedef struct {
+    int64_t t;
+    double w_rad_s[DIRECTIONS], zeta[DIRECTIONS], sigma[DIRECTIONS];
+    forecast_skill skill;
+    double log_weight[DIRECTIONS * MEMBERS], weight[DIRECTIONS * MEMBERS], x[DIRECTIONS * MEMBER_STATES * MEMBERS],
+        P[DIRECTIONS * MEMBER_PAIRS * MEMBERS];
+} sea;
+
+typedef struct {
+    int64_t hold_ns, velocity_is_over, reopen_count, sighting_has_attitude_error;
+    double tick_s, forget_s, aiding_period_s, accel_step_m_s2, gyro_step_rad_s, deck_radius_m, not_measured_var,
+        correlation_s[KINDS], nis_max[ROWS_MAX], psd[N], psd_accel, psd_coast, psd_coast_turn, wave_yaw_rad_s,
+        sigma_wave_yaw_rate_rad_s, carrying_psd_accel[DIRECTIONS], carrying_psd_drift[DIRECTIONS],
+        carrying_psd_tilt[DIRECTIONS], min_confidence, reopen_s, heading_memory_s, sigma_sway_per_heave,
+        sigma_turn_rate_rad_s, pad_yaw_in_vessel_rad;
+    bank_members members;
+} filter_params;
+
+typedef struct {
+    int64_t fused, refused, n, since, m, axes;
+    double deck_weight, innov[3], R[9], ambiguity[9], spread[9], H[3 * COLUMNS_MAX];
+} aid;
+
+typedef struct {
+    int64_t n, t[EXCESSES_MAX];
+    double values[3 * EXCESSES_MAX];
+} innovation_excesses;
+
+typedef struct {
+    int64_t t, t_cov, t_imu, t_velocity, sighted, agreed, is_levelled, heading_is_given, rejected_n, rejected_since,
+        rejected_last, heading_known, heading_seen;
+    double rejected_offset_ned[3], rejected_var_m2, R[9], x[N], R_cov[9], dv[3], dp[3], turned[9], coast_s, w[3], w_smooth[3],
+        f[3], levelled_by[9], cov_levelled_by[9], ins_p[3], ins_v[3], ins_var_m2_s2, jolt_var_m2_s2, jolt_var_rad2, over_pad,
+        wave_w[5], wave_zeta[5], wave_sigma[5], nis_mean, heading_held_s;
+    aid aids[KINDS];
+    innovation_excesses excesses;
+} belief;
+
+typedef struct {
+    int64_t kind, t;
+    double value[18];
+} event;
+
+typedef struct {
+    int64_t has_yaw, yaw_ambiguous, has_pose6;
+    double confidence, sigma_s, d_level[3], yaw_rad, cov[16], pose_d_level[3], pose_R[9], pose_cov[36];
+} sighting;
+
+typedef struct {
+    int64_t verdict, m, axes, has_S;
+    double innov[6], S[36], nis, nis_max;
+} outcome;
+
+typedef struct {
+    double row[2 * WAVE_STATES * OSCILLATORS], noise[2 * OSCILLATORS], squares[3 * WAVE_PAIRS * OSCILLATORS];
+} horizon_reach;
+
+typedef struct {
+    double d[3], cov_d[9], v_pad[3], height, sigma_height, rise, sigma_rise, roll, sigma_roll, pitch, sigma_pitch;
+} deck_ahead;
+
+typedef struct {
+    int64_t has_pad, has_body, sighted, agreed, velocity_fused, heading_known;
+    double nis_mean, heading, d[3], v[3], yaw, cov[49], a_body[3], cov_a_body[9], w_body[3], levelled_by[9],
+        cov_levelled_by[9], v_deck[3], a_deck[3], cov_deck[36], tilt[4], cov_tilt[16], x[N], var[N], cov_vessel,
+        wave_w[DIRECTIONS], wave_zeta[DIRECTIONS], wave_sigma[DIRECTIONS];
+} answer;
+
+/* Functions of the filter's algebra, of the bank and of the filter. */
+int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis);
+void kalman_predict(int32_t n, const double *P, const double *F, const double *Q, double *P_after);
+int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx,
+    double *P_after, double *S, double *nis);
+void remove_attitude(int32_t m, double *cov, const double *J, const double *cov_attitude);
+void bank_begin(const bank_members *m, sea *after);
+void bank_observe(const filter_params *o, int64_t t, const double *y, const double *var, double ins_var, double reach_m,
+    const sea *before, sea *after);
+int32_t filter_run(const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before,
+    const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after, int64_t *P_index,
+    int64_t *sea_index, outcome *outcomes);
+int32_t filter_propagate(const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before,
+    belief *after, double *P_after);
+void filter_settle(const filter_params *o, const belief *before, belief *after, double *F, double *Q);
+int32_t sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only,
+    double *innov, double *H, double *R, double *by_rate);
+void bank_reach(const bank_members *m, int32_t n, const double *horizons_s, horizon_reach *out);
+int32_t filter_forecast(const filter_params *o, int64_t t, const belief *before, const double *P_before, const sea *bank,
+    int32_t n, const double *horizons_s, const horizon_reach *reach, deck_ahead *out);
+void filter_answer(const filter_params *o, int64_t t, const belief *before, const double *P_before, answer *out);
+
+/* ---- law/: the law that follows the deck ---- */
+
+enum {
+    /* The largest number of commands that the law remembers: 0.65 s at 200 cycles a second. */
+    UNDER_WAY_MAX = 132,
+};
+
+/* companion.guidance.law_records says what the members mean where their names do not. Vectors are written in level, axes
+ * and commands under way in axes that do not turn with the nose; delays are numbers of periods, commands come newest
+ * first. */
+typedef struct {
+    int64_t remembered, over_ground, keeps_in_view, looks_ahead;
+    double period_s, frequency_rad_s, damping, lag_s, tilt_max_m_s2, climb_lag_s, climb_max_m_s, view_forward_m, view_right_m,
+        half_forward_rad, half_right_rad;
+} law_params;
+
+typedef struct {
+    int64_t n, tilt_delay, climb_delay;
+    double slowness_s, p, w, a, rate, lag, under_way[UNDER_WAY_MAX];
+} law_gains;
+
+typedef struct {
+    double p, w, d, b, lean, rate, lag, under_way[UNDER_WAY_MAX];
+} law_axis;
+
+typedef struct {
+    double p, w, lean, rate, a_body, a_deck;
+} axis_measured;
+
+typedef struct {
+    double own, lean, rate;
+} law_own;
+
+typedef struct {
+    int64_t begun, has_turn;
+    double pushed_down_m_s2, turn_yaw_rad, turn_rate_rad_s, climbs[UNDER_WAY_MAX];
+    law_axis axes[2];
+    law_own own[2];
+} law_memory;
+
+typedef struct {
+    int64_t goes_on, steers, has_deck, horizons, has_yaw, has_rate, has_wanted_yaw, has_lean_max;
+    double dt, share, forecast_age_s, heading_rad, d[3], v[3], yaw_rad, a_body[3], w_body[3], lean[2], v_deck[3], a_deck[3],
+        wanted[3], rate_m_s, rate_max_m_s, speed_max_m_s, wanted_yaw_rad, lean_max_rad;
+} law_cycle;
+
+typedef struct {
+    double a[2], trim[2], v[3], yaw_rate_rad_s;
+} law_command;
+
+/* One axis of the law, which its stability margins ask too, and one whole cycle. */
+void law_observe(const law_params *o, const double *observer, double dt, double arrived, const law_axis *before,
+    const axis_measured *z, law_axis *after);
+double law_tilt(const law_axis *x, const law_gains *gains, double off_m, double a_deck, double a_deck_then);
+void law_step(const law_params *o, const law_gains *gains, const law_gains *gains_before, const double *observer,
+    const law_cycle *in, const double *horizons_s, const double *rates_m_s, const law_memory *before, law_memory *after,
+    law_command *out);
+
+/* ---- vision/register/: the drawing registered with a frame ---- */
+
+enum {
+    /* Kinds of edges, by the paints that meet. */
+    EDGE_KINDS = 5,
+    /* The largest number of regions whose paint differs from the one below. */
+    PAD_CONTRASTS = 5,
+    /* The largest number of circles that bound a region. */
+    REGION_CIRCLES = 2,
+    /* The largest number of figures made of rectangles and of what straight sides of any direction enclose. */
+    PAD_FIGURES = 4,
+    /* The largest number of limits of a figure's rectangles along one axis. */
+    FIGURE_CUTS = 64,
+    /* The largest number of rectangles of a figure. */
+    FIGURE_RECTANGLES = 320,
+    /* The largest number of a figure's straight sides of any direction. */
+    FIGURE_SIDES = 64,
+    /* The largest number of sides of a wedge. */
+    WEDGE_SIDES = 4,
+    /* Rows of floats, each as long as the largest number of pixels, that a registration works on. */
+    FIT_ROWS = 148,
+    /* Number of points of the pointer, one of which is in the frame if it can be seen. */
+    POINTER_MARKS = 4,
+    /* The largest number of pixels of a profile and of what fills its group up. */
+    PROFILE_PIXELS = 24,
+};
+
+/* A pad_region is what its circles (sums with a sign), its figure's rectangles, and the wedge cover. A figure's rectangles
+ * lie between its limits along both axes, which ascend; its sides, whose inside is to the right of their direction seen
+ * from above, go around what else it covers, which no rectangle does. A wedge is where all n p < offset, beyond a circle
+ * about the centre. A pad_shape has the regions as painted (contrasts: paint over the one that each lies_on, -1 for the
+ * surroundings) and the inside of each kind of edge (kinds); an edge_zone is where an edge of another kind is too near:
+ * within and outside of two radii, in a box, anywhere if the blur is too wide for something thin, where the figure
+ * on_figure does not cover a pixel wholly, and where beside_figure covers any of it (-1 for neither). The pointer is the
+ * part of the drawing that tells its two headings apart. The other structures have what Camera, Orientation,
+ * RegistrationOptions and Registration have; the covariances of fit_solved are in pad. A camera_sighting is a pose in cam
+ * with the attitude and the mount; a level_sighting is the same pose in level: its place, rotation and their covariance,
+ * the body's heading against the arrow, and the covariance of place and heading. */
+typedef struct {
+    int64_t circles, figure, has_wedge;
+    double radius_m[REGION_CIRCLES], sign[REGION_CIRCLES];
+} pad_region;
+
+typedef struct {
+    int64_t rectangles, x_cuts, y_cuts, sides, x0[FIGURE_RECTANGLES], x1[FIGURE_RECTANGLES], y0[FIGURE_RECTANGLES],
+        y1[FIGURE_RECTANGLES];
+    double x_m[FIGURE_CUTS], y_m[FIGURE_CUTS], from_x_m[FIGURE_SIDES], from_y_m[FIGURE_SIDES], to_x_m[FIGURE_SIDES],
+        to_y_m[FIGURE_SIDES];
+} pad_figure;
+
+typedef struct {
+    int64_t sides;
+    double nx[WEDGE_SIDES], ny[WEDGE_SIDES], offset_m[WEDGE_SIDES], beyond_m;
+} pad_wedge;
+
+typedef struct {
+    int64_t on_figure, beside_figure;
+    double inside_m, outside_m, thinnest_m, box_m[4], box_radius_m;
+} edge_zone;
+
+typedef struct {
+    int64_t contrast_count, pointer_kind, pointer_contrast, pointer_figure, lies_on[PAD_CONTRASTS],
+        contrast_of_kind[EDGE_KINDS], paint_of_kind[EDGE_KINDS];
+    double disc_radius_m, half_length_m, pointer_clear_m, gap_m, pointer_marks_m[2 * POINTER_MARKS], nominal[3 * EDGE_KINDS];
+    pad_region contrasts[PAD_CONTRASTS], kinds[EDGE_KINDS];
+    pad_figure figures[PAD_FIGURES];
+    pad_wedge wedge;
+    edge_zone zones[EDGE_KINDS];
+} pad_shape;
+
+typedef struct {
+    int64_t width, height, distorted;
+    double fx, fy, cx, cy, distortion[5], R_body_cam[9];
+} camera_lens;
+
+typedef struct {
+    int64_t given;
+    double roll_rad, pitch_rad, cov_tilt[4], sigma_deck_rad;
+} tilt_prior;
+
+typedef struct {
+    int64_t max_profiles, dense_pixels;
+    double blur_px, edge_sigma_px, dense_edge_sigma_px, size_sigma_m, coded_px, noise, cut[3];
+} fit_options;
+
+typedef struct {
+    double R[9], t[3], blur_px2[3], m_per_px, depth_m;
+} fit_state;
+
+typedef struct {
+    double contrast_bgr[3], snr, in_view, inliers, likeness;
+} edge_support;
+
+typedef struct {
+    int64_t dense, arrow_seen, doubted;
+    double H[81], cov[81], noise_light, edge_rms_px, visible, inliers, last_step_px;
+    fit_state state;
+    edge_support edges[EDGE_KINDS];
+} fit_solved;
+
+typedef struct {
+    int64_t dense, yaw_ambiguous;
+    double R[9], t[3], cov[36], information[36], blur_px2[3], noise_light, edge_rms_px, visible, inliers, last_step_px;
+    edge_support edges[EDGE_KINDS];
+} registration;
+
+typedef struct {
+    double roll_rad, pitch_rad, cov_tilt[4], sigma_deck_rad, R_body_cam[9], t_body_cam[3], R_cam_pad[9], t_cam_pad[3],
+        cov_pose[36];
+} camera_sighting;
+
+typedef struct {
+    double d[3], R_level_pad[9], cov_pose[36], yaw_rad, cov[16];
+} level_sighting;
+
+/* The functions of registration. rays are those of all pixels if the lens distorts, else null; light is the linear light
+ * of each pixel value; edges has place, normal and distance to the next of each point of an edge, edge_of its kind and
+ * piece; start is a rotation and a place; scratch has room for FIT_ROWS rows of room floats; outline takes the pixel of
+ * every fourth point. */
+int32_t register_pad(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light,
+    const pad_shape *pad, int32_t points, const double *edges, const int32_t *edge_of, const tilt_prior *prior,
+    const fit_options *o, const double *start, int32_t room, float *scratch, registration *out, double *outline);
+void sighting_in_level(const camera_sighting *in, level_sighting *out);
+
+/* ---- vision/align/: the whole drawing aligned with a frame ---- */
+
+enum {
+    /* The highest level of a frame's pyramid: level k is 2**k times smaller. */
+    FRAME_LEVELS = 5,
+    /* Number of maps of the drawing, each blurred more than the one before. */
+    TEMPLATE_BLURS = 5,
+    /* Value of full coverage in a map. */
+    TEMPLATE_ONE = 16384,
+    /* The widest neighbourhood of a pixel whose mean light is subtracted, px to either side. */
+    LOCAL_MAX = 128,
+    /* Samples are handled in groups of so many, and their rows are as long as whole groups. */
+    SAMPLE_LANES = 8,
+    /* Number of floats for each pixel of the part of a frame that is aligned, beside a row of it with LOCAL_MAX at either end. */
+    SCRATCH_ROWS = 35,
+    /* Largest number of samples in the disc's bounding box on the way to a registration. */
+    APPROACH_SAMPLES = 1000,
+    /* Steps of Gauss and Newton on that way. */
+    APPROACH_STEPS = 6,
+    /* Largest number of samples in the disc's bounding box for verification. */
+    FINAL_SAMPLES = 2600,
+};
+
+/* The verification's features; estimator.vision.detect.verification says what they are. */
+enum align_feature {
+    FEATURE_ONE, FEATURE_H_MARKING, FEATURE_RING, FEATURE_EDGE, FEATURE_H_MARKING_ALL, FEATURE_RING_ALL, FEATURE_EDGE_ALL,
+    FEATURE_H_AND_RING, FEATURE_H_AND_EDGE, FEATURE_RING_AND_EDGE, FEATURE_TWO_OF_THREE, FEATURE_SOME_RING, FEATURE_SOME_EDGE,
+    FEATURE_SOME_TWO, FEATURE_H_ALONE, FEATURE_NO_H, FEATURE_NO_RING, FEATURE_NO_EDGE, FEATURE_RING_LAGS, FEATURE_FLANKS,
+    FEATURE_ARROW, FEATURE_NO_ARROW, FEATURE_TEMPLATE_GAIN, FEATURE_INLIERS, FEATURE_WHITE, FEATURE_ORANGE_PLACE,
+    FEATURE_ORANGE_ODD, FEATURE_DISC_PLACE, FEATURE_SIZE, FEATURE_IN_VIEW, FEATURE_TILT, FEATURES,
+};
+
+/* A frame_part is a part of one level of a pyramid, px of that level. A pad_pose takes the pad's axes to the camera's. In
+ * pad_template, a map has n rows along x and n columns along y, and the centre in its middle; log_blur are the logarithms
+ * of the maps' standard deviations, m; h_side is -1 in a channel in which the H is darker than the disc, else 1. In
+ * aligned_pad, paints are (4, 3); arrow has found, seen and clear at its place and at the opposite one; light_* are
+ * number, mean and variance of the light's logarithm where one paint shows alone. A cut is a line across the frame: rays
+ * (x, y) with cut[0] x + cut[1] y + cut[2] < 0 do not count, so that zeros cut nothing off; the first two are a unit
+ * vector. In cover_line, gain is by how much the logarithm of the residuals' variance falls, on average, if what lies
+ * beyond the cut is another thing of one colour, and left the share of the light's variation that the drawing leaves on
+ * this side of it. */
+typedef struct {
+    int64_t level, left, top, width, height;
+} frame_part;
+
+typedef struct {
+    double R[9], t[3];
+} pad_pose;
+
+typedef struct {
+    int64_t n, disc_channel, arrow_rows, arrow_columns, disc_drawn;
+    double per_m, log_blur[TEMPLATE_BLURS], local_m, reach_m, disc_radius_m, disc_edge_m, h_half_length_m, h_half_width_m,
+        ring_inner_m, ring_outer_m, arrow_tip_m, arrow_depth_m, arrow_half_base_m, arrow_margin_m, arrow_pitch_m,
+        orange_place[3], h_side[3];
+} pad_template;
+
+typedef struct {
+    int64_t steps, local, one_side;
+    double sigma_tilt_rad, side[2], cut[3], noise;
+} alignment;
+
+typedef struct {
+    double noise, contrast, chroma;
+} frame_quality;
+
+typedef struct {
+    double cut[3], gain, left;
+} cover_line;
+
+typedef struct {
+    double paints[12], local_paints[12], sample_m, in_view, tilt_sigmas, arrow[6], features[FEATURES], light_n[4],
+        light_mean[12], light_var[12];
+} aligned_pad;
+
+/* Functions of alignment. */
+int32_t align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out);
+void align_arrow_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, frame_part *out);
+int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light, const frame_part *part,
+    const uint8_t *px, int32_t stride, const alignment *how, pad_pose *pose, double *tilt_sigmas, float *scratch);
+int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps,
+    const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part,
+    const uint8_t *arrow_px, int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, const double *cut,
+    const frame_quality *of, float *scratch, aligned_pad *out);
+void frame_noise(const uint8_t *px, int32_t stride, int32_t width, int32_t height, frame_quality *out);
+int32_t align_cover(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light,
+    const frame_part *part, const uint8_t *px, int32_t stride, const pad_pose *pose, float *scratch, cover_line *out);
+
+/* ---- vision/look/: a registration, verified ---- */
+
+/* The inputs of the verification of a registration; estimator.vision.register.fit_verification says what they are. The
+ * weights of the first EVIDENCE_FITTED are fitted, the others are set by hand. */
+enum look_evidence {
+    EVIDENCE_ONE, EVIDENCE_TEMPLATE_SCORE, EVIDENCE_INLIERS, EVIDENCE_DISC_OFF, EVIDENCE_RING_OFF, EVIDENCE_H_OFF,
+    EVIDENCE_RING_UNSEEN, EVIDENCE_H_UNSEEN, EVIDENCE_DENSE, EVIDENCE_DENSE_INLIERS, EVIDENCE_RMS, EVIDENCE_VISIBLE,
+    EVIDENCE_DENSE_TEMPLATE_SCORE, EVIDENCE_DENSE_DISC, EVIDENCE_DENSE_ORANGE, EVIDENCE_NO_RING, EVIDENCE_NO_H,
+    EVIDENCE_DISC_UNSEEN, EVIDENCE_PAINTED, EVIDENCE_NO_DISC, EVIDENCE_H_CONTRAST_ODD, EVIDENCE_DISAGREES,
+    EVIDENCE_NOT_BRIGHTER, EVIDENCE_CORNER, EVIDENCE_EDGES_ASTRAY, EVIDENCE_H_ASTRAY, EVIDENCE_HALF_DISAGREES,
+    EVIDENCE_NO_H_IN_VIEW, EVIDENCE_H_DISAGREES, EVIDENCE,
+};
+
+enum { EVIDENCE_FITTED = EVIDENCE_DENSE_ORANGE + 1 };
+
+/* A pad_judge has what the verification knows of a pad, by channel the H's nominal side of the disc and the ring's place
+ * between disc (0) and H (1), and the weights of both models. With coarse a start is approached on a reduced frame first,
+ * with a tilt of so much. A pad_paint has what is known of the logarithm of each paint's light, (4, 3). In a looked_pad,
+ * paint is what is known of the paints if this is the pad, and log_odds is without priors. */
+typedef struct {
+    int64_t has_field, has_ring, has_letters, has_fiducials, disc_has_colour;
+    double orange_side[3], orange_place[3], template_weights[FEATURES], weights[EVIDENCE];
+} pad_judge;
+
+typedef struct {
+    int64_t coarse;
+    double sigma_tilt_rad, t_body_cam[3];
+} look_options;
+
+typedef struct {
+    double mean[12], var[12], trust;
+} pad_paint;
+
+typedef struct {
+    registration found;
+    aligned_pad aligned;
+    level_sighting seen;
+    pad_paint paint;
+    double evidence[EVIDENCE], log_odds;
+} looked_pad;
+
+/* The function of a look. Its parameters are those of register_pad and of alignment: light is a table of linear light,
+ * lights are three (linear, its root, its logarithm). scratch has room for both (FIT_ROWS rows of room floats), parts for
+ * half of the frame's bytes and 24 more for each of its columns. */
+int32_t look_at_pad(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light,
+    const float *lights, const pad_shape *shape, int32_t points, const double *edges, const int32_t *edge_of,
+    const pad_template *drawn, const int16_t *maps, const int16_t *local_maps, const pad_judge *judge, const tilt_prior *prior,
+    const fit_options *fit, const frame_quality *quality, const look_options *how, const pad_paint *known, const double *start,
+    int32_t room, float *scratch, uint8_t *parts, looked_pad *out, double *outline);
+
+/* ---- vision/lamps/: a lit pad ---- */
+
+enum {
+    /* The largest number of lamps of a pad. */
+    LAMPS = 40,
+    /* The largest number of pairs of lamps that a search tries. */
+    LAMP_PAIRS = 20,
+    /* The brightest so many spots of a frame are kept. */
+    LAMP_SPOTS = 40,
+};
+
+/* A lamp_pattern has places and radii of the lamps, the pairs that a search tries, the standard deviation of the pattern's
+ * size at its outermost lamp, and the camera's place in the body. reach_px is how far the pad may be from where it is
+ * expected. In lamps_seen, cov is of the place and of a small rotation of the pad, both in cam; log10_odds are those that
+ * these spots are the pad's lamps and no other lights; uv_px has the lit spots that are lamps. */
+typedef struct {
+    int64_t lamps, pairs, pair[2 * LAMP_PAIRS];
+    double x_m[LAMPS], y_m[LAMPS], radius_m[LAMPS], size_sigma_m, t_body_cam[3];
+} lamp_pattern;
+
+typedef struct {
+    pad_pose pose;
+    double reach_px;
+} lamps_expected;
+
+typedef struct {
+    int64_t lit;
+    pad_pose pose;
+    level_sighting seen;
+    double cov[36], confidence, log10_odds, uv_px[2 * LAMP_SPOTS];
+} lamps_seen;
+
+/* The functions of lamps. light has the linear light of each value of a pixel, full scale 65535; at may be null; scratch
+ * has the numbers that lamps_room asks for. find_lamps looks where the pad is expected, and searches the whole frame if it
+ * is not there. It returns 1 if the pad is seen, 0 if not, and -1 if the frame has more bright places than a dark deck. */
+int64_t lamps_room(const camera_lens *camera);
+int32_t find_lamps(const camera_lens *camera, const uint8_t *frame, const uint16_t *light, const lamp_pattern *pad,
+    const tilt_prior *prior, const lamps_expected *at, uint32_t *scratch, lamps_seen *out);
+
+/* ---- vision/search/: the pad in a whole frame ---- */
+
+enum {
+    /* Side of the blocks of a frame in which contrast is compared and the plane is taken as flat, px. */
+    SEARCH_BLOCK = 16,
+    /* Side of the cells that votes are counted in, px. */
+    SEARCH_CELL = 2,
+    /* The largest number of radii of one search. */
+    SEARCH_RADII = 12,
+    /* Sectors of a circle in which an edge is looked for; each gives one point of the outline. */
+    SEARCH_SECTORS = 36,
+    /* Sizes of a frame that guesses are compared at: full, half, quarter ... size. */
+    SEARCH_LEVELS = 5,
+    /* Polar cells of the drawing. */
+    POLAR_RADII = 18,
+    POLAR_ANGLES = 48,
+};
+
+/* A search_image is a grey image step times smaller than the frame, room for so many edges, the margin around it in which
+ * centres may lie, px, and the plane that the pad is taken to lie in, at unit distance from the lens. Radii of a search
+ * are least in that plane and those that follow, each ratio times the one before; it may be for circles that are bright
+ * inside only. A search_circle lies in the plane; support is the fraction of its outline with an edge, and outline_px has
+ * their places in the frame, px. A polar_pad has the drawing in polar cells, radius by radius: places, area within the
+ * disc's paint, and coverage. polarity is 1 where the H is brighter than the disc, else -1. A search_frame describes the
+ * sizes of a frame, the plane, and the circles of the drawing: radius, and 1 if it is brighter inside, -1 if darker, 0 if
+ * that depends on the deck. A search_guess is a pose, the angle by which it is to be turned about its own z axis, the
+ * fraction of the variance that the drawing explains there, the support of the circle that it came from, and in x and y of
+ * the turned pad the direction of the half of the disc that counts, if only one does. pad_strokes are the sizes of the H
+ * and the width of the disc around it that counts, and a strokes_image is a BGR image step times smaller than the frame,
+ * in which the marks may be bright or dark. A blob_image is a BGR image of half the frame's size and the frame itself;
+ * whether all channels are equal; the largest number of blobs; the noise's standard deviation in the half-size image,
+ * values of a pixel; and the plane that the pad is taken to lie in. */
+typedef struct {
+    int64_t width, height, stride, room, margin, step;
+    double R_cam_plane[9];
+} search_image;
+
+typedef struct {
+    int64_t radii, most, only_bright;
+    double least, ratio;
+} search_radii;
+
+typedef struct {
+    int64_t bright_inside, points;
+    double centre[2], radius, support, outline_px[2 * SEARCH_SECTORS];
+} search_circle;
+
+typedef struct {
+    double xy_m[2 * POLAR_RADII * POLAR_ANGLES], area_inside[POLAR_RADII], ring[POLAR_RADII],
+        h_marking[POLAR_RADII * POLAR_ANGLES], arrow[POLAR_RADII * POLAR_ANGLES], polarity, radius_m;
+} polar_pad;
+
+typedef struct {
+    double turn_rad, score, arrow, in_view;
+} polar_fit;
+
+typedef struct {
+    int64_t levels, plane_known, radii, width[SEARCH_LEVELS], height[SEARCH_LEVELS], stride[SEARCH_LEVELS];
+    double R_cam_plane[9], radius_m[4], sign[4];
+} search_frame;
+
+typedef struct {
+    double length_m, width_m, leg_m, bar_m, margin_m;
+} pad_strokes;
+
+typedef struct {
+    int64_t width, height, stride, step, bright, plane_known;
+    double R_cam_plane[9];
+} strokes_image;
+
+typedef struct {
+    int64_t width, height, stride, full_width, full_height, full_stride, grey, most;
+    double noise, R_cam_plane[9];
+} blob_image;
+
+typedef struct {
+    int64_t known, one_sided;
+    double R[9], t[3], turn_rad, drawing, support, side[2];
+} search_guess;
+
+/* Functions of the search. rays are those of the corners of the blocks, (rows + 1, columns + 1, 2); scratch has the floats
+ * that search_room, search_strokes_room or search_blobs_room asks for. side is null, or the direction on the pad of the
+ * half of the disc that counts. levels are the pixels of the frame at full, half, quarter ... size, half and full those of
+ * a blob_image. rated has for each circle how many guesses of it are in before, one circle's after the other's, or -1; it
+ * gets that number for each circle whose guesses were computed and are complete. */
+int64_t search_room(const search_image *image);
+int32_t search_circles(const search_image *image, const uint8_t *grey, const float *rays, const search_radii *radii,
+    float *scratch, search_circle *out);
+int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int32_t width,
+    int32_t height, const uint8_t *px, int32_t stride, const double *side, polar_fit *out);
+int32_t search_guesses(const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels,
+    int32_t circles, const search_circle *circle, int64_t *rated, const search_guess *before, int32_t most, search_guess *out);
+int64_t search_strokes_room(const strokes_image *image);
+int32_t search_strokes(const camera_lens *c, const strokes_image *image, const pad_strokes *h, const uint8_t *px,
+    float *scratch, int32_t most, search_guess *out);
+int64_t search_blobs_room(const blob_image *image);
+int32_t search_blobs(const camera_lens *c, const blob_image *image, const uint8_t *half, const uint8_t *full, float *scratch,
+    search_circle *out);
+
+#endif

@@ -1,0 +1,271 @@
+/* The interface of the library that simulates. Python's side is made from this file, as decklander.h says. */
+#ifndef DECKLANDER_SIM_H
+#define DECKLANDER_SIM_H
+
+#include <stdint.h>
+
+/* The digest of this file. */
+uint32_t dl_digest(void);
+
+/* ---- video/: the AR.Drone 1.0's pictures ---- */
+
+typedef struct {
+    int64_t width, height, quantizer, number;
+} sim_uvlc_picture;
+
+/* Encode (height, width, 3) bytes as one picture. Return its length in bytes, 0 if it is longer than the room, -1 for a picture
+ * that the format cannot hold. `bytes` is the size of `bgr`. */
+int32_t sim_uvlc_encode(const uint8_t *bgr, int32_t bytes, const sim_uvlc_picture *picture, uint8_t *out, int32_t room);
+
+/* ---- physics/: vehicle, air, contacts, sensors, vessel ---- */
+
+/* Where the standard normal numbers lie that the sensors take at a step, and how many they are. */
+enum sensor_noise {
+    IMU_NOISE = 0, FIELD_NOISE = 6, PRESSURE_NOISE = 9, HEADING_DRIFT = 10, PRESSURE_DRIFT = 11, ECHO_NOISE = 12,
+    SENSOR_NOISE = 13,
+};
+
+/* What a simulated vehicle is doing. */
+enum flight_phase {
+    PHASE_LANDED, PHASE_TAKING_OFF, PHASE_HOVERING, PHASE_FLYING, PHASE_LANDING, PHASE_EMERGENCY,
+};
+
+enum touched {
+    TOUCHED_NOTHING, TOUCHED_DECK, TOUCHED_SEA,
+};
+
+enum {
+    /* The largest number of rotors of a simulated vehicle. */
+    ROTORS_MAX = 6,
+    /* The largest number of single gusts in the simulated air. */
+    GUSTS_MAX = 100,
+    /* The largest number of steps of physics that a stick command may be under way. */
+    COMMANDS_MAX = 1024,
+    /* The largest number of ultrasound echoes under way to the telemetry. */
+    ECHOES_MAX = 64,
+    /* Standard normal numbers that a vehicle takes at a step: gust (3), optical flow (2), tilt (2); the air takes as many. */
+    FLIGHT_NOISE = 7,
+};
+
+typedef struct {
+    double p[3], v[3], R[9], w[3];
+} deck;
+
+typedef struct {
+    double at_s, rise_s, hold_s, v[2];
+} gust;
+
+typedef struct {
+    int64_t on, logarithmic, dryden, wake, gusts;
+    double speed_m_s, along[2], roughness_m, log10m, keep_ship, block_m[2], block_size[3], wake_decay, pad_yaw[2];
+    gust gust[GUSTS_MAX];
+} air_params;
+
+typedef struct {
+    int64_t quad_x, rotors, effect_by_rotor, flow_sees_deck, flow_works, motor_driven, all_healthy, delay_steps;
+    double step_s, mass_kg, inertia_kg_m2[3], thrust_max_n, torque_max_n_m[3], motor_lag, arm_m, rotor_radius_m,
+        rotors_above_m, yaw_torque_per_thrust_m, drag_per_s[3], rotor_forward[ROTORS_MAX], rotor_right[ROTORS_MAX],
+        rotor_spin[ROTORS_MAX], rotor_squares[2], effect_radius_m, rotor_health[ROTORS_MAX], landing_speed_m_s,
+        take_off_speed_m_s, take_off_height_m, motors_off_after_s, tilt_cut_off_cos, tilt_p, tilt_d, yaw_rate_p, velocity_p,
+        velocity_d, velocity_i, velocity_i_max_m_s2, climb_p, climb_d, climb_i, climb_i_max_m_s2, height_p, observer_share,
+        unasked_max_rad_s2[3], flow_scale, flow_lag, foot_m, feet_below_m, hull_top_m, foot_n_m, foot_n_s_m, foot_stop_kg_s,
+        friction, deck_fore_m, deck_aft_m, deck_middle_m, deck_half_m, deck_taper_m, deck_yaw[2], gust_sigma_m_s, gust_keep,
+        gust_fresh, flow_keep, flow_fresh, tilt_keep, tilt_fresh, wind[3], tilt_max_rad, extra_wind[3], current[2],
+        euler_angle_max_rad, vz_max_m_s, yaw_rate_max_rad_s;
+    air_params air;
+} vehicle_params;
+
+typedef struct {
+    int64_t phase, tied, ditched, touched_what, touched_phase, pending_at, ship_known;
+    double seconds, p[3], v[3], q[4], R[9], w[3], a[3], thrust_n, torque_n_m[3], flow[2], integral[3], unasked_w[3],
+        unasked[3], z_hold, attached_d[3], attached_q[4], contact_s, airborne_s, touched_s, touched_d[3], touched_v[3],
+        touched_yaw, gust[3], flow_error[2], tilt_bias[2], tilt_drift[2], air_u, air_v[2], air_w[2], eddy[3], ship[2], air[3],
+        driven_n, driven_n_m[3], command[5], pending[5 * COMMANDS_MAX];
+} vehicle;
+
+typedef struct {
+    int64_t echo_every, echo_delay;
+    double step_s, accel_sigma[2], gyro_sigma[2], accel_bias[3], gyro_bias[3], heading_bias, field_bias[3], field_sigma,
+        heading_keep, heading_fresh, pressure_keep, pressure_fresh, pressure_sigma, cone_rad, echo_sigma, echo_min_m,
+        echo_max_m, battery_life_s, hover_n;
+    int64_t motor[4];
+} sensor_params;
+
+typedef struct {
+    int64_t tick, echoes, first_echo;
+    double heading_drift, pressure_drift, noise[SENSOR_NOISE], battery, echo_m, echo_due[ECHOES_MAX],
+        echo_under_way_m[ECHOES_MAX];
+} sensors;
+
+typedef struct {
+    double f_body[3], w_body[3], rpy_rad[3], v_level_m_s[2], magnetometer[3], ultrasound_m, pressure_pa, battery,
+        motors_pwm[4];
+} readings;
+
+typedef struct {
+    int64_t tick, every;
+    double z, vz;
+} water;
+
+typedef struct {
+    double amplitude_m, k[2], w_rad_s, phase_rad;
+} wave;
+
+typedef struct {
+    double w_rad_s, re[6], im[6];
+} harmonic;
+
+typedef struct {
+    double eta[6], eta_dot[6], eta_ddot[6];
+} vessel_motion;
+
+typedef struct {
+    double p[3], v[3], a[3], heading_rad;
+} vessel_origin;
+
+typedef struct {
+    double d[3], R[9];
+} mount;
+
+typedef struct {
+    double p[3], v[3], a[3], R[9], w[3];
+} mounted;
+
+/* Functions that step a simulated vehicle and its sensors, and tell a vessel's motion at some times: about her steady
+ * course, by harmonics with complex amplitudes of the six modes; and that of a point which is fixed to her, with axes
+ * fixed to it. */
+int32_t sim_run(const vehicle_params *o, vehicle *v, const sensor_params *e, sensors *s, water *sea, int32_t harmonics,
+    const wave *waves, int32_t n, const deck *decks, const double *noise, const double *air_noise, const double *sensor_noise);
+void vehicle_step(const vehicle_params *o, vehicle *v, const deck *g, double sea_z, double sea_vz, const double *noise,
+    const double *air_noise);
+void vehicle_carry(vehicle *v, const deck *g);
+void sensors_read(const vehicle_params *o, const vehicle *v, const sensor_params *e, const sensors *s, readings *out);
+void vessel_moved(int32_t harmonics, const harmonic *h, int32_t n, const double *t_s, vessel_motion *out);
+void vessel_mounted(int32_t n, const vessel_origin *origin, const vessel_motion *m, const mount *at, mounted *out);
+
+/* ---- render/ and sea/: what a camera sees ---- */
+
+/* The paints of a pad, in the order of their shares; the first is what lies around it. */
+enum pad_paint_kind {
+    PAD_NONE, PAD_RIM, PAD_DISC, PAD_ORANGE, PAD_WHITE, PAD_UPPER, PAD_PAINTS,
+};
+
+/* The first numbers of a painted region: its shape, its paint, the paint that it lies on, and its least and largest
+ * distance from the centre, m; then those of its shape. */
+enum pad_region_number {
+    PAD_SHAPE, PAD_PAINT, PAD_BELOW, PAD_NEAREST, PAD_FARTHEST, PAD_SHAPE_NUMBERS,
+};
+
+/* The shapes of regions, and their numbers: m from the centre, and the direction of the arrowhead's sides. A convex
+ * polygon of up to four sides has for each its normal outward and its distance from the centre, m, one after the other
+ * from the first. */
+enum pad_shape_kind {
+    PAD_ANNULUS, PAD_RECTANGLE, PAD_ARROW, PAD_POLYGON,
+};
+
+enum {
+    PAD_ANNULUS_INNER = PAD_SHAPE_NUMBERS, PAD_ANNULUS_OUTER,
+};
+
+enum {
+    PAD_RECTANGLE_U0 = PAD_SHAPE_NUMBERS, PAD_RECTANGLE_U1, PAD_RECTANGLE_V0, PAD_RECTANGLE_V1,
+};
+
+enum {
+    PAD_ARROW_TIP = PAD_SHAPE_NUMBERS, PAD_ARROW_BASE, PAD_ARROW_COS, PAD_ARROW_SIN,
+};
+
+enum {
+    PAD_POLYGON_SIDES = PAD_SHAPE_NUMBERS, PAD_POLYGON_FIRST, PAD_POLYGON_1, PAD_POLYGON_2, PAD_POLYGON_3, PAD_POLYGON_4,
+    PAD_POLYGON_5, PAD_POLYGON_6, PAD_POLYGON_7, PAD_POLYGON_8, PAD_POLYGON_9, PAD_POLYGON_10, PAD_POLYGON_11, PAD_REGION,
+};
+
+/* The strengths of what lies on the sea: small and large ripples, the height below which no crest breaks, the brightness
+ * of those that do, the largest share of light that a ship's shade takes, and the brightness of full foam beside and
+ * behind her. */
+enum sea_weight {
+    SEA_SMALL, SEA_LARGE, SEA_CALM, SEA_CAP, SEA_SHADE, SEA_WASH, SEA_WAKE, SEA_WEIGHTS,
+};
+
+/* A part of the frame, px: its first column and row, and their numbers. */
+enum lens_window {
+    LENS_X, LENS_Y, LENS_COLUMNS, LENS_ROWS, LENS_NUMBERS,
+};
+
+enum {
+    /* Value of a factor of one on simulated light. */
+    GAIN_ONE = 16384,
+    /* Value of a scene's pixel that reflects all light, and of wear that does not change it. */
+    SCENE_ONE = 32768,
+    /* Distance between the rays at which planes are met exactly, px. */
+    CELL_PX = 8,
+    /* The widest blur of the simulated lens, px. */
+    BLUR_RADIUS_MAX = 30,
+    /* Light up to so many counts is told apart by single counts when noise is added to it, then by four. */
+    LEVELS_BY_ONE = 512,
+    /* Light from so many counts on is told apart by eight. */
+    COUNTS_BY_EIGHT = 4096,
+    /* The number of levels below that. */
+    LEVELS_BY_EIGHT = LEVELS_BY_ONE + (COUNTS_BY_EIGHT - LEVELS_BY_ONE) / 4,
+    /* The number of levels of light; the last one holds all light that is brighter. */
+    LIGHT_LEVELS = 2048,
+    /* The number of levels of noise. */
+    GRAIN_LEVELS = 32,
+    /* Value of one in a texture of the sea. */
+    TILE_ONE = 4096,
+    /* The number of outlines of a ship on the water: her shadow, her hull, and her wake. */
+    SEA_OUTLINES = 3,
+    /* The largest number of points of one of them. */
+    SEA_OUTLINE_POINTS = 48,
+    /* Kind of a pixel that shows several paints. */
+    PAD_EDGE = 255,
+    /* Numbers of one part of an exposure: homographies in its middle, their change during it, in the first row and in the last. */
+    STROKE_NUMBERS = 36,
+    /* So many columns of a row are blurred exactly together, or left as they are. */
+    LENS_BLOCK = 16,
+    /* The largest number of regions: disc, rim, ring, arrowhead, and the rectangles and convex pieces of lettering of two paints. */
+    PAD_REGIONS_MOST = 784,
+};
+
+/* Functions that render a frame, stage by stage. */
+void render_meet(int32_t count, const float *rays, const double *plane_from_ray, double most, float *places);
+void render_bounds(int32_t h, int32_t w, const uint8_t *mask, int32_t *covered, int32_t *open);
+void render_deck(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells, int32_t columns,
+    const uint16_t *texels, int32_t texel_rows, int32_t texel_columns, const uint8_t *mask, uint16_t *scene);
+void render_fill(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *mask, const uint16_t *colour,
+    uint16_t *scene);
+void render_shadow(int32_t h, int32_t w, const float *cells, int32_t columns, const float *shape, float soft, float share,
+    const uint8_t *mask, int16_t *gain, int32_t *part);
+void render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights,
+    uint16_t *smeared);
+void render_average(int32_t h, int32_t w, const uint16_t *scene, const int32_t *shifts, uint16_t *averaged);
+void render_sea(int32_t h, int32_t w, const uint8_t *mask, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const float *cells,
+    int32_t columns, const int16_t *small_texels, const int16_t *large_texels, const int16_t *caps_texels,
+    const int16_t *streak_texels, const int32_t *sizes, const double *drift, const float *weights, const float *slow,
+    const double *outlines, const int32_t *outline_points, const float *soft_m, uint8_t *codes);
+void render_swell(int32_t rows, int32_t columns, const float *rays, const double *R_ned_cam, const double *plane_from_ray,
+    const double *to_sun, double t_s, int32_t harmonics, const wave *waves, float *light);
+void render_water(int32_t w, int32_t x0, int32_t x1, int32_t y0, int32_t y1, const uint8_t *codes, const uint16_t *colours,
+    const uint8_t *mask, uint16_t *scene);
+int32_t render_pad_kinds(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, const float *middles,
+    const float *whole, int32_t rolling, int32_t regions, const float *pad, uint8_t *kinds, int32_t *edges);
+void render_pad_shares(int32_t h, int32_t w, const float *rays, const float *change, int32_t bent, int32_t strokes,
+    const float *stroke_numbers, int32_t rolling, int32_t regions, const float *pad, int32_t fine, int32_t count,
+    const int32_t *edges, float *shares, float *parts);
+void render_pad_lens(int32_t w, const int32_t *window, const uint8_t *kinds, int32_t edges, const int32_t *where,
+    const float *shares, int32_t fine, const float *parts, int32_t reach, const float *exact, const float *sampled,
+    const uint16_t *scene, const int16_t *gain, const float *exposure, const uint16_t *pad_scene, int32_t *places, float *room,
+    int16_t *added);
+void render_expose(int32_t pixels, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure,
+    const uint16_t *pad_scene, int16_t *light);
+void render_mix(int32_t edges, const int32_t *where, const float *shares, const uint16_t *scene, const int16_t *gain,
+    const float *exposure, const uint16_t *pad_scene, int16_t *light);
+void render_blur(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window,
+    const int16_t *added, uint16_t *scratch, int16_t *out);
+void render_frame(int32_t h, int32_t w, const int16_t *light, int32_t radius, const uint16_t *taps, const int32_t *window,
+    const int16_t *added, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
+void render_image(int32_t h, int32_t w, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain, const float *exposure,
+    const uint16_t *pad_scene, int32_t edges, const int32_t *where, const float *shares, int32_t radius, const uint16_t *taps,
+    const int32_t *window, const int16_t *added, const uint8_t *noise, const uint8_t *codes, uint16_t *scratch, uint8_t *frame);
+
+#endif
