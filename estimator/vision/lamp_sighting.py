@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,27 +17,19 @@ from estimator.contracts.estimates import Feature, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.core.abi import LAMP_PAIRS
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import CORE, start_of
-from estimator.core.records import record
+from estimator.core.library import CORE
 from estimator.vision.believed import expected, sigma_of
 from estimator.vision.by_paint import TrackerMemory
 from estimator.vision.camera import Camera
-from estimator.vision.lamp import Lamp
-from estimator.vision.lamp import places_of as lamp_places
-from estimator.vision.native import address, packed_camera
+from estimator.vision.lamp import Lamp, places_of
+from estimator.vision.native import checked, image_of, native_prior, tracker_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.registration import packed_prior
 from estimator.vision.register.sighting import sighting_in_level
-from estimator.vision.srgb import LINEAR_LIGHT
 from estimator.vision.tracker_config import TrackerConfig
 
-_FIND, _ROOM = CORE.function("find_lamps"), CORE.function("lamps_room")
 _SEEN = 1
-_AT, _WORDS = places_of("lamps_seen"), size_of("lamps_seen")
-_LIT, _CONFIDENCE, _LEVEL, _UV = _AT["lit"].start, _AT["confidence"].start, _AT["seen"], _AT["uv_px"]
 _EXPECTED_SIGMAS = 3.0
 """Standard deviations of the believed position within which the pad is expected."""
 REACH_PX = 40.0
@@ -46,8 +39,6 @@ _EVERY_PX = 16
 _DARK = 25
 """Value of the brightest channel below which half of a dark frame's pixels lie: 0.9 % of the light that saturates the camera, in
 which a paint's contrast is a few values. Of night frames from 1 m or more nearly all are, and no frame by day."""
-_FULL = 65535.0
-_LIGHT = np.rint(_FULL * LINEAR_LIGHT).astype(np.uint16)
 
 
 def detect_lamps(
@@ -66,31 +57,30 @@ def detect_lamps(
     px = np.ascontiguousarray(frame.px, np.uint8)
     if px.shape != (camera.height, camera.width, 3):
         raise ValueError(f"want a frame of shape {(camera.height, camera.width, 3)}, got {px.shape}")
-    lens = address(packed_camera(camera))
-    prior, scratch, out = packed_prior(orientation), np.empty(_ROOM(lens), np.uint32), np.empty(_WORDS)
-    at = None if expected is None else np.concatenate([expected.R_cam_pad.matrix.ravel(), expected.t_cam_pad, [reach_px]])
-    found = _FIND(
-        lens, int(px.ctypes.data), light_address(), packed_pattern(pad, camera)[1], start_of(prior),
-        None if at is None else start_of(at), int(scratch.ctypes.data), start_of(out),
-    )  # fmt: skip
-    return _sighting(frame, out) if found == _SEEN else None
+    out, at = CORE.record("lamps_seen"), CORE.ffi.NULL
+    if expected is not None:
+        pose = (expected.R_cam_pad.matrix.ravel().tolist(), expected.t_cam_pad.tolist())
+        at = CORE.ffi.new("lamps_expected *", (pose, reach_px))
+    prior = CORE.ffi.new("tilt_prior *", native_prior(orientation))
+    found = CORE.lib.dl_find_lamps(
+        tracker_of(camera), image_of(px), CORE.array("lamp_pattern", pattern_of(pad)), prior, at, CORE.array("lamps_seen", out)
+    )
+    return _sighting(frame, out) if checked(found) == _SEEN else None
 
 
-def _sighting(frame: Frame, seen: F64) -> Sighting:
-    lit = int(seen[_LIT : _LIT + 1].view(np.int64)[0])
-    features = (Feature("point", "lamp", seen[_UV][: 2 * lit].reshape(-1, 2)),)
-    return sighting_in_level(frame, seen[_LEVEL], False, seen.item(_CONFIDENCE), features, "lamps")
+def _sighting(frame: Frame, seen: NDArray[Any]) -> Sighting:
+    features = (Feature("point", "lamp", seen["uv_px"][: 2 * int(seen["lit"])].reshape(-1, 2)),)
+    return sighting_in_level(frame, seen["seen"], False, float(seen["confidence"]), features, "lamps")
 
 
 @lru_cache(maxsize=8)
-def packed_pattern(pad: Pad, camera: Camera) -> tuple[F64, int]:
-    """Return the core's `lamp_pattern` and its address, which stays."""
-    places, pairs = lamp_places(pad.lamps), tried_pairs(pad.lamps)
-    words = record("lamp_pattern", {
-        "lamps": len(pad.lamps), "pairs": len(pairs), "pair": pairs, "x_m": places[:, 0], "y_m": places[:, 1],
-        "radius_m": [lamp.radius_m for lamp in pad.lamps], "size_sigma_m": pad.size_sigma_m, "t_body_cam": camera.T_body_cam.t,
-    })  # fmt: skip
-    return words, address(words)
+def pattern_of(pad: Pad) -> NDArray[Any]:
+    """Return the core's `lamp_pattern`."""
+    places, pairs = places_of(pad.lamps), tried_pairs(pad.lamps)
+    return CORE.record(
+        "lamp_pattern", lamps=len(pad.lamps), pairs=len(pairs), pair=pairs, x_m=places[:, 0], y_m=places[:, 1],
+        radius_m=[lamp.radius_m for lamp in pad.lamps], size_sigma_m=pad.size_sigma_m,
+    )  # fmt: skip
 
 
 def tried_pairs(lamps: Sequence[Lamp]) -> NDArray[np.int64]:
@@ -98,7 +88,7 @@ def tried_pairs(lamps: Sequence[Lamp]) -> NDArray[np.int64]:
 
     They are those that are the farthest apart among all lamps, and as many among the inner half.
     """
-    places = lamp_places(lamps)
+    places = places_of(lamps)
     order = np.argsort(np.linalg.norm(places - np.median(places, axis=0), axis=1))
     inner = order[: max(3, len(places) // 2)]
     return np.array([*_farthest(places, range(len(places))), *_farthest(places, inner.tolist())])
@@ -107,12 +97,6 @@ def tried_pairs(lamps: Sequence[Lamp]) -> NDArray[np.int64]:
 def _farthest(places: F64, among: Sequence[int]) -> list[tuple[int, int]]:
     pairs = sorted(combinations(among, 2), key=lambda pair: -float(np.linalg.norm(places[pair[0]] - places[pair[1]])))
     return pairs[: LAMP_PAIRS // 2]
-
-
-@lru_cache(maxsize=1)
-def light_address() -> int:
-    """Return the address of the linear light of a pixel's values, full scale 65535, which stays."""
-    return int(_LIGHT.ctypes.data)
 
 
 def is_dark(frame: Frame) -> bool:

@@ -22,15 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import CORE, start_of
-from estimator.core.records import record
+from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.guesses import Guess, guesses_of
-from estimator.vision.detect.heading import heading, marks_are_bright
+from estimator.vision.detect.heading import heading
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.native import address, packed_camera, pixels
+from estimator.vision.native import checked, image_of, tracker_of
 from estimator.vision.pad import Pad
 
 U8 = NDArray[np.uint8]
@@ -71,7 +69,7 @@ def lettering_blobs(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) ->
 def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
     """Yield the components that fill as much of their hull as the lettering does and lie within the frame."""
     grey = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
-    sign = 1 if marks_are_bright(pad) else -1
+    sign = 1 if pad.markings.is_bright else -1
     mean = cv2.blur(grey, (_WINDOW_PX, _WINDOW_PX))
     mask = np.asarray(sign * (grey.astype(np.int16) - mean) > _STANDS_OUT, np.uint8)
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -120,14 +118,8 @@ def _shape(pad: Pad) -> tuple[float, float]:
     return area, area / cv2.contourArea(cv2.convexHull(outline))
 
 
-_ROOM, _STROKES = CORE.function("search_strokes_room"), CORE.function("search_strokes")
-_WORDS = size_of("search_guess")
-_R_CAM_PLANE = places_of("strokes_image")["R_cam_plane"]
-
 MOST = 8
 """Largest number of places of the H."""
-_MARGIN_M = 0.035
-"""Width of the disc around the H that counts as background."""
 
 
 def h_markings(px: NDArray[np.uint8], step: int, camera: Camera, pad: Pad, plane: Plane, most: int = MOST) -> list[Guess]:
@@ -138,35 +130,10 @@ def h_markings(px: NDArray[np.uint8], step: int, camera: Camera, pad: Pad, plane
     Args:
         px: the frame, `step` times smaller than the camera's.
     """
-    start, stride = pixels(px)
-    image = _image((px.shape[1], px.shape[0], stride), step, marks_are_bright(pad), plane.known).copy()
-    image[_R_CAM_PLANE] = plane.R_cam_plane.ravel()
-    scratch, out = np.empty(_ROOM(start_of(image)), np.float32), np.empty((most, _WORDS))
-    n = _STROKES(
-        address(packed_camera(camera)), start_of(image), address(_packed(pad)), start, start_of(scratch), most,
-        start_of(out),
-    )  # fmt: skip
-    return guesses_of(out[:n])
-
-
-@lru_cache(maxsize=16)
-def _image(size: tuple[int, int, int], step: int, bright: bool, plane_known: bool) -> F64:
-    """Return the core's `strokes_image` without the plane.
-
-    Args:
-        size: width, height and bytes from row to row.
-    """
-    return record("strokes_image", {
-        "width": size[0], "height": size[1], "stride": size[2], "step": step, "bright": bright, "plane_known": plane_known,
+    how = CORE.ffi.new("dl_stroke_search *", {
+        "step": step, "bright": pad.markings.is_bright, "plane_known": plane.known, "most": most,
+        "R_cam_plane": plane.R_cam_plane.ravel().tolist(),
     })  # fmt: skip
-
-
-@lru_cache(maxsize=16)
-def _packed(pad: Pad) -> F64:
-    marks = pad.markings
-    words = record("pad_strokes", {
-        "length_m": marks.h_length_m, "width_m": marks.h_width_m, "leg_m": marks.leg_width_m, "bar_m": marks.bar_width_m,
-        "margin_m": _MARGIN_M,
-    })  # fmt: skip
-    words.setflags(write=False)
-    return words
+    out = np.empty(most, CORE.dtype("search_guess"))
+    n = CORE.lib.dl_search_strokes(tracker_of(camera, pad), image_of(px), how, CORE.array("search_guess", out, most))
+    return guesses_of(out[: checked(n)])

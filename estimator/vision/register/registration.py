@@ -12,28 +12,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
-from itertools import pairwise
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.abi import FIT_ROWS, PROFILE_PIXELS
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import CORE, address, start_of
-from estimator.core.records import record
-from estimator.vision.camera import Camera, ray_map
-from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT, approach
+from estimator.core.library import CORE
+from estimator.vision.camera import Camera
+from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT
+from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.pyramid import U8, Pyramid
-from estimator.vision.drawing import EdgeKind, edges_of
-from estimator.vision.native import packed_camera
+from estimator.vision.drawing import EdgeKind
+from estimator.vision.native import checked, edge_points, native_prior, tracker_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.shape import pad_shape
-from estimator.vision.srgb import light_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,116 +40,10 @@ class RegistrationOptions:
 
     coarse: bool = True
     """Approach from the start on a reduced frame first; False for a start good to 1.5 px."""
-    max_profiles: int = 120
-    dense_pixels: int = 1700
-    """Largest number of pixels in the disc's image at which it is registered as a whole."""
-    blur_px: float = 0.6
-    """Initial sigma of the lens' point spread; it is estimated."""
-    edge_sigma_px: float = 0.004
-    """Smallest sigma of an edge's place in the frame as predicted by drawing, lens and blur model."""
-    dense_edge_sigma_px: float = 0.004
-    """The same where edges merge."""
     coded_px: float = 0.0
     """Sigma of the place of a patch of the frame that a video codec has moved; 0 of a frame that no codec has predicted."""
     gamma: bool = True
     """True if pixel values are sRGB; False if they are linear light."""
-
-
-_CUT, _NOISE = (places_of("fit_options")[name] for name in ("cut", "noise"))
-_PRIOR, _PRIOR_WORDS = places_of("tilt_prior"), size_of("tilt_prior")
-_LANES = 16
-_OUTLINE_STEP = 4
-"""Every so many points of the edges are in an outline."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PackedLens:
-    """A camera as the core reads it."""
-
-    words: F64
-    """The core's `camera_lens`."""
-    rays: F64 | None
-    """The rays of all pixels, (H, W, 2), of a lens that distorts."""
-    addresses: tuple[int, int]
-
-
-@lru_cache(maxsize=8)
-def packed_lens(camera: Camera) -> PackedLens:
-    """Return a camera as the core reads it; the result is cached."""
-    words = packed_camera(camera)
-    rays = ray_map(camera.lens) if camera.distorted else None
-    return PackedLens(words, rays, (address(words), 0 if rays is None else address(rays)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EdgePoints:
-    """The points of a pad's edges as the core reads them."""
-
-    at: F64
-    """Place, normal and distance to the next, (M, 5) m."""
-    of: NDArray[np.int32]
-    """Kind and piece, (M, 2)."""
-    shown: tuple[slice, ...]
-    """Where the outline of each kind is among the points that the core returns."""
-    addresses: tuple[int, int, int]
-    """Their number, and where both arrays begin."""
-
-
-@lru_cache(maxsize=8)
-def edge_points(pad: Pad) -> EdgePoints:
-    """Return the points of a pad's edges; the result is cached."""
-    edges = edges_of(pad)
-    at = np.ascontiguousarray(np.c_[edges.at_m, edges.normal, edges.spacing_m])
-    of = np.ascontiguousarray(np.c_[edges.kind, edges.piece], np.int32)
-    borders = np.searchsorted(edges.kind[::_OUTLINE_STEP], np.arange(len(EdgeKind) + 1)).tolist()
-    shown = tuple(slice(a, b) for a, b in pairwise(borders))
-    return EdgePoints(at, of, shown, (len(at), address(at), int(of.ctypes.data)))
-
-
-@lru_cache(maxsize=2)
-def _light(gamma: bool) -> tuple[NDArray[np.float32], int]:
-    light = light_table(gamma).astype(np.float32)
-    return light, int(light.ctypes.data)
-
-
-def light_address(gamma: bool) -> int:
-    """Return the address of the linear light of a pixel's values, which stays."""
-    return _light(gamma)[1]
-
-
-def fit_options(options: RegistrationOptions, size_sigma_m: float, cut: F64, noise: float) -> F64:
-    """Return the core's `fit_options`."""
-    words = _uncut(options, size_sigma_m)
-    if noise > 0.0 or cut.any():
-        words = words.copy()
-        words[_CUT], words[_NOISE] = cut, noise
-    return words
-
-
-@lru_cache(maxsize=8)
-def _uncut(options: RegistrationOptions, size_sigma_m: float) -> F64:
-    return record("fit_options", {
-        "max_profiles": options.max_profiles, "dense_pixels": options.dense_pixels, "blur_px": options.blur_px,
-        "edge_sigma_px": options.edge_sigma_px, "dense_edge_sigma_px": options.dense_edge_sigma_px,
-        "size_sigma_m": size_sigma_m, "coded_px": options.coded_px,
-    })  # fmt: skip
-
-
-def packed_prior(prior: Orientation | None) -> F64:
-    """Return the core's `tilt_prior`, which says whether there is one."""
-    words = np.zeros(_PRIOR_WORDS)
-    if prior is not None:
-        words[: _PRIOR["given"].stop].view(np.int64)[:] = True
-        words[_PRIOR["roll_rad"]], words[_PRIOR["pitch_rad"]] = prior.roll_rad, prior.pitch_rad
-        words[_PRIOR["cov_tilt"]] = prior.cov_tilt.ravel()
-        words[_PRIOR["sigma_deck_rad"]] = prior.sigma_deck_rad
-    return words
-
-
-def scratch_room(options: RegistrationOptions, edges: EdgePoints) -> int:
-    """Return the length of the rows that the core works on: pixels of a small image, of profiles, or points of edges."""
-    most = max(options.dense_pixels, PROFILE_PIXELS * (options.max_profiles + 2), len(edges.at))
-    return -(-most // _LANES) * _LANES
 
 
 _SNR_SEEN = 5.0
@@ -182,11 +71,6 @@ class EdgeSupport:
     @property
     def seen(self) -> bool:
         return self.snr > _SNR_SEEN and self.inliers > 0.5 and self.in_view > 0.0 and self.likeness > _LIKENESS_SEEN
-
-
-_REGISTER = CORE.function("register_pad")
-_AT, _SUPPORT = places_of("registration"), size_of("edge_support")
-_AMBIGUOUS = _AT["yaw_ambiguous"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -248,47 +132,64 @@ def register(
     Raises:
         ValueError: the frame is not of the camera's size.
     """
-    if px.shape != (camera.height, camera.width, 3):
-        raise ValueError(f"want a frame of shape {(camera.height, camera.width, 3)}, got {px.shape}")
     options = options if options is not None else RegistrationOptions()
-    px = np.ascontiguousarray(px, np.uint8)
-    pyramid, pose = pyramid or Pyramid(px), start
-    if options.coarse:
-        sigma = SIGMA_TILT_RAD if prior is not None and prior.measured else SIGMA_TILT_FREE_RAD
-        pose = approach(pyramid, camera, pad, start, sigma) or start
-    edges, out = edge_points(pad), np.empty(size_of("registration"))
-    outline = np.empty((edges.shown[-1].stop, 2))
-    with_prior, of_options = packed_prior(prior), fit_options(options, pad.size_sigma_m, cut, pyramid.noise)
-    from_pose = np.concatenate([pose.R_cam_pad.matrix.ravel(), pose.t_cam_pad])
-    room = scratch_room(options, edges)
-    scratch = np.empty(FIT_ROWS * room, np.float32)
-    if not _REGISTER(
-        *packed_lens(camera).addresses, int(px.ctypes.data), light_address(options.gamma), address(pad_shape(pad)),
-        *edges.addresses, address(with_prior), address(of_options), address(from_pose), room, int(scratch.ctypes.data),
-        start_of(out), start_of(outline),
-    ):  # fmt: skip
-        return None
-    return registration_of(out, pad, prior)
+    given, out = native_start(start, prior, options, cut), np.zeros((), CORE.dtype("looked_pad"))
+    given.alone = True
+    outline = looked_at(pyramid or Pyramid(px), camera, pad, given, out)
+    return None if outline is None else registration_of(out["found"], pad, prior)
 
 
-def supports(words: F64) -> Mapping[EdgeKind, EdgeSupport]:
+def native_start(
+    start: PadPose, prior: Orientation | None, options: RegistrationOptions, cut: F64, paint: PaintMemory = FRESH
+) -> Any:
+    """Return the core's `dl_start`; arguments as for `register` and `look.look`."""
+    measured = prior is not None and prior.measured
+    return CORE.ffi.new("dl_start *", {
+        "pose": (start.R_cam_pad.matrix.ravel().tolist(), start.t_cam_pad.tolist()), "prior": native_prior(prior),
+        "known": (paint.mean.ravel().tolist(), paint.var.ravel().tolist(), paint.trust), "coarse": options.coarse,
+        "linear": not options.gamma, "coded_px": options.coded_px, "cut": cut.tolist(),
+        "sigma_tilt_rad": SIGMA_TILT_RAD if measured else SIGMA_TILT_FREE_RAD,
+    })  # fmt: skip
+
+
+def looked_at(pyramid: Pyramid, camera: Camera, pad: Pad, given: Any, out: NDArray[Any]) -> F64 | None:
+    """Have the core register the drawing and verify it; return the pixels of the outline's points, None if nothing is found.
+
+    Args:
+        given: the core's `dl_start`.
+        out: the core's `looked_pad`, which it writes.
+
+    Raises:
+        ValueError: the frame is not of the camera's size.
+    """
+    shape = pyramid[0].shape
+    if shape != (camera.height, camera.width, 3):
+        raise ValueError(f"want a frame of shape {(camera.height, camera.width, 3)}, got {shape}")
+    outline = np.empty((edge_points(pad).shown[-1].stop, 2))
+    found = CORE.lib.dl_look(
+        tracker_of(camera, pad), pyramid.native, given, CORE.array("looked_pad", out), CORE.array("double", outline), len(outline)
+    )
+    return outline if checked(found) else None
+
+
+def supports(found: NDArray[Any]) -> Mapping[EdgeKind, EdgeSupport]:
     """Return the support of the frame for each kind of edge, from the core's `registration`."""
-    each = words[_AT["edges"]].reshape(-1, _SUPPORT)
-    return MappingProxyType({k: EdgeSupport(one[:3], *one[3:].tolist()) for k, one in zip(EdgeKind, each, strict=True)})
+    each = found["edges"].tolist()
+    return MappingProxyType({kind: EdgeSupport(*one) for kind, one in zip(EdgeKind, each, strict=True)})
 
 
-def is_ambiguous(words: F64, pad: Pad) -> bool:
+def is_ambiguous(found: NDArray[Any], pad: Pad) -> bool:
     """Return whether neither an arrowhead nor a fiducial resolved the headings, from the core's `registration`."""
     if pad.markings.fiducials:
-        return not supports(words)[EdgeKind.H].seen
-    return bool(words[_AMBIGUOUS].view(np.int64)[0])
+        return not supports(found)[EdgeKind.H].seen
+    return bool(found["yaw_ambiguous"])
 
 
-def registration_of(words: F64, pad: Pad, prior: Orientation | None) -> Registration:
+def registration_of(found: NDArray[Any], pad: Pad, prior: Orientation | None) -> Registration:
     """Return the core's `registration` as a value."""
-    noise_light, edge_rms_px, visible, inliers, last_step_px = words[_AT["noise_light"].start : _AT["edges"].start].tolist()
+    numbers = (found[name].item() for name in ("noise_light", "edge_rms_px", "visible", "inliers", "last_step_px"))
     return Registration(
-        PadPose(Rotation(words[_AT["R"]].reshape(3, 3)), words[_AT["t"]]), words[_AT["cov"]].reshape(6, 6),
-        words[_AT["information"]].reshape(6, 6), prior, supports(words), is_ambiguous(words, pad), words[_AT["blur_px2"]],
-        noise_light, edge_rms_px, visible, inliers, last_step_px, bool(words[_AT["dense"]].view(np.int64)[0]),
+        PadPose(Rotation(found["R"].reshape(3, 3)), found["t"]), found["cov"].reshape(6, 6),
+        found["information"].reshape(6, 6), prior, supports(found), is_ambiguous(found, pad), found["blur_px2"],
+        *numbers, bool(found["dense"]),
     )  # fmt: skip

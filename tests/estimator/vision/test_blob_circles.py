@@ -38,7 +38,7 @@ def oval(shape: tuple[int, int], at: tuple[float, float], axes: tuple[float, flo
 
 def outline_of(circle: EdgeCircle) -> tuple[F64, F64]:
     """Return the centre and M of a circle's outline, px."""
-    uv = circle.words[-72:].reshape(-1, 2)
+    uv = circle.record["outline_px"].reshape(-1, 2)
     return uv.mean(axis=0), 2.0 * np.cov(uv.T, bias=True)
 
 
