@@ -14,7 +14,7 @@ import numpy as np
 from companion.settings.load import find_file, read_toml
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
-from estimator.vision.lamps.accuracy import CENTRE_PX, LampAccuracy, lamp_accuracy
+from estimator.vision.lamp import CENTRE_PX, LampAccuracy, lamp_accuracy
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings, confusable_turns
 from estimator.vision.pad_rules import lacking_parts
