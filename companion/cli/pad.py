@@ -19,7 +19,7 @@ from companion.tools.print_pad.sheets import PAPERS, sheets, svg
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
-from estimator.vision.lamps.accuracy import CENTRE_PX, LampAccuracy, lamp_accuracy
+from estimator.vision.lamp import CENTRE_PX, LampAccuracy, lamp_accuracy
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings, confusable_turns
 from estimator.vision.pad_rules import lacking_parts

@@ -271,7 +271,7 @@ def differences(before: ResponseInUse | None, after: ResponseInUse | None, cycle
         lean = float(np.hypot(*(b.a_level + b.trim_level - a.a_level - a.trim_level)))
         out.append([lean, abs(float(b.v_level[2] - a.v_level[2])), float(np.hypot(*(b.v_level - a.v_level)[:2]))])
         # The two go on from the same commands, so that what differs is this cycle's alone.
-        stays = structs.replace(stays, words=turns.words, address=turns.address)
+        stays = structs.replace(stays, core=turns.core)
     return np.array(out)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from sitl.core.abi import GAIN_ONE
 
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
@@ -19,6 +18,7 @@ from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, PadBlur, Sensor
 from sitl.camera.render.light import Lamps
 from sitl.camera.surroundings import Surroundings
+from sitl.core.abi import GAIN_ONE
 from tests.sitl.images import BENT, BLACK, PLAIN, WHITE, pad, project, shot
 from tests.support.plain_light import FLAT, IDEAL
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sitl.core.abi import PAD_EDGE, PAD_PAINTS
 
 from estimator.core.library import Door
 from sitl.core import abi
+from sitl.core.abi import PAD_EDGE, PAD_PAINTS
 from sitl.core.library import SIM
 from supply import core
 

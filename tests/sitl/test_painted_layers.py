@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sitl.core.abi import PAD_PAINTS
 
 from estimator.vision.pad import Pad
 from estimator.vision.regions import covers, part_of
 from sitl.camera.projection import lens_of
 from sitl.camera.render.pad import PadPainter, Stroke
+from sitl.core.abi import PAD_PAINTS
 from sitl.core.library import SIM
 from tests.sitl.images import PLAIN, pad_pose, shot
 from tests.support.shipped import shipped_pad

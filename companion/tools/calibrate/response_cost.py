@@ -18,16 +18,14 @@ from msgspec import structs
 
 from companion.guidance.controller import HORIZONS_S
 from companion.guidance.disturbance import ObserverNoise, chosen, observer_gains
-from companion.guidance.law_records import COMMAND_SIZE, MEMORY_SIZE, packed_gains, packed_observer, packed_params
+from companion.guidance.law_records import law_gains, law_in_use, law_params
 from companion.guidance.margins import PERIOD_S, GaussMarkov, axis_error_m, pushed_axis, stationary
 from companion.guidance.riccati import exponential
 from companion.guidance.tilt_law import TiltWeights, tilt_gains
 from companion.settings.mission import ConeOptions
 from companion.settings.response import ClimbResponse, Response, TiltResponse
 from estimator.contracts.geometry import F64
-from estimator.core.interface import places_of
-from estimator.core.library import CORE, address
-from estimator.core.records import record
+from estimator.core.library import CORE
 
 # The loop of the climb over a heaving deck as one matrix: the law made for one response around a vehicle with another.
 #
@@ -40,9 +38,6 @@ LEAN_RAD = math.radians(8.5)
 _SMALL = 1e-3
 """Size of the vectors that the law is asked for, within each of its limits."""
 _LARGEST_M_S = 5.0
-_STEP = CORE.function("law_step")
-_SPEED_OF = places_of("law_command")["v"].start + 2
-_PUSHED_OF = places_of("law_memory")["pushed_down_m_s2"].start
 _V, _DECK, _DECK_ACCEL, _UNKNOWN, _GUST, _SPEED, _ACCEL, _PUSHED, _UNDER_WAY = range(9)
 """The state: speeds of the vehicle and of the deck down, the deck's acceleration, what disturbs them, and the law's memory."""
 
@@ -131,32 +126,30 @@ def _law(
 ) -> Callable[[F64, float], tuple[float, float]]:
     """Return the law: from the state and a wanted rate to the vertical speed that it commands, and the push that it remembers."""
     climb = structs.replace(assumed, max_m_s=_LARGEST_M_S)
-    params = packed_params(vehicle.tilt, climb, PERIOD_S, remembered, looks_ahead=True, over_ground=False)
+    params = law_params(vehicle.tilt, climb, PERIOD_S, remembered, looks_ahead=True, over_ground=False)
     tilt = tilt_gains(vehicle.tilt, TiltWeights(), PERIOD_S)
-    gains = packed_gains(tilt, len(tilt.under_way), delay, vehicle.tilt.slowness_s)
-    observer = packed_observer(chosen(observer_gains(ObserverNoise(), PERIOD_S), 0.01))
-    horizons = np.array(HORIZONS_S)
+    gains = law_gains(tilt, len(tilt.under_way), delay, vehicle.tilt.slowness_s)
+    flown = law_in_use(params, gains, chosen(observer_gains(ObserverNoise(), PERIOD_S), 0.01))
     ahead = np.array([exponential(deck * h)[0] for h in HORIZONS_S])
-    course = np.zeros((horizons.size, 3))
     fixed = {
-        "goes_on": 1, "steers": 1, "has_deck": 1, "horizons": horizons.size, "has_rate": 1, "dt": PERIOD_S, "share": 1.0,
-        "d": (0.0, 0.0, 1.0), "speed_max_m_s": 1.0,
+        "goes_on": 1, "steers": 1, "has_deck": 1, "has_rate": 1, "dt": PERIOD_S, "share": 1.0, "d": (0.0, 0.0, 1.0),
+        "speed_max_m_s": 1.0,
     }  # fmt: skip
 
     def law(state: F64, rate: float) -> tuple[float, float]:
         x = _SMALL * state
-        course[:, 2] = ahead @ x[[_DECK, _DECK_ACCEL]]
         down = {
             "v": x[_DECK] - x[_V] + x[_SPEED], "a_body": accel @ x + x[_ACCEL], "v_deck": x[_DECK], "a_deck": x[_DECK_ACCEL]
         }  # fmt: skip
-        cycle = record("law_cycle", {**fixed, **{k: (0.0, 0.0, v) for k, v in down.items()}, "rate_m_s": _SMALL * rate})
-        before = record("law_memory", {"begun": 1, "pushed_down_m_s2": x[_PUSHED], "climbs": x[_UNDER_WAY:]})
-        after, out = np.zeros(MEMORY_SIZE), np.zeros(COMMAND_SIZE)
-        _STEP(
-            params.address, gains.address, gains.address, observer.address, address(cycle), address(horizons), address(course),
-            address(before), address(after), address(out),
-        )  # fmt: skip
-        return float(out[_SPEED_OF]) / _SMALL, float(after[_PUSHED_OF]) / _SMALL
+        new = CORE.ffi.new
+        cycle = new("dl_law_cycle *", {**fixed, **{k: (0.0, 0.0, v) for k, v in down.items()}, "rate_m_s": _SMALL * rate})
+        rates = [(0.0, 0.0, v) for v in ahead @ x[[_DECK, _DECK_ACCEL]]]
+        course = new("dl_law_course *", {"n": len(HORIZONS_S), "horizons_s": HORIZONS_S, "rates_m_s": rates})
+        before = new("dl_law_memory *", {"begun": 1, "pushed_down_m_s2": x[_PUSHED], "climbs": x[_UNDER_WAY:].tolist()})
+        after, out = new("dl_law_memory *"), new("dl_law_command *")
+        if not CORE.lib.dl_law_step(flown, cycle, course, before, after, out):
+            raise ValueError("the law has no room for its commands")
+        return out.v[2] / _SMALL, after.pushed_down_m_s2 / _SMALL
 
     return law
 

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from estimator.core.abi import ROWS_MAX
 from filterpy.kalman import ExtendedKalmanFilter
 
 from estimator.contracts.geometry import F64
+from estimator.core.abi import ROWS_MAX
 from tests.estimator.ekf.oracle.algebra import Algebra, nis_of
 
 N = 22

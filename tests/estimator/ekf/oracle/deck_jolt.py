@@ -12,9 +12,9 @@ an axis neither adds to it nor scales it.
 from __future__ import annotations
 
 import numpy as np
-from estimator.core.abi import EXCESSES_MAX
 
 from estimator.contracts.geometry import F64
+from estimator.core.abi import EXCESSES_MAX
 from estimator.ekf.state import POS_AXES, POS_EAST, POS_NORTH, SWAY_PER_HEAVE, WAVES, InnovationExcesses, N
 
 RATIO_MAX = 2.5
