@@ -6,7 +6,6 @@ releases the interpreter's lock. cffi refuses a pointer to another structure wit
 
 from __future__ import annotations
 
-import ctypes
 import weakref
 from collections.abc import Mapping
 from types import ModuleType
@@ -16,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.errors import SetupImpossible
-from estimator.contracts.geometry import F64
 from estimator.core import CURE, abi
 
 FILE = f"{__file__.rpartition('/')[0]}/libdecklander.so.1"
@@ -73,24 +71,6 @@ class Door:
     def names(self, enumeration: str) -> dict[str, int]:
         """Return the names of an enumeration and their values, in order."""
         return dict(sorted(self.ffi.typeof(f"enum {enumeration}").relements.items(), key=lambda named: named[1]))
-
-    def function(self, name: str) -> Any:
-        """Return a function with its types declared; pointers are given as addresses."""
-
-        def call(*values: Any) -> Any:
-            entry = getattr(self.lib, name)
-            types = self.ffi.typeof(entry).args
-            return entry(
-                *(
-                    self._pointer(kind, value) if kind.kind == "pointer" else value
-                    for kind, value in zip(types, values, strict=True)
-                )
-            )
-
-        return call
-
-    def _pointer(self, kind: Any, value: Any) -> Any:
-        return self.ffi.cast(kind, value if isinstance(value, int) else self.ffi.from_buffer(value) if value is not None else 0)
 
     def record(self, kind: str, /, **values: Any) -> NDArray[Any]:
         """Return a structure, an array without axes whose members are read and written as `record["name"]`.
@@ -207,22 +187,6 @@ def _fill(place: NDArray[Any], values: Mapping[str, Any]) -> None:
             continue
         for i, one in enumerate(each):
             _fill(member[i, ...], one)
-
-
-def address(array: F64) -> int:
-    """Return the address of an array's first number, for a parameter of C type `double *`.
-
-    Raises:
-        TypeError: its numbers are not doubles in rows, one after the other.
-    """
-    if array.dtype != np.float64 or not array.flags.c_contiguous:
-        raise TypeError(f"the core takes contiguous float64, not {array.dtype} of strides {array.strides}")
-    return int(array.ctypes.data)
-
-
-def start_of(block: NDArray[Any]) -> int:
-    """Return the address of an array that was just made for the core to write to. It takes a fifth of the time of `address`."""
-    return ctypes.addressof(ctypes.c_double.from_buffer(block.data))
 
 
 CORE = Door(abi, FILE)

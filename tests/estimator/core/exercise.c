@@ -309,7 +309,7 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
     } else if (what == 3) {
         scenes(1);
     } else if (what == 5) {
-        registrations(1);
+        looks(1, 1);
     } else if (what == 6) {
         alignments(1);
     } else if (what == 7) {
@@ -319,7 +319,7 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
     } else if (what == 9) {
         law(1 + draw() % 20, 1.0);
     } else if (what == 10) {
-        looks(1);
+        looks(1, 0);
     } else if (what == 11) {
         lamps(1);
     } else {
@@ -388,17 +388,16 @@ int main(int count, char **files)
     report("sim_render_deck sim_render_fill sim_render_smear sim_render_average sim_render_shadow sim_render_sea sim_render_swell "
            "sim_render_water sim_render_pad_kinds sim_render_pad_shares sim_render_pad_lens sim_render_expose "
            "sim_render_mix sim_render_image sim_render_frame sim_render_blur sim_render_meet sim_render_bounds");
-    registrations(60);
-    report("register_pad sighting_in_level");
+    looks(60, 1);
+    report("dl_sighting_in_level");
     alignments(40);
-    report("align_view align_arrow_view align_move align_fit align_cover frame_noise");
-    looks(60);
-    report("look_at_pad");
+    report("dl_tracker_new dl_tracker_free dl_align dl_frame_quality");
+    looks(60, 0);
+    report("dl_look");
     lamps(120);
-    report("lamps_room find_lamps");
+    report("dl_find_lamps");
     searches(40);
-    report("search_room search_circles search_heading search_guesses search_strokes_room search_strokes search_blobs_room "
-           "search_blobs");
+    report("dl_search_circles dl_search_heading dl_search_guesses dl_search_strokes");
     video(40);
     report("dl_uvlc_header dl_uvlc_decode sim_uvlc_encode");
     for (int k = 0; k < 40; k++) {
