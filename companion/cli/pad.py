@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from estimator.vision.lamps.accuracy import CENTRE_PX, LampAccuracy, lamp_accuracy
 
 from companion.cli import board_option
 from companion.settings.load import SHIPPED, find_file, read_toml, shipped
@@ -21,6 +20,7 @@ from companion.tools.print_pad.svg import svg
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
+from estimator.vision.lamp import CENTRE_PX, LampAccuracy, lamp_accuracy
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings, confusable_turns
 from estimator.vision.pad_rules import lacking_parts
