@@ -31,7 +31,8 @@ DISTRIBUTION_NAMES = {
 }
 
 DRAWINGS = {
-    "sitl/experiments/figures.py",
+    "sitl/experiments/page.py",
+    "companion/tools/report/svg.py",
     "sitl/campaign/plots.py",
     "companion/tools/calibrate/figures.py",
 }
@@ -39,7 +40,7 @@ DRAWINGS = {
 
 LAB = {
     "companion/cli/campaign_progress.py",
-    *(f"sitl/campaign/{name}.py" for name in ("design", "search", "store", "tables")),
+    *(f"sitl/campaign/{name}.py" for name in ("design", "store", "tables")),
 }
 """What needs the extra `lab`. It asks `require_lab` first, or does without."""
 

@@ -20,13 +20,22 @@ from companion.tools.report.drawing import require_drawing
 from estimator import pipeline
 from estimator.contracts.errors import BadInput, unusable
 from sitl.campaign.code import code_version
-from sitl.campaign.design import SAMPLED, described, factorial, parse_axis, refuse_repeated, sampled
+from sitl.campaign.design import (
+    SAMPLED,
+    Falsified,
+    Search,
+    described,
+    factorial,
+    parse_axis,
+    refuse_repeated,
+    refuse_search,
+    sampled,
+)
 from sitl.campaign.figures import VariedPoint, varied_point
 from sitl.campaign.lab import missing_from_lab, require_lab
 from sitl.campaign.overrides import Overridable
 from sitl.campaign.plan import AnyPlan, CampaignPlan, Job, Point, SetPlan, make_plan, seeds_of
 from sitl.campaign.report import REPORT, fly_again, render_report
-from sitl.campaign.search import Falsified, Search, refuse_search
 from sitl.campaign.store import (
     FLIGHTS,
     FolderStore,

@@ -16,7 +16,7 @@ from companion.settings.load import find_file, shipped
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
 from sitl.campaign.overrides import Overridable
-from sitl.flight.one_flight import fly, perception_level, settings_for
+from sitl.flight.one_flight import FlyOptions, fly, perception_level, settings_for
 from sitl.scenario.scenario import FAULTS
 from sitl.scenario.scenario import load as load_scenario
 
@@ -118,12 +118,8 @@ def run(args: argparse.Namespace) -> int:
             args.seed,
             settings,
             perception,
-            perception_model=args.perception_model,
-            observers=[*observers, *kept.observers],
-            shadows=kept.shadows,
-            on_start=kept.on_start,
-            on_truth=kept.on_truth,
-            render_beside=True,
+            [*observers, *kept.observers],
+            FlyOptions(args.perception_model, kept.shadows, kept.on_start, kept.on_truth, render_beside=True),
         )
     wall_s = time.monotonic() - began
     if progress is not None:
