@@ -32,7 +32,6 @@ DISTRIBUTION_NAMES = {
 
 DRAWINGS = {
     "sitl/experiments/page.py",
-    "companion/tools/report/svg.py",
     "sitl/campaign/plots.py",
     "companion/tools/calibrate/figures.py",
 }
