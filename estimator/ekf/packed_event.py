@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from operator import attrgetter
+from functools import reduce
 from typing import Any
 
 from msgspec import Struct
@@ -47,11 +47,11 @@ def _of_arrays(kind: int, sample: str, **at: str) -> Callable[[Any], bytes]:
         sample: the structure of its sample.
         at: where the event has an array whose name is not the member's.
     """
-    get = attrgetter(*(at.get(name, name) for name, _ in CORE.ffi.typeof(sample).fields))
+    paths = [at.get(name, name).split(".") for name, _ in CORE.ffi.typeof(sample).fields]
     rest = bytes(CORE.ffi.sizeof("dl_event") - _HEAD.size - CORE.ffi.sizeof(sample))
 
     def record(event: Any) -> bytes:
-        arrays = [array.tobytes() for array in get(event)]
+        arrays = [reduce(getattr, path, event).tobytes() for path in paths]
         return b"".join([_HEAD.pack(kind, event.stamp.measured_at), *arrays, rest])
 
     return record

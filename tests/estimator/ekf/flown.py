@@ -69,6 +69,6 @@ def observe(
 def settled(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
     """Return the belief with everything but `P` propagated from `t_cov` to `t`, and the (N, N) F and Q that propagate `P`."""
     packed, F, Q = PackedBelief.of(b), np.empty((N, N)), np.empty((N, N))
-    numbers = packed.numbers.copy()
-    part("propagated_belief")(PARTS.cast("dl_filter_params *", params.core), numbers, F, Q)
-    return PackedBelief(numbers, packed.P, packed.sea).belief, F, Q
+    own = packed.apart(packed.P, packed.sea)
+    part("propagated_belief")(PARTS.cast("dl_filter_params *", params.core), own.numbers, F, Q)
+    return own.belief, F, Q
