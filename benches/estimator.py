@@ -187,9 +187,9 @@ def compare(
 def memory_of(memory: ekf.Ekf) -> tuple[int, int]:
     """Return the bytes of the history's beliefs and of their distinct covariances, and its length."""
     nodes = memory.history.nodes
-    blocks = {id(node.packed.numbers.block): node.packed.numbers.block.nbytes for node in nodes if node.packed is not None}
-    covariances = {node.packed.P.address for node in nodes if node.packed is not None}
-    return sum(blocks.values()) + len(covariances) * N * N * 8, len(nodes)
+    packed = [node.packed for node in nodes if node.packed is not None]
+    covariances = {belief.P.ctypes.data for belief in packed}
+    return sum(belief.numbers.nbytes for belief in packed) + len(covariances) * N * N * 8, len(nodes)
 
 
 def report(results: Sequence[Result]) -> None:

@@ -22,7 +22,8 @@ from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.fit_verification import SEARCHED, TRACKED
+from estimator.vision.register.fit_verification import SEARCHED as SEARCHED
+from estimator.vision.register.fit_verification import TRACKED
 from estimator.vision.register.shape import pad_shape
 from estimator.vision.srgb import LINEAR_LIGHT
 

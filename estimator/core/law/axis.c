@@ -92,6 +92,22 @@ double axis_tilt(const dl_law_axis *x, const dl_law_gains *gains, double off_m, 
     return axis_reference(x, a_deck_then) - off;
 }
 
+static int is_number_of_commands(int64_t n)
+{
+    return n >= 1 && n <= UNDER_WAY_MAX;
+}
+
+static int gains_fit(const dl_law_gains *gains)
+{
+    return gains->n >= 0 && gains->n <= UNDER_WAY_MAX && is_number_of_commands(gains->tilt_delay) &&
+           is_number_of_commands(gains->climb_delay);
+}
+
+int law_fits(const dl_law_in_use *law)
+{
+    return is_number_of_commands(law->params.remembered) && gains_fit(&law->gains) && gains_fit(&law->gains_before);
+}
+
 double dl_law_axis_step(const dl_law_in_use *law, double dt, double arrived, const dl_law_axis *before, const dl_axis_measured *z, dl_law_axis *after)
 {
     if (!law_fits(law)) {

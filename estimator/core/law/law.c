@@ -163,22 +163,6 @@ static void note(const dl_law_params *o, double north, double east, double down,
     under_way_note(o->remembered, down, memory->climbs);
 }
 
-static int is_number_of_commands(int64_t n)
-{
-    return n >= 1 && n <= UNDER_WAY_MAX;
-}
-
-static int gains_fit(const dl_law_gains *gains)
-{
-    return gains->n >= 0 && gains->n <= UNDER_WAY_MAX && is_number_of_commands(gains->tilt_delay) &&
-           is_number_of_commands(gains->climb_delay);
-}
-
-int law_fits(const dl_law_in_use *law)
-{
-    return is_number_of_commands(law->params.remembered) && gains_fit(&law->gains) && gains_fit(&law->gains_before);
-}
-
 int32_t dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_course *course, const dl_law_memory *before, dl_law_memory *after,
                  dl_law_command *out)
 {

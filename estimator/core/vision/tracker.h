@@ -36,6 +36,14 @@ typedef struct {
     int32_t stride;
 } seen_part;
 
+/* The limit of a frame's sides, px: what is larger is a mistake. */
+enum { FRAME_SIDE_MAX = 16384 };
+
+static inline int lies_within(int64_t value, int64_t least, int64_t most)
+{
+    return value >= least && value <= most;
+}
+
 /* Whether an image has pixels of so many channels in rows that do not overlap, and no more of them than 32 bits count. */
 int is_image(const dl_image *image, int channels);
 

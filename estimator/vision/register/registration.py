@@ -187,9 +187,9 @@ def is_ambiguous(found: NDArray[Any], pad: Pad) -> bool:
 
 def registration_of(found: NDArray[Any], pad: Pad, prior: Orientation | None) -> Registration:
     """Return the core's `registration` as a value."""
-    numbers = (found[name].item() for name in ("noise_light", "edge_rms_px", "visible", "inliers", "last_step_px"))
     return Registration(
         PadPose(Rotation(found["R"].reshape(3, 3)), found["t"]), found["cov"].reshape(6, 6),
         found["information"].reshape(6, 6), prior, supports(found), is_ambiguous(found, pad), found["blur_px2"],
-        *numbers, bool(found["dense"]),
+        float(found["noise_light"]), float(found["edge_rms_px"]), float(found["visible"]), float(found["inliers"]),
+        float(found["last_step_px"]), bool(found["dense"]),
     )  # fmt: skip

@@ -15,11 +15,6 @@ static const double SAME_WIDTH = 0.15;
 /* Least depth of the H, m. */
 static const double LEAST_DEPTH_M = 0.02;
 
-int64_t strokes_size(const strokes_image *image)
-{
-    return (int64_t)hypot((double)image->width, (double)image->height) + 2;
-}
-
 int64_t strokes_room(int64_t width, int64_t height)
 {
     const strokes_image image = {.width = width, .height = height};

@@ -25,6 +25,11 @@ static void darkest_row(int w, const uint8_t *px, uint8_t flip, uint8_t *out)
     }
 }
 
+int64_t strokes_size(const strokes_image *image)
+{
+    return (int64_t)hypot((double)image->width, (double)image->height) + 2;
+}
+
 void strokes_darkest(const strokes_image *image, const uint8_t *px, uint8_t *out)
 {
     const int w = (int)image->width;
