@@ -33,8 +33,8 @@ from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame
 from estimator.vision.detection import Detection
 from sitl.emulators.autopilots.body import Body
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
 from sitl.emulators.autopilots.program import free_udp_port
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.scenario.scenario import load
 from tests.support.fake_ardrone import until
 

@@ -38,7 +38,7 @@ from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.settings.model import Settings
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
-from sitl.flight.one_flight import PERCEPTIONS, fly, perception_level, settings_for
+from sitl.flight.one_flight import PERCEPTIONS, FlyOptions, fly, perception_level, settings_for
 from sitl.scenario.scenario import Scenario, load
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.truth import Truth
@@ -93,9 +93,8 @@ def one(scenario: str, level: str, method: str, model: str | None, seed: int) ->
         seed,
         settings,
         perception_level(level),
-        perception_model=model,
-        observers=[watch],
-        on_truth=watch.on_truth,
+        [watch],
+        FlyOptions(model, on_truth=watch.on_truth),
     )
     return {
         **ending.as_json(), "perception": level, "method": method, "nees": watch.nees, "error_per_height": watch.error_m,

@@ -34,7 +34,7 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import Stamp, after, seconds_between
 from sitl.emulators.autopilots.body import Body
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.flight.one_flight import following
 from sitl.scenario.scenario import Scenario, load
 from tests.support.fake_ardrone import until

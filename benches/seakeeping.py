@@ -20,8 +20,7 @@ from companion.settings.load import SHIPPED, shipped
 from estimator.contracts.geometry import F64
 from sitl.sea.sea import SEA_STATES, SeaState, Waves
 from sitl.vessel.file import Mode, Table, load
-from sitl.vessel.response_table import MODES
-from sitl.vessel.seakeeping import Hull, encounter_rad_s, responses
+from sitl.vessel.seakeeping import MODES, Hull, encounter_rad_s, responses
 from tests.support.vessel_table_text import as_toml
 
 SEEDS = range(20)

@@ -26,10 +26,9 @@ from estimator.contracts.time import MonoNs
 from estimator.uvlc import UvlcDecoder
 from fuzz.target import Choices, Target, block
 from sitl.ardrone.config import Configuration
-from sitl.ardrone.drone import Drone
-from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.drone import Drone, DroneClock
 from sitl.ardrone.state import DroneState
-from sitl.ardrone.uvlc_encoder import encode
+from sitl.ardrone.uvlc import encode
 from sitl.emulators.ardrone.wire_pictures import Encoder
 from sitl.emulators.autopilots.lock_step import LockStepClock
 from sitl.scenario.scenario import load as load_scenario

@@ -31,7 +31,7 @@ DISTRIBUTION_NAMES = {
 }
 
 DRAWINGS = {
-    "sitl/experiments/figures.py",
+    "sitl/experiments/page.py",
     "companion/tools/report/svg.py",
     "sitl/campaign/plots.py",
     "companion/tools/calibrate/figures.py",
@@ -41,7 +41,7 @@ DRAWINGS = {
 
 LAB = {
     "companion/cli/campaign_progress.py",
-    *(f"sitl/campaign/{name}.py" for name in ("cluster", "design", "object_store", "parquet", "search")),
+    *(f"sitl/campaign/{name}.py" for name in ("design", "store", "tables")),
 }
 """What needs the extra `lab`. It asks `require_lab` first, or does without."""
 

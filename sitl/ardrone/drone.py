@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import assert_never
 
 from msgspec.structs import replace
@@ -16,13 +17,32 @@ from drivers.ardrone import control
 from drivers.ardrone.navdata import Gps, Navdata
 from estimator.contracts.time import MonoNs, after
 from sitl.ardrone.config import Configuration
-from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.generations import SECOND, Generation
 from sitl.ardrone.navdata_from_world import SentFrame, Situation, datagram, upright_m
 from sitl.ardrone.state import HOVER, DroneState, RefAction
 from sitl.sensors.gnss import GnssErrors
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import Stick, World
+
+
+@dataclass(frozen=True, slots=True)
+class DroneClock:
+    """Maps this host's clock to the drone's."""
+
+    boot: MonoNs
+    """Instant at which the drone's clock was zero."""
+    drift_ppm: float = 0.0
+    """Rate by which the drone's clock is fast, microseconds per second."""
+
+    def microseconds(self, at: MonoNs) -> int:
+        """What the drone has counted since it booted."""
+        elapsed = at - self.boot
+        return (elapsed + round(elapsed * self.drift_ppm * 1e-6)) // 1000
+
+    def milliseconds(self, at: MonoNs) -> int:
+        """Return the time as PaVE headers and the vision option carry it: whole milliseconds in 32 bits, which wrap."""
+        return self.microseconds(at) // 1000 % 2**32
+
 
 _HDOP = 0.6
 _SATELLITES = 9

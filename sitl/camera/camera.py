@@ -21,12 +21,10 @@ from estimator.vision.pad import Pad
 from sitl.camera.drops import Drops, wet_lens
 from sitl.camera.light import FULL_SCALE, I16, U16, Development, Light, PadBlur, PadInImage, Sensor, counts, scene_of
 from sitl.camera.projection import F32, lens_of
-from sitl.camera.render.deck import DeckPainter, Part, bounds, draw, drone_shadow
-from sitl.camera.render.lens import moved, moved_scene, row_map, smear, vignette
+from sitl.camera.render.deck import DeckPainter, Part, bounds, draw, drone_shadow, hull_side, on_water
 from sitl.camera.render.light import Lamps, glint, mast_shadow, through_haze
-from sitl.camera.render.pad import PadPainter, Pose, Stroke
+from sitl.camera.render.pad import PadPainter, Pose, Stroke, moved, moved_scene, row_map, smear, vignette
 from sitl.camera.render.sea import SeaPainter
-from sitl.camera.render.ship import hull_side, on_water
 from sitl.camera.surroundings import Surroundings
 from sitl.core.abi import GAIN_ONE
 

@@ -1,25 +1,96 @@
-"""The frames of one camera one after the other: automatics that follow the picture, and a link that loses parts of it.
+"""The frames of one camera one after the other: automatics that follow the image, a driven exposure, and a lossy video link.
 
-A renderer makes each frame for itself. What a camera and its link remember from frame to frame is here.
+A renderer makes each frame for itself. What a camera and its link remember from frame to frame is here: the exposure that the
+service drives, with how late a change shows and what it costs, and the decoder's newest frame. Each packet of the link holds one
+slice of a frame. The decoder conceals a lost slice by the frame before, and motion smears there until the next key frame; where
+all slices are lost the image stands still.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cache
 
+import av
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
+from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
 from sitl.camera.automatic import Adjusted, Automatics, adjust, settings
 from sitl.camera.camera import Exposure, Renderer
-from sitl.camera.driven_exposure import Taken, taken_with
-from sitl.camera.light import Development, Light
-from sitl.camera.video_link import VideoLink, VideoLinkOptions
+from sitl.camera.light import Development, Light, Sensor
 
 U8 = NDArray[np.uint8]
+
+_LAG_FRAMES = 2
+"""Exposures that begin before a new setting acts, as with most USB cameras."""
+_GAIN_MOST = 16.0
+_SHORTEST_S = 1e-4
+_PART_OF_FRAME = 0.8
+_STEPS_OF_GAIN = 2.0
+"""Steps of amplification in a stop; each has tables of its noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """How one frame is taken."""
+
+    setting: ExposureSetting | None = None
+    """None where the camera sets it itself."""
+    light_fraction: float = 1.0
+    """Light on the scene against what the scenario says."""
+    white_balance_k: float | None = None
+    """Colour temperature that is taken for white; None where the camera sets it itself."""
+
+
+class SimulatedExposure:
+    """The camera's side of a driven exposure.
+
+    Args:
+        start: what it holds at first.
+        arrived: returns the number of the newest frame that the service has.
+    """
+
+    def __init__(
+        self, drive: ExposureDrive, start: ExposureSetting, period_s: float, white_balance_k: float, arrived: Callable[[], int]
+    ) -> None:
+        self._drive, self._arrived, self._white_balance_k = drive, arrived, white_balance_k
+        can = ExposureRange(_SHORTEST_S, _PART_OF_FRAME * period_s, _GAIN_MOST)
+        self._shown = can.split(start.product_s, can.longest_s)
+        self._coming: deque[tuple[int, ExposureSetting]] = deque()
+        self._exposures = 0
+        drive.opened(can, self._shown)
+
+    def expose(self) -> Taken:
+        """Return how the next frame is taken; call it once for each, in order."""
+        self._exposures += 1
+        wanted = self._drive.take()
+        if wanted is not None:
+            newest = self._arrived()
+            self._drive.changed(wanted, newest, newest)
+            self._coming.append((self._exposures + _LAG_FRAMES, wanted))
+        while self._coming and self._coming[0][0] <= self._exposures:
+            self._shown = self._coming.popleft()[1]
+        return Taken(self._shown, white_balance_k=self._white_balance_k)
+
+
+def taken_with(light: Light, sensor: Sensor, taken: Taken) -> tuple[Light, Sensor]:
+    """Return light and sensor of a frame: a longer exposure counts more light, a gain amplifies it with its noise."""
+    ev = light.exposure_ev + math.log2(taken.light_fraction)
+    if taken.setting is not None:
+        gain = 2.0 ** (round(_STEPS_OF_GAIN * math.log2(taken.setting.gain)) / _STEPS_OF_GAIN)
+        ev += math.log2(taken.setting.product_s / sensor.exposure_s)
+        sensor = replace(sensor, exposure_s=taken.setting.exposure_s, full_well_e=sensor.full_well_e / gain)
+    if taken.white_balance_k is not None:
+        light = replace(light, balanced_for_k=taken.white_balance_k)
+    return replace(light, exposure_ev=min(max(ev, -10.0), 10.0)), sensor
+
 
 _AS_IT_IS = Taken()
 _LOOKS = 6
@@ -91,3 +162,84 @@ class Film:
         renderer = self._renderer
         light, sensor = taken_with(renderer.light, renderer.sensor, taken)
         return renderer.development(*settings(light, sensor, self._automatics, adjusted))
+
+
+_PACKET_BYTES = 1400
+_FPS = 30
+_SLICES = (1, 5)
+"""NAL unit types of coded slices (ITU-T H.264, table 7-1)."""
+
+
+@dataclass(frozen=True, slots=True)
+class VideoLinkOptions:
+    """The encoder's rate and the packets that the link loses, in bursts (Gilbert, Bell System Technical Journal 39, 1960)."""
+
+    bitrate_kbit_s: float = 1000.0
+    loss: float = 0.0
+    burst_packets: float = 4.0
+    keyframe_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (self.bitrate_kbit_s > 0 and 0.0 <= self.loss < 1.0 and self.burst_packets >= 1.0 and self.keyframe_s > 0):
+            raise BadInput("video: bitrate_kbit_s and keyframe_s positive, loss 0 to below 1, burst_packets 1 or more")
+
+
+class VideoLink:
+    """Sends the frames of one camera, in order. The same frames and seed give the same pictures."""
+
+    def __init__(self, options: VideoLinkOptions, width: int, height: int, seed: int) -> None:
+        self._options = options
+        self._rng = np.random.default_rng([seed, 0x264])
+        self._lost = False
+        self._shown: U8 = np.full((height, width, 3), 16, np.uint8)
+        encoder = av.CodecContext.create("libx264", "w")
+        decoder = av.CodecContext.create("h264", "r")
+        assert isinstance(encoder, av.VideoCodecContext)
+        assert isinstance(decoder, av.VideoCodecContext)
+        encoder.width, encoder.height, encoder.pix_fmt = width, height, "yuv420p"
+        encoder.time_base, encoder.framerate = Fraction(1, _FPS), Fraction(_FPS)
+        encoder.bit_rate = round(1000 * options.bitrate_kbit_s)
+        encoder.thread_count = decoder.thread_count = 1
+        every, rate = max(1, round(options.keyframe_s * _FPS)), round(options.bitrate_kbit_s)
+        encoder.options = {
+            "preset": "ultrafast",
+            "tune": "zerolatency",
+            "profile": "baseline",
+            "x264-params": f"annexb=1:repeat-headers=1:scenecut=0:keyint={every}:min-keyint={every}:sliced-threads=0"
+            f":slice-max-size={_PACKET_BYTES}:vbv-maxrate={rate}:vbv-bufsize={max(1, rate // 5)}",
+        }
+        decoder.flags |= av.codec.context.Flags.output_corrupt | av.codec.context.Flags.low_delay
+        self._encoder, self._decoder = encoder, decoder
+        self._sent = 0
+
+    def send(self, px: U8) -> U8:
+        """Return the picture that the receiver shows after this frame (H, W, 3) BGR was sent: the last one if nothing arrived."""
+        frame = av.VideoFrame.from_ndarray(px, format="bgr24")
+        frame.pts = self._sent
+        self._sent += 1
+        coded = b"".join(bytes(packet) for packet in self._encoder.encode(frame))
+        arrived = b"".join(unit for unit in _units(coded) if unit[4] & 31 not in _SLICES or not self._next_is_lost())
+        if any(unit[4] & 31 in _SLICES for unit in _units(arrived)):
+            try:
+                shown = self._decoder.decode(av.Packet(arrived))
+            except av.error.InvalidDataError:
+                shown = []
+            if shown:
+                self._shown = np.asarray(shown[-1].to_ndarray(format="bgr24"), dtype=np.uint8)
+        return self._shown.copy()
+
+    def _next_is_lost(self) -> bool:
+        """Return whether the link loses its next packet."""
+        o = self._options
+        if o.loss == 0:
+            return False
+        leave, enter = 1.0 / o.burst_packets, min(1.0, o.loss / (o.burst_packets * (1.0 - o.loss)))
+        chance = float(self._rng.random())
+        self._lost = chance >= leave if self._lost else chance < enter
+        return self._lost
+
+
+def _units(stream: bytes) -> list[bytes]:
+    """Return the NAL units of an Annex B byte stream, each with a start code of four bytes."""
+    parts = stream.replace(b"\x00\x00\x00\x01", b"\x00\x00\x01").split(b"\x00\x00\x01")
+    return [b"\x00\x00\x00\x01" + part for part in parts if part]

@@ -20,7 +20,7 @@ from sitl.camera.light import Light, linear_from_srgb
 from sitl.camera.projection import SHIFT as BITS
 from sitl.camera.projection import Lens, fixed_point, lens_of
 from sitl.camera.surroundings import RGB, Decal
-from sitl.faults.picture import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
+from sitl.faults.kinds import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
 
 U8 = NDArray[np.uint8]
 Polygon = tuple[F64, RGB]

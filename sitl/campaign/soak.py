@@ -31,7 +31,7 @@ from sitl.campaign.growth import Findings, Reading, findings, give_back, read
 from sitl.campaign.plan import CampaignPlan
 from sitl.campaign.soak_cost import cpu_at, start_time_s
 from sitl.campaign.soak_flights import Class, Flown, Outcomes, Records, real, virtual
-from sitl.flight.one_flight import fly
+from sitl.flight.one_flight import FlyOptions, fly
 from sitl.perception.levels import perceive, represents
 from sitl.scenario.scenario import Scenario
 from sitl.scenario.with_fault import faulty
@@ -208,8 +208,8 @@ def _virtually(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, set
         )
         # A fault costs tries, and the scenario's time was chosen without it.
         longer_s = overtime_s(settings.guidance.tries) if options.faults else 0.0
-        model = plan.perception_model
-        ending = fly(plan.name, wanted, seed, settings, plan.perception, perception_model=model, overtime_s=longer_s)
+        rarer = FlyOptions(plan.perception_model, overtime_s=longer_s)
+        ending = fly(plan.name, wanted, seed, settings, plan.perception, options=rarer)
         flight = virtual(time.monotonic() - tally.began, wanted.title, ending)
         tally.flown("time is up" if ending.outcome is None else ending.outcome.value, flight)
         tally.flown_s += ending.duration_s

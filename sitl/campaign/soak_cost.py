@@ -28,8 +28,7 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import Stamp, after, seconds_between
-from sitl.ardrone.drone import TICK_S, Drone
-from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.drone import TICK_S, Drone, DroneClock
 from sitl.scenario.scenario import Scenario
 from sitl.world.truth import RenderedFrame
 from sitl.world.world import World

@@ -17,7 +17,7 @@ import msgspec
 from companion.base.mission import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
 from sitl.flight.ending import Ending, Load
-from sitl.flight.safety import Grade, grade
+from sitl.flight.safety import AtEnd, Grade, grade
 
 T = TypeVar("T")
 STARVED_MAX = 0.5
@@ -67,7 +67,7 @@ def real(
     """Return the result of a flight in real time.
 
     Args:
-        said: the line of `sitl.emulators.ardrone.repeated_flights` about it.
+        said: the line of `sitl.emulators.ardrone.serve` about it.
         outcome: the pilot's outcome when the flight had ended.
         frames: what the daemon made of its frames.
         guidance_late_s: median of what guidance cycles came late at the end of the flight, seconds.
@@ -75,7 +75,7 @@ def real(
     if said["ended"] == "time is up" and outcome not in REFUSALS:
         outcome = None  # the simulator switched the drone off in the air, which the pilot takes for an emergency
     landed_m = said["lateral_m"] if said["on_pad"] else None
-    worth, because = grade(outcome, landed_m, said["unsafe"], said["expect"], left_alone=said["left_alone"])
+    worth, because = grade(outcome, landed_m, said["unsafe"], said["expect"], AtEnd(left_alone=said["left_alone"]))
     load = Load(said["duration_s"], said["frames_sent"], said["stood_still_s"], frames, guidance_late_s)
     kind = Class(worth.value)
     if kind is Class.FAILED and (slow := load.starved()) is not None:

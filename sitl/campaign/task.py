@@ -13,7 +13,7 @@ from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput, in_words
 from sitl.campaign.code import code_version, differences
 from sitl.campaign.plan import AnyPlan, Job, canonical, unpacked
-from sitl.flight.one_flight import Perception, fly
+from sitl.flight.one_flight import FlyOptions, Perception, fly
 from sitl.scenario.scenario import Scenario
 
 Flight = dict[str, Any]
@@ -51,7 +51,7 @@ def fly_flight(
     name: str, scenario: Scenario, seed: int, settings: Settings, perception: Perception, perception_model: str | None
 ) -> Flight:
     """Fly a scenario once; the flyer of every campaign but those of tests."""
-    return fly(name, scenario, seed, settings, perception, perception_model=perception_model).as_json()
+    return fly(name, scenario, seed, settings, perception, options=FlyOptions(perception_model)).as_json()
 
 
 def fly_order(order: Order) -> Flight:

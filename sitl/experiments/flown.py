@@ -16,8 +16,7 @@ from companion.settings.model import Settings
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.experiments.hand import HandPilot
-from sitl.experiments.paths import HeldPose, Path, level_axes, thesis_axes, thesis_yaw_rad
+from sitl.experiments.hand import HandPilot, HeldPose, Path, level_axes, thesis_axes, thesis_yaw_rad
 from sitl.flight.flight import Flight, Timing
 from sitl.flight.grader import FlightResult
 from sitl.scenario.scenario import Scenario, load

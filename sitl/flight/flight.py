@@ -39,19 +39,17 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, after, seconds_between
-from sitl.ardrone.arriving_frames import ArrivingFrames, synced
-from sitl.ardrone.drone import TICK_S, Drone
-from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.drone import TICK_S, Drone, DroneClock
 from sitl.ardrone.generations import GENERATIONS
 from sitl.ardrone.state import refusal
+from sitl.ardrone.uvlc import ArrivingFrames, synced
 from sitl.camera.render_worker import RenderWorker
 from sitl.faults.faulty_streams import InTransit
 from sitl.faults.kinds import OperatorActs, ServiceKilled
 from sitl.faults.timer import FaultTimer
 from sitl.flight.grader import FlightGrader, FlightResult
 from sitl.flight.vessel_reports import VesselReporter
-from sitl.perception.pixels import Pixels
-from sitl.perception.port import Perception
+from sitl.perception.port import Perception, Pixels
 from sitl.scenario.scenario import Scenario, camera_model
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.stage import flight_seeds
@@ -99,7 +97,7 @@ _WATCH_EACH = 10
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """The delays of the simulated service."""
+    """The delays of the simulated service, and the end of its time."""
 
     frame_period_s: float | None = None
     """None: as the drone is configured (`video:codec_fps`)."""
@@ -107,6 +105,8 @@ class Timing:
     """Delay from mid-exposure to the frame's arrival: half the exposure, encoder, link, decoder."""
     vision_s: float = 0.01
     """Time that vision takes for a frame."""
+    overtime_s: float = 0.0
+    """How much longer than the scenario's time a flight may last whose guidance is still trying to land."""
 
 
 class _VirtualClock:
@@ -129,8 +129,6 @@ class Flight:
         observers: objects that receive what the daemon's observers would receive.
         renew: makes the pilot of a service that restarts after it was killed.
         perception: the way in which the pilot, which must be its own, perceives the pad; rendered frames if None.
-        contain: whether a bug of the service ends the flight and is part of the result, instead of being raised.
-        overtime_s: how much longer than the scenario's time a flight may last whose guidance is still trying to land.
 
     Raises:
         BadInput: the scenario kills the service for a while and there is no `renew`.
@@ -148,9 +146,7 @@ class Flight:
         observers: Sequence[Observer] = (),
         timing: Timing | None = None,
         renew: Callable[[], Pilot] | None = None,
-        contain: bool = False,
         perception: Perception | None = None,
-        overtime_s: float = 0.0,
     ) -> None:
         cv2.setNumThreads(1)
         self.world = World(scenario, seed)
@@ -161,7 +157,8 @@ class Flight:
         if renew is None and any(isinstance(f, ServiceKilled) and f.for_s is not None for f in scenario.faults):
             raise BadInput("service_killed comes back after for_s, and this flight cannot make the service anew")
         self._renew = renew or (lambda: pilot)
-        self._contain = contain
+        self.contained = False
+        """Whether a bug of the service ends the flight and is part of the result, instead of being raised."""
         self._grader = FlightGrader(self.world, settings, ardrone_options(settings).com_watchdog_s)
         self._person = SimulatedPerson(self.world.faults)
         self._reporter = VesselReporter(self.world)
@@ -169,7 +166,7 @@ class Flight:
         self._observers = tuple(observers)
         self._on_fusion = [o.on_fusion for o in observers if listens(o, "on_fusion")]
         self._timing = timing or Timing()
-        self._limit_s, self._overtime_s = scenario.duration_limit_s, overtime_s
+        self._limit_s = scenario.duration_limit_s
         self._options = ardrone_options(settings)
         self._arbiter = CommandArbiter(self._options.hold_s)
         self._generation = GENERATIONS[scenario.vehicle.generation]
@@ -221,7 +218,7 @@ class Flight:
         except DecklanderError:
             raise
         except Exception as why:
-            if not self._contain:
+            if not self.contained:
                 raise
             place = traceback.extract_tb(why.__traceback__)[-1]
             self._grader.died = f"{type(why).__name__}: {why} ({place.filename.rpartition('/')[2]}:{place.lineno})"
@@ -229,7 +226,7 @@ class Flight:
         if self._pilot.outcome is not None:
             return False
         left_s = self._limit_s - seconds_between(self.world.started, now)
-        return left_s > 0.0 or (left_s > -self._overtime_s and self._tries(now))
+        return left_s > 0.0 or (left_s > -self._timing.overtime_s and self._tries(now))
 
     def _tries(self, now: MonoNs) -> bool:
         """Return whether guidance commands and is trying to land, so that an outcome will come."""

@@ -17,6 +17,7 @@ from sitl.faults.timer import FaultTimer
 from sitl.flight.safety import (
     BLIND_DESCENT_MAX_M,
     GO_AROUND_PHASES,
+    AtEnd,
     BlindDescent,
     Grade,
     SightWatch,
@@ -148,12 +149,14 @@ class FlightGrader:
             on_pad_m(truth.contacts),
             unsafe,
             scenario.expect,
-            left_alone=world.active("service_killed") or world.active("link_lost"),
-            asks=world.guidance_phase == State.ANOTHER_PAD.value,
-            held=outcome is FlightOutcome.ABORTED or situation in (ControlSituation.HELD, ControlSituation.MANUAL),
-            go_arounds=self._go_arounds,
-            refusal=(scenario.refusal, refused or ""),
-            put_down=bool(truth.contacts) and truth.contacts[-1].at in unreached,
+            AtEnd(
+                left_alone=world.active("service_killed") or world.active("link_lost"),
+                asks=world.guidance_phase == State.ANOTHER_PAD.value,
+                held=outcome is FlightOutcome.ABORTED or situation in (ControlSituation.HELD, ControlSituation.MANUAL),
+                go_arounds=self._go_arounds,
+                refusal=(scenario.refusal, refused or ""),
+                put_down=bool(truth.contacts) and truth.contacts[-1].at in unreached,
+            ),
         )
         if unreached_m > BLIND_DESCENT_MAX_M and not unsafe:
             because += f"; came down {unreached_m:.2f} m while nothing reached it"

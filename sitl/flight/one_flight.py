@@ -9,6 +9,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 
 import msgspec
@@ -22,7 +23,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from sitl.camera.render_worker import render_worker
 from sitl.flight.ending import Contact, Ending, FlightGrade
-from sitl.flight.flight import Flight
+from sitl.flight.flight import Flight, Timing
 from sitl.flight.grader import FlightResult
 from sitl.flight.safety import outside_commit
 from sitl.perception.levels import perceive
@@ -90,20 +91,32 @@ def following(scenario: Scenario, settings: Settings) -> Settings:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class FlyOptions:
+    """The rarer options of `fly`."""
+
+    perception_model: str | None = None
+    """The error model's file, or the name of a shipped one; None for the one of the settings' vision."""
+    shadows: Sequence[PathName] = ()
+    """Estimator paths that run beside the steering one; they do not change the flight."""
+    on_start: Callable[[Health], None] | None = None
+    """Receives the counters of the flight's health before the first step."""
+    on_truth: Callable[[Truth], None] | None = None
+    """Receives the true state every 20 ms, at every exposure of a frame, and at the end."""
+    render_beside: bool = False
+    """Frames are rendered in a process of their own. The same bits, sooner where a second core is idle."""
+    overtime_s: float = 0.0
+    """How much longer than the scenario's time a flight may last whose guidance is still trying to land."""
+
+
 def fly(
     name: str,
     scenario: Scenario,
     seed: int,
     settings: Settings,
     perception: Perception = "pixels",
-    *,
-    perception_model: str | None = None,
     observers: Sequence[Observer] = (),
-    shadows: Sequence[PathName] = (),
-    on_start: Callable[[Health], None] | None = None,
-    on_truth: Callable[[Truth], None] | None = None,
-    render_beside: bool = False,
-    overtime_s: float = 0.0,
+    options: FlyOptions | None = None,
 ) -> Ending:
     """Fly a scenario once and return how it ended.
 
@@ -111,13 +124,7 @@ def fly(
         name: what the caller calls the scenario: the name of a shipped one or a path. It does not change the flight.
         seed: of all random numbers, 0 or more.
         perception: how the service perceives the pad.
-        perception_model: the error model's file, or the name of a shipped one; None for the one of the settings' vision.
         observers: receive what the daemon's observers would receive.
-        shadows: estimator paths that run beside the steering one; they do not change the flight.
-        on_start: receives the counters of the flight's health before the first step.
-        on_truth: receives the true state every 20 ms, at every exposure of a frame, and at the end.
-        overtime_s: how much longer than the scenario's time a flight may last whose guidance is still trying to land.
-        render_beside: frames are rendered in a process of their own. The same bits, sooner where a second core is idle.
 
     Raises:
         BadInput: the settings name a camera or pad file with a fault; there is no such perception or error model, or it cannot
@@ -126,17 +133,18 @@ def fly(
     """
     if perception not in PERCEPTIONS:
         raise BadInput(f"there is no perception {perception!r}; known are {', '.join(PERCEPTIONS)}")
-    seen_by = perceive(perception, perception_model)
-    renew = partial(seen_by.pilot, settings, shadows)
+    options = options or FlyOptions()
+    seen_by = perceive(perception, options.perception_model)
+    renew = partial(seen_by.pilot, settings, options.shadows)
+    timing = Timing(overtime_s=options.overtime_s)
     began_s = _cpu_s()
-    flight = Flight(
-        scenario, seed, settings, renew(), observers=observers, renew=renew, contain=True, perception=seen_by,
-        overtime_s=overtime_s,
-    )  # fmt: skip
-    if on_start is not None:
-        on_start(flight.health)
+    flight = Flight(scenario, seed, settings, renew(), observers=observers, timing=timing, renew=renew, perception=seen_by)
+    flight.contained = True
+    if options.on_start is not None:
+        options.on_start(flight.health)
+    on_truth = options.on_truth
     with ExitStack() as stack:
-        if render_beside and perception == "pixels":
+        if options.render_beside and perception == "pixels":
             flight.worker = stack.enter_context(render_worker(flight.world.renderer))
         steps = exposures = 0
         while flight.step():

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from companion.base.mission import CONTACT_INTENDED, REFUSALS, FlightOutcome, State
 from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON
@@ -236,18 +236,29 @@ def on_pad_m(contacts: Sequence[Touchdown]) -> float | None:
     return contacts[-1].lateral_m if contacts and contacts[-1].on_pad else None
 
 
+class AtEnd(NamedTuple):
+    """The situation in which a flight ended."""
+
+    left_alone: bool = False
+    """There was no service or no link, so that nothing could be decided."""
+    asks: bool = False
+    """It hovered and waited for the operator's decision about another pad, which nobody makes in a simulation."""
+    held: bool = False
+    """A person held it, flew it, or had ended the landing."""
+    go_arounds: int = 0
+    """How often it went around."""
+    refusal: tuple[str, str] = ("", "")
+    """Words that the reason of a refusal must hold, and the reason that it gave."""
+    put_down: bool = False
+    """It stands because it landed by itself while nothing reached it, and the scenario allows that."""
+
+
 def grade(
     outcome: FlightOutcome | None,
     landed_m: float | None,
     unsafe: Sequence[str],
     expect: Expected,
-    *,
-    left_alone: bool = False,
-    asks: bool = False,
-    held: bool = False,
-    go_arounds: int = 0,
-    refusal: tuple[str, str] = ("", ""),
-    put_down: bool = False,
+    at_end: AtEnd | None = None,
 ) -> tuple[Grade, str]:
     """Return the grade of a flight and the reason for it.
 
@@ -256,32 +267,28 @@ def grade(
         landed_m: the result of `on_pad_m`.
         unsafe: the result of `dangers`.
         expect: the outcome that the scenario expects.
-        left_alone: at the end there was no service or no link, so that nothing could be decided.
-        asks: at the end it hovered and waited for the operator's decision about another pad, which nobody makes in a simulation.
-        held: at the end a person held it, flew it, or had ended the landing.
-        go_arounds: how often it went around.
-        refusal: words that the reason of a refusal must hold, and the reason that it gave.
-        put_down: it stands because it landed by itself while nothing reached it, and the scenario allows that.
+        at_end: the situation in which it ended.
     """
+    end = at_end or AtEnd()
     if unsafe:
         return Grade.FAILED, "; ".join(unsafe)
     if expect == "hold":
-        if held:
+        if end.held:
             return Grade.REFUSED_RIGHTLY, "held for the operator"
         return Grade.FAILED, f"did not hold for the operator: {'time ran out' if outcome is None else outcome.value}"
     if outcome is FlightOutcome.LANDED and landed_m is not None:
-        if expect == "go_around" and not go_arounds:
+        if expect == "go_around" and not end.go_arounds:
             return Grade.FAILED, f"landed {100 * landed_m:.1f} cm from the centre without going around first"
         return Grade.ON_PAD, f"{100 * landed_m:.1f} cm from the centre"
-    if put_down and outcome is FlightOutcome.LANDED_BY_OTHERS:
+    if end.put_down and outcome is FlightOutcome.LANDED_BY_OTHERS:
         return Grade.REFUSED_RIGHTLY, "landed by itself while nothing reached it"
-    if outcome in REFUSALS or (outcome is None and (left_alone or asks)):
-        said = "hovered without a service" if left_alone else "hovered and waited for the operator"
+    if outcome in REFUSALS or (outcome is None and (end.left_alone or end.asks)):
+        said = "hovered without a service" if end.left_alone else "hovered and waited for the operator"
         if outcome is not None:
             said = outcome.value
         if expect in ("land", "go_around"):
             return Grade.FAILED, f"{said}, though nothing was wrong enough for that"
-        if outcome in REFUSALS and refusal[0].lower() not in refusal[1].lower():
-            return Grade.FAILED, f"{said} for another reason than {refusal[0]!r}: {refusal[1]}"
+        if outcome in REFUSALS and end.refusal[0].lower() not in end.refusal[1].lower():
+            return Grade.FAILED, f"{said} for another reason than {end.refusal[0]!r}: {end.refusal[1]}"
         return Grade.REFUSED_RIGHTLY, said
     return Grade.FAILED, "time ran out: it neither landed nor gave up" if outcome is None else outcome.value

@@ -35,11 +35,10 @@ from estimator.vision.register.sighting import sighting_of
 from sitl.camera.camera import Exposure
 from sitl.camera.render_worker import RenderWorker
 from sitl.faults.fault import Fault
-from sitl.faults.picture import FocalLength, LightFalls, PadCovered, PictureFault, light_stops
-from sitl.perception.draw import Chance, detection_table
+from sitl.faults.kinds import FocalLength, LightFalls, PadCovered, PictureFault, light_stops
+from sitl.perception.draw import Chance, View, Viewer, detection_table
 from sitl.perception.parameters import PerceptionModel, load
 from sitl.perception.port import Level, PerceivedWorld
-from sitl.perception.view import View, Viewer
 from sitl.world.truth import RenderedFrame
 
 KEPT_SCENES = 512

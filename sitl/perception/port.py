@@ -1,4 +1,4 @@
-"""The port between a flight and the way in which it perceives the pad."""
+"""The port between a flight and the way in which it perceives the pad, and the way by rendered frames and the real vision."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings
 from estimator.contracts.estimates import PathName
@@ -103,3 +104,23 @@ class Perception(Protocol):
     def expose(self, world: PerceivedWorld, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
         """Expose a frame now; the call that comes back makes it when it arrives."""
         ...
+
+
+class Pixels:
+    """Every frame is rendered and searched."""
+
+    level: Level = "pixels"
+
+    def pilot(self, settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
+        """Return the pilot that also flies a real drone."""
+        return make_pilot(settings, shadows)
+
+    def refuse(self, faults: Sequence[Fault]) -> None:
+        """Refuse no fault: every one acts on rendered frames."""
+
+    def begin(self, world: PerceivedWorld) -> None:
+        """Begin a flight."""
+
+    def expose(self, world: PerceivedWorld, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
+        """Render the scene as it is now."""
+        return world.expose(worker)

@@ -26,7 +26,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
 from estimator.vision.register.tilt import roll_pitch, tilt_axes
-from sitl.perception.view import View, Viewer
+from sitl.perception.draw import View, Viewer
 from sitl.scenario.scenario import Scenario, load
 
 

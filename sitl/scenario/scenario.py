@@ -25,21 +25,18 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.camera.settings import DropSettings, GimbalSettings, LampSettings, LightSettings, VideoSettings
 from sitl.faults.fault import Fault
-from sitl.faults.kinds import AnyFault, OperatorActs, ShipSpeed, ShipTurn, VesselReports, WeakRotor
-from sitl.faults.picture import OtherPad
+from sitl.faults.kinds import AnyFault, OperatorActs, OtherPad, ShipSpeed, ShipTurn, VesselReports, WeakRotor
 from sitl.sea.sea import EXCLUDES as SEA_EXCLUDES
-from sitl.sea.sea import Sea as Sea
+from sitl.sea.sea import Sea
 from sitl.sensors.settings import SensorSettings
-from sitl.vehicle.airframe import VehicleFile
-from sitl.vehicle.airframe import VehicleSettings as VehicleSettings
+from sitl.vehicle.airframe import VehicleFile, VehicleSettings, rotors
 from sitl.vehicle.airframe import load as load_vehicle
-from sitl.vehicle.rotors import rotors
+from sitl.vessel.air import EXCLUDES as WIND_EXCLUDES
+from sitl.vessel.air import WindSettings
 from sitl.vessel.file import DEFAULT_HULL, Ship, VesselSettings
 from sitl.vessel.file import EXCLUDES as VESSEL_EXCLUDES
 from sitl.vessel.file import load as load_vessel
 from sitl.vessel.seakeeping import hull
-from sitl.vessel.wind_settings import EXCLUDES as WIND_EXCLUDES
-from sitl.vessel.wind_settings import WindSettings as WindSettings
 
 
 def never_begins(fault: Fault, duration_limit_s: float, start_height_m: float | None) -> str:

@@ -39,9 +39,8 @@ from sitl.faults.sensors import (
 )
 from sitl.faults.timer import FaultTimer
 from sitl.sensors.settings import SensorSettings
-from sitl.vehicle.disturbances import keep_and_fresh
-from sitl.vehicle.noise import BLOCK, NoiseRows
-from sitl.vehicle.rotors import rotors
+from sitl.vehicle.airframe import rotors
+from sitl.vehicle.disturbances import BLOCK, NoiseRows, keep_and_fresh
 from sitl.vehicle.vehicle import Vehicle
 
 Rng = np.random.Generator

@@ -17,10 +17,8 @@ from estimator.contracts.motion import G_M_S2
 from sitl.core.abi import COMMANDS_MAX, FLIGHT_NOISE, ROTORS_MAX, TOUCHED_DECK, TOUCHED_SEA
 from sitl.core.library import SIM
 from sitl.core.members import Number, Numbers
-from sitl.vehicle.airframe import Airframe, StickLimits
-from sitl.vehicle.disturbances import Wind, keep_and_fresh
-from sitl.vehicle.noise import NoiseRows
-from sitl.vehicle.rotors import rotors
+from sitl.vehicle.airframe import Airframe, StickLimits, rotors
+from sitl.vehicle.disturbances import NoiseRows, Wind, keep_and_fresh
 from sitl.vessel.air import AirModel
 from sitl.vessel.contact import DeckShape, Ground
 
@@ -231,7 +229,7 @@ class Vehicle:
 
     @property
     def rotor_health(self) -> tuple[float, ...]:
-        """Share of its thrust that each rotor (in the order of `sitl.vehicle.rotors.rotors`) delivers."""
+        """Share of its thrust that each rotor (in the order of `sitl.vehicle.airframe.rotors`) delivers."""
         return self._rotor_health[: len(rotors(self.airframe))]
 
     @rotor_health.setter

@@ -14,8 +14,7 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import DeckRoll, FerryWake, ShipFault, ShipSpeed, ShipTurn
-from sitl.vessel.seakeeping import encounter_rad_s, responses
-from sitl.vessel.turn import heel_rad, smooth_step, speed_in_turn_m_s
+from sitl.vessel.seakeeping import encounter_rad_s, heel_rad, responses, smooth_step, speed_in_turn_m_s
 from sitl.vessel.vessel import Mounted, Vessel
 
 _APART_S = 1e-3

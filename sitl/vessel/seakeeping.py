@@ -4,11 +4,15 @@ Heave and pitch: Jensen, Mansour & Olsen, Estimation of ship motions using close
 (2004) 61-85, sections 2.1-2.2, for a box-shaped hull. Roll: wave slope through one damped oscillator. Surge, sway and yaw:
 the hull is carried by the orbital motion of the water, averaged over its length and beam.
 Written for long-crested deep-water waves; amplitudes within about a quarter of published tables of real hulls.
+
+A hull may answer by a table instead: amplitude and phase per encounter frequency and heading. In a turn a ship loses speed and
+heels outwards.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +21,78 @@ from numpy.typing import NDArray
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
-from sitl.vessel.response_table import ResponseTable
+
+MODES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
+_ODD = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+"""A wave from the other side mirrors sway, roll and yaw of a hull that is alike on both sides."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseTable:
+    """Complex responses on a grid, as `sitl.vessel.seakeeping.responses` returns them."""
+
+    encounter_rad_s: F64
+    """(F,) ascending, positive."""
+    heading_rad: F64
+    """(D,) ascending from 0 (following sea) to pi (head sea); waves from port, those from starboard are their mirror."""
+    grid: NDArray[np.complex128]
+    """(6, D, F)."""
+
+    @staticmethod
+    def of(
+        encounter_rad_s: list[float], heading_deg: list[float], modes: Mapping[str, tuple[list[list[float]], list[list[float]]]]
+    ) -> ResponseTable:
+        """Return the table of (amplitudes, phases in degrees) by mode, each with one row a heading; a missing mode is zero.
+
+        Amplitudes are m/m for surge (forward), sway (to starboard) and heave (up), degrees/m for roll (starboard down), pitch
+        (bow up) and yaw (to starboard). The phase is the motion's lead over the crest amidships.
+
+        Raises:
+            ValueError: axes that do not ascend or span 0 to 180 degrees, rows that do not match them, a negative amplitude.
+        """
+        w, heading = np.asarray(encounter_rad_s, dtype=float), np.asarray(heading_deg, dtype=float)
+        if w.size < 2 or np.any(np.diff(w) <= 0) or w[0] <= 0:
+            raise ValueError("encounter_rad_s must hold two or more ascending frequencies over 0")
+        if heading.size < 2 or np.any(np.diff(heading) <= 0) or heading[0] != 0.0 or heading[-1] != 180.0:
+            raise ValueError("heading_deg must ascend from 0 (following sea) to 180 (head sea)")
+        grid = np.zeros((6, heading.size, w.size), dtype=complex)
+        for i, mode in enumerate(MODES):
+            if mode not in modes:
+                continue
+            for rows, what in zip(modes[mode], ("amplitude", "phase_deg"), strict=True):
+                if len(rows) != heading.size or any(len(row) != w.size for row in rows):
+                    raise ValueError(f"{mode}.{what} must hold {heading.size} rows (headings) of {w.size} numbers (frequencies)")
+            amplitude, lead = (np.asarray(rows, dtype=float) for rows in modes[mode])
+            if np.any(amplitude < 0):
+                raise ValueError(f"{mode}.amplitude must be 0 or more: a negative one is a phase of 180 degrees")
+            unit = (1.0, 1.0, -1.0, *(math.radians(1.0),) * 3)[i]  # heave is down inside
+            # A wave is exp(i theta) with theta falling in time, so that a lead is a negative angle.
+            grid[i] = unit * amplitude * np.exp(-1j * np.radians(lead))
+        return ResponseTable(w, np.radians(heading), grid)
+
+    def responses(self, encounter_rad_s: F64, beta_rad: F64) -> NDArray[np.complex128]:
+        """Return (6, ...) responses for encounter frequencies and directions (...), bilinear between the table's points.
+
+        Below the lowest frequency the lowest counts; above the highest the response falls with the fourth power of frequency.
+        An overtaken wave (negative encounter frequency) runs backwards in time: its response is the conjugate.
+        """
+        we, beta = np.broadcast_arrays(np.asarray(encounter_rad_s, dtype=float), np.asarray(beta_rad, dtype=float))
+        turned = (beta + math.pi) % math.tau - math.pi
+        w = np.abs(we)
+        i, x = _place(self.encounter_rad_s, np.clip(w, self.encounter_rad_s[0], self.encounter_rad_s[-1]))
+        j, y = _place(self.heading_rad, np.clip(np.abs(turned), 0.0, math.pi))
+        g = self.grid
+        low = g[:, j, i] * (1.0 - x) + g[:, j, i + 1] * x
+        high = g[:, j + 1, i] * (1.0 - x) + g[:, j + 1, i + 1] * x
+        out = (low * (1.0 - y) + high * y) * (self.encounter_rad_s[-1] / np.maximum(w, self.encounter_rad_s[-1])) ** 4
+        mirror = np.where(turned < 0, _ODD.reshape(6, *(1,) * w.ndim), 1.0)
+        return np.asarray(mirror * np.where(we < 0, out.conj(), out))
+
+
+def _place(axis: F64, value: F64) -> tuple[NDArray[np.intp], F64]:
+    """Return the interval of each value on an ascending axis, and the share of the way through it."""
+    i = np.clip(np.searchsorted(axis, value, side="right") - 1, 0, axis.size - 2)
+    return i, (value - axis[i]) / (axis[i + 1] - axis[i])
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,3 +233,123 @@ def _mean_slope(x: F64) -> F64:
     small = np.abs(x) < 1e-2
     y = np.where(small, 1.0, x)
     return np.asarray(np.where(small, 1.0 - x**2 / 10.0, 3.0 * (np.sin(y) - y * np.cos(y)) / y**3))
+
+
+_NODES = 1001
+"""Points of the path through the beginning of the turn; the path between them is exact to a micrometre."""
+
+
+def speed_in_turn_m_s(speed_m_s: float, rate_rad_s: float, length_m: float) -> float:
+    """Return the steady speed in a turn that was begun at `speed_m_s`.
+
+    Source: Lyster & Knights, Prediction equations for ships' turning circles, Trans. NECIES 95 (1979): the speed in the turn over
+    that before it is 0.074 of the turning diameter in lengths, plus 0.149. The diameter is twice the new speed over the rate.
+    """
+    diameter_per_speed = 2.0 / (abs(rate_rad_s) * length_m)
+    share = 0.074 * speed_m_s * diameter_per_speed
+    return speed_m_s if share >= 1.0 - 0.149 else 0.149 * speed_m_s / (1.0 - share)
+
+
+def heel_rad(hull: Hull, speed_m_s: F64, rate_rad_s: F64) -> F64:
+    """Return the steady roll in a turn, starboard down positive: a turn to starboard heels the ship to port.
+
+    Source: Rawson & Tupper, Basic Ship Theory, chapter on manoeuvrability, angle of heel when turning. The centripetal force acts
+    at half the draught, the ship's inertia at its centre of gravity.
+    """
+    assert hull.gm_m is not None
+    assert hull.kg_m is not None
+    return np.asarray(-speed_m_s * rate_rad_s * (hull.kg_m - 0.5 * hull.draught_m) / (G_M_S2 * hull.gm_m))
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """A turn that begins at some instant: rate and speed go over smoothly, then the ship runs in a circle."""
+
+    rate_rad_s: float
+    """Clockwise from above positive, not 0."""
+    at_s: float
+    over_s: float
+    """How long it takes until rate and speed are steady."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """Where the ship would be without waves at times (T,), relative to its place and heading at time 0."""
+
+    p: F64
+    """(T, 2) m ahead and to starboard of the first place, along the first heading."""
+    v: F64
+    a: F64
+    yaw: F64
+    """(T,) rad from the first heading."""
+    rate: F64
+    rate_dot: F64
+    share: F64
+    """(T, 3): how far the turn has developed, 0 to 1, with its two derivatives."""
+    speed: F64
+    """(T,) m/s."""
+
+
+class TurningCourse:
+    """The course of a ship that turns; `at` is exact but for the path while the turn develops."""
+
+    def __init__(self, turn: Turn, speed_m_s: float, length_m: float) -> None:
+        self.turn, self.before_m_s = turn, speed_m_s
+        self.after_m_s = speed_in_turn_m_s(speed_m_s, turn.rate_rad_s, length_m)
+        self._t = np.linspace(0.0, turn.over_s, _NODES)
+        h = self._t[1]
+        v = self._velocity(self._t)
+        middle = self._velocity(self._t[:-1] + 0.5 * h)
+        steps = h / 6.0 * (v[:-1] + 4.0 * middle + v[1:])
+        self._p = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+        self._v = v
+
+    def at(self, t_s: F64) -> Course:
+        """Return the course at times (T,)."""
+        turn = self.turn
+        x = t_s - turn.at_s
+        s, s1, s2 = smooth_step(x / turn.over_s)
+        share = np.stack([s, s1 / turn.over_s, s2 / turn.over_s**2], axis=-1)
+        yaw, gained = self._yaw(x), self.after_m_s - self.before_m_s
+        speed = self.before_m_s + gained * share[:, 0]
+        rate, rate_dot = turn.rate_rad_s * share[:, 0], turn.rate_rad_s * share[:, 1]
+        ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+        across = np.stack([-np.sin(yaw), np.cos(yaw)], axis=-1)
+        v = speed[:, None] * ahead
+        a = (gained * share[:, 1])[:, None] * ahead + (speed * rate)[:, None] * across
+        p = self._path(x) + np.array([self.before_m_s * turn.at_s, 0.0])
+        return Course(p, v, a, yaw, rate, rate_dot, share, speed)
+
+    def _path(self, x: F64) -> F64:
+        """(T, 2) m from where the turn begins, x s after that."""
+        turn, straight = self.turn, np.stack([self.before_m_s * x, np.zeros_like(x)], axis=-1)
+        h = self._t[1]
+        i = np.clip((x / h).astype(int), 0, _NODES - 2)
+        u = np.clip((x - self._t[i]) / h, 0.0, 1.0)[:, None]
+        p0, p1, v0, v1 = self._p[i], self._p[i + 1], self._v[i], self._v[i + 1]
+        within = (1 + 2 * u) * (1 - u) ** 2 * p0 + u * (1 - u) ** 2 * h * v0 + u**2 * (3 - 2 * u) * p1 + u**2 * (u - 1) * h * v1
+        late = np.maximum(x - turn.over_s, 0.0)
+        yaw0 = 0.5 * turn.rate_rad_s * turn.over_s
+        yaw, radius = yaw0 + turn.rate_rad_s * late, self.after_m_s / turn.rate_rad_s
+        circle = np.stack([np.sin(yaw) - math.sin(yaw0), math.cos(yaw0) - np.cos(yaw)], axis=-1) * radius
+        return np.where((x < 0)[:, None], straight, within + circle)
+
+    def _velocity(self, x: F64) -> F64:
+        yaw = self._yaw(x)
+        speed = self.before_m_s + (self.after_m_s - self.before_m_s) * smooth_step(x / self.turn.over_s)[0]
+        return np.stack([speed * np.cos(yaw), speed * np.sin(yaw)], axis=-1)
+
+    def _yaw(self, x: F64) -> F64:
+        u = np.clip(x / self.turn.over_s, 0.0, 1.0)
+        developing = u**4 * (2.5 + u * (u - 3.0))
+        return self.turn.rate_rad_s * (self.turn.over_s * developing + np.maximum(x - self.turn.over_s, 0.0))
+
+
+def smooth_step(x: F64) -> tuple[F64, F64, F64]:
+    """Return the fifth-order step from 0 to 1 and its two derivatives, which are 0 at both ends."""
+    u = np.clip(x, 0.0, 1.0)
+    return (
+        u**3 * (10.0 + u * (6.0 * u - 15.0)),
+        30.0 * u**2 * (1.0 - u) ** 2,
+        60.0 * u * (1.0 - u) * (1.0 - 2.0 * u),
+    )

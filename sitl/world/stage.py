@@ -13,12 +13,11 @@ from estimator.contracts.geometry import F64
 from sitl.camera.automatic import Automatics
 from sitl.camera.camera import Renderer
 from sitl.camera.drops import Drops
-from sitl.camera.film import Film
+from sitl.camera.film import Film, VideoLinkOptions
 from sitl.camera.light import Light, Mast, Sensor
 from sitl.camera.render.light import Lamps
 from sitl.camera.settings import CLEAR_M
 from sitl.camera.surroundings import Deck, Surroundings
-from sitl.camera.video_link import VideoLinkOptions
 from sitl.scenario.scenario import Scenario, camera_model, pad_model, ship_model, vehicle_model
 from sitl.sea.sea import Waves
 from sitl.vehicle.airframe import Airframe, Avionics, StickLimits
@@ -26,10 +25,8 @@ from sitl.vehicle.disturbances import Wind
 from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.air import AirModel
 from sitl.vessel.contact import DeckShape, Ground
-from sitl.vessel.seakeeping import Hull
-from sitl.vessel.special import RecordedVessel, TurningVessel
-from sitl.vessel.turn import Turn
-from sitl.vessel.vessel import Mooring, Vessel
+from sitl.vessel.seakeeping import Hull, Turn
+from sitl.vessel.vessel import Mooring, RecordedVessel, TurningVessel, Vessel
 
 
 class Seeds(NamedTuple):

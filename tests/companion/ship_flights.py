@@ -24,7 +24,7 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import F64
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.sensors.gnss import ORIGIN
 from tests.support.fake_ardrone import until
 

@@ -23,7 +23,7 @@ from drivers.mavlink.links import LinkOptions, open_links
 from drivers.nmea.sentences import KNOT_M_S
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from sitl.emulators.autopilots.miniature import global_position
+from sitl.emulators.autopilots.stand_in.base import global_position
 from tests.companion.ship_flights import HOST, SHIP, SHIP_NED, Flying, flying, free_port, rmc, sentence, settings_of
 from tests.support.fake_ardrone import until
 

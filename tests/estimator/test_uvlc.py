@@ -11,7 +11,7 @@ from scipy.fft import idctn
 
 from estimator.contracts.pictures import CodedPicture, PictureRefusal
 from estimator.uvlc import UvlcDecoder
-from sitl.ardrone.uvlc_encoder import encode
+from sitl.ardrone.uvlc import encode
 
 UVLC = UvlcDecoder()
 WIDTH, HEIGHT = 176, 144

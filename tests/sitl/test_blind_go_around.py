@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sitl.flight.one_flight import fly, settings_for
+from sitl.flight.one_flight import FlyOptions, fly, settings_for
 from sitl.scenario.scenario import load
 from sitl.scenario.with_fault import faulty
 
@@ -22,4 +22,4 @@ def test_after_a_contact_that_nobody_felt_the_pad_a_third_of_a_metre_from_the_es
     """Of three datagrams of navdata one comes too late to be used; the go-around begins on the pad."""
     scenario = load("demo")
     wanted = faulty(scenario, 2325, possible=lambda _: True, name="faults/navdata_overtaken")
-    assert fly("demo", wanted, 2325, settings_for(scenario, None), "model", overtime_s=30.0).good
+    assert fly("demo", wanted, 2325, settings_for(scenario, None), "model", options=FlyOptions(overtime_s=30.0)).good

@@ -17,15 +17,14 @@ from sitl.core.library import SIM
 from sitl.sea.sea import SeaState, Waves
 from sitl.sensors.sensors import Sensors
 from sitl.sensors.settings import SensorSettings
-from sitl.vehicle.airframe import Airframe, Avionics, load
+from sitl.vehicle.airframe import Airframe, Avionics, load, rotors
 from sitl.vehicle.disturbances import Wind
-from sitl.vehicle.rotors import rotors
 from sitl.vehicle.vehicle import SEA, Vehicle, VehiclePhase
 from sitl.vessel.air import AirModel, GustOnce
 from sitl.vessel.contact import DeckShape, Ground
 from sitl.vessel.seakeeping import Superstructure
 from sitl.vessel.vessel import Mounted
-from sitl.world.physics import Physics, decks_of
+from sitl.world.world import Physics, decks_of
 
 DT = 0.004
 SHAPES = (DeckShape(3.0, 2.0, 1.4, 1.4), DeckShape(3.0, 2.0, 1.0, 1.5, taper_m=1.0, pad_yaw_rad=0.6))

@@ -19,8 +19,7 @@ from drivers.ardrone.samples import NavdataSampler
 from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
-from sitl.ardrone.drone import TICK_S, Drone
-from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.drone import TICK_S, Drone, DroneClock
 from sitl.scenario.scenario import Start, load
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import World

@@ -16,8 +16,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
 from sitl.camera.camera import Exposure
-from sitl.camera.driven_exposure import SimulatedExposure, Taken, taken_with
-from sitl.camera.film import Film
+from sitl.camera.film import Film, SimulatedExposure, Taken, taken_with
 from sitl.camera.light import Light, Sensor
 from sitl.emulators.autopilots.body import Body
 from sitl.scenario.scenario import load

@@ -13,19 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.settings.load import load
-from sitl.experiments.chapter5 import QUANTITIES, error_of, spread
+from sitl.experiments.chapter5 import HEIGHTS_M, QUANTITIES, error_of, printed, spread
 from sitl.experiments.flown import Estimate, ExperimentFlight, calm_scenario, fly_by_hand
-from sitl.experiments.paths import (
-    HeldPose,
-    around_the_ship,
-    full_turn,
-    hold,
-    level_axes,
-    thesis_axes,
-    thesis_yaw_rad,
-    up_and_down,
-)
-from sitl.experiments.printed import HEIGHTS_M, printed
+from sitl.experiments.hand import HeldPose, around_the_ship, full_turn, hold, level_axes, thesis_axes, thesis_yaw_rad, up_and_down
 from sitl.world.world import World
 
 

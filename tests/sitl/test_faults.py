@@ -32,9 +32,9 @@ from sitl.faults.kinds import (
     LinkLost,
     LowBattery,
     NavdataMisstamped,
+    PictureFault,
     ServiceKilled,
 )
-from sitl.faults.picture import PictureFault
 from sitl.faults.sensors import (
     Accelerometer,
     AttitudeReading,
@@ -49,9 +49,11 @@ from sitl.faults.sensors import (
 from sitl.faults.timer import FaultTimer
 from sitl.flight.flight import Flight
 from sitl.flight.safety import Grade
-from sitl.scenario.scenario import Scenario, Sea, Start, WindSettings
+from sitl.scenario.scenario import Scenario, Start
+from sitl.sea.sea import Sea
 from sitl.sensors.sensors import Readings
 from sitl.vehicle.vehicle import VehiclePhase
+from sitl.vessel.air import WindSettings
 from sitl.vessel.file import VesselSettings
 from sitl.world.world import Stick, World
 

@@ -15,11 +15,10 @@ from companion.settings.load import SHIPPED
 from estimator.contracts.errors import BadInput
 from sitl.camera.automatic import Adjusted, Automatics, adjust
 from sitl.camera.camera import Renderer
-from sitl.camera.film import Film
+from sitl.camera.film import Film, VideoLink, VideoLinkOptions
 from sitl.camera.light import Light, Sensor
 from sitl.camera.render_worker import render_worker
 from sitl.camera.surroundings import Surroundings
-from sitl.camera.video_link import VideoLink, VideoLinkOptions
 from sitl.scenario.scenario import from_mapping, load
 from sitl.world.world import World
 from tests.sitl.images import PLAIN, pad, shot

@@ -12,7 +12,7 @@ from companion.guidance.make_pilot import make_pilot
 from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
 from sitl.flight.flight import Flight
-from sitl.flight.one_flight import TRUTH_EACH, fly, perception_level, settings_for
+from sitl.flight.one_flight import TRUTH_EACH, FlyOptions, fly, perception_level, settings_for
 from sitl.flight.safety import Grade
 from sitl.scenario.scenario import Scenario, from_mapping, load
 from sitl.scenario.with_fault import faulty
@@ -28,8 +28,8 @@ def test_the_same_arguments_give_the_same_ending() -> None:
     scenario = short()
     settings = settings_for(scenario, None)
     truth: list[Truth] = []
-    first = fly("near", scenario, 3, settings, on_truth=truth.append).as_json()
-    again = fly("near", scenario, 3, settings, render_beside=True).as_json()
+    first = fly("near", scenario, 3, settings, options=FlyOptions(on_truth=truth.append)).as_json()
+    again = fly("near", scenario, 3, settings, options=FlyOptions(render_beside=True)).as_json()
     assert first.pop("cpu_s") > 0
     again.pop("cpu_s")
     assert first == again
@@ -83,12 +83,13 @@ def test_a_flight_whose_guidance_still_tries_goes_on_in_overtime_and_no_other() 
     """WHY: a soak cut flights in their third try and called them failed."""
     scenario = short(duration_limit_s=2.0)
     settings = settings_for(scenario, None)
-    cut, whole = (fly("near", scenario, 3, settings, "truth", overtime_s=longer_s) for longer_s in (0.0, 30.0))
+    times = (FlyOptions(overtime_s=longer_s) for longer_s in (0.0, 30.0))
+    cut, whole = (fly("near", scenario, 3, settings, "truth", options=options) for options in times)
     assert (cut.outcome, cut.duration_s) == (None, 2.0)
     assert whole.outcome is FlightOutcome.LANDED
     held = [{"kind": "operator", "order": "hold", "at_s": 1.0}]
     paused = short(duration_limit_s=2.0, faults=held, expect="hold", because="a person holds it")
-    assert fly("near", paused, 3, settings, "truth", overtime_s=30.0).duration_s == 2.0
+    assert fly("near", paused, 3, settings, "truth", options=FlyOptions(overtime_s=30.0)).duration_s == 2.0
 
 
 def test_a_link_lost_in_the_descent_ends_on_the_pad_and_what_touched_meanwhile_is_told() -> None:

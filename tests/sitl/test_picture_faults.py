@@ -11,7 +11,7 @@ from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from sitl.faults.fault import Fault
-from sitl.faults.picture import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
+from sitl.faults.kinds import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
 from sitl.flight.flight import Flight
 from sitl.perception.levels import perceive
 from sitl.perception.model import MODELLED

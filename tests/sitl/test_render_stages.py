@@ -9,7 +9,7 @@ import pytest
 
 from sitl.camera.light import Light
 from sitl.camera.projection import lens_of
-from sitl.camera.render.lens import smear
+from sitl.camera.render.pad import smear
 from sitl.camera.render.sea import SeaPainter
 from sitl.camera.surroundings import Surroundings
 from sitl.sea.sea import SHELTERED_SLIGHT, Waves

@@ -15,6 +15,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
 from sitl.flight.safety import (
+    AtEnd,
     BlindDescent,
     Grade,
     SightWatch,
@@ -160,7 +161,7 @@ def test_a_contact_that_no_order_could_prevent_is_told_apart() -> None:
         "in the water, 0.50 m from the pad's centre, outside commit (hold blind)",
     )
     assert len(dangers(SAFE, strays, None)) == 2, "where the scenario does not allow it"
-    put = grade(FlightOutcome.LANDED_BY_OTHERS, None, (), "either", put_down=True)
+    put = grade(FlightOutcome.LANDED_BY_OTHERS, None, (), "either", AtEnd(put_down=True))
     assert put == (Grade.REFUSED_RIGHTLY, "landed by itself while nothing reached it")
 
 
@@ -219,12 +220,12 @@ def test_a_flight_is_worth_what_its_scenario_expects(
 
 
 def test_without_a_service_hovering_on_is_right() -> None:
-    assert grade(None, None, (), "refuse", left_alone=True)[0] is Grade.REFUSED_RIGHTLY
-    assert grade(None, None, ("in the water",), "refuse", left_alone=True)[0] is Grade.FAILED
+    assert grade(None, None, (), "refuse", AtEnd(left_alone=True))[0] is Grade.REFUSED_RIGHTLY
+    assert grade(None, None, ("in the water",), "refuse", AtEnd(left_alone=True))[0] is Grade.FAILED
 
 
 def test_who_waits_for_the_operators_word_when_time_ends_has_refused() -> None:
-    assert grade(None, None, (), "either", asks=True) == (Grade.REFUSED_RIGHTLY, "hovered and waited for the operator")
-    assert grade(None, None, (), "land", asks=True)[0] is Grade.FAILED
-    assert grade(None, None, ("in the water",), "refuse", asks=True)[0] is Grade.FAILED
-    assert grade(FlightOutcome.LANDED_BY_OTHERS, None, (), "either", asks=True)[0] is Grade.FAILED
+    assert grade(None, None, (), "either", AtEnd(asks=True)) == (Grade.REFUSED_RIGHTLY, "hovered and waited for the operator")
+    assert grade(None, None, (), "land", AtEnd(asks=True))[0] is Grade.FAILED
+    assert grade(None, None, ("in the water",), "refuse", AtEnd(asks=True))[0] is Grade.FAILED
+    assert grade(FlightOutcome.LANDED_BY_OTHERS, None, (), "either", AtEnd(asks=True))[0] is Grade.FAILED

@@ -20,8 +20,8 @@ from sitl.vehicle.airframe import Airframe
 from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.contact import DeckShape, Ground
 from sitl.vessel.vessel import Mounted
-from sitl.world.physics import Physics, decks_of
 from sitl.world.stage import airframe
+from sitl.world.world import Physics, decks_of
 
 DT = 0.004
 SHAPE = DeckShape(3.0, 2.0, 1.4, 1.4)

@@ -13,7 +13,8 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import DeckRoll, FerryWake, ShipSpeed, ShipTurn, TiltLimited
-from sitl.scenario.scenario import Scenario, Sea, from_mapping, ship_model, vehicle_model
+from sitl.scenario.scenario import Scenario, from_mapping, ship_model, vehicle_model
+from sitl.sea.sea import Sea
 from sitl.vessel.file import VesselSettings
 from sitl.world.world import Stick, World
 from tests.sitl.test_faults import CALM, at

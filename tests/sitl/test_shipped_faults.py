@@ -14,10 +14,9 @@ from companion.settings.load import load as load_settings
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.camera.camera import Exposure
 from sitl.faults.fault import Fault
-from sitl.faults.kinds import KINDS, STREAMS, OperatorActs, ServiceKilled, VesselReports
-from sitl.faults.picture import PictureFault
+from sitl.faults.kinds import KINDS, STREAMS, OperatorActs, PictureFault, ServiceKilled, VesselReports
 from sitl.flight.flight import Flight
-from sitl.flight.safety import Grade, grade
+from sitl.flight.safety import AtEnd, Grade, grade
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import FAULTS, Scenario, load, shipped_scenarios
 from sitl.world.world import Stick, World
@@ -127,15 +126,15 @@ def test_only_sensible_orders_are_accepted() -> None:
 
 
 def test_grades_of_holding_going_around_and_of_the_reason_of_a_refusal() -> None:
-    assert grade(None, None, (), "hold", held=True) == (Grade.REFUSED_RIGHTLY, "held for the operator")
+    assert grade(None, None, (), "hold", AtEnd(held=True)) == (Grade.REFUSED_RIGHTLY, "held for the operator")
     assert grade(Outcome.LANDED, 0.1, (), "hold")[0] is Grade.FAILED
-    assert grade(Outcome.LANDED, 0.1, (), "go_around", go_arounds=1)[0] is Grade.ON_PAD
+    assert grade(Outcome.LANDED, 0.1, (), "go_around", AtEnd(go_arounds=1))[0] is Grade.ON_PAD
     assert grade(Outcome.LANDED, 0.1, (), "go_around")[0] is Grade.FAILED
-    assert grade(Outcome.GAVE_UP, None, (), "go_around", go_arounds=3)[0] is Grade.FAILED
+    assert grade(Outcome.GAVE_UP, None, (), "go_around", AtEnd(go_arounds=3))[0] is Grade.FAILED
     assert (
-        grade(Outcome.GAVE_UP, None, (), "refuse", refusal=("Not found", "the pad was not found again"))[0]
+        grade(Outcome.GAVE_UP, None, (), "refuse", AtEnd(refusal=("Not found", "the pad was not found again")))[0]
         is Grade.REFUSED_RIGHTLY
     )
-    given, because = grade(Outcome.GAVE_UP, None, (), "refuse", refusal=("battery", "the pad was not found again"))
+    given, because = grade(Outcome.GAVE_UP, None, (), "refuse", AtEnd(refusal=("battery", "the pad was not found again")))
     assert given is Grade.FAILED
     assert because == "gave up for another reason than 'battery': the pad was not found again"

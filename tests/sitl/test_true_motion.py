@@ -9,7 +9,7 @@ from msgspec import structs
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from sitl.perception.truth import TrueMotion
+from sitl.perception.levels import TrueMotion
 from sitl.scenario.scenario import load
 from sitl.world.world import World
 

@@ -17,8 +17,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
 from sitl.flight.one_flight import fly, settings_for
 from sitl.scenario.scenario import load as load_scenario
-from sitl.vehicle.airframe import Airframe, StickLimits, VehicleFile, load
-from sitl.vehicle.rotors import rotors
+from sitl.vehicle.airframe import Airframe, StickLimits, VehicleFile, load, rotors
 from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.contact import DeckShape, Ground
 from sitl.world.world import Stick, World

@@ -13,13 +13,20 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from sitl.scenario.scenario import load as load_scenario
 from sitl.sea.sea import SEA_STATES, Waves
-from sitl.vessel.file import Mode, Table, load
-from sitl.vessel.recorded_motion import RecordedMotion
-from sitl.vessel.response_table import ResponseTable
-from sitl.vessel.seakeeping import FERRY, HULLS, SUPPLY_SHIP, Hull, encounter_rad_s, responses
-from sitl.vessel.special import RecordedVessel, TurningVessel
-from sitl.vessel.turn import Turn, TurningCourse, speed_in_turn_m_s
-from sitl.vessel.vessel import Mooring, Vessel
+from sitl.vessel.file import Mode, RecordedMotion, Table, load
+from sitl.vessel.seakeeping import (
+    FERRY,
+    HULLS,
+    SUPPLY_SHIP,
+    Hull,
+    ResponseTable,
+    Turn,
+    TurningCourse,
+    encounter_rad_s,
+    responses,
+    speed_in_turn_m_s,
+)
+from sitl.vessel.vessel import Mooring, RecordedVessel, TurningVessel, Vessel
 from sitl.world.stage import sea_and_vessel
 from tests.support.vessel_table_text import as_toml
 

@@ -16,10 +16,12 @@ from sitl.emulators.ardrone.truth_log import record
 from sitl.faults.kinds import KINDS, Gust, WeakRotor
 from sitl.faults.sensors import Magnetometer, Ultrasound
 from sitl.flight.safety import outside_commit
-from sitl.scenario.scenario import Scenario, Sea, Start, WindSettings, load
+from sitl.scenario.scenario import Scenario, Start, load
+from sitl.sea.sea import Sea
 from sitl.sensors.sensors import Readings
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.vehicle import VehiclePhase
+from sitl.vessel.air import WindSettings
 from sitl.vessel.file import VesselSettings
 from sitl.world.truth import RenderedFrame, Truth
 from sitl.world.world import Stick, World

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sitl.vessel.file import Mode, Table
-from sitl.vessel.response_table import MODES
+from sitl.vessel.seakeeping import MODES
 
 
 def as_toml(table: Table) -> str:

@@ -1,4 +1,7 @@
-"""Render the deck: its drawing, edges and side, decals, the drone's shadow, wear and puddles."""
+"""Render the deck: its drawing, edges and side, decals, the drone's shadow, wear and puddles.
+
+The ship beside her deck shows her sides, her shadow on the water and her wake.
+"""
 
 from __future__ import annotations
 
@@ -282,3 +285,42 @@ def draw(scene: U16, lens: Lens, points_cam: F64, colour: U16) -> None:
     cv2.fillPoly(mask, [fixed_point(uv - (x0, y0))], 255, cv2.LINE_AA, SHIFT)
     place = SIM.new("sim_frame_part", w=w, x0=x0, x1=x1, y0=y0, y1=y1)
     SIM.lib.sim_render_fill(place, SIM.array("uint8_t", mask), SIM.array("uint16_t", colour, 4), SIM.array("uint16_t", scene))
+
+
+_SIDE = (74, 58, 46)
+"""Paint of the hull's sides, BGR."""
+
+
+def on_water(deck: Deck, rim_ned: F64, R_ned_pad: F64, to_sun: F64, wake_speed_m_s: float) -> list[F64]:
+    """Return the outlines on calm water, (N, 2) m to north and east: the hull, its shadow, and the wake of a ship under way."""
+    line = rim_ned[:, :2]
+    cast = line - to_sun[:2] * (np.minimum(rim_ned[:, 2:], 0.0) / to_sun[2])
+    hull = cv2.convexHull(np.concatenate([line, cast]).astype(np.float32))[:, 0].astype(float)
+    out = [line, hull]
+    speed = wake_speed_m_s
+    if speed > 0.2:
+        yaw = deck.pad_yaw_rad
+        ahead = R_ned_pad.dot(np.array([math.cos(yaw), -math.sin(yaw), 0.0]))[:2]
+        ahead = ahead / max(1e-6, math.hypot(*ahead.tolist()))
+        side = np.array([-ahead[1], ahead[0]])
+        stern = (line[0] + line[-1]) / 2.0
+        long, half = 3.0 * speed + 2.0 * deck.length_m, deck.width_m / 2
+        end = stern - long * ahead
+        out.append(
+            np.array([stern - 0.8 * half * side, stern + 0.8 * half * side, end + 1.9 * half * side, end - 1.9 * half * side])
+        )
+    return out
+
+
+def hull_side(scene: U16, lens: Lens, rim_ned: F64, R_ned_cam: F64, p_cam_ned: F64, blend: str) -> None:
+    """Paint the sides of the hull between the deck's rim, (N, 3) m, and the waterline below it, where the camera sees them."""
+    x, y = (rim_ned - p_cam_ned)[:, :2].T
+    along_x, along_y = np.concatenate([x[1:], x[:1]]) - x, np.concatenate([y[1:], y[:1]]) - y
+    # The camera is outside of a side that runs clockwise around it; a rim below the water shows the other face.
+    outside = (x * along_y - y * along_x) * rim_ned[:, 2] > 0
+    if not outside.any():
+        return
+    for i in np.nonzero(outside)[0]:
+        quad = rim_ned[[i, (i + 1) % len(rim_ned), (i + 1) % len(rim_ned), i]]
+        quad[2:, 2] = 0.0
+        draw(scene, lens, (quad - p_cam_ned) @ R_ned_cam, scene_of(_SIDE, blend))

@@ -19,8 +19,7 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, after, seconds_between
-from sitl.ardrone.drone import TICK_S, Drone
-from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.drone import TICK_S, Drone, DroneClock
 from sitl.ardrone.generations import FIRST, SECOND, Generation
 from sitl.ardrone.navdata_from_world import SentFrame
 from sitl.emulators.ardrone.sockets import Address, AtPort, ControlPort, NavdataPort, VideoDatagramPort, VideoPort

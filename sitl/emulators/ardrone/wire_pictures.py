@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from drivers.ardrone import pave
 from estimator.contracts.geometry import F64, Rotation
-from sitl.ardrone import uvlc_encoder
+from sitl.ardrone import uvlc as uvlc_encoder
 from sitl.ardrone.generations import P264
 
 IDR_EVERY = 15

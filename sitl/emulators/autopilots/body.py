@@ -12,8 +12,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.camera.camera import Exposure
-from sitl.camera.driven_exposure import SimulatedExposure, Taken
-from sitl.camera.film import Film
+from sitl.camera.film import Film, SimulatedExposure, Taken
 from sitl.camera.gimbal import SimulatedGimbal
 from sitl.emulators.autopilots.motors import Motors, MotorVehicle
 from sitl.emulators.autopilots.station import OperatorView
@@ -46,7 +45,7 @@ class BodyState:
 
 
 @dataclass(frozen=True, slots=True)
-class Landing:
+class BodyTouchdown:
     """The newest contact with a surface after flight."""
 
     t_s: float
@@ -137,7 +136,7 @@ class Body:
     def R_ned_pad(self) -> Rotation:
         return Rotation(np.array(self._ground.R))
 
-    def landing(self) -> Landing | None:
+    def landing(self) -> BodyTouchdown | None:
         """The landing, or None before the first contact."""
         v = self._vehicle
         if v.touched_what not in (DECK, SEA):
@@ -146,7 +145,7 @@ class Body:
         on_deck, lateral_m = v.touched_what == DECK, float(np.hypot(d[0], d[1]))
         on_pad = on_deck and lateral_m <= self.pad.disc_radius_m
         slide_m_s = float(np.hypot(u[0], u[1]))
-        return Landing(v.touched_s, on_deck, on_pad, lateral_m, v.touched_yaw, float(u[2]), slide_m_s)
+        return BodyTouchdown(v.touched_s, on_deck, on_pad, lateral_m, v.touched_yaw, float(u[2]), slide_m_s)
 
     @property
     def upright(self) -> bool:

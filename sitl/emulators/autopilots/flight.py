@@ -32,13 +32,12 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.camera.driven_exposure import SimulatedExposure
+from sitl.camera.film import SimulatedExposure
 from sitl.emulators.autopilots import arducopter, px4
 from sitl.emulators.autopilots.ardupilot_json import CURVE, STEP_S, JsonBackend, serve_json
 from sitl.emulators.autopilots.beside import FlightDaemon, KillableService, beside_autopilot
-from sitl.emulators.autopilots.body import Body, Landing, Silence, view_of
-from sitl.emulators.autopilots.faulty_link import FaultyLink
-from sitl.emulators.autopilots.lock_step import LockStepCamera, LockStepClock
+from sitl.emulators.autopilots.body import Body, BodyTouchdown, Silence, view_of
+from sitl.emulators.autopilots.lock_step import FaultyLink, LockStepCamera, LockStepClock
 from sitl.emulators.autopilots.observed_body import GradedBody, PerceivedBody
 from sitl.emulators.autopilots.program import Program, free_udp_port, running
 from sitl.emulators.autopilots.px4_hil import HilBackend, serve_hil
@@ -50,8 +49,7 @@ from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.emulators.autopilots.station import STATION, GroundStation, Task
 from sitl.flight.grader import FlightResult
 from sitl.flight.vessel_reports import VesselReporter
-from sitl.perception.pixels import Pixels
-from sitl.perception.port import Perception
+from sitl.perception.port import Perception, Pixels
 from sitl.scenario.scenario import Scenario
 from sitl.world.truth import RenderedFrame, Touchdown, Truth
 
@@ -91,7 +89,7 @@ class FlightEnd:
 
     outcome: FlightOutcome | None
     """The pilot's outcome, and of an unaided flight a landing where the motors stopped; None if the flight ended otherwise."""
-    landing: Landing | None
+    landing: BodyTouchdown | None
     duration_s: float
     """Time since the landing was commanded."""
     health: Health

@@ -33,7 +33,7 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from sitl.camera.camera import Exposure
 from sitl.emulators.autopilots.beside import FlightDaemon, beside_autopilot
-from sitl.emulators.autopilots.body import Landing
+from sitl.emulators.autopilots.body import BodyTouchdown
 from sitl.scenario.scenario import Scenario, pad_model
 from sitl.vehicle.airframe import Airframe
 from sitl.world.stage import flight_seeds, renderer, sea_and_vessel
@@ -174,7 +174,7 @@ class FollowEnd:
     """The result of the flight."""
 
     outcome: FlightOutcome | None
-    landing: Landing | None
+    landing: BodyTouchdown | None
     duration_s: float
     """Time since the vehicle was first seen flying, s."""
     health: Health
@@ -226,7 +226,7 @@ class DeckUnder:
         """Return the body's height over the pad's centre, metres."""
         return float((self._deck(pose.at)[1] - pose.p_ned - self._shift)[2])
 
-    def landing(self, pose: AutopilotPose, descent_rate_m_s: float) -> Landing:
+    def landing(self, pose: AutopilotPose, descent_rate_m_s: float) -> BodyTouchdown:
         """Return the landing that this pose would be if the body were on the deck there.
 
         Args:
@@ -237,7 +237,7 @@ class DeckUnder:
         lateral_m = float(np.hypot(d[0], d[1]))
         yaw = wrap_pi(pose.R_ned_body.rpy_rad[2] - Rotation(R).rpy_rad[2])
         slide = pose.v_ned - v
-        return Landing(
+        return BodyTouchdown(
             t_s, True, lateral_m <= self.pad_radius_m, lateral_m, yaw, descent_rate_m_s, math.hypot(slide[0], slide[1])
         )
 
@@ -286,7 +286,7 @@ class _Watcher:
         self.frames = 0
 
     @property
-    def landing(self) -> Landing | None:
+    def landing(self) -> BodyTouchdown | None:
         """The landing by the last received pose; None if none was received."""
         if self._deck is None or self._last is None:
             return None

@@ -24,9 +24,9 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.camera.camera import Exposure
 from sitl.camera.render_worker import RenderWorker
-from sitl.emulators.autopilots.body import Body, Landing
+from sitl.emulators.autopilots.body import Body, BodyTouchdown
 from sitl.faults.faulty_streams import VehicleStreams
-from sitl.faults.picture import LightFalls
+from sitl.faults.kinds import LightFalls
 from sitl.faults.timer import FaultTimer
 from sitl.flight.grader import FlightGrader, FlightResult
 from sitl.scenario.scenario import Scenario
@@ -63,7 +63,7 @@ class GradedBody(NullObserver):
         """Instant of the order to land."""
         self._body: Body | None = None
         self._contacts: list[Touchdown] = []
-        self._newest: Landing | None = None
+        self._newest: BodyTouchdown | None = None
         self._watched: MonoNs | None = None
 
     @property
@@ -140,7 +140,7 @@ class GradedBody(NullObserver):
             self._grader.on_decision(decision)
         self.guidance_phase = decision.phase
 
-    def _contact(self, body: Body, t: Landing, now: MonoNs) -> Touchdown:
+    def _contact(self, body: Body, t: BodyTouchdown, now: MonoNs) -> Touchdown:
         surface: Literal["pad", "deck", "water"] = "pad" if t.on_pad else "deck" if t.on_deck else "water"
         p_pad = body.R_ned_pad.inv @ (body.state().p_ned - body.p_pad_ned)
         return Touchdown(

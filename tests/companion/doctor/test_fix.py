@@ -22,8 +22,8 @@ from drivers.mavlink.dialect import Message
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from tests.support.fake_ardrone import until
 

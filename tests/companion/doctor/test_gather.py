@@ -30,7 +30,7 @@ from drivers.mavlink.dialect import Event, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD
 from tests.support.fake_ardrone import until
 

@@ -19,7 +19,7 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import Stamp, after
 from sitl.emulators.autopilots.body import Body
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.scenario.scenario import load
 from sitl.vehicle.airframe import Airframe
 from tests.companion.mavlink.receivers import Px4Receiver

@@ -23,7 +23,7 @@ from estimator.contracts.estimates import IntegrityAlert, RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Range
 from estimator.contracts.time import MonoNs
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.mavlink.test_component_parts import Tower
 from tests.support.fake_ardrone import until
 

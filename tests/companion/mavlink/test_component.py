@@ -13,7 +13,7 @@ import pytest
 from drivers.mavlink.dialect import ComponentInformationBasic, mav
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.estimates import IntegrityAlert, Verdict
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.mavlink.receivers import ArduPilotReceiver, Px4Receiver
 from tests.companion.mavlink.stage import PAD_NED, staged
 from tests.support.fake_ardrone import until

@@ -18,7 +18,7 @@ from companion.parts.mavlink.tunables import NAMES
 from companion.settings.load import camera_model, load
 from companion.settings.video import VideoStreamOptions
 from drivers.clock import SystemClock
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.mavlink.stage import HOST, PAD_NED, Stage, staged
 
 mavsdk = pytest.importorskip("mavsdk.asyncio", reason="MAVSDK is not installed")

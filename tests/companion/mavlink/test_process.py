@@ -16,7 +16,7 @@ import pytest
 from companion.recording.reading import open_recording
 from companion.recording.records import LinkRecord
 from drivers.mavlink.dialect import mav
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.support.fake_ardrone import until
 
 US = 191

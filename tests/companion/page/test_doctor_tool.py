@@ -15,7 +15,7 @@ from drivers.mavlink import autopilot
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.doctor.test_rules import ARDUPILOT
 from tests.support.fake_ardrone import until
 from tests.support.page_service import browsing, serving

@@ -20,7 +20,7 @@ from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample, VehicleStatus
 from estimator.contracts.time import seconds_between
-from sitl.emulators.autopilots.miniature import EPOCH_NS, MiniatureAutopilot
+from sitl.emulators.autopilots.stand_in.base import EPOCH_NS, MiniatureAutopilot
 from tests.support.fake_ardrone import until
 
 HOST = "127.0.0.1"

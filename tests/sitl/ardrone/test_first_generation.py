@@ -21,8 +21,8 @@ from estimator.contracts.pictures import CodedPicture
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import NS_PER_S, MonoNs
 from estimator.uvlc import UvlcDecoder
-from sitl.ardrone.arriving_frames import ArrivingFrames
 from sitl.ardrone.generations import FIRST, SECOND
+from sitl.ardrone.uvlc import ArrivingFrames
 from sitl.emulators.ardrone.server import ArDroneServer, Habits, Ports
 from sitl.flight.one_flight import fly, settings_for
 from sitl.scenario.scenario import load as load_scenario

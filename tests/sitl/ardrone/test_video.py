@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
-from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.drone import DroneClock
 from sitl.emulators.ardrone.wire_pictures import IDR_EVERY, Encoder, front_view, split_annex_b
 
 SPS, PPS, IDR, SLICE = 7, 8, 5, 1

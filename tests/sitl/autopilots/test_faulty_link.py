@@ -19,9 +19,9 @@ from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.commands import Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
-from sitl.emulators.autopilots.faulty_link import FaultyLink
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
+from sitl.emulators.autopilots.lock_step import FaultyLink
 from sitl.emulators.autopilots.program import free_udp_port
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import CommandStream, LinkLost, NavdataStream, StreamFault
 from sitl.faults.timer import FaultTimer

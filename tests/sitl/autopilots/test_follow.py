@@ -18,8 +18,8 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 from sitl.emulators.autopilots.follow import AutopilotPose, DeckUnder, PoseSource, follow
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
 from sitl.emulators.autopilots.program import free_udp_port
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.scenario.scenario import load
 
 HOST = "127.0.0.1"

@@ -17,12 +17,11 @@ import pytest
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput
 from sitl.campaign.code import code_version
-from sitl.campaign.design import described, factorial, parse_axis, sampled
+from sitl.campaign.design import Search, described, factorial, parse_axis, sampled
 from sitl.campaign.figures import bootstrap_interval, differences_of, effect_of, figures_of, map_of, varied_point
 from sitl.campaign.overrides import Overridable
 from sitl.campaign.plan import Job, Point
 from sitl.campaign.report import REPORT, fly_again, render_report
-from sitl.campaign.search import Search
 from sitl.campaign.store import FolderStore, ObjectStore, flights_in, manifest_of, manifest_of_plan
 from sitl.campaign.summary import RULES, cause_of, in_words, severity, tally
 from sitl.campaign.tables import as_json, by_value, in_rows, parquet_bytes

@@ -1,6 +1,8 @@
-"""The common part of the stand-ins: a miniature autopilot on a link, whose state is that of a body of the physics.
+"""An autopilot in miniature on a real socket, and the stand-ins that fly a body of the physics by it.
 
-`flying` steps a stand-in in this process, in the lock step of the physics, over the same MAVLink links as a program.
+A miniature sends and obeys what ArduCopter and PX4 were measured to send and obey. By itself it flies as a point whose velocity
+follows the setpoint at once. Its clock is its own: `epoch_ns` before ours. `flying` steps a stand-in in this process, in the lock
+step of the physics, over the same MAVLink links as a program.
 """
 
 from __future__ import annotations
@@ -8,23 +10,274 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
+import struct
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from drivers.mavlink.dialect import Message, mav
+from drivers.clock import SystemClock
+from drivers.mavlink.access import NamedSenders
+from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.links import LinkOptions, ReceivedMessage, open_links
-from drivers.mavlink.vehicle import Stack
-from estimator.contracts.geometry import F64
+from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
+from drivers.mavlink.options import LinkLimits
+from drivers.mavlink.vehicle import ARMED, Stack, custom_mode, mode_name
+from estimator.contracts.geodesy import moved
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.ports import Clock
 from sitl.emulators.autopilots.body import Body, BodyState
 from sitl.emulators.autopilots.lock_step import LockStepClock
-from sitl.emulators.autopilots.miniature import MiniatureAutopilot
 from sitl.emulators.autopilots.motors import Motors
 from sitl.emulators.autopilots.stand_in.gimbal import GimbalLink
+from sitl.sensors.gnss import ORIGIN
+
+EPOCH_NS = 5_000_000_000
+"""The autopilot booted this long before this process' clock began."""
+
+
+def global_position(boot_ms: int, p_ned: F64, v_ned: F64, heading_deg: float | None = None) -> Message:
+    """Return the GLOBAL_POSITION_INT of a system at `p_ned`, (3,) m from the simulated world's origin.
+
+    Args:
+        v_ned: (3,) m/s.
+        heading_deg: heading, clockwise from north; None for unknown.
+    """
+    place = moved(ORIGIN, p_ned)
+    latitude, longitude = (round(1e7 * math.degrees(a)) for a in (place.latitude_rad, place.longitude_rad))
+    height_mm = 0 if place.height_m is None else round(1e3 * place.height_m)
+    heading = 65535 if heading_deg is None else round(100.0 * (heading_deg % 360.0))
+    v = [round(100.0 * float(c)) for c in v_ned]
+    return mav.MAVLink_global_position_int_message(
+        boot_ms, latitude, longitude, height_mm, round(-1e3 * float(p_ned[2])), *v, heading
+    )
+
+
+@dataclass
+class MiniatureAutopilot:
+    """See the module."""
+
+    stack: Stack = Stack.ARDUPILOT
+    system: int = 7
+    mode: str = "loiter"
+    armed: bool = True
+    landed_state: int = 2
+    parameters: dict[str, float] = field(default_factory=dict)
+    fixed_parameters: frozenset[str] = frozenset()
+    """Parameters that are read-only."""
+    unsupported: set[int] = field(default_factory=set)
+    """Messages whose stream is refused."""
+    distance_cm: int | None = None
+    """Of its rangefinder, or echoed from us."""
+    deaf: bool = False
+    """Hears commands and answers none."""
+    silent: bool = False
+    p_ned: F64 = field(default_factory=lambda: np.array([0.0, 0.0, -5.0]))
+    v_ned: F64 = field(default_factory=lambda: np.zeros(3))
+    rpy: Callable[[float], tuple[float, float, float]] = lambda t: (0.0, 0.0, 0.0)
+    gyro_mrad_s: tuple[int, int, int] = (100, -200, 300)
+    """Reading of its gyro, forward, right, down."""
+    f_body: tuple[float, float, float] = (0.1, -0.2, -9.8)
+    """Reading of its accelerometer, the same axes, m/s^2."""
+    epoch_ns: int = EPOCH_NS
+    clock: Clock = field(default_factory=SystemClock)
+    messages: list[Message] = field(default_factory=list)
+    commands: Counter[int] = field(default_factory=Counter)
+    intervals: dict[int, float] = field(default_factory=dict)
+    setpoints: list[tuple[float, Message]] = field(default_factory=list)
+    sync_answers: list[tuple[int, int, int]] = field(default_factory=list)
+    """(remote clock, our request, heard) of TIMESYNC answers to us."""
+
+    def __post_init__(self) -> None:
+        self.links: Links | None = None
+        self._next: dict[int, float] = {}
+        self._samples = 0
+        self._at = self.now_s
+
+    def of(self, kind: str) -> list[Any]:
+        """Messages of one kind that were heard."""
+        return [m for m in self.messages if m.get_type() == kind]
+
+    @property
+    def now_s(self) -> float:
+        return self.clock.now() * 1e-9
+
+    @property
+    def p_world_ned(self) -> F64:
+        """Position (3,) from the world's origin, m: that of its GNSS."""
+        return self.p_ned
+
+    @property
+    def boot_ns(self) -> int:
+        return self.clock.now() + self.epoch_ns
+
+    @property
+    def boot_ms(self) -> int:
+        return self.boot_ns // 1_000_000 & 0xFFFFFFFF
+
+    def send(self, message: Message) -> None:
+        if self.links is not None and not self.silent:
+            self.links.send(message)
+
+    def heartbeat(self) -> Message:
+        base = mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (ARMED if self.armed else 0)
+        kind = 3 if self.stack is Stack.ARDUPILOT else 12
+        return mav.MAVLink_heartbeat_message(2, kind, base, custom_mode(self.stack, self.mode), 4 if self.armed else 3, 3)
+
+    def set_mode(self, name: str) -> None:
+        """As a person would by the remote control."""
+        self.mode = name
+        self.send(self.heartbeat())
+
+    def text(self, severity: int, text: str) -> None:
+        self.send(mav.MAVLink_statustext_message(severity, text.encode()))
+
+    def _on_message(self, received: ReceivedMessage) -> None:
+        m = received.message
+        self.messages.append(m)
+        handler = getattr(self, f"_on_{m.get_type().lower()}", None)
+        if handler is not None and not self.deaf:
+            handler(m, received)
+
+    def _on_timesync(self, m: Message, received: ReceivedMessage) -> None:
+        if m.tc1 == 0:
+            self.send(TimeSyncV2(self.boot_ns, m.ts1, received.system, received.component))
+        else:
+            self.sync_answers.append((m.tc1, m.ts1, self.boot_ns))
+
+    def _on_param_request_read(self, m: Message, received: ReceivedMessage) -> None:
+        if m.param_id in self.parameters:
+            self._tell_parameter(m.param_id)
+
+    def _on_param_set(self, m: Message, received: ReceivedMessage) -> None:
+        """Take a parameter's value and tell the one in force, as both programs do; an unknown name is not answered."""
+        if m.target_system != self.system or m.param_id not in self.parameters:
+            return
+        if m.param_id not in self.fixed_parameters:
+            integer = self.stack is Stack.PX4 and isinstance(self.parameters[m.param_id], int)
+            bits = struct.unpack("<i", struct.pack("<f", m.param_value))[0]
+            self.parameters[m.param_id] = bits if integer else float(m.param_value)
+        self._tell_parameter(m.param_id)
+
+    def _tell_parameter(self, name: str) -> None:
+        value, kind = self.parameters[name], 9
+        if self.stack is Stack.PX4 and isinstance(value, int):
+            value, kind = struct.unpack("<f", struct.pack("<i", value))[0], 6
+        self.send(mav.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 0))
+
+    def _on_command_long(self, m: Message, received: ReceivedMessage) -> None:
+        if m.target_system != self.system or m.target_component != 1:
+            return
+        self.commands[m.command] += 1
+        result = 0
+        if m.command == mav.MAV_CMD_SET_MESSAGE_INTERVAL:
+            number = int(m.param1)
+            if number in self.unsupported:
+                result = 2
+            else:
+                self.intervals[number] = m.param2 * 1e-6
+        elif m.command == mav.MAV_CMD_DO_SET_MODE:
+            custom = int(m.param2) if self.stack is Stack.ARDUPILOT else int(m.param2) << 16 | int(m.param3) << 24
+            result = self._enter(mode_name(self.stack, custom))
+        elif m.command == mav.MAV_CMD_COMPONENT_ARM_DISARM:
+            self.armed = bool(m.param1)
+        elif m.command == mav.MAV_CMD_NAV_TAKEOFF and self.armed and self.mode == "guided":
+            self.landed_state, self.p_ned = 2, np.array([*self.p_ned[:2], -m.param7])
+        self.send(mav.MAVLink_command_ack_message(m.command, result, 0, 0, received.system, received.component))
+        self.send(self.heartbeat())
+
+    def _enter(self, name: str) -> int:
+        streamed = [at for at, _ in self.setpoints if self.now_s - at < 2.5]
+        if name == "offboard" and (not streamed or self.now_s - streamed[0] < 1.5):
+            return 2
+        self.mode = name
+        if name == "auto.takeoff" and self.armed:
+            self.landed_state = 2
+        return 0
+
+    def _on_set_position_target_local_ned(self, m: Message, received: ReceivedMessage) -> None:
+        self.setpoints.append((self.now_s, m))
+        if self.mode in ("guided", "offboard") and m.coordinate_frame == 1 and m.type_mask == 0x05C7:
+            self.v_ned = np.array([m.vx, m.vy, m.vz])
+
+    def _streams(self, t: float) -> list[Message]:
+        self._samples += 1
+        # No reading of a true sensor repeats for long: the least digits of IMU and attitude never stand still.
+        least = self._samples % 7 - 3
+        roll, pitch, yaw = self.rpy(t)
+        q = Rotation.from_rpy(roll + 1e-6 * least, pitch, yaw).quat_wxyz
+        makers: dict[int, Callable[[], Message]] = {
+            mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: lambda: mav.MAVLink_attitude_quaternion_message(
+                self.boot_ms, *q, 0.0, 0.0, 0.0
+            ),
+            mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: lambda: mav.MAVLink_local_position_ned_message(
+                self.boot_ms, *self.p_ned, *self.v_ned
+            ),
+            mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: lambda: global_position(self.boot_ms, self.p_world_ned, self.v_ned),
+            mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda: mav.MAVLink_extended_sys_state_message(0, self.landed_state),
+            mav.MAVLINK_MSG_ID_SYS_STATUS: lambda: mav.MAVLink_sys_status_message(0, 0, 0, 0, 12000, -1, 83, 0, 0, 0, 0, 0, 0),
+            mav.MAVLINK_MSG_ID_RAW_IMU: lambda: mav.MAVLink_raw_imu_message(
+                self.boot_ns // 1000, *self._f_mg(least), *self.gyro_mrad_s, 0, 0, 0
+            ),
+            mav.MAVLINK_MSG_ID_HIGHRES_IMU: lambda: mav.MAVLink_highres_imu_message(
+                *(self.boot_ns // 1000, *self.f_body[:2], self.f_body[2] + 1e-3 * least, *(1e-3 * w for w in self.gyro_mrad_s)),
+                *(0, 0, 0, 1000.0, 0, 0, 20.0, 0xFFFF),
+            ),
+        }
+        if self.distance_cm is not None:
+            makers[mav.MAVLINK_MSG_ID_DISTANCE_SENSOR] = lambda: mav.MAVLink_distance_sensor_message(
+                self.boot_ms, 5, 5000, self.distance_cm, 0, 0, 25, 0
+            )
+        out = []
+        for number, maker in makers.items():
+            interval = self.intervals.get(number)
+            if interval and t >= self._next.get(number, -math.inf):
+                self._next[number] = max(t, self._next.get(number, t) + interval)
+                out.append(maker())
+        return out
+
+    def _f_mg(self, least: int) -> tuple[int, int, int]:
+        forward, right, down = (round(1e3 * f / 9.8) for f in self.f_body)
+        return forward, right, down + least
+
+    async def _live(self) -> None:
+        beat = 0.0
+        while True:
+            await self.clock.sleep(0.004)
+            now = self.now_s
+            dt, self._at = now - self._at, now
+            self.p_ned = self.p_ned + self.v_ned * dt
+            if now >= beat:
+                beat = now + 0.25
+                self.send(self.heartbeat())
+            for message in self._streams(now):
+                self.send(message)
+
+    async def _read(self, links: Links) -> None:
+        async for received in links.received:
+            self._on_message(received)
+
+    @asynccontextmanager
+    async def talking_to(self, url: str) -> AsyncIterator[MiniatureAutopilot]:
+        """Alive on a link to `url`."""
+        option = LinkOptions(parse_endpoint(url), limits=LinkLimits(restart_first_s=0.02, restart_most_s=0.1))
+        async with (
+            open_links([option], self.clock, (self.system, 1), access=NamedSenders(everybody=True)) as links,
+            asyncio.TaskGroup() as group,
+        ):
+            self.links = links
+            tasks = [group.create_task(self._live()), group.create_task(self._read(links))]
+            try:
+                yield self
+            finally:
+                self.links = None
+                for task in tasks:
+                    task.cancel()
+
 
 FORCED = 21196.0
 """Parameter 2 of COMPONENT_ARM_DISARM that arms or disarms whatever the checks say (mavlink.io)."""

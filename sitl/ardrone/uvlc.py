@@ -1,19 +1,57 @@
-"""Frames as they arrive in virtual time: those of an AR.Drone 1.0 are coded and decoded, and stamped by their arrival."""
+"""The video of an AR.Drone 1.0, encoded as UVLC, and frames as they arrive in virtual time.
+
+The frames of an AR.Drone 1.0 are encoded and decoded, and stamped by their arrival.
+"""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.pictures import PictureRefusal
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.uvlc import UvlcDecoder
-from sitl.ardrone import uvlc_encoder
+from sitl.ardrone import uvlc as uvlc_encoder
 from sitl.ardrone.generations import FIRST, Generation
+from sitl.core.library import SIM
 from sitl.world.truth import RenderedFrame
+
+FINEST = 31
+"""The quantizer that captures of the real drone show: it stands for the steps of quantizer 2, the finest that the drone uses."""
+_COARSER = (*range(3, 31, 3), 30)
+DATAGRAM_MAX = 65504
+"""Bytes of the largest UDP datagram, in whole words."""
+
+
+def encode(px: NDArray[np.uint8], number: int, quantizer: int = FINEST) -> bytes:
+    """Encode one (height, width, 3) BGR frame: 176x144, 352x288, 320x240 or 640x480 px.
+
+    A picture that does not fit a datagram is coded again with coarser steps, as the drone keeps its bit rate.
+
+    Args:
+        number: the drone's count of pictures.
+        quantizer: 1 (fine) to 30; 31 stands for 2.
+
+    Raises:
+        ValueError: the frame is of another size, or fits no datagram.
+    """
+    height, width = px.shape[:2]
+    px = np.ascontiguousarray(px)
+    out = np.empty(DATAGRAM_MAX, np.uint8)
+    for steps in (quantizer, *_COARSER):
+        picture = SIM.ffi.new("sim_uvlc_picture *", (width, height, steps, number % 2**32))
+        coded = SIM.array("uint8_t", out)
+        size = SIM.lib.sim_uvlc_encode(SIM.array("uint8_t", px, 3 * width * height), px.size, picture, coded, len(out))
+        if size < 0:
+            raise ValueError(f"UVLC has no picture of {width}x{height} px with quantizer {steps}")
+        if size > 0:
+            return out[:size].tobytes()
+    raise ValueError(f"a frame of {width}x{height} px fits no datagram")
+
 
 _STAMP_SIGMA_S = 0.002
 """Standard deviation of the stamps of a drone that sends its clock's time."""
