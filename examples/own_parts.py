@@ -120,7 +120,7 @@ def settings_of(folder: Path) -> Settings:
 
 
 async def main(settings: Settings) -> int:
-    """Run until a message says where the pad is; return 1 if none does in ten seconds."""
+    """Run until a message says where the pad is; return 1 if none does in a minute."""
     camera, pad, pilot = camera_model(settings), pad_model(settings), make_pilot(settings)
     above = Exposure(0.0, Rotation.identity(), np.array([0.0, 0.0, -HEIGHT_M]), Rotation.identity(), np.zeros(3))
     renderer, rng = Renderer(camera, pad), np.random.default_rng(1)
@@ -143,7 +143,7 @@ async def main(settings: Settings) -> int:
         daemon = Daemon(opened, pilot, CLOCK, options, observers=[Beacon(sent, received.getsockname())])
         running = asyncio.create_task(daemon.run())
         try:
-            async with asyncio.timeout(10.0):
+            async with asyncio.timeout(60.0):
                 print((await asyncio.get_running_loop().sock_recv(received, 1000)).decode())
             return 0
         except TimeoutError:

@@ -37,13 +37,15 @@ _FLOWN = ("tests/companion/test_follow_deck.py", "tests/companion/test_law.py")
 _LAW_CORE = "tests/companion/test_law_core.py"
 _AXIS = ("tests/companion/test_tilt_axis.py", "tests/companion/test_law.py")
 _VISION = "tests/estimator/vision"
-_SEEN = (f"{_VISION}/test_equivariance.py", f"{_VISION}/test_verification_registered.py")
+_KEPT = f"{_VISION}/test_unchanged_frames.py"
+_SEEN = (_KEPT, f"{_VISION}/test_equivariance.py", f"{_VISION}/test_verification_registered.py")
 _ROOMS = {
     "align": (f"{_VISION}/test_verification.py", f"{_VISION}/test_acquire_parts.py", *_SEEN, f"{_VISION}/test_covered.py"),
-    "lamps": (f"{_VISION}/test_lamps_core.py", f"{_VISION}/test_lamps.py"),
+    "lamps": (_KEPT, f"{_VISION}/test_lamps_core.py", f"{_VISION}/test_lamps.py"),
     "look": (*_SEEN, f"{_VISION}/test_paint.py", f"{_VISION}/test_detection.py"),
     "register": (f"{_VISION}/test_registration.py", *_SEEN, f"{_VISION}/test_registration_surroundings.py"),
     "search": (
+        _KEPT,
         f"{_VISION}/test_acquire_parts.py",
         f"{_VISION}/test_blob_circles.py",
         f"{_VISION}/test_letter_alone.py",

@@ -79,6 +79,7 @@ SLOW = (
     "tests/companion/test_response_watch.py",
     "tests/sitl/ardrone/test_repeated_flights.py",
     "tests/docs/test_snippets.py",
+    "tests/docs/test_extending.py",
     "tests/sitl/test_core_step.py",
     "tests/companion/test_ship_reports.py",
     "tests/sitl/test_stream_faults.py",

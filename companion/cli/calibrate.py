@@ -1,6 +1,6 @@
 """`decklander calibrate`: `camera` writes a camera file from images of a board, grades it, and lists what the images lack.
 
-`mount`, `delay` and `readout` are in `companion.cli.calibrate_flight`, `vehicle` is `decklander identify`.
+`mount`, `delay` and `readout` are in `companion.cli.calibrate_flight`, `vehicle` in `companion.cli.identify`.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import argparse
 import json
 import math
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -16,12 +17,11 @@ import numpy as np
 
 from companion.base import event_loop
 from companion.cli import board_option, calibrate_flight, identify
-from companion.cli.calibrate_progress import ProgressBlock
 from companion.tools.calibrate import assess
 from companion.tools.calibrate.board import Board
 from companion.tools.calibrate.camera_file import text
 from companion.tools.calibrate.gather import PICTURES, add_file, image_files, watch
-from companion.tools.calibrate.guide import Guide
+from companion.tools.calibrate.guide import Guide, GuideState
 from companion.tools.calibrate.solve import LEAST_VIEWS, Solution, solve
 from companion.tools.calibrate.views import Collection
 from companion.tools.report.drawing import require_drawing
@@ -237,3 +237,38 @@ def _record(
             "rms_px": solution.rms_px, "model": solution.model, "left_out": [f.view.name for f in solution.left_out],
         }  # fmt: skip
     return record
+
+
+_LACKS = 6
+
+
+def block(state: GuideState) -> list[str]:
+    """Return the parts of the image that hold a corner (`#`), with what is known and missing beside them."""
+    error = "" if state.rms_px is None else f", error {state.rms_px:.2f} px, {state.grade}"
+    told = [
+        f"{state.images} images, {state.views} views{error}" + ("" if state.board_seen else "; the board is not in sight"),
+        "nothing is missing" if not state.lacks else "show:",
+        *(f"- {lack}" for lack in state.lacks[:_LACKS]),
+    ]
+    told += [""] * (2 + _LACKS - len(told))
+    grid = ["".join("#" if count else "." for count in row) for row in state.cells]
+    grid += [" " * len(state.cells[0])] * (len(told) - len(grid))
+    return [f"  {cells}   {line}" for cells, line in zip(grid, told, strict=True)]
+
+
+class ProgressBlock:
+    """Draws the block over the one before. Draws nothing where standard error is no terminal."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._quiet = quiet or not sys.stderr.isatty()
+        self._drawn = 0
+
+    def show(self, state: GuideState) -> None:
+        if self._quiet:
+            return
+        width = shutil.get_terminal_size().columns - 1
+        lines = [line[:width] for line in block(state)]
+        up = f"\x1b[{self._drawn}A" if self._drawn else ""
+        sys.stderr.write(up + "".join(f"\r{line}\x1b[K\n" for line in lines))
+        sys.stderr.flush()
+        self._drawn = len(lines)

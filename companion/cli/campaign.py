@@ -15,10 +15,10 @@ from typing import Any
 from companion.base.signals import Stopped
 from companion.cli import campaign_soak, perception_option
 from companion.cli.campaign_progress import CampaignProgress
-from companion.cli.campaign_report import compared_with, report, require_report
 from companion.settings.load import shipped
+from companion.tools.report.drawing import require_drawing
 from estimator import pipeline
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, unusable
 from sitl.campaign.code import code_version
 from sitl.campaign.design import (
     SAMPLED,
@@ -36,7 +36,18 @@ from sitl.campaign.lab import missing_from_lab, require_lab
 from sitl.campaign.overrides import Overridable
 from sitl.campaign.plan import AnyPlan, CampaignPlan, Job, Point, SetPlan, make_plan, seeds_of
 from sitl.campaign.report import REPORT, fly_again, render_report
-from sitl.campaign.store import FolderStore, ObjectStore, ResultStore, Session, manifest_of_plan
+from sitl.campaign.store import (
+    FLIGHTS,
+    FolderStore,
+    ObjectStore,
+    ResultStore,
+    Session,
+    flights_in,
+    manifest_of,
+    manifest_of_plan,
+    wall_s_in,
+    write_whole,
+)
 from sitl.campaign.summary import CampaignTally, in_words
 from sitl.campaign.tables import PARQUET, as_json, by_scenario, by_value, in_columns, in_rows, parquet_bytes
 from sitl.campaign.task import Flight, job_of
@@ -118,7 +129,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     if args.scenario == "report":
-        return report(args)
+        return _report(args)
     if args.folder is not None:
         raise BadInput(f"campaign takes one scenario, found {args.folder!r} besides")
     campaign_soak.refuse(args)
@@ -134,9 +145,9 @@ def run(args: argparse.Namespace) -> int:
     if args.against is not None and not args.report:
         raise BadInput("--against goes with --report")
     if args.report:
-        require_report("--report")
+        require_drawing("--report")
     plan, points, search = _set_plan(args) if is_set(args.scenario) else _design(args, *_plan(args))
-    compared_with(args.against)
+    _compared_with(args.against)
     with closing(_store(args, plan, seeds)) as store:
         try:
             with _workforce(args, plan, workers) as workforce:
@@ -350,7 +361,7 @@ def _conclude(
         files.append(store.put(PARQUET, parquet_bytes(_asked(store, asked), points[-1][0] if points else {})))
     if args.report:
         manifest = manifest_of_plan(plan, range(args.seed, args.seed + args.runs), None)
-        page = render_report(manifest, _asked(store, asked), store.wall_s(), compared_with(args.against))
+        page = render_report(manifest, _asked(store, asked), store.wall_s(), _compared_with(args.against))
         files.append(store.put(REPORT, page.encode()))
     if args.json:
         sys.stdout.write(json.dumps({"summary": summary}) + "\n")
@@ -369,3 +380,35 @@ def _asked(store: ResultStore, asked: set[str]) -> Iterator[Flight]:
 def _say(flight: Flight) -> None:
     sys.stdout.write(json.dumps(flight) + "\n")
     sys.stdout.flush()
+
+
+def _report(args: argparse.Namespace) -> int:
+    """Write the report of the folder; return 0."""
+    if args.folder is None:
+        raise BadInput("campaign report needs the folder of a campaign")
+    require_drawing("campaign report")
+    folder = Path(args.folder)
+    manifest = manifest_of(folder)
+    path = folder / FLIGHTS
+    page = render_report(manifest, flights_in(path), wall_s_in(path), _compared_with(args.against))
+    try:
+        write_whole(folder / REPORT, page.encode())
+    except OSError as why:
+        raise unusable(str(folder / REPORT), why) from why
+    sys.stdout.write(f"report: {folder / REPORT}\n")
+    return 0
+
+
+def _compared_with(against: str | None) -> tuple[str, list[Flight]] | None:
+    """Return the name and the flights of an earlier campaign.
+
+    Raises:
+        BadInput: the folder is that of none, or has no flights.
+    """
+    if against is None:
+        return None
+    manifest_of(Path(against))
+    flights = list(flights_in(Path(against) / FLIGHTS))
+    if not flights:
+        raise BadInput(f"--against {against}: the campaign has no flights")
+    return against, flights

@@ -7,6 +7,7 @@ import asyncio
 import json
 import math
 import signal
+import socket
 import sys
 import tempfile
 from collections.abc import AsyncIterator
@@ -17,21 +18,25 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Observer
 from companion.base.signals import check, ending_signal
-from companion.cli import foxglove_option, page_option, record_option, report_option
+from companion.base.version import version
+from companion.cli import kept_flight, report_option
 from companion.cli.kept_flight import compared_paths
 from companion.cli.progress import ProgressObserver
-from companion.cli.version import version
 from companion.guidance.make_pilot import make_pilot
+from companion.parts.page.access import make_token
 from companion.service.assemble import live, make_daemon
 from companion.settings import whole_file
+from companion.settings.live import FoxgloveSettings
 from companion.settings.load import load, shipped
 from companion.settings.model import CameraSettings, PadSettings, Settings
+from companion.settings.page import PageSettings
 from companion.settings.video import VideoStreamOptions
 from companion.tools.report.flight_log import FlightLog, TruthSample
 from companion.tools.report.log_observer import LogObserver
@@ -76,14 +81,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--no-report", action="store_true", help="write no report")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of progress")
-    page_option.add_argument(parser)
-    foxglove_option.add_argument(parser)
+    _add_servers(parser)
     parser.add_argument(
         "--video",
         metavar="ADDRESS:PORT",
         help="send the picture with the estimate drawn over it there, H.264 by RTP, as to a ground station",
     )
-    record_option.add_arguments(parser)
+    kept_flight.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -113,9 +117,9 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
             child = await drone.enter_async_context(_drone(args.scenario, args.seed, truth_path, args.ardrone1))
             settings = _profile(scenario, child.ports)
             if args.page is not None:
-                settings = page_option.with_page(settings, args.page, Path(folder))
+                settings = _with_page(settings, args.page, Path(folder))
             if args.foxglove is not None:
-                settings = foxglove_option.with_foxglove(settings, args.foxglove)
+                settings = _with_foxglove(settings, args.foxglove)
             if args.video is not None:
                 settings = msgspec.structs.replace(settings, video_stream=_video(args.video))
             pilot = make_pilot(settings, shadows=compared_paths())
@@ -124,7 +128,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
             progress = None if args.json else ProgressObserver()
             observers: list[Observer] = [LogObserver(log)] if progress is None else [LogObserver(log), progress]
             facts = {"kind": "demo", "scenario": args.scenario, "seed": str(args.seed)}
-            with record_option.recording(args, settings, facts, live=True) as recorder:
+            with kept_flight.recording(args, settings, facts, live=True) as recorder:
                 if recorder is not None:
                     observers.append(recorder)
                 daemon = make_daemon(settings, pilot, clock=clock, observers=observers, once=args.page is None)
@@ -145,7 +149,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                 truth = read_truth(truth_path)
                 if recorder is not None:
                     for line in (*truth[:-1:_KEEP_EACH], *truth[-1:]):
-                        recorder.on_truth(record_option.truth_from_log(line))
+                        recorder.on_truth(kept_flight.truth_from_log(line))
     ending = _ending(args, outcome, seconds_between(log.started, ended), truth, daemon.health, child)
     if not args.no_report:
         _write_report(args, log, ending, truth)
@@ -267,3 +271,61 @@ def _write_report(args: argparse.Namespace, log: FlightLog, ending: Ending, trut
     if not args.json:
         sys.stderr.write("writing the report ...\n")
     write_report(log, args.report)
+
+
+def _add_servers(parser: argparse.ArgumentParser) -> None:
+    page_port, foxglove_port = PageSettings().port, FoxgloveSettings().port
+    parser.add_argument(
+        "--page",
+        type=int,
+        nargs="?",
+        const=page_port,
+        metavar="PORT",
+        help="serve the operator page on loopback and print its address; the landing begins by a button there, and the flight "
+        f"goes on until Ctrl-C (default port: {page_port})",
+    )
+    parser.add_argument(
+        "--foxglove",
+        type=int,
+        nargs="?",
+        const=foxglove_port,
+        metavar="PORT",
+        help=f"serve the flight live to Foxglove or Lichtblick on loopback and print the address (default port: {foxglove_port})",
+    )
+
+
+def _with_page(settings: Settings, port: int, folder: Path) -> Settings:
+    """Return the settings with the page on this port, and print its address, which holds a token made for this run.
+
+    The approach waits for the operator: whoever opens the page sees it from its beginning.
+
+    Args:
+        folder: where the token is written; its user's alone.
+    """
+    _refuse_port("--page", PageSettings().host, port)
+    page = PageSettings(endpoint="http", port=port, token_file=str(folder / "page.token"))
+    token = make_token()
+    Path(page.token_file).write_text(token)
+    Path(page.token_file).chmod(0o600)
+    sys.stderr.write(f"operator page: http://{page.host}:{port}/#token={token}\n")
+    return replace(settings, page=page, guidance=replace(settings.guidance, start="signal"))
+
+
+def _with_foxglove(settings: Settings, port: int) -> Settings:
+    """Return the settings with live data on this port, and print its address."""
+    _refuse_port("--foxglove", FoxgloveSettings().host, port)
+    live = FoxgloveSettings(endpoint="websocket", port=port)
+    sys.stderr.write(f"live for Foxglove (Open connection, Foxglove WebSocket): ws://{live.host}:{port}\n")
+    return replace(settings, foxglove=live)
+
+
+def _refuse_port(option: str, host: str, port: int) -> None:
+    """Refuse a port that is none, or is taken."""
+    if not 1 <= port <= 65535:
+        raise BadInput(f"{option}: a port lies in 1..65535, got {port}")
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as why:
+            raise BadInput(f"{option}: port {port} cannot be used ({why.strerror}); name another: {option} PORT") from why

@@ -1,4 +1,4 @@
-"""`decklander identify` and `decklander calibrate vehicle`: how a vehicle answered its commands, from a recorded flight."""
+"""`decklander calibrate vehicle`: how a vehicle answered its commands, from a recorded flight."""
 
 from __future__ import annotations
 
@@ -42,13 +42,8 @@ DELAY_MARGIN_S = 0.06
 """Least delay beyond the known one that the law should stand."""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander identify` to the parser."""
-    add_arguments(subparsers.add_parser("identify", help=HELP, description=DESCRIPTION))
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command, which is `decklander calibrate vehicle` too."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "recording", nargs="+", type=Path, metavar="RECORDING", help="MCAP file, or the files of one recording in order"
     )

@@ -35,7 +35,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "experiments": ("companion.cli.experiments", "fly the thesis' experiments again"),
     "report": ("companion.cli.report", "write the report of a recorded flight, or compare two"),
     "replay": ("companion.cli.replay", "replay a recording through vision and estimator"),
-    "identify": ("companion.cli.identify", "identify a vehicle's response from a recorded flight"),
     "record": ("companion.cli.record", "inspect, cut, repair, export and import recordings"),
     "ros2": ("companion.cli.ros2", "publish a flight in ROS 2 while it is flown"),
     "watch": ("companion.cli.watch", "watch drones live in the terminal, over MQTT"),
@@ -47,7 +46,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "service": ("companion.cli.service", "install, update, roll back or uninstall the service on this computer"),
 }
 """Module and one line of help for each command."""
-_NOW = {"soak": "campaign --soak"} | {name: f"service {name}" for name in ("install", "update", "rollback", "uninstall")}
+_NOW = {
+    "identify": "calibrate vehicle",
+    "soak": "campaign --soak",
+    **{name: f"service {name}" for name in ("install", "update", "rollback", "uninstall")},
+}
 """What replaces a word that was a command."""
 
 Load = Callable[[str], ModuleType]
@@ -70,7 +73,7 @@ class _Version(argparse.Action):
         super().__init__(option_strings, dest, nargs=0, help="print the version and exit")
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from companion.cli.version import version
+        from companion.base.version import version
 
         sys.stdout.write(f"decklander {version()}\n")
         parser.exit()

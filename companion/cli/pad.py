@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import argparse
+import json
+import math
 import sys
 from pathlib import Path
+from typing import Any
 
-from companion.cli import board_option, pad_check
+import numpy as np
+
+from companion.cli import board_option
 from companion.settings.load import SHIPPED, find_file, read_toml, shipped
 from companion.tools.print_pad.drawing import board_drawing, pad_drawing
 from companion.tools.print_pad.pdf import pdf
 from companion.tools.print_pad.sheets import PAPERS, sheets
 from companion.tools.print_pad.svg import svg
 from estimator.contracts.errors import BadInput
+from estimator.vision.camera import Camera
+from estimator.vision.drawing import EdgeKind, edges_of
+from estimator.vision.lamps.accuracy import CENTRE_PX, LampAccuracy, lamp_accuracy
 from estimator.vision.pad import Pad
+from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings, confusable_turns
+from estimator.vision.pad_rules import lacking_parts
 from estimator.vision.regions import part_of
+from estimator.vision.srgb import LUMA, linear_light
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -24,7 +35,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     actions = p.add_subparsers(dest="action", required=True, metavar="ACTION")
     actions.add_parser("list", help="list the shipped pads", description="List the shipped pads.")
-    pad_check.add_parser(actions)
+    _add_check(actions)
     _add_print(actions)
 
 
@@ -66,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
                 sys.stdout.write(f"{name:10s} {2 * pad.disc_radius_m:5.2f} m across: {parts}{lamps}{only}\n")
             return 0
         case "check":
-            return pad_check.run(args)
+            return _check(args)
         case _:
             return _print(args)
 
@@ -110,3 +121,156 @@ def _print(args: argparse.Namespace) -> int:
         f"{drawing.name}, {size}: {len(pages)} sheet{'s' if len(pages) > 1 else ''} in {', '.join(map(str, written))}\n"
     )
     return 0
+
+
+_HEIGHTS_M = (0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0)
+_DECKS = {
+    "grey steel": (128, 128, 128), "dark non-slip": (58, 60, 62), "deck green": (40, 80, 60), "red lead": (120, 50, 40),
+    "concrete": (180, 176, 168),
+}  # fmt: skip
+_LEAST_CONTRAST = 0.05
+"""Least luminance between a deck and what is painted on it, full scale 1: less drowns in wear, ripples and shadows."""
+_LEAST_RADIUS_PX = 5.0
+"""Least radius of a pad that is searched for: below it the parts merge into a spot."""
+_LETTER_RADIUS_PX = 20.0
+"""The same of a letter on the bare deck: below it the edges merge, and it resembles what else is small and bright."""
+_NAMES = {
+    EdgeKind.DISC: "disc", EdgeKind.RING: "ring", EdgeKind.ARROW: "arrowhead", EdgeKind.H: "lettering",
+    EdgeKind.UPPER: "upper lettering",
+}  # fmt: skip
+
+
+def _add_check(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    p = actions.add_parser(
+        "check",
+        help="check a pad's file, and say how well it can be measured",
+        description="Check a pad's file, and say how accurately it can be measured by height (Cramer-Rao bound of one frame), "
+        "how it stands out from decks, and whether it tells its heading. Exit code 0; 2 if the file is refused.",
+    )
+    p.add_argument("pad", metavar="PAD", help="pad file, or the name of a shipped one")
+    p.add_argument(
+        "--camera", default="sim", metavar="FILE", help="camera file, or the name of a shipped one (default: %(default)s)"
+    )
+    p.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _check(args: argparse.Namespace) -> int:
+    """Print the findings; return 0.
+
+    Raises:
+        BadInput: the pad or the camera is missing or has a fault.
+    """
+    file, camera_file = find_file(args.pad, "pads", Path(), "PAD"), find_file(args.camera, "cameras", Path(), "--camera")
+    pad, camera = Pad.from_mapping(read_toml(file), str(file)), Camera.from_mapping(read_toml(camera_file), str(camera_file))
+    deck = linear_light(_DECKS["grey steel"])
+    bounds = [accuracy(pad, camera, height_m, deck) for height_m in _HEIGHTS_M]
+    by_lamps = [lamp_accuracy(pad.lamps, camera, height_m) for height_m in _HEIGHTS_M] if pad.lamps else []
+    headings, contrasts, lowest = alike_headings(pad), _contrasts(pad), _lowest(pad)
+    farthest_m = 0.5 * (camera.fx + camera.fy) * pad.disc_radius_m / _LEAST_RADIUS_PX
+    warnings = [*_heading_warnings(headings), *_confusion_warnings(pad), *_deck_warnings(lowest)]
+    if lacking := lacking_parts(pad.regions):
+        fate = "it is seen by its lamps alone" if pad.lamps else "it is neither detected nor landed on"
+        warnings.append(f"it has no {' and no '.join(lacking)}, and a deck's lines may pass for its paint: {fate}")
+    if pad.markings.is_letter_alone:
+        far_m = 0.5 * (camera.fx + camera.fy) * pad.disc_radius_m / _LETTER_RADIUS_PX
+        warnings.append(
+            "its letter lies on the bare deck: any of these proportions is taken for it, and it is found from cold to "
+            f"{far_m:.1f} m where it is wholly in view"
+        )
+    if args.json:
+        found: dict[str, Any] = {
+            "pad": pad.name, "radius_m": pad.disc_radius_m, "alike_headings": headings, "contrasts": contrasts,
+            "deck_contrasts": lowest, "farthest_m": farthest_m, "bounds": [_record(b) for b in bounds],
+            "by_lamps": [_lamp_record(b) for b in by_lamps], "warnings": warnings,
+        }  # fmt: skip
+        sys.stdout.write(json.dumps(found) + "\n")
+        return 0
+    regions = "1 region" if len(pad.regions) == 1 else f"{len(pad.regions)} regions"
+    lines = [f"{pad.name}: {2 * pad.disc_radius_m:.3g} m across, {regions}", ""]
+    lines.append(
+        f"what one frame can tell at best ({args.camera}, {100 * NOISE:g} % noise, straight above, tilt known), one sigma:"
+    )
+    lines.append(f"{'height':>9} {'radius':>9} {'in view':>8} {'lateral':>10} {'range':>10} {'heading':>9}")
+    lines += [_line(bound) for bound in bounds]
+    lines += [f"its radius falls below {_LEAST_RADIUS_PX:g} px at {farthest_m:.0f} m", ""]
+    if by_lamps:
+        lines.append(f"the same by its {len(pad.lamps)} lamps at night, their centres known to {CENTRE_PX:g} px:")
+        lines.append(f"{'height':>9} {'in view':>9} {'spots':>8} {'lateral':>10} {'range':>10} {'heading':>9}")
+        lines += [*map(_lamp_line, by_lamps), ""]
+    lines += [f"{name}: luminance {value:+.2f} of what it lies on" for name, value in contrasts.items()]
+    lines += [f"on {name}: luminance {value:+.2f} at the outer edge" for name, value in lowest.items()]
+    lines += [f"warning: {warning}" for warning in warnings] or ["no warnings"]
+    sys.stdout.write("\n".join(lines) + "\n")
+    return 0
+
+
+def _record(bound: PadAccuracy) -> dict[str, float | None]:
+    yaw = math.degrees(bound.yaw_rad) if math.isfinite(bound.yaw_rad) else None
+    return {
+        "height_m": bound.height_m, "radius_px": bound.radius_px, "in_view": bound.in_view, "lateral_m": bound.lateral_m,
+        "range_m": bound.range_m, "yaw_deg": yaw,
+    }  # fmt: skip
+
+
+def _lamp_record(b: LampAccuracy) -> dict[str, float | None]:
+    found = math.isfinite(b.range_m)
+    return {
+        "height_m": b.height_m, "lamps": b.lamps, "spots": b.spots, "lateral_m": b.lateral_m if found else None,
+        "range_m": b.range_m if found else None, "yaw_deg": math.degrees(b.yaw_rad) if found else None,
+    }  # fmt: skip
+
+
+def _lamp_line(b: LampAccuracy) -> str:
+    if not math.isfinite(b.range_m):
+        return f"{b.height_m:7.1f} m {b.lamps:9d} {b.spots:8d} {'none':>10} {'none':>10} {'none':>9}"
+    return (
+        f"{b.height_m:7.1f} m {b.lamps:9d} {b.spots:8d} {1000 * b.lateral_m:7.3f} mm {1000 * b.range_m:7.2f} mm "
+        f"{math.degrees(b.yaw_rad):7.3f} deg"
+    )
+
+
+def _line(b: PadAccuracy) -> str:
+    yaw = f"{math.degrees(b.yaw_rad):7.3f}" if math.isfinite(b.yaw_rad) else "   none"
+    return (
+        f"{b.height_m:7.1f} m {b.radius_px:6.1f} px {100 * b.in_view:6.0f} % {1000 * b.lateral_m:7.3f} mm "
+        f"{1000 * b.range_m:7.2f} mm {yaw} deg"
+    )
+
+
+def _contrasts(pad: Pad) -> dict[str, float]:
+    """Return the luminance of each part against the known paint below it."""
+    edges, names = edges_of(pad), _NAMES | ({} if pad.markings.triangle is None else {EdgeKind.ARROW: "triangle"})
+    return {
+        names[kind]: float(edges.contrast[at].mean()) for kind in EdgeKind if (at := (edges.kind == kind) & ~edges.bare).any()
+    }
+
+
+def _lowest(pad: Pad) -> dict[str, float]:
+    """Return the luminance of what meets the bare deck against each kind of deck; a pad with a rim is seen by its rim."""
+    marks, edges = pad.markings, edges_of(pad)
+    rim = marks.colours.rim
+    inside = [rim] if rim is not None else np.unique(edges.inside_rgb[edges.bare], axis=0).tolist()
+    lights = [float(linear_light(rgb) @ LUMA) for rgb in inside]
+    return {name: min((light - float(linear_light(rgb) @ LUMA) for light in lights), key=abs) for name, rgb in _DECKS.items()}
+
+
+def _heading_warnings(headings: int) -> list[str]:
+    if headings == 0:
+        return ["it looks the same from all sides: no heading is measured; paint a letter or an arrowhead"]
+    if headings > 1:
+        turn = {2: "half a turn", 4: "a quarter turn"}.get(headings, f"1/{headings} of a turn")
+        return [f"it looks the same after {turn}: its heading is ambiguous until a track resolves it; paint an arrowhead"]
+    return []
+
+
+def _confusion_warnings(pad: Pad) -> list[str]:
+    turns = sorted({round(abs(math.degrees(turn))) for turn in confusable_turns(pad)})
+    if not turns:
+        return []
+    named = " or ".join(f"{turn} degrees" for turn in turns)
+    return [f"it looks nearly the same after a turn by {named}: where a search cannot tell these apart, the pad is doubted"]
+
+
+def _deck_warnings(lowest: dict[str, float]) -> list[str]:
+    faint = [name for name, value in lowest.items() if abs(value) < _LEAST_CONTRAST]
+    return [f"its outer edge hardly stands out from {', '.join(faint)}: paint a rim around it"] if faint else []

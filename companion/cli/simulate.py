@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from companion.base.observer import Observer
-from companion.cli import perception_option, record_option
+from companion.cli import kept_flight, perception_option
 from companion.cli.kept_flight import keeping
 from companion.cli.progress import ProgressObserver
 from companion.settings.load import find_file, shipped
@@ -54,7 +54,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--pad", metavar="FILE", help="pad file, or the name of a shipped one, on deck and looked for")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write a report into this folder")
-    record_option.add_arguments(parser)
+    kept_flight.add_arguments(parser)
     beside = parser.add_argument_group("real autopilots (docs/sitl.md)")
     beside.add_argument(
         "--autopilot", choices=("arducopter", "px4"), help="fly this autopilot program over the simulated sea and vehicle"
@@ -93,11 +93,11 @@ def run(args: argparse.Namespace) -> int:
     if args.pad is not None:
         args.set = [f"pad.file={find_file(args.pad, 'pads', Path(), '--pad')}", *args.set]
     if args.follow is not None:
-        from companion.cli import simulate_follow
+        from companion.cli.simulate_autopilot import run_follow
 
         if args.autopilot is not None or _with_program(args):
             raise BadInput("--follow does not go with --autopilot, --binary, --param, --unaided or --keep")
-        return simulate_follow.run(args)
+        return run_follow(args)
     if args.autopilot is not None:
         from companion.cli import simulate_autopilot
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import ast
 import inspect
 import re
+import sys
 from collections.abc import Iterator
 from enum import Enum
 from itertools import pairwise
 
 from companion.base.mission import DESCENDS, ENDED, FAULTS, Event, State
-from companion.guidance import mission
 from companion.guidance.advice import advised_alerts, advised_causes
 from companion.guidance.mission import TABLES
 
@@ -101,7 +101,7 @@ def _thesis() -> Iterator[str]:
 
 def _documented(kind: type[Enum]) -> Iterator[tuple[State, str]]:
     """Yield each member with the docstring that follows it in the source."""
-    tree = ast.parse(inspect.getsource(mission))
+    tree = ast.parse(inspect.getsource(sys.modules[kind.__module__]))
     body = next(node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == kind.__name__)
     for line, after in pairwise(body):
         if isinstance(line, ast.Assign) and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):

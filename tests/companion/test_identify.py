@@ -176,7 +176,7 @@ def test_a_recorded_flight_gives_the_response_of_the_simulated_vehicle(
     recordings: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, plot = tmp_path / "mine.toml", tmp_path / "mine.png"
-    assert main(["identify", str(recordings["rough"]), "--out", str(out), "--plot", str(plot)]) == 0
+    assert main(["calibrate", "vehicle", str(recordings["rough"]), "--out", str(out), "--plot", str(plot)]) == 0
     said = capsys.readouterr().out
     assert "tilt   delay" in said
     assert "climb  delay" in said
@@ -205,7 +205,7 @@ def test_a_recorded_flight_gives_the_response_of_the_simulated_vehicle(
 
 
 def test_a_longer_delay_of_the_commands_is_found(recordings: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["identify", str(recordings["late"]), "--json"]) == 0
+    assert main(["calibrate", "vehicle", str(recordings["late"]), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     tilt, loop = told["tilt"], told["loop"]
     assert abs(tilt["delay_s"] - truth()[0] - 0.1) < 3.0 * tilt["delay_sigma_s"] < 0.12
@@ -220,7 +220,7 @@ def test_a_longer_delay_of_the_commands_is_found(recordings: dict[str, Path], ca
     assert 0.0 <= told["climb_cost_was_cm"] < 2.0
     assert 0.0 <= told["climb_cost_sigma_m_s"] < 0.05
     assert 0.0 < told["climb_cost_sigma_cm"] < 1.0
-    assert main(["identify", str(recordings["late"])]) == 0
+    assert main(["calibrate", "vehicle", str(recordings["late"])]) == 0
     said = capsys.readouterr().out.splitlines()
     assert "ms of further delay, less than 60;" in next(line for line in said if "by the given response" in line)
 
@@ -252,7 +252,7 @@ def test_what_cannot_be_identified_is_said_in_one_line(
         ([rough, "--out", rough], 2, "there is such a file already"),
         ([rough, "--out", f"{rough}/mine.toml"], 2, "--out"),
     ):
-        assert main(["identify", *args]) == code
+        assert main(["calibrate", "vehicle", *args]) == code
         heard = capsys.readouterr()
         assert said in heard.err
         assert heard.err.count("\n") == 1
@@ -280,13 +280,13 @@ def test_settings_that_cannot_be_read_are_done_without_by_naming_the_response(
     ):
         path = tmp_path / f"{name}.mcap"
         still_flight(path, 12.0, kept)
-        assert main(["identify", str(path)]) == 2
+        assert main(["calibrate", "vehicle", str(path)]) == 2
         said = capsys.readouterr().err
         assert f"{name}.mcap: {why}" in said
         assert "name the response that it flew by with --response, a file or a shipped one (ardrone2, " in said
         assert "--config" not in said, "identify has no such option"
         assert said.count("\n") == 1
-        assert main(["identify", str(path), "--response", "ardrone2"]) == 1
+        assert main(["calibrate", "vehicle", str(path), "--response", "ardrone2"]) == 1
         assert "too little motion" in capsys.readouterr().err, "the cure leads on to the flight"
 
 
@@ -346,7 +346,7 @@ def test_a_flight_that_tells_nothing_writes_no_file(
 ) -> None:
     still, out = tmp_path / "still.mcap", tmp_path / "mine.toml"
     still_flight(still, seconds)
-    assert main(["identify", str(still), "--out", str(out)]) == code
+    assert main(["calibrate", "vehicle", str(still), "--out", str(out)]) == code
     heard = capsys.readouterr()
     assert said in heard.err
     assert heard.err.count("\n") == 1
@@ -354,5 +354,5 @@ def test_a_flight_that_tells_nothing_writes_no_file(
 
 
 def test_a_recording_without_commands_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["identify", str(Path(__file__).parents[1] / "golden/approach.mcap"), "--response", "ardrone2"]) == 2
+    assert main(["calibrate", "vehicle", str(Path(__file__).parents[1] / "golden/approach.mcap"), "--response", "ardrone2"]) == 2
     assert "holds no commands of guidance" in capsys.readouterr().err

@@ -6,11 +6,11 @@ import os
 import secrets
 import uuid
 from collections.abc import Callable, Mapping
-from importlib import metadata
 from pathlib import Path
 
 from companion.base.health import Health
 from companion.base.orders import OrderSender, OrderSource
+from companion.base.version import version
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.mqtt.commands import CommandHandler
@@ -53,7 +53,7 @@ def make_mqtt(
     run = secrets.token_hex(16)
     command_handler = CommandHandler(topics, session, operator, run, key)
     ship = None if reports is None else (ShipReportReader(topics, run, key), reports)
-    return MqttPart(settings, endpoint, outbox, command_handler, health, clock, version=_version(), ship=ship)
+    return MqttPart(settings, endpoint, outbox, command_handler, health, clock, version=version(), ship=ship)
 
 
 def spool_folder(settings: MqttSettings, environment: Mapping[str, str] = os.environ) -> Path | None:
@@ -62,10 +62,3 @@ def spool_folder(settings: MqttSettings, environment: Mapping[str, str] = os.env
         return Path(settings.spool)
     state = environment.get("STATE_DIRECTORY", "").split(":")[0]
     return Path(state) / "mqtt" if state else None
-
-
-def _version() -> str:
-    try:
-        return metadata.version("decklander")
-    except metadata.PackageNotFoundError:
-        return "(not installed)"

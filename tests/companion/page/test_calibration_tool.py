@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.cli.calibrate_progress import block
+from companion.cli.calibrate import block
 from companion.parts.page import calibration_tool
 from companion.tools.calibrate.board import Board
 from companion.tools.calibrate.guide import Guide

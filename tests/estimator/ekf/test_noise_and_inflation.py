@@ -13,23 +13,14 @@ from estimator.ekf import Ekf, EkfOptions, at, start, step
 from estimator.ekf.so3 import about_down, heading
 from estimator.ekf.state import (
     ATT_BIAS,
-    ATT_ERR,
-    ATTITUDE,
-    BARO_OFFSET,
     CAMERA_DELAY,
-    HEIGHT,
     PAD_YAW,
     POS_REL,
     VEL,
-    VEL_SCALE,
-    VELOCITY,
-    VESSEL_VEL,
     Belief,
 )
 from tests.estimator.ekf import flown as core
-from tests.estimator.ekf.oracle import aiding, so3, vision_update
 from tests.estimator.ekf.oracle.measure import BY_ATTITUDE
-from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement
 
 EPOCH = 1_000_000_000_000
 REST = np.array([0.0, 0.0, -9.80665])
@@ -83,40 +74,6 @@ def test_a_stamp_that_is_not_sure_adds_what_the_image_moves_in_that_time() -> No
     np.testing.assert_allclose(rows[0].innov, rows[1].innov)
 
 
-# While the frame's rate is poorly known
-
-
-def compared(b: Belief, ekf: Ekf) -> LinearizedMeasurement:
-    row, fix = vision_update._compared(b, sighting(1.3), ekf.params)
-    assert fix is not None
-    return row
-
-
-def test_what_a_delay_may_cost_is_noise_while_the_image_s_rate_is_poorly_known() -> None:
-    events: list[object] = [imu(0.0), attitude(0.0)]
-    for k in range(1, 65):
-        events += [imu(0.02 * k), attitude(0.02 * k), sighting(0.02 * k)]
-    ekf = fed(*events)
-    known = belief(ekf)
-    x = known.x.copy()
-    x[VEL] = x[VEL] + np.array([1.0, 0.0, 0.0])
-    certain = 1e-6 * known.P
-    certain[CAMERA_DELAY, CAMERA_DELAY] = known.P[CAMERA_DELAY, CAMERA_DELAY]
-    P = certain.copy()
-    P[6:9, 6:9] += np.eye(3) * 25.0
-    known, vague = known._replace(x=x, P=certain), known._replace(x=x, P=P)
-    sure, unsure = compared(known, ekf), compared(vague, ekf)
-    assert np.any(sure.H[:, CAMERA_DELAY] != 0.0), "well known: the delay is learned"
-    assert np.all(unsure.H[:, CAMERA_DELAY] == 0.0), "poorly known: nothing is learned of it"
-    rate, var = sure.H[:, CAMERA_DELAY], float(vague.P[CAMERA_DELAY, CAMERA_DELAY])
-    cov_rate = unsure.G.dot(vague.P).dot(unsure.G.T)
-    expected = sure.R + var * np.outer(rate, rate)
-    expected[:3, :3] += var * cov_rate
-    np.testing.assert_allclose(unsure.R, expected, atol=1e-12)
-    assert np.all(np.linalg.eigvalsh(unsure.R - sure.R) > -1e-12)
-    assert unsure.R[0, 0] - sure.R[0, 0] > 0.5 * var * 25.0
-
-
 # The first attitude
 
 
@@ -153,55 +110,3 @@ def test_north_known_at_last_turns_the_world_and_not_the_pad_under_the_body() ->
     angle = 1.2 - heading(b.R)
     assert wrap_pi(float(turned.x[PAD_YAW] - b.x[PAD_YAW])) == pytest.approx(wrap_pi(angle), abs=0.01)
     np.testing.assert_allclose(turned.x[POS_REL], about_down(angle) @ b.x[POS_REL], atol=0.02)
-
-
-# A sensor that contradicts for long
-
-
-def flown() -> Belief:
-    events: list[object] = [imu(0.0), attitude(0.0, yaw=0.7)]
-    for k in range(1, 50):
-        events += [imu(0.02 * k), attitude(0.02 * k, yaw=0.7), sighting(0.02 * k)]
-    return belief(fed(*events))
-
-
-def test_an_attitude_with_another_north_makes_all_directions_unsure_together_and_no_place() -> None:
-    b = flown()
-    innov = b.R.T[:, 2] * 0.5
-    added = aiding._inflated(b, ATTITUDE, innov).P - b.P
-    assert added[PAD_YAW, PAD_YAW] == pytest.approx(0.25)
-    down = b.R.T[:, 2]
-    across = added[ATT_ERR, ATT_ERR] - 0.25 * np.outer(down, down)
-    np.testing.assert_allclose(across, np.eye(3) * 0.01, atol=1e-9)
-    np.testing.assert_allclose(added[PAD_YAW, ATT_ERR], 0.25 * down, atol=1e-9)
-    x, y, _ = b.x[POS_REL]
-    np.testing.assert_allclose(added[PAD_YAW, POS_REL], 0.25 * np.array([-y, x, 0.0]), atol=1e-9)
-    np.testing.assert_allclose(added[ATT_BIAS, ATT_BIAS], 0.1)
-    # The pad under the body: what its place in `level` and the relative heading gain is nothing.
-    yaw = so3.heading_row(b.R).dot(b.R)
-    J = np.zeros(len(b.x))
-    J[ATT_ERR], J[PAD_YAW] = yaw, -1.0
-    turn_only = added.copy()
-    turn_only[ATT_ERR, ATT_ERR] -= np.eye(3) * 0.01
-    assert J.dot(turn_only).dot(J) == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_velocity_that_contradicts_for_long_makes_body_and_vessel_unsure_together() -> None:
-    b = flown()
-    added = aiding._inflated(b, VELOCITY, np.array([0.6, -0.8, 3.0])).P - b.P
-    for axis in range(2):
-        v, u = VEL.start + axis, VESSEL_VEL.start + axis
-        np.testing.assert_allclose([added[v, v], added[u, u], added[v, u], added[u, v]], 1.0)
-    assert added[VEL.start, VEL.start + 1] == pytest.approx(0.0)
-    assert added[VEL_SCALE, VEL_SCALE] == pytest.approx(0.01)
-    relative = np.zeros(len(b.x))
-    relative[VEL.start], relative[VESSEL_VEL.start] = -1.0, 1.0
-    assert relative.dot(added).dot(relative) == pytest.approx(0.0, abs=1e-12), "the relative velocity is not its business"
-
-
-def test_a_height_that_contradicts_for_long_makes_its_offset_unsure() -> None:
-    b = flown()
-    added = aiding._inflated(b, HEIGHT, np.array([-1.5])).P - b.P
-    assert added[BARO_OFFSET, BARO_OFFSET] == pytest.approx(2.25)
-    added[BARO_OFFSET, BARO_OFFSET] = 0.0
-    assert not added.any()

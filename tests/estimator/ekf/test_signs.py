@@ -12,7 +12,6 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu
 from estimator.ekf import Ekf, EkfOptions, at, gate, start, step
-from estimator.ekf.propagate import parameters
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -29,9 +28,7 @@ from estimator.ekf.state import (
     YAW_RATE,
 )
 from tests.estimator.ekf import flown
-from tests.estimator.ekf.oracle import sighting as models
 from tests.estimator.ekf.oracle.pad_velocity import v_pad_ned
-from tests.estimator.ekf.oracle.vision_update import _compared
 from tests.estimator.ekf.test_jacobians import random_belief, sighting
 from tests.support.voyage_truth import OPTIONS, Voyage, VoyageScene, events, ns, stamp
 
@@ -131,26 +128,6 @@ def test_the_first_sighting_s_heading_is_the_belief_s(yaw: float) -> None:
     assert math.isclose(math.remainder(float(ekf.belief.x[PAD_YAW]) - (1.0 - yaw), math.tau), 0.0, abs_tol=1e-3)
 
 
-def test_while_the_velocity_is_poorly_known_the_delay_is_noise_and_nothing_is_learned_of_it() -> None:
-    params = parameters(OPTIONS)
-    b = random_belief(2)._replace(heading_known=True)
-    seen, _ = sighting(2, pose6=False)
-    P = b.P.copy()
-    P[POS_REL, POS_REL], P[VEL, VEL], P[VESSEL_VEL, VESSEL_VEL] = np.eye(3) * 1e-4, np.eye(3) * 1e-4, np.eye(2) * 1e-4
-    P[ATT_ERR, ATT_ERR], P[PAD_YAW, PAD_YAW] = np.eye(3) * 1e-6, 1e-4
-    known, _ = _compared(b._replace(P=P), seen, params)
-    assert known.H[:3, CAMERA_DELAY].any()
-    P = P.copy()
-    P[VEL, VEL] = np.eye(3)
-    unknown, _ = _compared(b._replace(P=P), seen, params)
-    assert not unknown.H[:, CAMERA_DELAY].any()
-    rate, var = known.H[:, CAMERA_DELAY], float(P[CAMERA_DELAY, CAMERA_DELAY])
-    # The delay times a rate that is known, and times the doubt about it, which is that of the velocity here.
-    expected = known.R + var * np.outer(rate, rate)
-    grown = np.diag(unknown.R - expected)[:3]
-    np.testing.assert_allclose(grown, var, rtol=0.2)
-
-
 def test_an_attitude_with_a_new_north_comes_back_in_and_the_pad_stays() -> None:
     ekf = hover(4.0, start())
     before = at(ekf, ns(3.99))
@@ -191,12 +168,3 @@ def test_a_barometer_that_jumps_for_good_comes_back_in_by_its_offset() -> None:
     assert ekf.belief is not None
     assert abs(ekf.belief.x[BARO_OFFSET] - 50.0) < 0.5
     assert abs(ekf.belief.x[POS_REL][2] - 2.0) < 0.05
-
-
-def test_an_attitude_taken_as_exact_leaves_a_covariance_whole() -> None:
-    d, cov = np.array([0.5, 0.2, 4.0]), np.diag([0.01, 0.01, 0.02]) ** 2
-    lever = -np.array([[0.0, -d[2], d[1]], [d[2], 0.0, -d[0]], [-d[1], d[0], 0.0]])
-    attitude = np.diag([0.02, 0.02, 0.0]) ** 2
-    np.testing.assert_array_equal(models.without(cov, lever, attitude), cov)
-    held = cov + 0.01 * lever @ attitude @ lever.T
-    np.testing.assert_allclose(models.without(held, lever, 0.01 * attitude), cov, atol=1e-12)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from estimator.contracts.estimates import Sighting, Verdict
-from estimator.contracts.geometry import F64, rpy_matrix, wrap_pi
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.geometry import wrap_pi
 from estimator.ekf.gate import nis_max
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.so3 import about_down
@@ -19,17 +19,12 @@ from estimator.ekf.state import (
     CAMERA_MOUNT,
     PAD_YAW,
     POS_REL,
-    SWAY_PER_HEAVE,
     TURN_RATE,
-    VEL,
     VESSEL_VEL,
-    WAVE_YAW,
     WAVES,
-    YAW_RATE,
     Belief,
     N,
     RejectionStreak,
-    waves_unknown,
 )  # fmt: skip
 from tests.estimator.ekf.flown import fuse_sighting
 from tests.estimator.ekf.hand import (
@@ -43,28 +38,13 @@ from tests.estimator.ekf.hand import (
     correlated,
     diagonal,
     learned,
-    params,
     sighting,
     state,
     under,
     whole,
 )  # fmt: skip
-from tests.estimator.ekf.oracle import algebra, gate, so3, vision_update
+from tests.estimator.ekf.oracle import gate, so3
 from tests.estimator.ekf.oracle import sighting as models
-from tests.estimator.ekf.oracle.algebra import Algebra, Correction
-
-
-class _Failing(Algebra):
-    """Its n-th correction cannot be computed."""
-
-    def __init__(self, n: int) -> None:
-        super().__init__(N)
-        self._left = n
-
-    def correct(self, P: F64, innov: F64, H: F64, R: F64) -> Correction | None:
-        self._left -= 1
-        return None if self._left == 0 else super().correct(P, innov, H, R)
-
 
 # Refused or believed
 
@@ -125,32 +105,6 @@ def test_a_pad_forgotten_for_half_a_minute_is_a_first_one_and_one_of_the_first_i
     t = 100 * MS
     b = belief(t=t, x=under(), P=diagonal(d=1e-4), sighted=0, sea=learned(t=t))
     assert fuse_sighting(b, sighting((3.0, 3.0, 4.0), t=t), TOOLS)[1].verdict is Verdict.GATED
-
-
-def test_one_that_cannot_be_compared_is_singular_and_changes_nothing_believed(monkeypatch: pytest.MonkeyPatch) -> None:
-    def failing(b: Belief, seen: Sighting, n: int) -> tuple[Belief, Outcome]:
-        monkeypatch.setattr(algebra, "ALGEBRA", _Failing(n))
-        return vision_update.fuse_sighting(b, seen, TOOLS)
-
-    row = sighting((0.1, 0.0, 2.0))
-    after, outcome = failing(belief(x=under()), row, 1)
-    assert outcome.verdict is Verdict.SINGULAR
-    assert outcome.innovation is not None
-    np.testing.assert_allclose(outcome.innovation, [0.1, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(after.x, under())
-
-    # A heading let go of, and a place given up: the same, each with what it was compared with last.
-    turned = belief(x=under(), P=diagonal(d=0.01, head=0.01), heading_held_s=0.0, heading_seen=-1)
-    after, outcome = failing(turned, sighting((0.0, 0.0, 2.0), 3.0), 3)
-    assert (outcome.verdict, after.sighted) == (Verdict.SINGULAR, turned.sighted)
-    assert outcome.innovation is not None
-    np.testing.assert_allclose(outcome.innovation, np.zeros(4), atol=1e-9)
-    streak = RejectionStreak(9, T - 2 * S, T - 50 * MS, (3.0, 0.0, 0.0), 1e-4)
-    moved = belief(x=under(), P=diagonal(d=0.01), rejections=streak)
-    after, outcome = failing(moved, sighting((3.0, 0.0, 2.0)), 2)
-    assert (outcome.verdict, after.sighted) == (Verdict.SINGULAR, moved.sighted)
-    assert outcome.innovation is not None
-    np.testing.assert_allclose(outcome.innovation, np.zeros(3), atol=1e-9)
 
 
 def test_a_refused_one_is_remembered_by_where_it_showed_the_pad_and_how_well() -> None:
@@ -320,29 +274,6 @@ def test_a_heading_is_known_once_a_sighting_tells_it_without_an_either_or() -> N
         assert fuse_sighting(b._replace(heading_known=True), seen, TOOLS)[0].heading_known
 
 
-@pytest.mark.parametrize("told", ["heading", "whole", "nothing"])
-def test_a_heading_given_up_is_the_one_shown_and_owes_nothing_to_the_old(told: str) -> None:
-    b = belief(TILTED, x=state(), heading_held_s=-0.2)
-    R = rpy_matrix(0.03, -0.05, 0.4)
-    pose6 = whole((1.0, 0.0, 2.0), R) if told == "whole" else None
-    seen = sighting((1.0, 0.0, 2.0), 1.1 if told == "heading" else None, pose6=pose6)
-    after = vision_update._with_new_heading(b, seen)
-    if told == "nothing":
-        assert after is b
-        return
-    x, P = b.x.copy(), b.P.copy()
-    x[PAD_YAW] = 0.8 - 1.1 if told == "heading" else 0.8 + 0.4
-    x[YAW_RATE] = x[WAVE_YAW] = 0.0
-    P[PAD_YAW] = 0.0
-    P[:, PAD_YAW] = 0.0
-    P[PAD_YAW, PAD_YAW] = math.pi**2 / 3.0
-    np.testing.assert_allclose(after.x, x, atol=1e-12)
-    np.testing.assert_allclose(after.P, P)
-    assert after.heading_held_s == 0.0
-    far = vision_update._with_new_heading(b, sighting((1.0, 0.0, 2.0), -3.0))
-    assert far.x[PAD_YAW] == pytest.approx(0.8 + 3.0 - math.tau)
-
-
 @pytest.mark.parametrize(("sigma", "used"), [(0.49, True), (0.51, False)])
 def test_an_either_or_heading_is_of_use_where_the_heading_is_believed_well_enough(sigma: float, used: bool) -> None:
     for known in (True, False):
@@ -350,71 +281,3 @@ def test_an_either_or_heading_is_of_use_where_the_heading_is_believed_well_enoug
         _, outcome = fuse_sighting(b, sighting((0.0, 0.0, 2.0), 0.1, ambiguous=True), TOOLS)
         assert outcome.innovation is not None
         assert len(outcome.innovation) == (4 if used and known else 3)
-
-
-# What it is compared with
-
-
-def test_the_error_of_the_attitude_that_levelled_it_is_taken_out_where_it_was_put_in() -> None:
-    tilt = np.diag([0.03**2, 0.01**2, 0.1**2])
-    b = belief(x=under(), P=diagonal(d=0.01), cov_levelled_by=tilt)
-    seen = sighting((0.0, 0.0, 2.0), var=0.01)
-    held, whole_ = (vision_update._compared(b, seen, params(sighting_has_attitude_error=given))[0].R for given in (True, False))
-    np.testing.assert_allclose(whole_, np.eye(3) * 0.01, atol=1e-12)
-    np.testing.assert_allclose(held, np.diag([0.01 - 4 * 0.01**2, 0.01 - 4 * 0.03**2, 0.01]), atol=1e-12)
-
-
-@pytest.mark.parametrize(("var", "learns"), [(0.0408, True), (0.0409, False)])
-def test_the_delay_is_learned_while_the_rate_is_known_to_thirty_five_centimetres_a_second(var: float, learns: bool) -> None:
-    x = under()
-    x[VEL] = 1.0, 0.0, 0.0
-    row, fix = vision_update._compared(belief(x=x, P=diagonal(d=0.01, v=var, delay=1e-4)), sighting((0.0, 0.0, 2.0)), TOOLS)
-    assert fix is not None
-    assert row.H[0, CAMERA_DELAY] == (-1.0 if learns else 0.0)
-    assert 3 * 0.0408 < 0.35**2 < 3 * 0.0409
-    assert row.R[1, 1] == pytest.approx(1e-4 if learns else 1e-4 + 1e-4 * var, rel=1e-4)
-
-
-# Opened
-
-
-@pytest.mark.parametrize("anew", [False, True])
-@pytest.mark.parametrize("known", [False, True])
-@pytest.mark.parametrize(("yaw", "ambiguous"), [(None, False), (0.5, False), (0.5, True)])
-def test_a_belief_opened_drops_what_was_of_the_pad_and_keeps_what_is_of_the_body(
-    anew: bool, known: bool, yaw: float | None, ambiguous: bool
-) -> None:
-    b = belief(TILTED, x=state(), heading_known=known, rejections=RejectionStreak(3, T, T), sea=learned(heave_m_s=0.4))
-    seen = sighting((1.5, 0.7, 3.0), yaw, ambiguous=ambiguous)
-    after = vision_update._initialized(b, seen, OPTIONS, reset=anew)
-    x, P = b.x.copy(), b.P.copy()
-    body = models.levelling(TILTED, TILTED).T @ seen.d_body_pad_level
-    x[POS_REL] = TILTED @ so3.exp(b.x[CAMERA_MOUNT]) @ body
-    dropped = np.zeros(N, dtype=bool)
-    dropped[POS_REL] = True
-    prior = np.zeros((N, N))
-    prior[POS_REL, POS_REL] = np.eye(3) * (100.0 + 1.5**2 + 0.7**2 + 3.0**2)
-    if anew:
-        for part, var in (
-            (VESSEL_VEL, 4.0),
-            (SWAY_PER_HEAVE, OPTIONS.sigma_sway_per_heave**2),
-            (slice(TURN_RATE, TURN_RATE + 1), OPTIONS.sigma_turn_rate_rad_s**2),
-        ):
-            dropped[part] = True
-            prior[part, part] = np.eye(len(x[part])) * var
-        x[SWAY_PER_HEAVE] = x[TURN_RATE] = 0.0
-        for k in range(3):
-            dropped[WAVES[k]] = True
-            x[WAVES[k]] = 0.0
-            prior[np.ix_(WAVES[k], WAVES[k])] = waves_unknown(b.sea)[k]
-    if (anew or not known) and yaw is not None and not ambiguous:
-        dropped[PAD_YAW] = True
-        x[PAD_YAW] = 0.8 - 0.5
-        prior[PAD_YAW, PAD_YAW] = math.pi**2 / 3.0
-    P[dropped] = 0.0
-    P[:, dropped] = 0.0
-    np.testing.assert_allclose(after.x, x, atol=1e-12)
-    np.testing.assert_allclose(after.P, P + prior, atol=1e-12)
-    assert after.rejections == RejectionStreak()
-    assert after.heading_held_s == 0.0
-    assert b.x[SWAY_PER_HEAVE].all(), "what was believed before stays what it was"
