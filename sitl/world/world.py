@@ -181,8 +181,8 @@ class World:
 
     @property
     def phase(self) -> VehiclePhase:
-        phase: VehiclePhase = _PHASES[self._vehicle.state.phase]
-        return phase
+        phase: int = self._vehicle.state.phase
+        return _PHASES[phase]
 
     @property
     def limits(self) -> StickLimits:
