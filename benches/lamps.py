@@ -22,9 +22,9 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.by_lamps import REACH_PX as MOST_REACH_PX
 from estimator.vision.camera import Camera
-from estimator.vision.lamps.detect import detect_lamps
+from estimator.vision.lamp_sighting import REACH_PX as MOST_REACH_PX
+from estimator.vision.lamp_sighting import detect_lamps
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from tests.support.night_scenes import NIGHTS, NightCondition, NightScene, level_errors, night_scene

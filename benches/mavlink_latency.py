@@ -22,8 +22,8 @@ from benches.service_loop import Vehicle
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
-from companion.parts.mavlink.pilot_operator import PilotTower
-from companion.service.daemon import Daemon, DaemonOptions
+from companion.parts.mavlink.operator import PilotTower
+from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.restart import RestartOptions
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import open_autopilot
@@ -98,7 +98,7 @@ async def measure(scenario: Scenario, rate_hz: float, gyro_mrad_s: tuple[int, in
         await until(lambda: autopilot.links.all[0].local is not None)
         host, port = autopilot.links.all[0].local or ("", 0)
         link, timed = Vehicle(autopilot.samples), Timed(component, clock, lambda: autopilot.links.all[0].counters.bytes_out)
-        daemon = Daemon(link.open, pilot, clock, DaemonOptions(RestartOptions(), 50.0), observers=[timed])
+        daemon = Daemon(link.open, pilot, clock, DaemonSetup(RestartOptions(), 50.0), observers=[timed])
         async with (
             fake.talking_to(f"udpout://{host}:{port}"),
             speaking(component, autopilot, clock),

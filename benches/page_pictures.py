@@ -16,7 +16,7 @@ import numpy as np
 
 from benches.acquisition import floor_ms
 from benches.render import shot_over_pad, table
-from companion.parts.page.picture import jpeg, video_quality
+from companion.parts.page.state import jpeg, video_quality
 from companion.recording.frame_encoder import FrameEncoder
 from companion.settings.page import PageSettings
 from estimator.vision.camera import Camera

@@ -28,8 +28,8 @@ sys.path.insert(0, str(ROOT))
 
 from estimator.contracts.geometry import F64, Rotation  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
-from estimator.vision.register.pixels import light_table  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
+from estimator.vision.srgb import light_table  # noqa: E402
 from sitl.camera.camera import Exposure  # noqa: E402
 from sitl.camera.light import Light, Sensor  # noqa: E402
 from sitl.camera.surroundings import Surroundings  # noqa: E402

@@ -19,7 +19,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from companion.guidance.make_pilot import make_pilot
-from companion.service.daemon import Daemon, DaemonOptions, VehicleLink
+from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
 from companion.settings.load import load
 from companion.settings.restart import RestartOptions
 from drivers.ardrone import navdata as nd
@@ -102,7 +102,7 @@ def datagrams(n: int) -> list[bytes]:
 async def measured(clock: VirtualTime, seconds: int) -> float:
     """Return the CPU time of the loop's thread for each second of the flight, s."""
     vehicle, settings = Vehicle(Line(1000)), load("sim")
-    daemon = Daemon(vehicle.open, make_pilot(settings), clock, DaemonOptions(RestartOptions(), 50.0))
+    daemon = Daemon(vehicle.open, make_pilot(settings), clock, DaemonSetup(RestartOptions(), 50.0))
 
     def received(navdata: nd.Navdata, samples: list[Sample], at: MonoNs) -> None:
         for sample in samples:

@@ -33,7 +33,7 @@ from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
 from estimator.vision.register.fit_verification import FITTED  # noqa: E402
 from estimator.vision.register.look import look  # noqa: E402
-from estimator.vision.register.options import RegistrationOptions  # noqa: E402
+from estimator.vision.register.registration import RegistrationOptions  # noqa: E402
 from tests.support.pad_claims import keeps_claim  # noqa: E402
 from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
 

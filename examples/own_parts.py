@@ -18,8 +18,8 @@ import numpy as np
 
 from companion.base.observer import Decision, NullObserver
 from companion.guidance.make_pilot import make_pilot
-from companion.service.daemon import Daemon, DaemonOptions
-from companion.service.link_with_camera import LinkWithCamera
+from companion.service.daemon import Daemon, DaemonSetup
+from companion.service.vehicle_parts import LinkWithCamera
 from companion.settings.load import camera_model, from_mapping, pad_model
 from companion.settings.model import Settings
 from drivers.camera.source import VideoSource
@@ -139,7 +139,7 @@ async def main(settings: Settings) -> int:
     with socket.socket(*datagrams) as received, socket.socket(*datagrams) as sent:
         received.bind(("127.0.0.1", 0))
         received.setblocking(False)
-        options = DaemonOptions(settings.service, settings.guidance.rate_hz)
+        options = DaemonSetup(settings.service, settings.guidance.rate_hz)
         daemon = Daemon(opened, pilot, CLOCK, options, observers=[Beacon(sent, received.getsockname())])
         running = asyncio.create_task(daemon.run())
         try:

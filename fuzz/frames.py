@@ -21,7 +21,7 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.lamp import points_of
-from estimator.vision.lamps.detect import detect_lamps
+from estimator.vision.lamp_sighting import detect_lamps
 from estimator.vision.options import TrackerMethod
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose

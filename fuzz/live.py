@@ -17,9 +17,8 @@ from companion.base.observer import Decision, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
-from companion.parts.live import viewer
-from companion.parts.live.feed import Encoded, LiveFeed, topics
-from companion.parts.live.part import FoxgloveEndpoint
+from companion.parts.live import part
+from companion.parts.live.part import Encoded, FoxgloveEndpoint, LiveFeed, topics
 from companion.recording.foxglove_protocol import CHANNELS, SUBPROTOCOLS
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.live import FoxgloveSettings
@@ -73,7 +72,7 @@ class _Server:
         self.topics = topics(_OPEN)
         self.feed = LiveFeed(_OPEN, pilot.camera, pilot.pad, 0, Health(self.clock), self._show)
         self.socket = _Socket(messages, self.feed)
-        self.viewer = viewer.LiveViewer(self, cast(web.WebSocketResponse, self.socket))
+        self.viewer = part.LiveViewer(self, cast(web.WebSocketResponse, self.socket))
 
     def count(self, what: str) -> None:
         assert what

@@ -22,7 +22,7 @@ import numpy as np
 
 from companion.base.health import Health
 from companion.guidance.make_pilot import make_pilot
-from companion.parts.mavlink.bridge_part import BridgePart
+from companion.parts.mavlink.bridge import BridgePart
 from companion.parts.mavlink.make import AutopilotPart
 from companion.settings.load import from_mapping
 from companion.settings.mavlink import BridgeOptions

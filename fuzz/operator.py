@@ -27,9 +27,8 @@ from companion.parts.page.messages import (
     PictureRequest,
     RecordingsRequest,
 )
-from companion.parts.page.picture import video_quality
-from companion.parts.page.recordings import Recordings
-from companion.parts.page.report_maker import ReportMaker
+from companion.parts.page.recordings import Recordings, ReportMaker
+from companion.parts.page.state import video_quality
 from companion.parts.page.tool_messages import ToolRequest
 from companion.parts.page.viewer import PageViewer
 from companion.recording.frame_encoder import FrameEncoder

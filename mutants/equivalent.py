@@ -27,7 +27,7 @@ _NO_TIME = "nothing moves in no time"
 _HEAVE_ALONE = "the fifth is the deck's roll, which has nothing in common with the heave"
 _HELD = "if (b->t_imu >= 0 && b->t < held_until && held_until < t) {"
 _DRIVEN = tuple(f"for (int {i} = {j} / 2 * 2; {i} < STATES; {i}++) {{" for i, j in ("ji", "li", "lj"))
-_SPANS = "const int64_t i = forecast ? span(n, horizons_s, age) : 0, k = forecast ? span(n, horizons_s, until) : 0;"
+_SPANS = "const int64_t i = forecast ? span(course, age) : 0, k = forecast ? span(course, until) : 0;"
 _ROTATED = "const double t = (theta < 0.0 ? -1.0 : 1.0) / (fabs(theta) + hypot(theta, 1.0)), c = 1.0 / hypot(t, 1.0), s = t * c;"
 _ONE_BY_ONE = "what goes together goes one by one, to the same end"
 _UNREAD = "nobody reads the outcomes that are too many"
@@ -111,9 +111,9 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "for (int k = 0; k < PER_DIRECTION; k++) {  ->  for (int k = 0; k <= PER_DIRECTION; k++) {": (
             "the pad's acceleration along down does not depend on the deck's roll, which lies behind"
         ),
-        "for (int i = 0; i < N; i++) {  ->  for (int i = 1; i < N; i++) {": "no figure is of the attitude's error",
-        "double J[6 * N] = {0.0}, tilt[4 * N] = {0.0};  ->  double J[6 * N] = {0.0}, tilt[5 * N] = {0.0};": _ROOM,
-        "covariance c = {P_before, {places[0], places[1]}};  ->  covariance c = {P_before, {places[1], places[1]}};": (
+        "for (int i = 0; i < DL_N; i++) {  ->  for (int i = 1; i < DL_N; i++) {": "no figure is of the attitude's error",
+        "double J[6 * DL_N] = {0.0}, tilt[4 * DL_N] = {0.0};  ->  double J[6 * DL_N] = {0.0}, tilt[5 * DL_N] = {0.0};": _ROOM,
+        "covariance c = {before->P, {places[0], places[1]}};  ->  covariance c = {before->P, {places[1], places[1]}};": (
             "the covariance is propagated once at most"
         ),
         "memset(out, 0, sizeof *out);  ->  memset(out, 1, sizeof *out);": _TINY,
@@ -130,8 +130,8 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "if (t2 >= 1e-6) {  ->  if (t2 > 1e-6) {": _ROUNDED,
     },
     "estimator/core/filter/jacobian.c": {
-        "memset(JF, 0, (size_t)m * N * sizeof *JF);  ->  memset(JF, 1, (size_t)m * N * sizeof *JF);": _TINY,
-        "rows_times: for (int k = 0; k < N; k++) {  ->  for (int k = 1; k < N; k++) {": (
+        "memset(JF, 0, (size_t)m * DL_N * sizeof *JF);  ->  memset(JF, 1, (size_t)m * DL_N * sizeof *JF);": _TINY,
+        "rows_times: for (int k = 0; k < DL_N; k++) {  ->  for (int k = 1; k < DL_N; k++) {": (
             "a turn about the nose changes neither heading nor what is written in level"
         ),
         "AT(JF, i, j) += factor * AT(F, k, j);  ->  AT(JF, i, j) -= factor * AT(F, k, j);": (
@@ -145,8 +145,9 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         ),
     },
     "estimator/core/filter/forecast.c": {
-        "double J[3 * N] = {0.0}, by[2][2], reach[2][2], d[3];  ->  double J[3 * N] = {0.0}, by[2][2], reach[2][2], d[4];": _ROOM,
-        "covariance c = {P_before, {places[0], places[1]}};  ->  covariance c = {P_before, {places[0], places[2]}};": (
+        "double J[3 * DL_N] = {0.0}, by[2][2], reach[2][2], d[3];"
+        "  ->  double J[3 * DL_N] = {0.0}, by[2][2], reach[2][2], d[4];": _ROOM,
+        "covariance c = {before->P, {places[0], places[1]}};  ->  covariance c = {before->P, {places[0], places[2]}};": (
             "the covariance is propagated once, so that one place would do"
         ),
         "return 1;  ->  return 2;": _ASKED,
@@ -154,7 +155,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "estimator/core/filter/run.c": {
         "return !b->heading_is_given || var > DIVERGED_VAR;  ->  return !b->heading_is_given || var >= DIVERGED_VAR;": _ROUNDED,
         "return 1;  ->  return 2;": _ASKED,
-        "covariance c = {P_before, {places[0], places[1]}};  ->  covariance c = {P_before, {places[1], places[1]}};": (
+        "covariance c = {before->P, {places[0], places[1]}};  ->  covariance c = {before->P, {places[1], places[1]}};": (
             "one place would do: the correction after a propagation is never refused, and reads each row before it writes it"
         ),
     },
@@ -163,7 +164,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "  ->  const double shrink = size >= reach ? reach / size : 1.0;": _LINEAR,
         "const double cut = size > most ? most / size : 1.0;  ->  const double cut = size >= most ? most / size : 1.0;": _LINEAR,
         "if (!o->keeps_in_view || d[2] < VIEW_FROM_M) {  ->  if (!o->keeps_in_view || d[2] <= VIEW_FROM_M) {": _ROUNDED,
-        "axis_measured z[2];  ->  axis_measured z[3];": _ROOM,
+        "dl_axis_measured z[2];  ->  dl_axis_measured z[3];": _ROOM,
     },
     "estimator/core/law/axis.c": {
         "return value < -most ? -most : value > most ? most : value;"
@@ -199,7 +200,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         ),
         "carry_covariances: for (int i = 0; i < STATES; i++) {  ->  for (int i = 0; i <= STATES; i++) {": _NO_COLUMN,
         "add_noises: for (int i = 0; i < 4; i++) {  ->  for (int i = 0; i <= 4; i++) {": _NO_COLUMN,
-        "bank_begin: for (int i = 0; i < 4; i++) {  ->  for (int i = 0; i <= 4; i++) {": _NO_COLUMN,
+        "dl_bank_begin: for (int i = 0; i < 4; i++) {  ->  for (int i = 0; i <= 4; i++) {": _NO_COLUMN,
     },
     "estimator/core/filter/bank_weights.c": {
         **{
@@ -210,19 +211,21 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "weight[g] = exp(weight[g] - top);  ->  weight[g] = exp(weight[g] + top);": _SCALE,
     },
     "estimator/core/filter/correction.c": {
-        "for (int i = 0; i < N; i++) {  ->  for (int i = 1; i < N; i++) {": "the attitude's error is zero afterwards",
+        "for (int i = 0; i < DL_N; i++) {  ->  for (int i = 1; i < DL_N; i++) {": "the attitude's error is zero afterwards",
     },
     "estimator/core/filter/gathering.c": {
         "return seconds(a->since, t) > 2.0 * o->aiding_period_s;  ->  return seconds(a->since, t) >= 2.0 * o->aiding_period_s;": (
             _ROUNDED
         ),
-        "if (m > 0 && kalman_correct(N, m, c->P, innov, H, R, dx, place, S, &nis)) {"
-        "  ->  if (m >= 0 && kalman_correct(N, m, c->P, innov, H, R, dx, place, S, &nis)) {": "a correction by nothing is none",
-        "double *P = changeable(c), g[N] = {0.0};  ->  double *P = changeable(c), g[N] = {1.0};": "always written first",
+        "if (m > 0 && kalman_correct(DL_N, c->P, &(measured){m, innov, H, R}, dx, place, S, &nis)) {"
+        "  ->  if (m >= 0 && kalman_correct(DL_N, c->P, &(measured){m, innov, H, R}, dx, place, S, &nis)) {": (
+            "a correction by nothing is none"
+        ),
+        "double *P = changeable(c), g[DL_N] = {0.0};  ->  double *P = changeable(c), g[DL_N] = {1.0};": "always written first",
         "memset(a->innov, 0, sizeof a->innov);  ->  memset(a->innov, 1, sizeof a->innov);": _TINY,
         "memset(a->R, 0, sizeof a->R);  ->  memset(a->R, 1, sizeof a->R);": _TINY,
-        "tell(out, nis > nis_max ? GATED : FUSED, m, (int)begun->axes, innov, S);"
-        "  ->  tell(out, nis >= nis_max ? GATED : FUSED, m, (int)begun->axes, innov, S);": _ROUNDED,
+        "tell(out, nis > nis_max ? DL_GATED : DL_FUSED, m, (int)begun->axes, innov, S);"
+        "  ->  tell(out, nis >= nis_max ? DL_GATED : DL_FUSED, m, (int)begun->axes, innov, S);": _ROUNDED,
         "if (nis > nis_max) {  ->  if (nis >= nis_max) {": _ROUNDED,
     },
     "estimator/core/filter/aiding.c": {
@@ -243,13 +246,13 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         },
         "move_vessel: for (int j = 0; j < 4; j++) {  ->  for (int j = 0; j <= 4; j++) {": _HEAVE_ALONE,
         "move_vessel: for (int j = 0; j < 4; j++) {  ->  for (int j = 0; j < 5; j++) {": _HEAVE_ALONE,
-        "memset(F, 0, N * N * sizeof *F);  ->  memset(F, 1, N * N * sizeof *F);": _TINY,
-        "memset(Q, 0, N * N * sizeof *Q);  ->  memset(Q, 1, N * N * sizeof *Q);": _TINY,
+        "memset(F, 0, DL_N * DL_N * sizeof *F);  ->  memset(F, 1, DL_N * DL_N * sizeof *F);": _TINY,
+        "memset(Q, 0, DL_N * DL_N * sizeof *Q);  ->  memset(Q, 1, DL_N * DL_N * sizeof *Q);": _TINY,
         **{
             f"memset(b->{name}, 0, sizeof b->{name});  ->  memset(b->{name}, 1, sizeof b->{name});": _TINY
             for name in ("dv", "dp", "turned")
         },
-        "propagated_belief: for (int i = 0; i < N; i++) {  ->  for (int i = 1; i < N; i++) {": (
+        "propagated_belief: for (int i = 0; i < DL_N; i++) {  ->  for (int i = 1; i < DL_N; i++) {": (
             "the attitude's block is written whole"
         ),
         "peek: for (int k = 0; k < 5; k++) {  ->  for (int k = 1; k < 5; k++) {": (
@@ -274,12 +277,12 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "estimator/core/filter/vessel.c": {
         "enum { ROWS = 4, V_COV = 3, HEADING = 12, HEADING_SIGMA = 13, HAS_VELOCITY = 14, HAS_HEADING = 15 };"
         "  ->  enum { ROWS = 5, V_COV = 3, HEADING = 12, HEADING_SIGMA = 13, HAS_VELOCITY = 14, HAS_HEADING = 15 };": _ROOM,
-        "double innov[ROWS], H[ROWS * N] = {0.0}, R[ROWS * ROWS] = {0.0}, S[ROWS * ROWS], dx[N], nis;"
-        "  ->  double innov[ROWS], H[ROWS * N] = {0.0}, R[ROWS * ROWS] = {1.0}, S[ROWS * ROWS], dx[N], nis;": (
+        "double innov[ROWS], H[ROWS * DL_N] = {0.0}, R[ROWS * ROWS] = {0.0}, S[ROWS * ROWS], dx[DL_N], nis;"
+        "  ->  double innov[ROWS], H[ROWS * DL_N] = {0.0}, R[ROWS * ROWS] = {1.0}, S[ROWS * ROWS], dx[DL_N], nis;": (
             "the first of them is always written"
         ),
-        "tell(out, nis > out->nis_max ? GATED : FUSED, m, axes, innov, S);"
-        "  ->  tell(out, nis >= out->nis_max ? GATED : FUSED, m, axes, innov, S);": _ROUNDED,
+        "tell(out, nis > out->nis_max ? DL_GATED : DL_FUSED, m, axes, innov, S);"
+        "  ->  tell(out, nis >= out->nis_max ? DL_GATED : DL_FUSED, m, axes, innov, S);": _ROUNDED,
     },
     "estimator/core/filter/gate.c": {
         "if (b->rejected_n == 0 || t < b->rejected_last || length(step) > limit || dt > PAUSE_S) {"

@@ -32,10 +32,8 @@ DISTRIBUTION_NAMES = {
 
 DRAWINGS = {
     "sitl/experiments/page.py",
-    "companion/tools/report/svg.py",
     "sitl/campaign/plots.py",
     "companion/tools/calibrate/figures.py",
-    "companion/tools/calibrate/response_figure.py",
 }
 """What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""
 
@@ -261,13 +259,8 @@ def test_imports_run_one_way() -> None:
     assert wrong == {}
 
 
-DOOR_TO_THE_CORE = ROOT / "estimator/core/library.py"
-"""It loads the native core, whose functions are values in, values out."""
-
-
 def test_the_estimator_is_values_in_values_out() -> None:
-    assert impurities(DOOR_TO_THE_CORE.read_text()) == ["ctypes"]
-    pure = [p for p in modules() if within(name_of(p), "estimator") and p != DOOR_TO_THE_CORE]
+    pure = [p for p in modules() if within(name_of(p), "estimator")]
     assert {str(p.relative_to(ROOT)): found for p in pure if (found := impurities(p.read_text()))} == {}
 
 

@@ -20,8 +20,7 @@ from companion.cli import board_option, calibrate_flight, identify
 from companion.tools.calibrate import assess
 from companion.tools.calibrate.board import Board
 from companion.tools.calibrate.camera_file import text
-from companion.tools.calibrate.gather import PICTURES, add_file, image_files, watch
-from companion.tools.calibrate.guide import Guide, GuideState
+from companion.tools.calibrate.guide import PICTURES, Guide, GuideState, add_file, image_files, watch
 from companion.tools.calibrate.solve import LEAST_VIEWS, Solution, solve
 from companion.tools.calibrate.views import Collection
 from companion.tools.report.drawing import require_drawing

@@ -5,18 +5,44 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 from typing import Any
 
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
 from companion.recording.reading import CAMERA, Recording, open_recording
 from companion.settings.load import load
-from companion.settings.toml_edit import with_values
 from companion.tools.calibrate.flight_result import MountResult, flight_result, readout_result
 from companion.tools.calibrate.flight_views import FlightViews, flight_views
 from companion.tools.calibrate.touchdown_cost import TouchdownCost
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput, unusable
+
+
+def with_values(text: str, table: str, values: Mapping[str, Any], where: str) -> str:
+    """Return the text with values set in a table; a key or table that is not there is added at the end of its place.
+
+    Args:
+        table: dotted name of the table; "" for the keys before the first table.
+        where: names the file in errors.
+
+    Raises:
+        BadInput: the text is no TOML, or the table's name is that of a value.
+    """
+    try:
+        document = tomlkit.parse(text)
+    except TOMLKitError as why:
+        raise BadInput(f"{where}: {why}") from why
+    place: MutableMapping[str, Any] = document
+    for name in table.split(".") if table else ():
+        place = place.setdefault(name, tomlkit.table())
+        if not isinstance(place, MutableMapping):
+            raise BadInput(f"{where}: {table} is not a table")
+    place.update(values)
+    return tomlkit.dumps(document)
+
 
 _HOW = (
     "Fly by hand for a minute at 2 to 4 m over a pad ashore, the pad in view: lean left, right, forward and back, turn by 90 "

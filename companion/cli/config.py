@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from companion.guidance import mission_page
+from companion.guidance import mission
 from companion.settings import reference, whole_file
 from companion.settings.load import load, shipped
 from companion.settings.referenced_files import check_files
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "schema":
         sys.stdout.write(reference.schema())
     elif args.action == "mission":
-        sys.stdout.write(mission_page.page())
+        sys.stdout.write(mission.page())
     else:
         sys.stdout.write(reference.reference())
     return 0

@@ -4,18 +4,234 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import os
+import re
 import sys
+import termios
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
 
 from companion.base import event_loop
-from companion.base.orders import OperatorOrder
+from companion.base.orders import CENTRED, OperatorOrder, StickPositions
 from companion.base.wire import FlightState
-from companion.parts.operator.client import connected, line_of_state
+from companion.parts.operator.client import OperatorClient, connected, line_of_state
 from companion.parts.operator.socket_path import running
 from companion.settings.load import load
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, Recoverable
+
+# Fly by the keyboard: the keys of a terminal as sticks with a dead man, and as orders.
+#
+# The left hand has the thesis' left stick (W and S for height, A and D for turning), the arrow keys are the right one. A
+# terminal sends a key when it is pressed and again while it is held: the motion of a key ends `KEY_S` after its last
+# repetition.
+
+KEY_S = 0.5
+"""The time after its last repetition at which a key's motion ends, s."""
+TWICE_S = 1.0
+"""The time within which the key of the emergency must be pressed twice, s."""
+_TICK_S = 0.05
+_STEP = 0.1
+
+MOTIONS: dict[str, tuple[str, float]] = {
+    "w": ("climb", 1.0),
+    "s": ("climb", -1.0),
+    "d": ("turn", 1.0),
+    "a": ("turn", -1.0),
+    "up": ("forward", 1.0),
+    "down": ("forward", -1.0),
+    "right": ("right", 1.0),
+    "left": ("right", -1.0),
+}
+"""The stick and the direction of each key."""
+KEYS: dict[str, OperatorOrder] = {
+    "t": OperatorOrder.TAKE_OFF,
+    "l": OperatorOrder.LAND,
+    "b": OperatorOrder.BEGIN,
+    "x": OperatorOrder.ABORT,
+    " ": OperatorOrder.HOLD,
+    "R": OperatorOrder.RESET,
+}
+HELP = (
+    "m take or give back the hand   w/s up, down   a/d turn   arrows move   +/- faster, slower",
+    "t take off   l land   b begin the landing   x abort it   space hold   E E cut the motors   R leave emergency   q quit",
+)
+_ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
+_KEY = re.compile(r"\x1b[\[O][0-9;]*([A-Z~])|\x1b|.", re.DOTALL)
+
+
+def keys_in(text: str) -> Iterator[str]:
+    """Yield the keys in what a terminal sent: characters, or the names of the arrow keys. Other keys are left out."""
+    for found in _KEY.finditer(text):
+        if found[1] is not None:
+            if found[1] in _ARROWS:
+                yield _ARROWS[found[1]]
+        elif found[0] != "\x1b":
+            yield found[0]
+
+
+@dataclass(frozen=True, slots=True)
+class KeyMotion:
+    """The keys as sticks: the direction of each stick and the time until which it holds."""
+
+    fraction: float = 0.5
+    """Deflection of a stick while its key is held."""
+    until_s: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """By stick: the direction, and the time at which it ends, s."""
+
+    def pressed(self, key: str, now_s: float) -> KeyMotion:
+        """Return the motion after a key of `MOTIONS`, + or -."""
+        if key in "+=":
+            return replace(self, fraction=min(1.0, round(self.fraction + _STEP, 3)))
+        if key == "-":
+            return replace(self, fraction=max(_STEP, round(self.fraction - _STEP, 3)))
+        stick, direction = MOTIONS[key]
+        return replace(self, until_s={**self.until_s, stick: (direction, now_s + KEY_S)})
+
+    def sticks(self, now_s: float) -> StickPositions:
+        """Return the positions of the sticks now; all are centred when no key is held."""
+        held = {stick: direction * self.fraction for stick, (direction, until_s) in self.until_s.items() if now_s < until_s}
+        return StickPositions(**held)
+
+
+class _Keyboard:
+    """One terminal session."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self.keys: asyncio.Queue[str] = asyncio.Queue(maxsize=256)
+        self._motion = KeyMotion()
+        self._state: FlightState | None = None
+        self._hand = self._asking = False
+        self._cut_s: float | None = None
+
+    def on_readable(self) -> None:
+        """Read what the terminal sent."""
+        try:
+            text = os.read(sys.stdin.fileno(), 1024).decode(errors="ignore")
+        except OSError:
+            text = ""
+        for key in keys_in(text) if text else ("closed",):
+            if not self.keys.full():
+                self.keys.put_nowait(key)
+
+    def on_state(self, state: FlightState) -> None:
+        """Take the newest state and draw it."""
+        if self._hand and not state.yours and not self._asking:
+            self.say(f"the hand is lost: {state.phase} {state.reason}".rstrip())
+        self._hand, self._state = state.yours, state
+        self._draw()
+
+    def _draw(self) -> None:
+        state = self._state
+        words = "" if state is None else line_of_state(state)
+        hand = f"HAND {100 * self._motion.fraction:.0f} %" if self._hand else "watching"
+        width = os.get_terminal_size(sys.stdout.fileno()).columns if sys.stdout.isatty() else 100
+        sys.stdout.write(f"\r{hand} | {words}"[: max(20, width)] + "\x1b[K")
+        sys.stdout.flush()
+
+    def say(self, text: str) -> None:
+        """Print a line above the state."""
+        sys.stdout.write(f"\r{text}\x1b[K\r\n")
+        self._draw()
+
+    async def tick(self, client: OperatorClient) -> None:
+        """Send the sticks while this terminal has the hand."""
+        while True:
+            if self._hand:
+                client.move(self._motion.sticks(self._loop.time()))
+            await asyncio.sleep(_TICK_S)
+
+    async def obey(self, client: OperatorClient) -> None:
+        """Carry out keys until `q` or the end of the terminal."""
+        while (key := await self.keys.get()) not in ("q", "closed", "\x03", "\x04"):
+            if key in MOTIONS or key in "+=-":
+                self._motion = self._motion.pressed(key, self._loop.time())
+                if self._hand:
+                    client.move(self._motion.sticks(self._loop.time()))
+                elif key in MOTIONS:
+                    self.say("press m to take the hand")
+            elif key == "m":
+                await self._toggle_hand(client)
+            elif key == "E":
+                await self._emergency(client)
+            elif key in KEYS:
+                await self._give(client, KEYS[key])
+            elif key == "?":
+                for line in HELP:
+                    self.say(line)
+        if self._hand:
+            client.move(CENTRED)
+            await client.order(OperatorOrder.RELEASE)
+
+    async def _toggle_hand(self, client: OperatorClient) -> None:
+        wanted = not self._hand
+        if await self._give(client, OperatorOrder.MANUAL if wanted else OperatorOrder.RELEASE):
+            self._hand = wanted
+            self._motion = replace(self._motion, until_s={})
+
+    async def _emergency(self, client: OperatorClient) -> None:
+        now_s, before_s = self._loop.time(), self._cut_s
+        self._cut_s = now_s
+        if before_s is not None and now_s - before_s <= TWICE_S:
+            self._cut_s = None
+            await self._give(client, OperatorOrder.EMERGENCY)
+        else:
+            self.say(f"press E again within {TWICE_S:g} s to CUT THE MOTORS")
+
+    async def _give(self, client: OperatorClient, order: OperatorOrder) -> bool:
+        self._asking = True
+        try:
+            answer = await client.order(order)
+        finally:
+            self._asking = False
+        self.say(f"{order.value}: {answer.text}")
+        if answer.accepted and order in (OperatorOrder.HOLD, OperatorOrder.LAND, OperatorOrder.BEGIN, OperatorOrder.EMERGENCY):
+            self._hand = False
+        return answer.accepted
+
+
+async def fly(path: Path) -> int:
+    """Fly by the keys of this terminal until `q`; return the exit code.
+
+    Raises:
+        Recoverable: the service is gone.
+    """
+    keyboard = _Keyboard()
+    loop = asyncio.get_running_loop()
+    with _single_keys():
+        for line in HELP:
+            keyboard.say(line)
+        loop.add_reader(sys.stdin.fileno(), keyboard.on_readable)
+        try:
+            async with connected(path, keyboard.on_state) as client, asyncio.TaskGroup() as group:
+                client.watch()
+                ticking = group.create_task(keyboard.tick(client))
+                await keyboard.obey(client)
+                ticking.cancel()
+        except* Recoverable as lost:
+            raise lost.exceptions[0] from None
+        finally:
+            loop.remove_reader(sys.stdin.fileno())
+            sys.stdout.write("\r\n")
+    return 0
+
+
+@contextmanager
+def _single_keys() -> Iterator[None]:
+    """Let the terminal send each key at once and without echo; put it back afterwards."""
+    file = sys.stdin.fileno()
+    before = termios.tcgetattr(file)
+    try:
+        tty.setcbreak(file)
+        yield
+    finally:
+        termios.tcsetattr(file, termios.TCSADRAIN, before)
+
 
 ORDERS = {
     order.value: order
@@ -72,8 +288,6 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput(f"there is no terminal to fly by; name an order: {', '.join(ORDERS)}, status")
     path = running(None if args.config is None else load(args.config))
     if args.order is None:
-        from companion.cli.fly_keyboard import fly
-
         return event_loop.run(fly(path))
     return event_loop.run(_once(args, path))
 

@@ -15,12 +15,11 @@ from companion.cli import board_option
 from companion.settings.load import SHIPPED, find_file, read_toml, shipped
 from companion.tools.print_pad.drawing import board_drawing, pad_drawing
 from companion.tools.print_pad.pdf import pdf
-from companion.tools.print_pad.sheets import PAPERS, sheets
-from companion.tools.print_pad.svg import svg
+from companion.tools.print_pad.sheets import PAPERS, sheets, svg
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
-from estimator.vision.lamps.accuracy import CENTRE_PX, LampAccuracy, lamp_accuracy
+from estimator.vision.lamp import CENTRE_PX, LampAccuracy, lamp_accuracy
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings, confusable_turns
 from estimator.vision.pad_rules import lacking_parts

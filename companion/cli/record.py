@@ -16,9 +16,8 @@ from msgspec import structs
 
 from companion.base.observer import ProcessedFrame
 from companion.parts.recorder.setup import about, recorder_to_file
-from companion.recording.csv_export import export
 from companion.recording.reading import RecordedFrame, Recording, instant, open_recording
-from companion.recording.rewriting import Cut, rewrite
+from companion.recording.rewriting import Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped
 from companion.tools.ros2 import bag
 from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog, video

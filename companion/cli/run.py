@@ -9,9 +9,8 @@ from pathlib import Path
 
 from companion.base import event_loop, memory
 from companion.base.mission import FlightOutcome
-from companion.base.proven import Proven
 from companion.guidance.make_pilot import make_pilot
-from companion.service.assemble import live, log_to_stderr, make_daemon
+from companion.service.assemble import Proven, live, log_to_stderr, make_daemon
 from companion.settings.load import Settings, find_file, load, shipped
 from companion.settings.mavlink import BridgeOptions
 from companion.settings.referenced_files import check_files

@@ -18,7 +18,7 @@ from companion.guidance.limits import InputQuality
 from companion.guidance.mission_step import mission_step, ordered, reported
 from companion.guidance.progress import Progress
 from companion.guidance.response_course import reported_lean
-from companion.guidance.response_identifier import ResponseIdentifier
+from companion.guidance.response_watch import ResponseIdentifier
 from companion.guidance.situation import GuidanceCycle, VesselPosition
 from companion.guidance.vessel_track import VesselTrack
 from companion.settings.guidance import GuidanceOptions
@@ -56,7 +56,7 @@ _BY_REPORTS = (State.SEARCH, State.RENDEZVOUS)
 _FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
 
 
-class Landing:
+class LandingGuidance:
     """Decides on commands by what is sensed and believed.
 
     Args:

@@ -1,44 +1,30 @@
 """What the law that follows the deck gives to the native core and reads from it (estimator/core/law/law.c).
 
-The core has the mathematics of a cycle, and the law's memory in its own layout. Here are the parameters and gains, made once, and
-the numbers of each cycle.
+The core has the mathematics of a cycle, and the law's memory. Here are the law as it is flown, made once, and the numbers of each
+cycle.
 """
 
 from __future__ import annotations
 
-import struct
+from collections.abc import Mapping
 from functools import lru_cache
-
-import numpy as np
+from typing import Any
 
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.disturbance import ObserverGains
 from companion.guidance.tilt_law import TiltGains
 from companion.guidance.view import FieldOfView
 from companion.settings.response import ClimbResponse, TiltResponse
-from estimator.contracts.geometry import F64
 from estimator.contracts.motion import BodyMotion
 from estimator.core.abi import UNDER_WAY_MAX
-from estimator.core.interface import size_of
-from estimator.core.library import address
-from estimator.core.records import record
+from estimator.core.library import CORE
 from estimator.ekf import Forecast
 
-MEMORY_SIZE, COMMAND_SIZE = size_of("law_memory"), size_of("law_command")
-_CYCLE = struct.Struct("8q33d")
-_NOWHERE = (0.0, 0.0, 0.0)
+LawParams = Mapping[str, Any]
+"""The core's `dl_law_params`, by name."""
 
 
-class LawRecord:
-    """Words that stay as they are, at an address for the core."""
-
-    __slots__ = ("address", "words")
-
-    def __init__(self, words: F64) -> None:
-        self.words, self.address = words, address(words)
-
-
-def packed_params(
+def law_params(
     tilt: TiltResponse,
     climb: ClimbResponse,
     period_s: float,
@@ -47,8 +33,8 @@ def packed_params(
     *,
     looks_ahead: bool,
     over_ground: bool,
-) -> LawRecord:
-    """Return the core's `law_params`.
+) -> LawParams:
+    """Return what the core's law is made for.
 
     Args:
         remembered: number of commands under way that are kept.
@@ -61,39 +47,36 @@ def packed_params(
     if remembered > UNDER_WAY_MAX:
         raise ValueError(f"{remembered} commands of {period_s} s are under way, and the law keeps {UNDER_WAY_MAX}")
     seen = view or FieldOfView(0.0, 0.0, 0.0, 0.0)
-    values = {
+    return {
         "remembered": remembered, "over_ground": over_ground, "keeps_in_view": view is not None, "looks_ahead": looks_ahead,
         "period_s": period_s, "frequency_rad_s": tilt.frequency_rad_s, "damping": tilt.damping, "lag_s": tilt.lag_s,
         "tilt_max_m_s2": tilt.max_m_s2, "climb_lag_s": climb.lag_s, "climb_max_m_s": climb.max_m_s,
         "view_forward_m": seen.forward_m, "view_right_m": seen.right_m,
         "half_forward_rad": seen.half_forward_rad, "half_right_rad": seen.half_right_rad,
     }  # fmt: skip
-    return LawRecord(record("law_params", values))
 
 
-def packed_gains(gains: TiltGains, tilt_delay: int, climb_delay: int, slowness_s: float) -> LawRecord:
-    """Return the core's `law_gains`.
+def law_gains(gains: TiltGains, tilt_delay: int, climb_delay: int, slowness_s: float) -> Mapping[str, Any]:
+    """Return the core's `dl_law_gains`, by name.
 
     Args:
         tilt_delay, climb_delay: after how many periods a command acts.
         slowness_s: how late a slowly changing tilt is behind its command.
     """
-    values = {
-        "n": len(gains.under_way), "tilt_delay": tilt_delay, "climb_delay": climb_delay, "slowness_s": slowness_s,
-        "p": gains.p, "w": gains.w, "a": gains.a, "rate": gains.rate, "lag": gains.lag, "under_way": gains.under_way,
-    }  # fmt: skip
-    return LawRecord(record("law_gains", values))
+    given = {"n": len(gains.under_way), "tilt_delay": tilt_delay, "climb_delay": climb_delay, "slowness_s": slowness_s}
+    return given | gains._asdict()
 
 
-def packed_observer(gains: ObserverGains) -> LawRecord:
-    """Return the observer's gains as the core reads them, row by row."""
-    return LawRecord(np.array(gains.rows))
+def law_in_use(
+    params: LawParams, gains: Mapping[str, Any], observer: ObserverGains, gains_before: Mapping[str, Any] | None = None
+) -> Any:
+    """Return the core's `dl_law_in_use`; without `gains_before` no earlier gains are left."""
+    values = {"params": params, "gains": gains, "gains_before": gains_before or gains, "observer": {"gains": observer.rows}}
+    return CORE.ffi.new("dl_law_in_use *", values)
 
 
-def packed_cycle(
-    knowledge: Knowledge, body: BodyMotion, target: Target | None, dt: float, share: float, *, goes_on: bool
-) -> bytes:
-    """Return the core's `law_cycle`; the knowledge has an estimate.
+def law_cycle(knowledge: Knowledge, body: BodyMotion, target: Target | None, dt: float, share: float, *, goes_on: bool) -> Any:
+    """Return the core's `dl_law_cycle`; the knowledge has an estimate.
 
     Args:
         target: None while somebody else commands.
@@ -103,28 +86,36 @@ def packed_cycle(
     """
     relative, deck, forecast = knowledge.relative, knowledge.deck, knowledge.forecast
     assert relative is not None
-    yaw, horizons, age_s = relative.yaw_rad, 0, 0.0
+    cycle = CORE.ffi.new("dl_law_cycle *")
+    cycle.goes_on, cycle.dt, cycle.share, cycle.heading_rad = goes_on, dt, share, body.heading_rad
+    cycle.d, cycle.v = relative.d_body_pad_level.tolist(), relative.v_pad_level.tolist()
+    cycle.a_body, cycle.w_body, cycle.lean = body.a_level.tolist(), body.w_body.tolist(), body.lean_m_s2
+    if relative.yaw_rad is not None:
+        cycle.has_yaw, cycle.yaw_rad = 1, relative.yaw_rad
     if forecast is not None:
-        horizons, age_s = forecast.horizons_s.size, (knowledge.at - forecast.at) / 1e9
-    v_deck, a_deck = (_NOWHERE, _NOWHERE) if deck is None else (deck.v_level.tolist(), deck.a_level.tolist())
-    wanted, rate, rate_max, speed_max, wanted_yaw, lean_max = (
-        (_NOWHERE, None, 0.0, 0.0, None, None)
-        if target is None
-        else (
-            target.d_body_pad_level.tolist(), target.descent_rate_m_s, target.vertical_rate_max_m_s, target.speed_max_m_s,
-            target.yaw_rad, target.lean_max_rad,
-        )
-    )  # fmt: skip
-    return _CYCLE.pack(
-        goes_on, target is not None, deck is not None, horizons, yaw is not None, rate is not None, wanted_yaw is not None,
-        lean_max is not None,
-        dt, share, age_s, body.heading_rad, *relative.d_body_pad_level.tolist(), *relative.v_pad_level.tolist(), yaw or 0.0,
-        *body.a_level.tolist(), *body.w_body.tolist(), *body.lean_m_s2, *v_deck, *a_deck,
-        *wanted, rate or 0.0, rate_max, speed_max, wanted_yaw or 0.0, lean_max or 0.0,
-    )  # fmt: skip
+        cycle.forecast_age_s = (knowledge.at - forecast.at) / 1e9
+    if deck is not None:
+        cycle.has_deck, cycle.v_deck, cycle.a_deck = 1, deck.v_level.tolist(), deck.a_level.tolist()
+    if target is not None:
+        _steer(cycle, target)
+    return cycle
+
+
+def _steer(cycle: Any, target: Target) -> None:
+    cycle.steers, cycle.wanted = 1, target.d_body_pad_level.tolist()
+    cycle.rate_max_m_s, cycle.speed_max_m_s = target.vertical_rate_max_m_s, target.speed_max_m_s
+    if target.descent_rate_m_s is not None:
+        cycle.has_rate, cycle.rate_m_s = 1, target.descent_rate_m_s
+    if target.yaw_rad is not None:
+        cycle.has_wanted_yaw, cycle.wanted_yaw_rad = 1, target.yaw_rad
+    if target.lean_max_rad is not None:
+        cycle.has_lean_max, cycle.lean_max_rad = 1, target.lean_max_rad
 
 
 @lru_cache(maxsize=4)
-def packed_course(forecast: Forecast | None) -> tuple[bytes, bytes]:
-    """Return a forecast's horizons and the rates there as the core reads them; a forecast serves some ten cycles."""
-    return (b"", b"") if forecast is None else (forecast.horizons_s.tobytes(), forecast.v_pad_level.tobytes())
+def law_course(forecast: Forecast | None) -> Any:
+    """Return the core's `dl_law_course` of a forecast, which serves some ten cycles."""
+    if forecast is None:
+        return CORE.ffi.new("dl_law_course *")
+    horizons_s, rates_m_s = forecast.horizons_s.tolist(), forecast.v_pad_level.tolist()
+    return CORE.ffi.new("dl_law_course *", {"n": len(horizons_s), "horizons_s": horizons_s, "rates_m_s": rates_m_s})

@@ -15,20 +15,18 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.guidance.disturbance import ObserverNoise, chosen, observer_gains
-from companion.guidance.law_records import packed_gains, packed_observer, packed_params
+from companion.guidance.law_records import law_gains, law_in_use, law_params
 from companion.guidance.tilt_law import TiltWeights, tilt_gains
 from companion.guidance.tilt_model import tilt_model
 from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.geometry import F64
-from estimator.core.interface import size_of
-from estimator.core.library import CORE, address
+from estimator.core.library import CORE
 
 PERIOD_S = 0.02
 """The guidance period that the margins are for, s."""
 _SIGMA_P_M = 0.01
-_OBSERVE, _TILT = CORE.function("law_observe"), CORE.function("law_tilt")
-_AXIS_SIZE, _SEEN = size_of("law_axis"), 7
-"""Words of an axis of the law, and those of them before the commands under way."""
+_AXIS, _MEASURED = ("p", "w", "d", "b", "lean", "rate", "lag"), ("p", "w", "lean", "rate", "a_body")
+"""The numbers of an axis of the law before the commands under way, and those that are measured."""
 _ANY_CLIMB = ClimbResponse(0.1, 0.1)
 """A horizontal axis knows nothing of it."""
 
@@ -152,18 +150,18 @@ def _closed(
     seeing = chosen(observer_gains(noise or ObserverNoise(), PERIOD_S), _SIGMA_P_M)
     vehicle = tilt_model(true, PERIOD_S)
     n = max(1, math.ceil(assumed.delay_s / PERIOD_S - 1e-9))
-    a_plant, own = len(vehicle.A), _SEEN + n
+    a_plant, own = len(vehicle.A), len(_AXIS) + n
     A = vehicle.A.copy()
     A[1, 1] -= PERIOD_S * around.drag_1_s
-    params = packed_params(assumed, _ANY_CLIMB, PERIOD_S, n, looks_ahead=True, over_ground=False)
-    packed, observer = packed_gains(gains, n, 1, assumed.slowness_s), packed_observer(seeing)
+    params = law_params(assumed, _ANY_CLIMB, PERIOD_S, n, looks_ahead=True, over_ground=False)
+    flown, seen = law_in_use(params, law_gains(gains, n, 1, assumed.slowness_s), seeing), len(_AXIS)
 
     def law(state: F64, z: F64) -> tuple[F64, float]:
-        before, after, measured = np.zeros(_AXIS_SIZE), np.zeros(_AXIS_SIZE), np.append(z, 0.0)
-        before[:own] = state
-        _OBSERVE(params.address, observer.address, PERIOD_S, state[-1], address(before), address(measured), address(after))
-        u = _TILT(address(after), packed.address, after[0], 0.0, 0.0)
-        return np.array([*after[:_SEEN], u, *state[_SEEN:-1]]), u
+        before = dict(zip(_AXIS, state.tolist(), strict=False)) | {"under_way": state[seen:].tolist()}
+        measured = CORE.ffi.new("dl_axis_measured *", dict(zip(_MEASURED, z.tolist(), strict=True)))
+        was, after = CORE.ffi.new("dl_law_axis *", before), CORE.ffi.new("dl_law_axis *")
+        u = CORE.lib.dl_law_axis_step(flown, PERIOD_S, state[-1], was, measured, after)
+        return np.array([*(getattr(after, name) for name in _AXIS), u, *state[seen:-1]]), u
 
     columns = [law(e, np.zeros(5)) for e in np.eye(own)]
     Ac, Cc = np.array([c[0] for c in columns]).T, np.array([c[1] for c in columns])

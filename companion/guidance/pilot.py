@@ -17,7 +17,7 @@ from companion.guidance.arbiter import OperatorArbiter
 from companion.guidance.controller import Controller, Knowledge
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.estimation import Estimation
-from companion.guidance.landing import Landing
+from companion.guidance.landing import LandingGuidance
 from companion.guidance.search import PadSearch
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.limits import LimitOptions
@@ -86,7 +86,7 @@ class Pilot:
         given = options or PilotOptions()
         self.search = PadSearch(tracker, given.gimballed)
         self.estimation = Estimation(estimator, given.shadows)
-        self.landing = Landing(
+        self.landing = LandingGuidance(
             guidance,
             automatic=given.automatic,
             law=given.law,

@@ -8,17 +8,76 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.base.mission import GROUND, State
-from companion.guidance import blind_hold, cone, heading, limits, rendezvous
+from companion.guidance import cone, heading, limits, rendezvous
 from companion.guidance.clearance import rise_beyond_climb_m
-from companion.guidance.controller import Target
+from companion.guidance.controller import Knowledge, Target
+from companion.guidance.limits import sigma_m
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, fit_to_steer, unfit
 from companion.guidance.watch import climbs_from_question
 from companion.settings.guidance import GuidanceOptions
-from estimator.contracts.commands import Command, Hover, Land
+from companion.settings.mission import TryOptions
+from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import seconds_between
+
+
+def usable(s: GuidanceCycle, options: TryOptions, stale_after_s: float) -> RelativeState | None:
+    """Return the estimate if it may be flown by without sight, else None."""
+    estimate = s.estimate
+    if estimate is None or not estimate.consistent or abs(seconds_between(estimate.at, s.at)) > stale_after_s:
+        return None
+    return estimate if sigma_m(estimate) <= options.blind_sigma_m else None
+
+
+def without_estimate(climb_m_s: float, *, over_ground: bool) -> Command:
+    """Return the command that stays with the deck, or climbs from it, where no estimate of the pad will do.
+
+    Args:
+        climb_m_s: rate upward; 0 to stay.
+        over_ground: whether the vehicle's own hover holds over the ground. Its driver adds the deck's velocity to a velocity, so
+            a velocity of zero stays with the deck. The hover of a vehicle that measures by optical flow stays with it by itself.
+    """
+    return Velocity(np.array([0.0, 0.0, -climb_m_s]), 0.0) if over_ground or climb_m_s != 0.0 else Hover()
+
+
+def rising_m_s(knowledge: Knowledge) -> float:
+    """Return how fast the deck rises, 0 where it falls or nothing is known of it."""
+    return 0.0 if knowledge.deck is None else max(0.0, -float(knowledge.deck.v_level[2]))
+
+
+def _falling_m_s(knowledge: Knowledge) -> float:
+    """Return how fast the deck falls at least, with two standard deviations; 0 where it may rise."""
+    deck = knowledge.deck
+    return 0.0 if deck is None else max(0.0, deck.v_level.item(2) - 2.0 * math.sqrt(deck.cov_level.item(2, 2)))
+
+
+def never_lower(command: Command, knowledge: Knowledge, *, fit: bool, over_ground: bool) -> Command:
+    """Return the command without any descent beyond the deck's own as far as it is certain, and none if the estimate is unfit.
+
+    Args:
+        over_ground: whether the vehicle's driver adds the deck's velocity to a velocity.
+    """
+    if not isinstance(command, Velocity | Lean):
+        return command
+    added_later = over_ground and isinstance(command, Velocity)
+    deck_m_s = 0.0 if not fit or added_later else _falling_m_s(knowledge)
+    v = np.array(command.v_level)
+    if v[2] <= deck_m_s:
+        return command
+    v[2] = deck_m_s
+    return replace(command, v_level=v)
+
+
+def climbing(command: Command, climb_m_s: float) -> Command:
+    """Return the command with at least this climb: without sight an estimate that has risen by itself asks for none."""
+    if not isinstance(command, Velocity | Lean) or command.v_level[2] <= -climb_m_s:
+        return command
+    v = np.array(command.v_level)
+    v[2] = -climb_m_s
+    return replace(command, v_level=v)
+
 
 Aim = Target | Command | None
 """Where to be, a finished command, or nothing: guidance leaves the vehicle alone."""
@@ -91,10 +150,10 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
 def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim]:
     """Climb from the pad on the side where nothing stands."""
     rate = -o.tries.climb_m_s
-    estimate = blind_hold.usable(s, o.tries, o.stale_after_s)
+    estimate = usable(s, o.tries, o.stale_after_s)
     if estimate is None or (p.track is not None and estimate.track != p.track):
-        rising = 0.0 if over_ground else blind_hold.rising_m_s(s.knowledge)
-        return p, blind_hold.without_estimate(o.tries.climb_m_s + rising, over_ground=over_ground)
+        rising = 0.0 if over_ground else rising_m_s(s.knowledge)
+        return p, without_estimate(o.tries.climb_m_s + rising, over_ground=over_ground)
     # Aside in proportion to the height, so that the pad stays in view.
     aside_m = o.tries.clear_side_m * min(1.0, max(0.0, estimate.height_m) / o.tries.safe_height_m)
     d = np.array([0.0, 0.0, o.tries.safe_height_m])
@@ -106,13 +165,13 @@ def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
 
 def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: float, over_ground: bool) -> tuple[Progress, Aim]:
     """Stay where the drone is against the deck, and never lower; or climb from there."""
-    estimate = blind_hold.usable(s, o.tries, o.stale_after_s)
+    estimate = usable(s, o.tries, o.stale_after_s)
     # A pad that nobody has agreed to land on is not followed either: its deck may fall away.
     if estimate is None or (p.track is not None and estimate.track != p.track):
         # A deck that rises comes up to a drone that stays where it is.
         if p.state is State.HOLD_BLIND and not over_ground:
-            climb_m_s += blind_hold.rising_m_s(s.knowledge)
-        return replace(p, held=None), blind_hold.without_estimate(climb_m_s, over_ground=over_ground)
+            climb_m_s += rising_m_s(s.knowledge)
+        return replace(p, held=None), without_estimate(climb_m_s, over_ground=over_ground)
     held = estimate.d_body_pad_level if p.held is None else _turned_with_the_body(p.held, p.held_yaw_rad, estimate)
     speed = _HOLD_SPEED_M_S
     if p.state is State.HOLD_BLIND and p.seen is not None and seconds_between(p.seen, s.at) <= o.tries.blind_s:
@@ -132,11 +191,11 @@ def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions,
         over_ground: whether the vehicle's driver adds the deck's velocity to a velocity.
     """
     if p.state is State.GO_AROUND and not p.in_sight:
-        return blind_hold.climbing(command, o.tries.climb_m_s)
+        return climbing(command, o.tries.climb_m_s)
     if asks_to_descend(p, s, o):
         return command
     fit = fit_to_steer(s.estimate, s.at, o.stale_after_s) and _agreed(s, o)
-    return blind_hold.never_lower(command, s.knowledge, fit=fit, over_ground=over_ground)
+    return never_lower(command, s.knowledge, fit=fit, over_ground=over_ground)
 
 
 def _agreed(s: GuidanceCycle, o: GuidanceOptions) -> bool:

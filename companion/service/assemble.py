@@ -1,11 +1,14 @@
-"""Make the daemon from settings, and run it as a process with signals and logs."""
+"""Make the daemon from settings, and run it as a process with signals and logs. Settings that have worked are `Proven`."""
 
 from __future__ import annotations
 
+import hashlib
 import logging
+import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,23 +20,83 @@ from companion.base.health import Health
 from companion.base.missing_inputs import SHIP_PLACE
 from companion.base.mission import FlightOutcome
 from companion.base.notify import Manager, Pulse, watchdog_interval_s
-from companion.base.observer import Observer
+from companion.base.observer import NullObserver, Observer, ProcessedFrame
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.base.supervise import Body
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.operator.local_socket import OperatorSocket
 from companion.parts.operator.socket_path import OFF, socket_path
-from companion.service.daemon import Daemon, DaemonOptions
+from companion.service.daemon import Daemon, DaemonSetup
 from companion.service.vehicle_parts import vehicle_parts
+from companion.settings import whole_file
 from companion.settings.model import Settings
 from companion.settings.ship_place import sources
 from drivers.clock import SystemClock
 from drivers.mailbox import Line
 from drivers.mavlink.options import AutopilotOptions
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, in_words
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample
+
+# Treat settings that have worked since this computer was switched on as right, whatever fails later.
+#
+# systemd does not restart a service that ends with exit code 2, because wrong settings stay wrong. But what looks like a wrong
+# setting may be a camera that is not ready yet, or a file on a failing disk, after a crash in flight. So the first frame that
+# came with certain settings is noted in $RUNTIME_DIRECTORY, which survives restarts but not a reboot. From then on the same
+# error counts as a failure outside the service: exit code 1, and a restart.
+
+
+class Proven(NullObserver):
+    """An observer that notes the first frame.
+
+    Args:
+        settings: the settings of this run.
+    """
+
+    name = "proven"
+
+    def __init__(self, settings: Settings, environment: Mapping[str, str] = os.environ) -> None:
+        folder = environment.get("RUNTIME_DIRECTORY", "").split(":")[0]
+        self._path = Path(folder) / "proven" if folder else None
+        self._digest = hashlib.sha256(whole_file.toml(settings).encode()).hexdigest()
+        self._noted = False
+
+    @property
+    def known(self) -> bool:
+        """Whether a frame came with these settings in this run or an earlier one."""
+        if self._noted or self._path is None:
+            return self._noted
+        try:
+            return self._path.read_text().strip() == self._digest
+        except (OSError, ValueError):
+            return False
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        if not self._noted:
+            self._noted = True
+            if self._path is not None:
+                self._path.write_text(self._digest + "\n")
+
+    @contextmanager
+    def excusing(self) -> Iterator[None]:
+        """Turn an error about settings that are `known` into a recoverable one.
+
+        Raises:
+            Recoverable: in place of that `BadInput`.
+        """
+        try:
+            yield
+        except BadInput as why:
+            if not self.known:
+                raise
+            raise Recoverable(f"{why} (with these settings it has worked before)") from why
+        except BaseExceptionGroup as group:
+            wrong, other = group.split(BadInput)
+            if wrong is None or (other is not None and other.split(DecklanderError)[1] is not None) or not self.known:
+                raise
+            raise Recoverable(f"{in_words(wrong)} (with these settings it has worked before)") from group
+
 
 log = logging.getLogger(__name__)
 
@@ -41,8 +104,7 @@ _REPORTS_MAX = 64
 """Reports of the ship that may wait; the oldest is dropped."""
 
 if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does not need it
-    from companion.parts.mavlink.bridge import Send
-    from companion.parts.mavlink.camera_component import ShowCamera
+    from companion.parts.mavlink.camera_component import Send, ShowCamera
     from drivers.mavlink.links import Tap
 
 
@@ -69,8 +131,7 @@ def make_daemon(
     recording: Callable[[bool], str | None] | None = None
     tap: Tap | None = None
     if settings.recorder.enabled or settings.mqtt.transport != "off" or isinstance(settings.vehicle, AutopilotOptions):
-        from companion.parts.recorder.beside import RecorderBeside
-        from companion.parts.recorder.setup import recorder_of
+        from companion.parts.recorder.setup import RecorderBeside, recorder_of
 
         recorder = RecorderBeside(lambda: recorder_of(settings, ticking, health), health)
         watching.append(recorder)
@@ -96,7 +157,7 @@ def make_daemon(
     if settings.vessel.nmea or settings.vessel.mqtt:
         reports = Line(_REPORTS_MAX)
     if settings.vessel.nmea and reports is not None:
-        from companion.base.sentences import SentencesPart
+        from companion.service.vehicle_parts import SentencesPart
 
         sentences = SentencesPart(settings.vessel, reports, ticking)
         extras["sentences"] = sentences.run
@@ -150,7 +211,7 @@ def make_daemon(
         vehicle.open_link,
         pilot,
         ticking,
-        DaemonOptions(
+        DaemonSetup(
             settings.service,
             settings.guidance.rate_hz,
             health_period_s=settings.service.health_period_s,

@@ -4,7 +4,7 @@ Every frame that the driver offers gets exactly one counted verdict. Vision runs
 on the event loop. When the service ends, for whatever reason, the driver leaves the vehicle in its own hover.
 
 Vehicle and guidance are vital; observers and every further part run beside the flight and cannot touch it (`supervise`,
-`containment`).
+`containment`). On a machine too slow for every frame some are skipped (`VisionShare`).
 """
 
 from __future__ import annotations
@@ -19,15 +19,14 @@ from functools import partial
 from typing import Protocol
 
 from companion.base.containment import Audience
-from companion.base.garbage import GroundedCollector, no_full_collections
 from companion.base.health import Health
+from companion.base.memory import GroundedCollector, no_full_collections
 from companion.base.missing_inputs import SHIP_PLACE, missing_inputs
 from companion.base.mission import FAULTS, FlightOutcome
 from companion.base.observer import Decision, FrameTimes, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.base.response_in_use import ResponseState
 from companion.base.supervise import Body, run, uncancelled
-from companion.base.vision_share import VisionShare
 from companion.base.worker import Worker
 from companion.guidance.pilot import WAITING_MOST, Pilot
 from companion.settings.restart import RestartOptions
@@ -38,9 +37,42 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample
-from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from estimator.gimbal_history import HeldCamera
 from estimator.vision.detection import Detection
+
+# Limit the share of a core that looking at frames may take: on a machine too slow for each frame some are skipped.
+#
+# Vision and event loop share the interpreter's lock. A thread that is never idle makes samples, guidance and commands late, and
+# each sighting older; half of the frames, seen in time, land a drone better than all of them, seen late.
+
+_WEIGHT = 0.2
+"""Weight of the newest look in the mean: five frames tell a slow machine from one slow look."""
+_PAUSE_MAX_S = 0.2
+"""Longest time without a look: a sighting at least each 0.2 s keeps an estimate fresh, whatever a look costs."""
+
+
+class VisionShare:
+    """Decides which frames are looked at.
+
+    Args:
+        core_fraction: the largest share of the time that looks may take, 0 to 1; at 1 no frame is skipped.
+    """
+
+    def __init__(self, core_fraction: float) -> None:
+        self._core_fraction = core_fraction
+        self._mean_s: float | None = None
+        self._not_before = MonoNs(0)
+
+    def admits(self, now: MonoNs) -> bool:
+        """Return whether a frame that arrives now is to be looked at."""
+        return self._core_fraction >= 1.0 or now >= self._not_before
+
+    def looked(self, began: MonoNs, duration_s: float) -> None:
+        """Take how long a look took, by the clock on the wall: what else keeps the core busy counts."""
+        self._mean_s = duration_s if self._mean_s is None else self._mean_s + _WEIGHT * (duration_s - self._mean_s)
+        self._not_before = after(began, min(self._mean_s / self._core_fraction, self._mean_s + _PAUSE_MAX_S))
+
 
 log = logging.getLogger(__name__)
 
@@ -70,7 +102,7 @@ OpenLink = Callable[[], AbstractAsyncContextManager[VehicleLink]]
 
 
 @dataclass(frozen=True, slots=True)
-class DaemonOptions:
+class DaemonSetup:
     """How the daemon runs."""
 
     restart: RestartOptions
@@ -104,7 +136,7 @@ class Daemon:
         open_link: OpenLink,
         pilot: Pilot,
         clock: Clock,
-        options: DaemonOptions,
+        options: DaemonSetup,
         *,
         observers: Sequence[Observer] = (),
         health: Health | None = None,

@@ -1,32 +1,134 @@
-"""Make the vehicle that the settings describe: its link, its observers, and the tasks that run beside it."""
+"""Make the vehicle that the settings describe: its link, with or without a camera beside it, its observers, and its parts."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from companion.base.health import Health
-from companion.base.observer import Observer
+from companion.base.observer import NullObserver, Observer
 from companion.base.orders import OrderSender, OrderSource
 from companion.base.supervise import Body
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
-from companion.service.daemon import OpenLink
-from companion.service.link_with_camera import with_camera
+from companion.service.daemon import OpenLink, VehicleLink
 from companion.settings.load import camera_model
 from companion.settings.model import Settings, ardrone_options
+from companion.settings.vessel import VesselOptions
 from drivers.ardrone.link import open_ardrone
-from drivers.camera.options import check_size
+from drivers.camera.exposure import ExposureDrive
+from drivers.camera.options import CameraOptions, Size, check_size
+from drivers.camera.source import VideoSource
+from drivers.camera.video_source import open_camera
+from drivers.mailbox import Latest, Line
 from drivers.mavlink.options import AutopilotOptions
+from drivers.nmea.sentences import NmeaReader, SentenceListener, listening
+from estimator.contracts.commands import Command
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Frame, Sample
+from estimator.contracts.time import MonoNs
 from estimator.uvlc import UvlcDecoder
 
-if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does not need it
+if TYPE_CHECKING:
     from companion.parts.mavlink.camera_component import ShowCamera
     from drivers.mavlink.autopilot import Autopilot
     from drivers.mavlink.links import Tap
+
+
+class LinkWithCamera:
+    """The vehicle's samples and commands, the camera's frames."""
+
+    def __init__(self, vehicle: VehicleLink, camera: VideoSource) -> None:
+        self.vehicle = vehicle
+        self.camera = camera
+
+    @property
+    def frames(self) -> Latest[Frame]:
+        return self.camera.frames
+
+    @property
+    def samples(self) -> Line[Sample]:
+        return self.vehicle.samples
+
+    def command(self, command: Command) -> None:
+        self.vehicle.command(command)
+
+    def release(self) -> None:
+        self.vehicle.release()
+
+
+def with_camera(
+    open_vehicle: OpenLink,
+    options: CameraOptions,
+    size: Size,
+    clock: Clock,
+    attach: Callable[[ExposureDrive | None], None] = lambda drive: None,
+) -> OpenLink:
+    """Return what opens both. A camera that goes away comes back by itself, and the vehicle is not told of it.
+
+    Args:
+        size: the width and height of the camera's frames, px.
+        attach: receives the exposure of each camera that was opened; None if it is not driven.
+    """
+
+    @asynccontextmanager
+    async def both() -> AsyncIterator[VehicleLink]:
+        async with open_vehicle() as vehicle, open_camera(options, size, clock) as camera:
+            attach(camera.exposure)
+            yield LinkWithCamera(vehicle, camera)
+
+    def open_link() -> AbstractAsyncContextManager[VehicleLink]:
+        return both()
+
+    return open_link
+
+
+log = logging.getLogger(__name__)
+
+
+class SentencesPart(NullObserver):
+    """The supervised task.
+
+    Args:
+        reports: where samples are put.
+    """
+
+    def __init__(self, options: VesselOptions, reports: Line[Sample], clock: Clock) -> None:
+        self._options = options
+        self._reports = reports
+        self._clock = clock
+        self._reader = NmeaReader(options.mmsi)
+        self._listener: SentenceListener | None = None
+        self._told: set[str] = set()
+
+    def counted(self) -> Mapping[str, float]:
+        """Return the counters for health: sentences taken by kind, and refused ones by reason."""
+        refused = {**self._reader.refused, **({} if self._listener is None else self._listener.refused)}
+        out = {f"taken_{kind}": float(n) for kind, n in self._reader.taken.items()}
+        return out | {f"refused_{why}": float(n) for why, n in refused.items()}
+
+    async def run(self) -> None:
+        """Listen until cancelled.
+
+        Raises:
+            Recoverable: the socket cannot be opened or broke.
+        """
+        address = self._options.address()
+        async with listening(address, self._options.nmea_from, self._clock, self._take) as listener:
+            self._listener = listener
+            log.info("listening for the ship's sentences on %s:%d", *address)
+            await listener.lost
+
+    def _take(self, datagram: bytes, received_at: MonoNs) -> None:
+        for sample in self._reader.samples(datagram, received_at):
+            self._reports.offer(sample)
+        for why in self._reader.refused.keys() - self._told - {"other_sentence"}:
+            self._told.add(why)
+            log.warning("a sentence of the ship was refused (%s); the next ones are counted only", why.replace("_", " "))
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +196,7 @@ def _ardrone(
     options, queue_items, decoder = ardrone_options(settings), settings.service.sample_queue_items, UvlcDecoder()
     if not settings.bridge.links:
         return VehicleParts(lambda: open_ardrone(options, clock, queue_items, decoder))
-    from companion.parts.mavlink.bridge_part import BridgePart
+    from companion.parts.mavlink.bridge import BridgePart
     from companion.parts.mavlink.signed_links import signed_links
 
     bridge = BridgePart(

@@ -20,8 +20,6 @@ REF_TAKE_OFF = 1 << 9
 REF_EMERGENCY = 1 << 8
 PCMD_PROGRESSIVE = 1
 """Fly by the sticks; without it the drone holds its place by itself."""
-PCMD_COMBINED_YAW = 2
-PCMD_ABSOLUTE = 4
 CTRL_CONFIGURATION = 4
 """Send the configuration on port 5559."""
 CTRL_ACK = 5

@@ -16,7 +16,6 @@ HEADER_SIZE_MIN = _FIXED.size
 HEADER_SIZE_MAX = 256
 PAYLOAD_MAX = 1 << 20
 """The largest payload accepted, bytes; a 720p key frame is below 200 kB, so a larger size means a damaged header."""
-CODEC_MPEG4 = 3
 CODEC_H264 = 4
 CONTROL_ADVERTISEMENT = 1
 CONTROL_LAST_FRAME = 2

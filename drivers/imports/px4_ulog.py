@@ -184,9 +184,6 @@ _REASONS = {
 """Flags of failsafe_flags; those that rose with the failsafe are its reason."""
 _WITH_S = 3.0
 """How long before a failsafe its reason may have begun, seconds; PX4 waits with most for a moment."""
-_RELEASE = 255
-"""The last byte of a version that says "release"."""
-
 Topic = dict[str, Any]
 
 

@@ -40,14 +40,15 @@ int32_t dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_uvlc_picture
 
 /* The parts of the filter's state by their first index, and its size. estimator.ekf.state says what they are. */
 enum filter_state {
-    ATT_ERR = 0, POS_REL = 3, VEL = 6, GYRO_BIAS = 9, ACCEL_BIAS = 12, VEL_SCALE = 15, VESSEL_VEL = 16, WAVES = 18,
-    PAD_YAW = 38, YAW_RATE = 39, DECK_TRIM = 40, CAMERA_DELAY = 42, CAMERA_MOUNT = 43, BARO_OFFSET = 46, ATT_BIAS = 47,
-    RANGE_OFFSET = 49, WAVE_YAW = 50, TURN_RATE = 51, SWAY_PER_HEAVE = 52, N = 54,
+    DL_ATT_ERR = 0, DL_POS_REL = 3, DL_VEL = 6, DL_GYRO_BIAS = 9, DL_ACCEL_BIAS = 12, DL_VEL_SCALE = 15, DL_VESSEL_VEL = 16,
+    DL_WAVES = 18, DL_PAD_YAW = 38, DL_YAW_RATE = 39, DL_DECK_TRIM = 40, DL_CAMERA_DELAY = 42, DL_CAMERA_MOUNT = 43,
+    DL_BARO_OFFSET = 46, DL_ATT_BIAS = 47, DL_RANGE_OFFSET = 49, DL_WAVE_YAW = 50, DL_TURN_RATE = 51, DL_SWAY_PER_HEAVE = 52,
+    DL_N = 54,
 };
 
 enum {
     /* The largest number of states that a linear-algebra function takes. */
-    ORDER_MAX = N,
+    ORDER_MAX = DL_N,
     /* The largest number of measured numbers that a linear-algebra function takes. */
     ROWS_MAX = 9,
     /* The largest number of states on which one kind of aiding depends. */
@@ -80,140 +81,193 @@ enum {
 
 /* Kinds of samples; the first KINDS are those of aiding. */
 enum event_kind {
-    ATTITUDE, VELOCITY, RANGE, HEIGHT, IMU, VESSEL, SIGHTING,
+    DL_ATTITUDE, DL_VELOCITY, DL_RANGE, DL_HEIGHT, DL_IMU, DL_VESSEL, DL_SIGHTING,
 };
 
 enum verdict {
-    FUSED, GATED, SINGULAR, LOW_CONFIDENCE,
+    DL_FUSED, DL_GATED, DL_SINGULAR, DL_LOW_CONFIDENCE,
 };
 
 /* The surface below a velocity sensor. */
 enum velocity_surface {
-    OVER_GROUND, OVER_PAD, OVER_EITHER,
+    DL_OVER_GROUND, DL_OVER_PAD, DL_OVER_EITHER,
 };
 
-/* How far filter_propagate goes: the covariance as often as the options ask, to the instant, or with all gathered samples fused. */
+/* How far dl_filter_propagate goes: state and covariance to the instant, or with the means of all gathered samples fused as well. */
 enum propagation {
-    STATE_ALONE, WITH_COVARIANCE, WITH_AIDING,
+    DL_WITH_COVARIANCE, DL_WITH_AIDING,
 };
 
 /* Members mean what those of Belief, Aid and Gathered in estimator.ekf.state, of DeckMotionBank and Skill of the same
- * names mean; matrices are in rows, instants are in ns. In sea and bank_members, arrays are by direction, then by state or
+ * names mean; matrices are in rows, instants are in ns. In a bank and its members, arrays are by direction, then by state or
  * pair of states, then by member of the bank. An answer has numbers of pad and deck where it has a pad, and of the body
  * where it has a body; estimator.ekf.answers says what they are. A horizon_reach has, for one horizon and by oscillator,
  * the rows of the transition to displacement and rate, their noise, and the products of the numbers of these rows and of
  * the first one's change. A deck_ahead has what Forecast has for one horizon. */
 typedef struct {
     double w[MEMBERS], zeta[MEMBERS], log_zeta[MEMBERS], log_prior[MEMBERS], sigma[DIRECTIONS * MEMBERS];
-} bank_members;
+} dl_bank_members;
 
 typedef struct {
     int64_t t;
     double waves[SKILL_HORIZONS * DIRECTIONS * 2];
-} issued_forecast;
+} dl_issued_forecast;
 
 typedef struct {
     int64_t issued_n;
-    issued_forecast issued[ISSUED_MAX];
+    dl_issued_forecast issued[ISSUED_MAX];
     double n[SKILL_HORIZONS], product[SKILL_HORIZONS * DIRECTIONS * 2], square[SKILL_HORIZONS * DIRECTIONS * 2],
         came[SKILL_HORIZONS * DIRECTIONS * 2];
-} forecast_skill;
+} dl_forecast_skill;
 
 typedef struct {
     int64_t t;
     double w_rad_s[DIRECTIONS], zeta[DIRECTIONS], sigma[DIRECTIONS];
-    forecast_skill skill;
+    dl_forecast_skill skill;
     double log_weight[DIRECTIONS * MEMBERS], weight[DIRECTIONS * MEMBERS], x[DIRECTIONS * MEMBER_STATES * MEMBERS],
         P[DIRECTIONS * MEMBER_PAIRS * MEMBERS];
-} sea;
+} dl_bank;
 
 typedef struct {
     int64_t hold_ns, velocity_is_over, reopen_count, sighting_has_attitude_error;
     double tick_s, forget_s, aiding_period_s, accel_step_m_s2, gyro_step_rad_s, deck_radius_m, not_measured_var,
-        correlation_s[KINDS], nis_max[ROWS_MAX], psd[N], psd_accel, psd_coast, psd_coast_turn, wave_yaw_rad_s,
+        correlation_s[KINDS], nis_max[ROWS_MAX], psd[DL_N], psd_accel, psd_coast, psd_coast_turn, wave_yaw_rad_s,
         sigma_wave_yaw_rate_rad_s, carrying_psd_accel[DIRECTIONS], carrying_psd_drift[DIRECTIONS],
         carrying_psd_tilt[DIRECTIONS], min_confidence, reopen_s, heading_memory_s, sigma_sway_per_heave,
         sigma_turn_rate_rad_s, pad_yaw_in_vessel_rad;
-    bank_members members;
-} filter_params;
+    dl_bank_members members;
+} dl_filter_params;
 
 typedef struct {
     int64_t fused, refused, n, since, m, axes;
     double deck_weight, innov[3], R[9], ambiguity[9], spread[9], H[3 * COLUMNS_MAX];
-} aid;
+} dl_aid;
 
 typedef struct {
     int64_t n, t[EXCESSES_MAX];
     double values[3 * EXCESSES_MAX];
-} innovation_excesses;
+} dl_innovation_excesses;
 
 typedef struct {
-    int64_t t, t_cov, t_imu, t_velocity, sighted, agreed, is_levelled, heading_is_given, rejected_n, rejected_since,
-        rejected_last, heading_known, heading_seen;
-    double rejected_offset_ned[3], rejected_var_m2, R[9], x[N], R_cov[9], dv[3], dp[3], turned[9], coast_s, w[3], w_smooth[3],
+    int64_t n, since, last;
+    double offset_ned[3], var_m2;
+} dl_rejection_streak;
+
+typedef struct {
+    int64_t t, t_cov, t_imu, t_velocity, sighted, agreed, is_levelled, heading_is_given, heading_known, heading_seen;
+    double R[9], x[DL_N], R_cov[9], dv[3], dp[3], turned[9], coast_s, w[3], w_smooth[3],
         f[3], levelled_by[9], cov_levelled_by[9], ins_p[3], ins_v[3], ins_var_m2_s2, jolt_var_m2_s2, jolt_var_rad2, over_pad,
         wave_w[5], wave_zeta[5], wave_sigma[5], nis_mean, heading_held_s;
-    aid aids[KINDS];
-    innovation_excesses excesses;
-} belief;
+    dl_rejection_streak rejections;
+    dl_aid aids[KINDS];
+    dl_innovation_excesses excesses;
+} dl_belief;
 
 typedef struct {
+    double w_body[3], f_body[3];
+} dl_imu;
+
+typedef struct {
+    double R_ned_body[9], cov_body[9];
+} dl_attitude;
+
+typedef struct {
+    double v_level[3], cov_level[9];
+} dl_velocity;
+
+/* A range or a height, m. */
+typedef struct {
+    double measured_m, sigma_m;
+} dl_distance;
+
+typedef struct {
+    int64_t has_velocity, has_heading;
+    double v_ned[3], cov_v_ned[9], heading_rad, sigma_heading_rad;
+} dl_vessel_report;
+
+/* A sample, by its kind. A sighting is an event without a sample; the sighting itself is beside it. */
+typedef struct {
     int64_t kind, t;
-    double value[18];
-} event;
+    union {
+        dl_imu imu;
+        dl_attitude attitude;
+        dl_velocity velocity;
+        dl_distance distance;
+        dl_vessel_report vessel;
+    } sample;
+} dl_event;
 
 typedef struct {
     int64_t has_yaw, yaw_ambiguous, has_pose6;
     double confidence, sigma_s, d_level[3], yaw_rad, cov[16], pose_d_level[3], pose_R[9], pose_cov[36];
-} sighting;
+} dl_sighting;
 
 typedef struct {
     int64_t verdict, m, axes, has_S;
     double innov[6], S[36], nis, nis_max;
-} outcome;
+} dl_outcome;
 
 typedef struct {
-    double row[2 * WAVE_STATES * OSCILLATORS], noise[2 * OSCILLATORS], squares[3 * WAVE_PAIRS * OSCILLATORS];
-} horizon_reach;
+    double horizon_s, row[2 * WAVE_STATES * OSCILLATORS], noise[2 * OSCILLATORS], squares[3 * WAVE_PAIRS * OSCILLATORS];
+} dl_horizon_reach;
 
 typedef struct {
     double d[3], cov_d[9], v_pad[3], height, sigma_height, rise, sigma_rise, roll, sigma_roll, pitch, sigma_pitch;
-} deck_ahead;
+} dl_deck_ahead;
 
 typedef struct {
     int64_t has_pad, has_body, sighted, agreed, velocity_fused, heading_known;
     double nis_mean, heading, d[3], v[3], yaw, cov[49], a_body[3], cov_a_body[9], w_body[3], levelled_by[9],
-        cov_levelled_by[9], v_deck[3], a_deck[3], cov_deck[36], tilt[4], cov_tilt[16], x[N], var[N], cov_vessel,
+        cov_levelled_by[9], v_deck[3], a_deck[3], cov_deck[36], tilt[4], cov_tilt[16], x[DL_N], var[DL_N], cov_vessel,
         wave_w[DIRECTIONS], wave_zeta[DIRECTIONS], wave_sigma[DIRECTIONS];
-} answer;
+} dl_answer;
 
-/* Functions of the filter's algebra, of the bank and of the filter. */
-int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis);
-void kalman_predict(int32_t n, const double *P, const double *F, const double *Q, double *P_after);
-int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx,
-    double *P_after, double *S, double *nis);
-void remove_attitude(int32_t m, double *cov, const double *J, const double *cov_attitude);
-void bank_begin(const bank_members *m, sea *after);
-void bank_observe(const filter_params *o, int64_t t, const double *y, const double *var, double ins_var, double reach_m,
-    const sea *before, sea *after);
-int32_t filter_run(const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before,
-    const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after, int64_t *P_index,
-    int64_t *sea_index, outcome *outcomes);
-int32_t filter_propagate(const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before,
-    belief *after, double *P_after);
-void filter_settle(const filter_params *o, const belief *before, belief *after, double *F, double *Q);
-int32_t sighting_model(const belief *b, const sighting *s, const double *cov_levelled_by, double yaw_sigma, int32_t place_only,
-    double *innov, double *H, double *R, double *by_rate);
-void bank_reach(const bank_members *m, int32_t n, const double *horizons_s, horizon_reach *out);
-int32_t filter_forecast(const filter_params *o, int64_t t, const belief *before, const double *P_before, const sea *bank,
-    int32_t n, const double *horizons_s, const horizon_reach *reach, deck_ahead *out);
-void filter_answer(const filter_params *o, int64_t t, const belief *before, const double *P_before, answer *out);
+/* A belief with its covariance (N, N) and its bank, each in memory of its own: later beliefs share what no event changed. */
+typedef struct {
+    const dl_belief *numbers;
+    const double *P;
+    const dl_bank *bank;
+} dl_whole_belief;
+
+/* The belief after an event, the event's outcome, and the indices of the belief's covariance and bank among those that dl_filter_run
+ * wrote; -1 for the ones before all events. */
+typedef struct {
+    dl_belief after;
+    dl_outcome outcome;
+    int64_t P_index, bank_index;
+} dl_filter_step;
+
+/* Where dl_filter_run writes: a step and room for a covariance for each event, and room for a bank for each sighting. */
+typedef struct {
+    dl_filter_step *steps;
+    double *P;
+    dl_bank *banks;
+} dl_filter_row;
+
+/* Write the bank before any sighting. */
+void dl_bank_begin(const dl_bank_members *m, dl_bank *out);
+/* Write what a forecast needs of n horizons. It depends on nothing but them and the members, and serves any number of forecasts. */
+void dl_bank_reach(const dl_bank_members *m, int32_t n, const double *horizons_s, dl_horizon_reach *out);
+/* Process events in their order; those of kind SIGHTING take the sightings one by one. Return how many were processed: the next
+ * one needs a belief that is set outright, or has no sighting left. A covariance or a bank that an event changed is written once. */
+int32_t dl_filter_run(const dl_filter_params *o, int32_t n, const dl_event *events, int32_t sightings_n, const dl_sighting *sightings,
+    const dl_whole_belief *before, const dl_filter_row *out);
+/* Write the belief at instant t and its covariance; what is one of enum propagation. */
+void dl_filter_propagate(const dl_filter_params *o, int32_t what, int64_t t, const dl_whole_belief *before, dl_belief *after,
+    double *P_after);
+/* Write the deck's forecast from instant t at n horizons; return 0 if no pad is tracked. */
+int32_t dl_filter_forecast(const dl_filter_params *o, int64_t t, const dl_whole_belief *before, int32_t n,
+    const dl_horizon_reach *reach, dl_deck_ahead *out);
+/* Write what the filter says of instant t. */
+void dl_filter_answer(const dl_filter_params *o, int64_t t, const dl_whole_belief *before, dl_answer *out);
 
 /* ---- law/: the law that follows the deck ---- */
 
 enum {
     /* The largest number of commands that the law remembers: 0.65 s at 200 cycles a second. */
     UNDER_WAY_MAX = 132,
+    /* The largest number of horizons of a forecast that the law takes. */
+    HORIZONS_MAX = 16,
 };
 
 /* companion.guidance.law_records says what the members mean where their names do not. Vectors are written in level, axes
@@ -223,49 +277,69 @@ typedef struct {
     int64_t remembered, over_ground, keeps_in_view, looks_ahead;
     double period_s, frequency_rad_s, damping, lag_s, tilt_max_m_s2, climb_lag_s, climb_max_m_s, view_forward_m, view_right_m,
         half_forward_rad, half_right_rad;
-} law_params;
+} dl_law_params;
 
 typedef struct {
     int64_t n, tilt_delay, climb_delay;
     double slowness_s, p, w, a, rate, lag, under_way[UNDER_WAY_MAX];
-} law_gains;
+} dl_law_gains;
+
+/* The observer's gains: rows for p, w, d and b, columns by place, speed and acceleration. */
+typedef struct {
+    double gains[4][3];
+} dl_law_observer;
+
+/* The law as it is flown in one cycle; the command goes over from gains_before to gains. */
+typedef struct {
+    dl_law_params params;
+    dl_law_gains gains, gains_before;
+    dl_law_observer observer;
+} dl_law_in_use;
+
+/* The horizons of a forecast, and the pad's velocity there in level. */
+typedef struct {
+    int64_t n;
+    double horizons_s[HORIZONS_MAX], rates_m_s[HORIZONS_MAX][3];
+} dl_law_course;
 
 typedef struct {
     double p, w, d, b, lean, rate, lag, under_way[UNDER_WAY_MAX];
-} law_axis;
+} dl_law_axis;
 
 typedef struct {
     double p, w, lean, rate, a_body, a_deck;
-} axis_measured;
+} dl_axis_measured;
 
 typedef struct {
     double own, lean, rate;
-} law_own;
+} dl_law_own;
 
 typedef struct {
     int64_t begun, has_turn;
     double pushed_down_m_s2, turn_yaw_rad, turn_rate_rad_s, climbs[UNDER_WAY_MAX];
-    law_axis axes[2];
-    law_own own[2];
-} law_memory;
+    dl_law_axis axes[2];
+    dl_law_own own[2];
+} dl_law_memory;
 
 typedef struct {
-    int64_t goes_on, steers, has_deck, horizons, has_yaw, has_rate, has_wanted_yaw, has_lean_max;
+    int64_t goes_on, steers, has_deck, has_yaw, has_rate, has_wanted_yaw, has_lean_max;
     double dt, share, forecast_age_s, heading_rad, d[3], v[3], yaw_rad, a_body[3], w_body[3], lean[2], v_deck[3], a_deck[3],
         wanted[3], rate_m_s, rate_max_m_s, speed_max_m_s, wanted_yaw_rad, lean_max_rad;
-} law_cycle;
+} dl_law_cycle;
 
 typedef struct {
     double a[2], trim[2], v[3], yaw_rate_rad_s;
-} law_command;
+} dl_law_command;
 
-/* One axis of the law, which its stability margins ask too, and one whole cycle. */
-void law_observe(const law_params *o, const double *observer, double dt, double arrived, const law_axis *before,
-    const axis_measured *z, law_axis *after);
-double law_tilt(const law_axis *x, const law_gains *gains, double off_m, double a_deck, double a_deck_then);
-void law_step(const law_params *o, const law_gains *gains, const law_gains *gains_before, const double *observer,
-    const law_cycle *in, const double *horizons_s, const double *rates_m_s, const law_memory *before, law_memory *after,
-    law_command *out);
+/* Step one horizontal axis by dt with a measurement, and return the tilt to command over a still deck, m/s^2, by `gains` alone: what
+ * the law's stability margins query. The command that has arrived is an acceleration. Return NAN if the law has no room for its
+ * commands. */
+double dl_law_axis_step(const dl_law_in_use *law, double dt, double arrived, const dl_law_axis *before,
+    const dl_axis_measured *z, dl_law_axis *after);
+/* Run one cycle. Where no target steers, the memory notes what the vehicle does and the command is zero. Return 0, and write nothing,
+ * if the law has no room for its commands or for the horizons. */
+int32_t dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_course *course, const dl_law_memory *before,
+    dl_law_memory *after, dl_law_command *out);
 
 /* ---- vision/register/: the drawing registered with a frame ---- */
 
@@ -286,12 +360,8 @@ enum {
     FIGURE_SIDES = 64,
     /* The largest number of sides of a wedge. */
     WEDGE_SIDES = 4,
-    /* Rows of floats, each as long as the largest number of pixels, that a registration works on. */
-    FIT_ROWS = 148,
     /* Number of points of the pointer, one of which is in the frame if it can be seen. */
     POINTER_MARKS = 4,
-    /* The largest number of pixels of a profile and of what fills its group up. */
-    PROFILE_PIXELS = 24,
 };
 
 /* A pad_region is what its circles (sums with a sign), its figure's rectangles, and the wedge cover. A figure's rectangles
@@ -301,10 +371,9 @@ enum {
  * surroundings) and the inside of each kind of edge (kinds); an edge_zone is where an edge of another kind is too near:
  * within and outside of two radii, in a box, anywhere if the blur is too wide for something thin, where the figure
  * on_figure does not cover a pixel wholly, and where beside_figure covers any of it (-1 for neither). The pointer is the
- * part of the drawing that tells its two headings apart. The other structures have what Camera, Orientation,
- * RegistrationOptions and Registration have; the covariances of fit_solved are in pad. A camera_sighting is a pose in cam
- * with the attitude and the mount; a level_sighting is the same pose in level: its place, rotation and their covariance,
- * the body's heading against the arrow, and the covariance of place and heading. */
+ * part of the drawing that tells its two headings apart. The other structures have what Camera, Orientation and Registration
+ * have. A camera_sighting is a pose in cam with the attitude and the mount; a level_sighting is the same pose in level: its
+ * place, rotation and their covariance, the body's heading against the arrow, and the covariance of place and heading. */
 typedef struct {
     int64_t circles, figure, has_wedge;
     double radius_m[REGION_CIRCLES], sign[REGION_CIRCLES];
@@ -348,24 +417,8 @@ typedef struct {
 } tilt_prior;
 
 typedef struct {
-    int64_t max_profiles, dense_pixels;
-    double blur_px, edge_sigma_px, dense_edge_sigma_px, size_sigma_m, coded_px, noise, cut[3];
-} fit_options;
-
-typedef struct {
-    double R[9], t[3], blur_px2[3], m_per_px, depth_m;
-} fit_state;
-
-typedef struct {
     double contrast_bgr[3], snr, in_view, inliers, likeness;
 } edge_support;
-
-typedef struct {
-    int64_t dense, arrow_seen, doubted;
-    double H[81], cov[81], noise_light, edge_rms_px, visible, inliers, last_step_px;
-    fit_state state;
-    edge_support edges[EDGE_KINDS];
-} fit_solved;
 
 typedef struct {
     int64_t dense, yaw_ambiguous;
@@ -382,14 +435,8 @@ typedef struct {
     double d[3], R_level_pad[9], cov_pose[36], yaw_rad, cov[16];
 } level_sighting;
 
-/* The functions of registration. rays are those of all pixels if the lens distorts, else null; light is the linear light
- * of each pixel value; edges has place, normal and distance to the next of each point of an edge, edge_of its kind and
- * piece; start is a rotation and a place; scratch has room for FIT_ROWS rows of room floats; outline takes the pixel of
- * every fourth point. */
-int32_t register_pad(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light,
-    const pad_shape *pad, int32_t points, const double *edges, const int32_t *edge_of, const tilt_prior *prior,
-    const fit_options *o, const double *start, int32_t room, float *scratch, registration *out, double *outline);
-void sighting_in_level(const camera_sighting *in, level_sighting *out);
+/* Bring a pose to level. */
+void dl_sighting_in_level(const camera_sighting *in, level_sighting *out);
 
 /* ---- vision/align/: the whole drawing aligned with a frame ---- */
 
@@ -400,18 +447,6 @@ enum {
     TEMPLATE_BLURS = 5,
     /* Value of full coverage in a map. */
     TEMPLATE_ONE = 16384,
-    /* The widest neighbourhood of a pixel whose mean light is subtracted, px to either side. */
-    LOCAL_MAX = 128,
-    /* Samples are handled in groups of so many, and their rows are as long as whole groups. */
-    SAMPLE_LANES = 8,
-    /* Number of floats for each pixel of the part of a frame that is aligned, beside a row of it with LOCAL_MAX at either end. */
-    SCRATCH_ROWS = 35,
-    /* Largest number of samples in the disc's bounding box on the way to a registration. */
-    APPROACH_SAMPLES = 1000,
-    /* Steps of Gauss and Newton on that way. */
-    APPROACH_STEPS = 6,
-    /* Largest number of samples in the disc's bounding box for verification. */
-    FINAL_SAMPLES = 2600,
 };
 
 /* The verification's features; estimator.vision.detect.verification says what they are. */
@@ -423,19 +458,17 @@ enum align_feature {
     FEATURE_ORANGE_ODD, FEATURE_DISC_PLACE, FEATURE_SIZE, FEATURE_IN_VIEW, FEATURE_TILT, FEATURES,
 };
 
-/* A frame_part is a part of one level of a pyramid, px of that level. A pad_pose takes the pad's axes to the camera's. In
- * pad_template, a map has n rows along x and n columns along y, and the centre in its middle; log_blur are the logarithms
- * of the maps' standard deviations, m; h_side is -1 in a channel in which the H is darker than the disc, else 1. In
- * aligned_pad, paints are (4, 3); arrow has found, seen and clear at its place and at the opposite one; light_* are
- * number, mean and variance of the light's logarithm where one paint shows alone. A cut is a line across the frame: rays
- * (x, y) with cut[0] x + cut[1] y + cut[2] < 0 do not count, so that zeros cut nothing off; the first two are a unit
- * vector. In cover_line, gain is by how much the logarithm of the residuals' variance falls, on average, if what lies
- * beyond the cut is another thing of one colour, and left the share of the light's variation that the drawing leaves on
- * this side of it. */
-typedef struct {
-    int64_t level, left, top, width, height;
-} frame_part;
-
+/* A pad_pose takes the pad's axes to the camera's. In pad_template, a map has n rows along x and n columns along y, and the
+ * centre in its middle; log_blur are the logarithms of the maps' standard deviations, m; h_side is -1 in a channel in which
+ * the H is darker than the disc, else 1. A dl_alignment moves a pose by so many steps of Gauss and Newton, with the light minus
+ * its mean in the neighbourhood (local) and on the half of the disc on one side alone, if that is asked; the first half of the
+ * steps use a drawing blurred twice as much. Then the drawing is verified at the pose, or with cover only the line is looked
+ * for beyond which something covers the pad. In aligned_pad, paints are (4, 3); arrow has found, seen and clear at its place
+ * and at the opposite one; light_* are number, mean and variance of the light's logarithm where one paint shows alone. A cut is
+ * a line across the frame: rays (x, y) with cut[0] x + cut[1] y + cut[2] < 0 do not count, so that zeros cut nothing off; the
+ * first two are a unit vector. In cover_line, gain is by how much the logarithm of the residuals' variance falls, on average,
+ * if what lies beyond the cut is another thing of one colour, and left the share of the light's variation that the drawing
+ * leaves on this side of it. */
 typedef struct {
     double R[9], t[3];
 } pad_pose;
@@ -448,13 +481,9 @@ typedef struct {
 } pad_template;
 
 typedef struct {
-    int64_t steps, local, one_side;
-    double sigma_tilt_rad, side[2], cut[3], noise;
-} alignment;
-
-typedef struct {
-    double noise, contrast, chroma;
-} frame_quality;
+    int64_t steps, local, one_side, cover;
+    double sigma_tilt_rad, side[2], cut[3];
+} dl_alignment;
 
 typedef struct {
     double cut[3], gain, left;
@@ -463,20 +492,8 @@ typedef struct {
 typedef struct {
     double paints[12], local_paints[12], sample_m, in_view, tilt_sigmas, arrow[6], features[FEATURES], light_n[4],
         light_mean[12], light_var[12];
+    cover_line cover;
 } aligned_pad;
-
-/* Functions of alignment. */
-int32_t align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out);
-void align_arrow_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, frame_part *out);
-int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light, const frame_part *part,
-    const uint8_t *px, int32_t stride, const alignment *how, pad_pose *pose, double *tilt_sigmas, float *scratch);
-int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps,
-    const float *light, const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part,
-    const uint8_t *arrow_px, int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, const double *cut,
-    const frame_quality *of, float *scratch, aligned_pad *out);
-void frame_noise(const uint8_t *px, int32_t stride, int32_t width, int32_t height, frame_quality *out);
-int32_t align_cover(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light,
-    const frame_part *part, const uint8_t *px, int32_t stride, const pad_pose *pose, float *scratch, cover_line *out);
 
 /* ---- vision/look/: a registration, verified ---- */
 
@@ -494,18 +511,16 @@ enum look_evidence {
 enum { EVIDENCE_FITTED = EVIDENCE_DENSE_ORANGE + 1 };
 
 /* A pad_judge has what the verification knows of a pad, by channel the H's nominal side of the disc and the ring's place
- * between disc (0) and H (1), and the weights of both models. With coarse a start is approached on a reduced frame first,
- * with a tilt of so much. A pad_paint has what is known of the logarithm of each paint's light, (4, 3). In a looked_pad,
- * paint is what is known of the paints if this is the pad, and log_odds is without priors. */
+ * between disc (0) and H (1), the weights of the template's model, and those of the second model where a search led to the
+ * place and where a track did. A pad_paint has what is known of the logarithm of each paint's light, (4, 3). In a looked_pad,
+ * paint is what is known of the paints if this is the pad, and log_odds is without priors. A dl_start is a pose to register
+ * the drawing from: coarse if it is approached on a reduced frame first, with a tilt of so much; the light of the frame's
+ * values is that of sRGB, or linear; registered alone, nothing is verified. coded_px is what a video codec may have moved, and
+ * rays beyond the cut do not count. */
 typedef struct {
     int64_t has_field, has_ring, has_letters, has_fiducials, disc_has_colour;
-    double orange_side[3], orange_place[3], template_weights[FEATURES], weights[EVIDENCE];
+    double orange_side[3], orange_place[3], template_weights[FEATURES], searched[EVIDENCE], tracked[EVIDENCE];
 } pad_judge;
-
-typedef struct {
-    int64_t coarse;
-    double sigma_tilt_rad, t_body_cam[3];
-} look_options;
 
 typedef struct {
     double mean[12], var[12], trust;
@@ -519,14 +534,13 @@ typedef struct {
     double evidence[EVIDENCE], log_odds;
 } looked_pad;
 
-/* The function of a look. Its parameters are those of register_pad and of alignment: light is a table of linear light,
- * lights are three (linear, its root, its logarithm). scratch has room for both (FIT_ROWS rows of room floats), parts for
- * half of the frame's bytes and 24 more for each of its columns. */
-int32_t look_at_pad(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light,
-    const float *lights, const pad_shape *shape, int32_t points, const double *edges, const int32_t *edge_of,
-    const pad_template *drawn, const int16_t *maps, const int16_t *local_maps, const pad_judge *judge, const tilt_prior *prior,
-    const fit_options *fit, const frame_quality *quality, const look_options *how, const pad_paint *known, const double *start,
-    int32_t room, float *scratch, uint8_t *parts, looked_pad *out, double *outline);
+typedef struct {
+    pad_pose pose;
+    tilt_prior prior;
+    pad_paint known;
+    int64_t coarse, tracked, linear, alone;
+    double sigma_tilt_rad, coded_px, cut[3];
+} dl_start;
 
 /* ---- vision/lamps/: a lit pad ---- */
 
@@ -539,13 +553,13 @@ enum {
     LAMP_SPOTS = 40,
 };
 
-/* A lamp_pattern has places and radii of the lamps, the pairs that a search tries, the standard deviation of the pattern's
- * size at its outermost lamp, and the camera's place in the body. reach_px is how far the pad may be from where it is
- * expected. In lamps_seen, cov is of the place and of a small rotation of the pad, both in cam; log10_odds are those that
- * these spots are the pad's lamps and no other lights; uv_px has the lit spots that are lamps. */
+/* A lamp_pattern has places and radii of the lamps, the pairs that a search tries, and the standard deviation of the pattern's
+ * size at its outermost lamp. reach_px is how far the pad may be from where it is expected. In lamps_seen, cov is of the
+ * place and of a small rotation of the pad, both in cam; log10_odds are those that these spots are the pad's lamps and no
+ * other lights; uv_px has the lit spots that are lamps. */
 typedef struct {
     int64_t lamps, pairs, pair[2 * LAMP_PAIRS];
-    double x_m[LAMPS], y_m[LAMPS], radius_m[LAMPS], size_sigma_m, t_body_cam[3];
+    double x_m[LAMPS], y_m[LAMPS], radius_m[LAMPS], size_sigma_m;
 } lamp_pattern;
 
 typedef struct {
@@ -559,13 +573,6 @@ typedef struct {
     level_sighting seen;
     double cov[36], confidence, log10_odds, uv_px[2 * LAMP_SPOTS];
 } lamps_seen;
-
-/* The functions of lamps. light has the linear light of each value of a pixel, full scale 65535; at may be null; scratch
- * has the numbers that lamps_room asks for. find_lamps looks where the pad is expected, and searches the whole frame if it
- * is not there. It returns 1 if the pad is seen, 0 if not, and -1 if the frame has more bright places than a dark deck. */
-int64_t lamps_room(const camera_lens *camera);
-int32_t find_lamps(const camera_lens *camera, const uint8_t *frame, const uint16_t *light, const lamp_pattern *pad,
-    const tilt_prior *prior, const lamps_expected *at, uint32_t *scratch, lamps_seen *out);
 
 /* ---- vision/search/: the pad in a whole frame ---- */
 
@@ -585,29 +592,22 @@ enum {
     POLAR_ANGLES = 48,
 };
 
-/* A search_image is a grey image step times smaller than the frame, room for so many edges, the margin around it in which
- * centres may lie, px, and the plane that the pad is taken to lie in, at unit distance from the lens. Radii of a search
- * are least in that plane and those that follow, each ratio times the one before; it may be for circles that are bright
- * inside only. A search_circle lies in the plane; support is the fraction of its outline with an edge, and outline_px has
- * their places in the frame, px. A polar_pad has the drawing in polar cells, radius by radius: places, area within the
- * disc's paint, and coverage. polarity is 1 where the H is brighter than the disc, else -1. A search_frame describes the
- * sizes of a frame, the plane, and the circles of the drawing: radius, and 1 if it is brighter inside, -1 if darker, 0 if
- * that depends on the deck. A search_guess is a pose, the angle by which it is to be turned about its own z axis, the
- * fraction of the variance that the drawing explains there, the support of the circle that it came from, and in x and y of
- * the turned pad the direction of the half of the disc that counts, if only one does. pad_strokes are the sizes of the H
- * and the width of the disc around it that counts, and a strokes_image is a BGR image step times smaller than the frame,
- * in which the marks may be bright or dark. A blob_image is a BGR image of half the frame's size and the frame itself;
- * whether all channels are equal; the largest number of blobs; the noise's standard deviation in the half-size image,
- * values of a pixel; and the plane that the pad is taken to lie in. */
+/* A dl_circle_search is for circles of edges in a grey image step times smaller than the frame, whose centres may lie in a
+ * margin around it, px. Their radii are least in the plane that the pad is taken to lie in, at unit distance from the lens, and
+ * those that follow, each ratio times the one before; it may be for circles that are bright inside only. Of outlines of areas
+ * only the plane counts, the largest number, and whether the frame's channels are equal (grey). A search_circle lies in the
+ * plane; support is the fraction of its outline with an edge, and outline_px has their places in the frame, px. A polar_pad has
+ * the drawing in polar cells, radius by radius: places, area within the disc's paint, and coverage. polarity is 1 where the H is
+ * brighter than the disc, else -1. A dl_guess_search has the plane, whether its tilt is known, the largest number of guesses,
+ * and the circles of the drawing: radius, and 1 if it is brighter inside, -1 if darker, 0 if that depends on the deck. A
+ * search_guess is a pose, the angle by which it is to be turned about its own z axis, the fraction of the variance that the
+ * drawing explains there, the support of the circle that it came from, and in x and y of the turned pad the direction of the
+ * half of the disc that counts, if only one does. pad_strokes are the sizes of the H and the width of the disc around it that
+ * counts; a dl_stroke_search is in an image step times smaller than the frame, in which the marks may be bright or dark. */
 typedef struct {
-    int64_t width, height, stride, room, margin, step;
-    double R_cam_plane[9];
-} search_image;
-
-typedef struct {
-    int64_t radii, most, only_bright;
-    double least, ratio;
-} search_radii;
+    int64_t step, margin, radii, most, only_bright, grey;
+    double least, ratio, R_cam_plane[9];
+} dl_circle_search;
 
 typedef struct {
     int64_t bright_inside, points;
@@ -624,46 +624,109 @@ typedef struct {
 } polar_fit;
 
 typedef struct {
-    int64_t levels, plane_known, radii, width[SEARCH_LEVELS], height[SEARCH_LEVELS], stride[SEARCH_LEVELS];
+    int64_t plane_known, radii, most, before;
     double R_cam_plane[9], radius_m[4], sign[4];
-} search_frame;
+} dl_guess_search;
 
 typedef struct {
     double length_m, width_m, leg_m, bar_m, margin_m;
 } pad_strokes;
 
 typedef struct {
-    int64_t width, height, stride, step, bright, plane_known;
+    int64_t step, bright, plane_known, most;
     double R_cam_plane[9];
-} strokes_image;
-
-typedef struct {
-    int64_t width, height, stride, full_width, full_height, full_stride, grey, most;
-    double noise, R_cam_plane[9];
-} blob_image;
+} dl_stroke_search;
 
 typedef struct {
     int64_t known, one_sided;
     double R[9], t[3], turn_rad, drawing, support, side[2];
 } search_guess;
 
-/* Functions of the search. rays are those of the corners of the blocks, (rows + 1, columns + 1, 2); scratch has the floats
- * that search_room, search_strokes_room or search_blobs_room asks for. side is null, or the direction on the pad of the
- * half of the disc that counts. levels are the pixels of the frame at full, half, quarter ... size, half and full those of
- * a blob_image. rated has for each circle how many guesses of it are in before, one circle's after the other's, or -1; it
- * gets that number for each circle whose guesses were computed and are complete. */
-int64_t search_room(const search_image *image);
-int32_t search_circles(const search_image *image, const uint8_t *grey, const float *rays, const search_radii *radii,
-    float *scratch, search_circle *out);
-int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int32_t width,
-    int32_t height, const uint8_t *px, int32_t stride, const double *side, polar_fit *out);
-int32_t search_guesses(const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels,
-    int32_t circles, const search_circle *circle, int64_t *rated, const search_guess *before, int32_t most, search_guess *out);
-int64_t search_strokes_room(const strokes_image *image);
-int32_t search_strokes(const camera_lens *c, const strokes_image *image, const pad_strokes *h, const uint8_t *px,
-    float *scratch, int32_t most, search_guess *out);
-int64_t search_blobs_room(const blob_image *image);
-int32_t search_blobs(const camera_lens *c, const blob_image *image, const uint8_t *half, const uint8_t *full, float *scratch,
-    search_circle *out);
+/* ---- vision/: what follows one pad in the frames of one camera ---- */
+
+/* Rows of pixels of so many channels, one byte each; stride is from row to row, bytes. */
+typedef struct {
+    int64_t width, height, stride, channels;
+    const uint8_t *px;
+} dl_image;
+
+/* What a frame can show: the standard deviation of its noise beyond a camera's usual, 1 is full scale; its contrast; and the
+ * largest difference between the channels of a pixel. */
+typedef struct {
+    double noise, contrast, chroma;
+} frame_quality;
+
+/* A frame in BGR at full, half, quarter ... size. The first is the camera's; px is null for sizes that were not made. */
+typedef struct {
+    dl_image level[FRAME_LEVELS + 1];
+    frame_quality quality;
+} dl_frame;
+
+/* A camera, its place in the body, and for each value of a pixel its linear light, 0 to 1, and log1p of that over a floor. */
+typedef struct {
+    camera_lens lens;
+    double t_body_cam[3], light[256], log_light[256];
+} dl_camera;
+
+/* A pad's drawing: regions, maps, polar cells, the strokes of its H, what the verification knows of it, the standard deviation
+ * of its painted sizes, and the number of points on its edges. */
+typedef struct {
+    pad_shape shape;
+    pad_template drawn;
+    polar_pad polar;
+    pad_strokes strokes;
+    pad_judge judge;
+    double size_sigma_m;
+    int64_t edge_points;
+} dl_pad;
+
+/* Holds what stays the same from frame to frame, and all memory that is worked in. One thread at a time may use it. */
+typedef struct dl_tracker dl_tracker;
+
+/* Make a tracker, which keeps addresses and not copies of: rays, those of all pixels, (height, width, 2), null if the lens does
+ * not distort; the maps of coverage by each paint and of coverage minus its mean in the neighbourhood, (TEMPLATE_BLURS, n, n, 4)
+ * each; edges, (edge_points, 5), the place, the normal and the distance to the next point; edge_of, (edge_points, 2), its kind
+ * and piece. All but camera and rays may be null for what needs no drawing. Return null without memory, or if a size or a
+ * number of a part is none. */
+dl_tracker *dl_tracker_new(const dl_camera *camera, const double *rays, const dl_pad *pad, const int16_t *coverage,
+    const int16_t *local, const double *edges, const int32_t *edge_of);
+void dl_tracker_free(dl_tracker *t);
+
+/* The entries below return a number of results, or 1 or 0 for one or none; DL_WRONG_SIZE of what the tracker does not hold. */
+enum { DL_WRONG_SIZE = -2 };
+
+/* Measure what a frame can show. */
+int32_t dl_frame_quality(const dl_image *image, frame_quality *out);
+
+/* Look at where the pad may lie: register the drawing from a start, verify it there, and bring it to level. outline takes the
+ * pixel of every fourth point of the edges; there are outline_points of them. */
+int32_t dl_look(dl_tracker *t, const dl_frame *frame, const dl_start *start, looked_pad *out, double *outline,
+    int64_t outline_points);
+
+/* Align the drawing with a frame from a pose, which moves. */
+int32_t dl_align(dl_tracker *t, const dl_frame *frame, const dl_alignment *how, pad_pose *pose, aligned_pad *out);
+
+/* Find circles, most prominent first: of edges in a grey image, or if that is null outlines of areas of a frame at full and half
+ * size. rays are those of the corners of the image's blocks, (rows + 1, columns + 1, 2). */
+int32_t dl_search_circles(dl_tracker *t, const dl_frame *frame, const dl_image *grey, const float *rays,
+    const dl_circle_search *how, search_circle *out);
+
+/* Guess poses from circles, likeliest first. rated has for each circle how many guesses of it are in before, one circle's after
+ * the other's, or -1; it gets that number for each circle whose guesses were computed and are complete. */
+int32_t dl_search_guesses(dl_tracker *t, const dl_frame *frame, const dl_guess_search *how, int32_t circles,
+    const search_circle *circle, int64_t *rated, const search_guess *before, search_guess *out);
+
+/* Find the heading of the drawing at a pose, in an image step times smaller than the frame. side is null, or the direction on the
+ * pad of the half of the disc that counts. */
+int32_t dl_search_heading(dl_tracker *t, const dl_image *image, int32_t step, const pad_pose *pose, const double *side,
+    polar_fit *out);
+
+/* Find the strokes of the H in an image, likeliest places first. */
+int32_t dl_search_strokes(dl_tracker *t, const dl_image *image, const dl_stroke_search *how, search_guess *out);
+
+/* Look for lamps where the pad is expected, and in the whole frame if it is not there, or at is null. Return -1 if the frame has
+ * more bright places than a dark deck. */
+int32_t dl_find_lamps(dl_tracker *t, const dl_image *image, const lamp_pattern *pad, const tilt_prior *prior,
+    const lamps_expected *at, lamps_seen *out);
 
 #endif

@@ -6,7 +6,6 @@ releases the interpreter's lock. cffi refuses a pointer to another structure wit
 
 from __future__ import annotations
 
-import ctypes
 import weakref
 from collections.abc import Mapping
 from types import ModuleType
@@ -16,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.errors import SetupImpossible
-from estimator.contracts.geometry import F64
 from estimator.core import CURE, abi
 
 FILE = f"{__file__.rpartition('/')[0]}/libdecklander.so.1"
@@ -24,7 +22,7 @@ FILE = f"{__file__.rpartition('/')[0]}/libdecklander.so.1"
 
 
 class Door:
-    """A loaded library. `lib` has its entries, `ffi` the types of its header.
+    """A loaded library. `lib` has its entries, `file` is where it lies, `ffi` the types of its header.
 
     Call entries as `door.lib.name(...)` each time: tests load another library in its place.
 
@@ -37,6 +35,7 @@ class Door:
     """
 
     lib: Any
+    file: str
 
     def __init__(self, made: ModuleType, file: str) -> None:
         self.ffi = made.ffi
@@ -63,7 +62,7 @@ class Door:
             raise SetupImpossible(
                 f"the native core {file} was built for interface {found:08x}, this code needs {self._digest:08x}; {CURE}"
             )
-        self.lib = lib
+        self.lib, self.file = lib, file
 
     def dtype(self, kind: str) -> np.dtype[Any]:
         """Return the layout of a C type as numpy's: of a number by its name, of a structure with its members."""
@@ -72,24 +71,6 @@ class Door:
     def names(self, enumeration: str) -> dict[str, int]:
         """Return the names of an enumeration and their values, in order."""
         return dict(sorted(self.ffi.typeof(f"enum {enumeration}").relements.items(), key=lambda named: named[1]))
-
-    def function(self, name: str) -> Any:
-        """Return a function with its types declared; pointers are given as addresses."""
-
-        def call(*values: Any) -> Any:
-            entry = getattr(self.lib, name)
-            types = self.ffi.typeof(entry).args
-            return entry(
-                *(
-                    self._pointer(kind, value) if kind.kind == "pointer" else value
-                    for kind, value in zip(types, values, strict=True)
-                )
-            )
-
-        return call
-
-    def _pointer(self, kind: Any, value: Any) -> Any:
-        return self.ffi.cast(kind, value if isinstance(value, int) else self.ffi.from_buffer(value) if value is not None else 0)
 
     def record(self, kind: str, /, **values: Any) -> NDArray[Any]:
         """Return a structure, an array without axes whose members are read and written as `record["name"]`.
@@ -153,7 +134,22 @@ class Door:
             raise TypeError(f"the core takes {kind}, not {values.dtype}")
         if count is not None and values.size != count:
             raise ValueError(f"the core takes {count} of {kind}, not {values.size}")
-        return self.ffi.from_buffer(pointer, values)
+        return self.ffi.from_buffer(pointer, values if values.dtype.names is None else values.reshape(-1).view(np.uint8))
+
+    def room(self, kind: str, count: int) -> tuple[NDArray[Any], Any]:
+        """Return room for structures that C writes: an array of so many, and C's pointer to the first.
+
+        numpy takes ten times as long to make an array of structures, or to lend one to C, as to do so with bytes.
+        """
+        dtype, pointer = self._dtypes.get(kind) or self._known(kind)
+        block = np.empty(count * dtype.itemsize, np.uint8)
+        return np.ndarray((count,), dtype, block), self.ffi.from_buffer(pointer, block)
+
+    def copied(self, kind: str, pointer: Any) -> tuple[NDArray[Any], Any]:
+        """Return an array of one structure's copy, and C's pointer to it."""
+        made, own = self.room(kind, 1)
+        self.ffi.memmove(own, pointer, made.nbytes)
+        return made, own
 
     def _known(self, kind: str) -> tuple[np.dtype[Any], Any]:
         known = self._dtypes.get(kind)
@@ -191,22 +187,6 @@ def _fill(place: NDArray[Any], values: Mapping[str, Any]) -> None:
             continue
         for i, one in enumerate(each):
             _fill(member[i, ...], one)
-
-
-def address(array: F64) -> int:
-    """Return the address of an array's first number, for a parameter of C type `double *`.
-
-    Raises:
-        TypeError: its numbers are not doubles in rows, one after the other.
-    """
-    if array.dtype != np.float64 or not array.flags.c_contiguous:
-        raise TypeError(f"the core takes contiguous float64, not {array.dtype} of strides {array.strides}")
-    return int(array.ctypes.data)
-
-
-def start_of(block: NDArray[Any]) -> int:
-    """Return the address of an array that was just made for the core to write to. It takes a fifth of the time of `address`."""
-    return ctypes.addressof(ctypes.c_double.from_buffer(block.data))
 
 
 CORE = Door(abi, FILE)

@@ -5,20 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Details, RelativeState
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import CORE, start_of
+from estimator.core.library import CORE
 from estimator.ekf import gate
 from estimator.ekf.forecast import probability_of_motion
-from estimator.ekf.motion import ProcessNoise
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.packed_belief import PackedBelief
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import (
     ACCEL_BIAS,
     BARO_OFFSET,
@@ -31,41 +32,36 @@ from estimator.ekf.state import (
     VESSEL_VEL,
 )
 
-_ANSWER = CORE.function("filter_answer")
-_PLACES, _SIZE = places_of("answer"), size_of("answer")
-_INTEGERS = slice(_PLACES["has_pad"].start, _PLACES["heading_known"].stop)
-
 
 class FilterAnswer:
     """The pad, the body's motion and the deck's motion at one instant; each is put together when it is first asked for.
 
     Attributes:
         before: the last belief before the instant.
-        noise: the process noise by which it was propagated.
+        params: the parameters by which it was propagated.
     """
 
-    def __init__(self, before: PackedBelief, now: MonoNs, noise: ProcessNoise) -> None:
-        self.before, self.noise = before, noise
-        self._now, self._options, self._evidence_of_rest = now, noise.options, before.sea.log_evidence_of_rest
-        self._words = np.empty(_SIZE)
-        _ANSWER(noise.packed_address, now, before.numbers.address, before.P.address, start_of(self._words))
-        self._words.setflags(write=False)
-        integers = self._words[_INTEGERS].view(np.int64).tolist()
-        self._has_pad, self._has_body, self._sighted, self._agreed, self._velocity_fused, self._heading_known = integers
+    def __init__(self, before: PackedBelief, now: MonoNs, params: FilterParams) -> None:
+        self.before, self.params = before, params
+        self._now, self._options, self._evidence_of_rest = now, params.options, before.sea.log_evidence_of_rest
+        made, pointer = CORE.room("dl_answer", 1)
+        CORE.lib.dl_filter_answer(params.core, now, before.whole, pointer)
+        self._answer = made[0, ...]
+        self._answer.setflags(write=False)
 
     @cached_property
     def pad(self) -> RelativeState | None:
         """The estimate of the pad; None if no pad is tracked."""
-        if not self._has_pad:
+        if not self._number("has_pad"):
             return None
         cov = self._matrix("cov", 7)
         yaw: float | None = wrap_pi(self._number("yaw"))
-        if not self._heading_known:
+        if not self._number("heading_known"):
             yaw = None
             cov = cov.copy()
             cov[6, :] = cov[:, 6] = 0.0
             cov[6, 6] = UNKNOWN_YAW_VAR
-        fits = gate.consistent(self._number("nis_mean")) and self._agreed >= 3
+        fits = gate.consistent(self._number("nis_mean")) and self._number("agreed") >= 3
         return RelativeState(
             at=self._now,
             path="ekf",
@@ -73,15 +69,15 @@ class FilterAnswer:
             v_pad_level=self._vector("v"),
             yaw_rad=yaw,
             cov=cov,
-            sighted=MonoNs(self._sighted),
+            sighted=MonoNs(self._number("sighted")),
             consistent=fits and self._confirmed(cov, self._options),
-            details=Details(_figures(self._words, self._evidence_of_rest)),
+            details=Details(_figures(self._answer, self._evidence_of_rest)),
         )
 
     @cached_property
     def body(self) -> BodyMotion | None:
         """The body's motion by the newest IMU sample; None while there is none or no attitude was reported."""
-        if not self._has_body:
+        if not self._number("has_body"):
             return None
         return BodyMotion(
             self._now,
@@ -99,7 +95,7 @@ class FilterAnswer:
 
         The covariance is the one of at most `EkfOptions.tick_s` before.
         """
-        if not self._has_pad:
+        if not self._number("has_pad"):
             return None
         roll, pitch, roll_rate, pitch_rate = self._vector("tilt").tolist()
         return DeckMotion(
@@ -119,18 +115,18 @@ class FilterAnswer:
 
         Either a sighting or a fused velocity confirms it: both bound the drift of the position.
         """
-        newest = max(self._sighted, self._velocity_fused)
+        newest = max(self._number("sighted"), self._number("velocity_fused"))
         var_max = float(max(cov.diagonal()[:3].tolist()))
         return (self._now - newest) * 1e-9 <= o.confirm_s and var_max <= o.consistent_sigma_m**2
 
-    def _number(self, name: str) -> float:
-        return self._words.item(_PLACES[name].start)
+    def _number(self, name: str) -> Any:
+        return self._answer[name].item()
 
     def _vector(self, name: str) -> F64:
-        return self._words[_PLACES[name]]
+        return self._answer[name]
 
     def _matrix(self, name: str, n: int) -> F64:
-        return self._words[_PLACES[name]].reshape(n, n)
+        return self._answer[name].reshape(n, n)
 
 
 _AXES = "xyz"
@@ -143,21 +139,20 @@ _NAMES = (
     *(f"period_{k}_s" for k in _CHANNELS), *(f"damping_{k}" for k in _CHANNELS), *(f"swing_{k}" for k in _CHANNELS),
 )  # fmt: skip
 _PLAIN = np.r_[VEL_SCALE, CAMERA_DELAY, BARO_OFFSET, RANGE_OFFSET, VESSEL_VEL, TURN_RATE]
-_SEA = slice(_PLACES["wave_zeta"].start, _PLACES["wave_sigma"].stop)
 _SURE = np.r_[VEL_SCALE, CAMERA_DELAY, CAMERA_MOUNT]
 
 
-def _figures(words: F64, evidence_of_rest: float) -> Callable[[], tuple[tuple[str, float], ...]]:
+def _figures(answer: NDArray[Any], evidence_of_rest: float) -> Callable[[], tuple[tuple[str, float], ...]]:
     """Return what puts the figures for the records together."""
 
     def figures() -> tuple[tuple[str, float], ...]:
-        x, var = words[_PLACES["x"]], words[_PLACES["var"]]
-        (nn, ee), ne = var[VESSEL_VEL].tolist(), words.item(_PLACES["cov_vessel"].start)
-        nis_mean = words.item(_PLACES["nis_mean"].start)
-        values = [nis_mean, probability_of_motion(evidence_of_rest, x[VESSEL_VEL].tolist(), (nn, ne, ee)), *x[_PLAIN].tolist()]
+        x, var = answer["x"], answer["var"]
+        (nn, ee), ne = var[VESSEL_VEL].tolist(), answer["cov_vessel"].item()
+        moving = probability_of_motion(evidence_of_rest, x[VESSEL_VEL].tolist(), (nn, ne, ee))
+        values = [answer["nis_mean"].item(), moving, *x[_PLAIN].tolist()]
         values += np.sqrt(np.maximum(var[_SURE], 0.0)).tolist()
         values += [*x[CAMERA_MOUNT].tolist(), *x[GYRO_BIAS].tolist(), *x[ACCEL_BIAS].tolist()]
-        values += [*(math.tau / words[_PLACES["wave_w"]]).tolist(), *words[_SEA].tolist()]
+        values += [*(math.tau / answer["wave_w"]).tolist(), *answer["wave_zeta"].tolist(), *answer["wave_sigma"].tolist()]
         return tuple(zip(_NAMES, values, strict=True))
 
     return figures

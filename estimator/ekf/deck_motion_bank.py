@@ -1,22 +1,28 @@
 """What is learned of the deck's motion: a bank of oscillators for each direction, weighed by what each foretold.
 
-The core learns (estimator/core/filter/bank.h) and forecasts (bank_ahead.h there); here are the members that it compares.
+The core learns and forecasts (bank.h and bank_ahead.h in estimator/core/filter); here are the members that it compares.
+
+A member models the deck's motion in one direction as a damped oscillator driven by the rate of a second, equal one:
+
+    x'' = -w^2 x - 2 zeta w x' + f'        f'' = -w^2 f - 2 zeta w f' + white noise
+
+A single oscillator driven by white noise has a discontinuous acceleration, which no hull has. Driven by f instead of f' it would
+have power at low frequencies, where a sea has none (docs/estimator.md). The noise intensity is such that x has the standard
+deviation `sigma`. The states are [x, x', f, f'].
 """
 
 from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.core.abi import DIRECTIONS, MEMBER_PAIRS, MEMBER_STATES, MEMBERS
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import CORE, address, start_of
-from estimator.ekf import skill
-from estimator.ekf.oscillator import stationary
+from estimator.core.library import CORE
 
 PERIODS_S = np.geomspace(2.2, 14.0, 9)
 ZETAS = np.array([0.2, 0.35, 0.55])
@@ -25,6 +31,8 @@ SIGMAS_RAD = np.radians([0.25, 0.7, 2.0, 5.5, 15.0])
 STATIC_PRIOR = 0.5
 """Probability, before the first sighting, that the deck stands still."""
 REST_ODDS = math.log(STATIC_PRIOR / (1.0 - STATIC_PRIOR))
+HORIZONS_S = np.array([1.0, 2.0, 3.0])
+"""Horizons at which past forecasts are compared with what happened."""
 
 
 def _grid() -> tuple[F64, F64, F64, F64]:
@@ -45,11 +53,23 @@ _PAIRS = np.triu_indices(MEMBER_STATES)
 _PAIR_AT = np.zeros((MEMBER_STATES, MEMBER_STATES), dtype=int)
 _PAIR_AT[_PAIRS] = _PAIR_AT[_PAIRS[::-1]] = np.arange(MEMBER_PAIRS)
 """(7, 7) where the upper triangle in rows has the entries of a symmetric matrix."""
-_BEGIN = CORE.function("bank_begin")
-_SEA, _SKILL, _MEMBERS = (places_of(name) for name in ("sea", "forecast_skill", "bank_members"))
-_ISSUED_SIZE = size_of("issued_forecast")
-SEA_SIZE = size_of("sea")
-"""Size of the core's `sea`, in words of eight bytes."""
+
+
+def stationary(w_rad_s: F64, zeta: F64) -> F64:
+    """Return the stationary covariance of the states for sigma = 1, (..., 4, 4), for parameters of any one shape (...).
+
+    It is the closed-form solution of the Lyapunov equation; see docs/estimator.md, section "Waves".
+    """
+    w, delta = np.asarray(w_rad_s), np.asarray(zeta * w_rad_s)
+    w2, force = w * w, 8.0 * delta * delta
+    P = np.zeros((*w.shape, 4, 4))
+    P[..., 0, 0] = 1.0
+    P[..., 1, 1] = w2
+    P[..., 2, 2] = force
+    P[..., 3, 3] = force * w2
+    P[..., 0, 2] = P[..., 2, 0] = 2.0 * delta
+    P[..., 1, 3] = P[..., 3, 1] = 2.0 * delta * w2
+    return P
 
 
 class Carrying(NamedTuple):
@@ -77,6 +97,35 @@ def carrying(asd_accel_m_s2: float, asd_gyro_rad_s: float, asd_accel_bias_m_s3: 
     )
 
 
+class IssuedForecast(NamedTuple):
+    """The forecast that was made at one instant."""
+
+    t: int
+    """Instant of the forecast, ns."""
+    waves: F64
+    """(3, 5, 2) displacement and rate by horizon and direction (m, m/s; rad, rad/s for roll and pitch)."""
+
+
+class Skill(NamedTuple):
+    """The sums over past comparisons of forecast and observed waves, which fade with time.
+
+    A sea with two wave systems is no single oscillator, so the member of the bank that fits the recent motion best may forecast
+    the next seconds badly, with full amplitude. The regression slope of the observed on the forecast motion is the factor that
+    minimises the squared error. What the scaled forecasts have missed nonetheless widens the bands of the next ones.
+    """
+
+    issued: tuple[IssuedForecast, ...]
+    """The forecasts whose longest horizon has not passed yet, oldest first."""
+    n: F64
+    """(3,) faded number of comparisons by horizon."""
+    product: F64
+    """(3, 5, 2) faded sum of forecast times observed motion."""
+    square: F64
+    """(3, 5, 2) faded sum of the squared forecast motion."""
+    came: F64
+    """(3, 5, 2) faded sum of the squared motion that came."""
+
+
 class DeckMotionBank(NamedTuple):
     """What has been learned. `w_rad_s`, `zeta`, `sigma` are its summary: (5,), for north, east, down in m, roll, pitch in rad."""
 
@@ -88,7 +137,7 @@ class DeckMotionBank(NamedTuple):
     """(5, G, 7) each member's [displacement, rate, force, its rate, offset of the IMU's carrying on, its rate, acceleration]."""
     pairs: F64
     """(5, 28, G) the upper triangle of each member's covariance, in rows."""
-    skill: skill.Skill
+    skill: Skill
     """The skill of the bank's past forecasts."""
     weight: F64
     """(5, G), sums to one."""
@@ -108,102 +157,90 @@ class DeckMotionBank(NamedTuple):
 
 
 class PackedSea:
-    """A bank as the core holds it, in its `sea`. It is immutable, as a bank is.
+    """A bank as the core holds it. It is immutable, as a bank is.
 
     Attributes:
-        block: words of which it is a part.
-        address: where it begins.
+        record: the core's `dl_bank`.
+        pointer: C's pointer to it.
     """
 
-    __slots__ = ("_at", "_bank", "address", "block")
+    __slots__ = ("_bank", "pointer", "record")
 
-    def __init__(self, block: F64, at: int, address: int) -> None:
-        self.block, self._at, self.address = block, at, address
+    def __init__(self, record: NDArray[Any], pointer: Any) -> None:
+        self.record, self.pointer = record, pointer
         self._bank: DeckMotionBank | None = None
 
     @classmethod
     def of(cls, bank: DeckMotionBank) -> PackedSea:
         """Return a bank as the core holds it."""
-        block = np.zeros(SEA_SIZE)
-        _write(block, bank)
-        made = cls(block, 0, start_of(block))
+        record = _written(bank)
+        made = cls(record, CORE.array("dl_bank", record, 1))
         made._bank = bank
         return made
 
     def apart(self) -> PackedSea:
         """Return the same bank in memory of its own."""
-        block = self.block[self._at : self._at + SEA_SIZE].copy()
-        return PackedSea(block, 0, start_of(block))
+        copy, pointer = CORE.copied("dl_bank", self.pointer)
+        return PackedSea(copy[0, ...], pointer)
 
     @property
     def log_evidence_of_rest(self) -> float:
         """Log of how much likelier all that was seen is from a deck at rest than from one that moves."""
-        return _log_evidence_of(self.block.item(self._at + _SEA["weight"].start))
+        return _log_evidence_of(self.pointer[0].weight[0])
 
     @property
     def bank(self) -> DeckMotionBank:
-        """The bank, whose arrays are parts of the block."""
+        """The bank, whose arrays are parts of the record."""
         if self._bank is None:
-            self._bank = _read(self.block[self._at : self._at + SEA_SIZE])
+            self._bank = _read(self.record)
         return self._bank
 
 
 @lru_cache(maxsize=1)
 def unknown() -> DeckMotionBank:
     """Return a bank that has received no sighting."""
-    block, members = np.empty(SEA_SIZE), packed_members()
-    _BEGIN(address(members), start_of(block))
-    return _read(block)
+    made, pointer = CORE.room("dl_bank", 1)
+    CORE.lib.dl_bank_begin(CORE.array("dl_bank_members", packed_members(), 1), pointer)
+    return _read(made[0, ...])
 
 
 @lru_cache(maxsize=1)
-def packed_members() -> F64:
-    """Return the core's `bank_members`."""
-    words = np.empty(size_of("bank_members"))
-    parts = {"w": W, "zeta": ZETA, "log_zeta": np.log(ZETA), "log_prior": LOG_PRIOR, "sigma": SIGMA}
-    for name, values in parts.items():
-        words[_MEMBERS[name]] = values.ravel()
-    words.setflags(write=False)
-    return words
+def packed_members() -> NDArray[Any]:
+    """Return the core's `dl_bank_members`."""
+    members = CORE.record("dl_bank_members", w=W, zeta=ZETA, log_zeta=np.log(ZETA), log_prior=LOG_PRIOR, sigma=SIGMA)
+    members.setflags(write=False)
+    return members
 
 
-def _read(words: F64) -> DeckMotionBank:
-    words.setflags(write=False)
-    known = words[_SEA["skill"]]
-    issued = known[_SKILL["issued"]].reshape(-1, _ISSUED_SIZE)[: known[_SKILL["issued_n"]].view(np.int64).item()]
-    waves = (skill.HORIZONS_S.size, DIRECTIONS, 2)
-    product, square, came = (known[_SKILL[name]].reshape(waves) for name in ("product", "square", "came"))
+def _read(record: NDArray[Any]) -> DeckMotionBank:
+    record.setflags(write=False)
+    known = record["skill"]
+    waves = (HORIZONS_S.size, DIRECTIONS, 2)
+    issued = known["issued"][: known["issued_n"].item()]
+    product, square, came = (known[name].reshape(waves) for name in ("product", "square", "came"))
     return DeckMotionBank(
-        words[_SEA["t"]].view(np.int64).item(),
-        words[_SEA["log_weight"]].reshape(DIRECTIONS, MEMBERS),
-        words[_SEA["x"]].reshape(DIRECTIONS, MEMBER_STATES, MEMBERS).transpose(0, 2, 1),
-        words[_SEA["P"]].reshape(DIRECTIONS, MEMBER_PAIRS, MEMBERS),
-        skill.Skill(
-            tuple([skill.IssuedForecast(one[:1].view(np.int64).item(), one[1:].reshape(waves)) for one in issued]),
-            known[_SKILL["n"]],
+        record["t"].item(),
+        record["log_weight"].reshape(DIRECTIONS, MEMBERS),
+        record["x"].reshape(DIRECTIONS, MEMBER_STATES, MEMBERS).transpose(0, 2, 1),
+        record["P"].reshape(DIRECTIONS, MEMBER_PAIRS, MEMBERS),
+        Skill(
+            tuple([IssuedForecast(one["t"].item(), one["waves"].reshape(waves)) for one in issued]),
+            known["n"],
             product,
             square,
             came,
         ),
-        words[_SEA["weight"]].reshape(DIRECTIONS, MEMBERS),
-        *(words[_SEA[name]] for name in ("w_rad_s", "zeta", "sigma")),
+        record["weight"].reshape(DIRECTIONS, MEMBERS),
+        *(record[name] for name in ("w_rad_s", "zeta", "sigma")),
     )
 
 
-def _write(words: F64, bank: DeckMotionBank) -> None:
-    words[_SEA["t"]].view(np.int64)[:] = bank.t
-    for name in ("w_rad_s", "zeta", "sigma"):
-        words[_SEA[name]] = getattr(bank, name)
-    for name in ("log_weight", "weight"):
-        words[_SEA[name]] = getattr(bank, name).ravel()
-    words[_SEA["x"]] = bank.x.transpose(0, 2, 1).ravel()
-    words[_SEA["P"]] = bank.pairs.ravel()
-    known = words[_SEA["skill"]]
-    known[_SKILL["issued_n"]].view(np.int64)[:] = len(bank.skill.issued)
-    for one, into in zip(bank.skill.issued, known[_SKILL["issued"]].reshape(-1, _ISSUED_SIZE), strict=False):
-        into[:1].view(np.int64)[:], into[1:] = one.t, one.waves.ravel()
-    for name in ("n", "product", "square", "came"):
-        known[_SKILL[name]] = getattr(bank.skill, name).ravel()
+def _written(bank: DeckMotionBank) -> NDArray[Any]:
+    known = bank.skill
+    skill: dict[str, Any] = {name: getattr(known, name) for name in ("n", "product", "square", "came")}
+    skill |= {"issued_n": len(known.issued), "issued": [one._asdict() for one in known.issued]}
+    values = {name: getattr(bank, name) for name in ("t", "w_rad_s", "zeta", "sigma", "log_weight", "weight")}
+    return CORE.record("dl_bank", **values, x=bank.x.transpose(0, 2, 1), P=bank.pairs, skill=skill)
 
 
 def log_evidence_of_rest(sea: DeckMotionBank) -> float:

@@ -20,9 +20,9 @@ from estimator.ekf.deck_motion_bank import log_evidence_of_rest
 from estimator.ekf.forecast import Forecast, probability_of_motion
 from estimator.ekf.history import History, put_all
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.outcome import Outcome
+from estimator.ekf.outcome import Outcome, result
 from estimator.ekf.packed_event import Event
-from estimator.ekf.propagate import FilterParams, parameters, result
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import VESSEL_VEL, Belief
 from estimator.integrity import IntegrityOptions, sensors
 from estimator.integrity.sensors import SensorWatch
@@ -61,7 +61,7 @@ def start(options: EkfOptions | None = None, limits: IntegrityOptions | None = _
         limits: the limits that an IMU sample must keep: every other sensor has a gate, the IMU has none. Pass None if
             `estimator.integrity.admit` has already checked every sample, as in `estimator.pipeline`.
     """
-    return Ekf(parameters(options or EkfOptions()), History(), limits)
+    return Ekf(FilterParams(options or EkfOptions()), History(), limits)
 
 
 def step(ekf: Ekf, event: Event) -> tuple[Ekf, Sequence[FusionResult]]:
@@ -106,11 +106,11 @@ def _answer(ekf: Ekf, now: MonoNs) -> FilterAnswer | None:
     before = ekf.history.before(now)
     if before is None:
         return None
-    found, noise = ekf.answers.get(now), ekf.params.process_noise
-    if found is None or found.before is not before or found.noise is not noise:
+    found, params = ekf.answers.get(now), ekf.params
+    if found is None or found.before is not before or found.params is not params:
         if len(ekf.answers) >= _ANSWERS_KEPT:
             ekf.answers.clear()
-        found = ekf.answers[now] = FilterAnswer(before, now, noise)
+        found = ekf.answers[now] = FilterAnswer(before, now, params)
     return found
 
 
@@ -144,7 +144,7 @@ def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Foreca
     if not all(0.0 <= x < math.inf for x in h.tolist()):
         raise ValueError(f"horizons must be seconds of 0 or more, got {horizons_s!r}")
     before = ekf.history.before(now)
-    return None if before is None else forecasting.forecast(before, now, h, ekf.params.process_noise)
+    return None if before is None else forecasting.forecast(before, now, h, ekf.params)
 
 
 def moving(ekf: Ekf) -> float | None:

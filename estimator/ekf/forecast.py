@@ -6,19 +6,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import CORE, address, start_of
+from estimator.core.library import CORE
 from estimator.ekf.deck_motion_bank import packed_members
-from estimator.ekf.motion import ProcessNoise
 from estimator.ekf.packed_belief import PackedBelief
+from estimator.ekf.params import FilterParams
 
-_FORECAST, _REACH = CORE.function("filter_forecast"), CORE.function("bank_reach")
-_PLACES, _SIZE, _REACH_SIZE = places_of("deck_ahead"), size_of("deck_ahead"), size_of("horizon_reach")
+_SCALARS = ("height", "sigma_height", "rise", "sigma_rise", "roll", "sigma_roll", "pitch", "sigma_pitch")
 _Z = {0.5: 0.6745, 0.68: 0.9945, 0.8: 1.2816, 0.9: 1.6449, 0.95: 1.9600, 0.99: 2.5758}
 
 
@@ -50,7 +49,7 @@ class Forecast:
     pitch_rad: F64
     """(H,) of the deck, arrow up positive."""
     sigma_pitch_rad: F64
-    """The fields from `deck_height_m` on are those of the core's `deck_ahead` from `height` on, in order."""
+    """The fields from `deck_height_m` on are `_SCALARS` of the core's `dl_deck_ahead`, in order."""
 
     def band(self, name: str, probability: float) -> tuple[F64, F64]:
         """Return the lower and upper end of a quantity's central band.
@@ -70,33 +69,27 @@ class Forecast:
         return mean - z * sigma, mean + z * sigma
 
 
-def forecast(before: PackedBelief, at: MonoNs, horizons_s: F64, noise: ProcessNoise) -> Forecast | None:
+def forecast(before: PackedBelief, at: MonoNs, horizons_s: F64, params: FilterParams) -> Forecast | None:
     """Return the forecast from a belief that is not newer than `at`, by the core (estimator/core/filter/forecast.c).
 
     The waves come from the bank: their means and covariances are those of the mixture over its members. It is None if no pad is
     tracked.
     """
-    n = horizons_s.size
-    reach, found = _reach(horizons_s.tobytes()), np.empty(max(n, 1) * _SIZE)
-    there = _FORECAST(
-        noise.packed_address, at, before.numbers.address, before.P.address, before.sea.address, n, address(horizons_s),
-        start_of(reach), start_of(found),
-    )  # fmt: skip
-    if not there:
+    n, reach = horizons_s.size, _reach(horizons_s.tobytes())
+    found, pointer = CORE.room("dl_deck_ahead", n)
+    if not CORE.lib.dl_filter_forecast(params.core, at, before.whole, n, reach, pointer):
         return None
-    numbers = found.reshape(-1, _SIZE)[:n]
-    return Forecast(
-        at, horizons_s, numbers[:, _PLACES["d"]], numbers[:, _PLACES["cov_d"]].reshape(n, 3, 3), numbers[:, _PLACES["v_pad"]],
-        *numbers.T[_PLACES["height"].start :],
-    )  # fmt: skip
+    cov_d = found["cov_d"].reshape(n, 3, 3)
+    return Forecast(at, horizons_s, found["d"], cov_d, found["v_pad"], *(found[name] for name in _SCALARS))
 
 
 @lru_cache(maxsize=16)  # guidance asks for the same horizons again and again
-def _reach(horizons_s: bytes) -> F64:
-    """Return the core's `horizon_reach` for each of some horizons, given as the bytes of doubles."""
-    horizons, members = np.frombuffer(horizons_s), packed_members()
-    made = np.empty(max(horizons.size, 1) * _REACH_SIZE)
-    _REACH(address(members), horizons.size, address(horizons), start_of(made))
+def _reach(horizons_s: bytes) -> Any:
+    """Return the core's `dl_horizon_reach` for each of some horizons, given as the bytes of doubles."""
+    horizons = np.frombuffer(horizons_s)
+    n = horizons.size
+    _, made = CORE.room("dl_horizon_reach", n)
+    CORE.lib.dl_bank_reach(CORE.array("dl_bank_members", packed_members(), 1), n, CORE.array("double", horizons, n), made)
     return made
 
 

@@ -16,11 +16,11 @@ from msgspec import Struct
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
-from estimator.ekf.outcome import Outcome
+from estimator.ekf.outcome import Outcome, result
 from estimator.ekf.packed_belief import Followed, PackedBelief
 from estimator.ekf.packed_event import Event, PackedEvent, packed_event
+from estimator.ekf.params import FilterParams
 from estimator.ekf.process_event import process_event
-from estimator.ekf.propagate import FilterParams, result
 from estimator.ekf.state import Belief
 from estimator.late import Late
 
@@ -288,7 +288,7 @@ def _processed(
         rest = entries[len(made) :]
         followed: Sequence[PackedBelief | None] = ()
         if packed is not None:
-            row = packed.follow(params.process_noise, [entry.record for entry in rest])
+            row = packed.follow(params, [entry.record for entry in rest])
             if len(row) == len(entries):
                 return list(zip(entries, repeat(row), range(len(row)), strict=False)), row.outcomes(wanted)
             if len(outcomes) < wanted and row:

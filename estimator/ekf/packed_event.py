@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import reduce
 from typing import Any
 
 from msgspec import Struct
@@ -11,83 +12,103 @@ from msgspec import Struct
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.core import abi
-from estimator.core.interface import size_of
+from estimator.core.library import CORE
 
 Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
 """What the filter processes."""
-
-_VALUES = size_of("event") - 2
-_HEAD, _TWO, _VESSEL = struct.Struct("2q"), struct.Struct("2d"), struct.Struct("16d")
-_FLAGS = 3
-_SIGHTING = struct.Struct(f"{_FLAGS}q{size_of('sighting') - _FLAGS}d")
-_NO_POSE = (0.0,) * (3 + 9 + 36)
-_NO_VELOCITY = (0.0,) * (3 + 9)
 
 
 class PackedEvent(Struct, frozen=True):
     """An event as the core reads it."""
 
     record: bytes
-    """The core's `event`."""
+    """The core's `dl_event`."""
     seen: bytes = b""
-    """The core's `sighting`; empty for any other event."""
+    """The core's `dl_sighting`; empty for any other event."""
 
 
 def packed_event(event: Event) -> PackedEvent:
     """Return an event as the core reads it."""
-    kind, values_of, rest = _KINDS[type(event)]
-    record = _HEAD.pack(kind, event.stamp.measured_at) + values_of(event) + rest
-    return PackedEvent(record, _seen(event)) if type(event) is Sighting else PackedEvent(record)
+    record = _RECORDS[type(event)](event)
+    return PackedEvent(record, bytes(CORE.ffi.buffer(_sighting(event)))) if type(event) is Sighting else PackedEvent(record)
 
 
-def _of_imu(event: Imu) -> bytes:
-    return event.w_body.tobytes() + event.f_body.tobytes()
+def _record(kind: int, event: Event, **sample: Mapping[str, Any]) -> bytes:
+    """Return the core's `dl_event` with a sample given by its name in the header."""
+    made = CORE.ffi.new("dl_event *", {"kind": kind, "t": event.stamp.measured_at, "sample": sample})
+    return bytes(CORE.ffi.buffer(made))
 
 
-def _of_attitude(event: Attitude) -> bytes:
-    return event.R_ned_body.matrix.tobytes() + event.cov_body.tobytes()
+def _of_arrays(kind: int, sample: str, **at: str) -> Callable[[Any], bytes]:
+    """Return what makes a record of a sample whose members in the header are the event's own arrays: most events are such.
 
+    Args:
+        kind: the kind of event.
+        sample: the structure of its sample.
+        at: where the event has an array whose name is not the member's.
+    """
+    paths = [at.get(name, name).split(".") for name, _ in CORE.ffi.typeof(sample).fields]
+    rest = bytes(CORE.ffi.sizeof("dl_event") - _HEAD.size - CORE.ffi.sizeof(sample))
 
-def _of_velocity(event: BodyVelocity) -> bytes:
-    return event.v_level.tobytes() + event.cov_level.tobytes()
+    def record(event: Any) -> bytes:
+        arrays = [reduce(getattr, path, event).tobytes() for path in paths]
+        return b"".join([_HEAD.pack(kind, event.stamp.measured_at), *arrays, rest])
+
+    return record
 
 
 def _of_range(event: Range) -> bytes:
-    return _TWO.pack(event.range_m, event.sigma_m)
+    return _record(abi.DL_RANGE, event, distance={"measured_m": event.range_m, "sigma_m": event.sigma_m})
 
 
 def _of_height(event: Baro) -> bytes:
-    return _TWO.pack(event.height_m, event.sigma_m)
+    return _record(abi.DL_HEIGHT, event, distance={"measured_m": event.height_m, "sigma_m": event.sigma_m})
 
 
 def _of_vessel(report: VesselReport) -> bytes:
-    v, cov, heading, sigma = report.v_vessel_ned, report.cov_v_ned, report.heading_rad, report.sigma_heading_rad
-    velocity = _NO_VELOCITY if v is None or cov is None else (*v.tolist(), *cov.ravel().tolist())
-    return _VESSEL.pack(*velocity, heading or 0.0, sigma or 0.0, v is not None, heading is not None)
+    v, cov, values = report.v_vessel_ned, report.cov_v_ned, dict[str, Any]()
+    if v is not None and cov is not None:
+        values |= {"has_velocity": 1, "v_ned": v.tolist(), "cov_v_ned": cov.ravel().tolist()}
+    if report.heading_rad is not None:
+        values |= {"has_heading": 1, "heading_rad": report.heading_rad, "sigma_heading_rad": report.sigma_heading_rad}
+    return _record(abi.DL_VESSEL, report, vessel=values)
 
 
-def _seen(s: Sighting) -> bytes:
+def _of_sighting(event: Sighting) -> bytes:
+    """Return an event without a sample: the sighting is beside it."""
+    return _record(abi.DL_SIGHTING, event)
+
+
+def _sighting(s: Sighting) -> Any:
+    made = CORE.ffi.new(
+        "dl_sighting *",
+        {
+            "has_yaw": s.yaw_rad is not None,
+            "yaw_ambiguous": s.yaw_ambiguous,
+            "confidence": s.confidence,
+            "sigma_s": s.stamp.sigma_s,
+            "d_level": s.d_body_pad_level.tolist(),
+            "yaw_rad": s.yaw_rad or 0.0,
+            "cov": s.cov.ravel().tolist(),
+        },
+    )
     whole = s.pose6
-    pose = _NO_POSE
     if whole is not None:
-        pose = (*whole.d_body_pad_level.tolist(), *whole.R_level_pad.matrix.ravel().tolist(), *whole.cov.ravel().tolist())
-    return _SIGHTING.pack(
-        s.yaw_rad is not None, s.yaw_ambiguous, whole is not None,
-        s.confidence, s.stamp.sigma_s, *s.d_body_pad_level.tolist(), s.yaw_rad or 0.0, *s.cov.ravel().tolist(), *pose,
-    )  # fmt: skip
+        made.has_pose6 = 1
+        made.pose_d_level = whole.d_body_pad_level.tolist()
+        made.pose_R = whole.R_level_pad.matrix.ravel().tolist()
+        made.pose_cov = whole.cov.ravel().tolist()
+    return made
 
 
-def _kind(name: str, values_of: Callable[[Any], bytes], n: int) -> tuple[int, Callable[[Any], bytes], bytes]:
-    return getattr(abi, name), values_of, bytes(8 * (_VALUES - n))
-
-
-_KINDS: dict[type[Event], tuple[int, Callable[[Any], bytes], bytes]] = {
-    Imu: _kind("IMU", _of_imu, 6),
-    Attitude: _kind("ATTITUDE", _of_attitude, 18),
-    BodyVelocity: _kind("VELOCITY", _of_velocity, 12),
-    Range: _kind("RANGE", _of_range, 2),
-    Baro: _kind("HEIGHT", _of_height, 2),
-    VesselReport: _kind("VESSEL", _of_vessel, 16),
-    Sighting: _kind("SIGHTING", lambda event: b"", 0),
+_HEAD = struct.Struct("2q")
+"""The numbers of an event before its sample."""
+_RECORDS: dict[type[Event], Callable[[Any], bytes]] = {
+    Imu: _of_arrays(abi.DL_IMU, "dl_imu"),
+    Attitude: _of_arrays(abi.DL_ATTITUDE, "dl_attitude", R_ned_body="R_ned_body.matrix"),
+    BodyVelocity: _of_arrays(abi.DL_VELOCITY, "dl_velocity"),
+    Range: _of_range,
+    Baro: _of_height,
+    VesselReport: _of_vessel,
+    Sighting: _of_sighting,
 }
-"""Of each kind of event its number, what packs its values, and the zeros after them."""

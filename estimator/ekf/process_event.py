@@ -10,13 +10,13 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, rpy_matrix, wrap_pi
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Imu
-from estimator.core.abi import WITH_COVARIANCE
+from estimator.core.abi import DL_WITH_COVARIANCE
 from estimator.ekf import deck_motion_bank, so3
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import Event, packed_event
-from estimator.ekf.propagate import FilterParams
+from estimator.ekf.params import FilterParams
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ATT_BIAS,
@@ -44,11 +44,11 @@ def process_event(b: Belief | None, event: Event, params: FilterParams) -> tuple
     if b is None:
         return _first(event, params)
     packed = PackedBelief.of(b)
-    followed = packed.follow(params.process_noise, [packed_event(event)])
+    followed = packed.follow(params, [packed_event(event)])
     if followed:
         return followed[0].belief, followed.outcomes(1)[0]
     assert isinstance(event, Attitude)
-    return _set_by(packed.propagated(event.stamp.measured_at, params.process_noise, WITH_COVARIANCE).belief, event, params)
+    return _set_by(packed.propagated(event.stamp.measured_at, params, DL_WITH_COVARIANCE).belief, event, params)
 
 
 def _first(event: Event, params: FilterParams) -> tuple[Belief | None, Outcome]:

@@ -10,7 +10,6 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
 from estimator.core import abi
-from estimator.core.abi import N as N
 from estimator.core.library import CORE
 from estimator.ekf.deck_motion_bank import DeckMotionBank
 from estimator.ekf.options import EkfOptions
@@ -20,10 +19,12 @@ _FIRST = CORE.names("filter_state")
 
 
 def _part(name: str) -> slice:
-    first = _FIRST[name]
+    first = _FIRST[f"DL_{name}"]
     return slice(first, min(other for other in _FIRST.values() if other > first))
 
 
+N = abi.DL_N
+"""Number of states."""
 G_NED = np.array([0.0, 0.0, G_M_S2])
 G_NED.setflags(write=False)
 
@@ -45,7 +46,7 @@ GYRO_BIAS = _part("GYRO_BIAS")
 """Gyro bias, rad/s, in `body`: measured minus true."""
 ACCEL_BIAS = _part("ACCEL_BIAS")
 """Accelerometer bias, m/s^2, in `body`: measured minus true."""
-VEL_SCALE = abi.VEL_SCALE
+VEL_SCALE = abi.DL_VEL_SCALE
 """Scale of the horizontal velocity: measured over true."""
 VESSEL_VEL = _part("VESSEL_VEL")
 """The vessel's steady velocity, north and east, m/s."""
@@ -55,25 +56,25 @@ WAVES = np.arange(N)[_part("WAVES")].reshape(5, 4)
 """(5, 4) indices of [displacement, rate, force, rate of the force] for the pad's motion north, east, down (m) and the deck's
 roll and pitch (rad)."""
 DECK_DISP, DECK_RATE = WAVES[:, 0], WAVES[:, 1]
-PAD_YAW = abi.PAD_YAW
+PAD_YAW = abi.DL_PAD_YAW
 """Heading of the pad's arrow, rad clockwise from north."""
-YAW_RATE = abi.YAW_RATE
+YAW_RATE = abi.DL_YAW_RATE
 """Rate of the pad's yaw on waves, rad/s; the steady turn is `TURN_RATE`."""
 DECK_TRIM = np.arange(N)[_part("DECK_TRIM")]
 """Constant list and trim of the deck, rad."""
-CAMERA_DELAY = abi.CAMERA_DELAY
+CAMERA_DELAY = abi.DL_CAMERA_DELAY
 """Camera delay, s: sightings show the world this much later than their stamps say."""
 CAMERA_MOUNT = _part("CAMERA_MOUNT")
 """Rotation vector, rad, in `body`: the camera is rotated by `exp(x[CAMERA_MOUNT])` from the mounting in its file."""
-BARO_OFFSET = abi.BARO_OFFSET
+BARO_OFFSET = abi.DL_BARO_OFFSET
 """Height that the barometer shows minus the height over the pad's mean level, m."""
 ATT_BIAS = np.arange(N)[_part("ATT_BIAS")]
 """Constant error of the vehicle's own attitude about the body's x and y axes, rad: measured minus true."""
-RANGE_OFFSET = abi.RANGE_OFFSET
+RANGE_OFFSET = abi.DL_RANGE_OFFSET
 """Constant error of the range sensor, m: measured minus true. The sensor's position and the air temperature cause it."""
-WAVE_YAW = abi.WAVE_YAW
+WAVE_YAW = abi.DL_WAVE_YAW
 """The vessel's yaw on waves, rad; it is a part of `PAD_YAW`."""
-TURN_RATE = abi.TURN_RATE
+TURN_RATE = abi.DL_TURN_RATE
 """Steady rate at which the vessel turns, rad/s clockwise from above. Its velocity turns with it (coordinated turn)."""
 SWAY_PER_HEAVE = _part("SWAY_PER_HEAVE")
 """Metres that the pad moves north and east in phase with each metre that it moves down. A pad away from the centre of motion

@@ -24,10 +24,10 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.believed import BelievedPlace, expected, in_camera, near_enough, sigma_of
 from estimator.vision.camera import Camera
 from estimator.vision.detect import verification
-from estimator.vision.detect.about import pose_about
 from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
+from estimator.vision.detect.guesses import pose_about
 from estimator.vision.detect.heading import heading
-from estimator.vision.detect.paint import PaintMemory, learn, missed
+from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detection import Detection, Opinions
@@ -43,8 +43,20 @@ from estimator.vision.register.sighting import sighting_of_look
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.tracker_config import TrackerConfig
-from estimator.vision.tracker_memory import TrackerMemory
 from estimator.vision.verified import CLOSE, CODED_PX, ROUGH, SURE, Verified, verified
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerMemory:
+    """The state that vision keeps from frame to frame."""
+
+    paint: PaintMemory = FRESH
+    search: SearchMemory = FRESH_SEARCH
+    alike_yaw_rad: float | None = None
+    """The heading at which a pad that looks the same from several was last registered: the belief does not take it."""
+    lit: bool = False
+    """Whether the pad was last seen by its lamps."""
+
 
 _CLOSE_PX = 1.0
 """Largest standard deviation of the believed position in the frame at which registration starts directly from it."""

@@ -204,6 +204,13 @@ class Camera:
 
 
 @lru_cache(maxsize=8)
+def ray_map(camera: Camera) -> F64:
+    """Return (H, W, 2) x/z, y/z of every pixel of a camera with distortion; the result is cached."""
+    v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(float)
+    return camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(camera.height, camera.width, 2)
+
+
+@lru_cache(maxsize=8)
 def _lens_of(camera: Camera) -> Camera:
     return replace(camera, T_body_cam=Transform.identity(), cov_mount=None, readout_s=0.0)
 

@@ -110,6 +110,11 @@ class Markings:
         return bool(self.field_radius_m and self.ring_outer_m and self.arrow is not None and self.is_h)
 
     @property
+    def is_bright(self) -> bool:
+        """Whether the lettering is brighter than the disc."""
+        return sum(self.colours.h) > sum(self.colours.disc)
+
+    @property
     def is_h(self) -> bool:
         """Whether the lettering is an H."""
         return len(self.letters) == 1 and isinstance(self.letters[0], PaintedLetter) and self.letters[0].letter == "H"

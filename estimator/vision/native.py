@@ -1,46 +1,183 @@
-"""What vision gives to the native core: a camera, and the addresses of arrays."""
+"""The native core's tracker of a pad in the frames of a camera, and frames as the core takes them."""
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
-from estimator.contracts.geometry import F64
-from estimator.core.records import record
-from estimator.vision.camera import Camera
+from estimator.contracts.geometry import F64, Rotation
+from estimator.core.abi import DL_WRONG_SIZE, TEMPLATE_BLURS
+from estimator.core.library import CORE
+from estimator.vision.camera import Camera, ray_map
+from estimator.vision.detect.colour import disc_has_colour
+from estimator.vision.detect.template import polar_drawing, template
+from estimator.vision.detect.verification import COEFFICIENTS
+from estimator.vision.drawing import EdgeKind, edges_of
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import Orientation
+from estimator.vision.register.fit_verification import SEARCHED, TRACKED
+from estimator.vision.register.shape import pad_shape
+from estimator.vision.srgb import LINEAR_LIGHT
+
+FLOOR = 0.01
+"""Light, as a fraction of full scale, below which there is only noise."""
+_LOG_LIGHT = np.log1p(LINEAR_LIGHT / FLOOR)
+_KEPT = 4
+"""Number of trackers that a thread keeps."""
+_OUTLINE_STEP = 4
+"""Every so many points of the edges are in an outline."""
+_STROKES_MARGIN_M = 0.035
+"""Width of the disc around the H that counts."""
+_LEAST_SPAN = 0.05
+"""Least difference of H and disc in a channel, in linear light, that the ring is placed between."""
+_OF_THREAD = threading.local()
 
 
-@lru_cache(maxsize=4)
-def packed_camera(camera: Camera) -> F64:
-    """Return the structure `camera_lens` of the core."""
-    words = record("camera_lens", {
+def tracker_of(camera: Camera, pad: Pad | None = None) -> Any:
+    """Return this thread's native tracker of a pad, or of none where the drawing does not matter; the result is cached.
+
+    One thread at a time may use a tracker, because all memory that the core works in is in it.
+    """
+    known = getattr(_OF_THREAD, "trackers", None)
+    if known is None:
+        known = _OF_THREAD.trackers = lru_cache(maxsize=_KEPT)(_made)
+    return known(CORE.lib, camera, pad)
+
+
+def _made(lib: Any, camera: Camera, pad: Pad | None) -> Any:
+    rays = ray_map(camera.lens) if camera.distorted else None
+    arrays: list[Any] = [CORE.array("dl_camera", native_camera(camera)), _given("double", rays, 2 * camera.width * camera.height)]
+    if pad is None:
+        arrays += [CORE.ffi.NULL] * 5
+    else:
+        drawn, edges = template(pad), edge_points(pad)
+        cells = 4 * TEMPLATE_BLURS * len(drawn.coverage[0]) ** 2
+        arrays += [
+            CORE.array("dl_pad", CORE.record("dl_pad", **_drawing(pad, len(edges.at)))),
+            CORE.array("int16_t", drawn.coverage, cells), CORE.array("int16_t", drawn.local, cells),
+            CORE.array("double", edges.at, 5 * len(edges.at)), CORE.array("int32_t", edges.of, 2 * len(edges.at)),
+        ]  # fmt: skip
+    made = lib.dl_tracker_new(*arrays)
+    if not made:
+        raise MemoryError(f"the core cannot track a pad in frames of {camera.width}x{camera.height} px")
+    # The tracker reads the arrays as long as it lives.
+    return CORE.ffi.gc(made, lambda tracker, kept=arrays: lib.dl_tracker_free(tracker))
+
+
+def _given(kind: str, array: NDArray[Any] | None, count: int) -> Any:
+    return CORE.ffi.NULL if array is None else CORE.array(kind, array, count)
+
+
+def native_camera(camera: Camera) -> NDArray[Any]:
+    """Return the core's `dl_camera`."""
+    lens = {
         "width": camera.width, "height": camera.height, "distorted": camera.distorted, "fx": camera.fx, "fy": camera.fy,
         "cx": camera.cx, "cy": camera.cy, "distortion": camera.distortion, "R_body_cam": camera.T_body_cam.R.matrix,
-    })  # fmt: skip
-    words.setflags(write=False)
-    return words
+    }  # fmt: skip
+    return CORE.record("dl_camera", lens=lens, t_body_cam=camera.T_body_cam.t, light=LINEAR_LIGHT, log_light=_LOG_LIGHT)
 
 
-def address(array: NDArray[Any], dtype: DTypeLike = np.float64) -> int:
-    """Return the address of an array's first number.
+def _drawing(pad: Pad, edge_points: int) -> Mapping[str, Any]:
+    """Return the core's `dl_pad`."""
+    marks, polar = pad.markings, polar_drawing(pad)
+    return {
+        "shape": pad_shape(pad), "drawn": template(pad).lengths, "judge": _judge(pad), "size_sigma_m": pad.size_sigma_m,
+        "edge_points": edge_points,
+        "polar": {
+            "xy_m": polar.xy_m, "area_inside": polar.area_inside, "ring": polar.ring, "h_marking": polar.h_marking,
+            "arrow": polar.arrow, "polarity": 1.0 if marks.is_bright else -1.0, "radius_m": pad.disc_radius_m,
+        },
+        "strokes": {
+            "length_m": marks.h_length_m, "width_m": marks.h_width_m, "leg_m": marks.leg_width_m, "bar_m": marks.bar_width_m,
+            "margin_m": _STROKES_MARGIN_M,
+        },
+    }  # fmt: skip
+
+
+def _judge(pad: Pad) -> Mapping[str, Any]:
+    """Return the core's `pad_judge`."""
+    marks = pad.markings
+    ring, h_marking, disc = (LINEAR_LIGHT[list(rgb[::-1])] for rgb in (marks.colours.ring, marks.colours.h, marks.colours.disc))
+    side = np.where(h_marking - disc <= -_LEAST_SPAN, -1.0, 1.0)
+    return {
+        "has_field": bool(marks.field_radius_m), "has_ring": bool(marks.ring_outer_m), "has_letters": bool(marks.letters),
+        "has_fiducials": bool(marks.fiducials), "disc_has_colour": disc_has_colour(pad), "orange_side": side,
+        "orange_place": side * (ring - disc) / np.maximum(side * (h_marking - disc), _LEAST_SPAN),
+        "template_weights": COEFFICIENTS, "searched": SEARCHED, "tracked": TRACKED,
+    }  # fmt: skip
+
+
+class EdgePoints(NamedTuple):
+    """The points of a pad's edges as the core reads them."""
+
+    at: F64
+    """Place, normal and distance to the next, (M, 5) m."""
+    of: NDArray[np.int32]
+    """Kind and piece, (M, 2)."""
+    shown: tuple[slice, ...]
+    """Where the outline of each kind is among the points that the core returns."""
+
+
+@lru_cache(maxsize=8)
+def edge_points(pad: Pad) -> EdgePoints:
+    """Return the points of a pad's edges; the result is cached."""
+    edges = edges_of(pad)
+    at = np.ascontiguousarray(np.c_[edges.at_m, edges.normal, edges.spacing_m])
+    of = np.ascontiguousarray(np.c_[edges.kind, edges.piece], np.int32)
+    borders = np.searchsorted(edges.kind[::_OUTLINE_STEP], np.arange(len(EdgeKind) + 1)).tolist()
+    return EdgePoints(at, of, tuple(slice(a, b) for a, b in pairwise(borders)))
+
+
+def image_of(px: NDArray[np.uint8]) -> Any:
+    """Return an image, (h, w, 3) BGR or (h, w), as the core takes it, for as long as the array lives.
 
     Raises:
-        TypeError: its numbers are of another type, or not one after the other.
+        TypeError: the pixels of a row are not whole bytes, one after the other.
     """
-    if array.dtype != dtype or not array.flags.c_contiguous:
-        raise TypeError(f"the core takes contiguous {np.dtype(dtype)}, not {array.dtype} of strides {array.strides}")
-    return int(array.__array_interface__["data"][0])
+    made = CORE.ffi.new("dl_image *")
+    put_image(px, made)
+    return made
 
 
-def pixels(part: NDArray[np.uint8]) -> tuple[int, int]:
-    """Return the address of a part (h, w, 3) of an image, and the number of bytes from row to row.
+def put_image(px: NDArray[np.uint8], place: Any) -> None:
+    """Write an image to a place of the core's `dl_image`; arguments and errors as for `image_of`."""
+    channels = 1 if px.ndim == 2 else px.shape[2]
+    if px.dtype != np.uint8 or px.ndim not in (2, 3) or px.strides[1:] != ((1,) if px.ndim == 2 else (channels, 1)):
+        raise TypeError(f"the core takes bytes in rows of pixels, not {px.dtype} of shape {px.shape} and strides {px.strides}")
+    place.height, place.width, place.channels, place.stride = px.shape[0], px.shape[1], channels, px.strides[0]
+    place.px = CORE.ffi.cast("const uint8_t *", px.__array_interface__["data"][0])
+
+
+def checked(count: int) -> int:
+    """Return a count of the core.
 
     Raises:
-        TypeError: the pixels of a row are not three bytes each, one after the other.
+        ValueError: the core refused the size of an argument.
     """
-    if part.dtype != np.uint8 or part.ndim != 3 or part.shape[2] != 3 or part.strides[1:] != (3, 1):
-        raise TypeError(f"the core takes BGR bytes in rows, not {part.dtype} of shape {part.shape} and strides {part.strides}")
-    return int(part.__array_interface__["data"][0]), part.strides[0]
+    if count == DL_WRONG_SIZE:
+        raise ValueError("the core refuses an argument's size: the tracker is made for another one")
+    return count
+
+
+def native_pose(pose: PadPose) -> Any:
+    """Return a pose as the core's `pad_pose`."""
+    return CORE.ffi.new("pad_pose *", (pose.R_cam_pad.matrix.ravel().tolist(), pose.t_cam_pad.tolist()))
+
+
+def pose_of(made: Any) -> PadPose:
+    """Return the core's `pad_pose`."""
+    return PadPose(Rotation(np.array(CORE.ffi.unpack(made.R, 9)).reshape(3, 3)), np.array(CORE.ffi.unpack(made.t, 3)))
+
+
+def native_prior(prior: Orientation | None) -> tuple[Any, ...]:
+    """Return the members of the core's `tilt_prior`, which says whether there is one."""
+    if prior is None:
+        return (0, 0.0, 0.0, (0.0,) * 4, 0.0)
+    return (1, prior.roll_rad, prior.pitch_rad, prior.cov_tilt.ravel().tolist(), prior.sigma_deck_rad)

@@ -1,23 +1,192 @@
 """The pad as data: the regions that it is painted with, in order, their paints, and its lamps.
 
 Everything else is derived from them: edges and coverage for registration, maps for alignment, the rendered pad, the printed one
-and the overlay. Axes: x along the arrow, y to starboard of it, z into the deck; metres from the centre.
+and the overlay. A file with lengths or shapes that no pad has is refused: path, value and cure in one line. Axes: x along the
+arrow, y to starboard of it, z into the deck; metres from the centre.
 """
 
 from __future__ import annotations
 
+import difflib
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any, get_args
 
+import msgspec
 import numpy as np
+from msgspec import Meta, Struct
+from msgspec.structs import asdict
 
+from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from estimator.vision.lamp import Lamp
+from estimator.vision.fiducial import PaintedFiducial
+from estimator.vision.file_numbers import shown
+from estimator.vision.lamp import MOST, Lamp, check_lamps
 from estimator.vision.markings import Markings, Rgb, markings_of
-from estimator.vision.pad_file import PadFile, pad_file
-from estimator.vision.pad_rules import lacking_parts
-from estimator.vision.regions import Region, borders_of, circle
+from estimator.vision.pad_fiducials import check_marker
+from estimator.vision.pad_rules import check_regions, lacking_parts
+from estimator.vision.regions import (
+    PaintedArrowhead,
+    PaintedLetter,
+    PaintedPolygon,
+    PaintedRing,
+    PaintedStroke,
+    PaintedTriangle,
+    Region,
+    borders_of,
+    circle,
+    sides_meet,
+)
+
+SMALLEST_M, LARGEST_M = 0.001, 20.0
+"""Limits of a length. The largest bounds memory: edges are sampled every few millimetres."""
+_TOUCH_M = 1e-6
+
+_SHAPES: dict[object, type[Struct]] = {kind.__struct_config__.tag: kind for kind in get_args(Region)}
+Channel = Annotated[int, Meta(ge=0, le=255)]
+
+
+class PadFile(Struct, frozen=True, forbid_unknown_fields=True):
+    """A pad's file: what is painted, from the lowest region to the topmost, and what is lit."""
+
+    name: Annotated[str, Meta(min_length=1, max_length=60)]
+    paints: dict[str, tuple[Channel, Channel, Channel]]
+    """Red, green, blue of each paint by its name."""
+    regions: Annotated[tuple[Region, ...], Meta(min_length=1, max_length=40)]
+    lamps: Annotated[tuple[Lamp, ...], Meta(max_length=MOST)] = ()
+    """Lamps that shine upwards, for nights."""
+    size_sigma_m: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.0
+    """Sigma of what was painted or printed against the sizes in this file, m."""
+
+
+def pad_file(data: Mapping[str, Any], where: str) -> PadFile:
+    """Return a pad's file, checked.
+
+    Raises:
+        BadInput: see `estimator.vision.pad.Pad.from_mapping`.
+    """
+    if "disc_radius_m" in data:
+        raise BadInput(f'{where}: disc_radius_m is no key of a pad: write [[regions]] with shape = "disc", paint and radius_m')
+    try:
+        file = msgspec.convert(dict(data), PadFile, strict=True)
+    except (msgspec.ValidationError, OverflowError, TypeError) as why:
+        raise BadInput(f"{where}: {_explained(data, str(why))}") from why
+    for i, region in enumerate(file.regions):
+        _check_lengths(region, f"{where}: regions[{i}]")
+        _check_shape(region, f"{where}: regions[{i}]")
+        if region.paint not in file.paints:
+            known = ", ".join(file.paints)
+            raise BadInput(
+                f"{where}: regions[{i}].paint {shown(region.paint)} is not in [paints], which has {shown(known)}; add it there"
+            )
+    for i, lamp in enumerate(file.lamps):
+        _check_within(lamp.at_m, f"{where}: lamps[{i}].at_m")
+    check_regions(file.regions, file.paints, where)
+    check_lamps(file.lamps, where)
+    return file
+
+
+def _explained(data: Mapping[str, Any], message: str) -> str:
+    """Return msgspec's message in one line with the path and the value found there."""
+    reason, _, place = message.rpartition(" - at `$")
+    if not reason:
+        return " ".join((_of_key(message, data, PadFile.__struct_fields__) or message).split())
+    found: Any = data
+    for key in re.findall(r"\w+", place):
+        try:
+            found = found[int(key)] if isinstance(found, list) else found[key]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return f"{place.strip('.`')}: {reason}"
+    value = "" if isinstance(found, Mapping) else f", got {shown(found)}"
+    if isinstance(found, Mapping) and (shape := _SHAPES.get(found.get("shape"))) is not None:
+        reason = _of_key(reason, found, ("shape", *shape.__struct_fields__)) or reason
+    return " ".join(f"{place.strip('.`')}: {reason}{value}".split())
+
+
+def _of_key(reason: str, table: Mapping[str, Any], known: tuple[str, ...]) -> str:
+    """Return what is wrong with the keys of a table, or nothing if the reason is another one."""
+    if missing := re.fullmatch(r"Object missing required field `(.*)`", reason):
+        return f"{missing[1]} is missing"
+    if re.fullmatch(r"Object contains unknown field `.*`", reason) is None:
+        return ""
+    unknown = next(key for key in table if key not in known)
+    near = difflib.get_close_matches(str(unknown), known, n=1)
+    return f"{unknown} is not a known key; " + (f"did you mean {near[0]}?" if near else f"known here are {', '.join(known)}")
+
+
+def _check_lengths(region: Region, where: str) -> None:
+    for key, value in asdict(region).items():
+        if not key.endswith("_m") or value is None:
+            continue
+        if key in ("from_m", "to_m", "points_m", "at_m"):
+            _check_within(value, f"{where}.{key}")
+        elif not (math.isfinite(value) and SMALLEST_M <= value <= LARGEST_M):
+            raise BadInput(f"{where}.{key} must be {SMALLEST_M:g} to {LARGEST_M:g} m, got {shown(value)}{_cure(value)}")
+
+
+def _check_within(value: object, where: str) -> None:
+    if not all(math.isfinite(v) and abs(v) <= LARGEST_M for v in np.ravel(np.asarray(value, dtype=float))):
+        raise BadInput(f"{where} must be at most {LARGEST_M:g} m from the centre, got {shown(value)}{_cure(value)}")
+
+
+def _cure(value: object) -> str:
+    largest = float(np.max(np.abs(np.ravel(np.asarray(value, dtype=float)))))
+    if not LARGEST_M < largest <= 1000.0 * LARGEST_M:
+        return ""
+    return f": is it in millimetres? Write metres, {largest / 1000.0:g} for {largest:g}"
+
+
+def _check_shape(region: Region, where: str) -> None:
+    match region:
+        case PaintedRing() if not region.inner_m < region.outer_m:
+            raise BadInput(f"{where}: inner_m must be less than outer_m, got {region.inner_m:g} and {region.outer_m:g}")
+        case PaintedArrowhead() if region.depth_m >= region.tip_m:
+            raise BadInput(
+                f"{where}.depth_m must be less than tip_m, got {region.depth_m:g}: an arrowhead lies ahead of the centre"
+            )
+        case PaintedLetter():
+            across, along = (2.0 if region.letter == "H" else 1.0), (2.0 if region.letter == "L" else 1.0)
+            bar = region.bar_m or region.stroke_m
+            if across * region.stroke_m >= region.width_m or along * bar >= region.length_m:
+                raise BadInput(
+                    f"{where}: stroke_m {region.stroke_m:g} or bar_m {bar:g} leaves no room in a letter of "
+                    f"{region.length_m:g} x {region.width_m:g} m"
+                )
+        case PaintedFiducial():
+            check_marker(region, where)
+        case PaintedTriangle() if region.stroke_m >= 0.9 * region.inscribed_m():
+            raise BadInput(
+                f"{where}.stroke_m {region.stroke_m:g} leaves no room in a triangle of side_m {region.side_m:g}: its sides are "
+                f"{region.inscribed_m():.3g} m from the centre"
+            )
+        case PaintedStroke():
+            if not _length(np.array([region.from_m, region.to_m], dtype=float))[0] >= SMALLEST_M:
+                raise BadInput(f"{where}: from_m and to_m must differ, got {region.from_m} and {region.to_m}")
+        case PaintedPolygon():
+            points = np.array(region.points_m, dtype=float).reshape(-1, 2)
+            if not (3 <= len(points) <= 60 and _is_simple(points)):
+                raise BadInput(
+                    f"{where}.points_m must be 3 to 60 corners of a line that does not touch itself, with sides of "
+                    f"{SMALLEST_M:g} m at least"
+                )
+        case _:
+            pass
+
+
+def _length(points: F64) -> F64:
+    """Return the lengths of the sides of a line, (N - 1,) m."""
+    return np.asarray(np.linalg.norm(np.diff(points, axis=0), axis=1))
+
+
+def _is_simple(points: F64) -> bool:
+    """Return whether a closed line turns at each corner, and its sides meet their neighbours alone."""
+    way = np.roll(points, -1, axis=0) - points
+    before = np.roll(way, 1, axis=0)
+    turns = np.abs(before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0]) > _TOUCH_M * np.linalg.norm(way, axis=1)
+    long = _length(np.vstack([points, points[:1]])) >= SMALLEST_M
+    return bool(np.all(long) and np.all(turns)) and not sides_meet(points)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -21,3 +23,9 @@ def linear_light(values: ArrayLike) -> F64:
 LINEAR_LIGHT = linear_light(np.arange(256))
 """(256,) linear light 0..1 of each value of a pixel."""
 LINEAR_LIGHT.setflags(write=False)
+
+
+@lru_cache(maxsize=2)
+def light_table(gamma: bool) -> F64:
+    """Return the linear light, (256,) 0..1, of a pixel's value: of sRGB, or the value itself without gamma."""
+    return LINEAR_LIGHT if gamma else np.asarray(np.arange(256) / 255.0)

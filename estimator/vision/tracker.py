@@ -14,12 +14,11 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Method, RelativeState, Sighting
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.believed import BelievedPlace, expected, near_enough, sigma_of
-from estimator.vision.by_lamps import by_lamps, is_dark
+from estimator.vision.by_paint import TrackerMemory as TrackerMemory
 from estimator.vision.by_paint import by_paint, by_thesis
 from estimator.vision.detection import Detection
 from estimator.vision.rolling import at_one_instant
 from estimator.vision.tracker_config import TrackerConfig as TrackerConfig
-from estimator.vision.tracker_memory import TrackerMemory as TrackerMemory
 from estimator.vision.verified import SURE
 
 _LAMPS_WORK = 3.0
@@ -43,6 +42,9 @@ def track(
         return by_thesis(tracker, frame, attitude), memory
     if not tracker.pad.lamps:
         return by_paint(tracker, memory, frame, attitude, belief)
+    # Few pads have lamps, and the start of the others need not wait for it.
+    from estimator.vision.lamp_sighting import by_lamps, is_dark
+
     first = memory.lit or not tracker.pad.is_identifiable_by_paint or is_dark(frame)
     lit = by_lamps(tracker, memory, frame, attitude, belief) if first else None
     seen, left = Detection(None, None, MappingProxyType({})), memory

@@ -22,7 +22,7 @@ from estimator.vision.register.fiducial_cells import cells_log_odds
 from estimator.vision.register.fit_verification import confidence
 from estimator.vision.register.letter_alone import letter_log_odds
 from estimator.vision.register.look import Looked, look
-from estimator.vision.register.options import RegistrationOptions
+from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.turned import heading_z_scores
 
 SURE = 0.5

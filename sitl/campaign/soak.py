@@ -30,7 +30,7 @@ from companion.base.signals import Stopped
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.service.assemble import make_daemon
-from companion.service.daemon import Daemon, DaemonOptions, VehicleLink
+from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
 from companion.settings.mission import TryOptions
 from companion.settings.model import Settings, ardrone_options
 from drivers.ardrone import at
@@ -171,7 +171,7 @@ async def cpu_at(rate_hz: int, scenario: Scenario, settings: Settings, duration_
         reel.open,
         make_pilot(settings),
         clock,
-        DaemonOptions(settings.service, settings.guidance.rate_hz, threads=settings.vision.threads),
+        DaemonSetup(settings.service, settings.guidance.rate_hz, threads=settings.vision.threads),
     )
     async with asyncio.TaskGroup() as group:
         group.create_task(daemon.run())

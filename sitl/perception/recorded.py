@@ -24,8 +24,7 @@ from estimator.contracts.geometry import F64, skew
 from estimator.contracts.samples import Attitude
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from estimator.vision.pose import Orientation
-from estimator.vision.register.tilt import roll_pitch, tilt_axes
+from estimator.vision.pose import Orientation, roll_pitch, tilt_axes
 from sitl.perception.draw import View, Viewer
 from sitl.scenario.scenario import Scenario, load
 

@@ -6,13 +6,9 @@ from typing import Any, NamedTuple
 
 from msgspec import Struct, structs
 
-from companion.guidance.follow_deck import FollowDeckMemory
-from companion.guidance.tuning import TuningChoice
-from estimator.contracts.geometry import F64
+from companion.guidance.follow_deck import FollowDeckMemory, TuningChoice
 from estimator.contracts.time import MonoNs
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import address
-from estimator.core.records import record
+from estimator.core.library import CORE
 from tests.companion.law_axis import Observed, TiltAxis
 
 
@@ -45,31 +41,24 @@ class LawMemory(Struct, frozen=True):
     turn: DeckTurn | None
 
 
-_MEMORY, _AXIS = places_of("law_memory"), places_of("law_axis")
-
-
-def _axis(words: F64, n: int) -> TiltAxis:
-    p, w, d, b, lean, rate, lag = words[:7].tolist()
-    return TiltAxis(Observed(p, w, d, b), lean, rate, lag, tuple(words[_AXIS["under_way"]][:n].tolist()))
+def _axis(axis: Any, n: int) -> TiltAxis:
+    return TiltAxis(Observed(axis.p, axis.w, axis.d, axis.b), axis.lean, axis.rate, axis.lag, tuple(axis.under_way)[:n])
 
 
 def plain(memory: FollowDeckMemory, n: int, *, over_ground: bool = False) -> LawMemory:
     """Return a memory as plain values; `n` commands are remembered."""
-    words = memory.words
-    begun, has_turn = words.view("int64")[:2].tolist()
-    one, two = words[_MEMORY["axes"]].reshape(2, -1)
-    mine, other = words[_MEMORY["own"]].reshape(2, -1).tolist()
-    turn = DeckTurn(words[_MEMORY["turn_yaw_rad"]].item(), words[_MEMORY["turn_rate_rad_s"]].item())
+    core = memory.core
+    one, two = core.axes
     return LawMemory(
         memory.at,
-        (_axis(one, n), _axis(two, n)) if begun else None,
-        words[_MEMORY["pushed_down_m_s2"]].item(),
-        tuple(words[_MEMORY["climbs"]][:n].tolist()),
+        (_axis(one, n), _axis(two, n)) if core.begun else None,
+        core.pushed_down_m_s2,
+        tuple(core.climbs)[:n],
         memory.tuning,
         memory.tuning_before,
         memory.share,
-        (OwnPart(*mine), OwnPart(*other)) if begun and over_ground else None,
-        turn if has_turn else None,
+        tuple(OwnPart(part.own, part.lean, part.rate) for part in core.own) if core.begun and over_ground else None,  # type: ignore[arg-type]
+        DeckTurn(core.turn_yaw_rad, core.turn_rate_rad_s) if core.has_turn else None,
     )
 
 
@@ -88,6 +77,5 @@ def packed(memory: LawMemory) -> FollowDeckMemory:
     }
     if memory.turn is not None:
         values |= {"turn_yaw_rad": memory.turn.yaw_rad, "turn_rate_rad_s": memory.turn.rate_rad_s}
-    words = record("law_memory", values)
-    assert words.size == size_of("law_memory")
-    return FollowDeckMemory(words, address(words), memory.at, memory.tuning, memory.tuning_before, memory.share)
+    core = CORE.ffi.new("dl_law_memory *", values)
+    return FollowDeckMemory(core, memory.at, memory.tuning, memory.tuning_before, memory.share)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.guidance.blind_hold import climbing, never_lower, usable, without_estimate
 from companion.guidance.controller import Knowledge
 from companion.guidance.situation import GuidanceCycle
+from companion.guidance.steer import climbing, never_lower, usable, without_estimate
 from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.motion import DeckMotion

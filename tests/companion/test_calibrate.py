@@ -14,8 +14,7 @@ import pytest
 from companion.cli.main import main
 from companion.tools.calibrate import assess
 from companion.tools.calibrate.board import Board
-from companion.tools.calibrate.gather import add_file, watch
-from companion.tools.calibrate.guide import Guide, GuideState
+from companion.tools.calibrate.guide import Guide, GuideState, add_file, watch
 from companion.tools.calibrate.solve import solve
 from companion.tools.calibrate.views import BoardView, Collection
 from drivers.camera.options import CameraOptions

@@ -12,11 +12,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.cli.calibrate_flight import with_values
 from companion.cli.main import main
 from companion.guidance.make_pilot import estimator_options, with_mount
 from companion.settings.load import SHIPPED, load
 from companion.settings.model import CameraSettings, Settings
-from companion.settings.toml_edit import with_values
 from companion.tools.calibrate.flight_result import flight_result
 from companion.tools.calibrate.mount_fit import DELAY, MOUNT, READOUT, fit_mount
 from companion.tools.calibrate.rotations import exp, exps

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from companion.guidance.climb_loop import climb_loop
 from companion.settings.load import shipped_response
 from companion.settings.mission import ConeOptions
-from companion.tools.calibrate.climb_cost import contact, of_file, of_sigma
+from companion.tools.calibrate.response_cost import climb_loop, contact, of_file, of_sigma
 
 ARDRONE = shipped_response("ardrone2")
 MISSING_M_S = 0.06

@@ -9,7 +9,7 @@ import pytest
 
 from companion.base.observer import Decision
 from companion.cli import main as cli
-from companion.recording import csv_export
+from companion.recording import rewriting
 from companion.recording.reading import open_recording
 from estimator.contracts.errors import BadInput
 from tests.support.recorded_flight import record_to
@@ -53,10 +53,10 @@ def test_what_cannot_be_written_or_is_damaged_is_said(
     (tmp_path / "file").write_text("")
     assert cli.main(["record", "export", str(flown), "--output", str(tmp_path / "file")]) == 2
     assert "cannot write tables there" in capsys.readouterr().err
-    monkeypatch.setattr(csv_export, "_COLUMNS_MAX", 5)
+    monkeypatch.setattr(rewriting, "_COLUMNS_MAX", 5)
     with pytest.raises(BadInput, match="has more than 5 columns"):
-        csv_export.export(open_recording([flown]), tmp_path / "tables")
+        rewriting.export(open_recording([flown]), tmp_path / "tables")
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(flown.read_bytes()[:-20_000])
-    monkeypatch.setattr(csv_export, "_COLUMNS_MAX", 1000)
-    assert csv_export.export(open_recording([cut]), tmp_path / "part")["sample_imu.csv"] > 20
+    monkeypatch.setattr(rewriting, "_COLUMNS_MAX", 1000)
+    assert rewriting.export(open_recording([cut]), tmp_path / "part")["sample_imu.csv"] > 20

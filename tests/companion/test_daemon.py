@@ -13,7 +13,7 @@ from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.pilot import Pilot
 from companion.recording import encode
 from companion.recording.decode import frame_times
-from companion.service.daemon import Daemon, DaemonOptions, VehicleLink
+from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, load, pad_model
 from companion.settings.restart import RestartOptions
@@ -97,7 +97,7 @@ def daemon_of(
         open_link,
         pilot,
         CLOCK,
-        DaemonOptions(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0, once=once),
+        DaemonSetup(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0, once=once),
         observers=[] if diary is None else [diary],
     )
 
@@ -182,7 +182,7 @@ async def test_samples_are_taken_together_and_none_waits_while_guidance_decides(
     vehicle, diary = FakeVehicle(), Diary()
     pilot = CountingPilot(EYES, EstimatorOptions(), GuidanceOptions())
     pilot.vehicle_link = vehicle
-    daemon = Daemon(vehicle.open, pilot, CLOCK, DaemonOptions(RestartOptions(), 50.0), observers=[diary])
+    daemon = Daemon(vehicle.open, pilot, CLOCK, DaemonSetup(RestartOptions(), 50.0), observers=[diary])
     async with asyncio.TaskGroup() as group:
         group.create_task(daemon.run())
         await until(lambda: vehicle.opened == 1)
@@ -240,7 +240,7 @@ class SlowPilot(Pilot):
 async def test_a_slow_machine_leaves_frames_out_and_counts_them() -> None:
     vehicle = FakeVehicle()
     pilot = SlowPilot(EYES, EstimatorOptions(), GuidanceOptions())
-    daemon = Daemon(vehicle.open, pilot, CLOCK, DaemonOptions(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0, core_fraction=0.4))
+    daemon = Daemon(vehicle.open, pilot, CLOCK, DaemonSetup(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0, core_fraction=0.4))
     async with asyncio.TaskGroup() as group:
         group.create_task(daemon.run())
         await until(lambda: vehicle.opened == 1)
@@ -348,7 +348,7 @@ async def test_cancelling_it_closes_the_vehicle() -> None:
 async def test_the_log_names_the_part_that_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
     vehicle = FakeVehicle()
     pilot = Pilot(EYES, EstimatorOptions(), GuidanceOptions())
-    daemon = Daemon(vehicle.open, pilot, CLOCK, DaemonOptions(RestartOptions(), 50.0, health_period_s=0.05))  # fmt: skip
+    daemon = Daemon(vehicle.open, pilot, CLOCK, DaemonSetup(RestartOptions(), 50.0, health_period_s=0.05))  # fmt: skip
 
     def said(text: str) -> bool:
         return any(text in record.getMessage() and record.levelname == "WARNING" for record in caplog.records)

@@ -15,12 +15,12 @@ from typing import Any
 
 import pytest
 
-from companion.base.proven import Proven
 from companion.cli import main as cli
 from companion.cli import run as run_command
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.mqtt.spool import Spool
 from companion.service import assemble as service
+from companion.service.assemble import Proven
 from companion.settings.load import load
 from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible, unusable
 

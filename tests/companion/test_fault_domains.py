@@ -18,13 +18,13 @@ from companion.base.health import Health
 from companion.base.notify import Pulse
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
-from companion.parts.mavlink.bridge_part import BridgePart
+from companion.parts.mavlink.bridge import BridgePart
 from companion.parts.metrics.endpoint import MetricsEndpoint
 from companion.parts.mqtt.part import MqttPart
 from companion.parts.page.endpoint import PageEndpoint
 from companion.parts.recorder.recorder import Recorder
 from companion.service import assemble as service
-from companion.service.daemon import Daemon, DaemonOptions
+from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.load import load
 from companion.settings.model import Settings
 from companion.settings.page import PageSettings
@@ -162,7 +162,7 @@ async def flown(
         vehicle.open,
         OrderingPilot(vehicle),
         clock,
-        DaemonOptions(RestartOptions(0.02, 2.0, 0.1, 5.0), 50.0, health_period_s=0.3),
+        DaemonSetup(RestartOptions(0.02, 2.0, 0.1, 5.0), 50.0, health_period_s=0.3),
         observers=[failing, Curious()],
         health=health,
         extras={"failing": failing.run},

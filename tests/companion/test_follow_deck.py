@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.base.response_in_use import ResponseInUse, ResponseState
-from companion.guidance import tuning
+from companion.guidance import follow_deck
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.follow_deck import FollowDeck, FollowDeckMemory
+from companion.guidance.follow_deck import FollowDeck, FollowDeckMemory, TuningChoice
 from companion.guidance.pid_controller import PidController
-from companion.guidance.tuning import TuningChoice
 from companion.guidance.view import FieldOfView
 from companion.settings.guidance import PidOptions
 from companion.settings.load import shipped_response
@@ -342,7 +341,7 @@ def test_commands_are_remembered_for_as_long_as_any_delay_that_is_flown_with() -
         RESPONSE, tilt=structs.replace(RESPONSE.tilt, delay_s=0.5), climb=structs.replace(RESPONSE.climb, delay_s=0.5)
     )
     law, assumed = FollowDeck(slow, T), ResponseInUse(ResponseState.ASSUMED, 0.5, None)
-    assert law._remembered * T >= 0.5 + tuning.SOFTER_LONGER_S
+    assert law._remembered * T >= 0.5 + follow_deck.SOFTER_LONGER_S
     memory = law.start()
     for k in range(3):
         memory, _ = stepped(memory, known(k * T, lean=(0.2, 0.0), response=assumed), law=law)
@@ -362,7 +361,7 @@ def test_a_law_keeps_no_more_commands_than_the_core() -> None:
 @pytest.mark.parametrize("state", [ResponseState.ASSUMED, ResponseState.KNOWN])
 def test_no_gains_of_the_file_are_solved_in_flight(state: ResponseState, monkeypatch: pytest.MonkeyPatch) -> None:
     law = FollowDeck(RESPONSE, T)
-    monkeypatch.setattr(tuning, "tilt_gains", None)
+    monkeypatch.setattr(follow_deck, "tilt_gains", None)
     for sigma in (1e-3, 0.03, 0.3, 3.0):
         stepped(law.start(), known(0.0, var=(sigma**2, 0.0), response=ResponseInUse(state, 0.05, None)), law=law)
 

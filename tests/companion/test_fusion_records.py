@@ -18,7 +18,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from companion.base.health import NIS_WINDOW, Health
 from companion.base.observer import NullObserver
 from companion.guidance.make_pilot import make_pilot
-from companion.parts.metrics.exposition import text
+from companion.parts.metrics.endpoint import text
 from companion.parts.mqtt import encode as mqtt_encode
 from companion.parts.mqtt import messages
 from companion.parts.recorder.recorder import Recorder
@@ -30,8 +30,7 @@ from companion.recording.records import FusionRecord
 from companion.recording.rewriting import Cut, rewrite
 from companion.settings.load import camera_model
 from companion.settings.recorder import RecorderOptions
-from companion.tools.replay.engine import Replay
-from companion.tools.replay.pilots import pilot_of
+from companion.tools.replay.engine import Replay, pilot_of
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.innovations import innovation_series
 from companion.tools.report.page import render

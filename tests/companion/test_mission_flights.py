@@ -14,12 +14,11 @@ from msgspec.structs import replace
 from companion.base.mission import DESCENDS, Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
-from companion.guidance.blind_hold import never_lower
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.mission_step import mission_step, ordered, reported
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, unfit
-from companion.guidance.steer import Aim
+from companion.guidance.steer import Aim, never_lower
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.geometry import F64

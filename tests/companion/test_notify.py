@@ -18,7 +18,7 @@ from companion.base.notify import Manager, Pulse, watchdog_interval_s
 from companion.base.observer import NullObserver, Observer
 from companion.guidance.pilot import Pilot
 from companion.parts.metrics.endpoint import MetricsEndpoint
-from companion.service.daemon import Daemon, DaemonOptions
+from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.metrics import MetricsSettings
 from companion.settings.restart import RestartOptions
@@ -67,7 +67,7 @@ def watched(
         vehicle.open,
         pilot,
         CLOCK,
-        DaemonOptions(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0),
+        DaemonSetup(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0),
         observers=(*more, pulse),
         health=health,
         extras={"manager": pulse.run},

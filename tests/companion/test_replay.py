@@ -23,9 +23,8 @@ from companion.parts.recorder.storage_policy import SingleFile
 from companion.recording.reading import open_recording
 from companion.settings.load import camera_model
 from companion.settings.recorder import RecorderOptions
-from companion.tools.replay.engine import Replay
-from companion.tools.replay.log_observer import BeliefLogObserver, differences, recorded_beliefs
-from companion.tools.replay.pilots import pilot_of
+from companion.tools.replay.engine import Replay, pilot_of
+from companion.tools.replay.recorded_log import BeliefLogObserver, differences, recorded_beliefs
 from companion.tools.report.flight_log import FlightLog
 from estimator.contracts.commands import Land
 from estimator.contracts.time import MonoNs

@@ -10,11 +10,10 @@ import pytest
 from msgspec import structs
 
 from companion.guidance.margins import margins
-from companion.guidance.response_file import text
-from companion.guidance.response_fit import STEP_S, FlightCourse, fit_climb, fit_tilt
+from companion.guidance.response_fit import STEP_S, FlightCourse, fit_climb, fit_tilt, text
 from companion.settings.load import shipped_response
 from companion.settings.response import Response, response_from_mapping
-from companion.tools.calibrate.response_cost import ResponseCost, of_file, of_sigma
+from companion.tools.calibrate.response_cost import ResponseCost, tilt_of_file, tilt_of_sigma
 from tests.companion.test_response_fit import GIVEN, WARM, asked, course
 
 TILT = shipped_response("ardrone2").tilt
@@ -22,11 +21,11 @@ COV = np.diag([0.01**2, 0.3**2, 0.05**2])
 
 
 def test_the_right_file_costs_nothing_and_a_wrong_one_the_squares_difference() -> None:
-    right = of_file(TILT, TILT)
+    right = tilt_of_file(TILT, TILT)
     assert right.cost_cm == 0.0
     assert right.error_cm == pytest.approx(100.0 * math.sqrt(2.0) * margins(TILT).error_m)
     quick = structs.replace(TILT, frequency_rad_s=5.5)
-    wrong = of_file(quick, TILT)
+    wrong = tilt_of_file(quick, TILT)
     assert wrong.own_cm == right.own_cm
     assert wrong.error_cm == pytest.approx(100.0 * math.sqrt(2.0) * margins(quick, TILT).error_m)
     assert wrong.cost_cm == pytest.approx(math.sqrt(wrong.error_cm**2 - wrong.own_cm**2))
@@ -34,21 +33,21 @@ def test_the_right_file_costs_nothing_and_a_wrong_one_the_squares_difference() -
 
 
 def test_a_loop_that_is_unstable_has_no_cost_in_centimetres() -> None:
-    assert math.isinf(of_file(TILT, structs.replace(TILT, delay_s=0.2)).cost_cm)
+    assert math.isinf(tilt_of_file(TILT, structs.replace(TILT, delay_s=0.2)).cost_cm)
     assert ResponseCost(2.0, 2.1).cost_cm == 0.0
 
 
 def test_one_sigma_is_the_worst_vehicle_on_its_ellipsoid() -> None:
-    found = of_sigma(TILT, COV)
+    found = tilt_of_sigma(TILT, COV)
     rng = np.random.default_rng(5)
     for step in rng.normal(size=(25, 3)):
         delay, frequency, damping = np.sqrt(np.diag(COV)) * step / np.linalg.norm(step)
         vehicle = structs.replace(
             TILT, delay_s=TILT.delay_s + delay, frequency_rad_s=TILT.frequency_rad_s + frequency, damping=TILT.damping + damping
         )
-        assert of_file(TILT, vehicle).cost_cm < 1.1 * found.cost_cm
-    assert of_sigma(TILT, 0.01 * COV).cost_cm < 0.5 * found.cost_cm
-    assert math.isinf(of_sigma(TILT, 100.0 * COV).cost_cm)
+        assert tilt_of_file(TILT, vehicle).cost_cm < 1.1 * found.cost_cm
+    assert tilt_of_sigma(TILT, 0.01 * COV).cost_cm < 0.5 * found.cost_cm
+    assert math.isinf(tilt_of_sigma(TILT, 100.0 * COV).cost_cm)
 
 
 def test_a_file_is_read_back_with_the_covariance_of_its_fits() -> None:

@@ -12,8 +12,8 @@ from companion.base.observer import Decision
 from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.parts.mavlink.component import Component, ComponentOptions
 from companion.parts.mavlink.status_texts import MavSeverity
-from companion.parts.metrics.exposition import text
-from companion.parts.mqtt.events import Changes
+from companion.parts.metrics.endpoint import text
+from companion.parts.mqtt.encode import Changes
 from companion.recording import decode, encode, records
 from estimator.contracts.time import MonoNs
 from tests.companion.metrics.test_metrics import Clock, value

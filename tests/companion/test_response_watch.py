@@ -17,14 +17,22 @@ from msgspec import structs
 from companion.base.mission import State
 from companion.base.response_in_use import ResponseInUse, ResponseState  # fmt: skip
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.follow_deck import FollowDeck, FollowDeckMemory
+from companion.guidance.follow_deck import AS_GIVEN, FollowDeck, FollowDeckMemory, TuningChoice, chosen_tuning, tuned
 from companion.guidance.margins import margins
 from companion.guidance.response_fit import TiltFit, fit_tilt
-from companion.guidance.response_identifier import ResponseIdentifier
-from companion.guidance.response_watch import CONTRADICTION_S, DELAY_MAX_S, ResponseWatch, asked, begun, judged, landed, reported
+from companion.guidance.response_watch import (
+    CONTRADICTION_S,
+    DELAY_MAX_S,
+    ResponseIdentifier,
+    ResponseWatch,
+    asked,
+    begun,
+    judged,
+    landed,
+    reported,
+)
 from companion.guidance.tilt_law import TiltWeights
 from companion.guidance.tilt_model import tilt_model
-from companion.guidance.tuning import AS_GIVEN, TuningChoice, chosen_tuning, tuned
 from companion.settings.follow_deck import FollowDeckOptions
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import load, shipped, shipped_response
@@ -263,7 +271,7 @@ def differences(before: ResponseInUse | None, after: ResponseInUse | None, cycle
         lean = float(np.hypot(*(b.a_level + b.trim_level - a.a_level - a.trim_level)))
         out.append([lean, abs(float(b.v_level[2] - a.v_level[2])), float(np.hypot(*(b.v_level - a.v_level)[:2]))])
         # The two go on from the same commands, so that what differs is this cycle's alone.
-        stays = structs.replace(stays, words=turns.words, address=turns.address)
+        stays = structs.replace(stays, core=turns.core)
     return np.array(out)
 
 

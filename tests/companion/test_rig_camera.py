@@ -11,7 +11,7 @@ import av
 import numpy as np
 import pytest
 
-from companion.service.link_with_camera import with_camera
+from companion.service.vehicle_parts import with_camera
 from companion.settings.load import from_mapping, load
 from drivers.camera.options import CameraOptions
 from drivers.clock import SystemClock

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from companion.base.mission import State
-from companion.parts.metrics import exposition
+from companion.parts.metrics import endpoint
 from companion.settings.load import from_mapping
 from drivers.clock import SystemClock
 from drivers.mavlink.endpoint import parse_endpoint
@@ -127,7 +127,7 @@ async def test_among_garbage_it_flies_astern_of_her_searches_and_waits_level_whe
         assert all(v[2] <= 0.0 for v in service.setpoints)
         counted = service.counted("sentences")
         assert len(GARBAGE) < service.counted("ship_place")["taken"] <= counted["taken_RMC"]
-        metrics = exposition.text(service.daemon.health.snapshot()).decode()
+        metrics = endpoint.text(service.daemon.health.snapshot()).decode()
     for reason in {*GARBAGE.values(), "wrong_sender"}:
         assert counted[f"refused_{reason}"] >= 1
         assert f'name="refused_{reason}",part="sentences"' in metrics

@@ -15,7 +15,7 @@ from msgspec import inspect
 
 from companion.base.observer import Decision
 from companion.guidance.pilot import Pilot
-from companion.service.daemon import Daemon, DaemonOptions
+from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.model import Settings
 from companion.settings.refusal import described
@@ -29,7 +29,7 @@ PROBE = """
 import sys
 from companion.cli import main, run
 from companion.base import signals
-from companion.service.daemon import Daemon, DaemonOptions
+from companion.service.daemon import Daemon, DaemonSetup
 
 def first(self, decision):
     print(*sorted(set(sys.argv[2].split(",")) & set(sys.modules)))
@@ -97,7 +97,7 @@ async def test_vision_is_prepared_once_on_its_own_thread_between_the_first_cycle
         vehicle.open,
         Looks(EYES, EstimatorOptions(), GuidanceOptions()),
         CLOCK,
-        DaemonOptions(
+        DaemonSetup(
             RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0, threads=1, prepare=lambda: order.append(threading.current_thread().name)
         ),
         observers=[Order(order)],

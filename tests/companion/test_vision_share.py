@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.base.garbage import GroundedCollector, no_full_collections
-from companion.base.vision_share import VisionShare
+from companion.base.memory import GroundedCollector, no_full_collections
+from companion.service.daemon import VisionShare
 from estimator.contracts.time import MonoNs, after, seconds_between
 
 

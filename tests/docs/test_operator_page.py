@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from companion.cli.fly import ORDERS
-from companion.cli.fly_keyboard import MOTIONS
-from companion.cli.fly_keyboard import ORDERS as KEYS
+from companion.cli.fly import KEYS, MOTIONS, ORDERS
 from companion.guidance.precedence import markdown
 
 PAGE = (Path(__file__).parents[2] / "docs/operator.md").read_text()

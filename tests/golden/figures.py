@@ -17,9 +17,8 @@ import msgspec
 from companion.recording.reading import open_recording
 from companion.recording.records import TruthRecord
 from companion.settings.load import load
-from companion.tools.replay.engine import Replay
-from companion.tools.replay.log_observer import BeliefLogObserver
-from companion.tools.replay.pilots import pilot_of
+from companion.tools.replay.engine import Replay, pilot_of
+from companion.tools.replay.recorded_log import BeliefLogObserver
 from companion.tools.report.figures import all_series, error_rows
 from companion.tools.report.flight_log import FlightLog
 from estimator.contracts.time import MonoNs

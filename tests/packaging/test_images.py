@@ -13,7 +13,7 @@ import pytest
 
 from companion.base.health import Health
 from companion.base.mission import ENDED, State
-from companion.parts.metrics.exposition import families
+from companion.parts.metrics.endpoint import families
 from companion.settings.load import load
 from companion.settings.metrics import MetricsSettings
 from drivers.ardrone.options import ArDroneOptions

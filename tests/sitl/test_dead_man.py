@@ -27,7 +27,6 @@ from sitl.world.world import World
 OPTIONS = ArDroneOptions()
 PERIOD_TICKS = 6
 CYCLE_TICKS = 4
-AIR_S = 0.01
 
 
 def go(forward: float, down: float = 0.0) -> Velocity:

@@ -13,7 +13,7 @@ import pytest
 from companion.base.health import Health
 from companion.base.mission import FlightOutcome
 from companion.cli import demo
-from companion.service.daemon import Daemon, DaemonOptions
+from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.restart import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
@@ -81,7 +81,7 @@ class LateClock(VirtualClock):
 @pytest.mark.parametrize(("clock", "late_s"), [(VirtualClock(), 0.0), (LateClock(), 0.05)])
 def test_the_daemon_measures_how_late_guidance_comes(clock: VirtualClock, late_s: float) -> None:
     vehicle = FakeFlight(clock)
-    daemon = Daemon(vehicle.open, SeeingPilot(vehicle), clock, DaemonOptions(RestartOptions(), 50.0, health_period_s=0.0))
+    daemon = Daemon(vehicle.open, SeeingPilot(vehicle), clock, DaemonSetup(RestartOptions(), 50.0, health_period_s=0.0))
     asyncio.run(fly(daemon, vehicle, clock, 0.6))
     stage = daemon.health.snapshot().stages["guidance_late"]
     assert stage.count >= 8

@@ -16,7 +16,7 @@ from companion.base.observer import Decision
 from companion.base.supervise import run
 from companion.parts.mqtt.commands import CommandHandler
 from companion.parts.mqtt.connection import BrokerEndpoint
-from companion.parts.mqtt.events import PendingEvent
+from companion.parts.mqtt.encode import PendingEvent
 from companion.parts.mqtt.outbox import Outbox
 from companion.parts.mqtt.part import MqttPart
 from companion.parts.mqtt.spool import Spool

@@ -6,27 +6,308 @@ let in; then its subscriptions, its requests and what waits for it are bounded.
 
 from __future__ import annotations
 
+import asyncio
 import logging
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
-from aiohttp import WSCloseCode, web
+import msgspec
+from aiohttp import WSCloseCode, WSMsgType, web
 
 from companion.base.connection_limits import ConnectionLimits, listen
 from companion.base.health import Health
-from companion.base.observer import Decision, ProcessedFrame
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.base.server_log import make_runner
+from companion.base.worker import Worker
 from companion.guidance.pilot import Pilot
-from companion.parts.live.feed import Encoded, LiveFeed, topics
-from companion.parts.live.viewer import LiveViewer
+from companion.recording import channels, encode
 from companion.recording import foxglove_protocol as protocol
+from companion.recording.foxglove_protocol import CHANNELS, Subscribe, Unsubscribe
+from companion.recording.message_encoder import MessageEncoder
 from companion.settings import secret_files
 from companion.settings.live import FoxgloveSettings
+from drivers.mailbox import Line
+from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.ports import Clock
-from estimator.contracts.samples import Sample
-from estimator.contracts.time import MonoNs
+from estimator.contracts.samples import (
+    Attitude,
+    Baro,
+    BodyVelocity,
+    GeoFix,
+    GimbalAttitude,
+    Imu,
+    Range,
+    Sample,
+    VehicleStatus,
+    VesselReport,
+)
+from estimator.contracts.time import MonoNs, seconds_between
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+
+# What viewers are shown: events are taken on the flight's loop, encoded on a thread of its own, and dropped when that is
+# behind.
+#
+# Nothing is taken that no viewer asked for. The messages are those of a recording, by the same encoder.
+
+Encoded = tuple[str, int, bytes]
+"""Topic, time on the viewer's axis in ns, and the message as JSON."""
+_EVENTS, _FRAMES = 1024, 2
+"""Events and frames that may wait for the thread: some two seconds of them, and 1.4 MB."""
+_NEVER_LIVE = frozenset({channels.TRUTH, channels.TRUE_POSE, channels.LINK})
+"""Topics of the simulator and of links, which are recorded otherwise."""
+_SAMPLE_TOPICS: dict[type, frozenset[str]] = {
+    Imu: frozenset({"/sample/imu"}),
+    Attitude: frozenset({"/sample/attitude", channels.TRANSFORMS}),
+    GimbalAttitude: frozenset({"/sample/gimbal"}),
+    BodyVelocity: frozenset({"/sample/velocity"}),
+    Range: frozenset({"/sample/range"}),
+    Baro: frozenset({"/sample/baro"}),
+    VesselReport: frozenset({"/sample/vessel"}),
+    GeoFix: frozenset({"/sample/fix"}),
+    VehicleStatus: frozenset({"/sample/status"}),
+}
+
+
+def topics(settings: FoxgloveSettings) -> tuple[str, ...]:
+    """Return the topics that are offered."""
+    image = {"jpeg": {channels.IMAGE}, "h264": {channels.VIDEO}, "none": set[str]()}[settings.frames]
+    return tuple(t for t in channels.TOPICS if t not in _NEVER_LIVE and (t not in (channels.IMAGE, channels.VIDEO) or t in image))
+
+
+class LiveFeed(NullObserver):
+    """An observer of the flight.
+
+    Args:
+        offset_ns: the offset from the monotonic clock to the viewers' time axis, ns.
+        send: is given each message that somebody asked for.
+    """
+
+    def __init__(
+        self,
+        settings: FoxgloveSettings,
+        camera: Camera,
+        pad: Pad,
+        offset_ns: int,
+        health: Health,
+        send: Callable[[Sequence[Encoded]], None],
+    ) -> None:
+        self._settings = settings
+        self._health = health
+        self._send = send
+        self._encoder = MessageEncoder(camera, offset_ns, settings.frames, settings.jpeg_quality, pad)
+        self._json = msgspec.json.Encoder()
+        self._events: Line[tuple[MonoNs, object]] = Line(_EVENTS)
+        self._wanted: frozenset[str] = frozenset()
+        self._again = False
+        self._frames_waiting = 0
+        self._shown: MonoNs | None = None
+        self._reported: MonoNs | None = None
+        self._counts: Counter[str] = Counter()
+
+    def counted(self) -> dict[str, float]:
+        """Return the counters for health."""
+        return {"messages": 0, "frames_dropped": 0, **self._counts, "events_dropped": self._events.dropped}
+
+    def want(self, wanted: frozenset[str], *, new: bool) -> None:
+        """Take what these topics need from now on.
+
+        Args:
+            new: somebody asked for another topic, and is told again what does not change.
+        """
+        self._wanted = wanted
+        self._again = self._again or new
+
+    def on_sample(self, sample: Sample) -> None:
+        if self._wanted and not self._wanted.isdisjoint(_SAMPLE_TOPICS[type(sample)]):
+            self._events.offer((sample.stamp.received_at, sample))
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        if channels.fusion(result.source) in self._wanted and (result.source != "imu" or result.verdict is not Verdict.FUSED):
+            self._events.offer((at, result))
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        images = not self._wanted.isdisjoint((channels.IMAGE, channels.VIDEO))
+        if not images and self._wanted.isdisjoint((channels.DETECTION, channels.ANNOTATIONS)):
+            return
+        keep = images and self._due(processed.done)
+        if keep and self._frames_waiting >= _FRAMES:
+            self._counts["frames_dropped"] += 1
+            keep = False
+        self._frames_waiting += keep
+        self._events.offer((processed.done, (encode.detection(processed), processed if keep else None, processed.detection)))
+
+    def on_decision(self, decision: Decision) -> None:
+        if not self._wanted:
+            return
+        self._events.offer((decision.at, decision))
+        if channels.HEALTH in self._wanted and (self._reported is None or seconds_between(self._reported, decision.at) >= 1.0):
+            self._reported = decision.at
+            self._events.offer((decision.at, encode.health(decision.at, self._health.snapshot())))
+
+    def on_order(self, handled: HandledOrder) -> None:
+        if self._wanted:
+            self._events.offer((handled.at, handled))
+
+    async def run(self) -> None:
+        """Encode and send until cancelled."""
+        worker = Worker("foxglove")
+        try:
+            async for events in self._events.together():
+                again, self._again = self._again, False
+                # A frame that the queue dropped waits no more either: all that wait are in this batch.
+                self._frames_waiting = 0
+                encoded = await worker.run(self._encoded, events, self._wanted, again)
+                self._counts["messages"] += len(encoded)
+                self._send(encoded)
+        finally:
+            worker.close()
+
+    def _due(self, at: MonoNs) -> bool:
+        due = self._shown is None or seconds_between(self._shown, at) >= 0.9 / self._settings.frame_rate_hz
+        if due:
+            self._shown = at
+        return due
+
+    def _encoded(self, events: Sequence[tuple[MonoNs, object]], wanted: frozenset[str], again: bool) -> list[Encoded]:
+        """Return the wanted messages of these events; runs on the thread."""
+        if again:
+            self._encoder.begin()
+        out = []
+        for at, what in events:
+            for topic, t, message in self._encoder.messages(at, what):
+                if topic in wanted:
+                    out.append((topic, t, self._json.encode(message)))
+        return out
+
+
+_WAITING_BYTES = 4 << 20
+"""What may wait for a slow viewer, bytes; the oldest is dropped."""
+_REQUESTS_EACH_S = 100
+_REFUSALS_MAX = 20
+"""Requests that are refused before the connection is closed."""
+
+
+class LiveServer(Protocol):
+    """What a viewer needs of the endpoint."""
+
+    clock: Clock
+    topics: tuple[str, ...]
+
+    def count(self, what: str) -> None: ...
+
+    def changed(self, *, new: bool) -> None:
+        """Take note that a viewer's subscriptions changed."""
+        ...
+
+
+class LiveViewer:
+    """One viewer that is connected: what it asked for, and what is sent to it without ever waiting for it."""
+
+    def __init__(self, served: LiveServer, socket: web.WebSocketResponse) -> None:
+        self._served = served
+        self._socket = socket
+        self._subscriptions: dict[int, str] = {}
+        """The topics asked for, by the viewer's own numbers."""
+        self._waiting: deque[str | bytes] = deque()
+        self._waiting_bytes = 0
+        self._ready = asyncio.Event()
+        self._recent: deque[MonoNs] = deque(maxlen=_REQUESTS_EACH_S)
+        self._refusals = 0
+
+    @property
+    def wanted(self) -> frozenset[str]:
+        """The topics that it asked for."""
+        return frozenset(self._subscriptions.values())
+
+    def tell(self, text: str) -> None:
+        """Send a text."""
+        self._offer(text)
+
+    def show(self, topic: str, at_ns: int, payload: bytes) -> None:
+        """Send a message of a topic, if it was asked for."""
+        for number, wanted in self._subscriptions.items():
+            if wanted == topic:
+                self._offer(protocol.message_data(number, at_ns, payload))
+
+    async def serve(self) -> None:
+        """Serve this viewer until it goes away."""
+        try:
+            async with asyncio.TaskGroup() as group:
+                sending = group.create_task(self._send())
+                await self._read()
+                sending.cancel()
+        except* ConnectionError:
+            pass
+
+    async def close(self) -> None:
+        """Close the connection, as the service ends."""
+        if not self._socket.closed:
+            await self._socket.close(code=WSCloseCode.GOING_AWAY)
+
+    def _offer(self, data: str | bytes) -> None:
+        self._waiting.append(data)
+        self._waiting_bytes += len(data)
+        while self._waiting_bytes > _WAITING_BYTES:
+            self._waiting_bytes -= len(self._waiting.popleft())
+            self._served.count("slow_dropped")
+        self._ready.set()
+
+    async def _send(self) -> None:
+        while True:
+            await self._ready.wait()
+            while self._waiting:
+                data = self._waiting.popleft()
+                self._waiting_bytes -= len(data)
+                await (self._socket.send_str(data) if isinstance(data, str) else self._socket.send_bytes(data))
+            self._ready.clear()
+
+    async def _read(self) -> None:
+        async for message in self._socket:
+            now = self._served.clock.now()
+            flood = len(self._recent) == self._recent.maxlen and seconds_between(self._recent[0], now) < 1.0
+            self._recent.append(now)
+            refused = self._take(message.data) if message.type is WSMsgType.TEXT else "publishing is not offered"
+            if flood:
+                refused = f"more than {_REQUESTS_EACH_S} requests in a second"
+            if refused is None:
+                continue
+            self._served.count("refused")
+            self._refusals += 1
+            self.tell(protocol.status(protocol.ERROR, refused))
+            if flood or self._refusals >= _REFUSALS_MAX:
+                await self._socket.close(code=WSCloseCode.POLICY_VIOLATION, message=refused.encode()[:120])
+                return
+
+    def _take(self, text: str) -> str | None:
+        """Carry a request out; return why it, or a part of it, is refused."""
+        before = self.wanted
+        match request := protocol.request_in(text):
+            case Subscribe():
+                refusals = [why for s in request.subscriptions if (why := self._subscribe(s.id, s.channelId)) is not None]
+            case Unsubscribe():
+                unknown = [number for number in request.subscriptionIds if self._subscriptions.pop(number, None) is None]
+                refusals = [f"there is no subscription {unknown[0]}"] if unknown else []
+            case _:
+                return request
+        if self.wanted != before:
+            self._served.changed(new=bool(self.wanted - before))
+        return refusals[0] if refusals else None
+
+    def _subscribe(self, number: int, channel: int) -> str | None:
+        topic = CHANNELS.get(channel)
+        if topic not in self._served.topics:
+            return f"there is no channel {channel}"
+        if number in self._subscriptions:
+            return f"there is a subscription {number} already"
+        if topic in self._subscriptions.values():
+            return f"{topic} is subscribed already"
+        self._subscriptions[number] = topic
+        return None
+
 
 log = logging.getLogger(__name__)
 

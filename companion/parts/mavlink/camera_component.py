@@ -14,12 +14,11 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from importlib import metadata
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
-from companion.parts.mavlink.bridge import Send
 from companion.parts.mavlink.commands import ACCEPTED, UNSUPPORTED, Offered
 from companion.settings.video import VideoStreamOptions
-from drivers.mavlink.access import AccessLevel
+from drivers.mavlink.access import AccessLevel, Source
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
@@ -44,6 +43,12 @@ _BY_NAME = {
 
 ShowCamera: TypeAlias = "Callable[[Send], CameraComponent]"
 """Makes the component on links that have just been opened."""
+
+
+class Send(Protocol):
+    """The signature of `Links.send`."""
+
+    def __call__(self, message: Message, to: int | Source | None = None, *, component: int | None = None) -> bool: ...
 
 
 class CameraComponent:

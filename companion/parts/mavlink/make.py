@@ -2,25 +2,125 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
+from typing import Protocol
+
+import numpy as np
 
 from companion.base.health import Health
 from companion.base.missing_inputs import GIMBAL
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.camera_component import ShowCamera, showing
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
-from companion.parts.mavlink.deck_velocity import DeckVelocity
-from companion.parts.mavlink.pilot_operator import PilotTower
+from companion.parts.mavlink.operator import PilotTower
+from companion.parts.mavlink.parameters import Tunables
 from companion.parts.mavlink.refusals import link_counters
 from companion.parts.mavlink.signed_links import signed_links
-from companion.parts.mavlink.tunables import Tunables
 from companion.settings.model import Settings
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.gimbal import Gimbal, tending
 from drivers.mavlink.links import Links, Tap
 from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.samples import LocalPosition
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, seconds_between
+
+# Estimate the pad's velocity over the ground, so that a vehicle with ground-referenced velocities can fly relative to the pad.
+#
+# Guidance commands velocities as if the surface below were still. An AR.Drone measures its velocity and height against the
+# surface that it sees, which is the deck; an autopilot measures them over the ground, so a ship under way would leave it
+# behind, and a heaving deck would rise faster than guidance corrects for. The pad's velocity over the ground is the autopilot's
+# velocity plus the pad's velocity relative to the body. The horizontal part is a mean over some seconds, which keeps the ship's
+# way and removes the waves; it is held while the pad is out of sight, and after that the ship's own report of her velocity
+# stands for it. Without a report it is kept for some minutes more: a hover over the ground soon loses a ship that keeps her
+# way. The vertical part is the current heave; it is zero while the pad is out of sight.
+
+MEAN_S = 2.0
+HEAVE_S = 0.15
+FORGET_S = 20.0
+"""The time after which a pad that comes back into sight counts as another pad, s."""
+KEEP_S = 300.0
+"""The time without sight for which a ship that reports nothing is taken to keep her way, s."""
+_FRESH_S = 0.3
+_SIGMA_MAX_M_S = 0.6
+_MOST_M_S = 15.0
+
+
+class Moving(Protocol):
+    """The part of the autopilot's state that `DeckVelocity` reads."""
+
+    @property
+    def attitude(self) -> Attitude | None: ...
+
+    @property
+    def positions(self) -> tuple[LocalPosition, ...]: ...
+
+
+class DeckVelocity:
+    """Returns the pad's velocity over the ground; call it for each command.
+
+    Args:
+        believe: returns the belief about the pad at an instant.
+        reported: returns the ship's own report of her velocity, (2,) m/s north and east; None if there is no fresh one.
+    """
+
+    def __init__(
+        self,
+        believe: Callable[[MonoNs], RelativeState | None],
+        autopilot: Moving,
+        reported: Callable[[MonoNs], F64 | None] = lambda now: None,
+    ) -> None:
+        self._believe, self._autopilot, self._reported = believe, autopilot, reported
+        self._velocity = np.zeros(3)
+        self._known_s = 0.0
+        self._at: MonoNs | None = None
+        self._kept: tuple[MonoNs, F64] | None = None
+        """When the pad was last seen, and its horizontal velocity then."""
+
+    def __call__(self, now: MonoNs) -> F64:
+        """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of pad and ship."""
+        measured = self._measured(now)
+        if self._at is not None and seconds_between(self._at, now) > FORGET_S:
+            self._kept = self._at, self._velocity * (1.0, 1.0, 0.0)
+            self._velocity, self._known_s, self._at = np.zeros(3), 0.0, None
+        if measured is not None:
+            since_s = 0.0 if self._at is None else min(seconds_between(self._at, now), 0.2)
+            self._known_s += since_s
+            spans_s = np.minimum(self._known_s, (MEAN_S, MEAN_S, HEAVE_S))
+            weight = 1.0 if self._at is None else since_s / np.maximum(spans_s, max(since_s, 1e-9))
+            self._velocity = self._velocity + weight * (measured - self._velocity)
+            self._at = now
+        elif self._at is not None and seconds_between(self._at, now) > HEAVE_S:
+            self._velocity = self._velocity * (1.0, 1.0, 0.0)
+        velocity = self._velocity
+        if self._at is None:
+            v_ship = self._reported(now)
+            if v_ship is not None:
+                velocity = np.array([*v_ship, 0.0])
+            elif self._kept is not None and seconds_between(self._kept[0], now) <= KEEP_S:
+                velocity = self._kept[1]
+        speed = math.hypot(velocity[0], velocity[1])
+        return velocity * min(1.0, _MOST_M_S / max(speed, 1e-9))
+
+    def _measured(self, now: MonoNs) -> F64 | None:
+        """Return the pad's velocity over the ground at this instant, or None if it cannot be determined."""
+        belief, attitude, positions = self._believe(now), self._autopilot.attitude, self._autopilot.positions
+        if belief is None or attitude is None or not positions or not belief.consistent:
+            return None
+        newest = positions[-1]
+        late = max(
+            belief.age_s(now), seconds_between(newest.stamp.measured_at, now), seconds_between(attitude.stamp.measured_at, now)
+        )
+        sigma_m_s = math.sqrt(max(float(belief.cov[3, 3] + belief.cov[4, 4]), 0.0))
+        if late > _FRESH_S or sigma_m_s > _SIGMA_MAX_M_S:
+            return None
+        level = Rotation.from_rpy(0.0, 0.0, attitude.R_ned_body.rpy_rad[2])
+        return newest.v_body_ned + level @ belief.v_pad_level
 
 
 class AutopilotPart:

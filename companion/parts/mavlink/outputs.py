@@ -1,4 +1,4 @@
-"""The messages about the pad that each kind of autopilot is sent. No I/O; each call brings the time."""
+"""The messages about the pad that each kind of autopilot obeys, and when each is sent. No I/O; each call brings the time."""
 
 from __future__ import annotations
 
@@ -7,19 +7,149 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Protocol
 
-from companion.parts.mavlink.landing_target import (
-    ardupilot_landing_target,
-    distance_sensor,
-    px4_landing_target,
-    range_along_down,
-    target_relative,
-)
+import numpy as np
+
 from companion.parts.mavlink.target_track import TargetSample, TargetTrack, lag_locked, position_at
 from companion.settings.mavlink import OutputOptions
-from drivers.mavlink.dialect import Message
+from drivers.mavlink.dialect import Message, TargetRelative, mav
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Condition, Stack
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import MonoNs, seconds_between
+
+# Convert the pad's position to the messages that each autopilot obeys. No I/O, no clocks.
+#
+# All functions take the vector from the body's origin to the pad's centre in `ned` and the attitude of the same instant. How
+# receivers use the fields: docs/mavlink.md. Source: AC_PrecLand_MAVLink.cpp and AC_PrecLand.cpp (ArduPilot),
+# mavlink_receiver.cpp and LandingTargetEstimator.cpp (PX4); MAVLink messages LANDING_TARGET, TARGET_RELATIVE, DISTANCE_SENSOR.
+
+BODY_FRD, LOCAL_NED = int(mav.MAV_FRAME_BODY_FRD), int(mav.MAV_FRAME_LOCAL_NED)
+VISION_OTHER = int(mav.LANDING_TARGET_TYPE_VISION_OTHER)
+TARGET_OBS_BODY_FRD = 1
+"""TARGET_OBS_FRAME_BODY_FRD of the development dialect."""
+_NO_ROTATION_KNOWN = (0.0, 0.0, 0.0, 0.0)
+"""A quaternion that is no rotation: receivers that read it treat it as absent."""
+_LEAST_DEPTH_M = 0.02
+
+
+def angles_of(d_body: F64) -> tuple[float, float] | None:
+    """Return (angle_x, angle_y) in rad as ArduPilot inverts them: (-tan(angle_y), tan(angle_x), 1) points to the pad.
+
+    The result is None if the pad is not below the body.
+    """
+    x, y, z = (float(v) for v in d_body)
+    return (math.atan2(y, z), math.atan2(-x, z)) if z >= _LEAST_DEPTH_M else None
+
+
+def _quaternion(rotation: Rotation | None) -> tuple[float, ...]:
+    return _NO_ROTATION_KNOWN if rotation is None else tuple(float(v) for v in rotation.quat_wxyz)
+
+
+def _target(time_us: int, frame: int, xyz: F64, d_body: F64, q: tuple[float, ...], pad_radius_m: float) -> Message | None:
+    angles = angles_of(d_body)
+    if angles is None:
+        return None
+    distance_m = float(np.linalg.norm(d_body))
+    size_rad = 2.0 * math.atan(pad_radius_m / distance_m)
+    return mav.MAVLink_landing_target_message(
+        time_us, 0, frame, *angles, distance_m, size_rad, size_rad, *(float(v) for v in xyz), q, VISION_OTHER, 1
+    )
+
+
+def ardupilot_landing_target(
+    time_us: int, d_body_pad_ned: F64, R_ned_body: Rotation, *, pad_radius_m: float, R_ned_pad: Rotation | None = None
+) -> Message | None:
+    """Return LANDING_TARGET in MAV_FRAME_BODY_FRD with position, distance and angles that agree with each other.
+
+    Firmware before 4.1 reads the angles only; later firmware reads the position and needs distance > 0.
+
+    Args:
+        time_us: any clock of constant offset: ArduPilot uses it for a staleness test only. It takes the attitude from its own
+            ring, PLND_LAG back, so the vector must be of that instant (see `TargetTrack`).
+        R_ned_pad: the pad's attitude where it is known; it goes into `q` relative to the body.
+
+    Returns:
+        None where the pad is not below the body: ArduPilot ignores such a target.
+    """
+    d_body = R_ned_body.inv @ d_body_pad_ned
+    q = _quaternion(None if R_ned_pad is None else R_ned_body.inv @ R_ned_pad)
+    return _target(time_us, BODY_FRD, d_body, d_body, q, pad_radius_m)
+
+
+def px4_landing_target(
+    time_us: int,
+    d_body_pad_ned: F64,
+    R_ned_body: Rotation,
+    p_body_ned: F64,
+    *,
+    pad_radius_m: float,
+    R_ned_pad: Rotation | None = None,
+) -> Message | None:
+    """Return LANDING_TARGET in MAV_FRAME_LOCAL_NED: the pad's position in PX4's own local frame.
+
+    Args:
+        time_us: when it was true, in the clock of our TIMESYNC answers; another clock makes PX4 ignore the target.
+        p_body_ned: LOCAL_POSITION_NED of the same instant.
+
+    Returns:
+        None where the pad is not below the body.
+    """
+    d_body = R_ned_body.inv @ d_body_pad_ned
+    return _target(time_us, LOCAL_NED, p_body_ned + d_body_pad_ned, d_body, _quaternion(R_ned_pad), pad_radius_m)
+
+
+def target_relative(
+    time_us: int, d_body_pad_ned: F64, cov_ned: F64, R_ned_body: Rotation, R_ned_pad: Rotation | None, sigma_yaw_rad: float
+) -> Message:
+    """Return TARGET_RELATIVE for PX4's vision target estimator: the pad in body axes, standard deviations, capture time.
+
+    Args:
+        cov_ned: the (3, 3) covariance of `d_body_pad_ned`.
+        sigma_yaw_rad: the standard deviation of the pad's heading; it is large if the heading is not known.
+    """
+    d_body = R_ned_body.inv @ d_body_pad_ned
+    sigma = np.sqrt(np.maximum(np.diag(R_ned_body.inv.rotate_cov(cov_ned)), 0.0))
+    return TargetRelative(
+        timestamp=time_us,
+        id=0,
+        frame=TARGET_OBS_BODY_FRD,
+        x=float(d_body[0]),
+        y=float(d_body[1]),
+        z=float(d_body[2]),
+        pos_std=[float(s) for s in sigma],
+        yaw_std=min(sigma_yaw_rad, math.pi),
+        q_target=_quaternion(None if R_ned_pad is None else R_ned_body.inv @ R_ned_pad),
+        q_sensor=_quaternion(R_ned_body),
+        type=VISION_OTHER,
+    )
+
+
+MIN_RANGE_CM, MAX_RANGE_CM = 5, 5000
+
+
+def distance_sensor(time_boot_ms: int, range_m: float | None, sigma_m: float, sensor_id: int) -> Message:
+    """Return a downward DISTANCE_SENSOR with the reading that a lidar would have, for an autopilot without one.
+
+    Args:
+        range_m: the distance along the body's down axis; None while nothing is seen, which is sent as an invalid reading.
+    """
+    if range_m is None:
+        reading, quality, covariance = MAX_RANGE_CM + 1, 1, 255
+    else:
+        reading, quality = min(max(round(100.0 * range_m), 0), MAX_RANGE_CM + 1), 0
+        covariance = min(max(round((100.0 * sigma_m) ** 2), 1), 254)
+    return mav.MAVLink_distance_sensor_message(
+        time_boot_ms & 0xFFFFFFFF, MIN_RANGE_CM, MAX_RANGE_CM, reading, mav.MAV_DISTANCE_SENSOR_UNKNOWN, sensor_id,
+        mav.MAV_SENSOR_ROTATION_PITCH_270, covariance, 0.0, 0.0, (0.0, 0.0, 0.0, 0.0), quality,
+    )  # fmt: skip
+
+
+def range_along_down(d_body_pad_ned: F64, R_ned_body: Rotation) -> float | None:
+    """Return the distance in m along the body's down axis to the pad's level plane, or None if the axis does not meet it."""
+    down = float(R_ned_body.matrix[2, 2])
+    depth_m = float(d_body_pad_ned[2])
+    return depth_m / down if down > 0.2 and depth_m >= 0.0 else None
+
 
 DEFAULT_PLND_LAG_S, PLND_LAG_MAX_S = 0.02, 0.25
 """Default and largest PLND_LAG of ArduPilot, s."""

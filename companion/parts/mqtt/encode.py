@@ -1,14 +1,19 @@
-"""Encode the service's state as the messages that it publishes. No I/O."""
+"""Encode the service's state as the messages that it publishes, and find the changes that are worth an event. No I/O."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from companion.base.health import FusionState, HealthSnapshot
+from companion.base.mission import StateChange
 from companion.base.observer import Decision, ProcessedFrame
+from companion.base.orders import HandledOrder
+from companion.base.response_in_use import ResponseInUse
 from companion.parts.mqtt.messages import (
     BeliefReport,
     CommandReport,
@@ -29,6 +34,139 @@ from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
+
+Kind = Literal["service", "phase", "vehicle", "pad", "part", "command", "limit"]
+
+LOST_AFTER_S = 1.0
+"""The time without a sighting after which the pad counts as lost, s."""
+BATTERY_LOW = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class PendingEvent:
+    """An event that has no number yet."""
+
+    at: MonoNs
+    kind: Kind
+    text: str
+    data: Mapping[str, str | float | bool | None] = field(default_factory=dict)
+
+
+def _changed(change: StateChange, place: Mapping[str, str | float | bool | None]) -> PendingEvent:
+    why = change.reason
+    data: dict[str, str | float | bool | None] = {
+        "from": change.source.value,
+        "to": change.target.value,
+        "event": change.event.name.lower(),
+        "cause": why.cause.name.lower(),
+        "measured": why.measured,
+        "limit": why.limit,
+        "detail": None if why.detail is None else why.detail.name.lower(),
+        **place,
+    }
+    return PendingEvent(change.at, "phase", f"{change.target.value}: {why.text}", data)
+
+
+def _response(at: MonoNs, of: ResponseInUse) -> PendingEvent:
+    data: dict[str, str | float | bool | None] = {
+        "response": of.state.value,
+        "delay_s": of.delay_s,
+        "sigma_s": of.sigma_s,
+        "longer_s": of.longer_s,
+    }
+    return PendingEvent(at, "vehicle", of.text, data)
+
+
+def order_event(handled: HandledOrder) -> PendingEvent:
+    """Return the event of a person's order and its answer."""
+    data: dict[str, str | float | bool | None] = {
+        "command": handled.order.value,
+        "source": handled.sender.source.value,
+        "sender": handled.sender.name,
+        "accepted": handled.accepted,
+        "reason": handled.refusal,
+    }
+    return PendingEvent(handled.at, "command", str(handled), data)
+
+
+@dataclass(slots=True)
+class Changes:
+    """Keeps just enough of the previous state to detect a change."""
+
+    _phase: str | None = None
+    _limit: str = ""
+    _mode: str | None = None
+    _emergency: bool = False
+    _battery_low: bool = False
+    _sighted: MonoNs | None = None
+    _in_sight: bool = False
+    _parts: dict[str, tuple[bool, int]] = field(default_factory=dict)
+
+    def decision(self, decision: Decision) -> list[PendingEvent]:
+        """Return an event for a new phase of guidance, and one for limits that begin or end."""
+        response = [] if decision.response is None else [_response(decision.at, decision.response)]
+        return [*self._new_phase(decision), *self._new_limit(decision), *response]
+
+    def _new_limit(self, decision: Decision) -> list[PendingEvent]:
+        before, self._limit = self._limit, decision.limit
+        if before == decision.limit:
+            return []
+        return [PendingEvent(decision.at, "limit", decision.limit or "no limit any more", {"limit": decision.limit or None})]
+
+    def _new_phase(self, decision: Decision) -> list[PendingEvent]:
+        """Return an event for each change of the mission's state, or for a phase that another pilot has entered."""
+        before, self._phase = self._phase, decision.phase
+        place: dict[str, str | float | bool | None] = {}
+        if decision.belief is not None:
+            place = {"height_m": decision.belief.height_m, "lateral_m": decision.belief.lateral_m}
+        if decision.transitions:
+            return [_changed(change, place) for change in decision.transitions]
+        if before == decision.phase:
+            return []
+        return [PendingEvent(decision.at, "phase", decision.phase, {"from": before, "to": decision.phase, **place})]
+
+    def vehicle(self, status: VehicleStatus) -> list[PendingEvent]:
+        """Return events for a new mode of the vehicle, an emergency or a low battery."""
+        at, found = status.stamp.received_at, []
+        if status.mode != self._mode:
+            found.append(PendingEvent(at, "vehicle", f"vehicle is {status.mode}", {"from": self._mode, "to": status.mode}))
+            self._mode = status.mode
+        if status.emergency != self._emergency:
+            words = "emergency: motors cut" if status.emergency else "emergency is over"
+            found.append(PendingEvent(at, "vehicle", words, {"emergency": status.emergency}))
+            self._emergency = status.emergency
+        battery = status.battery_fraction
+        if battery is not None and battery < BATTERY_LOW and not self._battery_low:
+            self._battery_low = True
+            found.append(PendingEvent(at, "vehicle", f"battery at {100 * battery:.0f} %", {"battery_fraction": battery}))
+        return found
+
+    def frame(self, processed: ProcessedFrame) -> list[PendingEvent]:
+        """Return an event if the pad comes into sight, or was out of sight for `LOST_AFTER_S`."""
+        seen = processed.detection
+        if seen is not None and (seen.selected is not None or seen.elsewhere is not None):
+            self._sighted = processed.done
+            if not self._in_sight:
+                self._in_sight = True
+                return [PendingEvent(processed.done, "pad", "pad in sight", {"in_sight": True, "method": seen.chosen})]
+        elif self._in_sight and self._sighted is not None and seconds_between(self._sighted, processed.done) > LOST_AFTER_S:
+            self._in_sight = False
+            return [PendingEvent(processed.done, "pad", "pad out of sight", {"in_sight": False})]
+        return []
+
+    def health(self, health: HealthSnapshot) -> list[PendingEvent]:
+        """Return an event for each part that failed or recovered; its restarts show a failure between two calls."""
+        found = []
+        for name, part in health.parts.items():
+            up, restarts = self._parts.get(name, (True, 0))
+            self._parts[name] = (part.up, part.restarts)
+            data: dict[str, str | float | bool | None] = {"part": name, "up": part.up, "restarts": part.restarts}
+            if part.restarts > restarts:
+                data["error"] = part.last_error
+                found.append(PendingEvent(health.at, "part", f"{name} failed: {part.last_error}", data))
+            elif part.up and not up:
+                found.append(PendingEvent(health.at, "part", f"{name} is up again", data))
+        return found
 
 
 def state(session: str, decision: Decision, vehicle: VehicleStatus | None) -> StateMessage:

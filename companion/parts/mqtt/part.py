@@ -21,7 +21,7 @@ from companion.base.orders import HandledOrder, OrderSource
 from companion.parts.mqtt import encode as encoding
 from companion.parts.mqtt.commands import CommandHandler
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, connect
-from companion.parts.mqtt.events import Changes, PendingEvent, order_event
+from companion.parts.mqtt.encode import Changes, PendingEvent, order_event
 from companion.parts.mqtt.messages import Message, OperatorNotice, StatusMessage, encode
 from companion.parts.mqtt.outbox import Outbox
 from companion.parts.mqtt.ship_reports import ShipReportReader

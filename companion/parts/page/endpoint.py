@@ -29,10 +29,9 @@ from companion.base.worker import Worker
 from companion.guidance.advice import advice
 from companion.guidance.flight_state import FlightWatch
 from companion.guidance.pilot import Pilot
-from companion.parts.page import report_maker
+from companion.parts.page import recordings
 from companion.parts.page.access import HEADERS, same_origin, token_of
-from companion.parts.page.assets import assets
-from companion.parts.page.file_answer import send_file
+from companion.parts.page.file_answer import assets, send_file
 from companion.parts.page.messages import (
     MESSAGE_MAX,
     Level,
@@ -47,10 +46,8 @@ from companion.parts.page.messages import (
     request_in,
     text_of,
 )
-from companion.parts.page.picture import AHEAD_S, jpeg, picture_lines, video_quality
-from companion.parts.page.recordings import Recordings
-from companion.parts.page.report_maker import ReportMaker
-from companion.parts.page.state import HORIZONS_S, page_health, place
+from companion.parts.page.recordings import Recordings, ReportMaker
+from companion.parts.page.state import AHEAD_S, HORIZONS_S, jpeg, page_health, picture_lines, place, video_quality
 from companion.parts.page.tool import Tool, flying
 from companion.parts.page.tool_messages import ToolRequest
 from companion.parts.page.viewer import ORDERS, PageViewer
@@ -255,7 +252,7 @@ class PageEndpoint(NullObserver):
             return _missing("this report is no longer kept; ask for it again on the page")
         self.count("reports")
         self._limits.lift(request.transport)
-        return await send_file(request, path, report_maker.HEADERS)
+        return await send_file(request, path, recordings.HEADERS)
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if not same_origin(request.headers.get("Origin"), request.headers.get("Host")):

@@ -1,4 +1,4 @@
-"""Send a file to a browser: read on a thread of its own, piece by piece, so that a slow disk never holds up guidance."""
+"""Files for a browser: the page's own, read once, and recordings, sent piece by piece so that guidance never waits."""
 
 from __future__ import annotations
 
@@ -6,13 +6,45 @@ import asyncio
 import stat
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 from typing import BinaryIO
 
 from aiohttp import web
 
 from companion.base.worker import Worker
 from estimator.contracts.errors import unusable
+
+_TYPES: Mapping[str, str] = MappingProxyType(
+    {
+        ".html": "text/html; charset=utf-8",
+        ".js": "text/javascript; charset=utf-8",
+        ".css": "text/css; charset=utf-8",
+        ".svg": "image/svg+xml",
+        ".webmanifest": "application/manifest+json",
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Asset:
+    """One file of the page."""
+
+    body: bytes
+    content_type: str
+
+
+def assets() -> dict[str, Asset]:
+    """Return the files by their paths in an address: the page itself at `/`, the others by their names."""
+    found = {}
+    for file in (resources.files("companion.parts.page") / "static").iterdir():
+        kind = _TYPES.get("." + file.name.rpartition(".")[2])
+        if kind is not None:
+            found["/" if file.name == "index.html" else f"/{file.name}"] = Asset(file.read_bytes(), kind)
+    return found
+
 
 _PIECE_BYTES = 64 * 1024
 _PIECE_S = 10.0

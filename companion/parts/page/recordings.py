@@ -1,23 +1,177 @@
-"""The recordings that the page offers: which there are, and one-time addresses from which a browser may load one.
+"""The recordings that the page offers: which there are, their reports, and one-time addresses from which a browser may load one.
 
 A browser's download carries no token, so the page asks for an address over its own connection first.
 """
 
 from __future__ import annotations
 
+import asyncio
 import os
 import re
 import secrets
+import shutil
 import stat
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
+from types import MappingProxyType
 
 from aiohttp import web
 
 from companion.parts.page.file_answer import send_file
-from companion.parts.page.messages import DownloadAnswer, RecordingFile, RecordingList
-from estimator.contracts.errors import unusable
+from companion.parts.page.messages import DownloadAnswer, RecordingFile, RecordingList, ReportAnswer
+from companion.parts.page.viewer import PageViewer
+from drivers.mailbox import Line
+from estimator.contracts.errors import in_words, unusable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
+
+# The reports that the page shows of recordings, each made by a process of its own while the vehicle is on the ground.
+#
+# A report holds texts of whoever spoke to the service, so it is served into a sandbox: it is of no origin, and reaches neither
+# this page nor its token.
+
+HEADERS: Mapping[str, str] = MappingProxyType(
+    {
+        "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
+        "media-src blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; sandbox allow-scripts",
+        "Content-Type": "text/html; charset=utf-8",
+    }
+)
+_WAITING = 4
+_KEPT = 3
+"""Reports that stay on the disk, the newest."""
+_MAKING_S = 600.0
+_LOOKS_S = 0.2
+_BYTES_MAX = 400_000_000
+"""Recordings beyond this, some four minutes with pictures, would take too much of a small computer's memory."""
+_NICE = 19
+_OOM_SCORE = 500
+"""Where memory runs short the kernel ends the report, not the service."""
+
+
+class ReportMaker:
+    """Makes the reports of recordings, one at a time.
+
+    Args:
+        folder: the recorder's folder.
+        flying: whether the vehicle flies now.
+    """
+
+    def __init__(self, folder: Path, flying: Callable[[], bool]) -> None:
+        self._folder = folder
+        self._flying = flying
+        self._asked: Line[tuple[PageViewer, str]] = Line(_WAITING)
+        self._made: dict[str, Path] = {}
+        self._under_way = False
+
+    def ask(self, viewer: PageViewer, name: str) -> None:
+        """Make a report of a recording soon and tell the viewer its address, or tell at once why there will be none."""
+        refusal = self._refusal(name)
+        if refusal is not None:
+            viewer.tell(ReportAnswer(name=name, address=None, text=refusal))
+            return
+        waits = self._under_way or len(self._asked) > 0
+        viewer.tell(ReportAnswer(name=name, address=None, text="waits for another one" if waits else "is being made"))
+        self._asked.offer((viewer, name))
+
+    def path(self, ticket: str) -> Path | None:
+        """Return the report that an address names; None if there is none, or no longer."""
+        return self._made.get(ticket)
+
+    async def run(self) -> None:
+        """Make reports, one after another, until cancelled; then they are deleted."""
+        with tempfile.TemporaryDirectory(prefix="decklander-reports-", ignore_cleanup_errors=True) as folder:
+            try:
+                async for viewer, name in self._asked:
+                    self._under_way = True
+                    viewer.tell(await self._make(name, Path(folder)))
+                    self._under_way = False
+            finally:
+                self._made.clear()
+
+    def _refusal(self, name: str) -> str | None:
+        if self._flying():
+            return IN_FLIGHT
+        if not is_recording_name(name):
+            return NO_NAME
+        if len(self._asked) >= _WAITING:
+            return f"{_WAITING} reports wait already"
+        return None
+
+    async def _make(self, name: str, folder: Path) -> ReportAnswer:
+        ticket = secrets.token_urlsafe(24)
+        page = folder / f"{ticket}.html"
+        try:
+            fault = self._unfit(name) or await self._written(self._folder / name, page)
+        except OSError as why:
+            fault = in_words(why)
+        if fault is not None:
+            page.unlink(missing_ok=True)
+            return ReportAnswer(name=name, address=None, text=fault)
+        while len(self._made) >= _KEPT:
+            oldest = next(iter(self._made))
+            self._made.pop(oldest).unlink(missing_ok=True)
+        self._made[ticket] = page
+        return ReportAnswer(name=name, address=f"/reports/{ticket}", text="")
+
+    def _unfit(self, name: str) -> str | None:
+        status = (self._folder / name).lstat()
+        if not stat.S_ISREG(status.st_mode):
+            return "not a file"
+        if status.st_size > _BYTES_MAX:
+            return f"has {status.st_size / 1e6:.0f} MB, over {_BYTES_MAX / 1e6:.0f}: download it, then `decklander report {name}`"
+        free = shutil.disk_usage(tempfile.gettempdir()).free
+        return None if free > status.st_size else f"needs {status.st_size / 1e6:.0f} MB in {tempfile.gettempdir()}, which is full"
+
+    async def _written(self, recording: Path, page: Path) -> str | None:
+        """Let a process write a report; return why it did not."""
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "companion.cli.main", "report", str(recording), "--output", str(page),
+            stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
+        )  # fmt: skip
+        async with asyncio.TaskGroup() as group:
+            said = group.create_task(_last_line(process))
+            try:
+                _stand_back(process.pid)
+                fault = await self._ended(process)
+            finally:
+                if process.returncode is None:
+                    process.kill()
+                await process.wait()
+        if fault is None and process.returncode != 0:
+            return said.result() or f"ended with {process.returncode}"
+        return fault
+
+    async def _ended(self, process: asyncio.subprocess.Process) -> str | None:
+        """Wait until the process ends; return why it has to end before that."""
+        try:
+            async with asyncio.timeout(_MAKING_S):
+                while process.returncode is None:
+                    if self._flying():
+                        return IN_FLIGHT
+                    with suppress(TimeoutError):
+                        await asyncio.wait_for(process.wait(), _LOOKS_S)
+        except TimeoutError:
+            return f"was not made within {_MAKING_S:.0f} s"
+        return None
+
+
+def _stand_back(pid: int) -> None:
+    """Let a process take what the service leaves, as far as this system allows to say so."""
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, pid, _NICE)
+    with suppress(OSError):
+        Path(f"/proc/{pid}/oom_score_adj").write_text(str(_OOM_SCORE))
+
+
+async def _last_line(process: asyncio.subprocess.Process) -> str:
+    assert process.stderr is not None
+    lines = (await process.stderr.read()).decode(errors="replace").splitlines()
+    return lines[-1].strip().removeprefix("decklander: ")[:300] if lines else ""
+
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}\.mcap")
 _LISTED = 50

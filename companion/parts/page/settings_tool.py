@@ -30,8 +30,7 @@ from companion.parts.page.tool_messages import (
 )
 from companion.parts.page.viewer import PageViewer
 from companion.settings import whole_file
-from companion.settings.address_masks import masked, unmasked
-from companion.settings.draft import Draft, check_draft
+from companion.settings.draft import Draft, check_draft, masked, unmasked
 from companion.settings.expert import split
 from companion.settings.model import Settings
 from companion.settings.settings_file import BEFORE, SettingsFile

@@ -1,15 +1,18 @@
-"""Make the recorders that the settings describe, and the metadata of every recording."""
+"""Make the recorders that the settings describe, restartable beside a flight, and the metadata of every recording."""
 
 from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import metadata
 from pathlib import Path
+from typing import Literal
 
+from companion.base.beside import RestartablePart
+from companion.base.containment import CallGuard
 from companion.base.health import Health
-from companion.parts.recorder.recorder import Recorder
+from companion.parts.recorder.recorder import PART, Recorder
 from companion.parts.recorder.storage_policy import Folder, SingleFile
 from companion.recording.mcap_file import About, Attachment
 from companion.recording.reading import CAMERA, PAD, SETTINGS
@@ -18,6 +21,7 @@ from companion.settings.load import body_camera, find_file, pad_model
 from companion.settings.model import Settings
 from companion.settings.recorder import FrameForm, RecorderOptions
 from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs
 from estimator.vision.camera import Camera
 
 _PACKAGES = ("decklander", "numpy", "opencv-python-headless", "av", "mcap")
@@ -74,3 +78,27 @@ def recorder_to_file(
     """Return a recorder of one flight into one file. A flight in virtual time waits for the disk; a `live` one never does."""
     options = RecorderOptions(frames=frames, frames_each=frames_each)
     return Recorder(SingleFile(path), camera, described, options, lossless=not live)
+
+
+class RecorderBeside(RestartablePart[Recorder]):
+    """The restartable recorder; see `RestartablePart`."""
+
+    def __init__(self, make: Callable[[], Recorder], health: Health) -> None:
+        self._wanted: bool | None = None
+        self._guard = CallGuard(f"{PART}.on_link", health)
+        super().__init__(PART, lambda: self._as_wanted(make()))
+
+    def switch(self, on: bool) -> str | None:
+        """Start or stop recording for the operator; return the reason if that is impossible, else None."""
+        self._wanted = on
+        return self.now.switch(on) if self.now is not None else ("the recorder failed; it is being started again" if on else None)
+
+    def on_link(self, at: MonoNs, link: str, direction: Literal["in", "out"], data: bytes, name: str | None = None) -> None:
+        """Record one message of a link. Links call this between the vehicle and guidance, so it never raises."""
+        if self.now is not None:
+            self._guard.call(self.now.on_link, at, link, direction, data, name)
+
+    def _as_wanted(self, recorder: Recorder) -> Recorder:
+        if self._wanted is not None:
+            recorder.switch(self._wanted)
+        return recorder

@@ -9,13 +9,79 @@ import numpy as np
 
 from companion.recording.reading import Recording
 from companion.tools.calibrate import touchdown_cost
-from companion.tools.calibrate.flight_coverage import FlightCoverage
 from companion.tools.calibrate.flight_views import FlightViews
 from companion.tools.calibrate.mount_fit import DELAY, LEVEL, MOUNT, MountFit, fit_mount
 from companion.tools.calibrate.readout_fit import READOUT_LARGEST_S, ReadoutFit, fit_readout
 from companion.tools.calibrate.rotations import exp, interpolated
 from companion.tools.calibrate.touchdown_cost import TouchdownCost
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
+
+PAD_S, LEAN_DEG, TURN_DEG = 40.0, 4.0, 90.0
+"""What a flight should have: time with the pad in view, leans to each side, turns to each side."""
+_GAP_S = 0.5
+
+
+@dataclass(slots=True)
+class FlightCoverage:
+    """Counts what counts while the pad is in view."""
+
+    pad_s: float = 0.0
+    roll_deg: tuple[float, float] = (0.0, 0.0)
+    """Farthest to the left (negative) and to the right."""
+    pitch_deg: tuple[float, float] = (0.0, 0.0)
+    """Farthest nose down (negative) and nose up."""
+    clockwise_deg: float = 0.0
+    """Turned clockwise, in all."""
+    counter_deg: float = 0.0
+    height_m: tuple[float, float] | None = None
+    """Lowest and highest."""
+    _last: tuple[float, float] | None = None
+
+    def add(self, t: float, roll_rad: float, pitch_rad: float, heading_rad: float, height_m: float | None) -> None:
+        """Take note of the attitude at an instant, s, at which the pad is in view."""
+        roll, pitch = math.degrees(roll_rad), math.degrees(pitch_rad)
+        self.roll_deg = min(self.roll_deg[0], roll), max(self.roll_deg[1], roll)
+        self.pitch_deg = min(self.pitch_deg[0], pitch), max(self.pitch_deg[1], pitch)
+        if height_m is not None:
+            low, high = self.height_m or (height_m, height_m)
+            self.height_m = min(low, height_m), max(high, height_m)
+        if self._last is not None and 0.0 < t - self._last[0] <= _GAP_S:
+            turned = math.degrees(wrap_pi(heading_rad - self._last[1]))
+            self.pad_s += t - self._last[0]
+            self.clockwise_deg += max(0.0, turned)
+            self.counter_deg += max(0.0, -turned)
+        self._last = t, heading_rad
+
+    def missing(self) -> list[str]:
+        """Return what the flight should still show, most important first."""
+        out = []
+        if self.pad_s < PAD_S:
+            out.append(f"the pad in view for {PAD_S:.0f} s ({self.pad_s:.0f} s so far)")
+        leans = (
+            ("left", -self.roll_deg[0]),
+            ("right", self.roll_deg[1]),
+            ("forward", -self.pitch_deg[0]),
+            ("back", self.pitch_deg[1]),
+        )
+        out += [f"lean {way} by {LEAN_DEG:.0f} degrees or more ({far:.0f} so far)" for way, far in leans if far < LEAN_DEG]
+        turns = (("clockwise", self.clockwise_deg), ("counter-clockwise", self.counter_deg))
+        out += [
+            f"turn about the vertical {way} by {TURN_DEG:.0f} degrees or more ({far:.0f} so far)"
+            for way, far in turns
+            if far < TURN_DEG
+        ]
+        return out
+
+    def in_words(self) -> str:
+        """Return one line."""
+        low, high = self.height_m or (math.nan, math.nan)
+        heights = "" if self.height_m is None else f", {low:.1f} to {high:.1f} m"
+        return (
+            f"pad {self.pad_s:.0f} s{heights}; leans left {-self.roll_deg[0]:.0f}, right {self.roll_deg[1]:.0f}, forward "
+            f"{-self.pitch_deg[0]:.0f}, back {self.pitch_deg[1]:.0f} degrees; turns clockwise {self.clockwise_deg:.0f}, "
+            f"counter-clockwise {self.counter_deg:.0f} degrees"
+        )
+
 
 MOUNT_SIGMA_MAX_DEG = 0.3
 DELAY_SIGMA_MAX_S = 0.003

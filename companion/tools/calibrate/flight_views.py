@@ -15,7 +15,7 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, GimbalAttitude, Imu
 from estimator.vision.camera import Camera
 from estimator.vision.pose import Orientation
-from estimator.vision.register.camera_pose import camera_pose
+from estimator.vision.register.sighting import camera_pose
 
 GYRO_RATE_LEAST_HZ = 40.0
 TILT_SIGMA_MAX_RAD = math.radians(2.0)

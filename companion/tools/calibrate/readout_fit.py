@@ -22,8 +22,7 @@ from estimator.contracts.samples import Frame
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.register.options import RegistrationOptions
-from estimator.vision.register.registration import register
+from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.rolling import CameraMotion, at_one_instant
 
 FRAMES_MOST = 240

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from companion.tools.doctor import rules_ardupilot, rules_arming, rules_failsafes, rules_links, rules_log, rules_px4, rules_values
+from companion.tools.doctor import rules_ardupilot, rules_links, rules_log, rules_px4, rules_values
 from companion.tools.doctor.finding import Finding, Rule
 from companion.tools.doctor.snapshot import Snapshot
 
 RULES: tuple[Rule, ...] = (
-    *rules_links.RULES, *rules_arming.RULES, *rules_log.RULES, *rules_ardupilot.RULES, *rules_px4.RULES, *rules_failsafes.RULES,
-    *rules_values.RULES,
+    *rules_links.RULES, *rules_values.ARMING, *rules_log.RULES, *rules_ardupilot.RULES, *rules_px4.RULES,
+    *rules_values.FAILSAFE_RULES, *rules_values.RULES,
 )  # fmt: skip
 
 
 def _asked(stack: str, own: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys((*own, *rules_failsafes.PARAMETERS[stack], *rules_values.PARAMETERS[stack])))
+    return tuple(dict.fromkeys((*own, *rules_values.FAILSAFE_PARAMETERS[stack], *rules_values.PARAMETERS[stack])))
 
 
 PARAMETERS = {

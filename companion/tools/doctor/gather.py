@@ -1,9 +1,10 @@
-"""Take a snapshot: open the links, listen, send requests, and record the answers. It judges nothing and changes nothing."""
+"""Take a snapshot of an autopilot, over its links or from its flight log. It judges nothing and changes nothing."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from msgspec import structs
 
@@ -17,6 +18,8 @@ from companion.tools.doctor.snapshot import (
     Snapshot,
     TimeSyncSnapshot,
 )
+from drivers.imports import dataflash, px4_ulog
+from drivers.imports.log_history import AutopilotLog
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.gimbal import Gimbal, tending
@@ -25,8 +28,53 @@ from drivers.mavlink.links import LinkOptions, ReceivedMessage
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.requests import RATES_HZ
 from drivers.mavlink.vehicle import is_autopilot, stack_of
+from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
+
+_MANY = 100
+"""A log with so many parameters holds all of them: one that is missing is not in the firmware."""
+_COPTER = "ArduCopter"
+
+
+def examine_log(path: Path) -> Snapshot:
+    """Return the snapshot of a dataflash log (.bin) or a PX4 log (.ulg), told apart by its first bytes.
+
+    Raises:
+        BadInput: the file cannot be read, is neither, or is of a vehicle that cannot hover.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(px4_ulog.MAGIC))
+    except OSError as why:
+        raise BadInput(f"{path}: {why.strerror or why}") from why
+    if head.startswith(dataflash.MAGIC):
+        return _log_snapshot(path, dataflash.read_history(path))
+    if head == px4_ulog.MAGIC:
+        return _log_snapshot(path, px4_ulog.read_history(path))
+    raise BadInput(f"{path}: neither a dataflash log (.bin) nor a PX4 log (.ulg)")
+
+
+def _log_snapshot(path: Path, log: AutopilotLog) -> Snapshot:
+    if log.vehicle not in (None, _COPTER):
+        raise BadInput(f"{path}: it is a log of {log.vehicle}, and no rule knows that vehicle")
+    asked = names_in(PARAMETERS[log.stack], log.firmware)
+    system = next((int(log.parameters[n]) for n in ("SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID") if n in log.parameters), 1)
+    return Snapshot(
+        0.0,
+        autopilot=AutopilotSnapshot(
+            stack="ArduPilot" if log.stack == "ArduPilot" else "PX4",
+            system=system,
+            firmware=log.firmware,
+            mode="auto.precland" if log.precision_landing else "unknown",
+            parameters={n: v for n, v in log.parameters.items() if n in asked},
+            absent=tuple(n for n in asked if n not in log.parameters) if len(log.parameters) >= _MANY else (),
+            texts=log.texts,
+            events=log.events,
+        ),
+        log=log.history,
+    )
+
 
 _PRECLAND_BIT = int(mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION)
 """The SYS_STATUS bit in which ArduCopter reports precision landing."""

@@ -1,14 +1,21 @@
-"""The undo file of `doctor --fix`: what each parameter was and what it was set to, of one autopilot. No I/O."""
+"""The writes of `doctor --fix`: an undo file of what each parameter was, and the writing itself, on the ground and read back."""
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 
 import msgspec
 from msgspec import Struct
 
+from companion.tools.doctor.gather import wait_until
 from companion.tools.doctor.snapshot import AutopilotSnapshot
+from drivers.mavlink.autopilot import Autopilot
+from drivers.mavlink.dialect import mav
+from drivers.mavlink.requests import wire_value
 from estimator.contracts.errors import BadInput
+from estimator.contracts.ports import Clock
 
 
 class PlannedWrite(Struct, frozen=True, forbid_unknown_fields=True):
@@ -65,3 +72,89 @@ def decode_undo(data: bytes, where: str) -> UndoFile:
         return msgspec.json.decode(data, type=UndoFile)
     except (msgspec.DecodeError, UnicodeDecodeError) as why:
         raise BadInput(f"{where}: no undo file of doctor --fix: {why}") from why
+
+
+_READ_S = 5.0
+"""Longest time for reading one parameter, its repetitions among it, seconds."""
+_TRIES = 3
+
+OnResult = Callable[["WriteResult"], None]
+
+
+@dataclass(frozen=True, slots=True)
+class WriteResult:
+    """What became of one planned write."""
+
+    planned: PlannedWrite
+    value: float | None
+    """The parameter's value as read last; None if it was not answered."""
+    refused: str | None = None
+    """Why the parameter does not have the planned value; None if it has."""
+
+
+async def read_parameters(autopilot: Autopilot, clock: Clock, names: Iterable[str]) -> dict[str, float]:
+    """Return the values that the autopilot tells of these parameters at this moment; those without an answer are left out."""
+    wanted, parameters = tuple(dict.fromkeys(names)), autopilot.parameters
+    assert parameters is not None, "an autopilot is connected"
+    parameters.request(wanted)
+    await wait_until(clock, _READ_S + 0.5 * len(wanted), lambda: parameters.settled)
+    return {name: parameters.values[name] for name in wanted if name in parameters.values and name not in parameters.absent}
+
+
+async def write_parameters(
+    autopilot: Autopilot, clock: Clock, planned: Sequence[PlannedWrite], on_result: OnResult
+) -> tuple[WriteResult, ...]:
+    """Write one parameter after the other, and return what became of each.
+
+    A parameter is written only if it still has the value that the plan names, and only while the autopilot is heard and says
+    that it is disarmed; this is looked at again before each message.
+
+    Args:
+        on_result: called with each result as soon as it is known.
+    """
+    results = []
+    for one in planned:
+        result = await _write(autopilot, clock, one)
+        on_result(result)
+        results.append(result)
+    return tuple(results)
+
+
+def why_not_written(autopilot: Autopilot) -> str | None:
+    """Return why no parameter may be written at this moment; None if one may."""
+    if not autopilot.connected:
+        return "the autopilot is not heard any more"
+    armed = autopilot.condition.armed
+    if armed is None:
+        return "the autopilot does not say whether it is armed"
+    return "the vehicle is armed" if armed else None
+
+
+async def _write(autopilot: Autopilot, clock: Clock, one: PlannedWrite) -> WriteResult:
+    value = (await read_parameters(autopilot, clock, [one.parameter])).get(one.parameter)
+    if value is None:
+        return WriteResult(one, None, "it is not answered")
+    if same(value, one.to):
+        return WriteResult(one, value)
+    if not same(value, one.was):
+        return WriteResult(one, value, f"it was {one.was:g} and is {value:g}: somebody else changed it")
+    identity, parameters = autopilot.identity, autopilot.parameters
+    assert identity is not None
+    assert parameters is not None
+    kind = parameters.kinds[one.parameter]
+    try:
+        wire = wire_value(identity.stack, one.to, kind)
+    except ValueError as why:
+        return WriteResult(one, value, str(why))
+    for _ in range(_TRIES):
+        if (why_not := why_not_written(autopilot)) is not None:
+            return WriteResult(one, value, why_not)
+        autopilot.send(mav.MAVLink_param_set_message(*identity.address, one.parameter.encode(), wire, kind))
+        answered = (await read_parameters(autopilot, clock, [one.parameter])).get(one.parameter)
+        value = value if answered is None else answered
+        if answered is not None and same(answered, one.to):
+            return WriteResult(one, answered)
+    refused = (
+        f"the autopilot refuses it: it is still {value:g}" if same(value, one.was) else f"the autopilot made {value:g} of it"
+    )
+    return WriteResult(one, value, refused)

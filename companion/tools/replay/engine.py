@@ -1,4 +1,4 @@
-"""Replay every recorded sample, frame and guidance cycle through a pilot, in the order in which the service processed them.
+"""Make a pilot for a recording and replay every sample, frame and guidance cycle through it, in the order of the service.
 
 Nothing here reads a clock: instants are the recording's. The same recording through the same pilot gives bit-identical outputs,
 and a hash over them proves it.
@@ -7,8 +7,11 @@ and a hash over them proves it.
 from __future__ import annotations
 
 import hashlib
+import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
 
 import msgspec
 import numpy as np
@@ -16,15 +19,20 @@ from msgspec.structs import replace
 
 from companion.base.mission import FLOWN, FlightOutcome, State
 from companion.base.observer import Decision, Observer, ProcessedFrame
+from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.recording import encode
-from companion.recording.reading import Event, RecordedFrame, Recording, instant
+from companion.recording.reading import CAMERA, PAD, Event, RecordedFrame, Recording, instant
 from companion.recording.records import FusionRecord, HealthRecord, LinkRecord, TruthRecord
+from companion.settings.load import Settings, load
+from companion.settings.model import CameraSettings, PadSettings
+from estimator import pipeline
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.estimates import PathName, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+from estimator.options import EstimatorOptions
 from estimator.vision.detection import Detection
 
 _GAP_S = 10.0
@@ -231,3 +239,56 @@ def _black(recorded: RecordedFrame) -> Frame:
     """Return a black frame of the right size that takes no memory."""
     px = np.broadcast_to(np.zeros(1, np.uint8), (recorded.record.height, recorded.record.width, 3))
     return Frame(recorded.stamp, recorded.record.seq, px, recorded.record.exposure_s, recorded.record.gain, recorded.record.coded)
+
+
+def available_paths() -> tuple[PathName, ...]:
+    """Return the paths that the estimator can run: all but those that need a library that is not installed."""
+    found: list[PathName] = []
+    for name in get_args(PathName):
+        try:
+            pipeline.start(EstimatorOptions(path=name))
+        except BadInput:
+            continue
+        found.append(name)
+    return tuple(found)
+
+
+def settings_of(recording: Recording, config: str | None) -> Settings:
+    """Return the settings in `config` if it is given, else those that the recording was made with.
+
+    Raises:
+        BadInput: neither is available.
+    """
+    if config is not None:
+        return load(config)
+    try:
+        settings = recording.settings()
+    except BadInput as why:
+        raise BadInput(f"{why} (made by another version? name settings with --config)") from why
+    if settings is None:
+        raise BadInput(f"{recording.name}: holds no settings; name some with --config")
+    return settings
+
+
+def pilot_of(recording: Recording, settings: Settings, path: PathName | None, *, own_camera: bool, alone: bool = False) -> Pilot:
+    """Return a pilot that runs every path (or one `alone`) and steers by `path` (else by the settings' own).
+
+    Args:
+        own_camera: use the camera and the pad of the recording instead of those that the settings name.
+
+    Raises:
+        BadInput: a camera or pad file is missing or has a fault, or the path needs a library that is not installed.
+    """
+    steering = path or settings.estimator.path
+    shadows = [] if alone else [p for p in available_paths() if p != steering]
+    estimator = msgspec.structs.replace(settings.estimator, path=steering)
+    with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
+        if own_camera and CAMERA in recording.attachments and PAD in recording.attachments:
+            for name in (CAMERA, PAD):
+                (Path(folder) / name).write_bytes(recording.attachments[name])
+            settings = msgspec.structs.replace(
+                settings,
+                camera=CameraSettings(str(Path(folder) / CAMERA), gimbal=settings.camera.gimbal),
+                pad=PadSettings(str(Path(folder) / PAD)),
+            )
+        return make_pilot(msgspec.structs.replace(settings, estimator=estimator), shadows=shadows)

@@ -14,7 +14,6 @@ from companion.tools.report.video import FilmFile
 
 _SCRIPTS = ("numbers", "clock", "video", "plot", "gestures", "view", "report")
 """The parts of the page's script, in order: they share one scope, since a page opened as a file may import no modules."""
-_VIEWS = ("near", "above", "side", "behind")
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; media-src blob:; img-src data:"
 """The page asks for nothing, and a browser refuses it if it did."""
 

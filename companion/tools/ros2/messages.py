@@ -1,4 +1,4 @@
-"""One event of a recording as standard messages of ROS 2, in the frames and axes of `companion.tools.ros2.axes`.
+"""One event of a recording as standard messages of ROS 2, in the frames and axes of REP-103.
 
 A message's header has the instant of the measurement; the bag has the instant at which the service processed it. Both are on
 the time axis of the recording. What was not measured is left out as the message's own definition says: a first element of -1
@@ -19,14 +19,112 @@ from companion.recording.decode import held_rotation
 from companion.recording.frame_video import VideoImage
 from companion.recording.message_encoder import packed
 from companion.recording.reading import Event, RecordedFrame, instant
-from companion.tools.ros2 import axes
-from companion.tools.ros2.axes import BODY, CAMERA, DECK, LEVEL, MAP
 from estimator.contracts.commands import Hover, Lean, Velocity
-from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, VehicleStatus, VesselReport
 from estimator.contracts.time import NS_PER_S, MonoNs
 from estimator.vision.camera import Camera
+
+# The axes of ROS (REP-103): x forward, y left, z up on a body, and east, north, up on the Earth.
+#
+# Our `body` and `level` are forward-right-down, `ned` is north-east-down, `pad` has z into the deck. In each of the first two
+# and in `pad`, half a turn about x leads to the axes of ROS, so one matrix converts them all. Our `cam` has the axes of an
+# optical frame of ROS as it is.
+#
+# Frames (REP-105): `base_link` is the body, `base_stabilized` the same without roll and pitch, `deck` the pad with z up, `map`
+# east-north-up; `camera_optical_frame` is the camera, and `range_down` has x along the range sensor's beam.
+
+BODY, LEVEL, DECK, MAP = "base_link", "base_stabilized", "deck", "map"
+CAMERA, BEAM = "camera_optical_frame", "range_down"
+
+UP = np.diag([1.0, -1.0, -1.0])
+"""Takes forward-right-down to forward-left-up, and back."""
+_ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+R_BODY_BEAM = Rotation.from_rpy(0.0, 0.5 * math.pi, 0.0)
+"""The rotation from `range_down` to `base_link`: the beam's x axis points down."""
+
+
+def up(v: F64) -> F64:
+    """Return a vector (3,) of `body`, `level` or `pad` in the axes of ROS."""
+    return UP @ v
+
+
+def up_cov(cov: F64) -> F64:
+    """Return a covariance (3, 3) of `body`, `level` or `pad` in the axes of ROS."""
+    return np.asarray(UP @ cov @ UP)
+
+
+def body_in_level(R_ned_body: Rotation) -> Rotation:
+    """Return the rotation from `base_link` to `base_stabilized` of an attitude: its roll and pitch."""
+    return Rotation(UP @ R_ned_body.without_heading().matrix @ UP)
+
+
+def enu(v_ned: F64) -> F64:
+    """Return a vector (3,) of `ned` as east, north, up."""
+    return np.asarray(_ENU_NED @ v_ned)
+
+
+def enu_cov(cov_ned: F64) -> F64:
+    """Return a covariance (3, 3) of `ned` in east, north, up."""
+    return np.asarray(_ENU_NED @ cov_ned @ _ENU_NED.T)
+
+
+def enu_attitude(R_ned_body: Rotation) -> Rotation:
+    """Return the rotation from `base_link` to `map` of an attitude."""
+    return Rotation(_ENU_NED @ R_ned_body.matrix @ UP)
+
+
+def camera_rotation(R_body_cam: Rotation) -> Rotation:
+    """Return the rotation from `camera_optical_frame` to `base_link` of a camera's mount."""
+    return Rotation(UP @ R_body_cam.matrix)
+
+
+def deck_heading(yaw_rad: float) -> Rotation:
+    """Return the rotation from `base_stabilized` to `deck`, from the heading against the arrow, clockwise seen from above."""
+    return Rotation.from_rpy(0.0, 0.0, -yaw_rad)
+
+
+def pad_in_level(cov: F64) -> F64:
+    """Return the covariance (6, 6) of the pad's pose in `base_stabilized`: x, y, z in m, then rotations about them in rad.
+
+    The pad's tilt is not estimated; it has the variance of an angle that could be anything.
+
+    Args:
+        cov: the covariance (4, 4) of [forward, right, down, yaw] in m and rad, or (7, 7) with the velocity before the yaw.
+    """
+    keep = [0, 1, 2, -1]
+    # The pad turns to the left in `base_stabilized` by as much as the body's heading turns to the right on the pad.
+    signs = np.diag([1.0, -1.0, -1.0, 1.0])
+    return _padded(signs @ cov[np.ix_(keep, keep)] @ signs)
+
+
+def level_in_deck(d_body_pad_level: F64, yaw_rad: float, cov: F64) -> tuple[F64, F64]:
+    """Return the place (3,) m of `base_stabilized` in `deck`, and the covariance (6, 6) of its pose.
+
+    Args:
+        d_body_pad_level: the vector (3,) m to the pad.
+        yaw_rad: the heading against the arrow.
+        cov: the covariance (7, 7) of [d, v, yaw].
+    """
+    R, d = deck_heading(yaw_rad).matrix, up(d_body_pad_level)
+    # The place is -R d, and R turns with the heading: d/d(heading) of R d is z x (R d).
+    turned = np.cross([0.0, 0.0, 1.0], R @ d)
+    J = np.zeros((4, 4))
+    J[:3, :3] = -R @ UP
+    J[:3, 3] = turned
+    J[3, 3] = -1.0
+    keep = [0, 1, 2, 6]
+    return -(R @ d), _padded(J @ cov[np.ix_(keep, keep)] @ J.T)
+
+
+def _padded(cov: F64) -> F64:
+    """Return a covariance (6, 6) of a pose from that (4, 4) of place and heading."""
+    out = np.zeros((6, 6))
+    out[:3, :3], out[:3, 5], out[5, :3], out[5, 5] = cov[:3, :3], cov[:3, 3], cov[3, :3], cov[3, 3]
+    out[3, 3] = out[4, 4] = UNKNOWN_YAW_VAR
+    return out
+
 
 Message = tuple[str, str, int, Any]
 """Topic, type, time in the bag in ns, and the message."""
@@ -56,7 +154,7 @@ class RosMessages:
 
     def fixed(self, at: MonoNs) -> Message:
         """Return the transforms that never change: the camera's mount and the range sensor's beam."""
-        stamped = [self._transform(at, BODY, axes.BEAM, np.zeros(3), axes.R_BODY_BEAM)]
+        stamped = [self._transform(at, BODY, BEAM, np.zeros(3), R_BODY_BEAM)]
         if self._camera is not None and not self._gimballed:
             stamped.append(self._camera_transform(at, self._camera, self._camera.T_body_cam.R))
         return "/tf_static", "tf2_msgs/msg/TFMessage", self._time(at), self._make("tf2_msgs/msg/TFMessage", transforms=stamped)
@@ -131,10 +229,10 @@ class RosMessages:
                 yield "/imu/data_raw", "sensor_msgs/msg/Imu", self._imu(of)
             case Attitude():
                 yield "/imu/data", "sensor_msgs/msg/Imu", self._attitude(of)
-                tilt = self._transform(of.stamp.measured_at, LEVEL, BODY, np.zeros(3), axes.body_in_level(of.R_ned_body))
+                tilt = self._transform(of.stamp.measured_at, LEVEL, BODY, np.zeros(3), body_in_level(of.R_ned_body))
                 yield "/tf", "tf2_msgs/msg/TFMessage", self._make("tf2_msgs/msg/TFMessage", transforms=[tilt])
             case BodyVelocity():
-                twist = self._twist_with_cov(axes.up(of.v_level), axes.up_cov(of.cov_level))
+                twist = self._twist_with_cov(up(of.v_level), up_cov(of.cov_level))
                 yield "/velocity", *self._stamped("TwistWithCovarianceStamped", of.stamp.measured_at, LEVEL, twist=twist)
             case Range():
                 yield "/range", "sensor_msgs/msg/Range", self._range(of)
@@ -158,8 +256,8 @@ class RosMessages:
             "sensor_msgs/msg/Imu",
             header=self._header(of.stamp.measured_at, BODY),
             orientation=self._quaternion(Rotation.identity()), orientation_covariance=_NOT_GIVEN,
-            angular_velocity=self._vector(axes.up(of.w_body)), angular_velocity_covariance=np.zeros(9),
-            linear_acceleration=self._vector(axes.up(of.f_body)), linear_acceleration_covariance=np.zeros(9),
+            angular_velocity=self._vector(up(of.w_body)), angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=self._vector(up(of.f_body)), linear_acceleration_covariance=np.zeros(9),
         )  # fmt: skip
 
     def _attitude(self, of: Attitude) -> Any:
@@ -168,7 +266,7 @@ class RosMessages:
         return self._make(
             "sensor_msgs/msg/Imu",
             header=self._header(of.stamp.measured_at, BODY),
-            orientation=self._quaternion(axes.enu_attitude(of.R_ned_body)), orientation_covariance=_row(axes.up_cov(of.cov_body)),
+            orientation=self._quaternion(enu_attitude(of.R_ned_body)), orientation_covariance=_row(up_cov(of.cov_body)),
             angular_velocity=nothing, angular_velocity_covariance=_NOT_GIVEN,
             linear_acceleration=nothing, linear_acceleration_covariance=_NOT_GIVEN,
         )  # fmt: skip
@@ -176,7 +274,7 @@ class RosMessages:
     def _range(self, of: Range) -> Any:
         return self._make(
             "sensor_msgs/msg/Range",
-            header=self._header(of.stamp.measured_at, axes.BEAM),
+            header=self._header(of.stamp.measured_at, BEAM),
             radiation_type=0, field_of_view=0.0, min_range=0.0, max_range=math.inf,
             range=of.range_m, variance=of.sigma_m**2,
         )  # fmt: skip
@@ -196,10 +294,10 @@ class RosMessages:
     def _vessel(self, of: VesselReport) -> Iterator[tuple[str, str, Any]]:
         at = of.stamp.measured_at
         if of.v_vessel_ned is not None and of.cov_v_ned is not None:
-            twist = self._twist_with_cov(axes.enu(of.v_vessel_ned), axes.enu_cov(of.cov_v_ned))
+            twist = self._twist_with_cov(enu(of.v_vessel_ned), enu_cov(of.cov_v_ned))
             yield "/vessel/velocity", *self._stamped("TwistWithCovarianceStamped", at, MAP, twist=twist)
         if of.heading_rad is not None:
-            R = axes.enu_attitude(Rotation.from_rpy(0.0, 0.0, of.heading_rad))
+            R = enu_attitude(Rotation.from_rpy(0.0, 0.0, of.heading_rad))
             yield "/vessel/heading", *self._stamped("QuaternionStamped", at, MAP, quaternion=self._quaternion(R))
 
     def _battery(self, of: VehicleStatus) -> Any:
@@ -213,7 +311,7 @@ class RosMessages:
         )  # fmt: skip
 
     def _camera_transform(self, at: MonoNs, camera: Camera, R_body_cam: Rotation) -> Any:
-        return self._transform(at, BODY, CAMERA, axes.up(camera.T_body_cam.t), axes.camera_rotation(R_body_cam))
+        return self._transform(at, BODY, CAMERA, up(camera.T_body_cam.t), camera_rotation(R_body_cam))
 
     def _frame(self, frame: RecordedFrame) -> Iterator[Message]:
         at, exposed = self._time(frame.done), frame.stamp.measured_at
@@ -246,19 +344,19 @@ class RosMessages:
 
     def _pad_pose(self, at: int, measured_at: MonoNs, of: Sighting | RelativeState) -> tuple[str, int, Any]:
         """Return the pad's pose in `base_stabilized`; an unknown heading has the variance of anything."""
-        R = axes.deck_heading(of.yaw_rad or 0.0).inv
-        pose = self._pose(axes.up(of.d_body_pad_level), R, axes.pad_in_level(of.cov))
+        R = deck_heading(of.yaw_rad or 0.0).inv
+        pose = self._pose(up(of.d_body_pad_level), R, pad_in_level(of.cov))
         kind, message = self._stamped("PoseWithCovarianceStamped", measured_at, LEVEL, pose=pose)
         return kind, at, message
 
     def _odometry(self, at: MonoNs, d: F64, v_pad: F64, yaw_rad: float, cov: F64) -> Any:
         """Return the pose of `base_stabilized` in `deck`, and its velocity against the deck in its own axes."""
-        place, cov_pose = axes.level_in_deck(d, yaw_rad, cov)
+        place, cov_pose = level_in_deck(d, yaw_rad, cov)
         return self._make(
             "nav_msgs/msg/Odometry",
             header=self._header(at, DECK), child_frame_id=LEVEL,
-            pose=self._pose(place, axes.deck_heading(yaw_rad), cov_pose),
-            twist=self._twist_with_cov(axes.up(-v_pad), axes.up_cov(cov[3:6, 3:6])),
+            pose=self._pose(place, deck_heading(yaw_rad), cov_pose),
+            twist=self._twist_with_cov(up(-v_pad), up_cov(cov[3:6, 3:6])),
         )  # fmt: skip
 
     def _decision(self, of: Decision) -> Iterator[Message]:
@@ -270,8 +368,8 @@ class RosMessages:
                 odometry = self._odometry(of.at, d, v, belief.yaw_rad, belief.cov)
                 yield f"/{belief.path}/odometry", "nav_msgs/msg/Odometry", at, odometry
         if of.belief is not None and of.belief.yaw_rad is not None:
-            place, _ = axes.level_in_deck(of.belief.d_body_pad_level, of.belief.yaw_rad, of.belief.cov)
-            above = self._transform(of.at, DECK, LEVEL, place, axes.deck_heading(of.belief.yaw_rad))
+            place, _ = level_in_deck(of.belief.d_body_pad_level, of.belief.yaw_rad, of.belief.cov)
+            above = self._transform(of.at, DECK, LEVEL, place, deck_heading(of.belief.yaw_rad))
             yield "/tf", "tf2_msgs/msg/TFMessage", at, self._make("tf2_msgs/msg/TFMessage", transforms=[above])
         yield from self._command(at, of)
         for change in of.transitions:
@@ -284,7 +382,7 @@ class RosMessages:
     def _command(self, at: int, of: Decision) -> Iterator[Message]:
         match of.command:
             case Velocity(v_level=v, yaw_rate_rad_s=rate) | Lean(v_level=v, yaw_rate_rad_s=rate):
-                twist = self._twist(axes.up(v), -rate)
+                twist = self._twist(up(v), -rate)
             case Hover():
                 twist = self._twist(np.zeros(3))
             case _:

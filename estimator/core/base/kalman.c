@@ -70,9 +70,8 @@ static void solve_rows(int n, int m, double L[ROWS_MAX][ROWS_MAX], double B[ROWS
     }
 }
 
-/* The symmetric part of F P F' + Q, for a symmetric P. Most entries of a transition are zero. */
 WIDE
-void kalman_predict(int32_t n, const double *P, const double *F, const double *Q, double *P_after)
+void kalman_predict(int n, const double *P, const double *F, const double *Q, double *P_after)
 {
     double FP[ORDER_MAX][ORDER_MAX];
     int column[ORDER_MAX][ORDER_MAX], count[ORDER_MAX];
@@ -113,8 +112,7 @@ void kalman_predict(int32_t n, const double *P, const double *F, const double *Q
     }
 }
 
-/* The normalised innovation squared, innov' inv(S) innov. */
-int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis)
+int nis_of(int m, const double *innov, const double *S, double *nis)
 {
     double L[ROWS_MAX][ROWS_MAX], y[ROWS_MAX];
     for (int i = 0; i < m; i++) {
@@ -134,14 +132,13 @@ int32_t nis_of(int32_t m, const double *innov, const double *S, double *nis)
     return isfinite(*nis) ? DONE : NOT_POSITIVE;
 }
 
-/* The error state's correction dx = K y and (I - K H) P (I - K H)' + K R K', with K = P H' inv(S), S = H P H' + R.
- *
- * Multiplied out the latter is P - K C' + (K S - C) K' with C = P H'. The bracket vanishes but for the errors of K, which so
+/* Multiplied out, Joseph's form is P - K C' + (K S - C) K' with C = P H'. The bracket vanishes but for the errors of K, which so
  * enter in the second order alone, as they do in Joseph's form. */
 WIDE
-int32_t kalman_correct(int32_t n, int32_t m, const double *P, const double *innov, const double *H, const double *R, double *dx,
-                       double *P_after, double *S, double *nis)
+int kalman_correct(int n, const double *P, const measured *z, double *dx, double *P_after, double *S, double *nis)
 {
+    const int m = z->m;
+    const double *innov = z->innov, *H = z->H, *R = z->R;
     double y[ROWS_MAX], scale[ROWS_MAX], s[ROWS_MAX][ROWS_MAX], L[ROWS_MAX][ROWS_MAX];
     double C[ROWS_MAX][ORDER_MAX], K[ROWS_MAX][ORDER_MAX], rest[ROWS_MAX][ORDER_MAX];
 

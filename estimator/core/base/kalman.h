@@ -1,4 +1,4 @@
-/* The triangles that the Kalman correction and others need. */
+/* Covariance propagation, the Kalman correction, and the triangles that both and others need. */
 #ifndef DECKLANDER_KALMAN_H
 #define DECKLANDER_KALMAN_H
 
@@ -6,9 +6,22 @@
 
 enum { NOT_POSITIVE = 0, DONE = 1 };
 
+/* m numbers, measured less predicted, with their Jacobian (m, n) and their noise (m, m). */
+typedef struct {
+    int m;
+    const double *innov, *H, *R;
+} measured;
+
 /* S = L L', lower triangle in place of S; NOT_POSITIVE if S is not positive definite. */
 int cholesky(int m, double S[ROWS_MAX][ROWS_MAX]);
 /* b <- inv(L) b */
 void solve_lower(int m, double L[ROWS_MAX][ROWS_MAX], double b[ROWS_MAX]);
+/* The symmetric part of F P F' + Q, for a symmetric P. Most entries of a transition are zero. */
+void kalman_predict(int n, const double *P, const double *F, const double *Q, double *P_after);
+/* The normalised innovation squared, innov' inv(S) innov; NOT_POSITIVE if S is not positive definite. */
+int nis_of(int m, const double *innov, const double *S, double *nis);
+/* The error state's correction dx = K y and (I - K H) P (I - K H)' + K R K', with K = P H' inv(S), S = H P H' + R; NOT_POSITIVE if
+ * S is not positive definite. */
+int kalman_correct(int n, const double *P, const measured *z, double *dx, double *P_after, double *S, double *nis);
 
 #endif

@@ -1,3 +1,5 @@
+/* Products of vectors and rotations, exponential and logarithm of rotations, angles. */
+
 #include "base/rotation.h"
 
 #include <math.h>

@@ -1,3 +1,5 @@
+/* Eigenvalues of a small symmetric matrix, and the removal of an attitude's share from a covariance. */
+
 #include "base/symmetric.h"
 
 #include <math.h>
@@ -117,11 +119,7 @@ static void assemble(int m, double L[ROWS_MAX][ROWS_MAX], double axes[ROWS_MAX][
     }
 }
 
-/* The part of a measurement's covariance that an attitude's errors made is removed: cov - J cov_attitude J', (m, m) in rows.
- *
- * J is (m, 3). At least a small fraction of each direction remains. A `cov` that is clearly too small to contain that part in some
- * direction comes from an attitude that was taken as exact, and stays. */
-void remove_attitude(int32_t m, double *cov, const double *J, const double *cov_attitude)
+void remove_attitude(int m, double *cov, const double *J, const double *cov_attitude)
 {
     double part[ROWS_MAX][ROWS_MAX], rest[ROWS_MAX][ROWS_MAX], L[ROWS_MAX][ROWS_MAX];
     attitude_part(m, J, cov_attitude, part);

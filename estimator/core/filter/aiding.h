@@ -6,11 +6,11 @@
 #include "filter/propagate.h"
 
 /* Each takes one sample at the belief's instant; `out` tells what became of it. */
-void take_attitude(const filter_params *o, belief *b, covariance *c, const double *R_ned_body, const double *cov, outcome *out);
-void take_velocity(const filter_params *o, belief *b, covariance *c, const double v[3], const double *cov, outcome *out);
-void take_range(const filter_params *o, belief *b, covariance *c, double range_m, double sigma_m, outcome *out);
-void take_height(const filter_params *o, belief *b, covariance *c, double height_m, double sigma_m, outcome *out);
+void take_attitude(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_attitude *seen, dl_outcome *out);
+void take_velocity(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_velocity *seen, dl_outcome *out);
+void take_range(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_distance *seen, dl_outcome *out);
+void take_height(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_distance *seen, dl_outcome *out);
 /* The distance from the pad's centre at which the body's down axis meets the deck, and its sigma, m. */
-void foot_of(const belief *b, const double *P, const double x[N], double *away, double *spread);
+void foot_of(const dl_belief *b, const double *P, const double x[DL_N], double *away, double *spread);
 
 #endif

@@ -1,9 +1,12 @@
+/* Compare a velocity with the belief, over the ground or over the deck, whichever the evidence says, and gather it. */
+
 #include <math.h>
 #include <string.h>
 
 #include "filter/aiding.h"
 #include "filter/correction.h"
 #include "filter/gathering.h"
+#include "base/kalman.h"
 #include "base/rotation.h"
 
 /* Time constant with which the evidence of velocity samples about the surface below decays. */
@@ -31,14 +34,14 @@ static void measured_velocity(const double v[3], const double R[9], double scale
 }
 
 /* The Jacobian of the measured velocity body_weight v + deck_weight v_pad, (3, COLUMNS_MAX). */
-static void by_velocity(const double x[N], const double R[9], double body_weight, double deck_weight, double H[3 * COLUMNS_MAX])
+static void by_velocity(const double x[DL_N], const double R[9], double body_weight, double deck_weight, double H[3 * COLUMNS_MAX])
 {
-    const double scale = x[VEL_SCALE], flat = hypot(R[0], R[3]), c = scale * R[0] / flat, s = scale * R[3] / flat;
+    const double scale = x[DL_VEL_SCALE], flat = hypot(R[0], R[3]), c = scale * R[0] / flat, s = scale * R[3] / flat;
     const double to_level[3][3] = {{c, s, 0.0}, {-s, c, 0.0}, {0.0, 0.0, 1.0}};
     double v_pad[3], v[3], level[3], turning[3];
     pad_velocity(x, v_pad);
     for (int i = 0; i < 3; i++) {
-        v[i] = body_weight * x[VEL + i] + deck_weight * v_pad[i];
+        v[i] = body_weight * x[DL_VEL + i] + deck_weight * v_pad[i];
     }
     measured_velocity(v, R, scale, level);
     heading_by_rotation(R, turning);
@@ -52,7 +55,7 @@ static void by_velocity(const double x[N], const double R[9], double body_weight
         for (int j = 0; j < 2; j++) {
             row[BY_VESSEL + j] = deck_weight * to_level[i][j];
             row[BY_SWAY + j] = deck_weight * to_level[i][j] * x[HEAVING];
-            row[BY_DECK + 2] += deck_weight * to_level[i][j] * x[SWAY_PER_HEAVE + j];
+            row[BY_DECK + 2] += deck_weight * to_level[i][j] * x[DL_SWAY_PER_HEAVE + j];
         }
         row[BY_SCALE] = i < 2 ? level[i] / scale : 0.0;
     }
@@ -83,7 +86,7 @@ static void pick(int axes, const double A[9], double *out)
     }
 }
 
-static int measured_axes(const filter_params *o, const double cov[9])
+static int measured_axes(const dl_filter_params *o, const double cov[9])
 {
     int axes = 0;
     for (int i = 0; i < 3; i++) {
@@ -93,27 +96,27 @@ static int measured_axes(const filter_params *o, const double cov[9])
 }
 
 /* A velocity that is measured against a surface that moves with weight `deck_weight` as the deck does: innovation and H P H'. */
-static int compare_velocity(const belief *b, const double *P, const double x[N], const double v[3], int axes, double deck_weight,
+static int compare_velocity(const dl_belief *b, const double *P, const double x[DL_N], const double v[3], int axes, double deck_weight,
                             double innov[3], double spread[9])
 {
     double over[3], H[3 * COLUMNS_MAX], expected[3];
     pad_velocity(x, over);
     for (int i = 0; i < 3; i++) {
-        over[i] = x[VEL + i] - deck_weight * over[i];
+        over[i] = x[DL_VEL + i] - deck_weight * over[i];
     }
-    measured_velocity(over, b->R, x[VEL_SCALE], expected);
+    measured_velocity(over, b->R, x[DL_VEL_SCALE], expected);
     for (int i = 0; i < 3; i++) {
         innov[i] = v[i] - expected[i];
     }
     by_velocity(x, b->R, 1.0, -deck_weight, H);
     pick_rows(axes, COLUMNS_MAX, H);
     const int m = pick_rows(axes, 1, innov);
-    spread_of(m, VELOCITY, H, P, spread);
+    spread_of(m, DL_VELOCITY, H, P, spread);
     return m;
 }
 
 /* The log-odds, -3..3, by which one sample favours a velocity over the deck against one over the ground. */
-static double evidence_for_the_deck(const belief *b, const double *P, const double x[N], const double v[3], const double cov[9],
+static double evidence_for_the_deck(const dl_belief *b, const double *P, const double x[DL_N], const double v[3], const double cov[9],
                                     int axes)
 {
     double ground[3], deck[3], by_ground[9], by_deck[9], both[9], R[9], misfit_ground, misfit_deck, least = REFUTED;
@@ -141,18 +144,18 @@ static double evidence_for_the_deck(const belief *b, const double *P, const doub
 
 /* Whether samples can tell the deck from the water: once the pad was seen, or while the vessel's reports tell her velocity. A drone
  * that comes from astern is over a large deck before it sees the pad. */
-static int surface_is_open(const filter_params *o, const belief *b, const double *P)
+static int surface_is_open(const dl_filter_params *o, const dl_belief *b, const double *P)
 {
-    const double *var = P + VESSEL_VEL * (N + 1);
-    return o->velocity_is_over == OVER_EITHER && (b->sighted >= 0 || var[0] + var[N + 1] < KNOWN_VAR);
+    const double *var = P + DL_VESSEL_VEL * (DL_N + 1);
+    return o->velocity_is_over == DL_OVER_EITHER && (b->sighted >= 0 || var[0] + var[DL_N + 1] < KNOWN_VAR);
 }
 
 /* Update the log-odds between the two hypotheses about a velocity. Correlated samples count as one. */
-static void look_below(const filter_params *o, belief *b, const double *P, const double v[3], const double cov[9], int axes)
+static void look_below(const dl_filter_params *o, dl_belief *b, const double *P, const double v[3], const double cov[9], int axes)
 {
     const double since = b->t_velocity < 0 ? 1.0 : seconds(b->t_velocity, b->t);
-    double x[N], away, spread, expected = 0.0;
-    if (since < 0.5 * o->correlation_s[VELOCITY] || axes == 0) {
+    double x[DL_N], away, spread, expected = 0.0;
+    if (since < 0.5 * o->correlation_s[DL_VELOCITY] || axes == 0) {
         return;
     }
     peek(b, x);
@@ -165,31 +168,31 @@ static void look_below(const filter_params *o, belief *b, const double *P, const
         expected = -OVER_EXPECTED;
     }
     double odds = expected + (b->over_pad - expected) * exp(-since / OVER_MEMORY_S);
-    odds += evidence_for_the_deck(b, P, x, v, cov, axes) * fmin(1.0, 0.5 * since / o->correlation_s[VELOCITY]);
+    odds += evidence_for_the_deck(b, P, x, v, cov, axes) * fmin(1.0, 0.5 * since / o->correlation_s[DL_VELOCITY]);
     b->over_pad = fmax(b->sighted < 0 ? UNSEEN_EXPECTED : -6.0, fmin(6.0, odds));
     b->t_velocity = b->t;
 }
 
-static double deck_weight_of(const filter_params *o, const belief *b, int is_open)
+static double deck_weight_of(const dl_filter_params *o, const dl_belief *b, int is_open)
 {
     if (!is_open) {
-        return o->velocity_is_over == OVER_PAD ? 1.0 : 0.0;
+        return o->velocity_is_over == DL_OVER_PAD ? 1.0 : 0.0;
     }
     const double weight = 1.0 / (1.0 + exp(-b->over_pad));
     return weight < 0.03 ? 0.0 : weight > 0.97 ? 1.0 : weight;
 }
 
 /* The noise that an uncertain deck weight adds, by the deck's velocity as a body at rest would measure it. */
-static void ambiguity_of(const belief *b, const double *P, const double x[N], int axes, double deck_weight, double out[9])
+static void ambiguity_of(const dl_belief *b, const double *P, const double x[DL_N], int axes, double deck_weight, double out[9])
 {
     const double doubt = deck_weight * (1.0 - deck_weight);
     double H[3 * COLUMNS_MAX], v_pad[3], gap[3];
     pad_velocity(x, v_pad);
-    measured_velocity(v_pad, b->R, x[VEL_SCALE], gap);
+    measured_velocity(v_pad, b->R, x[DL_VEL_SCALE], gap);
     by_velocity(x, b->R, 0.0, 1.0, H);
     pick_rows(axes, COLUMNS_MAX, H);
     const int m = pick_rows(axes, 1, gap);
-    spread_of(m, VELOCITY, H, P, out);
+    spread_of(m, DL_VELOCITY, H, P, out);
     for (int i = 0; i < m; i++) {
         for (int j = 0; j < m; j++) {
             out[i * m + j] = doubt * (gap[i] * gap[j] + out[i * m + j] + (i == j ? 1e-9 : 0.0));
@@ -199,13 +202,14 @@ static void ambiguity_of(const belief *b, const double *P, const double x[N], in
 
 /* Whether a sample is refused because it contradicts the surface that is believed in and not the other one: the body has come over
  * an edge. Fused, it would be taken for a leap of the body's velocity before the odds have turned. */
-static int refused_at_an_edge(const filter_params *o, const belief *b, const double *P, const double v[3], const double cov[9],
-                              const aid *begun, const double innov[3], const double R[9], outcome *out)
+static int refused_at_an_edge(const dl_filter_params *o, const dl_belief *b, const double *P, const double v[3], const double cov[9],
+                              const dl_aid *begun, const double innov[3], dl_outcome *out)
 {
     const int m = (int)begun->m, axes = (int)begun->axes;
-    double S[9], nis, x[N];
+    double S[9], nis, x[DL_N];
+    pick(axes, cov, S);
     for (int i = 0; i < m * m; i++) {
-        S[i] = begun->spread[i] + R[i];
+        S[i] += begun->spread[i];
     }
     if (!nis_of(m, innov, S, &nis) || nis < REFUTED) {
         return 0;
@@ -214,48 +218,50 @@ static int refused_at_an_edge(const filter_params *o, const belief *b, const dou
     if ((begun->deck_weight < 0.5 ? 1.0 : -1.0) * evidence_for_the_deck(b, P, x, v, cov, axes) <= 0.0) {
         return 0;
     }
-    tell(out, GATED, m, axes, innov, S);
+    tell(out, DL_GATED, m, axes, innov, S);
     out->nis = nis;
     out->nis_max = o->nis_max[m - 1];
     return 1;
 }
 
-void take_velocity(const filter_params *o, belief *b, covariance *c, const double v[3], const double *cov, outcome *out)
+void take_velocity(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_velocity *seen, dl_outcome *out)
 {
+    const double *v = seen->v_level, *cov = seen->cov_level;
     const int axes = measured_axes(o, cov), is_open = surface_is_open(o, b, c->P);
     if (is_open) {
         look_below(o, b, c->P, v, cov, axes);
     }
     const double deck_weight = deck_weight_of(o, b, is_open);
-    out->verdict = GATED;
+    out->verdict = DL_GATED;
     if (axes == 0 || (deck_weight == 1.0 && b->sighted < 0 && !is_open)) {
         return;
     }
     double over[3], expected[3], innov[3], R[9];
     pad_velocity(b->x, over);
     for (int i = 0; i < 3; i++) {
-        over[i] = b->x[VEL + i] + b->dv[i] - deck_weight * over[i];
+        over[i] = b->x[DL_VEL + i] + b->dv[i] - deck_weight * over[i];
     }
     over[2] += GRAVITY_M_S2 * seconds(b->t_cov, b->t);
-    measured_velocity(over, b->R, b->x[VEL_SCALE], expected);
+    measured_velocity(over, b->R, b->x[DL_VEL_SCALE], expected);
     for (int i = 0; i < 3; i++) {
         innov[i] = v[i] - expected[i];
     }
     pick(axes, cov, R);
     const int m = pick_rows(axes, 1, innov);
-    aid begun = b->aids[VELOCITY];
-    if (!still_gathers(o, b, VELOCITY, axes, deck_weight)) {
-        double x[N], H[3 * COLUMNS_MAX], ambiguity[9] = {0.0};
+    dl_aid begun = b->aids[DL_VELOCITY];
+    if (!still_gathers(o, b, DL_VELOCITY, axes, deck_weight)) {
+        double x[DL_N], H[3 * COLUMNS_MAX], ambiguity[9] = {0.0};
         peek(b, x);
         by_velocity(x, b->R, 1.0, -deck_weight, H);
         pick_rows(axes, COLUMNS_MAX, H);
         if (deck_weight > 0.0 && deck_weight < 1.0) {
             ambiguity_of(b, c->P, x, axes, deck_weight, ambiguity);
         }
-        begin_gathering(&begun, b, c, VELOCITY, m, axes, deck_weight, H, ambiguity);
+        begun.m = m, begun.axes = axes, begun.deck_weight = deck_weight;
+        begin_gathering(&begun, b, c, DL_VELOCITY, H, ambiguity);
     }
-    if (is_open && refused_at_an_edge(o, b, c->P, v, cov, &begun, innov, R, out)) {
+    if (is_open && refused_at_an_edge(o, b, c->P, v, cov, &begun, innov, out)) {
         return;
     }
-    gather(o, b, c, VELOCITY, &begun, innov, R, out);
+    gather(o, b, c, DL_VELOCITY, &begun, innov, R, out);
 }

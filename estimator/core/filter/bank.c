@@ -1,3 +1,5 @@
+/* Move every member of the bank on to a sighting, correct it, and weigh it by how well it predicted. */
+
 #include "filter/bank.h"
 
 #include <math.h>
@@ -36,12 +38,12 @@ int member_pair(int i, int j)
 }
 
 /* Whether a member's oscillator is that of the member before: they differ in size alone, which no transition depends on. */
-static int moves_alike(const bank_members *m, int g)
+static int moves_alike(const dl_bank_members *m, int g)
 {
     return g > 0 && m->w[g] == m->w[g - 1] && m->zeta[g] == m->zeta[g - 1];
 }
 
-static void step_members(const bank_members *m, double T, member_step *s)
+static void step_members(const dl_bank_members *m, double T, member_step *s)
 {
     double A[4][4] = {{0.0}}, q[4][4] = {{0.0}};
     for (int g = 0; g < MEMBERS; g++) {
@@ -193,8 +195,8 @@ static void add_noises(const member_step *s, const double *sigma, double noise[3
 }
 
 /* Move one direction of the bank on. */
-static void carry(const filter_params *o, const member_step *s, double T, double ins_var, double reach_m, int k,
-                  const sea *before, sea *after)
+static void carry(const dl_filter_params *o, const member_step *s, double T, double ins_var, double reach_m, int k,
+                  const dl_bank *before, dl_bank *after)
 {
     const double *F[STATES][STATES];
     double noise[3][3], *P = after->P + k * MEMBER_PAIRS * MEMBERS;
@@ -237,7 +239,7 @@ static inline void look(double y, double var, double *x, double *P, double *log_
 }
 
 /* Forecast the waves at the horizons of the skill, and compare what was forecast of the present with it. */
-static void forecast_and_compare(const bank_members *m, sea *s, int64_t t)
+static void forecast_and_compare(const dl_bank_members *m, dl_bank *s, int64_t t)
 {
     double now[DIRECTIONS][2] = {{0.0}}, ahead[SKILL_HORIZONS][DIRECTIONS][2] = {{{0.0}}}, weight[DIRECTIONS][MEMBERS];
     for (int k = 0; k < DIRECTIONS; k++) {
@@ -266,7 +268,7 @@ static void forecast_and_compare(const bank_members *m, sea *s, int64_t t)
     skill_compare(&s->skill, t, now, ahead);
 }
 
-void bank_begin(const bank_members *m, sea *after)
+void dl_bank_begin(const dl_bank_members *m, dl_bank *after)
 {
     memset(after, 0, sizeof *after);
     after->t = -1;
@@ -291,10 +293,10 @@ void bank_begin(const bank_members *m, sea *after)
 }
 
 WIDE
-void bank_observe(const filter_params *o, int64_t t, const double *y, const double *var, double ins_var, double reach_m,
-                  const sea *before, sea *after)
+void bank_observe(const dl_filter_params *o, int64_t t, const double y[DIRECTIONS], const double var[DIRECTIONS], double ins_var,
+                  double reach_m, const dl_bank *before, dl_bank *after)
 {
-    const bank_members *m = &o->members;
+    const dl_bank_members *m = &o->members;
     const double T = seconds(before->t, t);
     double fade = 1.0;
     if (before->t >= 0 && T > 0.0) {

@@ -1,3 +1,5 @@
+/* Forecast the waves of one direction as the mixture over the bank's members. */
+
 #include "filter/bank_ahead.h"
 
 #include <math.h>
@@ -30,7 +32,7 @@ static int wave_pair(int i, int j)
     return i * (2 * STATES - 1 - i) / 2 + j;
 }
 
-static const double *covariance_of(const sea *s, int k, int i, int j)
+static const double *covariance_of(const dl_bank *s, int k, int i, int j)
 {
     return s->P + (k * MEMBER_PAIRS + member_pair(i, j)) * MEMBERS;
 }
@@ -55,7 +57,7 @@ static void carry(const oscillator_steps *steps, double before[STATES][MEMBERS],
 }
 
 /* The column of the rate in every member's covariance after the step. */
-static void rate_column(const bank_members *m, const sea *s, const oscillator_steps *steps, int k, double column[STATES][MEMBERS])
+static void rate_column(const dl_bank_members *m, const dl_bank *s, const oscillator_steps *steps, int k, double column[STATES][MEMBERS])
 {
     double half[STATES][MEMBERS] = {{0.0}};
     const double *sigma = m->sigma + k * MEMBERS;
@@ -83,7 +85,7 @@ static double sum_of(int oscillator, const double *a, const double *x)
 }
 
 /* A sum A' for the weighted covariances before the step, added to the spread: the upper triangle. */
-static void add_carried(const sea *s, const oscillator_steps *steps, int k, int o, const double *weight, waves_now *now)
+static void add_carried(const dl_bank *s, const oscillator_steps *steps, int k, int o, const double *weight, waves_now *now)
 {
     double sum[STATES][STATES], half[STATES][STATES] = {{0.0}};
     for (int i = 0; i < STATES; i++) {
@@ -109,7 +111,7 @@ static void add_carried(const sea *s, const oscillator_steps *steps, int k, int 
 
 /* The weighted covariances of the members after the step, about their own states and for a known rate. */
 WIDE
-static void add_own_spread(const bank_members *m, const sea *s, const oscillator_steps *steps, int k, const double *weight,
+static void add_own_spread(const dl_bank_members *m, const dl_bank *s, const oscillator_steps *steps, int k, const double *weight,
                            waves_now *now)
 {
     double column[STATES][MEMBERS], known[MEMBERS], scaled[MEMBERS];
@@ -160,7 +162,7 @@ static void add_states(double x[STATES][MEMBERS], const double *weight, waves_no
     }
 }
 
-void steps_to(const bank_members *m, const sea *s, int64_t t, oscillator_steps *steps)
+void steps_to(const dl_bank_members *m, const dl_bank *s, int64_t t, oscillator_steps *steps)
 {
     const double T = s->t >= 0 && t > s->t ? seconds(s->t, t) : 0.0;
     for (int o = 0; o < OSCILLATORS; o++) {
@@ -177,7 +179,7 @@ void steps_to(const bank_members *m, const sea *s, int64_t t, oscillator_steps *
 }
 
 WIDE
-void waves_at(const bank_members *m, const sea *s, const oscillator_steps *steps, int k, double rate, waves_now *now)
+void waves_at(const dl_bank_members *m, const dl_bank *s, const oscillator_steps *steps, int k, double rate, waves_now *now)
 {
     double weight[MEMBERS], before[STATES][MEMBERS], x[STATES][MEMBERS], believed = 0.0;
     const double *sigma = m->sigma + k * MEMBERS;
@@ -249,7 +251,7 @@ static double variance_between(const double *weight, const double *of, double me
 
 /* By the law of total variance: what each oscillator's members spread, and how their means differ. */
 WIDE
-void waves_ahead(waves_now *now, const horizon_reach *there, waves_then *then)
+void waves_ahead(waves_now *now, const dl_horizon_reach *there, waves_then *then)
 {
     double of[OSCILLATORS];
     for (int r = 0; r < 2; r++) {
@@ -281,9 +283,10 @@ void scale_by_skill(const waves_now *now, const double factors[2], waves_then *t
     then->change = then->mean[0] - now->displacement;
 }
 
-void bank_reach(const bank_members *m, int32_t n, const double *horizons_s, horizon_reach *out)
+void dl_bank_reach(const dl_bank_members *m, int32_t n, const double *horizons_s, dl_horizon_reach *out)
 {
     for (int h = 0; h < n; h++) {
+        out[h].horizon_s = horizons_s[h];
         for (int o = 0; o < OSCILLATORS; o++) {
             double A[STATES][STATES], q[STATES][STATES], rows[3][STATES];
             oscillator_transition(m->w[first_member(o)], m->zeta[first_member(o)], horizons_s[h], A, q);

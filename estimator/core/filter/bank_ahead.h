@@ -33,11 +33,11 @@ typedef struct {
 } waves_then;
 
 /* From the bank's last look to instant t, ns. */
-void steps_to(const bank_members *m, const sea *s, int64_t t, oscillator_steps *steps);
+void steps_to(const dl_bank_members *m, const dl_bank *s, int64_t t, oscillator_steps *steps);
 /* The members of direction k after these steps, with the present rate that the main filter believes, which has seen more. */
-void waves_at(const bank_members *m, const sea *s, const oscillator_steps *steps, int k, double rate, waves_now *now);
+void waves_at(const dl_bank_members *m, const dl_bank *s, const oscillator_steps *steps, int k, double rate, waves_now *now);
 /* The direction at a horizon, without regard to the forecasts' skill. */
-void waves_ahead(waves_now *now, const horizon_reach *there, waves_then *then);
+void waves_ahead(waves_now *now, const dl_horizon_reach *there, waves_then *then);
 /* Scale a forecast by the skill of past ones; what is left out is uncertain. */
 void scale_by_skill(const waves_now *now, const double factors[2], waves_then *then);
 

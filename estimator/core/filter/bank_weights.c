@@ -1,3 +1,5 @@
+/* Turn the members' evidence into weights, and the weights into one oscillator for each direction. */
+
 #include <math.h>
 
 #include "filter/bank.h"
@@ -17,12 +19,12 @@ double largest(int n, const double *values)
 }
 
 /* The log-odds of rest that were there before any sighting. */
-static double prior_log_odds(const bank_members *m)
+static double prior_log_odds(const dl_bank_members *m)
 {
     return m->log_prior[0] - log1p(-exp(m->log_prior[0]));
 }
 
-void summarise(const bank_members *m, sea *s)
+void summarise(const dl_bank_members *m, dl_bank *s)
 {
     double odds = 0.0, moving[DIRECTIONS];
     for (int k = 0; k < DIRECTIONS; k++) {
@@ -55,7 +57,7 @@ void summarise(const bank_members *m, sea *s)
     }
 }
 
-void weigh_ahead(const bank_members *m, const double *log_weight, double rest, double weight[MEMBERS])
+void weigh_ahead(const dl_bank_members *m, const double *log_weight, double rest, double weight[MEMBERS])
 {
     double sum = 0.0;
     for (int g = 0; g < MEMBERS; g++) {

@@ -1,3 +1,5 @@
+/* Apply a correction to the belief and rewrite its covariance about the turned attitude. */
+
 #include "filter/correction.h"
 
 #include <math.h>
@@ -5,10 +7,10 @@
 
 #include "base/rotation.h"
 
-void pad_velocity(const double x[N], double v[3])
+void pad_velocity(const double x[DL_N], double v[3])
 {
-    v[0] = x[SURGING] + x[VESSEL_VEL] + x[SWAY_PER_HEAVE] * x[HEAVING];
-    v[1] = x[SWAYING] + x[VESSEL_VEL + 1] + x[SWAY_PER_HEAVE + 1] * x[HEAVING];
+    v[0] = x[SURGING] + x[DL_VESSEL_VEL] + x[DL_SWAY_PER_HEAVE] * x[HEAVING];
+    v[1] = x[SWAYING] + x[DL_VESSEL_VEL + 1] + x[DL_SWAY_PER_HEAVE + 1] * x[HEAVING];
     v[2] = x[HEAVING];
 }
 
@@ -21,14 +23,14 @@ void pad_axes(double pitch, double yaw, double by_roll[3], double by_pitch[3])
 /* P = T P T' where T adds A theta to the three states from `state` on. */
 static void add_attitude(double *P, int state, const double A[9])
 {
-    for (int k = 0; k < N; k++) {
-        const double column[3] = {AT(P, ATT_ERR, k), AT(P, ATT_ERR + 1, k), AT(P, ATT_ERR + 2, k)};
+    for (int k = 0; k < DL_N; k++) {
+        const double column[3] = {AT(P, DL_ATT_ERR, k), AT(P, DL_ATT_ERR + 1, k), AT(P, DL_ATT_ERR + 2, k)};
         for (int i = 0; i < 3; i++) {
             AT(P, state + i, k) += dot(A + 3 * i, column);
         }
     }
-    for (int k = 0; k < N; k++) {
-        const double row[3] = {AT(P, k, ATT_ERR), AT(P, k, ATT_ERR + 1), AT(P, k, ATT_ERR + 2)};
+    for (int k = 0; k < DL_N; k++) {
+        const double row[3] = {AT(P, k, DL_ATT_ERR), AT(P, k, DL_ATT_ERR + 1), AT(P, k, DL_ATT_ERR + 2)};
         for (int i = 0; i < 3; i++) {
             AT(P, k, state + i) += dot(A + 3 * i, row);
         }
@@ -38,37 +40,37 @@ static void add_attitude(double *P, int state, const double A[9])
 /* The pad was seen from the body: its corrected place leans as the body does, by whatever the attitude is off. Otherwise corrections
  * to and fro would teach the filter a tilt that nothing shows (Barrau, Bonnabel, The invariant extended Kalman filter as a stable
  * observer, IEEE Trans. Automatic Control 62(4), 2017; docs/decisions/056-a-place-leans-with-the-attitude.md). */
-static void lean(const double R[9], const double dx[N], double *P)
+static void lean(const double R[9], const double dx[DL_N], double *P)
 {
-    const double back[3] = {-dx[POS_REL], -dx[POS_REL + 1], -dx[POS_REL + 2]};
+    const double back[3] = {-dx[DL_POS_REL], -dx[DL_POS_REL + 1], -dx[DL_POS_REL + 2]};
     double across[9], A[9];
     skew(back, across);
     product(across, R, A);
-    add_attitude(P, POS_REL, A);
+    add_attitude(P, DL_POS_REL, A);
 }
 
 /* The error is an error about the turned attitude, so its axes turn by half the step (Sola, Quaternion kinematics for the error-state
  * Kalman filter, 2017, eq. 287). */
-static void turn_axes(const double dx[N], double *P)
+static void turn_axes(const double dx[DL_N], double *P)
 {
-    const double half[3] = {-0.5 * dx[ATT_ERR], -0.5 * dx[ATT_ERR + 1], -0.5 * dx[ATT_ERR + 2]};
+    const double half[3] = {-0.5 * dx[DL_ATT_ERR], -0.5 * dx[DL_ATT_ERR + 1], -0.5 * dx[DL_ATT_ERR + 2]};
     double A[9];
     skew(half, A);
-    add_attitude(P, ATT_ERR, A);
+    add_attitude(P, DL_ATT_ERR, A);
 }
 
-void correct_belief(belief *b, covariance *c, const double dx[N], double *P)
+void correct_belief(dl_belief *b, covariance *c, const double dx[DL_N], double *P)
 {
     double turn[9], R[9];
     lean(b->R, dx, P);
     turn_axes(dx, P);
-    for (int i = 0; i < N; i++) {
+    for (int i = 0; i < DL_N; i++) {
         b->x[i] += dx[i];
     }
-    memset(b->x + ATT_ERR, 0, 3 * sizeof(double));
-    b->x[PAD_YAW] = wrapped(b->x[PAD_YAW]);
-    b->x[VEL_SCALE] = fmin(fmax(b->x[VEL_SCALE], 0.2), 3.0);
-    exp_rotation(dx + ATT_ERR, turn);
+    memset(b->x + DL_ATT_ERR, 0, 3 * sizeof(double));
+    b->x[DL_PAD_YAW] = wrapped(b->x[DL_PAD_YAW]);
+    b->x[DL_VEL_SCALE] = fmin(fmax(b->x[DL_VEL_SCALE], 0.2), 3.0);
+    exp_rotation(dx + DL_ATT_ERR, turn);
     product(b->R, turn, R);
     memcpy(b->R, R, sizeof R);
     memcpy(b->R_cov, R, sizeof R);
@@ -78,20 +80,20 @@ void correct_belief(belief *b, covariance *c, const double dx[N], double *P)
 double *changeable(covariance *c)
 {
     double *P = free_place(c);
-    memcpy(P, c->P, N * N * sizeof *P);
+    memcpy(P, c->P, DL_N * DL_N * sizeof *P);
     c->P = P;
     return P;
 }
 
 void forget_state(double *P, int state, double var)
 {
-    for (int k = 0; k < N; k++) {
+    for (int k = 0; k < DL_N; k++) {
         AT(P, state, k) = AT(P, k, state) = 0.0;
     }
     AT(P, state, state) = var;
 }
 
-void tell(outcome *out, int verdict, int m, int axes, const double *innov, const double *S)
+void tell(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S)
 {
     out->verdict = verdict;
     out->m = m;

@@ -5,22 +5,29 @@
 #include "decklander.h"
 #include "filter/propagate.h"
 
-#define AT(M, row, column) ((M)[(row) * N + (column)])
+#define AT(M, row, column) ((M)[(row) * DL_N + (column)])
 
 /* Displacement and rate of the deck on waves. */
-enum { SURGING = WAVES + 1, SWAYING = WAVES + 5, HEAVE = WAVES + 8, HEAVING = WAVES + 9, ROLL = WAVES + 12, PITCH = WAVES + 16 };
+enum {
+    SURGING = DL_WAVES + 1,
+    SWAYING = DL_WAVES + 5,
+    HEAVE = DL_WAVES + 8,
+    HEAVING = DL_WAVES + 9,
+    ROLL = DL_WAVES + 12,
+    PITCH = DL_WAVES + 16
+};
 
 /* The velocity of the pad's centre in ned, m/s. */
-void pad_velocity(const double x[N], double v[3]);
+void pad_velocity(const double x[DL_N], double v[3]);
 /* The axes, in ned, about which roll and pitch turn the pad; its heading turns it about the down axis. */
 void pad_axes(double pitch, double yaw, double by_roll[3], double by_pitch[3]);
 /* b and its covariance after the correction dx, P; the covariance is rewritten about the turned attitude. */
-void correct_belief(belief *b, covariance *c, const double dx[N], double *P);
+void correct_belief(dl_belief *b, covariance *c, const double dx[DL_N], double *P);
 /* A copy of the covariance, in a place where it may be changed. */
 double *changeable(covariance *c);
 /* Everything that is known of a state is forgotten but the variance that it gets. */
 void forget_state(double *P, int state, double var);
 /* What became of a measurement of m numbers; S is NULL where there is none. */
-void tell(outcome *out, int verdict, int m, int axes, const double *innov, const double *S);
+void tell(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S);
 
 #endif

@@ -1,3 +1,5 @@
+/* Find from the newest innovations how much of the deck's motion the filter does not know, and widen the belief by it. */
+
 #include "filter/deck_jolt.h"
 
 #include <math.h>
@@ -18,7 +20,7 @@ static const int64_t NEEDED = 3, SPAN_NS = 120000000;
 static const double ACTED_S = 0.3;
 
 /* Drop the sightings that are too old, and at least one if there is no room for another. */
-static void drop_old(innovation_excesses *excesses, int64_t t)
+static void drop_old(dl_innovation_excesses *excesses, int64_t t)
 {
     int gone = excesses->n == EXCESSES_MAX;
     while (gone < excesses->n && excesses->t[gone] < t - MEMORY_NS) {
@@ -29,7 +31,7 @@ static void drop_old(innovation_excesses *excesses, int64_t t)
     memmove(excesses->values, excesses->values + 3 * gone, (size_t)excesses->n * 3 * sizeof *excesses->values);
 }
 
-void jolt_extend(innovation_excesses *excesses, int64_t t, const double innov_ned[3], const double cov_ned[9])
+void jolt_extend(dl_innovation_excesses *excesses, int64_t t, const double innov_ned[3], const double cov_ned[9])
 {
     double excess[3];
     for (int i = 0; i < 3; i++) {
@@ -46,7 +48,7 @@ void jolt_extend(innovation_excesses *excesses, int64_t t, const double innov_ne
 }
 
 /* The median along an axis, by insertion. */
-static double median(const innovation_excesses *excesses, int axis)
+static double median(const dl_innovation_excesses *excesses, int axis)
 {
     double ordered[EXCESSES_MAX];
     const int n = (int)excesses->n, half = n / 2;
@@ -62,7 +64,7 @@ static double median(const innovation_excesses *excesses, int axis)
     return n % 2 == 1 ? ordered[half] : 0.5 * (ordered[half - 1] + ordered[half]);
 }
 
-int jolt_missing(const innovation_excesses *excesses, double missing[3])
+int jolt_missing(const dl_innovation_excesses *excesses, double missing[3])
 {
     int some = 0;
     if (excesses->n < NEEDED || excesses->t[excesses->n - 1] - excesses->t[0] < SPAN_NS) {
@@ -75,13 +77,13 @@ int jolt_missing(const innovation_excesses *excesses, double missing[3])
     return some;
 }
 
-void jolt_widen(const double x[N], const double missing[3], double *P)
+void jolt_widen(const double x[DL_N], const double missing[3], double *P)
 {
     /* White acceleration for T seconds: displacement T^3 / 3, rate T, both together T^2 / 2. */
     const double across = 1.5 / ACTED_S, rate = 3.0 / (ACTED_S * ACTED_S);
     for (int axis = 0; axis < 3; axis++) {
-        const int wave = WAVES + 4 * axis, states[5] = {POS_REL + axis, wave, wave + 1, POS_REL, POS_REL + 1};
-        const double displaced[5] = {1.0, 1.0, 0.0, x[SWAY_PER_HEAVE], x[SWAY_PER_HEAVE + 1]};
+        const int wave = DL_WAVES + 4 * axis, states[5] = {DL_POS_REL + axis, wave, wave + 1, DL_POS_REL, DL_POS_REL + 1};
+        const double displaced[5] = {1.0, 1.0, 0.0, x[DL_SWAY_PER_HEAVE], x[DL_SWAY_PER_HEAVE + 1]};
         const double hastened[5] = {0.0, 0.0, 1.0, 0.0, 0.0};
         const int n = axis == 2 ? 5 : 3;
         if (missing[axis] <= 0.0) {

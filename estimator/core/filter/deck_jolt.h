@@ -13,10 +13,10 @@
 #include "decklander.h"
 
 /* Count one more sighting; innov_ned in m, cov_ned (3, 3) in m^2 as the filter claims it. */
-void jolt_extend(innovation_excesses *excesses, int64_t t, const double innov_ned[3], const double cov_ned[9]);
+void jolt_extend(dl_innovation_excesses *excesses, int64_t t, const double innov_ned[3], const double cov_ned[9]);
 /* The variance, m^2, by which the claimed one falls short along north, east, down; returns whether it does anywhere. */
-int jolt_missing(const innovation_excesses *excesses, double missing[3]);
+int jolt_missing(const dl_innovation_excesses *excesses, double missing[3]);
 /* Widen P for unknown accelerations that add so much variance, m^2, to the pad's displacement along north, east, down. */
-void jolt_widen(const double x[N], const double missing[3], double *P);
+void jolt_widen(const double x[DL_N], const double missing[3], double *P);
 
 #endif

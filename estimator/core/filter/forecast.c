@@ -11,26 +11,26 @@
 #include "base/rotation.h"
 #include "filter/skill.h"
 
-enum { PER_DIRECTION = 4, DISP = WAVES, RATE = WAVES + 1, ALONG_DOWN = 2, IN_ROLL = 3 };
+enum { PER_DIRECTION = 4, DISP = DL_WAVES, RATE = DL_WAVES + 1, ALONG_DOWN = 2, IN_ROLL = 3 };
 
 /* The belief at the instant from which the horizons count. */
 typedef struct {
-    const filter_params *o;
-    const belief *b;
+    const dl_filter_params *o;
+    const dl_belief *b;
     const double *P;
     /* The state with the deck at the body's time. */
-    double x[N];
+    double x[DL_N];
     level_axes level;
 } present;
 
 /* What the vessel's turn and way, and the waves, add to the pad's place in ned by a horizon: covariance in level. */
 static void noise_of(const present *now, double T, const double curving[2], const waves_then *waves, double noise[9])
 {
-    const double *sway = now->x + SWAY_PER_HEAVE;
+    const double *sway = now->x + DL_SWAY_PER_HEAVE;
     const double phase[3] = {sway[0], sway[1], 1.0};
-    const double way = now->o->psd[VESSEL_VEL] * T * T * T / 3.0;
+    const double way = now->o->psd[DL_VESSEL_VEL] * T * T * T / 3.0;
     /* The rate of turn wanders by asd sqrt(t): integrated three times against the velocity. */
-    const double turn = 0.2 * now->o->psd[TURN_RATE] * T;
+    const double turn = 0.2 * now->o->psd[DL_TURN_RATE] * T;
     const double c = now->level.c, s = now->level.s;
     const double Z[9] = {c, s, 0.0, -s, c, 0.0, 0.0, 0.0, 1.0}, back[9] = {c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0};
     double ned[9], half[9];
@@ -48,35 +48,35 @@ static void noise_of(const present *now, double T, const double curving[2], cons
 }
 
 /* Place and velocity of the pad at a horizon if the body keeps its velocity. */
-static void forecast_place(const present *now, double T, const waves_then *waves, deck_ahead *out)
+static void forecast_place(const present *now, double T, const waves_then *waves, dl_deck_ahead *out)
 {
-    const double *x = now->x, *sway = x + SWAY_PER_HEAVE, *u = x + VESSEL_VEL, half = 0.5 * T * T;
+    const double *x = now->x, *sway = x + DL_SWAY_PER_HEAVE, *u = x + DL_VESSEL_VEL, half = 0.5 * T * T;
     const double curving[2] = {-half * u[1], half * u[0]}, heaved = waves[ALONG_DOWN].change;
-    double J[3 * N] = {0.0}, by[2][2], reach[2][2], d[3];
-    steady_turn(x[TURN_RATE], T, by, reach);
+    double J[3 * DL_N] = {0.0}, by[2][2], reach[2][2], d[3];
+    steady_turn(x[DL_TURN_RATE], T, by, reach);
     for (int i = 0; i < 3; i++) {
-        AT(J, i, POS_REL + i) = 1.0;
-        AT(J, i, VEL + i) = -T;
+        AT(J, i, DL_POS_REL + i) = 1.0;
+        AT(J, i, DL_VEL + i) = -T;
         AT(J, i, RATE + PER_DIRECTION * i) = waves[i].by_rate[0];
-        out->d[i] = x[POS_REL + i] - T * x[VEL + i] + waves[i].change;
+        out->d[i] = x[DL_POS_REL + i] - T * x[DL_VEL + i] + waves[i].change;
         out->v_pad[i] = waves[i].mean[1];
     }
     for (int i = 0; i < 2; i++) {
         for (int j = 0; j < 2; j++) {
-            AT(J, i, VESSEL_VEL + j) = reach[i][j];
+            AT(J, i, DL_VESSEL_VEL + j) = reach[i][j];
             out->d[i] += reach[i][j] * u[j];
             out->v_pad[i] += by[i][j] * u[j];
         }
         AT(J, i, RATE + PER_DIRECTION * ALONG_DOWN) += sway[i] * waves[ALONG_DOWN].by_rate[0];
-        AT(J, i, SWAY_PER_HEAVE + i) = heaved;
-        AT(J, i, TURN_RATE) = curving[i];
+        AT(J, i, DL_SWAY_PER_HEAVE + i) = heaved;
+        AT(J, i, DL_TURN_RATE) = curving[i];
         out->d[i] += sway[i] * heaved;
         out->v_pad[i] += sway[i] * waves[ALONG_DOWN].mean[1];
     }
     turn_rows(&now->level, J);
     turn_vector(&now->level, out->d);
     turn_vector(&now->level, out->v_pad);
-    memcpy(d, x + POS_REL, sizeof d);
+    memcpy(d, x + DL_POS_REL, sizeof d);
     turn_vector(&now->level, d);
     add_turning(&now->level, d, J);
     through_alignment(3, now->b->x, J);
@@ -85,7 +85,7 @@ static void forecast_place(const present *now, double T, const waves_then *waves
 }
 
 /* Height and rise of the pad's centre, positive up. */
-static void forecast_heave(const present *now, const waves_then *heave, deck_ahead *out)
+static void forecast_heave(const present *now, const waves_then *heave, dl_deck_ahead *out)
 {
     const double var_rate = AT(now->P, HEAVING, HEAVING);
     double *value[2] = {&out->height, &out->rise}, *sigma[2] = {&out->sigma_height, &out->sigma_rise};
@@ -99,9 +99,9 @@ static void forecast_heave(const present *now, const waves_then *heave, deck_ahe
 static void forecast_tilt(const present *now, int axis, const waves_then *waves, double *value, double *sigma)
 {
     const int at = DISP + PER_DIRECTION * (IN_ROLL + axis);
-    double row[N] = {0.0}, var = 0.0;
-    row[DECK_TRIM + axis] = row[at] = 1.0;
-    *value = now->x[at] + now->x[DECK_TRIM + axis] + waves->change;
+    double row[DL_N] = {0.0}, var = 0.0;
+    row[DL_DECK_TRIM + axis] = row[at] = 1.0;
+    *value = now->x[at] + now->x[DL_DECK_TRIM + axis] + waves->change;
     row[at + 1] = waves->by_rate[0];
     through_alignment(1, now->b->x, row);
     add_spread(1, row, now->P, &var);
@@ -117,17 +117,18 @@ static void widen_by_misses(const forecast_misses *misses, double horizon_s, int
     then->var_change = missed_var(misses, horizon_s, k, 0, then->var_change);
 }
 
-int32_t filter_forecast(const filter_params *o, int64_t t, const belief *before, const double *P_before, const sea *bank, int32_t n,
-                        const double *horizons_s, const horizon_reach *reach, deck_ahead *out)
+int32_t dl_filter_forecast(const dl_filter_params *o, int64_t t, const dl_whole_belief *before, int32_t n, const dl_horizon_reach *reach,
+                        dl_deck_ahead *out)
 {
-    double places[2][N * N], factors[SKILL_HORIZONS][DIRECTIONS][2];
-    covariance c = {P_before, {places[0], places[1]}};
-    belief b = *before;
+    double places[2][DL_N * DL_N], factors[SKILL_HORIZONS][DIRECTIONS][2];
+    covariance c = {before->P, {places[0], places[1]}};
+    const dl_bank *bank = before->bank;
+    dl_belief b = *before->numbers;
     present now;
     oscillator_steps steps;
     waves_now sea_now[DIRECTIONS];
     forecast_misses misses;
-    if (before->sighted < 0 || seconds(before->sighted, t) > o->forget_s) {
+    if (b.sighted < 0 || seconds(b.sighted, t) > o->forget_s) {
         return 0;
     }
     propagate_to(o, &b, &c, t);
@@ -146,13 +147,13 @@ int32_t filter_forecast(const filter_params *o, int64_t t, const belief *before,
     for (int h = 0; h < n; h++) {
         waves_then waves[DIRECTIONS];
         double kept[DIRECTIONS][2];
-        skill_between(factors, horizons_s[h], kept);
+        skill_between(factors, reach[h].horizon_s, kept);
         for (int k = 0; k < DIRECTIONS; k++) {
             waves_ahead(&sea_now[k], &reach[h], &waves[k]);
             scale_by_skill(&sea_now[k], kept[k], &waves[k]);
-            widen_by_misses(&misses, horizons_s[h], k, &waves[k]);
+            widen_by_misses(&misses, reach[h].horizon_s, k, &waves[k]);
         }
-        forecast_place(&now, horizons_s[h], waves, &out[h]);
+        forecast_place(&now, reach[h].horizon_s, waves, &out[h]);
         forecast_heave(&now, &waves[ALONG_DOWN], &out[h]);
         forecast_tilt(&now, 0, &waves[IN_ROLL], &out[h].roll, &out[h].sigma_roll);
         forecast_tilt(&now, 1, &waves[IN_ROLL + 1], &out[h].pitch, &out[h].sigma_pitch);

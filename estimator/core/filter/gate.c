@@ -1,3 +1,5 @@
+/* Count rejected sightings that agree with one another, and average the consistency of all. */
+
 #include "filter/gate.h"
 
 #include <math.h>
@@ -26,37 +28,37 @@ static double length(const double v[3])
     return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
 }
 
-void streak_end(belief *b)
+void streak_end(dl_belief *b)
 {
-    b->rejected_n = b->rejected_since = b->rejected_last = 0;
-    memset(b->rejected_offset_ned, 0, sizeof b->rejected_offset_ned);
-    b->rejected_var_m2 = 0.0;
+    memset(&b->rejections, 0, sizeof b->rejections);
 }
 
-void streak_extend(belief *b, int64_t t, const double offset_ned[3], double var_m2)
+void streak_extend(dl_belief *b, int64_t t, const double offset_ned[3], double var_m2)
 {
-    const double dt = seconds(b->rejected_last, t);
+    dl_rejection_streak *streak = &b->rejections;
+    const double dt = seconds(streak->last, t);
     double step[3];
     for (int i = 0; i < 3; i++) {
-        step[i] = offset_ned[i] - b->rejected_offset_ned[i];
+        step[i] = offset_ned[i] - streak->offset_ned[i];
     }
-    const double limit = SIGMAS * sqrt(var_m2 + b->rejected_var_m2) + fmin(GROWTH_M_S * dt, GROWTH_MAX_M) + FRACTION * length(offset_ned);
-    if (b->rejected_n == 0 || t < b->rejected_last || length(step) > limit || dt > PAUSE_S) {
-        b->rejected_n = 0;
-        b->rejected_since = t;
+    const double grown = fmin(GROWTH_M_S * dt, GROWTH_MAX_M);
+    const double limit = SIGMAS * sqrt(var_m2 + streak->var_m2) + grown + FRACTION * length(offset_ned);
+    if (streak->n == 0 || t < streak->last || length(step) > limit || dt > PAUSE_S) {
+        streak->n = 0;
+        streak->since = t;
     }
-    b->rejected_n += 1;
-    b->rejected_last = t;
-    memcpy(b->rejected_offset_ned, offset_ned, sizeof b->rejected_offset_ned);
-    b->rejected_var_m2 = var_m2;
+    streak->n += 1;
+    streak->last = t;
+    memcpy(streak->offset_ned, offset_ned, sizeof streak->offset_ned);
+    streak->var_m2 = var_m2;
 }
 
-int streak_resets(const filter_params *o, const belief *b)
+int streak_resets(const dl_filter_params *o, const dl_belief *b)
 {
     if (b->agreed < MANY) {
-        return b->rejected_n > b->agreed;
+        return b->rejections.n > b->agreed;
     }
-    return b->rejected_n >= o->reopen_count && seconds(b->rejected_since, b->rejected_last) >= o->reopen_s;
+    return b->rejections.n >= o->reopen_count && seconds(b->rejections.since, b->rejections.last) >= o->reopen_s;
 }
 
 double nis_mean_of(double nis_mean, const double *innov, const double *S, int m)

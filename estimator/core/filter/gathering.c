@@ -1,9 +1,12 @@
+/* Gather the samples of one kind over the aiding period, gate them, and fuse their means. */
+
 #include "filter/gathering.h"
 
 #include <math.h>
 #include <string.h>
 
 #include "filter/correction.h"
+#include "base/kalman.h"
 #include "base/rotation.h"
 
 /* Length of a rejection streak after which a kind of aiding is accepted again, with what it contradicts made uncertain. */
@@ -13,12 +16,13 @@ static const double STUCK_S = 1.0;
 enum { HORIZONTAL = 3 };
 
 /* The states on which each kind of aiding depends; a row of a Jacobian holds their derivatives in this order. */
-static const int ATTITUDE_BY[] = {ATT_ERR, ATT_ERR + 1, ATT_ERR + 2, ATT_BIAS, ATT_BIAS + 1};
-static const int VELOCITY_BY[] = {ATT_ERR, ATT_ERR + 1, ATT_ERR + 2, VEL, VEL + 1, VEL + 2, VESSEL_VEL, VESSEL_VEL + 1, SURGING,
-                                  SWAYING, HEAVING, SWAY_PER_HEAVE, SWAY_PER_HEAVE + 1, VEL_SCALE};
-static const int RANGE_BY[] = {ATT_ERR, ATT_ERR + 1, ATT_ERR + 2, POS_REL, POS_REL + 1, POS_REL + 2, ROLL, DECK_TRIM, PITCH,
-                               DECK_TRIM + 1, PAD_YAW, RANGE_OFFSET};
-static const int HEIGHT_BY[] = {POS_REL + 2, HEAVE, BARO_OFFSET};
+static const int ATTITUDE_BY[] = {DL_ATT_ERR, DL_ATT_ERR + 1, DL_ATT_ERR + 2, DL_ATT_BIAS, DL_ATT_BIAS + 1};
+static const int VELOCITY_BY[] = {DL_ATT_ERR,        DL_ATT_ERR + 1,        DL_ATT_ERR + 2,   DL_VEL,  DL_VEL + 1,
+                                  DL_VEL + 2,        DL_VESSEL_VEL,         DL_VESSEL_VEL + 1, SURGING, SWAYING,
+                                  HEAVING,           DL_SWAY_PER_HEAVE,     DL_SWAY_PER_HEAVE + 1, DL_VEL_SCALE};
+static const int RANGE_BY[] = {DL_ATT_ERR,     DL_ATT_ERR + 1, DL_ATT_ERR + 2, DL_POS_REL,        DL_POS_REL + 1, DL_POS_REL + 2,
+                               ROLL,           DL_DECK_TRIM,   PITCH,          DL_DECK_TRIM + 1,  DL_PAD_YAW,     DL_RANGE_OFFSET};
+static const int HEIGHT_BY[] = {DL_POS_REL + 2, HEAVE, DL_BARO_OFFSET};
 static const int *const BY[] = {ATTITUDE_BY, VELOCITY_BY, RANGE_BY, HEIGHT_BY};
 #define SIZE_OF(list) ((int)(sizeof(list) / sizeof *(list)))
 static const int BY_SIZE[] = {SIZE_OF(ATTITUDE_BY), SIZE_OF(VELOCITY_BY), SIZE_OF(RANGE_BY), SIZE_OF(HEIGHT_BY)};
@@ -44,17 +48,17 @@ void spread_of(int m, int kind, const double *H, const double *P, double *out)
 }
 
 /* Samples from before a pause: their innovations belong to a state long past. */
-static int is_stale(const filter_params *o, const aid *a, int64_t t)
+static int is_stale(const dl_filter_params *o, const dl_aid *a, int64_t t)
 {
     return seconds(a->since, t) > 2.0 * o->aiding_period_s;
 }
 
-void fuse_gathered(const filter_params *o, belief *b, covariance *c)
+void fuse_gathered(const dl_filter_params *o, dl_belief *b, covariance *c)
 {
-    double innov[ROWS_MAX], H[ROWS_MAX * N], R[ROWS_MAX * ROWS_MAX], S[ROWS_MAX * ROWS_MAX], dx[N], nis;
+    double innov[ROWS_MAX], H[ROWS_MAX * DL_N], R[ROWS_MAX * ROWS_MAX], S[ROWS_MAX * ROWS_MAX], dx[DL_N], nis;
     int m = 0;
     for (int kind = 0; kind < KINDS; kind++) {
-        const aid *a = &b->aids[kind];
+        const dl_aid *a = &b->aids[kind];
         m += a->n > 0 && !is_stale(o, a, b->t) ? (int)a->m : 0;
     }
     propagate_covariance(o, b, c);
@@ -62,7 +66,7 @@ void fuse_gathered(const filter_params *o, belief *b, covariance *c)
     memset(R, 0, sizeof R);
     int at = 0;
     for (int kind = 0; kind < KINDS; kind++) {
-        aid *a = &b->aids[kind];
+        dl_aid *a = &b->aids[kind];
         if (a->n > 0 && !is_stale(o, a, b->t)) {
             /* Errors with correlation time tau leave one independent sample in 2 tau, however many samples there are. */
             const double window = a->fused >= 0 ? seconds(a->fused, b->t) : INFINITY;
@@ -84,17 +88,17 @@ void fuse_gathered(const filter_params *o, belief *b, covariance *c)
         a->n = 0;
     }
     double *place = free_place(c);
-    if (m > 0 && kalman_correct(N, m, c->P, innov, H, R, dx, place, S, &nis)) {
+    if (m > 0 && kalman_correct(DL_N, c->P, &(measured){m, innov, H, R}, dx, place, S, &nis)) {
         correct_belief(b, c, dx, place);
     }
 }
 
 /* P gains var g g' */
-static void inflate_along(double *P, const double g[N], double var)
+static void inflate_along(double *P, const double g[DL_N], double var)
 {
-    for (int i = 0; i < N; i++) {
+    for (int i = 0; i < DL_N; i++) {
         if (g[i] != 0.0) {
-            for (int j = 0; j < N; j++) {
+            for (int j = 0; j < DL_N; j++) {
                 AT(P, i, j) += var * g[i] * g[j];
             }
         }
@@ -106,54 +110,51 @@ static void drift_together(double *P, const double *innov)
 {
     const double var = innov[0] * innov[0] + innov[1] * innov[1];
     for (int i = 0; i < 2; i++) {
-        double g[N] = {0.0};
-        g[VEL + i] = g[VESSEL_VEL + i] = 1.0;
+        double g[DL_N] = {0.0};
+        g[DL_VEL + i] = g[DL_VESSEL_VEL + i] = 1.0;
         inflate_along(P, g, var);
     }
 }
 
 /* Make uncertain what a rejected sensor contradicts, in directions that leave the pad's position certain. */
-static void inflate(const belief *b, covariance *c, int kind, const double *innov)
+static void inflate(const dl_belief *b, covariance *c, int kind, const double *innov)
 {
-    double *P = changeable(c), g[N] = {0.0};
+    double *P = changeable(c), g[DL_N] = {0.0};
     const double *x = b->x;
-    if (kind == ATTITUDE) {
+    if (kind == DL_ATTITUDE) {
         /* All directions turn together about the vertical, as they do when the attitude source redefines north. */
-        const int turning[] = {POS_REL, VEL, VESSEL_VEL, SWAY_PER_HEAVE};
+        const int turning[] = {DL_POS_REL, DL_VEL, DL_VESSEL_VEL, DL_SWAY_PER_HEAVE};
         const double down[3] = {b->R[6], b->R[7], b->R[8]}, angle = dot(innov, down), size = fmin(dot(innov, innov), 0.1);
-        memcpy(g + ATT_ERR, down, sizeof down);
-        g[PAD_YAW] = 1.0;
+        memcpy(g + DL_ATT_ERR, down, sizeof down);
+        g[DL_PAD_YAW] = 1.0;
         for (int i = 0; i < 4; i++) {
             g[turning[i]] = -x[turning[i] + 1];
             g[turning[i] + 1] = x[turning[i]];
         }
         for (int i = 0; i < 4; i++) {
-            g[WAVES + i] = -x[WAVES + 4 + i];
-            g[WAVES + 4 + i] = x[WAVES + i];
+            g[DL_WAVES + i] = -x[DL_WAVES + 4 + i];
+            g[DL_WAVES + 4 + i] = x[DL_WAVES + i];
         }
         inflate_along(P, g, angle * angle);
         for (int i = 0; i < 3; i++) {
-            AT(P, ATT_ERR + i, ATT_ERR + i) += 0.1 * size;
+            AT(P, DL_ATT_ERR + i, DL_ATT_ERR + i) += 0.1 * size;
         }
         for (int i = 0; i < 2; i++) {
-            AT(P, ATT_BIAS + i, ATT_BIAS + i) += size;
+            AT(P, DL_ATT_BIAS + i, DL_ATT_BIAS + i) += size;
         }
-    } else if (kind == VELOCITY) {
+    } else if (kind == DL_VELOCITY) {
         drift_together(P, innov);
-        AT(P, VEL_SCALE, VEL_SCALE) += 0.01;
-    } else if (kind == HEIGHT) {
-        AT(P, BARO_OFFSET, BARO_OFFSET) += innov[0] * innov[0];
+        AT(P, DL_VEL_SCALE, DL_VEL_SCALE) += 0.01;
+    } else if (kind == DL_HEIGHT) {
+        AT(P, DL_BARO_OFFSET, DL_BARO_OFFSET) += innov[0] * innov[0];
     }
 }
 
-void begin_gathering(aid *a, const belief *b, const covariance *c, int kind, int m, int axes, double deck_weight, const double *H,
-                     const double *ambiguity)
+void begin_gathering(dl_aid *a, const dl_belief *b, const covariance *c, int kind, const double *H, const double *ambiguity)
 {
+    const int m = (int)a->m;
     a->n = 0;
     a->since = b->t;
-    a->m = m;
-    a->axes = axes;
-    a->deck_weight = deck_weight;
     memset(a->innov, 0, sizeof a->innov);
     memset(a->R, 0, sizeof a->R);
     memcpy(a->H, H, sizeof a->H);
@@ -164,27 +165,27 @@ void begin_gathering(aid *a, const belief *b, const covariance *c, int kind, int
     }
 }
 
-int still_gathers(const filter_params *o, const belief *b, int kind, int axes, double deck_weight)
+int still_gathers(const dl_filter_params *o, const dl_belief *b, int kind, int axes, double deck_weight)
 {
-    const aid *a = &b->aids[kind];
+    const dl_aid *a = &b->aids[kind];
     return a->n > 0 && a->axes == axes && a->deck_weight == deck_weight && !is_stale(o, a, b->t);
 }
 
-void gather(const filter_params *o, belief *b, covariance *c, int kind, const aid *begun, const double *innov, const double *R,
-            outcome *out)
+void gather(const dl_filter_params *o, dl_belief *b, covariance *c, int kind, const dl_aid *begun, const double *innov, const double *R,
+            dl_outcome *out)
 {
-    aid *a = &b->aids[kind];
+    dl_aid *a = &b->aids[kind];
     const int m = (int)begun->m;
     double S[9], nis;
     for (int i = 0; i < m * m; i++) {
         S[i] = begun->spread[i] + R[i];
     }
     if (!nis_of(m, innov, S, &nis)) {
-        tell(out, SINGULAR, m, (int)begun->axes, innov, S);
+        tell(out, DL_SINGULAR, m, (int)begun->axes, innov, S);
         return;
     }
     const double nis_max = o->nis_max[m - 1];
-    tell(out, nis > nis_max ? GATED : FUSED, m, (int)begun->axes, innov, S);
+    tell(out, nis > nis_max ? DL_GATED : DL_FUSED, m, (int)begun->axes, innov, S);
     out->nis = nis;
     out->nis_max = nis_max;
     if (nis > nis_max) {
@@ -196,7 +197,7 @@ void gather(const filter_params *o, belief *b, covariance *c, int kind, const ai
         a->refused = since;
         return;
     }
-    if (kind == VELOCITY && a->refused >= 0 && (begun->axes & HORIZONTAL) == HORIZONTAL) {
+    if (kind == DL_VELOCITY && a->refused >= 0 && (begun->axes & HORIZONTAL) == HORIZONTAL) {
         /* The uncertainty of coasting has grown to cover a leap, and would explain it by a tilt and a bias that do not exist. An
          * autopilot that finds its first GNSS fix on a ship under way leaps. */
         drift_together(changeable(c), innov);

@@ -1,3 +1,5 @@
+/* Rotate Jacobians of the whole state to level, and move the deck from the camera's time to the body's. */
+
 #include "filter/jacobian.h"
 
 #include <math.h>
@@ -6,16 +8,16 @@
 #include "base/rotation.h"
 
 /* Each direction of the deck has displacement, rate, force and its rate. */
-enum { PER_DIRECTION = 4, DISP = WAVES, RATE = WAVES + 1, ALONG_DOWN = 2 };
+enum { PER_DIRECTION = 4, DISP = DL_WAVES, RATE = DL_WAVES + 1, ALONG_DOWN = 2 };
 
 void rows_times(int m, const double *J, const double *F, double *JF)
 {
-    memset(JF, 0, (size_t)m * N * sizeof *JF);
+    memset(JF, 0, (size_t)m * DL_N * sizeof *JF);
     for (int i = 0; i < m; i++) {
-        for (int k = 0; k < N; k++) {
+        for (int k = 0; k < DL_N; k++) {
             const double factor = AT(J, i, k);
             if (factor != 0.0) {
-                for (int j = 0; j < N; j++) {
+                for (int j = 0; j < DL_N; j++) {
                     AT(JF, i, j) += factor * AT(F, k, j);
                 }
             }
@@ -24,10 +26,10 @@ void rows_times(int m, const double *J, const double *F, double *JF)
 }
 
 /* The columns in which any row is not zero. */
-static int columns_of(int m, const double *J, int columns[N])
+static int columns_of(int m, const double *J, int columns[DL_N])
 {
     int n = 0;
-    for (int k = 0; k < N; k++) {
+    for (int k = 0; k < DL_N; k++) {
         int used = 0;
         for (int i = 0; i < m; i++) {
             used |= AT(J, i, k) != 0.0;
@@ -40,10 +42,10 @@ static int columns_of(int m, const double *J, int columns[N])
 
 void add_spread(int m, const double *J, const double *C, double *cov)
 {
-    int columns[N + 1];
+    int columns[DL_N + 1];
     const int n = columns_of(m, J, columns);
     for (int i = 0; i < m; i++) {
-        double JC[N] = {0.0};
+        double JC[DL_N] = {0.0};
         for (int k = 0; k < n; k++) {
             const double factor = AT(J, i, columns[k]);
             if (factor != 0.0) {
@@ -72,7 +74,7 @@ void level_axes_of(const double R[9], level_axes *level)
 
 void turn_rows(const level_axes *level, double *J)
 {
-    for (int k = 0; k < N; k++) {
+    for (int k = 0; k < DL_N; k++) {
         const double north = AT(J, 0, k), east = AT(J, 1, k);
         AT(J, 0, k) = level->c * north + level->s * east;
         AT(J, 1, k) = level->c * east - level->s * north;
@@ -89,65 +91,65 @@ void turn_vector(const level_axes *level, double v[3])
 void add_turning(const level_axes *level, const double v[3], double *J)
 {
     for (int k = 0; k < 3; k++) {
-        AT(J, 0, ATT_ERR + k) += v[1] * level->turning[k];
-        AT(J, 1, ATT_ERR + k) -= v[0] * level->turning[k];
+        AT(J, 0, DL_ATT_ERR + k) += v[1] * level->turning[k];
+        AT(J, 1, DL_ATT_ERR + k) -= v[0] * level->turning[k];
     }
 }
 
-static double rate_of(const double x[N], int direction)
+static double rate_of(const double x[DL_N], int direction)
 {
     return x[RATE + PER_DIRECTION * direction];
 }
 
 /* The rate of the pad's displacement on waves along an axis of ned, with the sway in phase with the heave. */
-static double wave_rate(const double x[N], int axis)
+static double wave_rate(const double x[DL_N], int axis)
 {
-    return rate_of(x, axis) + (axis < 2 ? x[SWAY_PER_HEAVE + axis] * rate_of(x, ALONG_DOWN) : 0.0);
+    return rate_of(x, axis) + (axis < 2 ? x[DL_SWAY_PER_HEAVE + axis] * rate_of(x, ALONG_DOWN) : 0.0);
 }
 
-void align(const double before[N], double x[N])
+void align(const double before[DL_N], double x[DL_N])
 {
-    const double late = before[CAMERA_DELAY];
-    memcpy(x, before, N * sizeof *x);
+    const double late = before[DL_CAMERA_DELAY];
+    memcpy(x, before, DL_N * sizeof *x);
     for (int k = 0; k < DIRECTIONS; k++) {
         x[DISP + PER_DIRECTION * k] -= late * rate_of(before, k);
     }
     for (int i = 0; i < 3; i++) {
-        x[POS_REL + i] -= late * wave_rate(before, i);
+        x[DL_POS_REL + i] -= late * wave_rate(before, i);
     }
 }
 
-void through_alignment(int m, const double before[N], double *J)
+void through_alignment(int m, const double before[DL_N], double *J)
 {
-    const double late = before[CAMERA_DELAY], heaving = rate_of(before, ALONG_DOWN);
+    const double late = before[DL_CAMERA_DELAY], heaving = rate_of(before, ALONG_DOWN);
     for (int i = 0; i < m; i++) {
-        double *row = J + i * N;
+        double *row = J + i * DL_N;
         for (int k = 0; k < DIRECTIONS; k++) {
             const double by = row[DISP + PER_DIRECTION * k];
             row[RATE + PER_DIRECTION * k] -= late * by;
-            row[CAMERA_DELAY] -= rate_of(before, k) * by;
+            row[DL_CAMERA_DELAY] -= rate_of(before, k) * by;
         }
         for (int k = 0; k < 3; k++) {
-            const double by = row[POS_REL + k];
+            const double by = row[DL_POS_REL + k];
             row[RATE + PER_DIRECTION * k] -= late * by;
-            row[CAMERA_DELAY] -= wave_rate(before, k) * by;
+            row[DL_CAMERA_DELAY] -= wave_rate(before, k) * by;
         }
         for (int k = 0; k < 2; k++) {
-            const double by = row[POS_REL + k];
-            row[RATE + PER_DIRECTION * ALONG_DOWN] -= late * before[SWAY_PER_HEAVE + k] * by;
-            row[SWAY_PER_HEAVE + k] -= late * heaving * by;
+            const double by = row[DL_POS_REL + k];
+            row[RATE + PER_DIRECTION * ALONG_DOWN] -= late * before[DL_SWAY_PER_HEAVE + k] * by;
+            row[DL_SWAY_PER_HEAVE + k] -= late * heaving * by;
         }
     }
 }
 
-void add_pad_velocity(const double x[N], double *J)
+void add_pad_velocity(const double x[DL_N], double *J)
 {
     for (int i = 0; i < 3; i++) {
         AT(J, i, RATE + PER_DIRECTION * i) += 1.0;
     }
     for (int i = 0; i < 2; i++) {
-        AT(J, i, VESSEL_VEL + i) += 1.0;
-        AT(J, i, RATE + PER_DIRECTION * ALONG_DOWN) += x[SWAY_PER_HEAVE + i];
-        AT(J, i, SWAY_PER_HEAVE + i) += rate_of(x, ALONG_DOWN);
+        AT(J, i, DL_VESSEL_VEL + i) += 1.0;
+        AT(J, i, RATE + PER_DIRECTION * ALONG_DOWN) += x[DL_SWAY_PER_HEAVE + i];
+        AT(J, i, DL_SWAY_PER_HEAVE + i) += rate_of(x, ALONG_DOWN);
     }
 }

@@ -22,10 +22,10 @@ void turn_vector(const level_axes *level, double v[3]);
 /* J += the three rows by which a vector, (3,) in level, turns against the heading's error. */
 void add_turning(const level_axes *level, const double v[3], double *J);
 /* x = the state with the deck moved from the camera's time to the body's. */
-void align(const double before[N], double x[N]);
+void align(const double before[DL_N], double x[DL_N]);
 /* J <- J T, (m, N), with the Jacobian T of `align` at the state before. */
-void through_alignment(int m, const double before[N], double *J);
+void through_alignment(int m, const double before[DL_N], double *J);
 /* J += the three rows of `pad_velocity`. */
-void add_pad_velocity(const double x[N], double *J);
+void add_pad_velocity(const double x[DL_N], double *J);
 
 #endif

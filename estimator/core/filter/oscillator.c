@@ -1,3 +1,5 @@
+/* Compute the transition and noise of the oscillators, and of a steady turn, over a time. */
+
 #include "filter/oscillator.h"
 
 #include <math.h>

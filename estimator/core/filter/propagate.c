@@ -1,12 +1,15 @@
+/* Propagate the belief by the IMU, the waves and the vessel's motion, and its covariance with it. */
+
 #include "filter/propagate.h"
 
 #include <math.h>
 #include <string.h>
 
 #include "filter/oscillator.h"
+#include "base/kalman.h"
 #include "base/rotation.h"
 
-#define AT(M, row, column) ((M)[(row) * N + (column)])
+#define AT(M, row, column) ((M)[(row) * DL_N + (column)])
 
 /* Fraction of a direction's energy that lies in waves too short for the learned oscillators; it enters as white acceleration. */
 static const double SHORT_FRACTION = 0.002;
@@ -23,7 +26,7 @@ double *free_place(const covariance *c)
 }
 
 /* The velocity changes steadily by dv within dt. */
-static void move_by(belief *b, const double dv[3], double dt)
+static void move_by(dl_belief *b, const double dv[3], double dt)
 {
     for (int i = 0; i < 3; i++) {
         b->dp[i] += b->dv[i] * dt + dv[i] * 0.5 * dt;
@@ -31,7 +34,7 @@ static void move_by(belief *b, const double dv[3], double dt)
     }
 }
 
-void propagate_state(const filter_params *o, belief *b, int64_t t, const double w[3], const double f[3])
+void propagate_state(const dl_filter_params *o, dl_belief *b, int64_t t, const double w[3], const double f[3])
 {
     const double dt = seconds(b->t, t);
     if (dt <= 0.0) {
@@ -49,8 +52,8 @@ void propagate_state(const filter_params *o, belief *b, int64_t t, const double 
     }
     double angle[3], force[3], turn[9], R[9], step[9], dv[3];
     for (int i = 0; i < 3; i++) {
-        angle[i] = (w[i] - b->x[GYRO_BIAS + i]) * dt;
-        force[i] = f[i] - b->x[ACCEL_BIAS + i];
+        angle[i] = (w[i] - b->x[DL_GYRO_BIAS + i]) * dt;
+        force[i] = f[i] - b->x[DL_ACCEL_BIAS + i];
     }
     exp_rotation(angle, turn);
     product(b->R, turn, R);
@@ -110,10 +113,10 @@ static void set_symmetric(double *M, int row, int column, double value)
 }
 
 /* The parts of F and Q that belong to sea and yaw, which are moved on. */
-static void move_deck(const filter_params *o, belief *b, double T, double moved[3], double *F, double *Q)
+static void move_deck(const dl_filter_params *o, dl_belief *b, double T, double moved[3], double *F, double *Q)
 {
     for (int k = 0; k < 5; k++) {
-        const int at = WAVES + 4 * k;
+        const int at = DL_WAVES + 4 * k;
         double A[4][4], q[4][4], before[4];
         wave_transition(b->wave_w[k], b->wave_zeta[k], b->wave_sigma[k], T, A, q);
         memcpy(before, b->x + at, sizeof before);
@@ -127,75 +130,75 @@ static void move_deck(const filter_params *o, belief *b, double T, double moved[
         }
         if (k < 3) {
             moved[k] = b->x[at] - before[0];
-            AT(Q, POS_REL + k, POS_REL + k) += q[0][0];
+            AT(Q, DL_POS_REL + k, DL_POS_REL + k) += q[0][0];
             for (int j = 0; j < 4; j++) {
-                AT(F, POS_REL + k, at + j) = A[0][j] - (j == 0);
-                set_symmetric(Q, POS_REL + k, at + j, q[0][j]);
+                AT(F, DL_POS_REL + k, at + j) = A[0][j] - (j == 0);
+                set_symmetric(Q, DL_POS_REL + k, at + j, q[0][j]);
             }
         }
     }
     double A[2][2], q[2][2];
     const double var = o->sigma_wave_yaw_rate_rad_s * o->sigma_wave_yaw_rate_rad_s;
-    const int yaw[2] = {WAVE_YAW, YAW_RATE};
+    const int yaw[2] = {DL_WAVE_YAW, DL_YAW_RATE};
     yaw_transition(o->wave_yaw_rad_s, T, A, q);
-    const double before[2] = {b->x[WAVE_YAW], b->x[YAW_RATE]};
+    const double before[2] = {b->x[DL_WAVE_YAW], b->x[DL_YAW_RATE]};
     for (int i = 0; i < 2; i++) {
         b->x[yaw[i]] = A[i][0] * before[0] + A[i][1] * before[1];
-        AT(F, PAD_YAW, yaw[i]) = A[0][i] - (i == 0);
-        set_symmetric(Q, PAD_YAW, yaw[i], q[0][i] * var);
+        AT(F, DL_PAD_YAW, yaw[i]) = A[0][i] - (i == 0);
+        set_symmetric(Q, DL_PAD_YAW, yaw[i], q[0][i] * var);
         for (int j = 0; j < 2; j++) {
             AT(F, yaw[i], yaw[j]) = A[i][j];
             AT(Q, yaw[i], yaw[j]) = q[i][j] * var;
         }
     }
-    b->x[PAD_YAW] += b->x[TURN_RATE] * T + b->x[WAVE_YAW] - before[0];
-    AT(F, PAD_YAW, TURN_RATE) = T;
-    const double turning = AT(Q, TURN_RATE, TURN_RATE);
-    AT(Q, PAD_YAW, PAD_YAW) = q[0][0] * var + turning * (T * T / 3.0);
-    set_symmetric(Q, PAD_YAW, TURN_RATE, 0.5 * T * turning);
+    b->x[DL_PAD_YAW] += b->x[DL_TURN_RATE] * T + b->x[DL_WAVE_YAW] - before[0];
+    AT(F, DL_PAD_YAW, DL_TURN_RATE) = T;
+    const double turning = AT(Q, DL_TURN_RATE, DL_TURN_RATE);
+    AT(Q, DL_PAD_YAW, DL_PAD_YAW) = q[0][0] * var + turning * (T * T / 3.0);
+    set_symmetric(Q, DL_PAD_YAW, DL_TURN_RATE, 0.5 * T * turning);
 }
 
 /* The vessel's turn and the sway in phase with its heave, after the sea was moved on by `moved`. */
-static void move_vessel(belief *b, double T, double moved[3], double *F, double *Q)
+static void move_vessel(dl_belief *b, double T, double moved[3], double *F, double *Q)
 {
-    const int heave = WAVES + 8;
+    const int heave = DL_WAVES + 8;
     const double *heave_noise = &AT(Q, heave, heave);
-    const double heaved = moved[2], rate = b->x[TURN_RATE];
-    const double u[2] = {b->x[VESSEL_VEL], b->x[VESSEL_VEL + 1]};
-    const double sway[2] = {b->x[SWAY_PER_HEAVE], b->x[SWAY_PER_HEAVE + 1]};
+    const double heaved = moved[2], rate = b->x[DL_TURN_RATE];
+    const double u[2] = {b->x[DL_VESSEL_VEL], b->x[DL_VESSEL_VEL + 1]};
+    const double sway[2] = {b->x[DL_SWAY_PER_HEAVE], b->x[DL_SWAY_PER_HEAVE + 1]};
     double by[2][2], reach[2][2];
     steady_turn(rate, T, by, reach);
     for (int i = 0; i < 2; i++) {
-        b->x[VESSEL_VEL + i] = by[i][0] * u[0] + by[i][1] * u[1];
-        b->x[SWAY_PER_HEAVE + i] = by[i][0] * sway[0] + by[i][1] * sway[1];
+        b->x[DL_VESSEL_VEL + i] = by[i][0] * u[0] + by[i][1] * u[1];
+        b->x[DL_SWAY_PER_HEAVE + i] = by[i][0] * sway[0] + by[i][1] * sway[1];
         moved[i] += reach[i][0] * u[0] + reach[i][1] * u[1] + sway[i] * heaved;
         for (int j = 0; j < 2; j++) {
-            AT(F, POS_REL + i, VESSEL_VEL + j) = reach[i][j];
-            AT(F, VESSEL_VEL + i, VESSEL_VEL + j) = AT(F, SWAY_PER_HEAVE + i, SWAY_PER_HEAVE + j) = by[i][j];
+            AT(F, DL_POS_REL + i, DL_VESSEL_VEL + j) = reach[i][j];
+            AT(F, DL_VESSEL_VEL + i, DL_VESSEL_VEL + j) = AT(F, DL_SWAY_PER_HEAVE + i, DL_SWAY_PER_HEAVE + j) = by[i][j];
         }
-        AT(F, POS_REL + i, SWAY_PER_HEAVE + i) = heaved;
+        AT(F, DL_POS_REL + i, DL_SWAY_PER_HEAVE + i) = heaved;
     }
     /* A vector that turns at r has the rate r (-east, north). */
     const double quarter[2] = {-1.0, 1.0};
     for (int i = 0; i < 2; i++) {
-        AT(F, VESSEL_VEL + i, TURN_RATE) = T * quarter[i] * b->x[VESSEL_VEL + 1 - i];
-        AT(F, SWAY_PER_HEAVE + i, TURN_RATE) = T * quarter[i] * b->x[SWAY_PER_HEAVE + 1 - i];
-        AT(F, POS_REL + i, TURN_RATE) = 0.5 * T * T * quarter[i] * u[1 - i];
+        AT(F, DL_VESSEL_VEL + i, DL_TURN_RATE) = T * quarter[i] * b->x[DL_VESSEL_VEL + 1 - i];
+        AT(F, DL_SWAY_PER_HEAVE + i, DL_TURN_RATE) = T * quarter[i] * b->x[DL_SWAY_PER_HEAVE + 1 - i];
+        AT(F, DL_POS_REL + i, DL_TURN_RATE) = 0.5 * T * T * quarter[i] * u[1 - i];
         for (int j = 0; j < 4; j++) {
-            AT(F, POS_REL + i, heave + j) += sway[i] * (AT(F, heave, heave + j) - (j == 0));
-            AT(Q, POS_REL + i, heave + j) += sway[i] * heave_noise[j];
-            AT(Q, heave + j, POS_REL + i) = AT(Q, POS_REL + i, heave + j);
+            AT(F, DL_POS_REL + i, heave + j) += sway[i] * (AT(F, heave, heave + j) - (j == 0));
+            AT(Q, DL_POS_REL + i, heave + j) += sway[i] * heave_noise[j];
+            AT(Q, heave + j, DL_POS_REL + i) = AT(Q, DL_POS_REL + i, heave + j);
         }
-        AT(Q, POS_REL + i, POS_REL + 2) += sway[i] * heave_noise[0];
-        AT(Q, POS_REL + 2, POS_REL + i) = AT(Q, POS_REL + i, POS_REL + 2);
+        AT(Q, DL_POS_REL + i, DL_POS_REL + 2) += sway[i] * heave_noise[0];
+        AT(Q, DL_POS_REL + 2, DL_POS_REL + i) = AT(Q, DL_POS_REL + i, DL_POS_REL + 2);
         for (int j = 0; j < 2; j++) {
-            AT(Q, POS_REL + i, POS_REL + j) += sway[i] * sway[j] * heave_noise[0];
+            AT(Q, DL_POS_REL + i, DL_POS_REL + j) += sway[i] * sway[j] * heave_noise[0];
         }
     }
 }
 
 /* The body: its derivatives by attitude, velocity and the IMU's biases. */
-static void move_body(const belief *b, double T, double *F)
+static void move_body(const dl_belief *b, double T, double *F)
 {
     double back[9], cross[9], dv_R[9], dp_R[9], half[9];
     product_of_transposed(b->R, b->R_cov, back);
@@ -206,40 +209,40 @@ static void move_body(const belief *b, double T, double *F)
     for (int i = 0; i < 9; i++) {
         half[i] = back[i] + (i % 4 == 0);
     }
-    set_block(F, ATT_ERR, ATT_ERR, 1.0, back);
-    set_block(F, ATT_ERR, GYRO_BIAS, -0.5 * T, half);
-    set_block(F, VEL, ATT_ERR, -1.0, dv_R);
-    set_block(F, VEL, GYRO_BIAS, 0.5 * T, dv_R);
-    set_block(F, VEL, ACCEL_BIAS, -1.0, b->turned);
-    set_block(F, POS_REL, ATT_ERR, 1.0, dp_R);
-    set_block(F, POS_REL, GYRO_BIAS, -T / 3.0, dp_R);
-    set_block(F, POS_REL, ACCEL_BIAS, 0.5 * T, b->turned);
+    set_block(F, DL_ATT_ERR, DL_ATT_ERR, 1.0, back);
+    set_block(F, DL_ATT_ERR, DL_GYRO_BIAS, -0.5 * T, half);
+    set_block(F, DL_VEL, DL_ATT_ERR, -1.0, dv_R);
+    set_block(F, DL_VEL, DL_GYRO_BIAS, 0.5 * T, dv_R);
+    set_block(F, DL_VEL, DL_ACCEL_BIAS, -1.0, b->turned);
+    set_block(F, DL_POS_REL, DL_ATT_ERR, 1.0, dp_R);
+    set_block(F, DL_POS_REL, DL_GYRO_BIAS, -T / 3.0, dp_R);
+    set_block(F, DL_POS_REL, DL_ACCEL_BIAS, 0.5 * T, b->turned);
     for (int i = 0; i < 3; i++) {
-        AT(F, POS_REL + i, VEL + i) = -T;
+        AT(F, DL_POS_REL + i, DL_VEL + i) = -T;
     }
 }
 
 /* The noise of the random walks, and of the body's velocity and position. */
-static void add_noise(const filter_params *o, const belief *b, double T, double *Q)
+static void add_noise(const dl_filter_params *o, const dl_belief *b, double T, double *Q)
 {
     const double coast = b->coast_s, force = o->psd_accel * T + o->psd_coast * coast, jolt = b->jolt_var_m2_s2;
-    for (int i = 0; i < N; i++) {
+    for (int i = 0; i < DL_N; i++) {
         AT(Q, i, i) = o->psd[i] * T;
     }
     /* The whole jolt is assumed to have come at the beginning, which makes the position most uncertain. */
     for (int i = 0; i < 3; i++) {
-        AT(Q, ATT_ERR + i, ATT_ERR + i) += o->psd_coast_turn * coast + b->jolt_var_rad2;
-        AT(Q, VEL + i, VEL + i) = force + jolt;
-        AT(Q, POS_REL + i, POS_REL + i) = force * (T * T / 3.0) + jolt * T * T;
-        set_symmetric(Q, POS_REL + i, VEL + i, -0.5 * T * force - jolt * T);
+        AT(Q, DL_ATT_ERR + i, DL_ATT_ERR + i) += o->psd_coast_turn * coast + b->jolt_var_rad2;
+        AT(Q, DL_VEL + i, DL_VEL + i) = force + jolt;
+        AT(Q, DL_POS_REL + i, DL_POS_REL + i) = force * (T * T / 3.0) + jolt * T * T;
+        set_symmetric(Q, DL_POS_REL + i, DL_VEL + i, -0.5 * T * force - jolt * T);
     }
 }
 
 /* The position of the body by the IMU alone. The downward accelerometer bias is not removed: a change of its estimate in flight
  * would look like a jerk of the deck. */
-static void move_dead_reckoning(const filter_params *o, belief *b, double T)
+static void move_dead_reckoning(const dl_filter_params *o, dl_belief *b, double T)
 {
-    const double biased = dot(b->turned + 6, b->x + ACCEL_BIAS), fall = 0.5 * GRAVITY_M_S2 * T * T;
+    const double biased = dot(b->turned + 6, b->x + DL_ACCEL_BIAS), fall = 0.5 * GRAVITY_M_S2 * T * T;
     for (int i = 0; i < 3; i++) {
         b->ins_p[i] += b->ins_v[i] * T + b->dp[i];
         b->ins_v[i] += b->dv[i];
@@ -249,27 +252,27 @@ static void move_dead_reckoning(const filter_params *o, belief *b, double T)
     b->ins_var_m2_s2 += b->jolt_var_m2_s2 + o->psd_coast * b->coast_s;
 }
 
-void propagated_belief(const filter_params *o, belief *b, double *F, double *Q)
+void propagated_belief(const dl_filter_params *o, dl_belief *b, double *F, double *Q)
 {
     const double T = seconds(b->t_cov, b->t);
     double moved[3], v[3];
-    memset(F, 0, N * N * sizeof *F);
-    memset(Q, 0, N * N * sizeof *Q);
-    for (int i = 0; i < N; i++) {
+    memset(F, 0, DL_N * DL_N * sizeof *F);
+    memset(Q, 0, DL_N * DL_N * sizeof *Q);
+    for (int i = 0; i < DL_N; i++) {
         AT(F, i, i) = 1.0;
     }
-    memcpy(v, b->x + VEL, sizeof v);
+    memcpy(v, b->x + DL_VEL, sizeof v);
     add_noise(o, b, T, Q);
     move_body(b, T, F);
     move_dead_reckoning(o, b, T);
     move_deck(o, b, T, moved, F, Q);
     move_vessel(b, T, moved, F, Q);
     for (int i = 0; i < 3; i++) {
-        b->x[POS_REL + i] += moved[i] - v[i] * T - b->dp[i];
-        b->x[VEL + i] += b->dv[i];
+        b->x[DL_POS_REL + i] += moved[i] - v[i] * T - b->dp[i];
+        b->x[DL_VEL + i] += b->dv[i];
     }
-    b->x[POS_REL + 2] -= 0.5 * GRAVITY_M_S2 * T * T;
-    b->x[VEL + 2] += GRAVITY_M_S2 * T;
+    b->x[DL_POS_REL + 2] -= 0.5 * GRAVITY_M_S2 * T * T;
+    b->x[DL_VEL + 2] += GRAVITY_M_S2 * T;
     orthonormalise(b->R);
     memcpy(b->R_cov, b->R, sizeof b->R);
     memset(b->dv, 0, sizeof b->dv);
@@ -279,18 +282,18 @@ void propagated_belief(const filter_params *o, belief *b, double *F, double *Q)
     b->t_cov = b->t;
 }
 
-void propagate_covariance(const filter_params *o, belief *b, covariance *c)
+void propagate_covariance(const dl_filter_params *o, dl_belief *b, covariance *c)
 {
-    double F[N * N], Q[N * N], *place = free_place(c);
+    double F[DL_N * DL_N], Q[DL_N * DL_N], *place = free_place(c);
     if (b->t <= b->t_cov) {
         return;
     }
     propagated_belief(o, b, F, Q);
-    kalman_predict(N, c->P, F, Q, place);
+    kalman_predict(DL_N, c->P, F, Q, place);
     c->P = place;
 }
 
-void propagate_to(const filter_params *o, belief *b, covariance *c, int64_t t)
+void propagate_to(const dl_filter_params *o, dl_belief *b, covariance *c, int64_t t)
 {
     const int64_t held_until = b->t_imu + o->hold_ns;
     if (b->t_imu >= 0 && b->t < held_until && held_until < t) {
@@ -302,24 +305,24 @@ void propagate_to(const filter_params *o, belief *b, covariance *c, int64_t t)
     }
 }
 
-void peek(const belief *b, double x[N])
+void peek(const dl_belief *b, double x[DL_N])
 {
-    const double T = seconds(b->t_cov, b->t), heaving = b->x[WAVES + 9];
+    const double T = seconds(b->t_cov, b->t), heaving = b->x[DL_WAVES + 9];
     memcpy(x, b->x, sizeof b->x);
     if (T <= 0.0) {
         return;
     }
     for (int i = 0; i < 3; i++) {
-        x[POS_REL + i] += b->x[WAVES + 4 * i + 1] * T - b->x[VEL + i] * T - b->dp[i];
-        x[VEL + i] += b->dv[i];
+        x[DL_POS_REL + i] += b->x[DL_WAVES + 4 * i + 1] * T - b->x[DL_VEL + i] * T - b->dp[i];
+        x[DL_VEL + i] += b->dv[i];
     }
-    x[POS_REL + 2] -= 0.5 * GRAVITY_M_S2 * T * T;
-    x[VEL + 2] += GRAVITY_M_S2 * T;
+    x[DL_POS_REL + 2] -= 0.5 * GRAVITY_M_S2 * T * T;
+    x[DL_VEL + 2] += GRAVITY_M_S2 * T;
     for (int i = 0; i < 2; i++) {
-        x[POS_REL + i] += (b->x[VESSEL_VEL + i] + b->x[SWAY_PER_HEAVE + i] * heaving) * T;
+        x[DL_POS_REL + i] += (b->x[DL_VESSEL_VEL + i] + b->x[DL_SWAY_PER_HEAVE + i] * heaving) * T;
     }
     for (int k = 0; k < 5; k++) {
-        x[WAVES + 4 * k] += b->x[WAVES + 4 * k + 1] * T;
+        x[DL_WAVES + 4 * k] += b->x[DL_WAVES + 4 * k + 1] * T;
     }
-    x[PAD_YAW] += (b->x[YAW_RATE] + b->x[TURN_RATE]) * T;
+    x[DL_PAD_YAW] += (b->x[DL_YAW_RATE] + b->x[DL_TURN_RATE]) * T;
 }

@@ -16,14 +16,14 @@ double *free_place(const covariance *c);
 /* Seconds from one instant to another, ns. */
 double seconds(int64_t since, int64_t until);
 /* Propagate the nominal state to instant t by a rate and a specific force; coast if no IMU sample holds. */
-void propagate_state(const filter_params *o, belief *b, int64_t t, const double w[3], const double f[3]);
+void propagate_state(const dl_filter_params *o, dl_belief *b, int64_t t, const double w[3], const double f[3]);
 /* Everything but P from t_cov to t, with the F and Q that propagate P. */
-void propagated_belief(const filter_params *o, belief *b, double *F, double *Q);
+void propagated_belief(const dl_filter_params *o, dl_belief *b, double *F, double *Q);
 /* Bring x and P from t_cov to t. */
-void propagate_covariance(const filter_params *o, belief *b, covariance *c);
+void propagate_covariance(const dl_filter_params *o, dl_belief *b, covariance *c);
 /* Propagate to t by the IMU sample that holds, and the covariance as often as the parameters ask. */
-void propagate_to(const filter_params *o, belief *b, covariance *c, int64_t t);
+void propagate_to(const dl_filter_params *o, dl_belief *b, covariance *c, int64_t t);
 /* x = the state at t without propagating the covariance; the sea's motion has an error of order (t - t_cov)^2. */
-void peek(const belief *b, double x[N]);
+void peek(const dl_belief *b, double x[DL_N]);
 
 #endif

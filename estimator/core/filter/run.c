@@ -33,7 +33,7 @@ static double limit(double sample[3], const double before[3], double step, doubl
     return step * dt * step * dt;
 }
 
-static void forget_the_pad(const filter_params *o, belief *b)
+static void forget_the_pad(const dl_filter_params *o, dl_belief *b)
 {
     if (b->sighted >= 0 && seconds(b->sighted, b->t) > o->forget_s) {
         b->sighted = -1;
@@ -42,11 +42,11 @@ static void forget_the_pad(const filter_params *o, belief *b)
     }
 }
 
-static void take_imu(const filter_params *o, belief *b, covariance *c, const event *e)
+static void take_imu(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_event *e)
 {
     double w[3], f[3], smooth[3], mean_w[3], mean_f[3];
-    memcpy(w, e->value, sizeof w);
-    memcpy(f, e->value + 3, sizeof f);
+    memcpy(w, e->sample.imu.w_body, sizeof w);
+    memcpy(f, e->sample.imu.f_body, sizeof f);
     memcpy(smooth, w, sizeof smooth);
     if (b->t_imu >= 0 && e->t - b->t_imu <= o->hold_ns) {
         const double dt = seconds(b->t, e->t), weight = -expm1(-seconds(b->t_imu, e->t) / SMOOTH_S);
@@ -72,17 +72,17 @@ static void take_imu(const filter_params *o, belief *b, covariance *c, const eve
 }
 
 /* An attitude that sets the belief's own outright is none of ours. */
-static int sets_the_attitude(const belief *b, const double *P)
+static int sets_the_attitude(const dl_belief *b, const double *P)
 {
     double var = 0.0;
     for (int i = 0; i < 3; i++) {
-        var = fmax(var, P[(ATT_ERR + i) * (N + 1)]);
+        var = fmax(var, P[(DL_ATT_ERR + i) * (DL_N + 1)]);
     }
     return !b->heading_is_given || var > DIVERGED_VAR;
 }
 
 /* State and covariance at t, with the means of all gathered samples fused: otherwise another correction would count twice. */
-static void ready_to_fuse(const filter_params *o, belief *b, covariance *c, int64_t t)
+static void ready_to_fuse(const dl_filter_params *o, dl_belief *b, covariance *c, int64_t t)
 {
     propagate_to(o, b, c, t);
     propagate_covariance(o, b, c);
@@ -90,49 +90,49 @@ static void ready_to_fuse(const filter_params *o, belief *b, covariance *c, int6
 }
 
 /* One of the vehicle's samples; returns 0 if it is none of ours. */
-static int take_sample(const filter_params *o, belief *b, covariance *c, const event *e, outcome *out)
+static int take_sample(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_event *e, dl_outcome *out)
 {
-    if (e->kind == IMU) {
+    if (e->kind == DL_IMU) {
         take_imu(o, b, c, e);
         return 1;
     }
     propagate_to(o, b, c, e->t);
     switch (e->kind) {
-    case ATTITUDE:
+    case DL_ATTITUDE:
         if (sets_the_attitude(b, c->P)) {
             return 0;
         }
-        take_attitude(o, b, c, e->value, e->value + 9, out);
+        take_attitude(o, b, c, &e->sample.attitude, out);
         return 1;
-    case VELOCITY:
-        take_velocity(o, b, c, e->value, e->value + 3, out);
+    case DL_VELOCITY:
+        take_velocity(o, b, c, &e->sample.velocity, out);
         return 1;
-    case RANGE:
-        take_range(o, b, c, e->value[0], e->value[1], out);
+    case DL_RANGE:
+        take_range(o, b, c, &e->sample.distance, out);
         return 1;
-    case HEIGHT:
-        take_height(o, b, c, e->value[0], e->value[1], out);
+    case DL_HEIGHT:
+        take_height(o, b, c, &e->sample.distance, out);
         return 1;
     default:
         return 0;
     }
 }
 
-static int take(const filter_params *o, belief *b, covariance *c, sea_ref *bank, const event *e, const sighting *s, outcome *out)
+static int take(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_event *e, const dl_sighting *s, dl_outcome *out)
 {
     memset(out, 0, sizeof *out);
     out->nis = out->nis_max = NAN;
-    out->verdict = FUSED;
-    if (e->kind == VESSEL) {
+    out->verdict = DL_FUSED;
+    if (e->kind == DL_VESSEL) {
         ready_to_fuse(o, b, c, e->t);
-        take_vessel(o, b, c, e->value, out);
+        take_vessel(o, b, c, &e->sample.vessel, out);
         return 1;
     }
-    if (e->kind != SIGHTING) {
+    if (e->kind != DL_SIGHTING) {
         return take_sample(o, b, c, e, out);
     }
     if (s->confidence < o->min_confidence) {
-        out->verdict = LOW_CONFIDENCE;
+        out->verdict = DL_LOW_CONFIDENCE;
         return 1;
     }
     ready_to_fuse(o, b, c, e->t);
@@ -141,57 +141,43 @@ static int take(const filter_params *o, belief *b, covariance *c, sea_ref *bank,
     return 1;
 }
 
-/* The events in their order, of which those of kind SIGHTING take the sightings one by one. Returns how many were processed: the
- * next one is none of ours. A covariance or a bank that an event changed is written once; its index says which of those written
- * belongs to the belief after an event, -1 the one before all of them. */
-int32_t filter_run(const filter_params *o, int32_t n, const event *events, const sighting *sightings, const belief *before,
-                   const double *P_before, const sea *sea_before, belief *after, double *P_after, sea *sea_after,
-                   int64_t *P_index, int64_t *sea_index, outcome *outcomes)
+int32_t dl_filter_run(const dl_filter_params *o, int32_t n, const dl_event *events, int32_t sightings_n, const dl_sighting *sightings,
+                   const dl_whole_belief *before, const dl_filter_row *out)
 {
-    double places[2][N * N];
-    const double *P = P_before;
-    sea_ref bank = {sea_before, sea_after};
-    int32_t used = 0;
+    double places[2][DL_N * DL_N];
+    const double *P = before->P;
+    sea_ref bank = {before->bank, out->banks};
+    int32_t used = 0, seen = 0;
     for (int32_t i = 0; i < n; i++) {
+        dl_filter_step *step = &out->steps[i];
         covariance c = {P, {places[0], places[1]}};
-        after[i] = i == 0 ? *before : after[i - 1];
-        if (!take(o, &after[i], &c, &bank, &events[i], sightings, &outcomes[i])) {
+        const int shows_the_pad = events[i].kind == DL_SIGHTING;
+        step->after = i == 0 ? *before->numbers : out->steps[i - 1].after;
+        if (seen + shows_the_pad > sightings_n || !take(o, &step->after, &c, &bank, &events[i], sightings + seen, &step->outcome)) {
             return i;
         }
         if (c.P != P) {
-            P = memcpy(P_after + (size_t)used * N * N, c.P, sizeof places[0]);
+            P = memcpy(out->P + (size_t)used * DL_N * DL_N, c.P, sizeof places[0]);
             used++;
         }
-        P_index[i] = used - 1;
-        sightings += events[i].kind == SIGHTING;
+        step->P_index = used - 1;
+        seen += shows_the_pad;
         bank.place += bank.now == bank.place;
-        sea_index[i] = bank.place - sea_after - 1;
+        step->bank_index = bank.place - out->banks - 1;
     }
     return n;
 }
 
-int32_t filter_propagate(const filter_params *o, int32_t what, int64_t t, const belief *before, const double *P_before,
-                         belief *after, double *P_after)
+void dl_filter_propagate(const dl_filter_params *o, int32_t what, int64_t t, const dl_whole_belief *before, dl_belief *after, double *P_after)
 {
-    double places[2][N * N];
-    covariance c = {P_before, {places[0], places[1]}};
-    *after = *before;
-    if (what >= WITH_AIDING) {
+    double places[2][DL_N * DL_N];
+    covariance c = {before->P, {places[0], places[1]}};
+    *after = *before->numbers;
+    if (what == DL_WITH_AIDING) {
         ready_to_fuse(o, after, &c, t);
     } else {
         propagate_to(o, after, &c, t);
-    }
-    if (what == WITH_COVARIANCE) {
         propagate_covariance(o, after, &c);
     }
-    if (c.P != P_before) {
-        memcpy(P_after, c.P, sizeof places[0]);
-    }
-    return c.P != P_before;
-}
-
-void filter_settle(const filter_params *o, const belief *before, belief *after, double *F, double *Q)
-{
-    *after = *before;
-    propagated_belief(o, after, F, Q);
+    memcpy(P_after, c.P, sizeof places[0]);
 }

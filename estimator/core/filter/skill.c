@@ -1,3 +1,5 @@
+/* Compare past forecasts with the waves that came, and scale new ones by the regression of the two. */
+
 #include "filter/skill.h"
 
 #include <math.h>
@@ -40,14 +42,14 @@ static interval interval_of(double horizon_s)
     return found;
 }
 
-int skill_due(const forecast_skill *known, int64_t t)
+int skill_due(const dl_forecast_skill *known, int64_t t)
 {
     return known->issued_n == 0 || t - known->issued[known->issued_n - 1].t >= PERIOD_NS;
 }
 
 /* Sightings are irregular in time: interpolate between the two forecasts that were made before and after `then`. */
-static void compare_one(forecast_skill *known, int horizon, int64_t then, double now[DIRECTIONS][2], const issued_forecast *a,
-                        const issued_forecast *b)
+static void compare_one(dl_forecast_skill *known, int horizon, int64_t then, double now[DIRECTIONS][2], const dl_issued_forecast *a,
+                        const dl_issued_forecast *b)
 {
     const double weight = (double)(then - a->t) / (double)(b->t - a->t);
     known->n[horizon] += 1.0;
@@ -62,7 +64,7 @@ static void compare_one(forecast_skill *known, int horizon, int64_t then, double
     }
 }
 
-static void fade(forecast_skill *known, double factor)
+static void fade(dl_forecast_skill *known, double factor)
 {
     for (int k = 0; k < SKILL_HORIZONS; k++) {
         known->n[k] *= factor;
@@ -75,7 +77,7 @@ static void fade(forecast_skill *known, double factor)
 }
 
 /* Drop the forecasts whose longest horizon has passed, and at least one if there is no room for another. */
-static void drop_passed(forecast_skill *known, int64_t t)
+static void drop_passed(dl_forecast_skill *known, int64_t t)
 {
     int gone = known->issued_n == ISSUED_MAX;
     while (gone < known->issued_n && t - known->issued[gone].t > KEPT_NS) {
@@ -85,7 +87,7 @@ static void drop_passed(forecast_skill *known, int64_t t)
     memmove(known->issued, known->issued + gone, (size_t)known->issued_n * sizeof *known->issued);
 }
 
-void skill_compare(forecast_skill *known, int64_t t, double now[DIRECTIONS][2], double ahead[SKILL_HORIZONS][DIRECTIONS][2])
+void skill_compare(dl_forecast_skill *known, int64_t t, double now[DIRECTIONS][2], double ahead[SKILL_HORIZONS][DIRECTIONS][2])
 {
     if (known->issued_n > 0) {
         fade(known, exp(-seconds(known->issued[known->issued_n - 1].t, t) / MEMORY_S));
@@ -93,19 +95,19 @@ void skill_compare(forecast_skill *known, int64_t t, double now[DIRECTIONS][2], 
     for (int k = 0; k < SKILL_HORIZONS; k++) {
         const int64_t then = t - llround(SKILL_HORIZONS_S[k] * 1e9);
         for (int i = 1; i < known->issued_n; i++) {
-            const issued_forecast *a = &known->issued[i - 1], *b = &known->issued[i];
+            const dl_issued_forecast *a = &known->issued[i - 1], *b = &known->issued[i];
             if (a->t <= then && then < b->t && b->t - a->t <= 2 * PERIOD_NS) {
                 compare_one(known, k, then, now, a, b);
             }
         }
     }
     drop_passed(known, t);
-    issued_forecast *one = &known->issued[known->issued_n++];
+    dl_issued_forecast *one = &known->issued[known->issued_n++];
     one->t = t;
     memcpy(one->waves, ahead, sizeof one->waves);
 }
 
-void skill_factors(const forecast_skill *known, const double w[DIRECTIONS], double factors[SKILL_HORIZONS][DIRECTIONS][2])
+void skill_factors(const dl_forecast_skill *known, const double w[DIRECTIONS], double factors[SKILL_HORIZONS][DIRECTIONS][2])
 {
     for (int h = 0; h < SKILL_HORIZONS; h++) {
         for (int k = 0; k < DIRECTIONS; k++) {
@@ -132,7 +134,7 @@ void skill_between(double factors[SKILL_HORIZONS][DIRECTIONS][2], double horizon
     }
 }
 
-void skill_misses(const forecast_skill *known, double factors[SKILL_HORIZONS][DIRECTIONS][2], forecast_misses *misses)
+void skill_misses(const dl_forecast_skill *known, double factors[SKILL_HORIZONS][DIRECTIONS][2], forecast_misses *misses)
 {
     for (int h = 0; h < SKILL_HORIZONS; h++) {
         misses->trust[h] = known->n[h] / (CLAIMED_COUNT + known->n[h]);

@@ -5,9 +5,7 @@
 #include "decklander.h"
 #include "filter/propagate.h"
 
-/* Fuse a vessel's report: the velocity that its own navigation has, steady and wave motion together, its heading, or both.
- *
- * values are velocity in ned (3), its covariance (9), heading and its sigma, and whether there is either. */
-void take_vessel(const filter_params *o, belief *b, covariance *c, const double values[16], outcome *out);
+/* Fuse a vessel's report: the velocity that its own navigation has, steady and wave motion together, its heading, or both. */
+void take_vessel(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_vessel_report *report, dl_outcome *out);
 
 #endif

@@ -1,3 +1,5 @@
+/* Fuse a sighting: gate, reset, correct, and teach the bank. */
+
 #include "filter/vision_update.h"
 
 #include <math.h>
@@ -8,6 +10,7 @@
 #include "filter/deck_jolt.h"
 #include "filter/gate.h"
 #include "filter/oscillator.h"
+#include "base/kalman.h"
 #include "base/rotation.h"
 #include "filter/sighting.h"
 
@@ -32,8 +35,9 @@ static const double NOT_SEEN_VAR = 1e6;
 
 /* A sighting compared with a belief, and the correction that it would make. */
 typedef struct {
-    int m, ok;
-    double innov[SEEN_MAX], H[SEEN_MAX * N], R[SEEN_MAX * SEEN_MAX], S[SEEN_MAX * SEEN_MAX], dx[N], P[N * N], nis;
+    sighting_rows seen;
+    int ok;
+    double S[SEEN_MAX * SEEN_MAX], dx[DL_N], P[DL_N * DL_N], nis;
 } comparison;
 
 static double uniform_var(void)
@@ -45,77 +49,78 @@ static double uniform_var(void)
 static void rate_covariance(const double *by_rate, const double *P, double cov[9])
 {
     for (int i = 0; i < 3; i++) {
-        double row[N] = {0.0};
-        for (int k = 0; k < N; k++) {
+        double row[DL_N] = {0.0};
+        for (int k = 0; k < DL_N; k++) {
             const double by = AT(by_rate, i, k);
             if (by != 0.0) {
-                for (int j = 0; j < N; j++) {
+                for (int j = 0; j < DL_N; j++) {
                     row[j] += by * AT(P, k, j);
                 }
             }
         }
         for (int j = 0; j < 3; j++) {
             cov[3 * i + j] = 0.0;
-            for (int k = 0; k < N; k++) {
+            for (int k = 0; k < DL_N; k++) {
                 cov[3 * i + j] += row[k] * AT(by_rate, j, k);
             }
         }
     }
 }
 
-static void compare(const filter_params *o, const belief *b, const double *P, const sighting *s, int place_only, comparison *out)
+static void compare(const dl_filter_params *o, const dl_belief *b, const double *P, const dl_sighting *s, int place_only, comparison *out)
 {
     static const double none[9] = {0.0};
     const double *cov_levelled_by = o->sighting_has_attitude_error ? b->cov_levelled_by : none;
-    const double yaw_sigma = b->heading_known ? sqrt(AT(P, PAD_YAW, PAD_YAW)) : INFINITY;
-    double by_rate[3 * N], cov_rate[9];
-    const int m = sighting_model(b, s, cov_levelled_by, yaw_sigma, place_only, out->innov, out->H, out->R, by_rate);
+    const double yaw_sigma = b->heading_known ? sqrt(AT(P, DL_PAD_YAW, DL_PAD_YAW)) : INFINITY;
+    sighting_rows *seen = &out->seen;
+    double cov_rate[9];
+    sighting_model(b, s, cov_levelled_by, yaw_sigma, place_only, seen);
+    const int m = seen->m;
     /* The part of an innovation that is due to the delay grows with the rate of the measured position. While that rate is poorly
      * known, the delay is not corrected and its effect counts as noise. */
-    rate_covariance(by_rate, P, cov_rate);
+    rate_covariance(seen->by_rate, P, cov_rate);
     if (cov_rate[0] + cov_rate[4] + cov_rate[8] > RATE_KNOWN_VAR) {
-        const double var = AT(P, CAMERA_DELAY, CAMERA_DELAY);
+        const double var = AT(P, DL_CAMERA_DELAY, DL_CAMERA_DELAY);
         for (int i = 0; i < m; i++) {
             for (int j = 0; j < m; j++) {
                 const double doubt = i < 3 && j < 3 ? cov_rate[3 * i + j] : 0.0;
-                out->R[i * m + j] += var * (AT(out->H, i, CAMERA_DELAY) * AT(out->H, j, CAMERA_DELAY) + doubt);
+                seen->R[i * m + j] += var * (AT(seen->H, i, DL_CAMERA_DELAY) * AT(seen->H, j, DL_CAMERA_DELAY) + doubt);
             }
         }
         for (int i = 0; i < m; i++) {
-            AT(out->H, i, CAMERA_DELAY) = 0.0;
+            AT(seen->H, i, DL_CAMERA_DELAY) = 0.0;
         }
     }
-    out->m = m;
-    out->ok = kalman_correct(N, m, P, out->innov, out->H, out->R, out->dx, out->P, out->S, &out->nis);
+    out->ok = kalman_correct(DL_N, P, &(measured){m, seen->innov, seen->H, seen->R}, out->dx, out->P, out->S, &out->nis);
 }
 
 /* The pad's heading by a sighting, with a uniform prior on it. */
-static void set_heading(belief *b, double *P, double yaw)
+static void set_heading(dl_belief *b, double *P, double yaw)
 {
-    b->x[PAD_YAW] = wrapped(heading_of(b->R) - yaw);
-    forget_state(P, PAD_YAW, uniform_var());
+    b->x[DL_PAD_YAW] = wrapped(heading_of(b->R) - yaw);
+    forget_state(P, DL_PAD_YAW, uniform_var());
 }
 
 /* Forget what another pad's vessel does not share: its velocity, turn and waves. */
-static void reset_vessel(const filter_params *o, belief *b, double *P)
+static void reset_vessel(const dl_filter_params *o, dl_belief *b, double *P)
 {
     for (int i = 0; i < 2; i++) {
-        forget_state(P, VESSEL_VEL + i, RESET_VELOCITY_VAR);
-        forget_state(P, SWAY_PER_HEAVE + i, o->sigma_sway_per_heave * o->sigma_sway_per_heave);
-        b->x[SWAY_PER_HEAVE + i] = 0.0;
+        forget_state(P, DL_VESSEL_VEL + i, RESET_VELOCITY_VAR);
+        forget_state(P, DL_SWAY_PER_HEAVE + i, o->sigma_sway_per_heave * o->sigma_sway_per_heave);
+        b->x[DL_SWAY_PER_HEAVE + i] = 0.0;
     }
-    forget_state(P, TURN_RATE, o->sigma_turn_rate_rad_s * o->sigma_turn_rate_rad_s);
-    b->x[TURN_RATE] = 0.0;
+    forget_state(P, DL_TURN_RATE, o->sigma_turn_rate_rad_s * o->sigma_turn_rate_rad_s);
+    b->x[DL_TURN_RATE] = 0.0;
     for (int i = 0; i < 12; i++) {
-        forget_state(P, WAVES + i, 0.0);
-        b->x[WAVES + i] = 0.0;
+        forget_state(P, DL_WAVES + i, 0.0);
+        b->x[DL_WAVES + i] = 0.0;
     }
     for (int k = 0; k < 3; k++) {
         double at_rest[4][4];
         oscillator_at_rest(b->wave_w[k], b->wave_zeta[k], at_rest);
         for (int i = 0; i < 4; i++) {
             for (int j = 0; j < 4; j++) {
-                AT(P, WAVES + 4 * k + i, WAVES + 4 * k + j) = b->wave_sigma[k] * b->wave_sigma[k] * at_rest[i][j];
+                AT(P, DL_WAVES + 4 * k + i, DL_WAVES + 4 * k + j) = b->wave_sigma[k] * b->wave_sigma[k] * at_rest[i][j];
             }
         }
     }
@@ -123,15 +128,15 @@ static void reset_vessel(const filter_params *o, belief *b, double *P)
 
 /* Initialise the pad's position from a sighting; with `reset`, drop the rest of the belief about the pad as well. The states of
  * the body itself stay. */
-static void initialise(const filter_params *o, belief *b, covariance *c, const sighting *s, int reset)
+static void initialise(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_sighting *s, int reset)
 {
     double A[9], seen[3], back[9], *P = changeable(c);
     levelling(b, A);
     seen_from_body(s, A, seen);
     camera_to_ned(b, back);
-    rotated(back, seen, b->x + POS_REL);
+    rotated(back, seen, b->x + DL_POS_REL);
     for (int i = 0; i < 3; i++) {
-        forget_state(P, POS_REL + i, PLACE_VAR + dot(seen, seen));
+        forget_state(P, DL_POS_REL + i, PLACE_VAR + dot(seen, seen));
     }
     if (reset) {
         reset_vessel(o, b, P);
@@ -144,14 +149,14 @@ static void initialise(const filter_params *o, belief *b, covariance *c, const s
 }
 
 /* Compare again with a wider belief if the last sightings missed the deck by more than the filter claims. */
-static comparison *compare_jolted(const filter_params *o, belief *b, covariance *c, const sighting *s, comparison *first,
+static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_sighting *s, comparison *first,
                                   comparison *second)
 {
     double back[9], innov_ned[3], cov[9], half[9], cov_ned[9], missing[3];
     camera_to_ned(b, back);
-    rotated(back, first->innov, innov_ned);
+    rotated(back, first->seen.innov, innov_ned);
     for (int i = 0; i < 9; i++) {
-        cov[i] = first->S[i / 3 * first->m + i % 3];
+        cov[i] = first->S[i / 3 * first->seen.m + i % 3];
     }
     product(back, cov, half);
     product_by_transposed(half, back, cov_ned);
@@ -171,7 +176,7 @@ static comparison *compare_jolted(const filter_params *o, belief *b, covariance 
 }
 
 /* Count the time for which sightings agreed with the heading, minus the time for which they contradicted it. */
-static void weigh_heading(const filter_params *o, belief *b, int agrees)
+static void weigh_heading(const dl_filter_params *o, dl_belief *b, int agrees)
 {
     const double since = b->heading_seen < 0 ? 0.0 : fmin(seconds(b->heading_seen, b->t), COUNTED_S);
     b->heading_held_s = fmin(b->heading_held_s + (agrees ? since : -since), o->heading_memory_s);
@@ -179,13 +184,13 @@ static void weigh_heading(const filter_params *o, belief *b, int agrees)
 }
 
 /* Set the pad's yaw from a sighting, whatever was believed. */
-static void take_new_heading(belief *b, covariance *c, const sighting *s)
+static void take_new_heading(dl_belief *b, covariance *c, const dl_sighting *s)
 {
     if (!s->has_pose6 && !s->has_yaw) {
         return;
     }
     set_heading(b, changeable(c), s->has_pose6 ? -heading_of(s->pose_R) : s->yaw_rad);
-    b->x[YAW_RATE] = b->x[WAVE_YAW] = 0.0;
+    b->x[DL_YAW_RATE] = b->x[DL_WAVE_YAW] = 0.0;
     b->heading_held_s = 0.0;
 }
 
@@ -196,12 +201,12 @@ static void take_new_heading(belief *b, covariance *c, const sighting *s)
  * the smaller correction if the innovations are white. On waves they are alike for many sightings in a row, and a greater fraction
  * counts them as fewer.
  * Source: Brink, Partial-update Schmidt-Kalman filter, J. Guidance, Control, and Dynamics 40(9), 2017. */
-static void withhold(const belief *b, const double *before, double dx[N], double *P)
+static void withhold(const dl_belief *b, const double *before, double dx[DL_N], double *P)
 {
     const double heave = b->wave_sigma[2] * b->wave_w[2], rough = heave * heave / (heave * heave + ROUGH_M_S * ROUGH_M_S);
-    const int states[4] = {CAMERA_DELAY, CAMERA_MOUNT, CAMERA_MOUNT + 1, CAMERA_MOUNT + 2};
+    const int states[4] = {DL_CAMERA_DELAY, DL_CAMERA_MOUNT, DL_CAMERA_MOUNT + 1, DL_CAMERA_MOUNT + 2};
     double fraction[4] = {WITHHELD_DELAY_COV * rough};
-    dx[CAMERA_DELAY] *= 1.0 - WITHHELD_DELAY * rough;
+    dx[DL_CAMERA_DELAY] *= 1.0 - WITHHELD_DELAY * rough;
     for (int i = 1; i < 4; i++) {
         fraction[i] = WITHHELD_MOUNT * rough;
         dx[states[i]] *= 1.0 - fraction[i];
@@ -215,7 +220,7 @@ static void withhold(const belief *b, const double *before, double dx[N], double
 }
 
 /* Roll and pitch of a pad that was seen whole, and their variances. */
-static void see_tilt(const sighting *s, const double R_ned_level[9], const double *R, double y[DIRECTIONS], double var[DIRECTIONS])
+static void see_tilt(const dl_sighting *s, const double R_ned_level[9], const double *R, double y[DIRECTIONS], double var[DIRECTIONS])
 {
     double pad[9], into_pad[9];
     product(R_ned_level, s->pose_R, pad);
@@ -233,7 +238,7 @@ static void see_tilt(const sighting *s, const double R_ned_level[9], const doubl
 }
 
 /* Update the bank of wave oscillators with the pad's measured position and tilt. */
-static void learn(const filter_params *o, belief *b, sea_ref *bank, const sighting *s, const comparison *row)
+static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const dl_sighting *s, const comparison *row)
 {
     double A[9], back[9], seen[3], place[3], y[DIRECTIONS] = {0.0}, var[DIRECTIONS];
     if (bank->now->t >= 0 && seconds(bank->now->t, b->t) < 0.9 * LOOK_PERIOD_S) {
@@ -243,7 +248,7 @@ static void learn(const filter_params *o, belief *b, sea_ref *bank, const sighti
     camera_to_ned(b, back);
     seen_from_body(s, A, seen);
     for (int i = 0; i < 3; i++) {
-        seen[i] -= AT(row->H, i, CAMERA_DELAY) * b->x[CAMERA_DELAY];
+        seen[i] -= AT(row->seen.H, i, DL_CAMERA_DELAY) * b->x[DL_CAMERA_DELAY];
     }
     rotated(back, seen, place);
     for (int k = 0; k < DIRECTIONS; k++) {
@@ -253,14 +258,14 @@ static void learn(const filter_params *o, belief *b, sea_ref *bank, const sighti
         y[k] = place[k] + b->ins_p[k];
         for (int i = 0; i < 3; i++) {
             for (int j = 0; j < 3; j++) {
-                var[k] += back[3 * k + i] * row->R[i * row->m + j] * back[3 * k + j];
+                var[k] += back[3 * k + i] * row->seen.R[i * row->seen.m + j] * back[3 * k + j];
             }
         }
     }
-    if (row->m == SEEN_MAX) {
+    if (row->seen.m == SEEN_MAX) {
         double R_ned_level[9];
         product_by_transposed(back, A, R_ned_level);
-        see_tilt(s, R_ned_level, row->R, y, var);
+        see_tilt(s, R_ned_level, row->seen.R, y, var);
     }
     bank_observe(o, b->t, y, var, b->ins_var_m2_s2, sqrt(dot(seen, seen)), bank->now, bank->place);
     bank->now = bank->place;
@@ -270,24 +275,24 @@ static void learn(const filter_params *o, belief *b, sea_ref *bank, const sighti
     b->ins_var_m2_s2 = 0.0;
 }
 
-static void reject(belief *b, const comparison *row)
+static void reject(dl_belief *b, const comparison *row)
 {
     double back[9], offset[3];
     camera_to_ned(b, back);
-    rotated(back, row->innov, offset);
-    streak_extend(b, b->t, offset, (row->R[0] + row->R[row->m + 1] + row->R[2 * row->m + 2]) / 3.0);
+    rotated(back, row->seen.innov, offset);
+    streak_extend(b, b->t, offset, (row->seen.R[0] + row->seen.R[row->seen.m + 1] + row->seen.R[2 * row->seen.m + 2]) / 3.0);
 }
 
-static void tell_compared(outcome *out, int verdict, const comparison *row, double nis_max)
+static void tell_compared(dl_outcome *out, int verdict, const comparison *row, double nis_max)
 {
-    tell(out, verdict, row->m, 0, row->innov, row->S);
+    tell(out, verdict, row->seen.m, 0, row->seen.innov, row->S);
     out->nis = row->nis;
     out->nis_max = nis_max;
 }
 
-static void fuse(belief *b, covariance *c, comparison *row, int fresh, int shows_heading)
+static void fuse(dl_belief *b, covariance *c, comparison *row, int fresh, int shows_heading)
 {
-    const double var = AT(c->P, POS_REL, POS_REL) + AT(c->P, POS_REL + 1, POS_REL + 1) + AT(c->P, POS_REL + 2, POS_REL + 2);
+    const double var = AT(c->P, DL_POS_REL, DL_POS_REL) + AT(c->P, DL_POS_REL + 1, DL_POS_REL + 1) + AT(c->P, DL_POS_REL + 2, DL_POS_REL + 2);
     const int lost = sqrt(fmax(var / 3.0, 0.0)) > LOST_SIGMA_M;
     withhold(b, c->P, row->dx, row->P);
     correct_belief(b, c, row->dx, memcpy(free_place(c), row->P, sizeof row->P));
@@ -297,7 +302,7 @@ static void fuse(belief *b, covariance *c, comparison *row, int fresh, int shows
     b->heading_known |= shows_heading;
 }
 
-void take_sighting(const filter_params *o, belief *b, covariance *c, sea_ref *bank, const sighting *s, outcome *out)
+void take_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_sighting *s, dl_outcome *out)
 {
     comparison rows[2], *row = &rows[0], *other = &rows[1];
     const int fresh = b->sighted < 0;
@@ -310,14 +315,14 @@ void take_sighting(const filter_params *o, belief *b, covariance *c, sea_ref *ba
         other = row == &rows[0] ? &rows[1] : &rows[0];
     }
     int turned_round = 0;
-    if (row->ok && row->m > 3 && b->heading_known && row->nis > o->nis_max[row->m - 1]) {
+    if (row->ok && row->seen.m > 3 && b->heading_known && row->nis > o->nis_max[row->seen.m - 1]) {
         compare(o, b, c->P, s, 1, other);
         if (other->ok && other->nis <= o->nis_max[2]) {
             turned_round = 1;
             row = other;
         }
     }
-    if (row->ok && (turned_round || (row->m > 3 && row->nis <= o->nis_max[row->m - 1]))) {
+    if (row->ok && (turned_round || (row->seen.m > 3 && row->nis <= o->nis_max[row->seen.m - 1]))) {
         weigh_heading(o, b, !turned_round);
         if (turned_round && b->heading_held_s <= 0.0) {
             take_new_heading(b, c, s);
@@ -325,28 +330,28 @@ void take_sighting(const filter_params *o, belief *b, covariance *c, sea_ref *ba
         }
     }
     if (!row->ok) {
-        tell(out, SINGULAR, row->m, 0, row->innov, NULL);
+        tell(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL);
         return;
     }
-    const int dof = row->m;
+    const int dof = row->seen.m;
     if (!fresh) {
-        b->nis_mean = nis_mean_of(b->nis_mean, row->innov, row->S, dof);
+        b->nis_mean = nis_mean_of(b->nis_mean, row->seen.innov, row->S, dof);
     }
     if (row->nis > o->nis_max[dof - 1]) {
         reject(b, row);
         if (!streak_resets(o, b)) {
-            tell_compared(out, GATED, row, o->nis_max[dof - 1]);
+            tell_compared(out, DL_GATED, row, o->nis_max[dof - 1]);
             return;
         }
         initialise(o, b, c, s, 1);
         b->nis_mean = 1.0;
         compare(o, b, c->P, s, 0, row);
         if (!row->ok) {
-            tell(out, SINGULAR, row->m, 0, row->innov, NULL);
+            tell(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL);
             return;
         }
     }
     fuse(b, c, row, fresh, dof >= 4 && !s->yaw_ambiguous);
     learn(o, b, bank, s, row);
-    tell_compared(out, FUSED, row, o->nis_max[row->m - 1]);
+    tell_compared(out, DL_FUSED, row, o->nis_max[row->seen.m - 1]);
 }

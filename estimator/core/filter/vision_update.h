@@ -7,11 +7,11 @@
 
 /* The bank that belongs to a belief. What writes it takes the place. */
 typedef struct {
-    const sea *now;
-    sea *place;
+    const dl_bank *now;
+    dl_bank *place;
 } sea_ref;
 
 /* Fuse a sighting at the belief's instant, to which the belief was propagated with all gathered samples fused. */
-void take_sighting(const filter_params *o, belief *b, covariance *c, sea_ref *bank, const sighting *s, outcome *out);
+void take_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_sighting *s, dl_outcome *out);
 
 #endif

@@ -18,12 +18,12 @@ double law_limited(double value, double most)
     return value < -most ? -most : value > most ? most : value;
 }
 
-double law_between(const law_cycle *in, double later, double earlier)
+double law_between(const dl_law_cycle *in, double later, double earlier)
 {
     return in->share == 1.0 ? later : in->share * later + (1.0 - in->share) * earlier;
 }
 
-void axis_begin(int64_t remembered, const axis_measured *z, const law_axis *before, law_axis *after)
+void axis_begin(int64_t remembered, const dl_axis_measured *z, const dl_law_axis *before, dl_law_axis *after)
 {
     const double d = before ? before->d : 0.0, b = before ? before->b : 0.0;
     memset(after, 0, sizeof *after);
@@ -42,8 +42,8 @@ void under_way_note(int64_t remembered, double command, double *under_way)
 
 /* p, w, d and b of the observer after dt: its rows hold the gains of p, w, d and b, its columns those by place, speed and
  * acceleration. */
-static void observe(const double *observer, double dt, double a_lean, const law_axis *before, const axis_measured *z,
-                    law_axis *after)
+static void observe(const dl_law_observer *observer, double dt, double a_lean, const dl_law_axis *before, const dl_axis_measured *z,
+                    dl_law_axis *after)
 {
     const double push = z->a_deck - a_lean - before->d;
     const double p = before->p + dt * before->w + 0.5 * dt * dt * push, w = before->w + dt * push;
@@ -51,24 +51,23 @@ static void observe(const double *observer, double dt, double a_lean, const law_
     const double was[4] = {p, w, before->d, before->b};
     double is[4];
     for (int i = 0; i < 4; i++) {
-        const double *gains = observer + 3 * i;
+        const double *gains = observer->gains[i];
         is[i] = was[i] + gains[0] * off[0] + gains[1] * off[1] + gains[2] * off[2];
     }
     after->p = is[0], after->w = is[1], after->d = law_limited(is[2], DISTURBANCE_MAX_M_S2), after->b = is[3];
 }
 
 /* How far a tilt's rate has come after dt by the response: rate' = frequency^2 (lag - lean) - 2 damping frequency rate. */
-static double rate_after(const law_params *o, double dt, double rate, double lean, double lag)
+static double rate_after(const dl_law_params *o, double dt, double rate, double lean, double lag)
 {
     const double w = o->frequency_rad_s;
     return rate + dt * (w * w * (lag - lean) - 2.0 * o->damping * w * rate);
 }
 
-/* The memory after dt with this cycle's measurement; the command that has arrived is an acceleration. */
-void law_observe(const law_params *o, const double *observer, double dt, double arrived, const law_axis *before,
-                 const axis_measured *z, law_axis *after)
+void axis_observe(const dl_law_in_use *law, double dt, double arrived, const dl_law_axis *before, const dl_axis_measured *z, dl_law_axis *after)
 {
-    observe(observer, dt, 0.5 * (z->lean + before->lean), before, z, after);
+    const dl_law_params *o = &law->params;
+    observe(&law->observer, dt, 0.5 * (z->lean + before->lean), before, z, after);
     const double keep = o->lag_s > 1e-4 ? exp(-dt / o->lag_s) : 0.0;
     const double rate = rate_after(o, dt, before->rate, before->lean, before->lag);
     after->lag = keep * before->lag + (1.0 - keep) * arrived;
@@ -77,13 +76,12 @@ void law_observe(const law_params *o, const double *observer, double dt, double 
     memcpy(after->under_way, before->under_way, sizeof after->under_way);
 }
 
-double axis_reference(const law_axis *x, double a_deck)
+double axis_reference(const dl_law_axis *x, double a_deck)
 {
     return a_deck - x->d;
 }
 
-/* The tilt to command, m/s^2, not limited yet: the later reference less what is off now, the commands under way included. */
-double law_tilt(const law_axis *x, const law_gains *gains, double off_m, double a_deck, double a_deck_then)
+double axis_tilt(const dl_law_axis *x, const dl_law_gains *gains, double off_m, double a_deck, double a_deck_then)
 {
     const double now = axis_reference(x, a_deck);
     double off = gains->p * off_m + gains->w * x->w + gains->a * (x->lean - now) + gains->rate * x->rate;
@@ -94,14 +92,23 @@ double law_tilt(const law_axis *x, const law_gains *gains, double off_m, double 
     return axis_reference(x, a_deck_then) - off;
 }
 
-void own_flown(const law_params *o, double dt, const law_axis *x, const law_own *before, law_own *after)
+double dl_law_axis_step(const dl_law_in_use *law, double dt, double arrived, const dl_law_axis *before, const dl_axis_measured *z, dl_law_axis *after)
+{
+    if (!law_fits(law)) {
+        return NAN;
+    }
+    axis_observe(law, dt, arrived, before, z, after);
+    return axis_tilt(after, &law->gains, after->p, 0.0, 0.0);
+}
+
+void own_flown(const dl_law_params *o, double dt, const dl_law_axis *x, const dl_law_own *before, dl_law_own *after)
 {
     const double rate = rate_after(o, dt, before->rate, before->lean, x->lag), explained = before->lean + dt * rate;
     const double own = before->own + (1.0 - exp(-dt / OWN_FLOWN_S)) * (x->lean - explained);
     after->own = law_limited(own, OWN_MAX_M_S2), after->lean = explained, after->rate = rate;
 }
 
-void own_hovered(double dt, double lean, const law_own *before, law_own *after)
+void own_hovered(double dt, double lean, const dl_law_own *before, dl_law_own *after)
 {
     const double own = before->own + (1.0 - exp(-dt / OWN_HOVERED_S)) * (lean - before->own);
     after->own = law_limited(own, OWN_MAX_M_S2), after->lean = lean, after->rate = 0.0;

@@ -14,13 +14,13 @@ static const double SPEED_GAIN_1_S = 4.0, HEIGHT_GAIN_1_S = 1.5;
 /* Time in which d is learned. */
 static const double DISTURBANCE_S = 0.15, DISTURBANCE_MAX_M_S2 = 1.5;
 
-double climb_pushed(const law_params *o, double d, double a_down, double v, double arrived)
+double climb_pushed(const dl_law_params *o, double d, double a_down, double v, double arrived)
 {
     const double beside = a_down - (arrived - v) / o->climb_lag_s;
     return law_limited(d + (1.0 - exp(-o->period_s / DISTURBANCE_S)) * (beside - d), DISTURBANCE_MAX_M_S2);
 }
 
-double climb_predicted(const law_params *o, double *v, double d, int64_t n, const double *under_way)
+double climb_predicted(const dl_law_params *o, double *v, double d, int64_t n, const double *under_way)
 {
     double way = 0.0;
     for (int64_t k = n - 1; k >= 0; k--) {
@@ -31,7 +31,7 @@ double climb_predicted(const law_params *o, double *v, double d, int64_t n, cons
     return way;
 }
 
-double climb_command(const law_params *o, const law_cycle *in, double v, double d, const deck_then *deck, double height_error_m)
+double climb_command(const dl_law_params *o, const dl_law_cycle *in, double v, double d, const deck_then *deck, double height_error_m)
 {
     double wanted = deck->v[2], a = deck->a[2];
     if (in->has_rate) {

@@ -20,39 +20,38 @@ static const double POLE_RAD_S = 0.7;
 static const double HEADING_GAIN_1_S = 0.8, TURN_COMMAND_MAX_RAD_S = 0.6;
 
 /* The number of the horizon from which the straight line to the next one holds at t. */
-static int64_t span(int64_t n, const double *horizons_s, double t)
+static int64_t span(const dl_law_course *course, double t)
 {
     int64_t i = 0;
-    while (i < n - 2 && horizons_s[i + 1] <= t) {
+    while (i < course->n - 2 && course->horizons_s[i + 1] <= t) {
         i++;
     }
     return i;
 }
 
 /* The slope of the rates from horizon i to the next one. */
-static double slope(const double *horizons_s, const double *rates_m_s, int64_t i, int axis)
+static double slope(const dl_law_course *course, int64_t i, int axis)
 {
-    return (rates_m_s[3 * (i + 1) + axis] - rates_m_s[3 * i + axis]) / (horizons_s[i + 1] - horizons_s[i]);
+    return (course->rates_m_s[i + 1][axis] - course->rates_m_s[i][axis]) / (course->horizons_s[i + 1] - course->horizons_s[i]);
 }
 
-void deck_ahead_of(const law_params *o, const law_cycle *in, const double *horizons_s, const double *rates_m_s, double ahead_s,
-                   deck_then *out)
+void deck_ahead_of(const dl_law_params *o, const dl_law_cycle *in, const dl_law_course *course, double ahead_s, deck_then *out)
 {
     memset(out, 0, sizeof *out);
     if (!o->looks_ahead || !in->has_deck) {
         return;
     }
     const double age = in->forecast_age_s, until = age + ahead_s;
-    const int64_t n = in->horizons;
-    const int forecast = n >= 2 && age >= 0.0 && age <= OLD_S && until <= horizons_s[n - 1];
-    const int64_t i = forecast ? span(n, horizons_s, age) : 0, k = forecast ? span(n, horizons_s, until) : 0;
+    const int64_t n = course->n;
+    const int forecast = n >= 2 && age >= 0.0 && age <= OLD_S && until <= course->horizons_s[n - 1];
+    const int64_t i = forecast ? span(course, age) : 0, k = forecast ? span(course, until) : 0;
     for (int axis = 0; axis < 3; axis++) {
         double change = in->a_deck[axis] * ahead_s;
         out->a[axis] = in->a_deck[axis];
         if (forecast) {
-            out->a[axis] = slope(horizons_s, rates_m_s, k, axis);
-            const double now = rates_m_s[3 * i + axis] + slope(horizons_s, rates_m_s, i, axis) * (age - horizons_s[i]);
-            change = (rates_m_s[3 * k + axis] + out->a[axis] * (until - horizons_s[k])) - now;
+            out->a[axis] = slope(course, k, axis);
+            const double now = course->rates_m_s[i][axis] + slope(course, i, axis) * (age - course->horizons_s[i]);
+            change = (course->rates_m_s[k][axis] + out->a[axis] * (until - course->horizons_s[k])) - now;
         }
         out->moved[axis] = ahead_s * (in->v_deck[axis] + 0.5 * change);
         out->v[axis] = in->v_deck[axis] + change;
@@ -70,7 +69,7 @@ static double turned(double angle)
  * forward, it takes away the error with which a nose would follow a ship that turns, and unlike an integral it does not wind up
  * while the nose comes round to the arrow.
  * Source: Luenberger, An introduction to observers, IEEE Trans. Automatic Control 16(6), 1971. */
-void turn_observe(const law_cycle *in, const law_memory *before, law_memory *after)
+void turn_observe(const dl_law_cycle *in, const dl_law_memory *before, dl_law_memory *after)
 {
     after->has_turn = in->has_yaw != 0;
     after->turn_yaw_rad = in->yaw_rad;
@@ -85,7 +84,7 @@ void turn_observe(const law_cycle *in, const law_memory *before, law_memory *aft
     after->turn_rate_rad_s = law_limited(rate, TURN_MOST_RAD_S);
 }
 
-double turn_command(const law_cycle *in, const law_memory *memory)
+double turn_command(const dl_law_cycle *in, const dl_law_memory *memory)
 {
     if (!in->has_wanted_yaw || !memory->has_turn) {
         return 0.0;

@@ -37,47 +37,48 @@ static void to_level(nose n, const double ned[2], double level[2])
 }
 
 /* What is measured on both axes. */
-static void measure(nose n, const law_cycle *in, const deck_then *here, axis_measured z[2])
+static void measure(nose n, const dl_law_cycle *in, const deck_then *here, dl_axis_measured z[2])
 {
     const double turning[2] = {-GRAVITY_M_S2 * in->w_body[1], GRAVITY_M_S2 * in->w_body[0]};
     double p[2], w[2], lean[2], rate[2], a_body[2], a_deck[2];
     to_ned(n, in->d, p), to_ned(n, in->v, w), to_ned(n, in->lean, lean), to_ned(n, turning, rate);
     to_ned(n, in->a_body, a_body), to_ned(n, here->a, a_deck);
     for (int i = 0; i < 2; i++) {
-        z[i] = (axis_measured){p[i], w[i], lean[i], rate[i], a_body[i], a_deck[i]};
+        z[i] = (dl_axis_measured){p[i], w[i], lean[i], rate[i], a_body[i], a_deck[i]};
     }
 }
 
 /* Whether the pad is far from where the axes expect it after dt. */
-static int leapt(double dt, const law_axis was[2], const axis_measured z[2])
+static int leapt(double dt, const dl_law_axis was[2], const dl_axis_measured z[2])
 {
     return hypot(z[0].p - was[0].p - dt * was[0].w, z[1].p - was[1].p - dt * was[1].w) > LEAP_M;
 }
 
-static void observe_axes(const law_params *o, const law_gains *gains, const law_gains *gains_before, const double *observer,
-                         const law_cycle *in, const axis_measured z[2], const law_memory *before, law_axis after[2])
+static void observe_axes(const dl_law_in_use *law, const dl_law_cycle *in, const dl_axis_measured z[2], const dl_law_memory *before,
+                         dl_law_axis after[2])
 {
     const int anew = leapt(in->dt, before->axes, z);
     for (int i = 0; i < 2; i++) {
         if (!in->goes_on) {
-            axis_begin(o->remembered, &z[i], before->begun ? &before->axes[i] : NULL, &after[i]);
+            axis_begin(law->params.remembered, &z[i], before->begun ? &before->axes[i] : NULL, &after[i]);
             continue;
         }
-        law_axis was = before->axes[i];
+        dl_law_axis was = before->axes[i];
         if (anew) {
             was.p = z[i].p - in->dt * z[i].w, was.w = z[i].w;
         }
-        const double arrived = law_between(in, was.under_way[gains->tilt_delay - 1], was.under_way[gains_before->tilt_delay - 1]);
-        law_observe(o, observer, in->dt, arrived, &was, &z[i], &after[i]);
+        const int64_t now = law->gains.tilt_delay - 1, earlier = law->gains_before.tilt_delay - 1;
+        const double arrived = law_between(in, was.under_way[now], was.under_way[earlier]);
+        axis_observe(law, in->dt, arrived, &was, &z[i], &after[i]);
     }
 }
 
 /* What a vehicle with a velocity loop of its own adds to the lean. */
-static void observe_own(const law_params *o, const law_cycle *in, const law_axis axes[2], const law_own before[2], law_own after[2])
+static void observe_own(const dl_law_params *o, const dl_law_cycle *in, const dl_law_axis axes[2], const dl_law_own before[2], dl_law_own after[2])
 {
     for (int i = 0; i < 2 && o->over_ground; i++) {
         if (!in->goes_on) {
-            after[i] = (law_own){axes[i].lean, axes[i].lean, 0.0};
+            after[i] = (dl_law_own){axes[i].lean, axes[i].lean, 0.0};
         } else if (in->steers) {
             own_flown(o, in->dt, &axes[i], &before[i], &after[i]);
         } else {
@@ -87,14 +88,14 @@ static void observe_own(const law_params *o, const law_cycle *in, const law_axis
 }
 
 /* The tilt that one set of gains commands north and east, m/s^2, not limited yet. */
-static void regulate(const law_axis axes[2], const law_gains *gains, const double far_m[2], double speed_max_m_s,
+static void regulate(const dl_law_axis axes[2], const dl_law_gains *gains, const double far_m[2], double speed_max_m_s,
                      const double a_deck[2], const double a_deck_then[2], double u[2])
 {
     /* A place far off asks for no more than the speed that is allowed. */
     const double size = hypot(far_m[0], far_m[1]), reach = speed_max_m_s * gains->w / gains->p;
     const double shrink = size > reach ? reach / size : 1.0;
     for (int i = 0; i < 2; i++) {
-        u[i] = law_tilt(&axes[i], gains, shrink * far_m[i], a_deck[i], a_deck_then[i]);
+        u[i] = axis_tilt(&axes[i], gains, shrink * far_m[i], a_deck[i], a_deck_then[i]);
     }
 }
 
@@ -107,7 +108,7 @@ static double within_view(double lean, double trim, double bearing_rad, double h
 
 /* Cut the lean so that the pad's centre stays in the picture. Leaning forward turns the camera astern, so the pad moves towards
  * the picture's forward edge by as much. */
-static void keep_in_view(const law_params *o, const double d[3], const double trim[2], double lean[2])
+static void keep_in_view(const dl_law_params *o, const double d[3], const double trim[2], double lean[2])
 {
     if (!o->keeps_in_view || d[2] < VIEW_FROM_M) {
         return;
@@ -116,7 +117,7 @@ static void keep_in_view(const law_params *o, const double d[3], const double tr
     lean[1] = within_view(lean[1], trim[1], atan2(d[1] - o->view_right_m, d[2]), o->half_right_rad);
 }
 
-static void shorten(const law_params *o, const law_cycle *in, double lean[2])
+static void shorten(const dl_law_params *o, const dl_law_cycle *in, double lean[2])
 {
     const double asked = in->has_lean_max ? GRAVITY_M_S2 * tan(in->lean_max_rad) : INFINITY;
     const double most = fmin(o->tilt_max_m_s2, asked), size = hypot(lean[0], lean[1]);
@@ -125,58 +126,76 @@ static void shorten(const law_params *o, const law_cycle *in, double lean[2])
 }
 
 /* The lean to command, m/s^2 forward and right, and the part of it that is trim; the deck now and when the command acts. */
-static void lean_to(const law_params *o, const law_gains *gains, const law_gains *gains_before, const law_cycle *in, nose n,
-                    const law_axis axes[2], const deck_then *here, const deck_then *then, double lean[2], double trim[2])
+static void lean_to(const dl_law_in_use *law, const dl_law_cycle *in, nose n, const dl_law_axis axes[2], const deck_then *here,
+                    const deck_then *then, double lean[2], double trim[2])
 {
     double now[2], later[2], offset[2], u[2], earlier[2];
     to_ned(n, here->a, now), to_ned(n, then->a, later), to_ned(n, in->wanted, offset);
     const double far[2] = {axes[0].p - offset[0], axes[1].p - offset[1]};
-    regulate(axes, gains, far, in->speed_max_m_s, now, later, u);
-    regulate(axes, gains_before, far, in->speed_max_m_s, now, later, earlier);
+    regulate(axes, &law->gains, far, in->speed_max_m_s, now, later, u);
+    regulate(axes, &law->gains_before, far, in->speed_max_m_s, now, later, earlier);
     for (int i = 0; i < 2; i++) {
         u[i] = law_between(in, u[i], earlier[i]);
     }
     const double kept[2] = {axis_reference(&axes[0], 0.0), axis_reference(&axes[1], 0.0)};
     to_level(n, kept, trim);
     to_level(n, u, lean);
-    keep_in_view(o, in->d, trim, lean);
-    shorten(o, in, lean);
+    keep_in_view(&law->params, in->d, trim, lean);
+    shorten(&law->params, in, lean);
 }
 
 /* The vertical speed to command by one set of gains, m/s down. */
-static double climb_by(const law_params *o, const law_gains *gains, const law_cycle *in, const double *horizons_s,
-                       const double *rates_m_s, const law_memory *memory, double v_down)
+static double climb_by(const dl_law_params *o, const dl_law_gains *gains, const dl_law_cycle *in, const dl_law_course *course,
+                       const dl_law_memory *memory, double v_down)
 {
     double v = v_down;
     deck_then then;
     const double d = memory->pushed_down_m_s2, way = climb_predicted(o, &v, d, gains->climb_delay, memory->climbs);
-    deck_ahead_of(o, in, horizons_s, rates_m_s, (double)gains->climb_delay * o->period_s, &then);
+    deck_ahead_of(o, in, course, (double)gains->climb_delay * o->period_s, &then);
     const double height = in->d[2] + then.moved[2] - way;
     return law_limited(climb_command(o, in, v, d, &then, height - in->wanted[2]), o->climb_max_m_s);
 }
 
-static void note(const law_params *o, double north, double east, double down, law_memory *memory)
+static void note(const dl_law_params *o, double north, double east, double down, dl_law_memory *memory)
 {
     under_way_note(o->remembered, north, memory->axes[0].under_way);
     under_way_note(o->remembered, east, memory->axes[1].under_way);
     under_way_note(o->remembered, down, memory->climbs);
 }
 
-/* One cycle. `gains_before` are those from which the command goes over to `gains`; where no target steers, the memory notes what
- * the vehicle does and the command says nothing. */
-void law_step(const law_params *o, const law_gains *gains, const law_gains *gains_before, const double *observer,
-              const law_cycle *in, const double *horizons_s, const double *rates_m_s, const law_memory *before, law_memory *after,
-              law_command *out)
+static int is_number_of_commands(int64_t n)
 {
+    return n >= 1 && n <= UNDER_WAY_MAX;
+}
+
+static int gains_fit(const dl_law_gains *gains)
+{
+    return gains->n >= 0 && gains->n <= UNDER_WAY_MAX && is_number_of_commands(gains->tilt_delay) &&
+           is_number_of_commands(gains->climb_delay);
+}
+
+int law_fits(const dl_law_in_use *law)
+{
+    return is_number_of_commands(law->params.remembered) && gains_fit(&law->gains) && gains_fit(&law->gains_before);
+}
+
+int32_t dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_course *course, const dl_law_memory *before, dl_law_memory *after,
+                 dl_law_command *out)
+{
+    const dl_law_params *o = &law->params;
+    const dl_law_gains *gains = &law->gains, *gains_before = &law->gains_before;
     const nose n = {cos(in->heading_rad), sin(in->heading_rad)};
     deck_then here, then;
-    axis_measured z[2];
+    dl_axis_measured z[2];
+    if (!law_fits(law) || course->n < 0 || course->n > HORIZONS_MAX) {
+        return 0;
+    }
     *after = *before;
     after->begun = 1;
     memset(out, 0, sizeof *out);
-    deck_ahead_of(o, in, horizons_s, rates_m_s, 0.0, &here);
+    deck_ahead_of(o, in, course, 0.0, &here);
     measure(n, in, &here, z);
-    observe_axes(o, gains, gains_before, observer, in, z, before, after->axes);
+    observe_axes(law, in, z, before, after->axes);
     const double v_down = (in->has_deck ? in->v_deck[2] : 0.0) - in->v[2];
     const double arrived = law_between(in, before->climbs[gains->climb_delay - 1], before->climbs[gains_before->climb_delay - 1]);
     after->pushed_down_m_s2 = climb_pushed(o, before->pushed_down_m_s2, in->a_body[2], v_down, arrived);
@@ -184,13 +203,13 @@ void law_step(const law_params *o, const law_gains *gains, const law_gains *gain
     turn_observe(in, before, after);
     if (!in->steers) {
         note(o, after->axes[0].lean, after->axes[1].lean, v_down, after);
-        return;
+        return 1;
     }
     double soon = law_between(in, gains->slowness_s, gains_before->slowness_s), lean[2], noted[2];
-    deck_ahead_of(o, in, horizons_s, rates_m_s, soon, &then);
-    lean_to(o, gains, gains_before, in, n, after->axes, &here, &then, lean, out->trim);
-    const double later = climb_by(o, gains, in, horizons_s, rates_m_s, after, v_down);
-    const double earlier = climb_by(o, gains_before, in, horizons_s, rates_m_s, after, v_down);
+    deck_ahead_of(o, in, course, soon, &then);
+    lean_to(law, in, n, after->axes, &here, &then, lean, out->trim);
+    const double later = climb_by(o, gains, in, course, after, v_down);
+    const double earlier = climb_by(o, gains_before, in, course, after, v_down);
     out->v[2] = law_between(in, later, earlier);
     to_ned(n, lean, noted);
     note(o, noted[0], noted[1], out->v[2], after);
@@ -205,4 +224,5 @@ void law_step(const law_params *o, const law_gains *gains, const law_gains *gain
         out->v[i] = in->has_deck ? in->v_deck[i] + soon * out->a[i] - in->v[i] : 0.0;
     }
     out->yaw_rate_rad_s = turn_command(in, after);
+    return 1;
 }

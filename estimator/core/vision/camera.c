@@ -1,3 +1,5 @@
+/* Project points through a lens with Brown's distortion, and find the rays of pixels. */
+
 #include "vision/camera.h"
 
 #include <math.h>

@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_CAMERA_H
 #define DECKLANDER_CAMERA_H
 
-#include "decklander.h"
+#include "vision/tracker.h"
 
 /* The pixel of a point in `cam`, px; nan at or behind the lens. */
 void camera_project(const camera_lens *c, const double p[3], double uv[2]);

@@ -1,9 +1,11 @@
+/* Measure a frame's noise, its contrast, and whether it is grey. */
+
 #include <math.h>
 #include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "decklander.h"
+#include "vision/tracker.h"
 
 /* The noise of a frame, of whatever the frame shows: second differences along both axes let no plane and no straight edge along an
  * axis through. Quiet places say it: the lower quartile of what they let through. Waves, rust and letters raise the upper ones.
@@ -42,12 +44,18 @@ static double quantile(const int32_t *counts, int largest, double share, int pla
     return value - 0.5 + (counts[value] > 0 ? (share * places - below) / counts[value] : 0.0);
 }
 
-void frame_noise(const uint8_t *px, int32_t stride, int32_t width, int32_t height, frame_quality *out)
+int32_t dl_frame_quality(const dl_image *image, frame_quality *out)
 {
+    if (!is_image(image, CHANNELS)) {
+        return DL_WRONG_SIZE;
+    }
+    const uint8_t *px = image->px;
+    const ptrdiff_t stride = image->stride;
+    const int32_t width = (int32_t)image->width, height = (int32_t)image->height;
     int32_t counts[LARGEST + 1], values[256], places = 0, chroma = 0;
     memset(counts, 0, sizeof counts), memset(values, 0, sizeof values);
     for (int row = 1; row < height - 1; row += EVERY_ROW) {
-        const uint8_t *line = px + (ptrdiff_t)row * stride;
+        const uint8_t *line = px + row * stride;
         for (int k = CHANNELS; k < CHANNELS * (width - 1); k += EVERY_COLUMN, places++) {
             counts[second_differences(line + k, stride)]++;
             values[line[k]]++;
@@ -60,4 +68,5 @@ void frame_noise(const uint8_t *px, int32_t stride, int32_t width, int32_t heigh
     out->contrast = fmin(1.0, fmax(LEAST_CONTRAST, range / CLEAR_RANGE));
     const double sigma = quantile(counts, LARGEST, 0.25, places) / (QUARTILE * OF_DIFFERENCES), usual = USUAL * out->contrast;
     out->noise = sigma > usual ? sqrt(sigma * sigma - usual * usual) / 255.0 : 0.0;
+    return 1;
 }

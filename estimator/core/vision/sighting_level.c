@@ -118,7 +118,7 @@ static void heading_covariance(level_sighting *out)
     out->yaw_rad = -atan2(y, x);
 }
 
-void sighting_in_level(const camera_sighting *in, level_sighting *out)
+void dl_sighting_in_level(const camera_sighting *in, level_sighting *out)
 {
     double R_level_body[9], before[9], turn[9], R_level_cam[9], normal[3], lever[3], turned[3];
     const double axis[3] = {in->R_cam_pad[2], in->R_cam_pad[5], in->R_cam_pad[8]};

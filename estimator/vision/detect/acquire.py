@@ -29,7 +29,7 @@ from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, WORK_GU
 from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, arrow_support, confidence
+from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, confidence
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 
@@ -315,12 +315,12 @@ def _uncovered_at(
     if uncovered is None:
         return None, _WORK_COVER
     aligned, cut = uncovered
-    found = _candidate(aligned, arrow_support(aligned) < _ARROW_SEEN, cut)
+    found = _candidate(aligned, aligned.arrow_support < _ARROW_SEEN, cut)
     work = _WORK_COVER + _WORK_COVERED
     if found is not None and (found.score >= ENOUGH or work + _WORK_TURNED > left or not _is_small(aligned.pose, camera, pad)):
         return found, work
     turned = turned_uncovered(pyramid, camera, pad, aligned, cut, sigma_tilt_rad, steps)
-    other = None if turned is None else _candidate(turned, arrow_support(turned) < _ARROW_SEEN, cut)
+    other = None if turned is None else _candidate(turned, turned.arrow_support < _ARROW_SEEN, cut)
     best = other if found is None or (other is not None and other.score > found.score) else found
     return best, work + _WORK_TURNED
 
@@ -334,7 +334,7 @@ def _with_arrow(
     aligned: AlignedTemplate, pyramid: Pyramid, camera: Camera, pad: Pad, sigma_tilt_rad: float, side: F64 | None
 ) -> tuple[PadCandidate | None, float]:
     """Return an aligned drawing as a candidate, turned by 180 degrees if its arrowhead is or can only be there; and the work."""
-    arrow, (fore, aft) = arrow_support(aligned), aligned.arrow
+    arrow, (fore, aft) = aligned.arrow_support, aligned.arrow
     missing = fore.seen * (1.0 - fore.found) - aft.seen * (1.0 - aft.found)
     work = 0.0
     if arrow < -0.5 * _ARROW_SEEN or missing > _ARROW_MISSING:
@@ -350,7 +350,7 @@ def _with_arrow(
             side=None if side is None else -side,
         )
         if turned is not None:
-            aligned, arrow = turned, arrow_support(turned)
+            aligned, arrow = turned, turned.arrow_support
     return _candidate(aligned, ambiguous=arrow < _ARROW_SEEN and not pad.markings.fiducials), work
 
 

@@ -1,6 +1,8 @@
 """Guess poses of the pad from circles of edges: which of its circles one may be, at which heading, and how well it fits.
 
-The native core computes them (`estimator/core/vision/search/guesses.c`, `tilt.c` there).
+From afar the pad is some pixels across, and a belief that is off by two of them starts neither alignment nor the search for what
+covers a part. A pad in glare or half covered is looked for at each place about the expected one, with the whole disc and with
+each half of it (`pose_about`). The native core computes the guesses (`estimator/core/vision/search/guesses.c`, `tilt.c`).
 """
 
 from __future__ import annotations
@@ -9,31 +11,23 @@ import math
 from collections.abc import Sequence
 from enum import Enum
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.core.abi import SEARCH_LEVELS
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import CORE, start_of
-from estimator.core.records import record
+from estimator.core.library import CORE
 from estimator.vision.camera import Camera
-from estimator.vision.detect.edge_circles import EdgeCircle
-from estimator.vision.detect.heading import packed_drawing
+from estimator.vision.detect.circles import EdgeCircle
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.template import disc_edge_m
-from estimator.vision.native import address, packed_camera, pixels
+from estimator.vision.native import checked, tracker_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-
-_GUESSES = CORE.function("search_guesses")
-_WORDS, _AT = size_of("search_guess"), places_of("search_guess")
-_TURN, _DRAWING, _SUPPORT = (_AT[name].start for name in ("turn_rad", "drawing", "support"))
-_ROTATION, _CENTRE, _SIDE = _AT["R"], _AT["t"], _AT["side"]
-_R_CAM_PLANE = places_of("search_frame")["R_cam_plane"]
 
 MOST = 20
 """Largest number of guesses from the circles of one kind."""
@@ -93,7 +87,7 @@ def guesses_from(
     pad: Pad,
     plane: Plane,
     most: int = MOST,
-    rated: dict[int, F64] | None = None,
+    rated: dict[int, NDArray[Any]] | None = None,
 ) -> list[Guess]:
     """Return guesses from circles: one for each circle of the drawing that one may be, in each plane that it may lie in.
 
@@ -112,17 +106,18 @@ def guesses_from(
     known = [rated.get(id(circle)) for circle in circles]
     counts = np.array([-1 if rows is None else len(rows) for rows in known], np.int64)
     some = [rows for rows in known if rows is not None and len(rows)]
-    levels = [pyramid[level] for level in range(SEARCH_LEVELS)]
-    at = [pixels(px) for px in levels]
-    frame = _frame(pad, of, plane.known, tuple((px.shape[1], px.shape[0], px.strides[0]) for px in levels)).copy()
-    frame[_R_CAM_PLANE] = plane.R_cam_plane.ravel()
-    found = np.array([circle.words for circle in circles])
-    starts, out = np.array([start for start, _ in at], np.int64), np.empty((most, _WORDS))
-    before = np.concatenate(some) if some else out
-    n = _GUESSES(
-        address(packed_camera(camera)), address(packed_drawing(pad)), start_of(frame), start_of(starts), len(found),
-        start_of(found), start_of(counts), start_of(before), most, start_of(out),
-    )  # fmt: skip
+    pyramid[SEARCH_LEVELS - 1]
+    found, out = np.concatenate([circle.record for circle in circles]), np.empty(most, CORE.dtype("search_guess"))
+    before = np.concatenate(some) if some else out[:0]
+    (radius_m, sign) = _circles(pad, of)
+    how = CORE.ffi.new("dl_guess_search *", {
+        "plane_known": plane.known, "radii": len(radius_m), "most": most, "before": len(before),
+        "R_cam_plane": plane.R_cam_plane.ravel().tolist(), "radius_m": radius_m, "sign": sign,
+    })  # fmt: skip
+    n = checked(CORE.lib.dl_search_guesses(
+        tracker_of(camera, pad), pyramid.native, how, len(found), CORE.array("search_circle", found),
+        CORE.array("int64_t", counts, len(found)), CORE.array("search_guess", before), CORE.array("search_guess", out, most),
+    ))  # fmt: skip
     first = 0
     for circle, count in zip(circles, counts.tolist(), strict=True):
         if count < 0 or first + count > n:
@@ -132,35 +127,21 @@ def guesses_from(
     return guesses_of(out[:n], _BY_FILLED if of is Outline.AREA else _BY_SUPPORT)
 
 
-def guesses_of(rows: F64, by_support: float = _BY_SUPPORT) -> list[Guess]:
-    """Return the guesses in structures `search_guess` of the core, (n, words).
+def guesses_of(rows: NDArray[Any], by_support: float = _BY_SUPPORT) -> list[Guess]:
+    """Return the guesses in structures `search_guess` of the core, (n,).
 
     Args:
         by_support: weight of the circle's support beside the drawing's score.
     """
     found = []
-    for (known, one_sided), words in zip(rows[:, :2].view(np.int64).tolist(), rows.tolist(), strict=True):
-        drawing, support = words[_DRAWING], words[_SUPPORT]
-        side = np.array(words[_SIDE]) if one_sided else None
+    for known, one_sided, R, t, turn, drawing, support, side in rows.tolist():
         score = drawing + by_support * support
-        found.append(Guess(words[_ROTATION], words[_CENTRE], words[_TURN], drawing, score, bool(known), support, side))
+        half = np.array(side) if one_sided else None
+        found.append(Guess(R.tolist(), t.tolist(), turn, drawing, score, bool(known), support, half))
     return found
 
 
 @lru_cache(maxsize=16)
-def _frame(pad: Pad, of: Outline, plane_known: bool, sizes: tuple[tuple[int, int, int], ...]) -> F64:
-    """Return the core's `search_frame` without the plane.
-
-    Args:
-        sizes: width, height and bytes from row to row of each level.
-    """
-    (radius_m, sign), (width, height, stride) = _circles(pad, of), zip(*sizes, strict=True)
-    return record("search_frame", {
-        "levels": SEARCH_LEVELS, "plane_known": plane_known, "radii": len(radius_m), "width": width, "height": height,
-        "stride": stride, "radius_m": radius_m, "sign": sign,
-    })  # fmt: skip
-
-
 def _circles(pad: Pad, of: Outline) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the drawing's circles: radii, and 1 if brighter inside, -1 if darker, 0 if that depends on the deck."""
     marks = pad.markings
@@ -180,3 +161,72 @@ def _circles(pad: Pad, of: Outline) -> tuple[tuple[float, ...], tuple[float, ...
     rings = [(marks.ring_outer_m, sign), (marks.ring_inner_m, -sign)] if marks.ring_outer_m else []
     radii, signs = zip(*edge, *rings, strict=True)
     return radii, signs
+
+
+_REACH_PX, _STEP_PX = 4.0, 1.5
+"""How far from the expected place the drawing is compared, and how far apart: alignment starts from a pixel off."""
+_SIDES = 4
+"""Directions of the half that is taken for the one in view."""
+_OUTLINE = 3
+"""Points of a half's outline, which tell the direction."""
+_MOST_TURNED_RAD = 0.5
+"""Largest heading of a guess relative to the expected one, modulo half a turn."""
+
+
+def pose_about(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, expected: PadPose) -> tuple[PadPose, float] | None:
+    """Return the pose about an expected one that the drawing explains best, and the fraction of the variance that it explains.
+
+    Args:
+        plane: of a measured attitude.
+        expected: its distance and heading are taken for about right.
+
+    Returns:
+        None if the lens does not show the expected place, or no heading near the expected one fits best anywhere.
+    """
+    middle = camera.project(expected.t_cam_pad[None])[0]
+    if not np.isfinite(middle).all():
+        return None
+    circles = _circles_about(middle, camera, pad, plane, expected)
+    guesses = guesses_from(circles, Outline.DISC, pyramid, camera, pad, plane, len(circles))
+    for guess in sorted(guesses, key=lambda g: -g.drawing):
+        turn = _turned(guess, expected)
+        if abs(turn) < _MOST_TURNED_RAD:
+            return PadPose(expected.R_cam_pad, np.array(guess.t_cam_pad)).turned(turn), guess.drawing
+    return None
+
+
+def _turned(guess: Guess, expected: PadPose) -> float:
+    """Return the angle by which the expected pose is to be turned for a guess's heading, -quarter to quarter of a turn."""
+    yaw = float((expected.R_cam_pad.inv @ guess.pose.R_cam_pad).rpy_rad[2])
+    return (yaw + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+
+
+@lru_cache(maxsize=1)
+def _offsets_px() -> F64:
+    """Return places about the middle, and for each the direction of the half in view, (N, 4): nan where it is the whole disc."""
+    most = math.floor(_REACH_PX / _STEP_PX)
+    steps = _STEP_PX * np.arange(-most, most + 1)
+    angles = 2.0 * math.pi * np.arange(_SIDES) / _SIDES
+    sides = [(math.nan, math.nan), *zip(np.cos(angles).tolist(), np.sin(angles).tolist(), strict=True)]
+    out = np.array([(u, v, *side) for u in steps for v in steps if math.hypot(u, v) <= _REACH_PX for side in sides])
+    out.setflags(write=False)
+    return out
+
+
+def _circles_about(middle: F64, camera: Camera, pad: Pad, plane: Plane, expected: PadPose) -> list[EdgeCircle]:
+    """Return the disc at each place about the middle, px, once as a whole and once with an outline on each side alone."""
+    offsets = _offsets_px()
+    rays = camera.rays(middle + offsets[:, :2])
+    on_plane = np.c_[rays, np.ones(len(rays))] @ plane.R_cam_plane
+    radius_px = expected.disc_px(camera, pad)
+    depth = float((plane.R_cam_plane.T @ expected.t_cam_pad)[2])
+    out, half = np.zeros(len(offsets), CORE.dtype("search_circle")), np.isfinite(offsets[:, 2])
+    out["bright_inside"] = 1
+    out["points"] = np.where(half, _OUTLINE, 0)
+    out["centre"] = on_plane[:, :2] / on_plane[:, 2:]
+    out["radius"] = disc_edge_m(pad) / depth
+    out["support"] = np.where(half, 0.5, 1.0)
+    turns = np.arctan2(offsets[:, 3], offsets[:, 2])[:, None] + np.array([-1.0, 0.0, 1.0])
+    outline = (middle + offsets[:, :2])[:, None] + radius_px * np.stack([np.cos(turns), np.sin(turns)], axis=2)
+    out["outline_px"][:, : 2 * _OUTLINE] = np.nan_to_num(outline.reshape(len(offsets), -1))
+    return [EdgeCircle(out[i : i + 1]) for i in range(len(out))]

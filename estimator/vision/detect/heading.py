@@ -8,25 +8,18 @@ is the fraction of the variance between the paints (one-way analysis of variance
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import size_of
-from estimator.core.library import CORE, start_of
-from estimator.core.records import record
+from estimator.core.library import CORE
 from estimator.vision.camera import Camera
-from estimator.vision.detect.template import polar_drawing
-from estimator.vision.native import address, packed_camera, pixels
+from estimator.vision.native import checked, image_of, native_pose, tracker_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 
 U8 = NDArray[np.uint8]
-
-_HEADING = CORE.function("search_heading")
-_WORDS = size_of("polar_fit")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,28 +43,6 @@ def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F6
         px: the frame, `step` times smaller than the camera's.
         side: (2,) unit direction in x and y of `pose`: only this half of the disc is used, because the other is covered.
     """
-    out, words = np.empty(_WORDS), np.concatenate([pose.R_cam_pad.matrix.ravel(), pose.t_cam_pad])
-    half = None if side is None else np.array(side, float)
-    found = _HEADING(
-        address(packed_camera(camera)), address(packed_drawing(pad)), start_of(words), step, px.shape[1], px.shape[0],
-        *pixels(px), None if half is None else start_of(half), start_of(out),
-    )  # fmt: skip
-    return Heading(*out.tolist()) if found else None
-
-
-def marks_are_bright(pad: Pad) -> bool:
-    """Return whether the H is brighter than the disc."""
-    return sum(pad.markings.colours.h) > sum(pad.markings.colours.disc)
-
-
-@lru_cache(maxsize=8)
-def packed_drawing(pad: Pad) -> F64:
-    """Return the structure `polar_pad` of the core."""
-    drawing = polar_drawing(pad)
-    words = record("polar_pad", {
-        "xy_m": drawing.xy_m, "area_inside": drawing.area_inside, "ring": drawing.ring, "h_marking": drawing.h_marking,
-        "arrow": drawing.arrow, "polarity": 1.0 if marks_are_bright(pad) else -1.0,
-        "radius_m": pad.disc_radius_m,
-    })  # fmt: skip
-    words.setflags(write=False)
-    return words
+    out, half = CORE.ffi.new("polar_fit *"), CORE.ffi.NULL if side is None else CORE.array("double", np.array(side, float), 2)
+    found = CORE.lib.dl_search_heading(tracker_of(camera, pad), image_of(px), step, native_pose(pose), half, out)
+    return Heading(out.turn_rad, out.score, out.arrow, out.in_view) if checked(found) else None

@@ -13,15 +13,13 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
-from estimator.vision.detect.blob_circles import blob_circles
-from estimator.vision.detect.blobs import lettering_blobs
+from estimator.vision.detect.circles import EdgeCircle, Radii, blob_circles, edge_circles
 from estimator.vision.detect.colour import disc_colour, disc_has_colour, is_coloured
-from estimator.vision.detect.edge_circles import EdgeCircle, Radii, edge_circles
 from estimator.vision.detect.guesses import MOST, Guess, Outline, guesses_from
+from estimator.vision.detect.lettering import h_markings, lettering_blobs
 from estimator.vision.detect.paint import PaintMemory
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.detect.strokes import h_markings
 from estimator.vision.pad import Pad
 
 U8 = NDArray[np.uint8]

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.contracts.geometry import F64
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import CORE, start_of
+from estimator.core.abi import FRAME_LEVELS
+from estimator.core.library import CORE
 from estimator.vision.detect.colour import in_grey
-from estimator.vision.native import pixels
+from estimator.vision.native import checked, put_image
 from estimator.vision.pad import Pad
 
 U8 = NDArray[np.uint8]
-_QUALITY, _QUALITY_WORDS = CORE.function("frame_noise"), size_of("frame_quality")
-_NOISE, _CHROMA = (places_of("frame_quality")[name].start for name in ("noise", "chroma"))
 _MONOCHROME = 3.0
 """Largest difference between the channels of a pixel in a frame of a grey camera."""
 
@@ -24,8 +23,18 @@ class Pyramid:
     """One frame at full, half, quarter ... size; each level is computed on demand."""
 
     def __init__(self, px: U8) -> None:
-        self._levels = [px]
-        self._quality: F64 | None = None
+        self._levels = [np.ascontiguousarray(px, np.uint8)]
+        self._native: Any = None
+
+    @property
+    def native(self) -> Any:
+        """The core's `dl_frame` of the levels that were made, for as long as this pyramid lives."""
+        if self._native is None:
+            self._native = CORE.ffi.new("dl_frame *")
+            for level, px in enumerate(self._levels[: FRAME_LEVELS + 1]):
+                put_image(px, self._native.level[level])
+            checked(CORE.lib.dl_frame_quality(self._native.level, CORE.ffi.addressof(self._native, "quality")))
+        return self._native
 
     @property
     def monochrome(self) -> bool:
@@ -33,20 +42,17 @@ class Pyramid:
 
         A painted pad in view of a colour camera, or anything else of some colour, makes it False.
         """
-        return float(self.quality[_CHROMA]) <= _MONOCHROME
-
-    @property
-    def quality(self) -> F64:
-        """The structure `frame_quality` of the core: noise beyond a camera's usual, contrast and colour."""
-        if self._quality is None:
-            px, self._quality = self._levels[0], np.empty(_QUALITY_WORDS)
-            _QUALITY(*pixels(px), px.shape[1], px.shape[0], start_of(self._quality))
-        return self._quality
+        return bool(self.native.quality.chroma <= _MONOCHROME)
 
     @property
     def noise(self) -> float:
         """Standard deviation of the frame's noise beyond what a camera usually has, 3 values of a pixel; 1 is full scale."""
-        return float(self.quality[_NOISE])
+        return float(self.native.quality.noise)
+
+    @property
+    def contrast(self) -> float:
+        """Contrast of the frame, 1 without airlight."""
+        return float(self.native.quality.contrast)
 
     def as_seen(self, pad: Pad) -> Pad:
         """Return a pad in the paints that the frame's camera sees."""
@@ -55,24 +61,9 @@ class Pyramid:
     def __getitem__(self, level: int) -> U8:
         while len(self._levels) <= level:
             self._levels.append(_halved(self._levels[-1]))
+            if self._native is not None and len(self._levels) <= FRAME_LEVELS + 1:
+                put_image(self._levels[-1], self._native.level[len(self._levels) - 1])
         return self._levels[level]
-
-    def size(self, level: int) -> tuple[int, int]:
-        """Return the columns and rows of a level."""
-        h, w = self._levels[0].shape[:2]
-        return max(1, w >> level), max(1, h >> level)
-
-    def cut(self, level: int, left: int, top: int, right: int, below: int) -> U8:
-        """Return part of a level. If the part is small, only that part of the level is computed."""
-        made = len(self._levels) - 1
-        w, h = self.size(level)
-        if level <= made or 2 * (right - left) * (below - top) > w * h:
-            return self[level][top:below, left:right]
-        up = level - made
-        part = self._levels[made][top << up : below << up, left << up : right << up]
-        for _ in range(up):
-            part = _halved(part)
-        return part
 
 
 def _halved(px: U8) -> U8:

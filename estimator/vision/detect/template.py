@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.core.abi import POLAR_ANGLES, POLAR_RADII, TEMPLATE_ONE
-from estimator.core.records import record
 from estimator.vision.pad import Pad
 from estimator.vision.regions import Lettering, covers, is_slanted, rectangles_of
 from estimator.vision.srgb import LUMA, linear_light
@@ -157,8 +157,8 @@ class Template:
     """Coverage by H, orange, disc and surroundings."""
     local: I16
     """Coverage minus its mean in the neighbourhood (`LOCAL_M`)."""
-    words: F64
-    """The structure `pad_template`."""
+    lengths: Mapping[str, Any]
+    """The members of the core's `pad_template`."""
 
 
 @lru_cache(maxsize=8)
@@ -172,7 +172,7 @@ def template(pad: Pad) -> Template:
         local[k] = np.rint((blurred - _blurred(blurred, LOCAL_M)) * TEMPLATE_ONE)
     for maps in (coverage, local):
         maps.setflags(write=False)
-    return Template(coverage, local, _packed(pad, len(sharp)))
+    return Template(coverage, local, _lengths(pad, len(sharp)))
 
 
 def _sharp(pad: Pad) -> F32:
@@ -187,13 +187,13 @@ def _sharp(pad: Pad) -> F32:
     return np.asarray(flat.reshape(n, 3, n, 3, 4).mean(axis=(1, 3)))
 
 
-def _packed(pad: Pad, n: int) -> F64:
+def _lengths(pad: Pad, n: int) -> Mapping[str, Any]:
     marks = pad.markings
     rows, columns = (
         math.ceil((length_m + 2.0 * _ARROW_MARGIN_M) / _ARROW_PITCH_M - 1e-9)
         for length_m in (marks.arrow_depth_m, 2.0 * marks.arrow_half_base_m)
     )
-    words = record("pad_template", {
+    return {
         "n": n, "disc_channel": 2 - int(np.argmax(marks.colours.disc)), "arrow_rows": rows, "arrow_columns": columns + 1,
         "disc_drawn": bool(pad.markings.field_radius_m),
         "per_m": 1.0 / STEP_M, "log_blur": np.log(BLURS_M), "local_m": LOCAL_M, "reach_m": REACH * pad.disc_radius_m,
@@ -203,9 +203,7 @@ def _packed(pad: Pad, n: int) -> F64:
         "arrow_tip_m": marks.arrow_tip_m, "arrow_depth_m": marks.arrow_depth_m, "arrow_half_base_m": marks.arrow_half_base_m,
         "arrow_margin_m": _ARROW_MARGIN_M, "arrow_pitch_m": _ARROW_PITCH_M, "orange_place": _orange_place(pad),
         "h_side": np.where(_h_over_disc(pad) <= -_LEAST_SPAN, -1.0, 1.0),
-    })  # fmt: skip
-    words.setflags(write=False)
-    return words
+    }  # fmt: skip
 
 
 def _orange_place(pad: Pad) -> F64:

@@ -14,7 +14,6 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.core.library import CORE
-from estimator.vision.detect.alignment import AlignedTemplate
 
 FEATURES = tuple(name.removeprefix("FEATURE_").lower() for name in CORE.names("align_feature") if name != "FEATURES")
 """Names of the model's inputs, in order. A part counts by the better half of the directions from the centre, so that an occluder
@@ -88,12 +87,3 @@ def confidence(values: F64, prior_log_odds: float = 0.0) -> float:
 def log_odds(values: F64) -> float:
     """Return the log-odds that `confidence` converts to a probability."""
     return float(values @ COEFFICIENTS)
-
-
-def arrow_support(aligned: AlignedTemplate) -> float:
-    """Return -1..1: 1 for an orange arrowhead at its place, -1 for one where it would be with the drawing turned by 180 degrees.
-
-    The value is 0 if neither, both or nothing of the kind is in view.
-    """
-    fore, aft = aligned.arrow
-    return fore.found * fore.seen - aft.found * aft.seen

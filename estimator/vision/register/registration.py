@@ -13,29 +13,64 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.abi import FIT_ROWS
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import CORE, address, start_of
+from estimator.core.library import CORE
 from estimator.vision.camera import Camera
-from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT, approach
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT
+from estimator.vision.detect.paint import FRESH, PaintMemory
+from estimator.vision.detect.pyramid import U8, Pyramid
 from estimator.vision.drawing import EdgeKind
+from estimator.vision.native import checked, edge_points, native_prior, tracker_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.edge_support import EdgeSupport
-from estimator.vision.register.options import RegistrationOptions as RegistrationOptions
-from estimator.vision.register.packed import edge_points, fit_options, light_address, packed_lens, packed_prior, scratch_room
-from estimator.vision.register.pixels import U8
-from estimator.vision.register.shape import pad_shape
 
-_REGISTER = CORE.function("register_pad")
-_AT, _SUPPORT = places_of("registration"), size_of("edge_support")
-_AMBIGUOUS = _AT["yaw_ambiguous"]
+
+@dataclass(frozen=True, slots=True)
+class RegistrationOptions:
+    """Options that trade accuracy against time.
+
+    The defaults are for 640x360 frames on one thread.
+    """
+
+    coarse: bool = True
+    """Approach from the start on a reduced frame first; False for a start good to 1.5 px."""
+    coded_px: float = 0.0
+    """Sigma of the place of a patch of the frame that a video codec has moved; 0 of a frame that no codec has predicted."""
+    gamma: bool = True
+    """True if pixel values are sRGB; False if they are linear light."""
+
+
+_SNR_SEEN = 5.0
+_LIKENESS_SEEN = 0.4
+"""Limit on the likeness: with the white balance off by 20 % and light of 3000 K, white against green and orange against green
+stay above 0.8.
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeSupport:
+    """The support of the frame for one kind of edge."""
+
+    contrast_bgr: F64
+    """Linear light inside minus outside, (3,) BGR."""
+    snr: float
+    """Contrast over its standard deviation, for the best channel mix."""
+    in_view: float
+    """Fraction of these edges within the frame, 0..1."""
+    inliers: float
+    """Fraction of those in view that agree with the drawing, 0..1."""
+    likeness: float = 1.0
+    """Cosine between the contrast and that of the pad file's paints; 1 for the disc, whose surroundings are unknown."""
+
+    @property
+    def seen(self) -> bool:
+        return self.snr > _SNR_SEEN and self.inliers > 0.5 and self.in_view > 0.0 and self.likeness > _LIKENESS_SEEN
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,47 +132,64 @@ def register(
     Raises:
         ValueError: the frame is not of the camera's size.
     """
-    if px.shape != (camera.height, camera.width, 3):
-        raise ValueError(f"want a frame of shape {(camera.height, camera.width, 3)}, got {px.shape}")
     options = options if options is not None else RegistrationOptions()
-    px = np.ascontiguousarray(px, np.uint8)
-    pyramid, pose = pyramid or Pyramid(px), start
-    if options.coarse:
-        sigma = SIGMA_TILT_RAD if prior is not None and prior.measured else SIGMA_TILT_FREE_RAD
-        pose = approach(pyramid, camera, pad, start, sigma) or start
-    edges, out = edge_points(pad), np.empty(size_of("registration"))
-    outline = np.empty((edges.shown[-1].stop, 2))
-    with_prior, of_options = packed_prior(prior), fit_options(options, pad.size_sigma_m, cut, pyramid.noise)
-    from_pose = np.concatenate([pose.R_cam_pad.matrix.ravel(), pose.t_cam_pad])
-    room = scratch_room(options, edges)
-    scratch = np.empty(FIT_ROWS * room, np.float32)
-    if not _REGISTER(
-        *packed_lens(camera).addresses, int(px.ctypes.data), light_address(options.gamma), address(pad_shape(pad)),
-        *edges.addresses, address(with_prior), address(of_options), address(from_pose), room, int(scratch.ctypes.data),
-        start_of(out), start_of(outline),
-    ):  # fmt: skip
-        return None
-    return registration_of(out, pad, prior)
+    given, out = native_start(start, prior, options, cut), np.zeros((), CORE.dtype("looked_pad"))
+    given.alone = True
+    outline = looked_at(pyramid or Pyramid(px), camera, pad, given, out)
+    return None if outline is None else registration_of(out["found"], pad, prior)
 
 
-def supports(words: F64) -> Mapping[EdgeKind, EdgeSupport]:
+def native_start(
+    start: PadPose, prior: Orientation | None, options: RegistrationOptions, cut: F64, paint: PaintMemory = FRESH
+) -> Any:
+    """Return the core's `dl_start`; arguments as for `register` and `look.look`."""
+    measured = prior is not None and prior.measured
+    return CORE.ffi.new("dl_start *", {
+        "pose": (start.R_cam_pad.matrix.ravel().tolist(), start.t_cam_pad.tolist()), "prior": native_prior(prior),
+        "known": (paint.mean.ravel().tolist(), paint.var.ravel().tolist(), paint.trust), "coarse": options.coarse,
+        "linear": not options.gamma, "coded_px": options.coded_px, "cut": cut.tolist(),
+        "sigma_tilt_rad": SIGMA_TILT_RAD if measured else SIGMA_TILT_FREE_RAD,
+    })  # fmt: skip
+
+
+def looked_at(pyramid: Pyramid, camera: Camera, pad: Pad, given: Any, out: NDArray[Any]) -> F64 | None:
+    """Have the core register the drawing and verify it; return the pixels of the outline's points, None if nothing is found.
+
+    Args:
+        given: the core's `dl_start`.
+        out: the core's `looked_pad`, which it writes.
+
+    Raises:
+        ValueError: the frame is not of the camera's size.
+    """
+    shape = pyramid[0].shape
+    if shape != (camera.height, camera.width, 3):
+        raise ValueError(f"want a frame of shape {(camera.height, camera.width, 3)}, got {shape}")
+    outline = np.empty((edge_points(pad).shown[-1].stop, 2))
+    found = CORE.lib.dl_look(
+        tracker_of(camera, pad), pyramid.native, given, CORE.array("looked_pad", out), CORE.array("double", outline), len(outline)
+    )
+    return outline if checked(found) else None
+
+
+def supports(found: NDArray[Any]) -> Mapping[EdgeKind, EdgeSupport]:
     """Return the support of the frame for each kind of edge, from the core's `registration`."""
-    each = words[_AT["edges"]].reshape(-1, _SUPPORT)
-    return MappingProxyType({k: EdgeSupport(one[:3], *one[3:].tolist()) for k, one in zip(EdgeKind, each, strict=True)})
+    each = found["edges"].tolist()
+    return MappingProxyType({kind: EdgeSupport(*one) for kind, one in zip(EdgeKind, each, strict=True)})
 
 
-def is_ambiguous(words: F64, pad: Pad) -> bool:
+def is_ambiguous(found: NDArray[Any], pad: Pad) -> bool:
     """Return whether neither an arrowhead nor a fiducial resolved the headings, from the core's `registration`."""
     if pad.markings.fiducials:
-        return not supports(words)[EdgeKind.H].seen
-    return bool(words[_AMBIGUOUS].view(np.int64)[0])
+        return not supports(found)[EdgeKind.H].seen
+    return bool(found["yaw_ambiguous"])
 
 
-def registration_of(words: F64, pad: Pad, prior: Orientation | None) -> Registration:
+def registration_of(found: NDArray[Any], pad: Pad, prior: Orientation | None) -> Registration:
     """Return the core's `registration` as a value."""
-    noise_light, edge_rms_px, visible, inliers, last_step_px = words[_AT["noise_light"].start : _AT["edges"].start].tolist()
+    numbers = (found[name].item() for name in ("noise_light", "edge_rms_px", "visible", "inliers", "last_step_px"))
     return Registration(
-        PadPose(Rotation(words[_AT["R"]].reshape(3, 3)), words[_AT["t"]]), words[_AT["cov"]].reshape(6, 6),
-        words[_AT["information"]].reshape(6, 6), prior, supports(words), is_ambiguous(words, pad), words[_AT["blur_px2"]],
-        noise_light, edge_rms_px, visible, inliers, last_step_px, bool(words[_AT["dense"]].view(np.int64)[0]),
+        PadPose(Rotation(found["R"].reshape(3, 3)), found["t"]), found["cov"].reshape(6, 6),
+        found["information"].reshape(6, 6), prior, supports(found), is_ambiguous(found, pad), found["blur_px2"],
+        *numbers, bool(found["dense"]),
     )  # fmt: skip

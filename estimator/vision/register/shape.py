@@ -6,8 +6,7 @@ The core knows no pad: what it registers is this data.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -15,7 +14,6 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.core.abi import PAD_CONTRASTS, POINTER_MARKS
-from estimator.core.records import record
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.markings import Markings
 from estimator.vision.pad import Pad
@@ -28,9 +26,8 @@ _SURROUNDINGS = _NONE = -1
 _H_FIGURE, _POINTER_FIGURE, _PANEL_FIGURE, _UPPER_FIGURE, _NO_FIGURE = 0, 1, 2, 3, -1
 
 
-@lru_cache(maxsize=8)
-def pad_shape(pad: Pad) -> F64:
-    """Return the words of the core's `pad_shape`; the result is cached. A kind of edge that the pad lacks has no contrast."""
+def pad_shape(pad: Pad) -> Mapping[str, Any]:
+    """Return the members of the core's `pad_shape`. A kind of edge that the pad lacks has no contrast."""
     marks = pad.markings
     arrow = marks.arrowhead()[:, :2] if marks.triangle is None else marks.triangle.corners()
     field_m, ring = marks.field_radius_m, (marks.ring_outer_m, marks.ring_inner_m) if marks.ring_outer_m else ()
@@ -54,7 +51,7 @@ def pad_shape(pad: Pad) -> F64:
         below["upper"] = at["h"]
     lies_on = [below.get(name, at.get("disc", _SURROUNDINGS)) for name in painted]
     pointer = at["ring"] if marks.arrow is not None else at["h"] if marks.triangle is not None else _NONE
-    return record("pad_shape", {
+    return {
         "contrast_count": len(painted), "pointer_kind": EdgeKind.ARROW if pointer != _NONE else _NONE,
         "pointer_contrast": pointer, "pointer_figure": _POINTER_FIGURE,
         "lies_on": [*lies_on, *[_SURROUNDINGS] * (PAD_CONTRASTS - len(lies_on))],
@@ -76,7 +73,7 @@ def pad_shape(pad: Pad) -> F64:
             _figure(rectangles_of(marks.upper), marks.upper),
         ],
         "wedge": _arrow_wedge(pad),
-    })  # fmt: skip
+    }  # fmt: skip
 
 
 def _triangle(marks: Markings) -> list[Region]:

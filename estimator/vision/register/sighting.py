@@ -1,26 +1,23 @@
-"""Convert a registration to a sighting: transform it from the camera to `level`, including the attitude's uncertainty."""
+"""Convert a registration to a sighting in `level`, including the attitude's uncertainty, and back to the camera's axes."""
 
 from __future__ import annotations
 
-import struct
+from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, Method, Pose6, Sighting
-from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.geometry import F64, Rotation, skew, wrap_pi
 from estimator.contracts.samples import Frame
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import CORE, start_of
+from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, roll_pitch, tilt_axes
 from estimator.vision.register.look import Looked
 
-_IN_LEVEL = CORE.function("sighting_in_level")
-_PLACES, _SIZE = places_of("level_sighting"), size_of("level_sighting")
-_YAW_AT = _PLACES["yaw_rad"].start
-_TILT = struct.Struct("7d")
 _NAMES = {kind: kind.name.lower() for kind in EdgeKind}
 _YAW_VAR_MAX = 0.5
 """Variance of the heading from which on it counts as unknown, rad^2."""
@@ -59,24 +56,29 @@ def sighting_of(
         ambiguous: whether the heading may be half a turn off.
         confidence: the sighting's, 0..1.
     """
-    words = np.empty(_SIZE)
-    _IN_LEVEL(_packed(pose, cov_pose, camera, orientation), start_of(words))
-    return sighting_in_level(frame, words, ambiguous, confidence)
+    o, mount, out = orientation, camera.T_body_cam, np.empty((), CORE.dtype("level_sighting"))
+    seen = CORE.record(
+        "camera_sighting", roll_rad=o.roll_rad, pitch_rad=o.pitch_rad, cov_tilt=o.cov_tilt, sigma_deck_rad=o.sigma_deck_rad,
+        R_body_cam=mount.R.matrix, t_body_cam=mount.t, R_cam_pad=pose.R_cam_pad.matrix, t_cam_pad=pose.t_cam_pad,
+        cov_pose=cov_pose,
+    )  # fmt: skip
+    CORE.lib.dl_sighting_in_level(CORE.array("camera_sighting", seen), CORE.array("level_sighting", out))
+    return sighting_in_level(frame, out, ambiguous, confidence)
 
 
 def sighting_in_level(
-    frame: Frame, words: F64, ambiguous: bool, confidence: float, features: tuple[Feature, ...] = (),
+    frame: Frame, level: NDArray[Any], ambiguous: bool, confidence: float, features: tuple[Feature, ...] = (),
     method: Method = "registration",
 ) -> Sighting:  # fmt: skip
     """Return the sighting of a pose that the core has brought to level; arguments as for `sighting_of`.
 
     Args:
-        words: the core's `level_sighting`; they become read-only.
+        level: the core's `level_sighting`; it becomes read-only.
     """
-    words.setflags(write=False)
-    d, R_level_pad, cov_pose6, cov = (words[_PLACES[name]] for name in ("d", "R_level_pad", "cov_pose", "cov"))
+    level.setflags(write=False)
+    d, R_level_pad, cov_pose6, cov = (level[name] for name in ("d", "R_level_pad", "cov_pose", "cov"))
     cov = cov.reshape(4, 4)
-    yaw: float | None = wrap_pi(words.item(_YAW_AT))
+    yaw: float | None = wrap_pi(float(level["yaw_rad"]))
     if cov.item(3, 3) > _YAW_VAR_MAX:
         yaw, ambiguous, cov = None, False, cov.copy()
         cov[3, :] = cov[:, 3] = 0.0
@@ -85,10 +87,63 @@ def sighting_in_level(
     return Sighting(frame.stamp, frame.seq, method, pose6.d_body_pad_level, yaw, ambiguous, cov, confidence, pose6, features)
 
 
-def _packed(pose: PadPose, cov_pose: F64, camera: Camera, orientation: Orientation) -> bytes:
-    """Return the core's `camera_sighting`."""
-    o, mount = orientation, camera.T_body_cam
-    (rr, rp), (pr, pp) = o.cov_tilt.tolist()
-    tilt = _TILT.pack(o.roll_rad, o.pitch_rad, rr, rp, pr, pp, o.sigma_deck_rad)
-    arrays = (mount.R.matrix, mount.t, pose.R_cam_pad.matrix, pose.t_cam_pad, cov_pose)
-    return tilt + b"".join([np.asarray(array, float).tobytes() for array in arrays])
+_STEPS = 30
+_SAME = 1e-13
+_QUARTER_TURN = -np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+
+class CameraPose(NamedTuple):
+    """The pad as the camera alone saw it; neither the attitude nor the mount is in it."""
+
+    R_cam_pad: F64
+    """(3, 3)."""
+    t_cam_pad: F64
+    """(3,) m."""
+    cov: F64
+    """(6, 6): [t_cam_pad (m), small rotation of the pad written in `cam` (rad)]."""
+
+
+def camera_pose(sighting: Sighting, camera: Camera, orientation: Orientation) -> CameraPose | None:
+    """Return the pose that `sighting_of` made this sighting of; None without a full pose.
+
+    A sighting is levelled by the attitude and by a share of what the pad's normal says against it. Both are undone.
+
+    Args:
+        camera, orientation: the same that the sighting was made with.
+    """
+    if sighting.pose6 is None:
+        return None
+    axes, C = tilt_axes(orientation), orientation.cov_tilt
+    A = _QUARTER_TURN @ axes[:2]
+    gain = C @ A.T @ np.linalg.inv(A @ C @ A.T + (orientation.sigma_deck_rad**2 + 1e-12) * np.eye(2))
+    R_level_pad = sighting.pose6.R_level_pad.matrix
+    turn, normal = _undone(R_level_pad[:, 2], axes @ gain)
+    R_level_body = roll_pitch(orientation)
+    before = R_level_body @ camera.T_body_cam.R.matrix
+    R_level_cam = turn @ before
+    d = sighting.d_body_pad_level
+    t = R_level_cam.T @ (d - turn @ (R_level_body @ camera.T_body_cam.t))
+
+    # The sighting's errors are J (pose, attitude left) with the attitude's share through `back`: see `sighting_of`.
+    to_attitude = np.zeros((6, 2))
+    to_attitude[:3], to_attitude[3:] = -skew(d) @ axes, axes
+    M = np.zeros((6, 6))
+    M[:3, :3] = M[3:, 3:] = R_level_cam
+    M[:, 3:] += to_attitude @ (gain @ (-skew(normal) @ R_level_cam)[:2])
+    own = sighting.pose6.cov - to_attitude @ (C - gain @ A @ C) @ to_attitude.T
+    back = np.linalg.inv(M)
+    cov = back @ own @ back.T
+    return CameraPose(R_level_cam.T @ R_level_pad, t, 0.5 * (cov + cov.T))
+
+
+def _undone(turned: F64, axes_gain: F64) -> tuple[F64, F64]:
+    """Return the turn that the attitude's share of the normal made, and the normal before it, by a fixed point."""
+    normal = turned
+    turn = np.eye(3)
+    for _ in range(_STEPS):
+        turn = np.asarray(cv2.Rodrigues(axes_gain @ normal[:2])[0])
+        again = turn.T @ turned
+        if float(np.abs(again - normal).max()) < _SAME:
+            break
+        normal = again
+    return turn, normal

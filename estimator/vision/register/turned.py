@@ -16,11 +16,11 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
+from estimator.vision.detect.pyramid import U8
 from estimator.vision.detect.template import BLURS_M, F32, STEP_M, template
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.register.pixels import U8, light_table
-from estimator.vision.srgb import LUMA, linear_light
+from estimator.vision.srgb import LUMA, light_table, linear_light
 
 _LENS_PX = 0.75
 """Standard deviation of a pixel and of a lens together, px."""

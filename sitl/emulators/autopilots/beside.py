@@ -12,7 +12,7 @@ import msgspec
 from companion.base.health import Health
 from companion.base.observer import Observer
 from companion.guidance.pilot import Pilot
-from companion.service.daemon import Daemon, DaemonOptions, VehicleLink
+from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
 from companion.service.exposure_part import ExposurePart
 from companion.service.vehicle_parts import vehicle_parts
 from companion.settings.model import CameraSettings, Settings
@@ -50,7 +50,7 @@ class FlightDaemon:
             self._open,
             pilot,
             clock,
-            DaemonOptions(settings.service, settings.guidance.rate_hz, threads=settings.vision.threads, once=once),
+            DaemonSetup(settings.service, settings.guidance.rate_hz, threads=settings.vision.threads, once=once),
             observers=observers,
             health=health,
             extras=self._parts.extras,

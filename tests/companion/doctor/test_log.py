@@ -12,7 +12,7 @@ from companion.cli import doctor
 from companion.cli.main import Parser
 from companion.tools.doctor.diagnose import diagnose
 from companion.tools.doctor.finding import Finding, Severity
-from companion.tools.doctor.gather_log import examine_log
+from companion.tools.doctor.gather import examine_log
 from companion.tools.doctor.snapshot import decode, encode
 from drivers.imports.log_history import LandingMeter
 from drivers.imports.px4_ulog import read_history

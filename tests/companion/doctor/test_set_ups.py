@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from companion.tools.doctor import rules_failsafes, rules_values
+from companion.tools.doctor import rules_values
 from companion.tools.doctor.diagnose import PARAMETERS, diagnose
-from companion.tools.doctor.gather_log import examine_log
+from companion.tools.doctor.gather import examine_log
 from companion.tools.doctor.renamed import RENAMED, names_in
 from companion.tools.doctor.snapshot import Snapshot
 from tests.companion.doctor.test_rules import ARDUPILOT, GOOD, PX4
@@ -115,7 +115,7 @@ def test_each_parameter_that_a_single_rule_judges_is_broken_or_good_in_the_data(
         told = {name for one in data["broken"].values() for name in one["set"]} | set(data["good"]["defaults"])
         left = {rule.parameter for rule in rules_values.RULES if rule.stack == stack} - told
         assert left <= {"INS_HNTC2_FREQ", "ARMING_SKIPCHK"}
-        assert set(rules_failsafes.PARAMETERS[stack]) <= told
+        assert set(rules_values.FAILSAFE_PARAMETERS[stack]) <= told
 
 
 def test_limits_of_speed_are_judged_against_the_ship_s() -> None:

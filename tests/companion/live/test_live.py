@@ -26,7 +26,7 @@ from companion.base.health import Health
 from companion.base.observer import Observer
 from companion.base.worker import Worker
 from companion.guidance.make_pilot import make_pilot
-from companion.parts.live import feed, viewer
+from companion.parts.live import part
 from companion.parts.live.part import FoxgloveEndpoint
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file
@@ -266,7 +266,7 @@ async def test_garbage_is_counted_and_told_and_ends_nothing(said: str | bytes, w
 
 async def test_a_flood_and_a_huge_message_end_their_own_connection_alone() -> None:
     async with serving() as service, watching(service) as other:
-        for flood in (["{"] * (viewer._REFUSALS_MAX + 5), ['{"op":"unsubscribe","subscriptionIds":[]}'] * 400, ["x" * 70_000]):
+        for flood in (["{"] * (part._REFUSALS_MAX + 5), ['{"op":"unsubscribe","subscriptionIds":[]}'] * 400, ["x" * 70_000]):
             async with watching(service) as client:
                 for said in flood:
                     if not client.socket.closed:
@@ -279,7 +279,7 @@ async def test_a_flood_and_a_huge_message_end_their_own_connection_alone() -> No
 
 
 async def test_a_slow_viewer_loses_the_oldest_and_delays_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(viewer, "_WAITING_BYTES", 300_000)
+    monkeypatch.setattr(part, "_WAITING_BYTES", 300_000)
     async with serving() as service, watching(service) as slow, watching(service) as quick:
         for client in (slow, quick):
             await client.told("advertise")
@@ -307,7 +307,7 @@ async def test_a_thread_that_is_behind_costs_events_and_never_memory(monkeypatch
         return []
 
     monkeypatch.setattr(Worker, "run", stuck)
-    monkeypatch.setattr(feed, "_EVENTS", 50)
+    monkeypatch.setattr(part, "_EVENTS", 50)
     async with serving() as service, watching(service) as client:
         await client.told("advertise")
         await client.subscribe("/sample/imu", "/camera/image", "/decision")

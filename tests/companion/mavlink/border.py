@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 import companion.settings.load as settings_of
 from companion.parts.mavlink.bridge import VehicleBridge
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
-from companion.parts.mavlink.tunables import Tunables
+from companion.parts.mavlink.parameters import Tunables
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.codec import Codec

@@ -13,7 +13,7 @@ import numpy as np
 import companion.settings.load as settings_of
 from companion.base.observer import Decision
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
-from companion.parts.mavlink.tunables import Tunables
+from companion.parts.mavlink.parameters import Tunables
 from companion.settings.mavlink import OutputOptions
 from companion.settings.model import Settings
 from drivers.clock import SystemClock

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from companion.base.orders import OperatorOrder
-from companion.parts.mavlink.bridge import VehicleBridge
-from companion.parts.mavlink.bridge_part import BridgePart
+from companion.parts.mavlink.bridge import BridgePart, VehicleBridge
 from companion.parts.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED
 from companion.settings.mavlink import BridgeOptions
 from drivers.clock import SystemClock

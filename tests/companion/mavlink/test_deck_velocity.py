@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from companion.parts.mavlink.deck_velocity import FORGET_S, KEEP_S, DeckVelocity
+from companion.parts.mavlink.make import FORGET_S, KEEP_S, DeckVelocity
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.dialect import Message

@@ -16,7 +16,7 @@ from companion.base.health import Health
 from companion.base.mission import FlightOutcome
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.mavlink.make import AutopilotPart
-from companion.service.daemon import Daemon, DaemonOptions, VehicleLink
+from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.options import AutopilotOptions
@@ -59,7 +59,7 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
             yield link
 
     daemon = Daemon(
-        open_link, pilot, clock, DaemonOptions(loaded.service, 50.0, once=True), observers=(part.component,), health=health
+        open_link, pilot, clock, DaemonSetup(loaded.service, 50.0, once=True), observers=(part.component,), health=health
     )
     outcomes: list[FlightOutcome | None] = []
 

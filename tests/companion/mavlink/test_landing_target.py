@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.parts.mavlink.landing_target import (
+from companion.parts.mavlink.outputs import (
     ardupilot_landing_target,
     distance_sensor,
     px4_landing_target,

@@ -11,10 +11,9 @@ from typing import Any
 
 import pytest
 
-from companion.parts.mavlink.bridge import Send
-from companion.parts.mavlink.camera_component import CameraComponent, showing
+from companion.parts.mavlink.camera_component import CameraComponent, Send, showing
 from companion.parts.mavlink.operator import LandingProgress
-from companion.parts.mavlink.tunables import NAMES
+from companion.parts.mavlink.parameters import NAMES
 from companion.settings.load import camera_model, load
 from companion.settings.video import VideoStreamOptions
 from drivers.clock import SystemClock

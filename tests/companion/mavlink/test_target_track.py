@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.parts.mavlink.landing_target import ardupilot_landing_target
+from companion.parts.mavlink.outputs import ardupilot_landing_target
 from companion.parts.mavlink.target_track import TargetTrack, effective_lag_s, lag_locked, position_at
 from drivers.mavlink.samples import LocalPosition
 from estimator.contracts.estimates import RelativeState

@@ -16,8 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from companion.base.connection_limits import ConnectionLimits
 from companion.base.health import Health
 from companion.base.supervise import run
-from companion.parts.metrics.endpoint import MetricsEndpoint
-from companion.parts.metrics.exposition import text
+from companion.parts.metrics.endpoint import MetricsEndpoint, text
 from companion.settings.load import from_mapping
 from companion.settings.metrics import MetricsSettings
 from companion.settings.restart import RestartOptions

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
-from companion.guidance.command_limits import Limit, PlaceMemory, limited, place_step
-from companion.guidance.fence import margin, within
+from companion.guidance.command_limits import Limit, PlaceMemory, limited, margin, place_step, within
 from companion.guidance.make_pilot import make_pilot
 from companion.settings.limits import LimitOptions
 from companion.settings.load import load

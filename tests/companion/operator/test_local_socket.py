@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 
 from companion.base.orders import HandledOrder, OperatorOrder, StickPositions
 from companion.base.wire import FlightState, answer_of, request_of
-from companion.cli.fly_keyboard import KEY_S, KeyMotion, keys_in
+from companion.cli.fly import KEY_S, KeyMotion, keys_in
 from companion.cli.main import main
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot

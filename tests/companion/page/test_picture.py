@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.parts.page.picture import picture_lines
-from companion.parts.page.state import place
+from companion.parts.page.state import picture_lines, place
 from companion.settings.load import camera_model, load, pad_model
 from companion.tools.report.expected_place import camera_lean
 from estimator.contracts.estimates import RelativeState, Verdict

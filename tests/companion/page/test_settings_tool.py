@@ -14,8 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from companion.settings.address_masks import masked, unmasked
-from companion.settings.draft import Draft, check_draft
+from companion.settings.draft import Draft, check_draft, masked, unmasked
 from companion.settings.load import load
 from companion.settings.settings_file import SettingsFile
 from drivers.mavlink.vehicle import Condition

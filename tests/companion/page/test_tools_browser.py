@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.settings.address_masks import masked
+from companion.settings.draft import masked
 from tests.companion.page.test_browser import CALM, PHONE, chromium, playwright, window
 from tests.companion.page.test_browser import pytestmark as of_a_browser
 from tests.companion.page.test_settings_tool import FASTER, RIG, rig

@@ -149,7 +149,7 @@ def test_estimates_carry_their_covariance_into_the_axes_of_ros(flown: Path, mess
     c, s = np.cos(drawn[:, 6]), np.sin(drawn[:, 6])
     # In `pad` (x along the arrow, y to starboard, z down) the body is at -Rz(yaw) d; `deck` has y to port and z up.
     place = np.stack([-(c * drawn[:, 0] - s * drawn[:, 1]), s * drawn[:, 0] + c * drawn[:, 1], drawn[:, 2]], axis=1)
-    from companion.tools.ros2.axes import level_in_deck
+    from companion.tools.ros2.messages import level_in_deck
 
     at, found = level_in_deck(belief.d_body_pad_level, belief.yaw_rad, cov)
     assert at == pytest.approx(xyz(message.pose.pose.position), abs=1e-12)

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from companion.base.observer import ProcessedFrame
 from companion.guidance.make_pilot import make_pilot
-from companion.parts.video.part import VideoStreamPart
-from companion.parts.video.rtp_stream import RtpStream
+from companion.parts.video.part import RtpStream, VideoStreamPart
 from companion.settings.load import load
 from companion.settings.video import VideoStreamOptions
 from estimator.contracts.errors import Recoverable

@@ -4,8 +4,13 @@
 #include <stdio.h>
 
 #include "draws.h"
+#include "base/kalman.h"
+#include "base/symmetric.h"
 #include "decklander.h"
 #include "decklander_sim.h"
+#include "filter/bank.h"
+#include "filter/propagate.h"
+#include "filter/sighting.h"
 
 static double found;
 
@@ -37,7 +42,7 @@ static double *numbers(int n)
 }
 
 /* A A' + I */
-static double *covariance(int n)
+static double *positive(int n)
 {
     double *A = numbers(n * n), *P = numbers(n * n);
     for (int i = 0; i < n; i++) {
@@ -54,13 +59,13 @@ static double *covariance(int n)
 
 static void algebra(int n, int m, double poison)
 {
-    double *P = covariance(n), *F = numbers(n * n), *Q = covariance(n), *after = numbers(n * n);
-    double *innov = numbers(m), *H = numbers(m * n), *R = covariance(m), *dx = numbers(n), *S = numbers(m * m), nis;
+    double *P = positive(n), *F = numbers(n * n), *Q = positive(n), *after = numbers(n * n);
+    double *innov = numbers(m), *H = numbers(m * n), *R = positive(m), *dx = numbers(n), *S = numbers(m * m), nis;
     P[0] *= poison;
     poisoned(P, n * n), poisoned(F, n * n), poisoned(Q, n * n), poisoned(innov, m), poisoned(H, m * n), poisoned(R, m * m);
     kalman_predict(n, P, F, Q, after);
     fold(after, n * n);
-    if (kalman_correct(n, m, P, innov, H, R, dx, after, S, &nis)) {
+    if (kalman_correct(n, P, &(measured){m, innov, H, R}, dx, after, S, &nis)) {
         fold(dx, n), fold(after, n * n), fold(S, m * m), fold(&nis, 1);
     }
     double *all[] = {P, F, Q, after, innov, H, R, dx, S};
@@ -73,7 +78,7 @@ static void algebra(int n, int m, double poison)
 static void attitudes(int m, double poison)
 {
     for (int k = 0; k < 8; k++) {
-        double *cov = covariance(m), *J = numbers(3 * m), *by = covariance(3);
+        double *cov = positive(m), *J = numbers(3 * m), *by = positive(3);
         for (int i = 0; i < 9; i++) {
             by[i] *= poison * pow(10.0, 0.5 * k - 3.0);
         }
@@ -83,7 +88,7 @@ static void attitudes(int m, double poison)
     }
 }
 
-static void parameters(filter_params *o, int surface)
+static void parameters(dl_filter_params *o, int surface)
 {
     memset(o, 0, sizeof *o);
     o->hold_ns = 60000000;
@@ -98,7 +103,7 @@ static void parameters(filter_params *o, int surface)
     for (int i = 0; i < ROWS_MAX; i++) {
         o->nis_max[i] = 15.0 + 2.0 * i;
     }
-    for (int i = 0; i < N; i++) {
+    for (int i = 0; i < DL_N; i++) {
         o->psd[i] = 1e-4;
     }
     o->reopen_count = 3, o->reopen_s = 0.1, o->sighting_has_attitude_error = 1;
@@ -117,51 +122,52 @@ static void parameters(filter_params *o, int surface)
     }
 }
 
-static void hover(belief *b, double *P)
+static void hover(dl_belief *b, double *P)
 {
     memset(b, 0, sizeof *b);
     b->sighted = b->is_levelled = b->heading_is_given = 1;
     for (int i = 0; i < 3; i++) {
         b->R[4 * i] = b->R_cov[4 * i] = b->levelled_by[4 * i] = 1.0;
     }
-    b->x[VEL_SCALE] = 1.0;
-    b->x[POS_REL + 2] = 2.0;
+    b->x[DL_VEL_SCALE] = 1.0;
+    b->x[DL_POS_REL + 2] = 2.0;
     for (int i = 0; i < 5; i++) {
         b->wave_w[i] = 0.8, b->wave_zeta[i] = 0.3, b->wave_sigma[i] = 0.2;
     }
     for (int i = 0; i < KINDS; i++) {
         b->aids[i].fused = b->aids[i].refused = -1;
     }
-    for (int i = 0; i < N * N; i++) {
-        P[i] = i % (N + 1) == 0 ? 1e-3 : 0.0;
+    for (int i = 0; i < DL_N * DL_N; i++) {
+        P[i] = i % (DL_N + 1) == 0 ? 1e-3 : 0.0;
     }
 }
 
 /* A sample of any kind; one in ten is beyond anything. */
-static void sample(event *e, int64_t t)
+static void sample(dl_event *e, int64_t t)
 {
     const double size = draw() % 10 == 0 ? 1e3 : 0.1;
-    e->kind = draw() % (SIGHTING + 2);
+    e->kind = draw() % (DL_SIGHTING + 2);
     e->t = t;
+    double *values = e->sample.attitude.R_ned_body;
     for (int i = 0; i < 18; i++) {
-        e->value[i] = size * uniform();
+        values[i] = size * uniform();
     }
-    if (e->kind == ATTITUDE) {
+    if (e->kind == DL_ATTITUDE) {
         for (int i = 0; i < 9; i++) {
-            e->value[i] = i % 4 == 0;
+            values[i] = i % 4 == 0;
         }
     }
-    if (e->kind == ATTITUDE || e->kind == VELOCITY) {
-        double *cov = e->value + (e->kind == ATTITUDE ? 9 : 3);
+    if (e->kind == DL_ATTITUDE || e->kind == DL_VELOCITY) {
+        double *cov = e->kind == DL_ATTITUDE ? e->sample.attitude.cov_body : e->sample.velocity.cov_level;
         for (int i = 0; i < 9; i++) {
             cov[i] = i % 4 == 0 ? (draw() % 5 == 0 ? 1e6 : 1e-3) : 0.0;
         }
     }
-    poisoned(e->value, 18);
+    poisoned(values, 18);
 }
 
 /* A sighting of any kind, of a pad below or of anything. */
-static void look(sighting *s)
+static void look(dl_sighting *s)
 {
     const int far = draw() % 5 == 0;
     memset(s, 0, sizeof *s);
@@ -184,18 +190,19 @@ static void look(sighting *s)
 }
 
 /* The model of a sighting and the bank by themselves. */
-static void parts(const filter_params *o, const belief *b, const sighting *s, const sea *bank, int64_t t)
+static void parts(const dl_filter_params *o, const dl_belief *b, const dl_sighting *s, const dl_bank *bank, int64_t t)
 {
-    double *innov = numbers(6), *H = numbers(6 * N), *R = numbers(36), *by_rate = numbers(3 * N);
+    sighting_rows *rows = malloc(sizeof *rows);
     double *y = numbers(DIRECTIONS), *var = numbers(DIRECTIONS);
-    sea *after = malloc(sizeof *after);
-    const int m = sighting_model(b, s, b->cov_levelled_by, 0.3, draw() % 2, innov, H, R, by_rate);
+    dl_bank *after = malloc(sizeof *after);
+    sighting_model(b, s, b->cov_levelled_by, 0.3, draw() % 2, rows);
+    const int m = rows->m;
     for (int i = 0; i < DIRECTIONS; i++) {
         var[i] = i < m ? 1e-4 : 1e6;
     }
     bank_observe(o, t, y, var, draw() % 2 ? 0.1 : 0.0, 2.0, bank, after);
-    fold(innov, m), fold(R, m * m), fold(after->sigma, DIRECTIONS);
-    void *all[] = {innov, H, R, by_rate, y, var, after};
+    fold(rows->innov, m), fold(rows->R, m * m), fold(after->sigma, DIRECTIONS);
+    void *all[] = {rows, y, var, after};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
     }
@@ -204,59 +211,62 @@ static void parts(const filter_params *o, const belief *b, const sighting *s, co
 static void fly(int surface, int rounds, double poison)
 {
     enum { LENGTH = 60 };
-    filter_params *o = malloc(sizeof *o);
-    event *events = malloc(LENGTH * sizeof *events);
-    belief *before = malloc(sizeof *before), *after = malloc(LENGTH * sizeof *after);
-    double *P = numbers(N * N), *P_after = numbers(LENGTH * N * N), *F = numbers(N * N), *Q = numbers(N * N);
-    int64_t *index = malloc(LENGTH * sizeof *index), *sea_index = malloc(LENGTH * sizeof *sea_index), t = 0;
-    sighting *seen = malloc(LENGTH * sizeof *seen);
-    sea *bank = malloc(sizeof *bank), *banks = malloc(LENGTH * sizeof *banks);
-    outcome *first = malloc(LENGTH * sizeof *first);
-    answer *said = malloc(sizeof *said);
+    dl_filter_params *o = malloc(sizeof *o);
+    dl_event *events = malloc(LENGTH * sizeof *events);
+    dl_belief *before = malloc(sizeof *before), *after = malloc(sizeof *after);
+    double *P = numbers(DL_N * DL_N), *P_after = numbers(LENGTH * DL_N * DL_N), *F = numbers(DL_N * DL_N), *Q = numbers(DL_N * DL_N);
+    int64_t t = 0;
+    dl_filter_step *steps = malloc(LENGTH * sizeof *steps);
+    dl_sighting *seen = malloc(LENGTH * sizeof *seen);
+    dl_bank *bank = malloc(sizeof *bank), *banks = malloc(LENGTH * sizeof *banks);
+    dl_answer *said = malloc(sizeof *said);
     enum { HORIZONS = 3 };
     const double horizons_s[HORIZONS] = {0.0, 0.3, 2.5};
-    horizon_reach *there = malloc(HORIZONS * sizeof *there);
-    deck_ahead *ahead = malloc(HORIZONS * sizeof *ahead);
+    dl_horizon_reach *there = malloc(HORIZONS * sizeof *there);
+    dl_deck_ahead *ahead = malloc(HORIZONS * sizeof *ahead);
     parameters(o, surface);
     hover(before, P);
-    bank_begin(&o->members, bank);
-    bank_reach(&o->members, HORIZONS, horizons_s, there);
-    P[N + 1] *= poison;
-    poisoned(P, N * N), poisoned(before->x, N), poisoned(before->R, 9), poisoned(before->f, 3);
+    dl_bank_begin(&o->members, bank);
+    dl_bank_reach(&o->members, HORIZONS, horizons_s, there);
+    P[DL_N + 1] *= poison;
+    poisoned(P, DL_N * DL_N), poisoned(before->x, DL_N), poisoned(before->R, 9), poisoned(before->f, 3);
     for (int round = 0; round < rounds; round++) {
         for (int i = 0; i < LENGTH; i++) {
             t += draw() % 10 == 0 ? 200000000 : draw() % 5000000;
             sample(&events[i], t);
             look(&seen[i]);
         }
-        const int done = filter_run(o, LENGTH, events, seen, before, P, bank, after, P_after, banks, index, sea_index, first);
+        const dl_whole_belief whole = {before, P, bank};
+        const dl_filter_row row = {steps, P_after, banks};
+        const int sightings = draw() % 8 == 0 ? 3 : LENGTH, done = dl_filter_run(o, LENGTH, events, sightings, seen, &whole, &row);
         if (done > 0) {
-            *before = after[done - 1];
-            if (sea_index[done - 1] >= 0) {
-                *bank = banks[sea_index[done - 1]];
+            const dl_filter_step *last = &steps[done - 1];
+            *before = last->after;
+            if (last->bank_index >= 0) {
+                *bank = banks[last->bank_index];
             }
-            if (index[done - 1] >= 0) {
-                memcpy(P, P_after + index[done - 1] * N * N, N * N * sizeof *P);
+            if (last->P_index >= 0) {
+                memcpy(P, P_after + last->P_index * DL_N * DL_N, DL_N * DL_N * sizeof *P);
             }
-            fold(before->x, N), fold(P, N * N), fold(first->innov, 3), fold(&first->nis, 1);
+            fold(before->x, DL_N), fold(P, DL_N * DL_N), fold(steps->outcome.innov, 3), fold(&steps->outcome.nis, 1);
         }
-        filter_settle(o, before, after, F, Q);
+        *after = *before;
+        propagated_belief(o, after, F, Q);
         parts(o, before, &seen[0], bank, t);
-        filter_answer(o, t + draw() % 200000000, before, P, said);
-        if (filter_forecast(o, t + draw() % 200000000, before, P, bank, HORIZONS, horizons_s, there, ahead)) {
+        dl_filter_answer(o, t + draw() % 200000000, &whole, said);
+        if (dl_filter_forecast(o, t + draw() % 200000000, &whole, HORIZONS, there, ahead)) {
             fold(ahead[2].d, 3), fold(ahead[1].cov_d, 9), fold(&ahead[2].rise, 2);
         }
         fold(said->d, 3), fold(said->cov, 49), fold(said->a_body, 3), fold(said->cov_deck, 36);
-        if (filter_propagate(o, round % 3, t + 1000, before, P, after, P_after)) {
-            *before = after[0];
-            memcpy(P, P_after, N * N * sizeof *P);
-        }
+        dl_filter_propagate(o, round % 2 ? DL_WITH_AIDING : DL_WITH_COVARIANCE, t + 1000, &whole, after, P_after);
+        *before = *after;
+        memcpy(P, P_after, DL_N * DL_N * sizeof *P);
         if (round % 20 == 19) {
             hover(before, P);
             before->t = before->t_cov = before->t_imu = before->sighted = t;
         }
     }
-    void *all[] = {o, events, before, after, P, P_after, F, Q, index, first, sea_index, seen, bank, banks, said, there, ahead};
+    void *all[] = {o, events, before, after, P, P_after, F, Q, steps, seen, bank, banks, said, there, ahead};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
     }
@@ -264,7 +274,7 @@ static void fly(int surface, int rounds, double poison)
 
 static void gate(int m, double poison)
 {
-    double *innov = numbers(m), *S = covariance(m), nis;
+    double *innov = numbers(m), *S = positive(m), nis;
     S[0] *= poison;
     poisoned(innov, m), poisoned(S, m * m);
     if (nis_of(m, innov, S, &nis)) {
@@ -294,12 +304,12 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
     } else if (what == 1) {
         gate(1 + draw() % ROWS_MAX, 1.0);
     } else if (what == 2) {
-        const int surface = draw() % (OVER_EITHER + 1);
+        const int surface = draw() % (DL_OVER_EITHER + 1);
         fly(surface, 2, 1.0);
     } else if (what == 3) {
         scenes(1);
     } else if (what == 5) {
-        registrations(1);
+        looks(1, 1);
     } else if (what == 6) {
         alignments(1);
     } else if (what == 7) {
@@ -309,7 +319,7 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
     } else if (what == 9) {
         law(1 + draw() % 20, 1.0);
     } else if (what == 10) {
-        looks(1);
+        looks(1, 0);
     } else if (what == 11) {
         lamps(1);
     } else {
@@ -368,33 +378,32 @@ int main(int count, char **files)
         attitudes(m, 1.0), attitudes(m, NAN), attitudes(m, -1e300);
     }
     report("remove_attitude");
-    for (int surface = OVER_GROUND; surface <= OVER_EITHER; surface++) {
+    for (int surface = DL_OVER_GROUND; surface <= DL_OVER_EITHER; surface++) {
         fly(surface, 200, 1.0);
         fly(surface, 3, NAN);
         fly(surface, 3, -1e300);
     }
-    report("filter_run filter_propagate filter_settle filter_answer filter_forecast bank_reach sighting_model bank_begin bank_observe");
+    report("dl_filter_run dl_filter_propagate dl_filter_answer dl_filter_forecast dl_bank_reach dl_bank_begin");
     scenes(24);
     report("sim_render_deck sim_render_fill sim_render_smear sim_render_average sim_render_shadow sim_render_sea sim_render_swell "
            "sim_render_water sim_render_pad_kinds sim_render_pad_shares sim_render_pad_lens sim_render_expose "
            "sim_render_mix sim_render_image sim_render_frame sim_render_blur sim_render_meet sim_render_bounds");
-    registrations(60);
-    report("register_pad sighting_in_level");
+    looks(60, 1);
+    report("dl_sighting_in_level");
     alignments(40);
-    report("align_view align_arrow_view align_move align_fit align_cover frame_noise");
-    looks(60);
-    report("look_at_pad");
+    report("dl_tracker_new dl_tracker_free dl_align dl_frame_quality");
+    looks(60, 0);
+    report("dl_look");
     lamps(120);
-    report("lamps_room find_lamps");
+    report("dl_find_lamps");
     searches(40);
-    report("search_room search_circles search_heading search_guesses search_strokes_room search_strokes search_blobs_room "
-           "search_blobs");
+    report("dl_search_circles dl_search_heading dl_search_guesses dl_search_strokes");
     video(40);
     report("dl_uvlc_header dl_uvlc_decode sim_uvlc_encode");
     for (int k = 0; k < 40; k++) {
         law(25, poisons[k % 8 == 7 ? 4 : 0]);
     }
-    report("law_observe law_tilt law_step");
+    report("dl_law_axis_step dl_law_step");
     simulator();
     report("sim_vehicle_step sim_vehicle_carry sim_run sim_sensors_read sim_vessel_moved sim_vessel_mounted");
     return 0;

@@ -1,5 +1,10 @@
 /* Alignment with random drawings, frames and poses, each array exactly as long as it must be. */
 
+/* A part of one level of a frame, px of that level. */
+typedef struct {
+    int64_t level, left, top, width, height;
+} frame_part;
+
 static pad_template random_template(int half, double radius_m)
 {
     pad_template p;
@@ -38,68 +43,96 @@ static uint8_t *part_pixels(const frame_part *part, int32_t *stride)
     return room((size_t)*stride * (size_t)(part->height - 1) + 3 * (size_t)part->width);
 }
 
-static float *scratch_for(const frame_part *part)
-{
-    const size_t lanes = ((size_t)(part->width * part->height) + SAMPLE_LANES - 1) / SAMPLE_LANES * SAMPLE_LANES;
-    return malloc((SCRATCH_ROWS * lanes + (size_t)part->width + 2 * LOCAL_MAX) * sizeof(float));
-}
-
-static void lay(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local, const float *light, int kind)
-{
-    pad_pose pose = {{1.0, 0.02, 0.01, -0.02, 1.0, 0.03, -0.01, -0.03, 1.0}, {0.1 * uniform(), 0.1 * uniform(), 0.0}};
-    alignment how = {1 + kind % 5, kind % 2, kind % 3 == 0, 0.05, {0.6, 0.8}, {0.8, -0.6, uniform()}, kind % 4 ? 0.0 : 0.08};
-    cover_line line;
-    aligned_pad out;
-    frame_part part, arrow, all = {kind % 3, 0, 0, c->width >> kind % 3, c->height >> kind % 3};
-    double tilt = 0.0;
-    pose.t[2] = p->disc_radius_m * (1.5 + 2.0 * fabs(uniform()));
-    poisoned(pose.R, 12);
-    if (!align_view(c, p, &pose, 100 + draw() % 2000, &part)) {
-        return;
-    }
-    align_arrow_view(c, p, &pose, &arrow);
-    int32_t stride, all_stride, arrow_stride;
-    uint8_t *px = part_pixels(&part, &stride), *whole = part_pixels(&all, &all_stride), *arrow_px = part_pixels(&arrow, &arrow_stride);
-    float *scratch = scratch_for(&part);
-    frame_quality of;
-    frame_noise(whole, all_stride, (int32_t)all.width, (int32_t)all.height, &of);
-    fold(&of.noise, 3);
-    poisoned(&how.sigma_tilt_rad, 7), poisoned(pose.R, 12), poisoned(&of.noise, 3);
-    if (align_cover(c, p, maps, light, &part, px, stride, &pose, scratch, &line)) {
-        fold(line.cut, 5);
-    }
-    if (align_fit(c, p, maps, local, light, &part, px, stride, &arrow, arrow_px, arrow_stride, &pose, 0.5, how.cut, &of, scratch, &out)) {
-        fold(out.paints, (int)(sizeof out / sizeof(double)));
-    }
-    found += align_move(c, p, how.local ? local : maps, light, &part, px, stride, &how, &pose, &tilt, scratch);
-    fold(pose.R, 12), fold(&tilt, 1);
-    free(px), free(whole), free(arrow_px), free(scratch);
-}
-
 enum { HALF = 12, CELLS = TEMPLATE_BLURS * (2 * HALF + 1) * (2 * HALF + 1) * 4 };
 
-/* A drawing's maps, and three tables of light. */
+/* A drawing's maps. */
 typedef struct {
     int16_t *maps, *local;
-    float *light;
 } drawn_maps;
 
 static drawn_maps random_maps(void)
 {
-    const drawn_maps d = {malloc(CELLS * sizeof *d.maps), malloc(CELLS * sizeof *d.local), malloc(3 * 256 * sizeof *d.light)};
+    const drawn_maps d = {malloc(CELLS * sizeof *d.maps), malloc(CELLS * sizeof *d.local)};
     for (int i = 0; i < CELLS; i++) {
         d.maps[i] = (int16_t)(next_random() % TEMPLATE_ONE);
         d.local[i] = (int16_t)(next_random() % (2 * TEMPLATE_ONE) - TEMPLATE_ONE);
-    }
-    for (int i = 0; i < 3 * 256; i++) {
-        d.light[i] = (float)(i % 256) / 255.0f;
     }
     return d;
 }
 
 static void forget(drawn_maps d)
 {
-    free(d.maps), free(d.local), free(d.light);
+    free(d.maps), free(d.local);
+}
+
+/* A frame of random pixels, at full size and at some that are smaller, each with as many bytes as it must have. */
+static void random_frame(const camera_lens *c, int levels, dl_frame *out)
+{
+    memset(out, 0, sizeof *out);
+    for (int k = 0; k < levels; k++) {
+        const frame_part all = {k, 0, 0, c->width >> k > 0 ? c->width >> k : 1, c->height >> k > 0 ? c->height >> k : 1};
+        int32_t stride = (int32_t)(3 * all.width);
+        uint8_t *px = k ? part_pixels(&all, &stride) : room((size_t)(3 * all.width * all.height));
+        const dl_image one = {all.width, all.height, stride, 3, px};
+        out->level[k] = one;
+    }
+    dl_frame_quality(&out->level[0], &out->quality);
+}
+
+static void forget_frame(dl_frame *frame)
+{
+    for (int k = 0; k <= FRAME_LEVELS; k++) {
+        free((void *)(uintptr_t)frame->level[k].px);
+    }
+}
+
+/* A tracker of a drawing, or of none. */
+static dl_tracker *tracker_for(const camera_lens *c, const double *rays, const dl_pad *pad, const drawn_maps *d, const double *edges,
+                               const int32_t *edge_of)
+{
+    dl_camera camera = {*c, {0.1, 0.0, 0.05}, {0.0}, {0.0}};
+    for (int i = 0; i < 256; i++) {
+        camera.light[i] = i * i / 65025.0, camera.log_light[i] = log1p(100.0 * camera.light[i]);
+    }
+    return dl_tracker_new(&camera, rays, pad, d ? d->maps : NULL, d ? d->local : NULL, edges, edge_of);
+}
+
+/* A drawing of some pad, with a template of its size. */
+static dl_pad *random_pad(double size, int kind)
+{
+    dl_pad *pad = calloc(1, sizeof *pad);
+    some_pad(&pad->shape, size, kind % 2);
+    pad->drawn = random_template(HALF, size);
+    pad->edge_points = EDGE_POINTS;
+    return pad;
+}
+
+static void lay(const camera_lens *c, const dl_pad *pad, const drawn_maps *d, int kind)
+{
+    double *rays = c->distorted ? rays_of(c) : NULL, *edges = malloc(5 * EDGE_POINTS * sizeof *edges);
+    int32_t *edge_of = malloc(2 * EDGE_POINTS * sizeof *edge_of);
+    some_edges(&pad->shape, edges, edge_of);
+    dl_tracker *t = tracker_for(c, rays, pad, d, edges, edge_of);
+    pad_pose pose = {{1.0, 0.02, 0.01, -0.02, 1.0, 0.03, -0.01, -0.03, 1.0}, {0.1 * uniform(), 0.1 * uniform(), 0.0}};
+    dl_alignment how = {1 + kind % 5, kind % 2, kind % 3 == 0, 0, 0.05, {0.6, 0.8}, {0.8, -0.6, uniform()}};
+    aligned_pad out;
+    dl_frame frame;
+    pose.t[2] = pad->drawn.disc_radius_m * (1.5 + 2.0 * fabs(uniform()));
+    random_frame(c, kind % 4 ? 1 : 1 + draw() % (FRAME_LEVELS + 1), &frame);
+    fold(&frame.quality.noise, 3);
+    poisoned(&how.sigma_tilt_rad, 6), poisoned(pose.R, 12), poisoned(&frame.quality.noise, 3);
+    for (int k = 0; k < 3; k++) {
+        pad_pose moved = pose;
+        how.cover = k == 0, how.steps = k == 1 ? 0 : how.steps;
+        memset(&out, 0, sizeof out);
+        if (dl_align(t, &frame, &how, &moved, &out) == 1) {
+            fold(out.paints, (int)(sizeof out / sizeof(double))), fold(moved.R, 12);
+        }
+        how.steps = 1 + kind % 5;
+    }
+    dl_tracker_free(t);
+    forget_frame(&frame);
+    free(rays), free(edges), free(edge_of);
 }
 
 static void alignments(int count)
@@ -108,8 +141,9 @@ static void alignments(int count)
     for (int i = 0; i < count; i++) {
         const int kind = fuzzed ? draw() : i;
         const camera_lens c = random_camera(kind % 2);
-        const pad_template p = random_template(HALF, 0.1 + 0.3 * (kind % 4));
-        lay(&c, &p, d.maps, d.local, d.light, kind);
+        dl_pad *pad = random_pad(0.1 + 0.3 * (kind % 4), kind);
+        lay(&c, pad, &d, kind);
+        free(pad);
     }
     forget(d);
 }

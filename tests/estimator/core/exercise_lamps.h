@@ -11,7 +11,7 @@ static void draw_pattern(int kind, lamp_pattern *pad)
     for (int k = 0; k < (int)pad->lamps; k++) {
         pad->x_m[k] = 0.4 * uniform(), pad->y_m[k] = 0.4 * uniform(), pad->radius_m[k] = 0.01;
     }
-    poisoned(pad->x_m, 3 * LAMPS + 4);
+    poisoned(pad->x_m, 3 * LAMPS + 1);
 }
 
 /* A square of light, which may be a pixel, at a place that may lie beyond the frame. */
@@ -52,10 +52,6 @@ static void look_for_lamps(int kind)
     tilt_prior prior = {1, 0.02 * uniform(), 0.02 * uniform(), {1e-4, 0.0, 0.0, 1e-4}, 0.03};
     lamps_expected at = {{{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, {0.1 * uniform(), 0.1 * uniform(), 0.3 + 2.0 * fabs(uniform())}}, 8.0};
     lamp_pattern pad;
-    uint16_t light[256];
-    for (int k = 0; k < 256; k++) {
-        light[k] = (uint16_t)(k * k);
-    }
     c.cx = 0.5 * (double)(c.width - 1), c.cy = 0.5 * (double)(c.height - 1);
     draw_pattern(kind, &pad);
     uint8_t *px = malloc((size_t)(3 * c.width * c.height));
@@ -64,13 +60,16 @@ static void look_for_lamps(int kind)
     if (kind % 10 == 9) {
         c.fx = NAN, at.pose.t[kind % 3] = INFINITY;
     }
-    uint32_t *scratch = malloc((size_t)lamps_room(&c) * sizeof *scratch);
+    const dl_image image = {c.width, c.height, 3 * c.width, 3, px};
+    double *rays = c.distorted ? rays_of(&c) : NULL;
+    dl_tracker *t = tracker_for(&c, rays, NULL, NULL, NULL, NULL);
     lamps_seen *out = calloc(1, sizeof *out);
-    if (find_lamps(&c, px, light, &pad, &prior, kind % 2 ? &at : NULL, scratch, out) == 1) {
+    if (dl_find_lamps(t, &image, &pad, &prior, kind % 2 ? &at : NULL, out) == 1) {
         found += (double)out->lit;
         fold(out->pose.R, 12), fold(out->cov, 38), fold(out->seen.d, 3), fold(out->uv_px, 2 * (int)out->lit);
     }
-    free(px), free(scratch), free(out);
+    dl_tracker_free(t);
+    free(px), free(rays), free(out);
 }
 
 static void lamps(int count)

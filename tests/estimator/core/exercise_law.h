@@ -1,6 +1,6 @@
 /* The law that follows the deck: cycles of all kinds with any numbers, by one set of gains and between two. */
 
-static void gains_of(law_gains *gains, int64_t remembered)
+static void gains_of(dl_law_gains *gains, int64_t remembered)
 {
     memset(gains, 0, sizeof *gains);
     gains->n = draw() % (remembered + 1);
@@ -13,7 +13,7 @@ static void gains_of(law_gains *gains, int64_t remembered)
     poisoned(values, 6 + UNDER_WAY_MAX);
 }
 
-static void law_parameters(law_params *o)
+static void law_parameters(dl_law_params *o)
 {
     memset(o, 0, sizeof *o);
     o->remembered = 1 + draw() % UNDER_WAY_MAX;
@@ -23,13 +23,13 @@ static void law_parameters(law_params *o)
     poisoned(&o->period_s, 11);
 }
 
-static void cycle_of(law_cycle *in, int horizons)
+static void cycle_of(dl_law_cycle *in)
 {
     memset(in, 0, sizeof *in);
-    in->goes_on = draw() % 8 != 0, in->steers = draw() % 4 != 0, in->has_deck = draw() % 4 != 0, in->horizons = horizons;
+    in->goes_on = draw() % 8 != 0, in->steers = draw() % 4 != 0, in->has_deck = draw() % 4 != 0;
     in->has_yaw = draw() % 4 != 0, in->has_rate = draw() % 2, in->has_wanted_yaw = draw() % 2, in->has_lean_max = draw() % 2;
     double *values = &in->dt;
-    const int n = (int)(sizeof *in / sizeof *values) - 8;
+    const int n = (int)(sizeof *in / sizeof *values) - 7;
     for (int i = 0; i < n; i++) {
         values[i] = uniform();
     }
@@ -37,38 +37,47 @@ static void cycle_of(law_cycle *in, int horizons)
     poisoned(values, n);
 }
 
+/* Up to so many horizons, and now and then more than the law takes. */
+static void course_of(dl_law_course *course)
+{
+    memset(course, 0, sizeof *course);
+    course->n = draw() % 12 ? draw() % (HORIZONS_MAX + 1) : HORIZONS_MAX + 1;
+    for (int i = 0; i < HORIZONS_MAX; i++) {
+        course->horizons_s[i] = i == 0 ? uniform() : course->horizons_s[i - 1] + 0.2;
+        for (int k = 0; k < 3; k++) {
+            course->rates_m_s[i][k] = uniform();
+        }
+    }
+    poisoned(course->horizons_s, HORIZONS_MAX), poisoned(course->rates_m_s[0], 3 * HORIZONS_MAX);
+}
+
 static void law(int rounds, double poison)
 {
-    law_params o;
-    law_gains gains[2];
-    law_memory memory, after;
-    law_command command;
-    double *observer = numbers(12);
-    law_parameters(&o);
-    gains_of(&gains[0], o.remembered), gains_of(&gains[1], o.remembered);
-    memset(&memory, 0, sizeof memory);
-    poisoned(observer, 12);
-    for (int k = 0; k < rounds; k++) {
-        law_cycle in;
-        const int n = draw() % 12;
-        double *horizons = numbers(n > 0 ? n : 1), *rates = numbers(n > 0 ? 3 * n : 1);
-        for (int i = 1; i < n; i++) {
-            horizons[i] = horizons[i - 1] + 0.2;
-        }
-        poisoned(horizons, n > 0 ? n : 1), poisoned(rates, n > 0 ? 3 * n : 1);
-        cycle_of(&in, n);
-        in.v[0] *= poison;
-        law_step(&o, &gains[0], &gains[draw() % 2], observer, &in, horizons, rates, &memory, &after, &command);
-        memory = after;
-        fold(&command.a[0], 8), fold(&memory.pushed_down_m_s2, 3);
-        free(horizons), free(rates);
+    dl_law_in_use flown;
+    dl_law_memory memory, after;
+    dl_law_command command;
+    law_parameters(&flown.params);
+    gains_of(&flown.gains, flown.params.remembered), gains_of(&flown.gains_before, flown.params.remembered);
+    for (int i = 0; i < 12; i++) {
+        flown.observer.gains[i / 3][i % 3] = uniform();
     }
-    const axis_measured z = {0.1, 0.2, 0.3 * poison, 0.4, 0.5, 0.6};
-    law_axis one;
-    law_observe(&o, observer, 0.02, uniform(), &memory.axes[0], &z, &one);
-    /* Compilers differ in the order in which they take arguments. */
-    const double off_m = uniform(), a_deck = uniform(), a_deck_then = uniform();
-    const double u = law_tilt(&one, &gains[0], off_m, a_deck, a_deck_then);
+    poisoned(flown.observer.gains[0], 12);
+    memset(&memory, 0, sizeof memory);
+    for (int k = 0; k < rounds; k++) {
+        dl_law_cycle in;
+        dl_law_course course;
+        const int64_t delay = flown.gains.tilt_delay;
+        course_of(&course), cycle_of(&in);
+        in.v[0] *= poison;
+        flown.gains.tilt_delay = draw() % 20 ? delay : UNDER_WAY_MAX + 1;
+        if (dl_law_step(&flown, &in, &course, &memory, &after, &command)) {
+            memory = after;
+            fold(&command.a[0], 8), fold(&memory.pushed_down_m_s2, 3);
+        }
+        flown.gains.tilt_delay = delay;
+    }
+    const dl_axis_measured z = {0.1, 0.2, 0.3 * poison, 0.4, 0.5, 0.6};
+    dl_law_axis one;
+    const double u = dl_law_axis_step(&flown, 0.02, uniform(), &memory.axes[0], &z, &one);
     fold(&u, 1);
-    free(observer);
 }

@@ -1,70 +1,67 @@
-/* Looks at pads of many sizes: registration, verification and what is learned, with working memory as long as it must be. */
+/* Looks at pads of many sizes: registration, verification and what is learned. */
 
-/* What is known of a pad and of its paints, and what is asked. */
-typedef struct {
-    pad_judge judge;
-    pad_paint known;
-    look_options how;
-    frame_quality quality;
-} some_look;
-
-static void draw_look(int kind, some_look *l)
+static void draw_judge(int kind, pad_judge *judge)
 {
-    memset(l, 0, sizeof *l);
-    l->judge.has_field = kind % 3 > 0, l->judge.has_ring = kind % 5 > 0, l->judge.has_letters = kind % 4 > 0;
-    l->judge.has_fiducials = kind % 7 == 6;
-    l->judge.disc_has_colour = kind % 2, l->how.coarse = kind % 2, l->how.sigma_tilt_rad = 0.05;
+    judge->has_field = kind % 3 > 0, judge->has_ring = kind % 5 > 0, judge->has_letters = kind % 4 > 0;
+    judge->has_fiducials = kind % 7 == 6, judge->disc_has_colour = kind % 2;
     for (int i = 0; i < 3; i++) {
-        l->judge.orange_side[i] = i == kind % 4 ? -1.0 : 1.0, l->judge.orange_place[i] = uniform();
+        judge->orange_side[i] = i == kind % 4 ? -1.0 : 1.0, judge->orange_place[i] = uniform();
     }
     for (int i = 0; i < FEATURES; i++) {
-        l->judge.template_weights[i] = uniform();
+        judge->template_weights[i] = uniform();
     }
     for (int i = 0; i < EVIDENCE; i++) {
-        l->judge.weights[i] = uniform();
+        judge->searched[i] = uniform(), judge->tracked[i] = uniform();
     }
-    for (int i = 0; i < 12; i++) {
-        l->known.mean[i] = uniform(), l->known.var[i] = 1.0;
-    }
-    l->known.trust = kind % 3 ? 0.5 : 0.0;
-    l->quality.contrast = 1.0, l->quality.noise = kind % 5 ? 0.0 : 0.05;
-    poisoned(l->judge.orange_side, 6 + FEATURES + EVIDENCE), poisoned(&l->how.sigma_tilt_rad, 4);
-    poisoned(l->known.mean, 25), poisoned(&l->quality.noise, 3);
+    poisoned(judge->orange_side, 6 + FEATURES + 2 * EVIDENCE);
 }
 
-static void looks(int count)
+static void draw_start(int kind, int alone, dl_start *start)
+{
+    const dl_start some = {.prior = {.given = !alone || kind % 2, .sigma_deck_rad = 0.03, .cov_tilt = {1e-4, 0.0, 0.0, 1e-4}},
+                           .coarse = !alone && kind % 2, .tracked = kind % 3 == 0, .linear = kind % 4 == 0, .alone = alone,
+                           .sigma_tilt_rad = 0.05, .coded_px = alone && kind % 3 == 0 ? 0.12 : 0.0};
+    *start = some;
+    for (int i = 0; i < 12; i++) {
+        start->known.mean[i] = uniform(), start->known.var[i] = 1.0;
+    }
+    start->known.trust = kind % 3 ? 0.5 : 0.0;
+    if (alone && kind % 4 == 3) {
+        start->cut[0] = 0.6, start->cut[1] = -0.8, start->cut[2] = 0.1 * uniform();
+    }
+    poisoned(&start->prior.roll_rad, 7), poisoned(start->known.mean, 25), poisoned(&start->sigma_tilt_rad, 1), poisoned(start->cut, 3);
+}
+
+/* Looks at pads of many sizes that register alone, or verify and learn, too. */
+static void looks(int count, int alone)
 {
     const drawn_maps d = random_maps();
+    const double sizes[] = {0.4, 0.1, 3.0};
     for (int i = 0; i < count; i++) {
         const int kind = fuzzed ? draw() : i, h = 20 + draw() % 80, w = 20 + draw() % 120;
         camera_lens camera;
-        pad_shape pad;
-        some_look l;
-        fit_options o = {.max_profiles = 10 + draw() % 120, .dense_pixels = 40 + draw() % 400, .blur_px = 0.6, .edge_sigma_px = 0.004, .dense_edge_sigma_px = 0.01};
-        tilt_prior prior = {.given = 1, .sigma_deck_rad = 0.03, .cov_tilt = {1e-4, 0.0, 0.0, 1e-4}};
-        double start[12], *edges = malloc(5 * EDGE_POINTS * sizeof *edges), *outline = malloc((EDGE_POINTS + 3) / 4 * 2 * sizeof *outline);
+        dl_start start;
+        dl_pad *pad = random_pad(alone ? sizes[kind % 3] : 0.4, kind);
+        double *edges = malloc(5 * EDGE_POINTS * sizeof *edges), *outline = malloc((EDGE_POINTS + 3) / 4 * 2 * sizeof *outline);
         int32_t *edge_of = malloc(2 * EDGE_POINTS * sizeof *edge_of);
         looked_pad *out = calloc(1, sizeof *out);
-        const int64_t most = 24 * (o.max_profiles + 2) > o.dense_pixels ? 24 * (o.max_profiles + 2) : o.dense_pixels;
-        const int32_t room = (int32_t)((most > EDGE_POINTS ? most : EDGE_POINTS) + 15) / 16 * 16;
-        const size_t samples = FINAL_SAMPLES + 2 * (size_t)(w + h) + 4 + SAMPLE_LANES;
-        const size_t of_fit = (size_t)room * FIT_ROWS, of_sight = SCRATCH_ROWS * samples + (size_t)w + 2 * LOCAL_MAX;
-        float *scratch = malloc((of_fit > of_sight ? of_fit : of_sight) * sizeof *scratch);
-        uint8_t *parts = malloc((size_t)(2 * (3 * w * h / 4) + 24 * w));
         some_camera(&camera, h, w, 20.0 + draw() % 100, kind % 5 == 0);
-        some_pad(&pad, 0.4, kind % 2);
-        const pad_template drawn = random_template(HALF, pad.disc_radius_m);
-        const double height_m = pad.disc_radius_m * camera.fx / (4.0 + draw() % (kind % 3 ? w / 2 : 4 * w));
-        uint8_t *frame = picture(&camera, &pad, height_m, kind);
+        const double height_m = pad->shape.disc_radius_m * camera.fx / (4.0 + draw() % (alone || kind % 3 ? w / 2 : 4 * w));
+        uint8_t *px = picture(&camera, &pad->shape, height_m, kind);
         double *rays = camera.distorted ? rays_of(&camera) : NULL;
-        some_start(start, &camera, height_m, kind % 7 == 0 ? 5.0 : 0.4, kind % 5 == 4);
-        some_edges(&pad, edges, edge_of);
-        draw_look(kind, &l);
-        if (look_at_pad(&camera, rays, frame, d.light, d.light, &pad, EDGE_POINTS, edges, edge_of, &drawn, d.maps, d.local, &l.judge, &prior, &o,
-                        &l.quality, &l.how, &l.known, start, room, scratch, parts, out, outline)) {
+        some_edges(&pad->shape, edges, edge_of);
+        draw_judge(kind, &pad->judge), draw_start(kind, alone, &start);
+        some_start((double *)&start.pose, &camera, height_m, kind % 7 == 0 ? 5.0 : 0.4, kind % 5 == 4);
+        dl_tracker *t = tracker_for(&camera, rays, pad, &d, edges, edge_of);
+        dl_frame frame = {.level = {{w, h, 3 * w, 3, px}}, .quality = {kind % 5 < 4 ? 0.0 : 0.05, 1.0, 0.0}};
+        poisoned(&frame.quality.noise, 3);
+        if (dl_look(t, &frame, &start, out, outline, (EDGE_POINTS + 3) / 4) == 1) {
+            fold(out->found.t, 3), fold(out->found.R, 9), fold(&out->found.noise_light, 4), fold(out->found.edges[1].contrast_bgr, 7);
             fold(&out->log_odds, 1), fold(out->evidence, EVIDENCE), fold(out->paint.mean, 25), fold(out->seen.d, 3), fold(outline, 200);
         }
-        void *all[] = {out, scratch, parts, frame, rays, edges, edge_of, outline};
+        bring_to_level(&out->found, &start.prior, &camera);
+        dl_tracker_free(t);
+        void *all[] = {out, pad, px, rays, edges, edge_of, outline};
         for (size_t k = 0; k < sizeof all / sizeof *all; k++) {
             free(all[k]);
         }

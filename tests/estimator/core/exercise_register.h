@@ -1,4 +1,4 @@
-/* Registration of pads of many sizes in pictures of them: drawn sharp, in noise, in the dark, half hidden, or not there. */
+/* Pads of many sizes and pictures of them: drawn sharp, in noise, in the dark, half hidden, or not there. */
 
 static void circle_region(pad_region *region, double inner_m, double outer_m)
 {
@@ -184,50 +184,6 @@ static void bring_to_level(const registration *found, const tilt_prior *prior, c
     memcpy(seen.R_cam_pad, found->R, sizeof seen.R_cam_pad);
     memcpy(seen.t_cam_pad, found->t, sizeof seen.t_cam_pad);
     memcpy(seen.cov_pose, found->cov, sizeof seen.cov_pose);
-    sighting_in_level(&seen, &level);
+    dl_sighting_in_level(&seen, &level);
     fold(level.d, 3), fold(level.R_level_pad, 9), fold(&level.yaw_rad, 1);
-}
-
-static void registrations(int count)
-{
-    const double sizes[] = {0.4, 0.1, 3.0};
-    float *light = malloc(256 * sizeof *light);
-    for (int i = 0; i < 256; i++) {
-        light[i] = (float)(i * i) / 65025.0f;
-    }
-    for (int i = 0; i < count; i++) {
-        const int kind = fuzzed ? draw() : i, h = 20 + draw() % 80, w = 20 + draw() % 120;
-        camera_lens camera;
-        pad_shape pad;
-        fit_options o = {.max_profiles = 10 + draw() % 120, .dense_pixels = 40 + draw() % (kind % 3 ? 400 : 2000), .blur_px = 0.6, .edge_sigma_px = 0.004};
-        double start[12], *edges = malloc(5 * EDGE_POINTS * sizeof *edges);
-        double *outline = malloc((EDGE_POINTS + 3) / 4 * 2 * sizeof *outline);
-        int32_t *edge_of = malloc(2 * EDGE_POINTS * sizeof *edge_of);
-        registration *found = calloc(1, sizeof *found);
-        tilt_prior prior = {.given = kind % 2, .sigma_deck_rad = 0.03, .cov_tilt = {1e-4, 0.0, 0.0, 1e-4}};
-        const int64_t most = 24 * (o.max_profiles + 2) > o.dense_pixels ? 24 * (o.max_profiles + 2) : o.dense_pixels;
-        const int32_t room = (int32_t)((most > EDGE_POINTS ? most : EDGE_POINTS) + 15) / 16 * 16;
-        float *scratch = malloc((size_t)room * FIT_ROWS * sizeof *scratch);
-        some_camera(&camera, h, w, 20.0 + draw() % 100, kind % 5 == 0);
-        some_pad(&pad, sizes[kind % 3], kind % 2);
-        const double height_m = pad.disc_radius_m * camera.fx / (4.0 + draw() % (w / 2));
-        uint8_t *frame = picture(&camera, &pad, height_m, kind);
-        double *rays = camera.distorted ? rays_of(&camera) : NULL;
-        o.dense_edge_sigma_px = 0.01, o.coded_px = kind % 3 ? 0.0 : 0.12, o.noise = kind % 5 < 3 ? 0.0 : 0.05;
-        some_start(start, &camera, height_m, kind % 7 == 0 ? 5.0 : 0.4, kind % 5 == 4);
-        some_edges(&pad, edges, edge_of);
-        if (kind % 4 == 3) {
-            o.cut[0] = 0.6, o.cut[1] = -0.8, o.cut[2] = 0.1 * uniform();
-        }
-        poisoned(&prior.roll_rad, 1), poisoned(prior.cov_tilt, 4), poisoned(&o.noise, 1), poisoned(o.cut, 3);
-        if (register_pad(&camera, rays, frame, light, &pad, EDGE_POINTS, edges, edge_of, &prior, &o, start, room, scratch, found, outline)) {
-            fold(found->t, 3), fold(found->R, 9), fold(&found->noise_light, 4), fold(found->edges[1].contrast_bgr, 7), fold(outline, 200);
-        }
-        bring_to_level(found, &prior, &camera);
-        void *all[] = {found, scratch, frame, rays, edges, edge_of, outline};
-        for (size_t k = 0; k < sizeof all / sizeof *all; k++) {
-            free(all[k]);
-        }
-    }
-    free(light);
 }

@@ -8,20 +8,18 @@ import numpy as np
 
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64
-from estimator.core.library import CORE, address, start_of
-from estimator.ekf.deck_motion_bank import SEA_SIZE, DeckMotionBank, PackedSea
-from estimator.ekf.motion import ProcessNoise
+from estimator.core.library import CORE
+from estimator.ekf.deck_motion_bank import DeckMotionBank, PackedSea
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import packed_event
+from estimator.ekf.params import FilterParams
 from estimator.ekf.process_event import process_event
-from estimator.ekf.propagate import FilterParams
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import Belief, N
 from tests.estimator.ekf.hand import belief
 from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement
-
-_MODEL, _OBSERVE = CORE.function("sighting_model"), CORE.function("bank_observe")
+from tests.support.core_parts import PARTS, part
 
 
 def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Belief, Outcome]:
@@ -47,19 +45,30 @@ def sighting(
     turning: Vec3 = tuple(np.asarray(w, dtype=float).tolist())  # type: ignore[assignment]
     newest = (turning[0] + math.sqrt(rate_var), *turning[1:])
     packed = PackedBelief.of(belief(R, x=x, w=newest, w_smooth=turning, levelled_by=levelled_by))
-    innov, H, noise, by_rate = np.zeros(6), np.zeros((6, N)), np.zeros(36), np.zeros((3, N))
+    seen = np.frombuffer(packed_event(s).seen, CORE.dtype("dl_sighting"))
+    rows = PARTS.new("sighting_rows *")
     cov = np.ascontiguousarray(cov_levelled_by)
-    m = _MODEL(
-        packed.numbers.address, packed_event(s).seen, address(cov), yaw_sigma, int(place_only),
-        address(innov), address(H), address(noise), address(by_rate),
-    )  # fmt: skip
-    return LinearizedMeasurement(innov[:m], H[:m], noise[: m * m].reshape(m, m), by_rate)
+    part("sighting_model")(packed.numbers, seen, cov, yaw_sigma, int(place_only), rows)
+    m = rows.m
+    innov, H, noise, by_rate = (
+        np.frombuffer(PARTS.buffer(member)).copy() for member in (rows.innov, rows.H, rows.R, rows.by_rate)
+    )
+    return LinearizedMeasurement(innov[:m], H.reshape(6, N)[:m], noise[: m * m].reshape(m, m), by_rate.reshape(3, N))
 
 
 def observe(
-    bank: DeckMotionBank, t: int, y: F64, var: F64, noise: ProcessNoise, reach_m: float, ins_var: float = 0.0
+    bank: DeckMotionBank, t: int, y: F64, var: F64, params: FilterParams, reach_m: float, ins_var: float = 0.0
 ) -> DeckMotionBank:
     """Return the core's bank after one look."""
-    before, block = PackedSea.of(bank), np.empty(SEA_SIZE)
-    _OBSERVE(noise.packed_address, t, address(y), address(var), ins_var, reach_m, before.address, start_of(block))
-    return PackedSea(block, 0, address(block)).bank
+    before, after = PackedSea.of(bank), PackedSea.of(bank).apart()
+    options = PARTS.cast("dl_filter_params *", params.core)
+    part("bank_observe")(options, t, y, var, ins_var, reach_m, before.record, after.record)
+    return after.bank
+
+
+def settled(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
+    """Return the belief with everything but `P` propagated from `t_cov` to `t`, and the (N, N) F and Q that propagate `P`."""
+    packed, F, Q = PackedBelief.of(b), np.empty((N, N)), np.empty((N, N))
+    own = packed.apart(packed.P, packed.sea)
+    part("propagated_belief")(PARTS.cast("dl_filter_params *", params.core), own.numbers, F, Q)
+    return own.belief, F, Q

@@ -10,11 +10,11 @@ from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf import EkfOptions, deck_motion_bank
-from estimator.ekf.propagate import FilterParams, parameters
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import CAMERA_DELAY, CAMERA_MOUNT, PAD_YAW, POS_REL, VEL, Belief, N, initial
 
 OPTIONS = EkfOptions()
-TOOLS = parameters(OPTIONS)
+TOOLS = FilterParams(OPTIONS)
 MS = 1_000_000
 S = 1_000_000_000
 T = 500 * S
@@ -24,7 +24,7 @@ TILTED = rpy_matrix(0.1, -0.15, 0.8)
 
 def params(**changed: object) -> FilterParams:
     o = structs.replace(OPTIONS, **changed)  # type: ignore[arg-type]
-    return parameters(o)
+    return FilterParams(o)
 
 
 def stamp(t: int) -> Stamp:

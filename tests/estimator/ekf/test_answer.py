@@ -17,7 +17,7 @@ from estimator.ekf import Ekf, at, motion_at, step
 from estimator.ekf.history import History
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import packed_event
-from estimator.ekf.propagate import FilterParams
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import Belief
 from tests.estimator.ekf.hand import LEVEL, MS, TOOLS, T, belief, correlated, imu, params, state
 from tests.estimator.ekf.oracle import answers
@@ -94,7 +94,7 @@ def test_after_a_row_of_samples_it_is_the_oracle_s(later_ms: int) -> None:
     for seed in range(12):
         packed = PackedBelief.of(beginning(seed)._replace(sighted=T - 20 * MS))
         row_of = [packed_event(one) for one in [*row(seed, 9, 0.2, 3.0), imu(T + 40 * MS, (0.1, 0.0, 0.2), (0.5, 0.1, -9.6))]]
-        made = packed.follow(TOOLS.process_noise, row_of)
+        made = packed.follow(TOOLS, row_of)
         assert len(made) == len(row_of)
         b = made[-1].belief
         pad, body = same_answer(b, b.t + later_ms * MS, TOOLS)

@@ -13,7 +13,6 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation, rpy_matrix, wrap_pi
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
-from estimator.core.abi import EXCESSES_MAX, WITH_COVARIANCE
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import PackedEvent, packed_event
 from estimator.ekf.so3 import about_down
@@ -223,14 +222,14 @@ def test_an_imu_sample_of_the_first_instant_holds_as_long_as_any_other(later_ms:
     chosen = params(hold_s=0.02)
     b = in_the_first_second(5, t_imu=0, w=(0.3, -0.2, 0.5), f=(0.5, 1.0, -9.0))._replace(P=correlated())
     t = (5 + later_ms) * MS
-    ours = PackedBelief.of(b).propagated(t, chosen.process_noise, WITH_COVARIANCE).belief
+    ours = PackedBelief.of(b).propagated(t, chosen, DL_WITH_COVARIANCE).belief
     same(ours, propagated_with_covariance(b, t, chosen))
     assert ours.x[VEL][0] == pytest.approx(0.0005 * min(later_ms, 15), rel=0.05), "no force is known after its time"
 
 
 def test_no_time_changes_nothing_to_the_bit() -> None:
     b = belief(TILTED, x=state(), P=correlated(), jolt_var_m2_s2=0.3)
-    after = PackedBelief.of(b).propagated(T, TOOLS.process_noise, WITH_COVARIANCE).belief
+    after = PackedBelief.of(b).propagated(T, TOOLS, DL_WITH_COVARIANCE).belief
     assert after.P.tobytes() == b.P.tobytes()
     assert after.jolt_var_m2_s2 == b.jolt_var_m2_s2
 
@@ -248,7 +247,7 @@ def test_a_kind_that_was_fused_is_not_fused_again_with_the_next_one() -> None:
     """One row in one call: between calls a snapshot forgets what was gathered and fused."""
     oracle, turn = belief(x=under(), P=correlated()), Rotation.from_rpy(0.01, -0.01, 0.0)
     row = [BodyVelocity(stamp(T + MS), np.zeros(3), np.eye(3)), Attitude(stamp(T + 6 * MS), turn, 1e-4 * np.eye(3))]
-    together = PackedBelief.of(oracle).follow(TOOLS.process_noise, [packed_event(event) for event in row])
+    together = PackedBelief.of(oracle).follow(TOOLS, [packed_event(event) for event in row])
     for event, made in zip(row, together, strict=True):
         oracle, _ = process_sample(oracle, event, TOOLS)
         same(made.belief, oracle)
@@ -272,7 +271,7 @@ def test_a_refusal_leaves_the_covariance_as_it_was_propagated(later_ms: int) -> 
 def test_a_row_ends_before_an_event_of_a_kind_that_is_none() -> None:
     known = packed_event(imu(T + MS, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8)))
     strange = PackedEvent(struct.pack("q", 99) + known.record[8:])
-    together = PackedBelief.of(belief()).follow(TOOLS.process_noise, [known, strange, known])
+    together = PackedBelief.of(belief()).follow(TOOLS, [known, strange, known])
     assert len(together) == 1
 
 

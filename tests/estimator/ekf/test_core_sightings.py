@@ -18,8 +18,8 @@ from estimator.ekf import deck_motion_bank
 from estimator.ekf.deck_motion_bank import DeckMotionBank
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import Event, packed_event
+from estimator.ekf.params import FilterParams
 from estimator.ekf.process_event import process_event
-from estimator.ekf.propagate import FilterParams
 from estimator.ekf.so3 import about_down, heading
 from estimator.ekf.state import (
     CAMERA_DELAY,
@@ -40,7 +40,7 @@ from tests.estimator.ekf.oracle.samples import Sample, process_sample
 from tests.estimator.ekf.oracle.sighting import deck, levelling
 from tests.estimator.ekf.oracle.vessel_update import fuse_vessel
 from tests.estimator.ekf.oracle.vision_update import fuse_sighting
-from tests.estimator.ekf.test_core import NUMBERS, beginning, close, row, same, same_outcome, same_sea
+from tests.estimator.ekf.test_core import beginning, close, row, same, same_outcome, same_sea
 from tests.support.estimator_truth import Setting, TruthFlight, events
 
 EXACT = params(sighting_has_attitude_error=False, min_confidence=0.5)
@@ -57,7 +57,7 @@ def learned_sea(seed: int, looks: int, t: int) -> DeckMotionBank:
     for k in range(looks):
         y = rng.normal(size=5) * [0.3, 0.3, 0.5, 0.05, 0.05]
         var = np.where(rng.random(5) < 0.2, 1e6, 1e-4 * rng.uniform(0.5, 5.0, 5))
-        sea = flown.observe(sea, t - (looks - k) * 210 * MS, y, var, TOOLS.process_noise, 2.0)
+        sea = flown.observe(sea, t - (looks - k) * 210 * MS, y, var, TOOLS, 2.0)
     return sea
 
 
@@ -114,7 +114,7 @@ def expected(b: Belief, event: Event, chosen: FilterParams) -> tuple[Belief, Any
 
 def agrees(b: Belief, event: Event, chosen: FilterParams) -> tuple[Belief, Verdict]:
     """Process an event in both ways; return the oracle's belief."""
-    made = PackedBelief.of(b).follow(chosen.process_noise, [packed_event(event)])
+    made = PackedBelief.of(b).follow(chosen, [packed_event(event)])
     (ours,), (outcome,) = made, made.outcomes(1)
     oracle, oracle_outcome = expected(b, event, chosen)
     same_outcome(outcome, oracle_outcome)
@@ -186,10 +186,10 @@ def test_a_row_of_all_kinds_in_one_call_is_one_call_for_each(seed: int, chosen: 
     mixed += [look(rng, b, T + k * 50 * MS) for k in range(5)] + [report(rng, T + 70 * MS)]
     mixed.sort(key=lambda event: event.stamp.measured_at)
     one_by_one = PackedBelief.of(b)
-    together = one_by_one.follow(chosen.process_noise, [packed_event(one) for one in mixed])
+    together = one_by_one.follow(chosen, [packed_event(one) for one in mixed])
     for one, after in zip(mixed, together, strict=False):
-        (one_by_one,) = one_by_one.follow(chosen.process_noise, [packed_event(one)])
-        assert one_by_one.numbers.read(NUMBERS).tobytes() == after.numbers.read(NUMBERS).tobytes()
+        (one_by_one,) = one_by_one.follow(chosen, [packed_event(one)])
+        assert one_by_one.numbers.tobytes() == after.numbers.tobytes()
         assert one_by_one.belief.P.tobytes() == after.belief.P.tobytes()
         for name in ("t", "log_weight", "x", "pairs", "weight", "sigma"):
             assert np.array_equal(getattr(one_by_one.belief.sea, name), getattr(after.belief.sea, name)), name
@@ -216,7 +216,7 @@ def test_the_bank_learns_what_the_oracle_s_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
     ours, oracle = deck_motion_bank.unknown(), oracle_bank.unknown()
     same_sea(ours, oracle)
-    t, noise = T, TOOLS.process_noise
+    t, noise = T, TOOLS
     w, by = rng.uniform(0.5, 2.0, 5), noise.carrying
     for k in range(40):
         t += int(rng.choice([0, 180, 200, 350, 3000], p=[0.05, 0.3, 0.4, 0.2, 0.05])) * MS

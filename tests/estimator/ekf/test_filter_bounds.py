@@ -12,7 +12,6 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Verdic
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Baro
 from estimator.contracts.time import MonoNs
-from estimator.core.abi import WITH_COVARIANCE
 from estimator.ekf import Ekf, EkfOptions, at, deck_motion_bank, forecast, moving, start, step
 from estimator.ekf.forecast import probability_of_motion
 from estimator.ekf.history import History
@@ -104,7 +103,7 @@ def test_the_covariance_is_what_each_error_does_to_what_is_told() -> None:
 def test_a_little_later_it_is_the_belief_carried_on_with_all_its_growing_doubt() -> None:
     b = belief(TILTED, x=state(), t_imu=T, w=np.array([0.1, 0.2, 0.3]), f=np.array([0.3, -0.2, -9.7]))
     now = T + 50 * MS
-    found, other = told(b, now), told(PackedBelief.of(b).propagated(now, TOOLS.process_noise, WITH_COVARIANCE).belief, now)
+    found, other = told(b, now), told(PackedBelief.of(b).propagated(now, TOOLS, DL_WITH_COVARIANCE).belief, now)
     for name in ("d_body_pad_level", "v_pad_level", "cov"):
         np.testing.assert_allclose(getattr(found, name), getattr(other, name), atol=1e-9, err_msg=name)
     assert found.yaw_rad == pytest.approx(other.yaw_rad)
@@ -259,7 +258,7 @@ def test_a_vessel_under_way_moves_and_one_that_lies_still_may_not() -> None:
 def test_a_new_filter_has_the_options_given_or_the_usual_ones_and_knows_nothing() -> None:
     chosen = EkfOptions(forget_s=7.0)
     for ekf, options in ((start(chosen), chosen), (start(), EkfOptions())):
-        assert ekf.params.options == ekf.params.process_noise.options == options
+        assert ekf.params.options == options
         assert ekf.history == History()
         assert ekf.belief is None
         assert ekf.limits == IntegrityOptions()

@@ -13,11 +13,10 @@ from companion.guidance.controller import HORIZONS_S
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 from estimator.ekf import Ekf, Forecast, deck_motion_bank, forecast
-from estimator.ekf.deck_motion_bank import DeckMotionBank
+from estimator.ekf.deck_motion_bank import DeckMotionBank, Skill
 from estimator.ekf.history import History
 from estimator.ekf.packed_belief import PackedBelief
-from estimator.ekf.propagate import FilterParams
-from estimator.ekf.skill import Skill
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import Belief
 from tests.estimator.ekf.hand import MS, TOOLS, S, T, belief, diagonal, params, under
 from tests.estimator.ekf.oracle import answers, bank
@@ -39,7 +38,7 @@ def learned(seed: int, looks: int, size: float) -> DeckMotionBank:
         t = 0.25 * k
         seen = var.copy() if seed % 3 else np.array([1e-4] * 3 + [1e6] * 2)
         y = swing * np.sin(w * t) + np.sqrt(var) * rng.normal(size=5)
-        sea = bank.observe(sea, T - 100 * MS - round((looks - 1 - k) * 0.25 * S), y, seen, TOOLS.process_noise.carrying, 2.0)
+        sea = bank.observe(sea, T - 100 * MS - round((looks - 1 - k) * 0.25 * S), y, seen, TOOLS.carrying, 2.0)
     product, square, came = rng.normal(size=(3, 5, 2)), *rng.uniform(0.0, 2.0, (2, 3, 5, 2))
     known = Skill(sea.skill.issued, rng.uniform(0.0, 60.0, 3), product, square, came)
     return sea._replace(skill=known) if seed % 2 else sea

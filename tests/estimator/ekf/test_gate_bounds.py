@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
 from estimator.ekf import EkfOptions, gate
-from estimator.ekf.propagate import parameters
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import POS_REL, RejectionStreak
 from tests.estimator.ekf import flown
 from tests.estimator.ekf.hand import belief, diagonal, params, sighting, under
@@ -61,7 +61,7 @@ def flown_reset(streak: RejectionStreak, agreed: int, options: EkfOptions) -> bo
     n, since, last, *_ = streak
     before = RejectionStreak(n - 1, since, last, (3.0, 0.0, 0.0), 1e-4) if n > 1 else RejectionStreak()
     b = belief(t=streak.last, x=under(), P=diagonal(), agreed=agreed, rejections=before)
-    after, outcome = flown.fuse_sighting(b, sighting((3.0, 0.0, 2.0), t=streak.last), parameters(options))
+    after, outcome = flown.fuse_sighting(b, sighting((3.0, 0.0, 2.0), t=streak.last), FilterParams(options))
     assert (outcome.verdict is Verdict.FUSED) is (after.agreed == 1 and after.rejections.n == 0)
     return outcome.verdict is Verdict.FUSED
 

@@ -23,7 +23,7 @@ def innovation(R: F64) -> F64:
     """Return the rotation vector, (3,) rad, by which a level belief finds an attitude turned."""
     event = Attitude(stamp(T), Rotation(R), 1e-4 * np.eye(3))
     b = belief(LEVEL, x=np.zeros(N), P=1e-4 * np.eye(N))
-    (outcome,) = PackedBelief.of(b).follow(TOOLS.process_noise, [packed_event(event)]).outcomes(1)
+    (outcome,) = PackedBelief.of(b).follow(TOOLS, [packed_event(event)]).outcomes(1)
     assert outcome.innovation is not None
     return np.asarray(outcome.innovation)
 

@@ -12,10 +12,10 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf.history import History, Leap, put
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.packed_event import Event
-from estimator.ekf.propagate import parameters
+from estimator.ekf.params import FilterParams
 
 OPTIONS = EkfOptions()
-TOOLS = parameters(OPTIONS)
+TOOLS = FilterParams(OPTIONS)
 MS = 1_000_000
 T = 100_000 * MS
 

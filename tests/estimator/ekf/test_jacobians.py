@@ -17,11 +17,11 @@ from estimator.contracts.estimates import Pose6, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import deck_motion_bank, motion
+from estimator.ekf import deck_motion_bank
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import packed_event
-from estimator.ekf.propagate import FilterParams
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import (
     ATT_ERR,
     CAMERA_DELAY,
@@ -49,7 +49,7 @@ from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement
 
 OPTIONS = EkfOptions()
 ALGEBRA = Algebra(N)
-WALK = motion.ProcessNoise(OPTIONS)
+WALK = FilterParams(OPTIONS)
 
 
 def random_belief(seed: int) -> Belief:
@@ -164,7 +164,7 @@ def test_delay_column_is_the_rate_of_what_the_camera_sees(seed: int) -> None:
 
 def gathered(b: Belief, sample: Sample, chosen: FilterParams) -> Gathered:
     """Return what the core keeps of a sample until it is fused: its Jacobian and its innovation."""
-    (after,) = PackedBelief.of(b).follow(chosen.process_noise, [packed_event(sample)])
+    (after,) = PackedBelief.of(b).follow(chosen, [packed_event(sample)])
     (found,) = (aid.gathered for aid in after.belief.aids if aid.gathered is not None)
     return found
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,12 @@ from scipy.stats import multivariate_normal, norm
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Range, VesselReport
 from estimator.contracts.time import MonoNs
-from estimator.core.interface import size_of
+from estimator.core.library import CORE
 from estimator.ekf import Forecast, deck_motion_bank, state
 from estimator.ekf.deck_motion_bank import PackedSea, carrying, log_evidence_of_rest
 from estimator.ekf.forecast import probability_of_motion
-from estimator.ekf.motion import NOT_MEASURED_VAR
-from estimator.ekf.packed_event import Event, _kind, packed_event
+from estimator.ekf.packed_event import Event, packed_event
+from estimator.ekf.params import NOT_MEASURED_VAR
 from tests.estimator.ekf.hand import T, imu, learned, params, sighting, stamp
 
 
@@ -88,7 +87,7 @@ def test_every_state_s_noise_is_its_option_squared() -> None:
     }  # fmt: skip
     noise = params(
         **{name: value for name, (_, value) in given.items()}, asd_accel_m_s2=0.31, asd_coast_m_s2=0.32, asd_coast_rad_s=0.33
-    ).process_noise
+    )
     expected = np.zeros(state.N)
     for place, value in given.values():
         expected[place] = value**2
@@ -134,7 +133,7 @@ def test_neither_rest_nor_motion_is_ever_certain() -> None:
 
 
 def test_the_core_s_record_of_an_event_holds_its_values_and_zeros_to_its_end() -> None:
-    zero, at, words = np.zeros(3), stamp(T), size_of("event")
+    zero, at, words = np.zeros(3), stamp(T), CORE.dtype("dl_event").itemsize // 8
     events: list[tuple[Event, int]] = [
         (imu(T, zero, zero), 6), (Attitude(at, Rotation.identity(), np.eye(3)), 18), (BodyVelocity(at, zero, np.eye(3)), 12),
         (Range(at, 1.0, 0.1), 2), (Baro(at, 1.0, 0.1), 2), (VesselReport(at, zero, np.eye(3), 1.0, 0.1), 16),
@@ -144,10 +143,8 @@ def test_the_core_s_record_of_an_event_holds_its_values_and_zeros_to_its_end() -
         record = packed_event(event).record
         assert len(record) == 8 * words
         assert not any(record[8 * (2 + n) :])
-        assert _kind("IMU", packed_event, n)[2] == bytes(8 * (words - 2 - n))  # type: ignore[arg-type]
     blind = packed_event(VesselReport(at, None, None, None, None)).record
     assert not any(blind[16:])
-    no_pose = packed_event(sighting((0.0, 0.0, 2.0))).seen
-    head = struct.unpack("3q2d3dd", no_pose[: 8 * 9])
-    assert (head[:3], head[-1]) == ((0, 0, 0), 0.0)
-    assert not any(no_pose[-8 * 48 :])
+    no_pose = np.frombuffer(packed_event(sighting((0.0, 0.0, 2.0))).seen, CORE.dtype("dl_sighting"))
+    assert not any(no_pose[name].any() for name in ("has_yaw", "yaw_ambiguous", "has_pose6", "yaw_rad"))
+    assert not any(no_pose[name].any() for name in ("pose_d_level", "pose_R", "pose_cov"))

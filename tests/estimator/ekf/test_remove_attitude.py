@@ -9,18 +9,17 @@ import pytest
 from scipy.linalg import eigh
 
 from estimator.contracts.geometry import F64
-from estimator.core.abi import ROWS_MAX
-from estimator.core.library import CORE, address
+from tests.support.core_parts import part
 
 KEPT, NOT_A_PART = 0.02, 1.5
 SIZES = (1, 2, 3, 6, ROWS_MAX)
-_REMOVE = CORE.function("remove_attitude")
+_REMOVE = part("remove_attitude")
 
 
 def rest_of(cov: F64, J: F64, cov_attitude: F64) -> F64:
     m, out = len(cov), np.ascontiguousarray(cov).copy()
     J, cov_attitude = np.ascontiguousarray(J), np.ascontiguousarray(cov_attitude)
-    _REMOVE(m, address(out), address(J), address(cov_attitude))
+    _REMOVE(m, out, J, cov_attitude)
     return out
 
 
@@ -85,8 +84,8 @@ def test_only_what_belongs_to_the_matrix_is_written(m: int) -> None:
     for largest in (0.5, 1.2):
         room = np.full(m * m + 2 * ROWS_MAX, 7.0)
         room[: m * m] = cov.ravel()
-        part = np.ascontiguousarray(part_of(cov, J, cov_attitude, largest))
-        _REMOVE(m, address(room), address(np.ascontiguousarray(J)), address(part))
+        of_attitude = np.ascontiguousarray(part_of(cov, J, cov_attitude, largest))
+        _REMOVE(m, room, np.ascontiguousarray(J), of_attitude)
         assert (room[m * m :] == 7.0).all()
 
 

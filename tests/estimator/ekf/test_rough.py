@@ -13,7 +13,7 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import BodyVelocity, Imu
 from estimator.contracts.time import MonoNs
 from estimator.ekf import Ekf, at, moving, start, step
-from estimator.ekf.propagate import parameters
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import TURN_RATE, VEL
 from tests.support import voyage_faults, voyage_truth
 from tests.support.voyage_faults import BEGIN_S, SCENE, suffered
@@ -107,7 +107,7 @@ def test_a_belief_that_nothing_confirms_is_not_called_consistent() -> None:
         state = at(ekf, ns(later_s))
         assert state is not None
         assert state.consistent is expected
-    strict = replace(ekf, params=parameters(structs.replace(OPTIONS, consistent_sigma_m=1e-3)))
+    strict = replace(ekf, params=FilterParams(structs.replace(OPTIONS, consistent_sigma_m=1e-3)))
     state = at(strict, ns(8.1))
     assert state is not None
     assert not state.consistent, "a sigma beyond the bound"

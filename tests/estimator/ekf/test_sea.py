@@ -15,8 +15,8 @@ from scipy.linalg import expm
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import VesselReport
 from estimator.ekf import Ekf, EkfOptions, at, deck_motion_bank, forecast, moving, start, step
-from estimator.ekf.motion import ProcessNoise
-from estimator.ekf.oscillator import stationary
+from estimator.ekf.deck_motion_bank import stationary
+from estimator.ekf.params import FilterParams
 from tests.estimator.ekf import flown
 from tests.estimator.ekf.oracle.oscillator import transition
 from tests.support.estimator_truth import Setting, TruthFlight, events, ns, stamp
@@ -48,7 +48,7 @@ def test_stationary_covariance_is_stationary(w: float, zeta: float) -> None:
     assert P[0, 0] == 1.0
 
 
-NOISE = ProcessNoise(EkfOptions())
+NOISE = FilterParams(EkfOptions())
 
 
 def test_the_bank_learns_an_oscillation_and_its_size() -> None:

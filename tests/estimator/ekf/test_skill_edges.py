@@ -7,7 +7,7 @@ import pytest
 
 from estimator.core.abi import MEMBERS
 from estimator.ekf import deck_motion_bank
-from estimator.ekf.skill import IssuedForecast, Skill
+from estimator.ekf.deck_motion_bank import IssuedForecast, Skill
 from tests.estimator.ekf import flown
 from tests.estimator.ekf.hand import MS, TOOLS, T, learned
 from tests.estimator.ekf.oracle import bank as oracle
@@ -16,7 +16,7 @@ from tests.estimator.ekf.test_core import same_sea
 
 @pytest.mark.parametrize("var", [0.99e5, 1e5, 1.01e5])
 def test_a_direction_is_unseen_from_a_variance_on(var: float) -> None:
-    y, noise = np.array([3.0, -2.0, 5.0, 0.1, -0.2]), TOOLS.process_noise
+    y, noise = np.array([3.0, -2.0, 5.0, 0.1, -0.2]), TOOLS
     seen = np.array([1e-4, var, 1e-4, var, 1e-4])
     ours, expected = deck_motion_bank.unknown(), oracle.unknown()
     for t in (T, T + 200 * MS):
@@ -30,7 +30,7 @@ def test_the_best_member_sets_the_scale_whichever_it_is(best: int) -> None:
     log_weight = np.full((5, MEMBERS), -4.0)
     log_weight[:, best] = 3.0
     before = learned(t=T - 200 * MS)._replace(log_weight=log_weight)
-    nothing_seen, noise = np.full(5, 1e6), TOOLS.process_noise
+    nothing_seen, noise = np.full(5, 1e6), TOOLS
     after = flown.observe(before, T, np.zeros(5), nothing_seen, noise, 2.0)
     same_sea(after, oracle.observe(before, T, np.zeros(5), nothing_seen, noise.carrying, 2.0))
     assert np.all(after.log_weight.argmax(axis=1) == best)
@@ -60,7 +60,7 @@ def test_forecasts_are_compared_issued_and_dropped_at_their_ages(ages_ns: tuple[
     told = tuple([IssuedForecast(T - age, rng.normal(size=(3, 5, 2))) for age in ages_ns])
     known = Skill(told, rng.uniform(5.0, 9.0, 3), rng.normal(size=(3, 5, 2)), *rng.uniform(1.0, 2.0, (2, 3, 5, 2)))
     before = learned(t=T - 300 * MS)._replace(skill=known)
-    y, var, noise = rng.normal(size=5), np.full(5, 1e-4), TOOLS.process_noise
+    y, var, noise = rng.normal(size=5), np.full(5, 1e-4), TOOLS
     after = flown.observe(before, T, y, var, noise, 2.0)
     same_sea(after, oracle.observe(before, T, y, var, noise.carrying, 2.0))
     assert len(after.skill.issued) == issued

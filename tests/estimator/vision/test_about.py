@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from estimator.vision.camera import Camera
-from estimator.vision.detect.about import pose_about
+from estimator.vision.detect.guesses import pose_about
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.pad import Pad

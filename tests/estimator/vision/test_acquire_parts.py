@@ -15,13 +15,13 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.core.abi import TEMPLATE_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
+from estimator.vision.detect.circles import EdgeCircle, Radii, edge_circles
 from estimator.vision.detect.colour import disc_colour, is_coloured
-from estimator.vision.detect.edge_circles import EdgeCircle, Radii, edge_circles
 from estimator.vision.detect.guesses import Outline, guesses_from
 from estimator.vision.detect.heading import heading
+from estimator.vision.detect.lettering import h_markings
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.detect.strokes import h_markings
 from estimator.vision.detect.template import DISC, ORANGE, STEP_M, H, paints_at, polar_drawing, template
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
@@ -29,22 +29,24 @@ from estimator.vision.srgb import LINEAR_LIGHT
 from sitl.camera.light import Light
 from tests.support.deck_images import shown
 from tests.support.pad_images import sim_camera
+from tests.support.pad_scenes import load_camera, load_pad, pad_scene
 
 U8 = NDArray[np.uint8]
 
 
-def test_a_part_of_a_small_image_is_that_part_of_the_small_image() -> None:
-    px = np.random.default_rng(0).integers(0, 256, (361, 643, 3), np.uint8)
-    for level, box in (
-        (0, (3, 5, 40, 50)),
-        (1, (7, 9, 60, 70)),
-        (2, (0, 0, 30, 20)),
-        (3, (50, 30, 80, 45)),
-        (2, (0, 0, 160, 90)),
-    ):
-        left, top, right, below = box
-        assert np.array_equal(Pyramid(px).cut(level, *box), Pyramid(px)[level][top:below, left:right])
-        assert Pyramid(px).size(level) == Pyramid(px)[level].shape[1::-1]
+@pytest.mark.parametrize("range_m", [0.5, 1.5, 4.0])
+def test_the_core_reduces_the_parts_that_it_needs_as_the_pyramid_does(range_m: float) -> None:
+    camera, pad = load_camera("sim"), load_pad("thesis")
+    rng = np.random.default_rng(0)
+    scene = pad_scene(rng, camera, pad, range_m, "plain", 0.1)
+    assert scene.truth is not None
+    unmade, made = Pyramid(scene.px), Pyramid(scene.px)
+    made[5]
+    found = [align(pyramid, camera, pad, scene.truth, SIGMA_TILT_RAD) for pyramid in (unmade, made)]
+    assert found[0] is not None
+    assert found[1] is not None
+    assert np.array_equal(found[0].features, found[1].features)
+    assert np.array_equal(found[0].pose.t_cam_pad, found[1].pose.t_cam_pad)
 
 
 def disc_on(shape: tuple[int, int], at: tuple[float, float], radius: float, inside: int, outside: int) -> U8:

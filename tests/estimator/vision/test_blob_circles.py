@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import acquire
-from estimator.vision.detect.blob_circles import blob_circles
-from estimator.vision.detect.edge_circles import EdgeCircle
+from estimator.vision.detect.circles import EdgeCircle, blob_circles
 from estimator.vision.detect.guesses import Guess, Outline, guesses_from
 from estimator.vision.detect.hypotheses import Kind
 from estimator.vision.detect.plane import Plane
@@ -39,7 +38,7 @@ def oval(shape: tuple[int, int], at: tuple[float, float], axes: tuple[float, flo
 
 def outline_of(circle: EdgeCircle) -> tuple[F64, F64]:
     """Return the centre and M of a circle's outline, px."""
-    uv = circle.words[-72:].reshape(-1, 2)
+    uv = circle.record["outline_px"].reshape(-1, 2)
     return uv.mean(axis=0), 2.0 * np.cov(uv.T, bias=True)
 
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.contracts.geometry import Rotation, Transform
-from estimator.vision.camera import Camera
-from estimator.vision.register.pixels import ray_map
+from estimator.vision.camera import Camera, ray_map
 from sitl.camera.projection import lens_of
 
 

@@ -14,8 +14,7 @@ from estimator.contracts.time import Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.camera_pose import camera_pose
-from estimator.vision.register.sighting import sighting_of
+from estimator.vision.register.sighting import camera_pose, sighting_of
 
 MOUNT = Transform(Rotation.from_rpy(0.02, -0.03, 1.6), np.array([0.15, 0.02, 0.01]))
 CAMERA = Camera(640, 360, 370.0, 370.0, 319.5, 179.5, np.zeros(5), MOUNT)

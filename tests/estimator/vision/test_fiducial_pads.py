@@ -138,9 +138,6 @@ def seen_from(
     return seen, R_level_ned @ (exposure.p_pad_ned - exposure.p_body_ned)
 
 
-TILTS = st.floats(-0.35, 0.35)
-
-
 @settings(max_examples=12, deadline=None)
 @given(
     st.sampled_from(NAMES),

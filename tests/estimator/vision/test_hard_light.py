@@ -111,13 +111,13 @@ def test_the_noise_of_a_frame_is_measured_beside_what_it_shows(camera: Camera, p
 @pytest.mark.parametrize("k", range(4))
 def test_an_ordinary_frame_is_clear_and_has_no_more_than_the_usual_noise(camera: Camera, pad: Pad, k: int) -> None:
     seen = pad_scene(np.random.default_rng(k), camera, pad, 2.0, "plain")
-    assert Pyramid(seen.px).quality[:2].tolist() == [0.0, 1.0]
+    assert (Pyramid(seen.px).noise, Pyramid(seen.px).contrast) == (0.0, 1.0)
 
 
 def test_airlight_takes_contrast(camera: Camera, pad: Pad) -> None:
     rng = np.random.default_rng(6)
     seen = pad_scene(rng, camera, pad, 3.0, "plain").px
-    clear, dim = Pyramid(seen).quality[1], Pyramid(haze(0.15)(seen, rng)).quality[1]
+    clear, dim = Pyramid(seen).contrast, Pyramid(haze(0.15)(seen, rng)).contrast
     assert clear == 1.0
     assert 0.15 <= dim < 0.5
 

@@ -16,16 +16,14 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision import tracker
-from estimator.vision.by_lamps import is_dark
-from estimator.vision.lamp import points_of
-from estimator.vision.lamps.accuracy import CENTRE_PX, lamp_accuracy
-from estimator.vision.lamps.detect import detect_lamps
+from estimator.vision import lamp_sighting, tracker
+from estimator.vision.lamp import CENTRE_PX, lamp_accuracy, points_of
+from estimator.vision.lamp_sighting import detect_lamps, is_dark
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pad_rules import check_for_detection
 from estimator.vision.pose import Orientation
-from estimator.vision.register.camera_pose import camera_pose
+from estimator.vision.register.sighting import camera_pose
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from tests.support.night_scenes import NIGHTS, NightCondition, NightScene, night_scene
 from tests.support.pad_scenes import ROOT, load_camera, load_pad, pad_scene
@@ -187,7 +185,7 @@ def test_a_dark_frame_is_searched_for_lamps_first_and_a_frame_by_day_for_paint(m
     monkeypatch.setattr(tracker, "by_paint", lambda *_: pytest.fail("the paint was searched for"))
     assert track(TrackerConfig(CAMERA, LIT), TrackerMemory(), Frame(STAMP, 0, night.px), measured)[0].chosen == "lamps"
     monkeypatch.undo()
-    monkeypatch.setattr(tracker, "by_lamps", lambda *_: pytest.fail("lamps were searched for"))
+    monkeypatch.setattr(lamp_sighting, "by_lamps", lambda *_: pytest.fail("lamps were searched for"))
     assert track(TrackerConfig(CAMERA, LIT), TrackerMemory(), Frame(STAMP, 0, day.px), None)[0].chosen == "registration"
 
 

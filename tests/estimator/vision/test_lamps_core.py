@@ -9,13 +9,11 @@ import pytest
 
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import CORE, start_of
-from estimator.vision.lamps.detect import detect_lamps
-from estimator.vision.lamps.packed import light_address, packed_pattern
-from estimator.vision.native import address, packed_camera
+from estimator.core.abi import DL_WRONG_SIZE
+from estimator.core.library import CORE
+from estimator.vision.lamp_sighting import detect_lamps, pattern_of
+from estimator.vision.native import image_of, native_camera, native_prior
 from estimator.vision.pose import Orientation
-from estimator.vision.register.packed import packed_prior
 from tests.support.night_scenes import night_scene
 from tests.support.pad_scenes import load_camera, load_pad
 
@@ -28,21 +26,26 @@ def frame_of(px: np.ndarray) -> Frame:
     return Frame(STAMP, 0, px)
 
 
-def core_answer(px: np.ndarray, spoil: tuple[str, str, float] | None = None, expected: np.ndarray | None = None) -> int:
-    """Return what the core's call returns, with one number of its inputs spoilt."""
-    words = {
-        "camera_lens": packed_camera(CAMERA).copy(), "lamp_pattern": packed_pattern(LIT, CAMERA)[0].copy(),
-        "tilt_prior": packed_prior(LEVEL),
-    }  # fmt: skip
-    for name, size in (("height", px.shape[0]), ("width", px.shape[1])):
-        words["camera_lens"][places_of("camera_lens")[name]].view(np.int64)[:] = size
-    if spoil is not None:
-        words[spoil[0]][places_of(spoil[0])[spoil[1]].start] = spoil[2]
-    room = CORE.function("lamps_room")(address(words["camera_lens"]))
-    scratch, out = np.empty(room, np.uint32), np.empty(size_of("lamps_seen"))
-    return int(CORE.function("find_lamps")(
-        address(words["camera_lens"]), int(px.ctypes.data), light_address(), address(words["lamp_pattern"]),
-        address(words["tilt_prior"]), None if expected is None else start_of(expected), int(scratch.ctypes.data), start_of(out),
+def core_answer(px: np.ndarray, spoil: tuple[str, str, float] | None = None, expected: tuple[float, ...] | None = None) -> int:
+    """Return what the core's entry returns, with one number of its inputs spoilt."""
+    of, member, value = spoil or ("", "", 0.0)
+    camera = native_camera(CAMERA)
+    camera["lens"]["height"], camera["lens"]["width"] = px.shape[:2]
+    if of == "camera":
+        camera["lens"][member] = value
+    pattern, prior = pattern_of(LIT).copy(), CORE.ffi.new("tilt_prior *", native_prior(LEVEL))
+    if of == "lamp_pattern":
+        pattern[member].flat[0] = value
+    if of == "tilt_prior":
+        setattr(prior, member, value)
+    at, out = CORE.ffi.NULL, CORE.record("lamps_seen")
+    if expected is not None:
+        at = CORE.ffi.new("lamps_expected *", ((list(expected[:9]), list(expected[9:12])), expected[12]))
+    tracker = CORE.ffi.gc(
+        CORE.lib.dl_tracker_new(CORE.array("dl_camera", camera), *[CORE.ffi.NULL] * 6), CORE.lib.dl_tracker_free
+    )
+    return int(CORE.lib.dl_find_lamps(
+        tracker, image_of(px), CORE.array("lamp_pattern", pattern), prior, at, CORE.array("lamps_seen", out)
     ))  # fmt: skip
 
 
@@ -50,7 +53,7 @@ def core_answer(px: np.ndarray, spoil: tuple[str, str, float] | None = None, exp
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 40), (40, 1), (3, 2), (64, 31), (640, 360)])
 def test_an_even_frame_of_any_size_has_no_lamps(value: int, width: int, height: int) -> None:
     px = np.full((height, width, 3), value, np.uint8)
-    below = np.array([*CAMERA.T_body_cam.R.inv.matrix.ravel(), 0.0, 0.0, 1.0, 5.0])
+    below = (*CAMERA.T_body_cam.R.inv.matrix.ravel().tolist(), 0.0, 0.0, 1.0, 5.0)
     assert (core_answer(px), core_answer(px, None, below)) == (0, 0)
 
 
@@ -61,7 +64,7 @@ def test_a_frame_of_another_size_than_the_cameras_is_refused() -> None:
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, 0.0])
 @pytest.mark.parametrize(("of", "member"), [
-    ("camera_lens", "fx"), ("camera_lens", "cy"), ("tilt_prior", "roll_rad"), ("tilt_prior", "sigma_deck_rad"),
+    ("camera", "fx"), ("camera", "cy"), ("tilt_prior", "roll_rad"), ("tilt_prior", "sigma_deck_rad"),
     ("lamp_pattern", "x_m"), ("lamp_pattern", "radius_m"),
 ])  # fmt: skip
 def test_numbers_that_describe_nothing_end_in_an_answer_with_finite_numbers_or_none(of: str, member: str, value: float) -> None:
@@ -75,7 +78,7 @@ def test_numbers_that_describe_nothing_end_in_an_answer_with_finite_numbers_or_n
 def test_a_place_that_is_nowhere_is_searched_for() -> None:
     px = night_scene(np.random.default_rng([43, 1]), CAMERA, LIT, 3.0, "lamps").px
     for place in (math.nan, math.inf, -1.0, 0.0, 1e300):
-        assert core_answer(px, None, np.array([*np.eye(3).ravel(), 0.0, 0.0, place, 8.0])) == 1
+        assert core_answer(px, None, (*np.eye(3).ravel().tolist(), 0.0, 0.0, place, 8.0)) == 1
 
 
 def test_thousands_of_lights_are_no_dark_deck_and_are_refused_before_they_are_searched() -> None:
@@ -84,3 +87,9 @@ def test_thousands_of_lights_are_no_dark_deck_and_are_refused_before_they_are_se
     px[5::6, 4::6] = 200
     assert core_answer(px) == -1
     assert detect_lamps(frame_of(px), CAMERA, LIT, LEVEL) is None
+
+
+@pytest.mark.parametrize(("member", "value"), [("lamps", 41), ("lamps", -1), ("pairs", 21), ("pair", 40), ("pair", -1)])
+def test_a_pattern_larger_than_the_core_holds_is_refused(member: str, value: int) -> None:
+    px = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
+    assert core_answer(px, ("lamp_pattern", member, value)) == DL_WRONG_SIZE

@@ -17,7 +17,7 @@ from estimator.vision.detect.template import AROUND, DISC
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
 from estimator.vision.register.look import look
-from estimator.vision.register.options import RegistrationOptions
+from estimator.vision.register.registration import RegistrationOptions
 from sitl.camera.light import Light
 from tests.support.deck_images import shown
 from tests.support.pad_claims import keeps_claim

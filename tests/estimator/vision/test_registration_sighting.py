@@ -17,7 +17,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
 from estimator.vision.register.fit_verification import confidence
 from estimator.vision.register.look import look
-from estimator.vision.register.options import RegistrationOptions
+from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import sighting_of_look
 from tests.support.pad_views import RenderedView, Stage
 

@@ -74,7 +74,7 @@ from estimator.vision.rehearsal import rehearse
 from estimator.vision.tracker import TrackerConfig
 from tests.support.shipped import shipped_pad
 rehearse(TrackerConfig(camera_model(load("sim")), shipped_pad(sys.argv[1])))
-print("estimator.vision.lamps.detect" in sys.modules)
+print("estimator.vision.lamp_sighting" in sys.modules)
 """
 
 

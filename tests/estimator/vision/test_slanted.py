@@ -10,8 +10,7 @@ import pytest
 from scipy.special import ndtr
 
 from estimator.contracts.geometry import F64
-from estimator.core.interface import places_of, size_of
-from estimator.core.library import FILE
+from estimator.core.library import CORE, FILE
 from estimator.vision.pad import Pad
 from estimator.vision.regions import (
     PaintedPolygon,
@@ -53,15 +52,15 @@ class _Round(ctypes.Structure):
 
 def blurred(region: Region, blur_m2: tuple[float, float, float], at: F64, m: F64) -> tuple[F64, F64]:
     """Return the coverage (N,) that the core computes, and its derivatives (5, N) by x, y and the blur."""
-    words = pad_shape(Pad("one", (("white", (255, 255, 255)),), (region,)))
+    shape = CORE.record("pad_shape", **pad_shape(Pad("one", (("white", (255, 255, 255)),), (region,))))
     n = len(at)
     x, y, ratio = (np.ascontiguousarray(row, np.float32) for row in (at[:, 0], at[:, 1], m))
     value, d, spare = np.zeros(n, np.float32), np.zeros((5, n), np.float32), np.zeros((2, n), np.float32)
     points = _Footprint(n, x.ctypes.data, y.ctypes.data, None, None, ratio.ctypes.data, (ctypes.c_double * 3)(*blur_m2), 0.0)
-    kinds = words.ctypes.data + 8 * (places_of("pad_shape")["kinds"].start + 3 * size_of("pad_region"))
+    kinds = shape["kinds"][3:].ctypes.data
     rows, free = ((ctypes.c_void_p * len(a))(*(row.ctypes.data for row in a)) for a in (d, spare))
     ctypes.CDLL(FILE).cover(
-        ctypes.c_void_p(words.ctypes.data), ctypes.c_void_p(kinds), ctypes.byref(points), ctypes.byref(_Round()), 0, n,
+        ctypes.c_void_p(shape.ctypes.data), ctypes.c_void_p(kinds), ctypes.byref(points), ctypes.byref(_Round()), 0, n,
         ctypes.c_void_p(value.ctypes.data), rows, free,
     )  # fmt: skip
     return value.astype(float), d.astype(float)

@@ -10,7 +10,7 @@ import pytest
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, align
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.detect.verification import FEATURES, arrow_support, confidence
+from estimator.vision.detect.verification import FEATURES, confidence
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from sitl.camera.light import Light
@@ -77,7 +77,7 @@ def test_light_that_burns_nothing_out_does_not_count(camera: Camera, pad: Pad, l
 def test_the_arrow_tells_half_a_turn(camera: Camera, pad: Pad) -> None:
     for height in (0.7, 2.0, 8.0):
         seen = shown(camera, pad, height)
-        right, wrong = (arrow_support(at(seen.px, camera, pad, p)) for p in (seen.truth, seen.truth.turned(math.pi)))
+        right, wrong = (at(seen.px, camera, pad, p).arrow_support for p in (seen.truth, seen.truth.turned(math.pi)))
         assert right > 0.5
         assert wrong < -0.4
 

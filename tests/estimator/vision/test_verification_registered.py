@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
-from estimator.core.interface import places_of
+from estimator.vision import native
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import acquire
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
@@ -18,11 +19,9 @@ from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register import look as look_module
 from estimator.vision.register.fit_verification import SEARCHED, confidence
 from estimator.vision.register.look import Looked, look
-from estimator.vision.register.options import RegistrationOptions
-from estimator.vision.register.registration import register
+from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.register.sighting import sighting_of, sighting_of_look
 from sitl.camera.surroundings import Decal
 from tests.support.deck_images import covered, disc_of, shown
@@ -31,7 +30,6 @@ from tests.support.pad_images import STAMP
 from tests.support.pad_scenes import CONDITIONS, load_pad, pad_scene
 
 CLOSE = RegistrationOptions(coarse=False)
-ALIGNED, FEATURES = places_of("looked_pad")["aligned"], places_of("aligned_pad")["features"]
 FRAME = Frame(STAMP, 0, np.zeros((2, 2, 3), np.uint8))
 
 
@@ -63,7 +61,7 @@ def test_a_look_is_a_registration_an_alignment_and_their_evidence(camera: Camera
         assert other is not None
         assert np.array_equal(registration.cov, one.cov)
         assert np.array_equal(found.pose.t_cam_pad, one.pose.t_cam_pad)
-        assert found.words[ALIGNED][FEATURES] == pytest.approx(other.features, abs=1e-9)
+        assert found.record["aligned"]["features"] == pytest.approx(other.features, abs=1e-9)
         assert found.log_odds == pytest.approx(float(found.evidence @ SEARCHED), abs=1e-9)
         level = sighting_of(FRAME, one.pose, one.cov, camera, found.orientation, one.yaw_ambiguous, 0.5)
         assert np.array_equal(sighting_of_look(FRAME, found, 0.5).cov, level.cov)
@@ -86,9 +84,11 @@ def test_a_rough_start_is_approached_first(camera: Camera, pad: Pad) -> None:
 def test_evidence_that_is_no_number_is_no_pad(camera: Camera, pad: Pad, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = shown(camera, pad, 1.0)
     assert looked(seen.px, camera, pad, seen.truth, seen.R_level_body) is not None
-    judge = look_module._judge(pad, False).copy()
-    judge[-1] = math.nan
-    monkeypatch.setattr(look_module, "_judge", lambda *_: judge)
+    weights = native.SEARCHED.copy()
+    weights[-1] = math.nan
+    monkeypatch.setattr(native, "SEARCHED", weights)
+    # The drawing that is tracked is made from the weights once: another name makes it again.
+    pad = replace(pad, name="again")
     assert looked(seen.px, camera, pad, seen.truth, seen.R_level_body) is None
 
 

@@ -6,8 +6,23 @@
 #define DECKLANDER_ALIGN_H
 
 #include "vision/camera.h"
+#include "vision/tracker.h"
 #include "base/vectors.h"
 
+enum {
+    /* The widest neighbourhood of a pixel whose mean light is subtracted, px to either side. */
+    LOCAL_MAX = 128,
+    /* Samples are handled in groups of so many, and their rows are as long as whole groups. */
+    SAMPLE_LANES = 8,
+    /* Number of floats for each pixel of the part of a frame that is aligned, beside a row of it with LOCAL_MAX at either end. */
+    SCRATCH_ROWS = 35,
+    /* Largest number of samples in the disc's bounding box during a search, on the way to a registration, and for verification. */
+    SEARCH_SAMPLES = 700,
+    APPROACH_SAMPLES = 1000,
+    FINAL_SAMPLES = 2600,
+    /* Steps of Gauss and Newton on the way to a registration. */
+    APPROACH_STEPS = 6,
+};
 enum { PAINT_H = 0, PAINT_ORANGE = 1, PAINT_DISC = 2, PAINT_AROUND = 3 };
 /* Radius of the surroundings that count, in radii of the disc. */
 #define AROUND_RADII 1.12
@@ -46,9 +61,31 @@ typedef struct {
 enum { SUM_ONCE = 4, SUM_SQUARED = 5, SUM_ROWS = 6 };
 typedef float8 fit_sums[SUM_ROWS];
 
+/* The numbers of the scratch that aligning with a part of so many pixels takes. */
+static inline size_t align_room(int64_t width, int64_t height)
+{
+    return SCRATCH_ROWS * (size_t)((width * height + SAMPLE_LANES - 1) / SAMPLE_LANES * SAMPLE_LANES) + (size_t)width + 2 * LOCAL_MAX;
+}
+
+/* The part of a level that shows the disc, with about as many samples as are asked for; returns whether it is large enough. */
+int align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out);
+
+/* The part of a level that shows the arrowhead. */
+void align_arrow_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, frame_part *out);
+
 /* The light of a part; `with_local` also makes `local`. What is in `spare`, 6 rows, is lost. */
-void align_light(const camera_lens *c, const pad_template *p, const frame_part *part, const uint8_t *px, int32_t stride,
-                 const float *light, double depth_m, int with_local, float *spare, pixels *out);
+void align_light(const dl_tracker *t, const seen_part *part, double depth_m, int with_local, float *spare, pixels *out);
+
+/* Move a pose by steps of Gauss and Newton in a frame with so much noise; returns whether it is good. */
+int align_move(const dl_tracker *t, const seen_part *seen, const dl_alignment *how, double noise, pad_pose *pose, double *tilt_sigmas);
+
+/* Fit the paints at a pose to the part that shows the disc, and measure what speaks for the pad there and in the part that shows the
+ * arrowhead; `tilt_sigmas` in `out` stays. Returns whether enough of the pad is in view. */
+int align_fit(const dl_tracker *t, const seen_part seen[2], const pad_pose *pose, const double cut[3], const frame_quality *of,
+              aligned_pad *out);
+
+/* Find the line beyond which most probably something covers the pad; returns whether there is one. */
+int align_cover(const dl_tracker *t, const seen_part *seen, const pad_pose *pose, cover_line *out);
 
 /* The samples for one pose, with their coverage, and its slopes on request; the light is linear or local. Returns whether there are
  * enough of them. */
@@ -134,8 +171,7 @@ int align_sector(float x, float y);
 int align_solve(int n, int m, double *A, double *B);
 
 /* Support for the arrowhead at both of its places: found, seen, clear. */
-void align_arrow(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *root, const frame_part *part,
-                 const uint8_t *px, int32_t stride, const pad_pose *pose, const float paints[4][3], double noise,
+void align_arrow(const dl_tracker *t, const seen_part *seen, const pad_pose *pose, const float paints[4][3], double noise,
                  double out[6]);
 
 /* The features of the verification. */

@@ -1,3 +1,5 @@
+/* Measure the arrowhead at its place and at the opposite one, each sampled finely. */
+
 #include <math.h>
 #include <string.h>
 
@@ -131,11 +133,13 @@ static double sample(const camera_lens *c, const pad_template *p, const int16_t 
     return energy;
 }
 
-void align_arrow(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *root, const frame_part *part,
-                 const uint8_t *px, int32_t stride, const pad_pose *pose, const float paints[4][3], double noise,
+void align_arrow(const dl_tracker *t, const seen_part *seen, const pad_pose *pose, const float paints[4][3], double noise,
                  double out[6])
 {
-    picture of = {part, px, stride, root, {0.0, 0.0, 0.0}};
+    const camera_lens *c = &t->camera.lens;
+    const pad_template *p = &t->pad.drawn;
+    const frame_part *part = &seen->part;
+    picture of = {part, seen->px, seen->stride, t->lights + 256, {0.0, 0.0, 0.0}};
     double length = 0.0;
     for (int k = 0; k < 3; k++) {
         of.way[k] = (double)paints[PAINT_ORANGE][k] - (double)paints[PAINT_DISC][k];
@@ -149,7 +153,7 @@ void align_arrow(const camera_lens *c, const pad_template *p, const int16_t *map
     for (int k = 0; k < 3; k++) {
         of.way[k] /= length;
     }
-    const int16_t *map = align_map(p, maps, align_blur(p, hypot(PIXEL_SIGMA * pixel_m, LENS_BLUR_PX * pixel_m / step)));
+    const int16_t *map = align_map(p, t->maps, align_blur(p, hypot(PIXEL_SIGMA * pixel_m, LENS_BLUR_PX * pixel_m / step)));
     const double fine = pixel_m > p->arrow_depth_m / 2.0 ? fmin(1.0, 2.0 * p->arrow_depth_m / pixel_m - 1.0) : 1.0;
     place places[2];
     memset(places, 0, sizeof places);

@@ -1,3 +1,5 @@
+/* Find the straight border of what covers a part of the pad. */
+
 #include <math.h>
 #include <string.h>
 
@@ -87,18 +89,19 @@ static void cut_of(const pad_pose *pose, const line *of, double inward_m, double
     }
 }
 
-int32_t align_cover(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light, const frame_part *part,
-                    const uint8_t *px, int32_t stride, const pad_pose *pose, float *scratch, cover_line *out)
+int align_cover(const dl_tracker *t, const seen_part *seen, const pad_pose *pose, cover_line *out)
 {
+    const camera_lens *c = &t->camera.lens;
+    const pad_template *p = &t->pad.drawn;
     const double nothing[3] = {0.0, 0.0, 0.0}, reach_m = AROUND_RADII * p->disc_radius_m;
     pixels from;
     samples s;
     fit_sums strips[BINS], all;
     line best = {0.0, 0.0, INFINITY, 1.0};
-    align_rows((int)(part->width * part->height), scratch, &from, &s);
-    align_light(c, p, part, px, stride, light, pose->t[2], 0, s.squared, &from);
+    align_rows((int)(seen->part.width * seen->part.height), t->scratch, &from, &s);
+    align_light(t, seen, pose->t[2], 0, s.squared, &from);
     align_trust(nothing, &from);
-    if (!align_samples(p, align_map(p, maps, align_blur_at(c, p, from.side_m, pose->t[2])), &from, pose, 0, &s)) {
+    if (!align_samples(p, align_map(p, t->maps, align_blur_at(c, p, from.side_m, pose->t[2])), &from, pose, 0, &s)) {
         return 0;
     }
     align_take(from.light, &s);

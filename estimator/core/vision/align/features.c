@@ -1,3 +1,5 @@
+/* Compute the inputs of the confidence classifier from an aligned drawing. */
+
 #include <math.h>
 #include <string.h>
 

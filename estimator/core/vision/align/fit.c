@@ -1,3 +1,5 @@
+/* Fit the drawing's paints at a final pose, and describe how well they explain the frame. */
+
 #include <math.h>
 #include <string.h>
 
@@ -20,14 +22,14 @@ static double in_view(const pad_template *p, const samples *s, const pad_pose *p
 }
 
 /* Number, mean and variance of the logarithms of light where one paint shows alone. */
-static void measure_paints(const samples *s, const float *logarithm, const frame_part *part, const uint8_t *px, int32_t stride,
-                           aligned_pad *out)
+static void measure_paints(const samples *s, const float *logarithm, const seen_part *seen, aligned_pad *out)
 {
     for (int k = 0; k < 4; k++) {
         double sum[3] = {0.0, 0.0, 0.0}, square[3] = {0.0, 0.0, 0.0}, n = 0.0;
         for (int i = 0; i < s->n; i++) {
             if (s->coverage[k][i] > PURE && s->weight[i] > TRUSTED) {
-                const uint8_t *at = px + (size_t)(s->pixel[i] / part->width) * (size_t)stride + 3 * (s->pixel[i] % part->width);
+                const int64_t width = seen->part.width;
+                const uint8_t *at = seen->px + (size_t)(s->pixel[i] / width) * (size_t)seen->stride + 3 * (s->pixel[i] % width);
                 n += 1.0;
                 for (int c = 0; c < 3; c++) {
                     const double value = (double)logarithm[at[c]];
@@ -63,22 +65,24 @@ static void brightest_h(const samples *s, double out[3])
     }
 }
 
-int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *maps, const int16_t *local_maps, const float *light,
-                  const frame_part *part, const uint8_t *px, int32_t stride, const frame_part *arrow_part, const uint8_t *arrow_px,
-                  int32_t arrow_stride, const pad_pose *pose, double tilt_sigmas, const double *cut, const frame_quality *of,
-                  float *scratch, aligned_pad *out)
+int align_fit(const dl_tracker *t, const seen_part seen[2], const pad_pose *pose, const double cut[3], const frame_quality *of,
+              aligned_pad *out)
 {
+    const camera_lens *c = &t->camera.lens;
+    const pad_template *p = &t->pad.drawn;
+    const frame_part *part = &seen[0].part;
     pixels from;
     samples s;
     painted fit;
     double brightest[3];
-    align_rows((int)(part->width * part->height), scratch, &from, &s);
-    align_light(c, p, part, px, stride, light, pose->t[2], 1, s.squared, &from);
+    align_rows((int)(part->width * part->height), t->scratch, &from, &s);
+    align_light(t, seen, pose->t[2], 1, s.squared, &from);
     align_trust(cut, &from);
     const int blur = align_blur_at(c, p, from.side_m, pose->t[2]);
-    if (!align_samples(p, align_map(p, maps, blur), &from, pose, 0, &s)) {
+    if (!align_samples(p, align_map(p, t->maps, blur), &from, pose, 0, &s)) {
         return 0;
     }
+    const double tilt_sigmas = out->tilt_sigmas;
     memset(out, 0, sizeof *out);
     out->sample_m = from.side_m;
     out->tilt_sigmas = tilt_sigmas;
@@ -92,15 +96,15 @@ int32_t align_fit(const camera_lens *c, const pad_template *p, const int16_t *ma
     }
     keep_paints(&fit, out->paints);
     brightest_h(&s, brightest);
-    measure_paints(&s, light + 2 * 256, part, px, stride, out);
-    align_coverage(p, align_map(p, local_maps, blur), &s);
+    measure_paints(&s, t->lights + 2 * 256, seen, out);
+    align_coverage(p, align_map(p, t->local_maps, blur), &s);
     align_take(from.local, &s);
     align_uncovered(&s);
     if (!align_paint(&s, 1, &fit)) {
         return 0;
     }
     keep_paints(&fit, out->local_paints);
-    align_arrow(c, p, maps, light + 256, arrow_part, arrow_px, arrow_stride, pose, fit.paints, of->noise, out->arrow);
+    align_arrow(t, &seen[1], pose, fit.paints, of->noise, out->arrow);
     /* The root of light is a pixel's value but for a few per cent, and a sample of a higher level the mean of four of the one below. */
     const frame_quality of_samples = {of->noise / (double)(1 << part->level), of->contrast, of->chroma};
     align_features(p, &s, &fit, brightest, &of_samples, out);

@@ -1,3 +1,5 @@
+/* Move a pose until the blurred drawing fits the frame: Gauss-Newton steps on the samples' light. */
+
 #include <math.h>
 #include <string.h>
 
@@ -161,16 +163,18 @@ static int fit_at(const pad_template *p, const int16_t *map, float *const light[
     return 1;
 }
 
-int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *maps, const float *light, const frame_part *part,
-                   const uint8_t *px, int32_t stride, const alignment *how, pad_pose *pose, double *tilt_sigmas, float *scratch)
+int align_move(const dl_tracker *t, const seen_part *seen, const dl_alignment *how, double noise, pad_pose *pose, double *tilt_sigmas)
 {
+    const camera_lens *c = &t->camera.lens;
+    const pad_template *p = &t->pad.drawn;
+    const int16_t *maps = how->local ? t->local_maps : t->maps;
     pixels from;
     samples s;
     painted fit;
-    const double depth_m = pose->t[2], noise = how->noise / (double)(1 << part->level);
+    const double depth_m = pose->t[2], noise_var = noise * noise / (double)(1 << 2 * seen->part.level);
     double tilt[2] = {0.0, 0.0}, step[POSE];
-    align_rows((int)(part->width * part->height), scratch, &from, &s);
-    align_light(c, p, part, px, stride, light, depth_m, how->local, s.squared, &from);
+    align_rows((int)(seen->part.width * seen->part.height), t->scratch, &from, &s);
+    align_light(t, seen, depth_m, (int)how->local, s.squared, &from);
     int used = align_trust(how->cut, &from);
     if (how->one_side) {
         used = trust_side(pose, how->side, &from);
@@ -182,7 +186,7 @@ int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *m
         if (!fit_at(p, align_map(p, maps, i < steps / 2 ? soft : sharp), of, pose, &from, &s, &fit)) {
             return 0;
         }
-        if (how->local && align_explained(&s, noise * noise) < least_explained(far, i, steps)) {
+        if (how->local && align_explained(&s, noise_var) < least_explained(far, i, steps)) {
             return 0;
         }
         if (!step_of(&s, &fit, tilt, how->sigma_tilt_rad, depth_m, step)) {
@@ -198,7 +202,7 @@ int32_t align_move(const camera_lens *c, const pad_template *p, const int16_t *m
             break;
         }
     }
-    if (how->local && align_explained(&s, noise * noise) < (far ? LEAST_FAR_AT_END : LEAST_AT_END)) {
+    if (how->local && align_explained(&s, noise_var) < (far ? LEAST_FAR_AT_END : LEAST_AT_END)) {
         return 0;
     }
     orthonormalise(pose->R);

@@ -1,3 +1,5 @@
+/* Solve for the paints' light with weights that leave out what does not fit. */
+
 #include <math.h>
 #include <string.h>
 

@@ -1,3 +1,5 @@
+/* Sample a part of a frame: its light, the drawing's coverage there, and the trust in each sample. */
+
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
@@ -92,14 +94,15 @@ static void subtract_smoothed(int w, int h, int radius, const float *taps, const
     }
 }
 
-void align_light(const camera_lens *c, const pad_template *p, const frame_part *part, const uint8_t *px, int32_t stride,
-                 const float *light, double depth_m, int with_local, float *spare, pixels *out)
+void align_light(const dl_tracker *t, const seen_part *seen, double depth_m, int with_local, float *spare, pixels *out)
 {
+    const frame_part *part = &seen->part;
+    const float *light = t->lights;
     const int w = (int)part->width, h = (int)part->height;
-    camera_rays(c, part, out->x, out->y);
-    out->side_m = (double)(1 << part->level) * depth_m / c->fx;
+    camera_rays(&t->camera.lens, part, out->x, out->y);
+    out->side_m = (double)(1 << part->level) * depth_m / t->camera.lens.fx;
     for (int row = 0; row < h; row++) {
-        const uint8_t *from = px + (size_t)row * (size_t)stride;
+        const uint8_t *from = seen->px + (size_t)row * (size_t)seen->stride;
         for (int k = 0; k < 3; k++) {
             float *linear = out->light[k] + row * w, *root = out->local[k] + row * w;
             for (int i = 0; i < w; i++) {
@@ -110,7 +113,7 @@ void align_light(const camera_lens *c, const pad_template *p, const frame_part *
     }
     if (with_local) {
         float taps[LOCAL_MAX + 1];
-        const int radius = gaussian(p->local_m / out->side_m, taps);
+        const int radius = gaussian(t->pad.drawn.local_m / out->side_m, taps);
         for (int k = 0; k < 3; k++) {
             smooth_rows(w, h, radius, taps, out->local[k], out->wide, spare);
             subtract_smoothed(w, h, radius, taps, spare, out->wide, out->local[k]);

@@ -1,3 +1,5 @@
+/* Sum products of coverage and light, and solve for the variation that paints leave. */
+
 #include <math.h>
 #include <string.h>
 

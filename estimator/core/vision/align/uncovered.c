@@ -1,3 +1,5 @@
+/* Keep the half of the disc that nothing covers. */
+
 #include <math.h>
 #include <string.h>
 

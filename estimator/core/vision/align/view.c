@@ -1,3 +1,5 @@
+/* Choose the level and the part of a frame that a pose needs. */
+
 #include <math.h>
 
 #include "vision/align/align.h"
@@ -63,7 +65,7 @@ static int part_in(const camera_lens *c, const double box[4], int level, frame_p
     return out->width >= LEAST_PX && out->height >= LEAST_PX;
 }
 
-int32_t align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out)
+int align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out)
 {
     double box[4];
     if (!finite_pose(pose) || !(pose->t[2] >= LEAST_DEPTH_M)) {

@@ -1,3 +1,5 @@
+/* Assign spots to the lamps of a pattern at a pose. */
+
 #include <math.h>
 #include <string.h>
 

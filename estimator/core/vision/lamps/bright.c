@@ -1,3 +1,5 @@
+/* Find the bright places of a dark frame. */
+
 #include <math.h>
 #include <string.h>
 

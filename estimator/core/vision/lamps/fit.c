@@ -1,3 +1,5 @@
+/* Fit a pose to the spots of lamps, with its covariance. */
+
 #include <math.h>
 #include <string.h>
 

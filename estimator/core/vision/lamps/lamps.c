@@ -44,9 +44,10 @@ static const double WORTH_TELLING = 0.01;
 static const double APART = 0.1, TURNED_RAD = 0.2;
 static const double PI = 3.14159265358979323846;
 
-/* What is the same for every pose that is tried in a frame. */
+/* Per-frame constants. */
 typedef struct {
     const camera_lens *camera;
+    const double *t_body_cam;
     const lamp_pattern *pad;
     const tilt_prior *prior;
     lamp_spots spots;
@@ -167,11 +168,11 @@ static void bring_to_level(const dark_frame *f, const lamp_fit *fit, level_sight
     camera_sighting in = {.roll_rad = f->prior->roll_rad, .pitch_rad = f->prior->pitch_rad, .sigma_deck_rad = f->prior->sigma_deck_rad};
     memcpy(in.cov_tilt, f->prior->cov_tilt, sizeof in.cov_tilt);
     memcpy(in.R_body_cam, f->camera->R_body_cam, sizeof in.R_body_cam);
-    memcpy(in.t_body_cam, f->pad->t_body_cam, sizeof in.t_body_cam);
+    memcpy(in.t_body_cam, f->t_body_cam, sizeof in.t_body_cam);
     memcpy(in.R_cam_pad, fit->pose.R, sizeof in.R_cam_pad);
     memcpy(in.t_cam_pad, fit->pose.t, sizeof in.t_cam_pad);
     memcpy(in.cov_pose, fit->cov, sizeof in.cov_pose);
-    sighting_in_level(&in, out);
+    dl_sighting_in_level(&in, out);
 }
 
 static int all_finite(const double *values, int n)
@@ -316,10 +317,32 @@ static int search(const dark_frame *f, uint32_t *scratch, explained_lamps found[
     return n;
 }
 
-int32_t find_lamps(const camera_lens *camera, const uint8_t *frame, const uint16_t *light, const lamp_pattern *pad,
-                   const tilt_prior *prior, const lamps_expected *at, uint32_t *scratch, lamps_seen *out)
+/* Whether a pattern's numbers are some that there can be. */
+static int is_pattern(const lamp_pattern *pad)
 {
-    dark_frame f = {.camera = camera, .pad = pad, .prior = prior};
+    if (pad->lamps < 0 || pad->lamps > LAMPS || pad->pairs < 0 || pad->pairs > LAMP_PAIRS) {
+        return 0;
+    }
+    for (int k = 0; k < 2 * (int)pad->pairs; k++) {
+        if (pad->pair[k] < 0 || pad->pair[k] >= pad->lamps) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+int32_t dl_find_lamps(dl_tracker *t, const dl_image *image, const lamp_pattern *pad, const tilt_prior *prior, const lamps_expected *at,
+                      lamps_seen *out)
+{
+    const camera_lens *camera = &t->camera.lens;
+    const uint8_t *frame = image->px;
+    const uint16_t *light = t->lamp_light;
+    uint32_t *scratch = (uint32_t *)(void *)t->scratch;
+    if (!is_image(image, CHANNELS) || image->width != camera->width || image->height != camera->height
+        || image->stride != CHANNELS * camera->width || !is_pattern(pad)) {
+        return DL_WRONG_SIZE;
+    }
+    dark_frame f = {.camera = camera, .t_body_cam = t->camera.t_body_cam, .pad = pad, .prior = prior};
     explained_lamps found[LAMP_GUESSES];
     const int whole[4] = {0, 0, (int)camera->width, (int)camera->height};
     int part[4], n = 0, is_whole = 0;

@@ -2,11 +2,14 @@
 #ifndef DECKLANDER_LAMPS_H
 #define DECKLANDER_LAMPS_H
 
-#include "decklander.h"
+#include "vision/tracker.h"
 
 /* The most rows of pixels that the bright places of a frame are made of: a dark deck with as many lights as a pad may have, and
  * each of them as near as the camera comes, has less. */
 enum { BRIGHT_RUNS = 4096 };
+
+/* The numbers of four bytes that the search of a frame works on. */
+int64_t lamps_room(const camera_lens *camera);
 
 /* A part of a frame, BGR, and the linear light of each value of a pixel. */
 typedef struct {

@@ -1,3 +1,5 @@
+/* Measure the centres of bright spots. */
+
 #include <math.h>
 #include <string.h>
 

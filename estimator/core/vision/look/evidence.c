@@ -1,3 +1,5 @@
+/* What speaks for and against a registration being the pad, and the log-odds that a linear model gives it. */
+
 #include <math.h>
 
 #include "vision/look/look.h"
@@ -172,8 +174,8 @@ static void from_near(const pad_judge *judge, const registration *found, double 
     out[EVIDENCE_H_ASTRAY] = other ? 0.0 : between(OTHER_H, THIS_H, h->inliers);
 }
 
-void look_evidence(const pad_judge *judge, const registration *found, const aligned_pad *aligned, double evidence[EVIDENCE],
-                   double *log_odds)
+void look_evidence(const pad_judge *judge, const double weights[EVIDENCE], const registration *found, const aligned_pad *aligned,
+                   double evidence[EVIDENCE], double *log_odds)
 {
     const edge_support *edges = found->edges, *h = &edges[H];
     double score = 0.0, in_view[EDGE_KINDS];
@@ -206,6 +208,6 @@ void look_evidence(const pad_judge *judge, const registration *found, const alig
     }
     *log_odds = 0.0;
     for (int i = 0; i < EVIDENCE; i++) {
-        *log_odds += judge->weights[i] * evidence[i];
+        *log_odds += weights[i] * evidence[i];
     }
 }

@@ -2,20 +2,19 @@
 #ifndef DECKLANDER_LOOK_H
 #define DECKLANDER_LOOK_H
 
-#include <stddef.h>
+#include "vision/tracker.h"
 
-#include "decklander.h"
+/* The pixels of a part of a level: of that level if it was made, else made in the tracker's room for parts from `at` on, which moves.
+ * Returns whether there is room. */
+int look_part(const dl_tracker *t, const dl_frame *frame, uint8_t **at, seen_part *seen);
 
-/* Pixels of an image some levels higher, (rows, columns), from the pixel on where they begin; behind them `out` has room for as many
- * rows of the level below as one of them takes. */
-void look_reduced(const uint8_t *from, ptrdiff_t row_bytes, int levels, int columns, int rows, uint8_t *out);
-
-/* The pixels of a part of a level, and the number of bytes from row to row: of the frame itself, or made in `parts`. */
-const uint8_t *look_part(const uint8_t *frame, int32_t width, const frame_part *part, uint8_t *parts, int32_t *stride);
+/* The pixels of the part that shows the disc and of the one that shows the arrowhead: what the one of the higher level is made of is
+ * reduced once if the other is made, too. Returns whether there is room. */
+int look_parts(const dl_tracker *t, const dl_frame *frame, seen_part seen[2]);
 
 /* The inputs of the verification of a registration, and the log-odds that it gives them. */
-void look_evidence(const pad_judge *judge, const registration *found, const aligned_pad *aligned, double evidence[EVIDENCE],
-                   double *log_odds);
+void look_evidence(const pad_judge *judge, const double weights[EVIDENCE], const registration *found, const aligned_pad *aligned,
+                   double evidence[EVIDENCE], double *log_odds);
 
 /* What is known of the paints after a frame that shows the pad. */
 void look_paint(const pad_paint *known, const aligned_pad *aligned, pad_paint *out);

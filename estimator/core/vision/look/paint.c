@@ -1,3 +1,5 @@
+/* What is known of the colours of the paints, which follows each frame that shows the pad slowly. */
+
 #include <math.h>
 
 #include "vision/look/look.h"

@@ -1,3 +1,5 @@
+/* Add to a covariance what a video codec's moved patches do to a pose. */
+
 #include "vision/register/coded.h"
 
 #include <math.h>

@@ -1,3 +1,5 @@
+/* Compute the coverage of blurred pixels by the regions of a drawing, and its derivatives. */
+
 #include "vision/register/coverage.h"
 
 #include <math.h>

@@ -1,3 +1,5 @@
+/* Linearise the light of all pixels of a distant pad about a state. */
+
 #include "vision/register/dense.h"
 
 #include <math.h>

@@ -1,3 +1,5 @@
+/* Register a distant pad from the light of all its pixels. */
+
 #include "vision/register/far.h"
 
 #include <math.h>

@@ -1,3 +1,5 @@
+/* Model glare as a spot of light over the pad. */
+
 #include "vision/register/glare.h"
 
 #include <math.h>

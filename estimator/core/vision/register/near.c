@@ -1,3 +1,5 @@
+/* Register a near pad from profiles across its edges. */
+
 #include "vision/register/near.h"
 
 #include <math.h>

@@ -1,3 +1,5 @@
+/* Fit profiles across edges: coverage, paints, residuals and noise. */
+
 #include <math.h>
 #include <string.h>
 

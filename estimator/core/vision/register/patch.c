@@ -1,3 +1,5 @@
+/* Cut the patch of a frame that shows a distant pad, in linear light. */
+
 #include "vision/register/patch.h"
 
 #include <math.h>

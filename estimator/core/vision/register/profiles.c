@@ -1,3 +1,5 @@
+/* Sample profiles across the edges of a drawing, and drop those of something else. */
+
 #include "vision/register/profiles.h"
 
 #include <math.h>

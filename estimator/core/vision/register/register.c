@@ -1,8 +1,10 @@
+/* Register a drawing with a frame from a start pose, near or far. */
+
 #include <math.h>
 #include <string.h>
 
 #include "vision/camera.h"
-#include "decklander.h"
+#include "vision/register/register.h"
 #include "vision/register/coded.h"
 #include "vision/register/near.h"
 #include "vision/register/solver.h"
@@ -10,6 +12,12 @@
 
 /* Deviations of the blur that must fit between edges of different kinds for profiles. */
 static const double APART = 4.5;
+/* Largest number of profiles, of pixels of one and of what fills its group up, and of pixels in the disc's image at which it is
+ * registered as a whole; rows are as long as whole groups of ROW_LANES. */
+enum { PROFILES = 120, PROFILE_PIXELS = 24, DENSE_PIXELS = 1700, ROW_LANES = 16 };
+/* Standard deviations of the lens' point spread at the start, which is estimated, and of an edge's place in the frame as predicted by
+ * drawing, lens and blur model, px. */
+static const double BLUR_PX = 0.6, EDGE_SIGMA_PX = 0.004;
 /* Pixels of margin about the disc when its pixels are counted; of the edges' points every so many are in the outline. */
 enum { MARGIN_PX = 8, OUTLINE_STEP = 4 };
 
@@ -209,18 +217,25 @@ static int conclude(const task *k, const fit_solved *s, registration *out, doubl
     return 1;
 }
 
-int32_t register_pad(const camera_lens *camera, const double *rays, const uint8_t *frame, const float *light, const pad_shape *pad,
-                     int32_t points, const double *edges, const int32_t *edge_of, const tilt_prior *prior, const fit_options *o,
-                     const double *start, int32_t room, float *scratch, registration *out, double *outline)
+int32_t register_row(int64_t edge_points)
 {
-    task k = {{camera, rays, frame, light, o->cut, o->noise}, pad, {points, edges, edge_of}, o, {.given = 0}, {scratch, FIT_ROWS * room, room - room % LANES}};
+    const int64_t profiled = PROFILE_PIXELS * (PROFILES + 2), most = profiled > DENSE_PIXELS ? profiled : DENSE_PIXELS;
+    return (int32_t)(((edge_points > most ? edge_points : most) + ROW_LANES - 1) / ROW_LANES * ROW_LANES);
+}
+
+int register_pad(const dl_tracker *t, const dl_frame *frame, const dl_start *how, const pad_pose *start, registration *out, double *outline)
+{
+    const fit_options o = {
+        .max_profiles = PROFILES, .dense_pixels = DENSE_PIXELS, .blur_px = BLUR_PX, .edge_sigma_px = EDGE_SIGMA_PX,
+        .dense_edge_sigma_px = EDGE_SIGMA_PX, .size_sigma_m = t->pad.size_sigma_m, .coded_px = how->coded_px,
+        .cut = {how->cut[0], how->cut[1], how->cut[2]},
+    };
+    const view seen = {&t->camera.lens, t->rays, frame->level[0].px, how->linear ? t->linear : t->lights, how->cut, frame->quality.noise};
+    task k = {seen, &t->pad.shape, {(int)t->pad.edge_points, t->edges, t->edge_of}, &o, {.given = 0}, {t->scratch, FIT_ROWS * t->row, t->row}};
     fit_state s;
     fit_solved solved;
-    if (o->dense_pixels > k.free.length) {
-        return 0;
-    }
-    predict_tilt(camera, prior, &k.tilt);
-    begin_state(camera, start, start + 9, o->blur_px, &s);
+    predict_tilt(k.seen.camera, &how->prior, &k.tilt);
+    begin_state(k.seen.camera, start->R, start->t, o.blur_px, &s);
     if (!refine(&k, &s, &solved)) {
         return 0;
     }

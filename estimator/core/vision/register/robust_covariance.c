@@ -1,3 +1,5 @@
+/* Compute the sandwich covariance of a dense fit whose residuals are correlated. */
+
 #include <math.h>
 #include <string.h>
 

@@ -1,3 +1,5 @@
+/* Add to a covariance what sectors of the pad that are displaced together do. */
+
 #include <math.h>
 
 #include "vision/register/dense.h"

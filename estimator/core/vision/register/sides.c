@@ -1,3 +1,5 @@
+/* Integrate a blurred pixel over straight sides of any direction. */
+
 #include "vision/register/sides.h"
 
 #include <math.h>

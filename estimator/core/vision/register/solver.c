@@ -1,3 +1,5 @@
+/* Step a state by its normal equations with the prior of the tilt, and compute its covariance. */
+
 #include "vision/register/solver.h"
 
 #include <math.h>

@@ -1,3 +1,5 @@
+/* Hold a registration's state: pose and blur, moved, compared and scaled. */
+
 #include "vision/register/state.h"
 
 #include <math.h>

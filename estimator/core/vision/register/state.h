@@ -11,6 +11,28 @@
 /* States: dt (3) m, dr (3) rad, blur xx, xy, yy px^2. `BY`: derivatives of a coverage, by x, y and the blur's xx, xy, yy. */
 enum { STATES = 9, POSE = 6, BY = 5, LANES = 8 };
 
+/* What a registration goes by: the largest number of profiles; that of pixels in the disc's image at which it is registered as a
+ * whole; the standard deviation of the lens' point spread at the start, px; the smallest of an edge's place as predicted by drawing,
+ * lens and blur model, and that where edges merge, px; that of the painted sizes, m; that of the place of a patch that a video codec
+ * has moved, px; and the line beyond which rays do not count. */
+typedef struct {
+    int64_t max_profiles, dense_pixels;
+    double blur_px, edge_sigma_px, dense_edge_sigma_px, size_sigma_m, coded_px, cut[3];
+} fit_options;
+
+/* A pose, the blur at it, the size of a pixel on the pad, and the pad's depth. */
+typedef struct {
+    double R[9], t[3], blur_px2[3], m_per_px, depth_m;
+} fit_state;
+
+/* A fit: information and covariance in `pad`, and what else is told of it. */
+typedef struct {
+    int64_t dense, arrow_seen, doubted;
+    double H[81], cov[81], noise_light, edge_rms_px, visible, inliers, last_step_px;
+    fit_state state;
+    edge_support edges[EDGE_KINDS];
+} fit_solved;
+
 /* Rows of floats of equal length, taken one after the other from memory of the caller. */
 typedef struct {
     float *next;

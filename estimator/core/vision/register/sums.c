@@ -1,3 +1,5 @@
+/* Sum products of rows, and solve symmetric equations. */
+
 #include "vision/register/sums.h"
 
 #include <math.h>

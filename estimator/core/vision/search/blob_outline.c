@@ -1,3 +1,5 @@
+/* Trace the outline of a blob and fit its area's ellipse. */
+
 #include <math.h>
 #include <string.h>
 
@@ -29,14 +31,13 @@ typedef struct {
     int16_t queue[AREA_MAX];
 } blob_window;
 
-/* One channel of the image from a corner on, its outermost pixels repeated. */
-static void load(const uint8_t *px, int64_t stride, int w, int h, int channel, int left, int top, int side_x, int side_y,
-                 float *out)
+/* One channel of an image from a corner on, its outermost pixels repeated. */
+static void load(const dl_image *of, int channel, int left, int top, int side_x, int side_y, float *out)
 {
-    const int from = left < 0 ? -left : 0, to = left + side_x > w ? w - left : side_x;
+    const int w = (int)of->width, h = (int)of->height, from = left < 0 ? -left : 0, to = left + side_x > w ? w - left : side_x;
     for (int i = 0; i < side_y; i++, out += side_x) {
         const int y = top + i, row = y < 0 ? 0 : y < h ? y : h - 1;
-        const uint8_t *at = px + (size_t)row * (size_t)stride + CHANNELS * (left + from) + channel;
+        const uint8_t *at = of->px + (size_t)row * (size_t)of->stride + CHANNELS * (left + from) + channel;
         for (int j = from; j < to; j++, at += CHANNELS) {
             out[j] = (float)*at;
         }
@@ -131,20 +132,19 @@ static int place(const blob_peak *peak, int w, int h, blob_window *o)
 }
 
 /* Fill the window about a peak. */
-static int cut(const blob_image *image, const uint8_t *half, const uint8_t *full, const blob_peak *peak, blob_window *o)
+static int cut(const blob_image *image, const blob_peak *peak, blob_window *o)
 {
     const int large = BLOB_HALF[peak->size] >= LARGE, channels = image->grey ? 1 : CHANNELS;
-    const int w = (int)(large ? image->width : image->full_width), h = (int)(large ? image->height : image->full_height);
+    const dl_image *of = large ? image->half : image->full;
     const int times = image->noise > NOISY ? 2 : 1;
     float raw[AREA_MAX], once[AREA_MAX];
-    if (!place(peak, w, h, o)) {
+    if (!place(peak, (int)of->width, (int)of->height, o)) {
         return 0;
     }
     memset(o->off, 0, sizeof o->off);
     for (int c = 0; c < channels; c++) {
         const int side_x = o->side_x + 2 * times, side_y = o->side_y + 2 * times;
-        load(large ? half : full, large ? image->stride : image->full_stride, w, h, c, o->left - times, o->top - times, side_x,
-             side_y, raw);
+        load(of, c, o->left - times, o->top - times, side_x, side_y, raw);
         smooth(side_x, side_y, raw, times == 1 ? o->px[c] : once);
         if (times == 2) {
             smooth(side_x - 2, side_y - 2, once, o->px[c]);
@@ -288,10 +288,10 @@ static int moments(const blob_window *o, blob_ellipse *out)
     return n >= FEWEST && out->filled >= LEAST_FILLED;
 }
 
-int blob_outline(const blob_image *image, const uint8_t *half, const uint8_t *full, const blob_peak *peak, blob_ellipse *out)
+int blob_outline(const blob_image *image, const blob_peak *peak, blob_ellipse *out)
 {
     blob_window o;
-    if (!cut(image, half, full, peak, &o)) {
+    if (!cut(image, peak, &o)) {
         return 0;
     }
     const double most = upper(&o);

@@ -1,3 +1,5 @@
+/* Find places that differ from what is around them, at several sizes. */
+
 #include <math.h>
 #include <string.h>
 
@@ -29,26 +31,26 @@ static int64_t cells_of(int64_t px)
     return px / CELL;
 }
 
-static int64_t sums_of(const blob_image *image)
+static int64_t sums_of(const dl_image *half)
 {
-    return (cells_of(image->width) + 2 * REACH + 1) * (cells_of(image->height) + 2 * REACH + 1);
+    return (cells_of(half->width) + 2 * REACH + 1) * (cells_of(half->height) + 2 * REACH + 1);
 }
 
-static int64_t scores_of(const blob_image *image)
+static int64_t scores_of(const dl_image *half)
 {
-    return cells_of(image->width) * cells_of(image->height);
+    return cells_of(half->width) * cells_of(half->height);
 }
 
-int64_t blob_room(const blob_image *image)
+int64_t blob_room(const dl_image *half)
 {
-    return SUMS * sums_of(image) + 2 * scores_of(image) + ROWS * cells_of(image->width);
+    return SUMS * sums_of(half) + 2 * scores_of(half) + ROWS * cells_of(half->width);
 }
 
 /* The sums of one row of cells of each channel, and of the squares of all, added to those above. */
 static void add_row(const blob_image *image, const uint8_t *px, size_t side, size_t channels, uint32_t *const sums[SUMS])
 {
-    const int w = (int)cells_of(image->width);
-    const uint8_t *below = px + image->stride;
+    const int w = (int)cells_of(image->half->width);
+    const uint8_t *below = px + image->half->stride;
     uint32_t sum[SUMS] = {0};
     for (int i = 0; i < w; i++, px += CELL * CHANNELS, below += CELL * CHANNELS) {
         for (size_t c = 0; c < channels; c++) {
@@ -69,9 +71,9 @@ static void add_row(const blob_image *image, const uint8_t *px, size_t side, siz
 
 static void integrals(const blob_image *image, const uint8_t *px, uint32_t *scratch, blob_sums *out)
 {
-    const size_t all = (size_t)sums_of(image);
+    const size_t all = (size_t)sums_of(image->half);
     uint32_t *sums[SUMS];
-    out->width = (int)cells_of(image->width), out->height = (int)cells_of(image->height);
+    out->width = (int)cells_of(image->half->width), out->height = (int)cells_of(image->half->height);
     out->side = out->width + 2 * REACH + 1;
     out->channels = image->grey ? 1 : CHANNELS;
     const size_t side = (size_t)out->side;
@@ -82,7 +84,7 @@ static void integrals(const blob_image *image, const uint8_t *px, uint32_t *scra
         sums[k] += REACH * side;
     }
     for (int row = 0; row < out->height; row++) {
-        add_row(image, px + (size_t)row * CELL * (size_t)image->stride, side, (size_t)out->channels, sums);
+        add_row(image, px + (size_t)row * CELL * (size_t)image->half->stride, side, (size_t)out->channels, sums);
         for (int k = 0; k < SUMS; k++) {
             sums[k] += side;
         }
@@ -218,15 +220,15 @@ static void rate(const blob_image *image, const blob_sums *sums, float *rows, fl
     }
 }
 
-int blob_peaks(const blob_image *image, const uint8_t *half, float *scratch, blob_peak *out)
+int blob_peaks(const blob_image *image, float *scratch, blob_peak *out)
 {
-    const int w = (int)cells_of(image->width), rows = (int)cells_of(image->height);
-    float *score = scratch + SUMS * sums_of(image), *size = score + scores_of(image);
+    const int w = (int)cells_of(image->half->width), rows = (int)cells_of(image->half->height);
+    float *score = scratch + SUMS * sums_of(image->half), *size = score + scores_of(image->half);
     blob_sums sums;
     int n = 0;
-    memset(score, 0, 2 * (size_t)scores_of(image) * sizeof *score);
-    integrals(image, half, (uint32_t *)(void *)scratch, &sums);
-    rate(image, &sums, size + scores_of(image), score, size);
+    memset(score, 0, 2 * (size_t)scores_of(image->half) * sizeof *score);
+    integrals(image, image->half->px, (uint32_t *)(void *)scratch, &sums);
+    rate(image, &sums, size + scores_of(image->half), score, size);
     for (int row = 0; row < rows; row++) {
         for (int i = 0; i < w; i++) {
             const float here = score[row * w + i];

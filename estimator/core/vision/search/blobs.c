@@ -1,3 +1,5 @@
+/* Search a frame for discs that stand out as blobs. */
+
 #include <math.h>
 #include <string.h>
 
@@ -8,11 +10,8 @@
 enum { MOST = 64 };
 /* Fraction of an ellipse's area at which an area is no support for a circle. */
 static const double LEAST_FILLED = 0.9;
-
-int64_t search_blobs_room(const blob_image *image)
-{
-    return blob_room(image);
-}
+/* Noise of the half-size image, values of a pixel, per noise of the frame. */
+static const double NOISE_LEFT = 0.5 * 255.0;
 
 /* The circle on the plane that an ellipse of the frame is; returns whether all of it can be seen there. */
 static int circle_of(const camera_lens *c, const blob_image *image, const blob_ellipse *from, search_circle *out)
@@ -41,17 +40,17 @@ static int circle_of(const camera_lens *c, const blob_image *image, const blob_e
     return out->radius > 0.0;
 }
 
-int32_t search_blobs(const camera_lens *c, const blob_image *image, const uint8_t *half, const uint8_t *full, float *scratch,
-                     search_circle *out)
+int32_t search_areas(const dl_tracker *t, const dl_frame *frame, const dl_circle_search *how, search_circle *out)
 {
     blob_peak peaks[MOST];
     blob_ellipse one;
-    blob_image within = *image;
+    blob_image within = {&frame->level[1], &frame->level[0], how->grey, how->most < MOST ? how->most : MOST,
+                         NOISE_LEFT * frame->quality.noise, {0.0}};
     int32_t found = 0;
-    within.most = image->most < MOST ? image->most : MOST;
-    const int n = within.most > 0 ? blob_peaks(&within, half, scratch, peaks) : 0;
+    memcpy(within.R_cam_plane, how->R_cam_plane, sizeof within.R_cam_plane);
+    const int n = within.most > 0 ? blob_peaks(&within, t->scratch, peaks) : 0;
     for (int k = 0; k < n; k++) {
-        found += blob_outline(&within, half, full, &peaks[k], &one) && circle_of(c, &within, &one, &out[found]);
+        found += blob_outline(&within, &peaks[k], &one) && circle_of(&t->camera.lens, &within, &one, &out[found]);
     }
     return found;
 }

@@ -2,7 +2,15 @@
 #ifndef DECKLANDER_BLOBS_H
 #define DECKLANDER_BLOBS_H
 
-#include "decklander.h"
+#include "vision/tracker.h"
+
+/* A BGR image of half the frame's size and the frame itself; whether all channels are equal; the largest number of blobs; the noise's
+ * standard deviation in the half-size image, values of a pixel; and the plane that the pad is taken to lie in. */
+typedef struct {
+    const dl_image *half, *full;
+    int64_t grey, most;
+    double noise, R_cam_plane[9];
+} blob_image;
 
 /* Sizes that blobs are looked for at: half the sides of their boxes, px of the image at half size, all even. */
 enum { BLOB_SIZES = 3 };
@@ -21,12 +29,12 @@ typedef struct {
 } blob_ellipse;
 
 /* Numbers of the scratch that `blob_peaks` needs. */
-int64_t blob_room(const blob_image *image);
+int64_t blob_room(const dl_image *half);
 
 /* Find the places that differ most from what is around them, best first; returns how many, at most `image->most`. */
-int blob_peaks(const blob_image *image, const uint8_t *half, float *scratch, blob_peak *out);
+int blob_peaks(const blob_image *image, float *scratch, blob_peak *out);
 
 /* Find the outline of the area about a peak that differs from what is around it; returns whether there is one that is closed. */
-int blob_outline(const blob_image *image, const uint8_t *half, const uint8_t *full, const blob_peak *peak, blob_ellipse *out);
+int blob_outline(const blob_image *image, const blob_peak *peak, blob_ellipse *out);
 
 #endif

@@ -1,3 +1,5 @@
+/* Fit the strokes of an H by sums over boxes. */
+
 #include <math.h>
 #include <string.h>
 

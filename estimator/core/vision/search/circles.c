@@ -1,12 +1,20 @@
+/* Search a frame for circles that its edges vote for. */
+
 #include <math.h>
 #include <string.h>
 
+#include "vision/search/blobs.h"
 #include "vision/search/search.h"
+#include "vision/search/strokes.h"
 
 /* Peaks that are fitted for each circle that is asked for, at most. */
 enum { TRIES = 3 };
 /* Circles nearer to each other than this, in radii, with radii nearer than this factor, are one. */
 static const double SAME_PLACE = 0.25, SAME_RADIUS = 1.15;
+/* Most edges of an image, per pixel. */
+static const double MOST_EDGES = 0.4;
+/* The margin of an image at full size, and the largest of any, px. */
+enum { MARGIN_PX = 8, MARGIN_MAX = 16384 };
 
 /* The place of some floats, and of those behind them. */
 static float *next(float **at, int64_t count)
@@ -54,10 +62,20 @@ int64_t search_divide(const search_image *image, float *scratch, search_rows *r)
     return total;
 }
 
-int64_t search_room(const search_image *image)
+/* Edges of an image of so many pixels, at most: two neighbours are seldom both a ridge of the gradient. */
+static int64_t most_edges(int64_t pixels)
 {
+    return (int64_t)floor(MOST_EDGES * (double)pixels + 0.5);
+}
+
+int64_t search_most(int64_t width, int64_t height)
+{
+    const search_image whole = {.width = width, .height = height, .room = most_edges(width * height), .margin = MARGIN_PX};
+    const dl_image half = {.width = (width + 1) / 2, .height = (height + 1) / 2};
     search_rows rows;
-    return search_divide(image, NULL, &rows);
+    const int64_t circles = search_divide(&whole, NULL, &rows), strokes = strokes_room(width, height), blobs = blob_room(&half);
+    const int64_t most = circles > strokes ? circles : strokes;
+    return most > blobs ? most : blobs;
 }
 
 static int known(const search_circle *one, const search_circle *others, int n)
@@ -73,20 +91,41 @@ static int known(const search_circle *one, const search_circle *others, int n)
     return 0;
 }
 
-int32_t search_circles(const search_image *image, const uint8_t *grey, const float *rays, const search_radii *radii, float *scratch,
-                       search_circle *out)
+/* Whether a frame is there at full and at half size. */
+static int is_halved(const dl_frame *frame)
 {
+    const dl_image *full = &frame->level[0], *half = &frame->level[1];
+    return is_image(full, 3) && is_image(half, 3) && (half->width == full->width / 2 || half->width == 1)
+           && (half->height == full->height / 2 || half->height == 1);
+}
+
+int32_t dl_search_circles(dl_tracker *t, const dl_frame *frame, const dl_image *grey, const float *rays, const dl_circle_search *how,
+                          search_circle *out)
+{
+    const search_radii radii = {how->radii, how->most, how->only_bright, how->least, how->ratio};
     search_rows rows;
     vote_peak peak;
     int n = 0;
-    search_divide(image, scratch, &rows);
-    search_edges(image, grey, rays, &rows);
-    search_votes(image, radii, &rows);
-    for (int tries = 0; tries < TRIES * (int)radii->most && n < (int)radii->most; tries++) {
-        if (!search_peak(image, &rows, &peak)) {
+    if (grey == NULL) {
+        return frame != NULL && is_halved(frame) && blob_room(&frame->level[1]) <= t->floats ? search_areas(t, frame, how, out) : DL_WRONG_SIZE;
+    }
+    if (!is_image(grey, 1) || rays == NULL || radii.radii < 1 || radii.radii > SEARCH_RADII || how->step < 1 || how->margin < 0
+        || how->margin > MARGIN_MAX) {
+        return DL_WRONG_SIZE;
+    }
+    search_image image = {grey->width, grey->height, grey->stride, most_edges(grey->width * grey->height), how->margin, how->step, {0.0}};
+    memcpy(image.R_cam_plane, how->R_cam_plane, sizeof image.R_cam_plane);
+    if (search_divide(&image, NULL, &rows) > t->floats) {
+        return DL_WRONG_SIZE;
+    }
+    search_divide(&image, t->scratch, &rows);
+    search_edges(&image, grey->px, rays, &rows);
+    search_votes(&image, &radii, &rows);
+    for (int tries = 0; tries < TRIES * (int)radii.most && n < (int)radii.most; tries++) {
+        if (!search_peak(&image, &rows, &peak)) {
             break;
         }
-        n += search_fit(image, radii, &rows, &peak, &out[n]) && !known(&out[n], out, n);
+        n += search_fit(&image, &radii, &rows, &peak, &out[n]) && !known(&out[n], out, n);
     }
     return n;
 }

@@ -1,3 +1,5 @@
+/* Find the edges of a grey image and their directions. */
+
 #include <math.h>
 #include <stddef.h>
 #include <stdlib.h>

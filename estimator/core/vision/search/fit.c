@@ -1,3 +1,5 @@
+/* Fit a circle to the edges around a peak of the votes. */
+
 #include <math.h>
 #include <string.h>
 

@@ -1,3 +1,5 @@
+/* Guess poses of the pad from circles, and rate them by the drawing. */
+
 #include <math.h>
 #include <string.h>
 
@@ -15,10 +17,10 @@ static const double COVERED = 0.8, ONE_SIDED = 0.2;
 static const double PLAIN = 0.5;
 
 /* The size of the frame at which a disc's radius is not much more than it must be. */
-static int level_of(const search_frame *frame, double radius_px)
+static int level_of(double radius_px)
 {
     int level = 0;
-    while (level + 1 < (int)frame->levels && radius_px >= 2.0 * SHARP_PX) {
+    while (level + 1 < SEARCH_LEVELS && radius_px >= 2.0 * SHARP_PX) {
         radius_px *= 0.5;
         level++;
     }
@@ -42,18 +44,19 @@ static int side_of(const search_circle *circle, const double *rays, const circle
 }
 
 /* The guess that a circle is one of the drawing's in a plane, at the heading that fits best. */
-static int guess_of(const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels,
-                    const circle_stand *stand, double radius_m, const double *side, search_guess *out)
+static int guess_of(const dl_tracker *t, const dl_frame *frame, const circle_stand *stand, double radius_m, const double *side,
+                    search_guess *out)
 {
+    const camera_lens *c = &t->camera.lens;
+    const polar_pad *pad = &t->pad.polar;
     const double depth = radius_m / stand->radius, at[3] = {stand->centre[0] * depth, stand->centre[1] * depth, depth};
     pad_pose pose;
     polar_fit fit;
     memcpy(pose.R, stand->R, sizeof pose.R);
     rotated(stand->R, at, pose.t);
     const double radius_px = c->fx * pad->radius_m / pose.t[2];
-    const int level = isfinite(radius_px) && radius_px > 1.0 ? level_of(frame, radius_px) : 0;
-    if (!search_heading(c, pad, &pose, 1 << level, (int32_t)frame->width[level], (int32_t)frame->height[level], levels[level],
-                        (int32_t)frame->stride[level], side, &fit)) {
+    const int level = isfinite(radius_px) && radius_px > 1.0 ? level_of(radius_px) : 0;
+    if (!search_heading(c, pad, &frame->level[level], 1 << level, &pose, side, &fit)) {
         return 0;
     }
     memcpy(out->R, pose.R, sizeof out->R);
@@ -71,31 +74,31 @@ static int guess_of(const camera_lens *c, const polar_pad *pad, const search_fra
 }
 
 /* The planes that a circle may lie in: that of the search, and if its tilt is not known those in which the outline is round. */
-static int stands_of(const search_frame *frame, const search_circle *circle, const double *rays, circle_stand out[STANDS])
+static int stands_of(const dl_guess_search *how, const search_circle *circle, const double *rays, circle_stand out[STANDS])
 {
-    memcpy(out[0].R, frame->R_cam_plane, sizeof out[0].R);
+    memcpy(out[0].R, how->R_cam_plane, sizeof out[0].R);
     out[0].centre[0] = circle->centre[0], out[0].centre[1] = circle->centre[1];
     out[0].radius = circle->radius;
-    out[0].known = (int)frame->plane_known;
+    out[0].known = (int)how->plane_known;
     return 1 + (out[0].known ? 0 : search_tilts((int)circle->points, rays, out + 1));
 }
 
 /* All guesses of one circle, as far as there is room; returns how many. */
-static int32_t guesses_of(const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels,
-                          const search_circle *circle, int32_t most, search_guess *out)
+static int32_t guesses_of(const dl_tracker *t, const dl_frame *frame, const dl_guess_search *how, const search_circle *circle, int32_t most,
+                          search_guess *out)
 {
     double rays[2 * SEARCH_SECTORS], side[2];
     circle_stand stands[STANDS];
     int32_t n = 0;
     for (int i = 0; i < (int)circle->points; i++) {
-        camera_ray(c, circle->outline_px[2 * i], circle->outline_px[2 * i + 1], rays + 2 * i);
+        camera_ray(&t->camera.lens, circle->outline_px[2 * i], circle->outline_px[2 * i + 1], rays + 2 * i);
     }
-    const int planes = stands_of(frame, circle, rays, stands);
+    const int planes = stands_of(how, circle, rays, stands);
     for (int i = 0; i < planes; i++) {
         const int half = side_of(circle, rays, &stands[i], side);
-        for (int j = 0; j < (int)frame->radii && n < most; j++) {
-            const int fits = frame->sign[j] != (circle->bright_inside ? -1.0 : 1.0);
-            if (fits && guess_of(c, pad, frame, levels, &stands[i], frame->radius_m[j], half ? side : NULL, &out[n])) {
+        for (int j = 0; j < (int)how->radii && n < most; j++) {
+            const int fits = how->sign[j] != (circle->bright_inside ? -1.0 : 1.0);
+            if (fits && guess_of(t, frame, &stands[i], how->radius_m[j], half ? side : NULL, &out[n])) {
                 out[n++].support = circle->support;
             }
         }
@@ -103,10 +106,32 @@ static int32_t guesses_of(const camera_lens *c, const polar_pad *pad, const sear
     return n;
 }
 
-int32_t search_guesses(const camera_lens *c, const polar_pad *pad, const search_frame *frame, const uint8_t *const *levels,
-                       int32_t circles, const search_circle *circle, int64_t *rated, const search_guess *before, int32_t most,
-                       search_guess *out)
+/* Whether numbers of circles and of guesses from them are some that there can be, and the sizes of the frame were made. */
+static int is_held(const dl_tracker *t, const dl_frame *frame, const dl_guess_search *how, int32_t circles, const search_circle *circle,
+                   const int64_t *rated)
 {
+    int64_t known = 0;
+    for (int k = 0; k < circles; k++) {
+        known += rated[k] > 0 ? rated[k] : 0;
+        if (circle[k].points < 0 || circle[k].points > SEARCH_SECTORS || rated[k] > how->before) {
+            return 0;
+        }
+    }
+    for (int k = 0; k < SEARCH_LEVELS; k++) {
+        if (frame->level[k].px == NULL) {
+            return 0;
+        }
+    }
+    return t->has_drawing && is_frame(t, frame) && how->radii >= 0 && how->radii <= 4 && how->most >= 0 && known <= how->before;
+}
+
+int32_t dl_search_guesses(dl_tracker *t, const dl_frame *frame, const dl_guess_search *how, int32_t circles,
+                          const search_circle *circle, int64_t *rated, const search_guess *before, search_guess *out)
+{
+    const int32_t most = (int32_t)how->most;
+    if (!is_held(t, frame, how, circles, circle, rated)) {
+        return DL_WRONG_SIZE;
+    }
     int32_t n = 0;
     double best = 0.0;
     for (int k = 0; k < circles && n < most && best <= PLAIN; k++, circle++) {
@@ -117,7 +142,7 @@ int32_t search_guesses(const camera_lens *c, const polar_pad *pad, const search_
             memcpy(out + first, before, (size_t)(n - first) * sizeof *out);
             before += known;
         } else {
-            n += guesses_of(c, pad, frame, levels, circle, most - n, out + n);
+            n += guesses_of(t, frame, how, circle, most - n, out + n);
             rated[k] = n < most ? n - first : -1;
         }
         for (int32_t i = first; i < n; i++) {

@@ -1,3 +1,5 @@
+/* Compare the drawing at all headings in polar cells. */
+
 #include <math.h>
 #include <string.h>
 
@@ -183,9 +185,10 @@ static void add_up(const polar_pad *pad, const float light[3][CELLS], const pola
     out->in_view = out->whole[0];
 }
 
-static void look(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int w, int h, const uint8_t *px,
-                 int32_t stride, const double *side, polar_view *out, disc_sums *sums)
+static void look(const camera_lens *c, const polar_pad *pad, const dl_image *image, int32_t step, const pad_pose *pose, const double *side,
+                 polar_view *out, disc_sums *sums)
 {
+    const int w = (int)image->width, h = (int)image->height;
     const double rim_m = RIM_PX * step * pose->t[2] / c->fx, within = pad->radius_m - fmin(rim_m, WIDEST_RIM * pad->radius_m);
     const double any_side[2] = {0.0, 0.0};
     polar_places at;
@@ -197,7 +200,7 @@ static void look(const camera_lens *c, const polar_pad *pad, const pad_pose *pos
         project_straight(c, pad, pose, &at);
     }
     choose(pad, step, w, h, within, side ? side : any_side, side ? 0.0 : -1.0, &at);
-    read_corners(w, h, px, stride, &at, &of);
+    read_corners(w, h, image->px, (int32_t)image->stride, &at, &of);
     for (int i = 0; i < 3; i++) {
         between(&at, &of, i, light[i]);
     }
@@ -302,14 +305,14 @@ static void rate(const float h[VALUES][POLAR_ANGLES], const float arrow[VALUES][
     }
 }
 
-int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, int32_t step, int32_t width,
-                       int32_t height, const uint8_t *px, int32_t stride, const double *side, polar_fit *out)
+int search_heading(const camera_lens *c, const polar_pad *pad, const dl_image *image, int32_t step, const pad_pose *pose, const double *side,
+                   polar_fit *out)
 {
     polar_view seen;
     float h[VALUES][POLAR_ANGLES], arrow[VALUES][POLAR_ANGLES];
     double score[POLAR_ANGLES];
     disc_sums of;
-    look(c, pad, pose, step, width, height, px, stride, side, &seen, &of);
+    look(c, pad, image, step, pose, side, &seen, &of);
     if (!(of.in_view >= LEAST_IN_VIEW * of.area)) {
         return 0;
     }
@@ -337,4 +340,12 @@ int32_t search_heading(const camera_lens *c, const polar_pad *pad, const pad_pos
     out->arrow = score[best] - score[(best + POLAR_ANGLES / 2) % POLAR_ANGLES];
     out->in_view = of.in_view / of.area;
     return 1;
+}
+
+int32_t dl_search_heading(dl_tracker *t, const dl_image *image, int32_t step, const pad_pose *pose, const double *side, polar_fit *out)
+{
+    if (!t->has_drawing || !is_image(image, 3) || step < 1) {
+        return DL_WRONG_SIZE;
+    }
+    return search_heading(&t->camera.lens, &t->pad.polar, image, step, pose, side, out);
 }

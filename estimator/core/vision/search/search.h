@@ -2,7 +2,20 @@
 #ifndef DECKLANDER_SEARCH_H
 #define DECKLANDER_SEARCH_H
 
-#include "decklander.h"
+#include "vision/tracker.h"
+
+/* A grey image `step` times smaller than the frame, room for so many edges, the margin around it in which centres may lie, px, and
+ * the plane that the pad is taken to lie in, at unit distance from the lens. */
+typedef struct {
+    int64_t width, height, stride, room, margin, step;
+    double R_cam_plane[9];
+} search_image;
+
+/* Radii that are searched for, and the largest number of circles, as in `dl_circle_search`. */
+typedef struct {
+    int64_t radii, most, only_bright;
+    double least, ratio;
+} search_radii;
 
 /* Edges of an image: place, px, and the way from the edge to the centre of a circle of unit radius that is bright inside, px. */
 typedef struct {
@@ -62,6 +75,16 @@ typedef struct {
 /* Cells along a side of a tile, and floats of the scratch for an image; with a scratch, also the parts. */
 enum { TILE_CELLS = 8 };
 int64_t search_divide(const search_image *image, float *scratch, search_rows *out);
+
+/* The largest number of floats of the scratch that a search takes in a frame of a size. */
+int64_t search_most(int64_t width, int64_t height);
+
+/* Outlines of areas as circles; as `dl_search_circles`. */
+int32_t search_areas(const dl_tracker *t, const dl_frame *frame, const dl_circle_search *how, search_circle *out);
+
+/* The best heading of a drawing, as `dl_search_heading`. */
+int search_heading(const camera_lens *c, const polar_pad *pad, const dl_image *image, int32_t step, const pad_pose *pose, const double *side,
+                   polar_fit *out);
 
 /* Find the edges: ridges of the gradient that stand out from their neighbourhood. */
 void search_edges(const search_image *image, const uint8_t *grey, const float *rays, search_rows *rows);

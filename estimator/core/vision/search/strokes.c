@@ -1,3 +1,5 @@
+/* Search a frame for the strokes of an H. */
+
 #include <math.h>
 #include <string.h>
 
@@ -18,9 +20,10 @@ int64_t strokes_size(const strokes_image *image)
     return (int64_t)hypot((double)image->width, (double)image->height) + 2;
 }
 
-int64_t search_strokes_room(const strokes_image *image)
+int64_t strokes_room(int64_t width, int64_t height)
 {
-    const int64_t n = strokes_size(image), pixels = image->width * image->height;
+    const strokes_image image = {.width = width, .height = height};
+    const int64_t n = strokes_size(&image), pixels = width * height;
     return (pixels + 3) / 4 + (n * n + 1) / 2 + (n * n + 3) / 4 + strokes_sums(n) + n * n + n;
 }
 
@@ -131,8 +134,9 @@ static int32_t ranked(const search_guess *one, int32_t n, int32_t most, search_g
     return n < most ? n + 1 : most;
 }
 
-int32_t search_strokes(const camera_lens *c, const strokes_image *image, const pad_strokes *h, const uint8_t *px, float *scratch,
-                       int32_t most, search_guess *out)
+/* Find the strokes of an H in an image; returns how many places. */
+static int32_t find(const camera_lens *c, const strokes_image *image, const pad_strokes *h, const uint8_t *px, float *scratch,
+                    int32_t most, search_guess *out)
 {
     const int64_t pixels = image->width * image->height, n = strokes_size(image);
     uint8_t *grey = (uint8_t *)(void *)scratch;
@@ -163,4 +167,14 @@ int32_t search_strokes(const camera_lens *c, const strokes_image *image, const p
         }
     }
     return found;
+}
+
+int32_t dl_search_strokes(dl_tracker *t, const dl_image *of, const dl_stroke_search *how, search_guess *out)
+{
+    if (!t->has_drawing || !is_image(of, 3) || how->step < 1 || strokes_room(of->width, of->height) > t->floats) {
+        return DL_WRONG_SIZE;
+    }
+    strokes_image seen = {of->width, of->height, of->stride, how->step, how->bright, how->plane_known, {0.0}};
+    memcpy(seen.R_cam_plane, how->R_cam_plane, sizeof seen.R_cam_plane);
+    return find(&t->camera.lens, &seen, &t->pad.strokes, of->px, t->scratch, (int32_t)how->most, out);
 }

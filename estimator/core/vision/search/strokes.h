@@ -2,7 +2,13 @@
 #ifndef DECKLANDER_STROKES_H
 #define DECKLANDER_STROKES_H
 
-#include "decklander.h"
+#include "vision/tracker.h"
+
+/* A BGR image `step` times smaller than the frame, whether the marks are bright in it, and the plane that the pad is taken to lie in. */
+typedef struct {
+    int64_t width, height, stride, step, bright, plane_known;
+    double R_cam_plane[9];
+} strokes_image;
 
 /* Places that are kept for each of two headings, and in all. */
 enum { STROKES_BEST = 3, STROKES_PLACES = 2 * STROKES_BEST };
@@ -18,6 +24,9 @@ typedef struct {
     float score, x, y;
     int across;
 } stroke_place;
+
+/* The numbers of the scratch that an image takes. */
+int64_t strokes_room(int64_t width, int64_t height);
 
 /* Side of the upright view of an image, px. */
 int64_t strokes_size(const strokes_image *image);

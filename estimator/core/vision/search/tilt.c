@@ -1,3 +1,5 @@
+/* Find the tilt of a plane from the ellipse of an outline. */
+
 #include <math.h>
 #include <string.h>
 

@@ -1,3 +1,5 @@
+/* Turn an image upright along the strokes of an H. */
+
 #include <math.h>
 #include <string.h>
 

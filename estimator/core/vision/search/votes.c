@@ -1,3 +1,5 @@
+/* Let edges vote for the centres of circles, and find the peaks. */
+
 #include <math.h>
 #include <string.h>
 

@@ -12,7 +12,7 @@ from estimator.contracts.samples import Baro, BodyVelocity, Range
 from estimator.ekf import gate
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.propagate import FilterParams
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -299,7 +299,7 @@ def aided(b: Belief, params: FilterParams) -> Belief:
     o = params.options
     if not any(aid.gathered for aid in b.aids):
         return b
-    b = motion.propagate_covariance(b, params.process_noise, algebra.ALGEBRA)
+    b = motion.propagate_covariance(b, params, algebra.ALGEBRA)
     innov, H, R = [], [], []
     aids = list(b.aids)
     for kind, aid in enumerate(b.aids):

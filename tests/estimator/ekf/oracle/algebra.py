@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.abi import ORDER_MAX, ROWS_MAX, N
-from estimator.core.library import CORE, address
+from estimator.ekf.state import N
+from tests.support.core_parts import PARTS, part
 
 
 class Correction(NamedTuple):
@@ -53,7 +53,7 @@ def nis_of(innov: Sequence[float] | F64, S: F64) -> float | None:
     return nis if math.isfinite(nis) else None
 
 
-_PREDICT, _CORRECT = CORE.function("kalman_predict"), CORE.function("kalman_correct")
+_PREDICT, _CORRECT = part("kalman_predict"), part("kalman_correct")
 
 
 class Algebra:
@@ -80,7 +80,7 @@ class Algebra:
         self._check(P=P, F=F, Q=Q)
         P, F, Q = (np.ascontiguousarray(matrix) for matrix in (P, F, Q))
         after = np.empty_like(P)
-        _PREDICT(self._n, address(P), address(F), address(Q), address(after))
+        _PREDICT(self._n, P, F, Q, after)
         return after
 
     def correct(self, P: F64, innov: F64, H: F64, R: F64) -> Correction | None:
@@ -101,8 +101,8 @@ class Algebra:
             raise ValueError(f"a correction by {m} numbers with H {H.shape} and R {R.shape}; the core takes 1 to {ROWS_MAX} rows")
         P, innov, H, R = (np.ascontiguousarray(part, dtype=np.float64) for part in (P, innov, H, R))
         dx, after, S, nis = np.empty(n), np.empty((n, n)), np.empty((m, m)), np.empty(1)
-        results = address(dx), address(after), address(S), address(nis)
-        if not _CORRECT(n, m, address(P), address(innov), address(H), address(R), *results):
+        measured = PARTS.new("measured *", (m, *(PARTS.cast("double *", part.ctypes.data) for part in (innov, H, R))))
+        if not _CORRECT(n, P, measured, dx, after, S, nis):
             return None
         return Correction(dx, after, S, nis.item())
 

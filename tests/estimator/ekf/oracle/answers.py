@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR
 from estimator.contracts.geometry import F64, skew, wrap_pi
-from estimator.ekf.propagate import FilterParams
+from estimator.ekf.params import FilterParams
 from estimator.ekf.so3 import about_down, heading
 from estimator.ekf.state import (
     ACCEL_BIAS,
@@ -100,7 +100,7 @@ def aligned(b: Belief) -> tuple[F64, F64]:
 
 
 def settled(b: Belief, t: int, params: FilterParams) -> Settled:
-    b, F, Q = motion.moved(propagated(b, t, params), params.process_noise)
+    b, F, Q = motion.moved(propagated(b, t, params), params)
     return Settled(b, F, Q, *aligned(b))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from estimator.core.abi import MEMBER_STATES
 from estimator.ekf.deck_motion_bank import (
+    HORIZONS_S,
     LOG_PRIOR,
     REST_ODDS,
     SIGMA,
@@ -17,9 +18,8 @@ from estimator.ekf.deck_motion_bank import (
     Carrying,
     DeckMotionBank,
     W,
+    stationary,
 )
-from estimator.ekf.oscillator import stationary
-from estimator.ekf.skill import HORIZONS_S
 from tests.estimator.ekf.oracle import skill
 from tests.estimator.ekf.oracle.oscillator import transition
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from estimator.contracts.geometry import F64, skew
-from estimator.ekf.motion import NOT_MEASURED_VAR
+from estimator.ekf.params import NOT_MEASURED_VAR
 from estimator.ekf.so3 import Vec3, about_down, heading
 from estimator.ekf.state import (
     ATT_BIAS,

@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, orthonormalised, skew
 from estimator.contracts.motion import G_M_S2
-from estimator.ekf.motion import ProcessNoise
+from estimator.ekf.params import FilterParams
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ACCEL_BIAS,
@@ -97,11 +97,11 @@ def _moved_by(b: Belief, dv: Vec3, dt: float) -> tuple[Vec3, Vec3]:
     return dp, (vx + x, vy + y, vz + z)
 
 
-def propagate_covariance(b: Belief, process_noise: ProcessNoise, algebra: Algebra) -> Belief:
+def propagate_covariance(b: Belief, params: FilterParams, algebra: Algebra) -> Belief:
     """Bring `x` and `P` from `t_cov` to `t`."""
     if b.t <= b.t_cov:
         return b
-    after, F, Q = moved(b, process_noise)
+    after, F, Q = moved(b, params)
     return after.changed(P=algebra.predict(b.P, F, Q))
 
 
@@ -120,12 +120,12 @@ class Linear(NamedTuple):
 
 # A late sighting repeats the same steps, and the summary of the sea stays the same for some of them.
 @lru_cache(maxsize=48)
-def _linear(process_noise: ProcessNoise, T: float, coast_s: float, summary: bytes) -> Linear:
+def _linear(params: FilterParams, T: float, coast_s: float, summary: bytes) -> Linear:
     """Return the linear part of a propagation over T s, of which `coast_s` had no IMU.
 
     `summary` holds the bytes of the sea's w_rad_s, zeta and sigma, one after the other.
     """
-    o = process_noise.options
+    o = params.options
     w, zeta, sigma = np.frombuffer(summary).reshape(3, 5)
     A, q_unit = transition(w, zeta, T)
     q_unit[:, :2, :2] += (4.0 * _SHORT_FRACTION * zeta * w**3)[:, None, None] * np.array(
@@ -145,11 +145,11 @@ def _linear(process_noise: ProcessNoise, T: float, coast_s: float, summary: byte
     F[PAD_YAW, TURN_RATE] = T
 
     Q = np.zeros((N, N))
-    q = process_noise.psd * T
-    force, spin = process_noise.psd_accel * T, 0.0
+    q = params.psd * T
+    force, spin = params.psd_accel * T, 0.0
     if coast_s > 0.0:
-        force += process_noise.psd_coast * coast_s
-        spin = process_noise.psd_coast_turn * coast_s
+        force += params.psd_coast * coast_s
+        spin = params.psd_coast_turn * coast_s
     q[ATT_ERR] += spin
     q[VEL] = force
     q[POS_REL] = force * (T * T / 3.0)
@@ -186,11 +186,11 @@ def _yawing(w: float, T: float) -> tuple[F64, F64]:
     return np.array([[a, b], [d, f]]), q
 
 
-def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
+def moved(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
     """Return the belief with everything but `P` propagated from `t_cov` to `t`, and the (N, N) F and Q that propagate `P`."""
     T = (b.t - b.t_cov) * 1e-9
     sea = b.sea
-    same = _linear(process_noise, T, b.coast_s, sea.w_rad_s.tobytes() + sea.zeta.tobytes() + sea.sigma.tobytes())
+    same = _linear(params, T, b.coast_s, sea.w_rad_s.tobytes() + sea.zeta.tobytes() + sea.sigma.tobytes())
 
     x = b.x.copy()
     waves = b.x[_SEA].reshape(WAVES.shape)
@@ -257,7 +257,7 @@ def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
 
     R = orthonormalised(b.R)
     belief = b.changed(R=R, x=x, t_cov=b.t, R_cov=R, dv=NO_VEC3, dp=NO_VEC3, turned=_ZERO33, coast_s=0.0,
-        ins_p=ins_p, ins_v=ins_v, ins_var_m2_s2=b.ins_var_m2_s2 + b.jolt_var_m2_s2 + process_noise.psd_coast * b.coast_s,
+        ins_p=ins_p, ins_v=ins_v, ins_var_m2_s2=b.ins_var_m2_s2 + b.jolt_var_m2_s2 + params.psd_coast * b.coast_s,
         jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
     )  # fmt: skip
     return belief, F, Q

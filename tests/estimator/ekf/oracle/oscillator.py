@@ -1,4 +1,4 @@
-"""The exact transition of the deck's oscillators (estimator/ekf/oscillator.py)."""
+"""The exact transition of the deck's oscillators (estimator/ekf/deck_motion_bank.py)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.ekf.oscillator import stationary
+from estimator.ekf.deck_motion_bank import stationary
 
 
 class Transition(NamedTuple):

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.contracts.geometry import F64, skew, wrap_pi
-from estimator.core.abi import WITH_AIDING
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.packed_belief import PackedBelief
-from estimator.ekf.propagate import FilterParams
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import ATT_ERR, PAD_YAW, POS_REL, VEL_SCALE, Belief, N, RejectionStreak
 from tests.estimator.ekf.oracle import algebra, motion, so3
 from tests.estimator.ekf.oracle.algebra import Correction
@@ -25,13 +24,13 @@ def propagated(b: Belief, t: int, params: FilterParams) -> Belief:
         b = motion.propagate_state(b, b.t_imu + hold_ns, b.w, b.f, hold_ns)
     b = motion.propagate_state(b, t, b.w, b.f, hold_ns)
     if (b.t - b.t_cov) * 1e-9 >= o.tick_s:
-        b = motion.propagate_covariance(b, params.process_noise, algebra.ALGEBRA)
+        b = motion.propagate_covariance(b, params, algebra.ALGEBRA)
     return b
 
 
 def propagated_with_covariance(b: Belief, t: int, params: FilterParams) -> Belief:
     """Propagate the state as `propagated` does, and the covariance to `t` as well."""
-    return motion.propagate_covariance(propagated(b, t, params), params.process_noise, algebra.ALGEBRA)
+    return motion.propagate_covariance(propagated(b, t, params), params, algebra.ALGEBRA)
 
 
 def ready_to_fuse(b: Belief, t: int, params: FilterParams) -> Belief:
@@ -40,7 +39,7 @@ def ready_to_fuse(b: Belief, t: int, params: FilterParams) -> Belief:
     Gathered samples must be fused before any other correction; otherwise that correction would be applied twice. The core does
     this; its samples are held to the oracle's by themselves.
     """
-    return PackedBelief.of(b).propagated(t, params.process_noise, WITH_AIDING).belief
+    return PackedBelief.of(b).propagated(t, params, DL_WITH_AIDING).belief
 
 
 def forgotten(b: Belief, o: EkfOptions) -> Belief:

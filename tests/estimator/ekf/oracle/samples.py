@@ -11,7 +11,7 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.propagate import FilterParams
+from estimator.ekf.params import FilterParams
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ATTITUDE,
@@ -61,7 +61,7 @@ def _imu(b: Belief, event: Imu, params: FilterParams) -> tuple[Belief, Outcome]:
     else:
         b = propagated(b, t, params)._replace(t_imu=t, w=w_body, w_smooth=w_body, f=f_body)
     if (b.t - b.t_cov) * 1e-9 >= o.tick_s:
-        b = motion.propagate_covariance(b, params.process_noise, algebra.ALGEBRA)
+        b = motion.propagate_covariance(b, params, algebra.ALGEBRA)
     return forgotten(b, o), Outcome(Verdict.FUSED)
 
 

@@ -8,7 +8,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import VesselReport
 from estimator.ekf import gate
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.propagate import FilterParams
+from estimator.ekf.params import FilterParams
 from estimator.ekf.state import Belief
 from tests.estimator.ekf.oracle import algebra, sighting
 from tests.estimator.ekf.oracle.propagate import corrected, ready_to_fuse

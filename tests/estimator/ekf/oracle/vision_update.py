@@ -12,7 +12,7 @@ from estimator.ekf.deck_motion_bank import CARRIED
 from estimator.ekf.gate import nis_max
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.outcome import Outcome
-from estimator.ekf.propagate import FilterParams
+from estimator.ekf.params import FilterParams
 from estimator.ekf.so3 import heading
 from estimator.ekf.state import (
     CAMERA_DELAY,
@@ -214,7 +214,7 @@ def _learned(b: Belief, event: Sighting, row: sighting.LinearizedMeasurement, pa
         y[4] = math.asin(max(-1.0, min(1.0, -float(R_ned_pad[2, 0]))))
         into_pad = R_ned_pad.T.dot(back.dot(A.T))
         var[3:] = np.diag(into_pad.dot(row.R[3:, 3:]).dot(into_pad.T))[:2]
-    by = params.process_noise.carrying
+    by = params.carrying
     if b.ins_var_m2_s2 > 0.0 and b.sea.t >= 0:
         psd = b.ins_var_m2_s2 / ((b.t - b.sea.t) * 1e-9)
         by = by._replace(asd_accel=np.sqrt(by.asd_accel**2 + psd * CARRIED))

@@ -1,4 +1,10 @@
-"""Guess poses of lettering on the bare deck from connected components that stand out from their neighbourhood.
+"""Guess poses from lettering: from the strokes of an H, and from the connected components of lettering on the bare deck.
+
+The H is found by its strokes if the disc's outline is out of the frame or occluded. In a plane parallel to the pad it has two
+perpendicular directions and strokes of one width. The directions follow from the gradients (four times their angles agree), and
+the width from the commonest run of white along either direction. With both known, correlation with the H at one size and two
+headings gives its position. All of this runs on a frame a quarter the size, in the native core
+(`estimator/core/vision/search/strokes.c`).
 
 A pad of lettering alone has neither circle nor disc. The share that its lettering fills of its convex hull is the same at any
 heading, size and tilt, and sorts components out; area and centroid give the place, and the drawing the heading.
@@ -16,11 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from estimator.core.library import CORE
 from estimator.vision.camera import Camera
-from estimator.vision.detect.guesses import Guess
-from estimator.vision.detect.heading import heading, marks_are_bright
+from estimator.vision.detect.guesses import Guess, guesses_of
+from estimator.vision.detect.heading import heading
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.native import checked, image_of, tracker_of
 from estimator.vision.pad import Pad
 
 U8 = NDArray[np.uint8]
@@ -61,7 +69,7 @@ def lettering_blobs(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) ->
 def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
     """Yield the components that fill as much of their hull as the lettering does and lie within the frame."""
     grey = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
-    sign = 1 if marks_are_bright(pad) else -1
+    sign = 1 if pad.markings.is_bright else -1
     mean = cv2.blur(grey, (_WINDOW_PX, _WINDOW_PX))
     mask = np.asarray(sign * (grey.astype(np.int16) - mean) > _STANDS_OUT, np.uint8)
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -108,3 +116,24 @@ def _shape(pad: Pad) -> tuple[float, float]:
     outline = pad.markings.letters[0].corners().astype(np.float32).reshape(-1, 1, 2)
     area = cv2.contourArea(outline)
     return area, area / cv2.contourArea(cv2.convexHull(outline))
+
+
+MOST = 8
+"""Largest number of places of the H."""
+
+
+def h_markings(px: NDArray[np.uint8], step: int, camera: Camera, pad: Pad, plane: Plane, most: int = MOST) -> list[Guess]:
+    """Return the likeliest positions of the H, best first; their headings are known up to 180 degrees.
+
+    A guess's `drawing` is the mean of the marks' mask on the H minus the mean around it, halved, -1..1.
+
+    Args:
+        px: the frame, `step` times smaller than the camera's.
+    """
+    how = CORE.ffi.new("dl_stroke_search *", {
+        "step": step, "bright": pad.markings.is_bright, "plane_known": plane.known, "most": most,
+        "R_cam_plane": plane.R_cam_plane.ravel().tolist(),
+    })  # fmt: skip
+    out = np.empty(most, CORE.dtype("search_guess"))
+    n = CORE.lib.dl_search_strokes(tracker_of(camera, pad), image_of(px), how, CORE.array("search_guess", out, most))
+    return guesses_of(out[: checked(n)])

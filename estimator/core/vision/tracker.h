@@ -1,0 +1,45 @@
+/* What follows one pad in the frames of one camera: its drawing, and the memory that vision works in. */
+#ifndef DECKLANDER_TRACKER_H
+#define DECKLANDER_TRACKER_H
+
+#include <stddef.h>
+
+#include "decklander.h"
+
+struct dl_tracker {
+    dl_camera camera;
+    const double *rays;
+    /* The light of each value of a pixel: linear, its root, its logarithm; of values that are linear light; full scale 65535. */
+    float lights[3 * 256], linear[256];
+    uint16_t lamp_light[256];
+    int has_drawing;
+    dl_pad pad;
+    const int16_t *maps, *local_maps;
+    const double *edges;
+    const int32_t *edge_of;
+    /* The length of the rows that registration works on, and of the scratch and of the room for parts of reduced frames. */
+    int32_t row;
+    int64_t floats, part_bytes;
+    float *scratch;
+    uint8_t *parts;
+};
+
+/* A part of one level of a frame, px of that level. */
+typedef struct {
+    int64_t level, left, top, width, height;
+} frame_part;
+
+/* The pixels of a part, and the number of bytes from row to row. */
+typedef struct {
+    frame_part part;
+    const uint8_t *px;
+    int32_t stride;
+} seen_part;
+
+/* Whether an image has pixels of so many channels in rows that do not overlap, and no more of them than 32 bits count. */
+int is_image(const dl_image *image, int channels);
+
+/* Whether a frame is of the tracker's camera, its rows one after the other, and of the right size at every size that was made. */
+int is_frame(const dl_tracker *t, const dl_frame *frame);
+
+#endif

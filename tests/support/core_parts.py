@@ -1,0 +1,37 @@
+"""Functions inside of the native core that are no entries of the library, called by themselves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from cffi import FFI
+
+from estimator.core.library import CORE
+from supply.core import FLYING
+
+_HEADERS = ("base/kalman.h", "base/symmetric.h", "filter/propagate.h", "filter/sighting.h", "filter/bank.h")
+PARTS = FFI()
+"""The types of the header and of the parts' own headers."""
+for _header in (FLYING.header, *(FLYING.header.parent / name for name in _HEADERS)):
+    PARTS.cdef(re.sub(r"^#.*$", "", _header.read_text(), flags=re.MULTILINE))
+
+
+def part(name: str) -> Callable[..., Any]:
+    """Return a function; arrays that it is given are passed as pointers to their first element."""
+
+    def call(*values: Any) -> Any:
+        entry = getattr(PARTS.dlopen(CORE.file), name)
+        kinds = PARTS.typeof(entry).args
+        return entry(*(_passed(kind, value) for kind, value in zip(kinds, values, strict=True)))
+
+    return call
+
+
+def _passed(kind: Any, value: Any) -> Any:
+    if not isinstance(value, np.ndarray):
+        return value
+    assert value.flags.c_contiguous
+    return PARTS.cast(kind, value.ctypes.data)
