@@ -19,7 +19,7 @@ def ittc(w_rad_s: F64, hs_m: float, tp_s: float) -> F64:
 
 
 def ochi_hubble_moment(n: int, hs_m: float, tp_s: float, shape: float) -> float:
-    """Return the n-th moment of `sitl.sea.spectra.ochi_hubble_part`, m^2 (rad/s)^n, in closed form; infinite unless n < 4 shape.
+    """Return the n-th moment of `sitl.sea.sea.ochi_hubble_part`, m^2 (rad/s)^n, in closed form; infinite unless n < 4 shape.
 
     With x = b w^-4 the integral of w^n S is a gamma function; a shape of 1 gives the moments of Bretschneider's spectrum.
     """

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.motion import G_M_S2
-from sitl.sea.sea import SEA_STATES, SHELTERED_SLIGHT, SeaState, Waves, sea_state
-from sitl.sea.spectra import jonswap
+from sitl.sea.sea import SEA_STATES, SHELTERED_SLIGHT, SeaState, Waves, jonswap, sea_state
 from tests.sitl.closed_forms import ittc
 
 W = np.linspace(0.02, 60.0, 200_000)

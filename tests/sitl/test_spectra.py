@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sitl.sea.sea import SEA_STATES, WMO_3700_M, Components, Sea, SeaState, Waves, WaveSystem
-from sitl.sea.spectra import jonswap, ochi_hubble_part
+from sitl.sea.sea import SEA_STATES, WMO_3700_M, Components, Sea, SeaState, Waves, WaveSystem, jonswap, ochi_hubble_part
 from tests.sitl.closed_forms import ittc, ochi_hubble_moment, spread_density
 
 W = np.geomspace(0.02, 80.0, 40_000)
