@@ -18,6 +18,7 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
+from estimator.core.abi import UNDER_WAY_MAX
 from estimator.core.library import CORE
 from estimator.ekf import Forecast
 from tests.companion.law_memory import packed, plain

@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation, rpy_matrix, wrap_pi
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
+from estimator.core.abi import DL_WITH_COVARIANCE, EXCESSES_MAX
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import PackedEvent, packed_event
 from estimator.ekf.so3 import about_down

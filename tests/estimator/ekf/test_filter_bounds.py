@@ -12,6 +12,7 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Verdic
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Baro
 from estimator.contracts.time import MonoNs
+from estimator.core.abi import DL_WITH_COVARIANCE
 from estimator.ekf import Ekf, EkfOptions, at, deck_motion_bank, forecast, moving, start, step
 from estimator.ekf.forecast import probability_of_motion
 from estimator.ekf.history import History

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
+from estimator.core.abi import ORDER_MAX, ROWS_MAX
 from estimator.ekf.state import N
 from tests.support.core_parts import PARTS, part
 

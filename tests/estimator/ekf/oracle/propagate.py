@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.contracts.geometry import F64, skew, wrap_pi
+from estimator.core.abi import DL_WITH_AIDING
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.params import FilterParams
