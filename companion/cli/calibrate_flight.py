@@ -13,6 +13,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from companion.recording.reading import CAMERA, Recording, open_recording
+from companion.settings.expert import in_file
 from companion.settings.load import load
 from companion.tools.calibrate.flight_result import MountResult, flight_result, readout_result
 from companion.tools.calibrate.flight_views import FlightViews, flight_views
@@ -127,39 +128,44 @@ def _delay(args: argparse.Namespace, recording: Recording) -> int:
     if settings is None:
         raise BadInput(f"{recording.name}: does not hold its settings")
     of_vehicle = isinstance(settings.vehicle, ArDroneOptions)
-    table, key = ("vehicle", "video_delay_s") if of_vehicle else ("camera", "latency_s")
+    key = "vehicle.video_delay_s" if of_vehicle else "camera.latency_s"
     was = settings.vehicle.video_delay_s if isinstance(settings.vehicle, ArDroneOptions) else settings.camera.latency_s
     result = _result(args, recording)
     found, why = was - result.later_s, result.delay_refusal()
     if -_GYRO_TRAILS_S < found < 0.0:
         found = 0.0
     if why is None and found < 0.0:
-        why = f"{table}.{key} would be {1e3 * found:.1f} ms: the frames' stamps lie before the exposure; check their source"
+        why = f"{in_file(key)} would be {1e3 * found:.1f} ms: the frames' stamps lie before the exposure; check their source"
     if why is None and args.out is not None:
-        _write_delay(args, table, key, was, found, result.delay_sigma_s)
+        _write_delay(args, key, was, found, result.delay_sigma_s)
     lines = [
-        f"delay  {table}.{key} {1e3 * found:.1f} +- {1e3 * result.delay_sigma_s:.1f} ms, was {1e3 * was:.1f}",
+        f"delay  {in_file(key)} {1e3 * found:.1f} +- {1e3 * result.delay_sigma_s:.1f} ms, was {1e3 * was:.1f}",
         _cost_line(*result.delay_costs()),
     ]
-    record = {"key": f"{table}.{key}", "delay_s": found, "was_s": was, "sigma_s": result.delay_sigma_s}
+    record = {"key": in_file(key), "delay_s": found, "was_s": was, "sigma_s": result.delay_sigma_s}
     return _say(args, result, why, lines, record | _cost_record(*result.delay_costs()))
 
 
-def _write_delay(args: argparse.Namespace, table: str, key: str, was: float, found: float, sigma_s: float) -> None:
+def _write_delay(args: argparse.Namespace, key: str, was: float, found: float, sigma_s: float) -> None:
     now = load(args.config)
     v = now.vehicle
     stands = v.video_delay_s if isinstance(v, ArDroneOptions) else now.camera.latency_s
     if abs(stands - was) > 1e-6:
         flown = f"{was:g} in the recording; name the settings flown with"
-        raise BadInput(f"--config {args.config}: {table}.{key} is {stands:g}, but {flown}")
+        raise BadInput(f"--config {args.config}: {in_file(key)} is {stands:g}, but {flown}")
     try:
         text = Path(args.config).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as why:
         raise BadInput(f"--config {args.config}: give the path of a settings file: {why}") from why
-    known = {key: round(found, 5), f"{key.removesuffix('_s')}_sigma_s": round(max(sigma_s, 1e-4), 5)}
-    text = with_values(text, table, known, str(args.config))
-    filter_knows = {"sigma_delay_s": round(max(FILTER_DELAY_LEAST_S, sigma_s), 5)}
-    _write(args.out, with_values(text, "estimator.ekf", filter_knows, str(args.config)))
+    known = {
+        key: round(found, 5),
+        f"{key.removesuffix('_s')}_sigma_s": round(max(sigma_s, 1e-4), 5),
+        "estimator.ekf.sigma_delay_s": round(max(FILTER_DELAY_LEAST_S, sigma_s), 5),
+    }
+    for path, value in known.items():
+        table, _, name = in_file(path).rpartition(".")
+        text = with_values(text, table, {name: value}, str(args.config))
+    _write(args.out, text)
 
 
 def _readout(args: argparse.Namespace, recording: Recording) -> int:
