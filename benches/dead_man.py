@@ -56,6 +56,7 @@ SETTINGS = """
 [vehicle]
 kind = "ardrone"
 host = "127.0.0.1"
+[expert.vehicle]
 navdata_port = {navdata}
 video_port = {video}
 at_port = {at}

@@ -361,6 +361,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> str:
 [vehicle]
 kind = "ardrone"
 host = "127.0.0.1"
+[expert.vehicle]
 navdata_port = {port}
 video_port = {port}
 [camera]

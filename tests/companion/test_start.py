@@ -47,7 +47,7 @@ def ran(code: str, *words: str) -> subprocess.CompletedProcess[str]:
 
 def test_the_first_guidance_cycle_waits_for_nothing_that_it_does_not_need(tmp_path: Path) -> None:
     rig = tmp_path / "rig.toml"
-    ports = "navdata_port = 45654\nvideo_port = 45655\nat_port = 45656\ncontrol_port = 45659"
+    ports = "[expert.vehicle]\nnavdata_port = 45654\nvideo_port = 45655\nat_port = 45656\ncontrol_port = 45659"
     rig.write_text(
         f'[vehicle]\nkind = "ardrone"\nhost = "127.0.0.1"\n{ports}\n[camera]\nfile = "sim"\n[pad]\nfile = "thesis"\n'
         '[operator]\nsocket = "off"\n'

@@ -33,6 +33,7 @@ file = "thesis"
 [recorder]
 folder = "{folder}"
 min_free_mb = 0.0
+[expert.recorder]
 flush_s = 0.2
 """
 

@@ -19,6 +19,7 @@ RIG = """
 [vehicle]
 kind = "ardrone"
 host = "127.0.0.1"
+[expert.vehicle]
 navdata_port = 1
 video_port = 1
 at_port = 1
@@ -35,10 +36,11 @@ drone = "deck"
 user = "drone"
 password_file = "broker/drone.password"
 ca_file = "ca.crt"
-health_hz = 5.0
 spool = "spool"
 commands = "signed"
 command_key_file = "command.key"
+[expert.mqtt]
+health_hz = 5.0
 [recorder]
 folder = "{folder}/recordings"
 """

@@ -50,6 +50,12 @@ class _Round(ctypes.Structure):
     _fields_ = [(name, ctypes.c_void_p) for name in ("seen", "per", "per_sigma", "m_cc", "m_cs", "m_ss")]
 
 
+class _Stretch(ctypes.Structure):
+    """The core's `stretch`."""
+
+    _fields_ = [("f", ctypes.c_void_p), ("round", ctypes.c_void_p), ("begin", ctypes.c_int), ("count", ctypes.c_int)]
+
+
 def blurred(region: Region, blur_m2: tuple[float, float, float], at: F64, m: F64) -> tuple[F64, F64]:
     """Return the coverage (N,) that the core computes, and its derivatives (5, N) by x, y and the blur."""
     shape = CORE.record("pad_shape", **pad_shape(Pad("one", (("white", (255, 255, 255)),), (region,))))
@@ -59,10 +65,16 @@ def blurred(region: Region, blur_m2: tuple[float, float, float], at: F64, m: F64
     points = _Footprint(n, x.ctypes.data, y.ctypes.data, None, None, ratio.ctypes.data, (ctypes.c_double * 3)(*blur_m2), 0.0)
     kinds = shape["kinds"][3:].ctypes.data
     rows, free = ((ctypes.c_void_p * len(a))(*(row.ctypes.data for row in a)) for a in (d, spare))
+    circles = _Round()
+    part = _Stretch(ctypes.addressof(points), ctypes.addressof(circles), 0, n)
     ctypes.CDLL(FILE).cover(
-        ctypes.c_void_p(shape.ctypes.data), ctypes.c_void_p(kinds), ctypes.byref(points), ctypes.byref(_Round()), 0, n,
-        ctypes.c_void_p(value.ctypes.data), rows, free,
-    )  # fmt: skip
+        ctypes.c_void_p(shape.ctypes.data),
+        ctypes.c_void_p(kinds),
+        ctypes.byref(part),
+        ctypes.c_void_p(value.ctypes.data),
+        rows,
+        free,
+    )
     return value.astype(float), d.astype(float)
 
 
