@@ -35,7 +35,7 @@ async def test_a_person_reads_findings_and_mends_the_settings(tmp_path: Path) ->
         await area.fill(masked(RIG).replace("20.0", "-4"))
         await one.shows("settings-faults", "guidance.rate_hz must be a number from 5 to 200 Hz, found -4")
         assert await one.page.get_attribute("#save-settings", "aria-disabled") == "true"
-        await one.page.click('[aria-label="Go to line 14"]')
+        await one.page.click('[aria-label="Go to line 17"]')
         assert await area.evaluate("(a) => a.value.slice(a.selectionStart, a.selectionEnd)") == "rate_hz = -4"
         await area.fill(masked(FASTER))
         await one.shows("settings-changes", r"guidance\.rate_hz 50\.0 → 30\.0")
