@@ -10,7 +10,7 @@ from estimator.contracts.time import MonoNs
 
 
 class State(Enum):
-    """What the drone is doing; the value is the phase that people read."""
+    """Phases of the flight; the value is the phase that people read."""
 
     # By identity: an enumeration's own hash is that of its name, and the tables here are read in every guidance cycle.
     __hash__ = object.__hash__
@@ -60,7 +60,7 @@ class State(Enum):
 
 
 class Event(Enum):
-    """What can happen. Of several in one guidance cycle the one that is named first here is taken first."""
+    """Events of the mission. Of several in one guidance cycle the one that is named first here is taken first."""
 
     __hash__ = object.__hash__
 
@@ -78,7 +78,7 @@ class Event(Enum):
     NO_CONDITIONS = "conditions beyond the limits"
     """They will not pass within this flight."""
     HOPELESS = "no way on"
-    """What this try or this flight allows is used up."""
+    """The allowance of this try or of this flight is used up."""
     LIMIT = "limit exceeded"
     """A limit ends this try."""
     TIMEOUT = "time over"

@@ -1,4 +1,4 @@
-"""What is known of the vehicle's response while it flies."""
+"""The vehicle's response as it is known in flight."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import Enum
 
 
 class ResponseState(Enum):
-    """Whether the vehicle's response is known."""
+    """Source of the vehicle's response."""
 
     ASSUMED = "assumed"
     """Neither its file nor the flight says how well the delay is known."""
@@ -25,7 +25,7 @@ class ResponseInUse:
     delay_s: float
     """Delay of the tilt that is flown with."""
     sigma_s: float | None
-    """How well it is known; None if nobody says."""
+    """Standard deviation of the delay; None if nothing states it."""
     longer_s: float = 0.0
     """By how much it is longer than its file says."""
 
