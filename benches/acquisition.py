@@ -8,8 +8,6 @@ frame was used to fit the verification; `--write` leaves the reliability diagram
 photographs of the real pad, without attitude, the corners of the H are compared with hand labels.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import itertools

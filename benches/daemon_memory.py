@@ -6,8 +6,6 @@ Where there are several cores, the daemon has one to itself: the simulated drone
 the others, and would empty the daemon's caches.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import subprocess

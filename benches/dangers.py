@@ -8,8 +8,6 @@ Flights are in virtual time with rendered frames. `--fused` also runs the thesis
 SIGTERM and Ctrl-C end it early; the table then has the finished flights, and a line says how many are missing.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

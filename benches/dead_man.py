@@ -10,8 +10,6 @@ A flight that does not reach its phase, or in which this machine was starved, is
 instead.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import math

@@ -7,8 +7,6 @@ of the position, and the time to render a frame in floors: one BGR to HSV and on
 frame of each effect as a contact sheet.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -9,8 +9,6 @@ in each, and one degree of heading; they arrive 120 +- 40 ms late. The vehicle's
 and a wandering one of 0.3.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import multiprocessing

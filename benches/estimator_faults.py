@@ -7,8 +7,6 @@ from there on and largest error over its standard deviation (of the 3-vector); t
 seconds after the fault's end until the error stays below 3 sigma; seconds in which it was beyond 4 sigma and called consistent.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

@@ -8,8 +8,6 @@ drone's own telemetry. The rotation from the captured body to the drone's axes i
 the drone's velocities best, roll and pitch are those that fit the accelerometer in undisturbed flight.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable, Sequence

@@ -9,8 +9,6 @@ speed over the rms of the true one (a forecast of zero would give 1). The delay'
 and the same in estimated sigmas.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -7,8 +7,6 @@ highest confidence of any frame and the time per frame. A chunk is 100 frames wi
 be made in parts (`--first`). The exit code is 1 if any frame reaches 0.5.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import multiprocessing

@@ -11,8 +11,6 @@ tenth of the height. Times are processor time, medians; ratios are to a floor me
 conversion and one inRange of the whole frame.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

@@ -8,8 +8,6 @@ shortest of the repetitions counts: another process on the core makes them longe
 conversion and one inRange of a 640x360 frame, the shortest of some.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -5,8 +5,6 @@ height along each axis at one sigma, 2 cm at least, and the attitude to a degree
 confidence of 0.5 or more that are right within 5 % of the height, and those that are not.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 

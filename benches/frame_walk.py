@@ -6,8 +6,6 @@ order of their calls: those that receive the frame, or what was made of it, and 
 whose result they return, are marked. At the end the rooms (modules) and hand-ons outside `estimator.vision` are counted.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import asyncio

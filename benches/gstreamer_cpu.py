@@ -6,8 +6,6 @@ The raw frames are YUYV from a file, as a USB camera gives them, decoded in the 
 in 640x360 px, which holds no pad, so vision searches each frame, within its budget. A simulated AR.Drone gives attitudes.
 """
 
-from __future__ import annotations
-
 import argparse
 import socket
 import subprocess

@@ -7,8 +7,6 @@ that of registrations that start at the true pose: what the verification alone w
 wrong.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -7,8 +7,6 @@ Every flight is one of `decklander simulate --autopilot` with the fault `service
 `--out` appends each flight as a line of JSON, and flights that such a file has are not flown again.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

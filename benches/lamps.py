@@ -6,8 +6,6 @@ off by one degree at one sigma. Found from cold counts confidence 0.5, an error 
 flight. NEES is of a sighting's four numbers, over four. "No pad" frames show 4 to 25 lights and no pad.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -12,8 +12,6 @@ NEES: normalized estimation error squared of position, velocity and heading (7 d
 (Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 5.4.2).
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

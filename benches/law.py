@@ -6,8 +6,6 @@ The rows leave parts of the law out, or let the vehicle answer otherwise than it
 `companion.guidance.margins`.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -7,8 +7,6 @@ python -m benches.mavlink_latency        p50 and p99 at 30 and 60 frames a secon
 python -m benches.mavlink_latency --scenario night      the same of a pad that shows by its lamps
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import time

@@ -6,8 +6,6 @@ Flights can be compared on a quiet machine only; therefore the MQTT part is meas
 decisions and 30 frames a second and an event each half second, against a loop without the part.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import sys

@@ -4,8 +4,6 @@ The test connects a real mosquitto with TLS, the service's own part, and a consu
 arrived and how long the events waited. The exit code is 1 if one is missing or out of order.
 """
 
-from __future__ import annotations
-
 import asyncio
 import signal
 import sys

@@ -5,8 +5,6 @@ A descent from 5 m to 0.5 m over a rendered ship, 15 pictures a second with the 
 one BGR to HSV conversion and one inRange of a frame of the same size.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable

@@ -7,8 +7,6 @@ its own; what registration is off beyond it comes from a deconvolution of both, 
 likeliest. Registration starts 4 % too far away and 3 degrees turned, without an attitude.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import sys

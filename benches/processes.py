@@ -1,7 +1,5 @@
 """Run and watch a simulated drone, the datagrams to it, its truth log, and a daemon that prints its phase."""
 
-from __future__ import annotations
-
 import json
 import math
 import signal

@@ -7,8 +7,6 @@ covariance is right. Times are processor time beside a floor measured in the sam
 conversion and one inRange.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

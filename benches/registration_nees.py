@@ -7,8 +7,6 @@ it, all divided by what chi-square gives: 1 is right, above 1 the sigma is too s
 such means.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

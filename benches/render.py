@@ -4,8 +4,6 @@ It runs from the repository's root. Times are processor time, the smallest of se
 one BGR to HSV conversion and one inRange of a frame of the same size.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

@@ -7,8 +7,6 @@
 The root mean square is exact for the sea that is drawn: half the sum of squared amplitudes of response times wave, over seeds.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

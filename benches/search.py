@@ -7,8 +7,6 @@ that does not. Then follow the processor times of the search in one frame of a f
 HSV conversion and one inRange of a frame of the same size, measured in between). Frames of the row `empty` hold no pad.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

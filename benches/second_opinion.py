@@ -8,8 +8,6 @@ percentage of frames that are found and right at 0.5 ("!" for each that is found
 frames was used for training. `--keep FILE` writes every candidate's figures, `--sheet DIR` the worst of both opinions as images.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import math

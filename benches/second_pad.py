@@ -8,8 +8,6 @@ too. Then follows how many sightings, with those that are reported as elsewhere,
 into the filter of a flight that followed the first pad half a second before although they are nearer to the second.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -6,8 +6,6 @@ Processes and sockets are real; there is no vision. A service without vision fli
 descends at 0.2 m/s. Then service or sender are killed, stopped or blocked.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

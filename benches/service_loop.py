@@ -4,8 +4,6 @@
 waited for, so a loaded machine tells it as well as a quiet one; reading sockets and waking up are left out.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import logging

@@ -5,8 +5,6 @@ signal at a random moment between their start and some seconds of flight. Times 
 this host's monotonic clock; the limit is 2 s.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -4,8 +4,6 @@ Also the daemon's: from the command to the log line of its first guidance cycle,
 bytecode is there, as pip leaves it when it installs; the last line is of a checkout that has none and may keep none.
 """
 
-from __future__ import annotations
-
 import os
 import statistics
 import subprocess

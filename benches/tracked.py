@@ -7,8 +7,6 @@ look by height, in floors (one BGR to HSV conversion and one inRange), the small
 `--lost` it is that of frames without a pad where one is believed, at the median and at most.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

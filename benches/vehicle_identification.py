@@ -8,8 +8,6 @@ From the ArduCopter dataflash log (a quadcopter of unknown size, hand-flown in l
 angle asked for, as gain, delay, natural frequency and damping of a second-order system.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

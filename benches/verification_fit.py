@@ -8,8 +8,6 @@ coefficients in the form of estimator/vision/detect/verification.py, and the res
 estimator/vision/register/fit_verification.py.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import multiprocessing

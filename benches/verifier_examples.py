@@ -7,8 +7,6 @@ keeps the verification's claim. A chunk is 50 frames with its own random numbers
 it is.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import multiprocessing

@@ -11,8 +11,6 @@ frame; the thesis' three share one time. A frame counts as found when the error 
 leaves its heading open by half a turn, which is not counted as error.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

@@ -1,7 +1,5 @@
 """Pressure and height in the troposphere of the international standard atmosphere (ISO 2533)."""
 
-from __future__ import annotations
-
 
 def height_of_pressure_m(pressure_pa: float) -> float:
     """Return the pressure altitude in metres."""

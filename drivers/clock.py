@@ -1,7 +1,5 @@
 """This host's monotonic clock as a port."""
 
-from __future__ import annotations
-
 import asyncio
 import time
 

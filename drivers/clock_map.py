@@ -8,8 +8,6 @@ Source: Mills, RFC 5905 section 10 (clock filter by minimum delay); Moon, Skelly
 from network delay measurements, INFOCOM 1999 (the lower envelope).
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Back-pressure by type: a slot for the newest item alone, and a bounded queue that keeps every item until it is full."""
 
-from __future__ import annotations
-
 import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Callable

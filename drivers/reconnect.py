@@ -5,8 +5,6 @@ absent for hours, so the log has three lines for an outage: its first failure, t
 the recovery. The caller's counters and health count every failure.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import random

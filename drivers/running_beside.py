@@ -1,7 +1,5 @@
 """Tasks that run while a caller's block runs, without the caller's own error coming out wrapped in a group."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Coroutine, Iterable
 from contextlib import asynccontextmanager

@@ -1,7 +1,5 @@
 """The heading of the pad's arrow, by the newest sighting that shows it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

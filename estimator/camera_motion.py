@@ -1,7 +1,5 @@
 """How the camera moves against the pad while a frame is read out, by the gyro, the history of the attitude and the belief."""
 
-from __future__ import annotations
-
 import numpy as np
 from msgspec import structs
 

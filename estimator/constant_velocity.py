@@ -10,8 +10,6 @@ The belief holds at the exposure of the newest fused frame, so a frame that arri
 exposure to any instant, and the covariance grows with the time between. A frame exposed before the newest fused one is refused.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -7,8 +7,6 @@ the time stamps and reports the instant at which its output holds under uniform 
 propagate the value instead of using it late.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """A sequence that is put together when somebody first reads it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar, overload
 

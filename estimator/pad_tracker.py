@@ -1,7 +1,5 @@
 """Find the pad in one image after another: `estimator.vision.tracker` with its memory kept in an object."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

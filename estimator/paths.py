@@ -1,7 +1,5 @@
 """The estimator paths behind one interface: `step_samples(samples)`, `step(sighting) -> path, result`, `at(now) -> belief`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol, Self

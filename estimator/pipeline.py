@@ -5,8 +5,6 @@ reaches no path and gets a verdict of its own. Several paths can run on the same
 comparison.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from importlib.util import find_spec

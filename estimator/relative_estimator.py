@@ -1,7 +1,5 @@
 """Estimate where the pad is between sightings: `estimator.pipeline` with its memory kept in an object."""
 
-from __future__ import annotations
-
 from estimator import pipeline
 from estimator.contracts.estimates import RelativeState, Sighting, Verdict
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VehicleStatus, VesselReport

@@ -3,8 +3,6 @@
 Source: Parrot, AR.Drone Developer Guide SDK 1.7, 7.2 (video stream). The core decodes them (estimator/core/video/uvlc_decode.c).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -5,8 +5,6 @@ from run to run; crashers are kept in `.fuzz/crashes`. An input that is worth ke
 test suite replays.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

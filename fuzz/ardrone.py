@@ -1,7 +1,5 @@
 """Fuzz all that an AR.Drone sends to the service, and all that a client sends to the simulated drone."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from functools import cache

@@ -1,7 +1,5 @@
 """What targets of a port share: a client that says pieces of bytes, and a watch on what fails beside the connection."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 from collections.abc import Coroutine

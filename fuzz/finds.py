@@ -1,7 +1,5 @@
 """Record the faults that a run found, each once, with the shortest input that shows it."""
 
-from __future__ import annotations
-
 import hashlib
 import traceback
 from dataclasses import dataclass, field

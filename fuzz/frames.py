@@ -1,7 +1,5 @@
 """Fuzz the conversion of camera buffers to images, and vision with any image."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from dataclasses import replace

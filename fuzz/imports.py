@@ -1,7 +1,5 @@
 """Fuzz the readers of foreign logs and captures that `replay` and `detect` accept."""
 
-from __future__ import annotations
-
 import struct
 import tempfile
 from collections.abc import Callable, Iterable, Iterator

@@ -1,7 +1,5 @@
 """Fuzz the port of Foxglove's live data, and the requests of a viewer that is let in while a recorded flight goes by."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import struct

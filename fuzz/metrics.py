@@ -1,7 +1,5 @@
 """Fuzz the requests at the metrics port."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Iterator
 from contextlib import suppress

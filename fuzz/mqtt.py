@@ -1,7 +1,5 @@
 """Fuzz what comes from a broker: commands, a ship's reports, other drones' messages for `watch`; and the spool after a crash."""
 
-from __future__ import annotations
-
 import math
 import shutil
 import tempfile

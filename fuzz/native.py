@@ -4,8 +4,6 @@ The calls are those of `tests/estimator/core/exercise.c`. Its bytes choose a cal
 no measurement should hold: NaN, infinities, numbers beyond all bounds.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Fuzz the sentences of a ship: NMEA 0183 and AIS, with right and with wrong checksums."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

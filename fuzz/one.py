@@ -4,8 +4,6 @@ An error that breaks the contract twice for the same input is written down and t
 hide the rest. A crash in native code, a hang or too much memory ends the process; libFuzzer leaves the input beside the others.
 """
 
-from __future__ import annotations
-
 import argparse
 import logging
 import sys

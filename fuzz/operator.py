@@ -1,7 +1,5 @@
 """Fuzz what comes from operators' screens: the local socket of terminals, the operator page's port, and its requests."""
 
-from __future__ import annotations
-
 import asyncio
 import tempfile
 from collections.abc import AsyncIterator, Iterator

@@ -1,7 +1,5 @@
 """Fuzz the recordings given to `replay` and `report`: MCAP files of any bytes, and well-formed ones with any messages."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress

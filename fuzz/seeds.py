@@ -1,7 +1,5 @@
 """Write the seeds of every target into `fuzz/corpus`: `python -m fuzz.seeds`. Other files there are kept."""
 
-from __future__ import annotations
-
 import hashlib
 
 from fuzz.target import CORPUS, MODULES, target

@@ -3,8 +3,6 @@
 An input is either text, or a shipped file with some keys set to other values, so that the fuzzer gets past the grammar.
 """
 
-from __future__ import annotations
-
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterator

@@ -5,8 +5,6 @@ errors that the contract names (a `BadInput` of a file, a `Recoverable` of a lin
 calls, so that an input that fails once fails again.
 """
 
-from __future__ import annotations
-
 import importlib
 import struct
 from collections.abc import Callable, Iterable

@@ -3,8 +3,6 @@
 Ends with 1 when fewer mutants than `--goal` are killed in any file. A mutant that never ends is killed: the tests hang.
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import importlib

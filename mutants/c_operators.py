@@ -4,8 +4,6 @@ Comments, preprocessor lines and texts are left alone. Operators count where a b
 writes binary ones, so a pointer's star and a sign are none. A change that the compiler refuses is no mutant.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 

@@ -5,8 +5,6 @@ module changed without a file being written. Nobody reads what a failing test sa
 rewritten, Hypothesis draws the same examples each time and does not shrink the one that fails.
 """
 
-from __future__ import annotations
-
 import importlib.abc
 import importlib.util
 import os

@@ -4,8 +4,6 @@ A change is written as `python -m mutants` prints it, with the C function before
 these apart, and says so when a test kills one of them.
 """
 
-from __future__ import annotations
-
 _ROUNDED = "computed real numbers: where they are equal to the last bit either decision is as good"
 
 _ASKED = "a flag that is asked for being zero"

@@ -3,8 +3,6 @@
 A mutant costs its own making and the tests up to the first that fails. Those that killed most in the least time run first.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import sys

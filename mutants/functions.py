@@ -1,7 +1,5 @@
 """What a changed source changes: the bodies of some functions alone, which can be replaced in a running process, or more."""
 
-from __future__ import annotations
-
 import gc
 from collections import defaultdict
 from inspect import CO_OPTIMIZED

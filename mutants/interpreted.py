@@ -4,8 +4,6 @@ Where a change is within functions, their code is replaced in a fork of a proces
 outside of them, a constant or a default, the module and the tests are imported anew.
 """
 
-from __future__ import annotations
-
 import ast
 import json
 import sys

@@ -4,8 +4,6 @@ Only the changed file is compiled; it is linked with the objects of the others. 
 made of them in place of its own.
 """
 
-from __future__ import annotations
-
 import importlib
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Small changes to a module's source, one at a time, each of which a test should notice."""
 
-from __future__ import annotations
-
 import ast
 import copy
 from collections.abc import Iterator

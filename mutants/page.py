@@ -1,7 +1,5 @@
 """The results as a table in a Markdown page: a run replaces the rows of the files that it tried."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

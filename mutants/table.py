@@ -1,7 +1,5 @@
 """The modules to mutate, and the tests that are near enough to notice a change."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 _GATE = ("tests/estimator/ekf/test_gate_bounds.py",)

@@ -7,8 +7,6 @@ commit give the same bytes where SOURCE_DATE_EPOCH is the same; `make deb` takes
 Sources: Debian Policy 4.6, chapters 3, 5, 6 and 9; the specification of reproducible builds, SOURCE_DATE_EPOCH.
 """
 
-from __future__ import annotations
-
 import argparse
 import gzip
 import os

@@ -1,7 +1,5 @@
 """Hatchling's hook for a wheel: it builds the native libraries, takes them in, and names the platform that the wheel is for."""
 
-from __future__ import annotations
-
 import os
 import sys
 import sysconfig

@@ -5,8 +5,6 @@ architecture that flies, for every glibc from 2.17 on (manylinux_2_17), cross-bu
 Source: PEP 600, Future manylinux platform tags.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

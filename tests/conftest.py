@@ -1,7 +1,5 @@
 """What holds for every test, in whichever process and beside whatever else it runs."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

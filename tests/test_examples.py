@@ -1,7 +1,5 @@
 """The programs in examples/ run as they are shipped, and their data is what the repository's script makes."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

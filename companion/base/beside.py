@@ -4,8 +4,6 @@ A failed part cannot be trusted: its thread may be gone and its files closed. Ea
 callers reach the present one through `now`.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar

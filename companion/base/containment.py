@@ -4,8 +4,6 @@ Two fault domains share one process. The vehicle, vision, the filter and guidanc
 metrics, the pulse for systemd and every observer may not. `supervise.run` draws the same line between whole parts.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from contextlib import suppress

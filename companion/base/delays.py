@@ -1,7 +1,5 @@
 """Durations of one stage of the service: quantiles of the newest, and a histogram of all."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from dataclasses import dataclass, field
 

@@ -8,8 +8,6 @@ swallows its cancellation, or a thread inside getaddrinfo, and the program never
 task or callback and abandons the other tasks; here a `SystemExit` is an error of its task like any other, and the loop goes on.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import signal

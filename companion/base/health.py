@@ -3,8 +3,6 @@
 Every reporter (log, MQTT, Prometheus, MAVLink) reads the same `HealthSnapshot`.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Tell an observer of a flight only once it has begun: of one that never does, nothing is to be kept."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

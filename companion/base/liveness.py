@@ -1,7 +1,5 @@
 """Decide whether the pipeline is alive: whether guidance decides and uses its inputs, not whether the process runs. Pure."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

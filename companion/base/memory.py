@@ -4,8 +4,6 @@ glibc keeps what is freed for later, in one arena for each thread. What the firs
 leaves behind is 25 MB, and no later look needs as much.
 """
 
-from __future__ import annotations
-
 import ctypes
 import gc
 from collections.abc import Iterator

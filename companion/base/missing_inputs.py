@@ -1,7 +1,5 @@
 """Name the inputs that guidance waits for, so that an operator knows which part is silent."""
 
-from __future__ import annotations
-
 from companion.base.health import HealthSnapshot
 
 SILENT_S = 2.0

@@ -1,7 +1,5 @@
 """The words of the mission: its states, its events, and a change of state. `companion.guidance.mission` has what follows what."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 

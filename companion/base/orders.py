@@ -1,7 +1,5 @@
 """The orders of people, their senders, and the answer that each order gets."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import Enum

@@ -1,7 +1,5 @@
 """The reasons of transitions, as data: a cause, what was measured, the limit it is compared with. Text is made from them last."""
 
-from __future__ import annotations
-
 from enum import Enum
 
 from msgspec import Struct

@@ -1,7 +1,5 @@
 """The vehicle's response as it is known in flight."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 

@@ -5,8 +5,6 @@ Anybody who reaches a port could fill the journal with them. Bytes that are no t
 errors that could be ours, so that a request with them is refused before.
 """
 
-from __future__ import annotations
-
 import logging
 from typing import Any
 

@@ -9,8 +9,6 @@ threads. It reads signals from the interpreter's wakeup descriptor, so it works 
 library call.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import signal

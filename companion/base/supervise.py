@@ -6,8 +6,6 @@ links to people, metrics, the pulse for systemd) may fail in any way: it is rest
 that does not help. The vital parts are not affected.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Mapping

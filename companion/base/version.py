@@ -1,7 +1,5 @@
 """The version of the installed distribution."""
 
-from __future__ import annotations
-
 
 def version() -> str:
     """Return the version of the installed distribution, or "(not installed)" in a bare checkout."""

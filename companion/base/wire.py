@@ -1,7 +1,5 @@
 """The messages of the service's local socket: one JSON object a line, requests in, answers and states out. No I/O."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import msgspec

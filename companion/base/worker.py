@@ -1,7 +1,5 @@
 """A thread for long calls. Neither a cancelled task nor the end of the process waits for it."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Options that describe a calibration board, shared by the command that prints it and the one that uses it."""
 
-from __future__ import annotations
-
 import argparse
 import re
 

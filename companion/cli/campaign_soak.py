@@ -1,7 +1,5 @@
 """`decklander campaign SCENARIO --soak`: fly repeated landings in one process for hours and watch for leaks."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`decklander calibrate vehicle`: how a vehicle answered its commands, from a recorded flight."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -1,7 +1,5 @@
 """What `--report` and `--record` keep of a simulated flight."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

@@ -6,8 +6,6 @@ of our output went away; 143 ended by SIGTERM, with what was begun cleared away 
 Each subcommand is a module with `add_parser(subparsers)` and `run(args) -> int`, imported only when it is asked for.
 """
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import errno

@@ -1,7 +1,5 @@
 """The options `--perception` and `--perception-model` of the commands that simulate flights."""
 
-from __future__ import annotations
-
 import argparse
 
 from sitl.flight.one_flight import PERCEPTIONS

@@ -1,7 +1,5 @@
 """Show the progress of a flight: one line that is redrawn on a terminal, a line per second elsewhere."""
 
-from __future__ import annotations
-
 import sys
 from collections import deque
 from typing import TextIO

@@ -1,7 +1,5 @@
 """Check the folder of `--report` before the flight that the report is about."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

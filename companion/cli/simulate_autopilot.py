@@ -1,7 +1,5 @@
 """`decklander simulate SCENARIO --autopilot ...`: fly one scenario with a real autopilot program on the simulator's physics."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -1,7 +1,5 @@
 """What a person can do about a cause that interrupts or ends a landing. One sentence each, for the page and docs/mission.md."""
 
-from __future__ import annotations
-
 from companion.base.mission import State
 from companion.base.reason import Reason, ReasonCause
 from estimator.contracts.estimates import IntegrityAlert, Verdict

@@ -5,8 +5,6 @@ needs is the largest sum that `r - c` reaches over any part of the forecast: wha
 flown, not counted. In a swell of rate `V` and circular frequency `w` that sum is 2 (V sin a - c a) / w with cos a = c / V.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """The limits of every command to the vehicle: geofence, heights and battery. Pure functions; none makes the vehicle descend."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The cone over the pad: the nearer to its axis, the faster the descent; outside it the drone climbs until it is inside."""
 
-from __future__ import annotations
-
 import math
 
 from companion.settings.mission import ConeOptions

@@ -5,8 +5,6 @@ force upward beyond its own recent mean is summed over short times, and the sum 
 Blind on the deck a filter's height drifts, and a drone that believed it would fly again: that is why height has no say here.
 """
 
-from __future__ import annotations
-
 import math
 
 from msgspec import Struct

@@ -5,8 +5,6 @@ whether the pad may be landed on, and holds what it is given. Controllers are pu
 next one.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Protocol, TypeVar
 

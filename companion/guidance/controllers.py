@@ -4,8 +4,6 @@ A package offers one as an entry point of the group `decklander.controllers`, un
 `guidance.controller` then holds: a function that takes a `ControllerSetup` and returns a `Controller`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -9,8 +9,6 @@ passes a Kalman filter with steady gains.
 Source: Smeur, de Croon & Chu, Gust disturbance alleviation with incremental nonlinear dynamic inversion, IROS 2016, sec. III.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from functools import lru_cache
 from typing import NamedTuple, TypeVar

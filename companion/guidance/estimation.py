@@ -1,7 +1,5 @@
 """The estimator in flight: its memory, the samples that wait for it, and the results that wait for whoever reads them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from msgspec import structs

@@ -1,7 +1,5 @@
 """An observer that knows the state of the flight as the senders of orders see it."""
 
-from __future__ import annotations
-
 from companion.base.observer import Decision, NullObserver
 from companion.base.orders import OrderSender
 from companion.base.wire import FlightState

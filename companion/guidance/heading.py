@@ -1,7 +1,5 @@
 """The heading to the arrow: the nose follows it, and never through half a turn that the estimate made by itself."""
 
-from __future__ import annotations
-
 import math
 
 from msgspec import Struct

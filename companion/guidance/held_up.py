@@ -8,8 +8,6 @@ that neither a delay nor a step of the commands is a contact. It is for velociti
 same ones to the deck (`to_deck`): a deck that falls faster and faster carries a vehicle down past the least one over the ground.
 """
 
-from __future__ import annotations
-
 from msgspec import Struct
 from msgspec.structs import replace
 

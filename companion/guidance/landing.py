@@ -1,7 +1,5 @@
 """The landing's decisions: the mission, the control law, and what they know beside the estimate."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence

@@ -4,8 +4,6 @@ The core has the mathematics of a cycle, and the law's memory. Here are the law 
 cycle.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any

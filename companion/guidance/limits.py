@@ -1,7 +1,5 @@
 """The limits of gate and commit: the first one that does not hold, as a reason with its numbers."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -7,8 +7,6 @@ stationary covariance under gusts, a wandering tilt and the filter's errors near
 Source: Astrom & Murray, Feedback Systems, 2nd ed., sec. 10.3 (margins), 12.2 (sensitivity).
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

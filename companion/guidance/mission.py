@@ -7,8 +7,6 @@ is over it goes up: to a go-around, a hold or a refusal, never down.
 Source: ``_state.py`` of h11 for the form: one table, total, in one file.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re

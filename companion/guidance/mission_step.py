@@ -1,7 +1,5 @@
 """One guidance cycle of the mission: account for it, take the events that the table knows, and say where to be."""
 
-from __future__ import annotations
-
 from msgspec.structs import replace
 
 from companion.base.mission import ENDED, Event, StateChange

@@ -5,8 +5,6 @@ here the deck's own vertical speed is added. And it hovered while it did not kno
 wind; here the integral outlives a hover, and the driver keeps the trim.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from msgspec import structs
 

@@ -3,8 +3,6 @@
 The daemon and the simulator run the same pilot, so tests in virtual time cover the code that flies.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The operations of one sender on the pilot: each goes through the arbiter, and returns why it is refused or None."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender

@@ -3,8 +3,6 @@
 `python -m companion.guidance.precedence` prints the table of docs/operator.md.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping
 from enum import Enum

@@ -6,8 +6,6 @@ and turns with her.
 Source: IAMSAR Manual, volume II, section 5.6: expanding square search, whose tracks lengthen by one spacing at every second turn.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

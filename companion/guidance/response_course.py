@@ -4,8 +4,6 @@ Commands count from guidance's decision and are held until the next one; reports
 Where nobody asked for a lean the vehicle's own one stands in for it, and nothing is compared until the response to it is over.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -11,8 +11,6 @@ own. Gains for a shorter one that the vehicle does not have hardly stand the veh
 fit errs that way.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The two equations behind gains that are solved once: the matrix exponential and the discrete Riccati equation. numpy only."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

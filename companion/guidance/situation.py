@@ -1,7 +1,5 @@
 """What the machine looks at in one guidance cycle, beside what guidance knows about pad and deck."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Say where to be in each state of the mission: a target for the controller, or a command where no estimate will do."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

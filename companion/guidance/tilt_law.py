@@ -8,8 +8,6 @@ ISA J. 6(2), 1959; Mirkin & Raskin, Every stabilizing dead-time controller has a
 39(10), 2003.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ carried on. What is refused is counted by its reason. Between reports the ship's
 deviation grows with the report's age, by the velocity's own and by what she may have turned or slowed down since.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

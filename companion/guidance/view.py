@@ -1,7 +1,5 @@
 """The field of view of a camera fixed to the body, in which the law keeps the pad (estimator/core/law/law.c)."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

@@ -1,7 +1,5 @@
 """Find what happens in a guidance cycle: the events of the machine with their reasons, in the order in which they are taken."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 

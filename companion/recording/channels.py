@@ -1,7 +1,5 @@
 """The topics of a recording and the messages that each holds."""
 
-from __future__ import annotations
-
 from typing import get_args
 
 import msgspec

@@ -4,8 +4,6 @@ An MCAP record announces its own length and those of its parts, and a chunk anno
 so it reads from a stream that knows where the file ends, and chunks are unpacked here.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Decode the messages of a recording to the service's inputs: the inverse of `companion.recording.encode`."""
 
-from __future__ import annotations
-
 import math
 from types import MappingProxyType
 from typing import Literal, cast, get_args

@@ -1,7 +1,5 @@
 """Encode the events that the service passes to its observers as the messages of a recording."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ up as up: the fixed frame is `deck` (x along the arrow, y to port, z up), with `
 docs/conventions.md below it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

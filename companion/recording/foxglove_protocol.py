@@ -4,8 +4,6 @@ Only what a server of live data needs: no parameters, services or publishing by 
 say. Source: github.com/foxglove/ws-protocol, docs/spec.md, version 1; `foxglove.sdk.v1` is the newer name of the same.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Frames as H.264, one access unit a frame: about a twentieth of the bytes of JPEG."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from fractions import Fraction
 

@@ -4,8 +4,6 @@ Each frame is encoded from those before it back to the last key frame, so whoeve
 mostly wanted in order, and then each is decoded once.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import av

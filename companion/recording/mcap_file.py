@@ -1,7 +1,5 @@
 """Write one MCAP file. After each flush the file on the disk is a sequence of whole chunks, which can be read as it is."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """Encode one event of the service as the messages of the file: ours for replay, Foxglove's for viewers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import cv2

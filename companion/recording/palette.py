@@ -4,8 +4,6 @@ Source: Okabe & Ito, Color Universal Design, 2008; blue and green lifted a littl
 distinction where colours would stand alone.
 """
 
-from __future__ import annotations
-
 SERIES: dict[str, str] = {
     "ellipse": "#1f86c9",
     "arrow": "#e69f00",

@@ -1,7 +1,5 @@
 """Read recordings, whole or truncated: everything up to the first byte that is missing or wrong."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections import Counter

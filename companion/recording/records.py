@@ -4,8 +4,6 @@ Vectors and matrices (row by row) are lists of numbers in SI units and radians, 
 whole nanoseconds of the recording host's monotonic clock. Unknown values are left out.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from msgspec import Meta, Struct

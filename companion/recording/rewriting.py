@@ -1,7 +1,5 @@
 """Rewrite a recording: repair it, shorten it, thin it, reduce it to its inputs, or export it as tables."""
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from collections.abc import Iterator

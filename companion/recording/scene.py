@@ -3,8 +3,6 @@
 Field names and meanings are those of the published schemas. Entities stand in the frames of `companion.recording.foxglove`.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

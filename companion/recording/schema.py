@@ -4,8 +4,6 @@ Foxglove and Lichtblick know objects, arrays, numbers, integers, booleans, text 
 nulls. A field that may be None is therefore left out of the message where it is None, and out of `required`.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import msgspec

@@ -1,7 +1,5 @@
 """Pictures on the way to an H.264 encoder: their times on the clock of 90 kHz, their colours by BT.709 in limited range."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import av

@@ -7,8 +7,6 @@ Vehicle and guidance are vital; observers and every further part run beside the 
 `containment`). On a machine too slow for every frame some are skipped (`VisionShare`).
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import re

@@ -3,8 +3,6 @@
 It runs beside the flight as an observer, so that no fault of it touches the flight: the camera then keeps what it holds.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 

@@ -1,7 +1,5 @@
 """What a host in the settings can be reached from."""
 
-from __future__ import annotations
-
 import ipaddress
 
 

@@ -4,8 +4,6 @@ It is read by the code of `decklander config check`, which stops at the first fa
 that it has in the settings before, and the text is read again, so that a person sees all faults at once.
 """
 
-from __future__ import annotations
-
 import copy
 import re
 import tomllib

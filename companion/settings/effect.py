@@ -1,7 +1,5 @@
 """Find keys without effect, because another key switches their part off or because they are retired, and moved keys."""
 
-from __future__ import annotations
-
 import copy
 import logging
 from collections.abc import Callable, Iterator, Mapping

@@ -3,8 +3,6 @@
 `[expert.guidance.cone]` holds the keys of `[guidance.cone]` that are not declared with `public=True`.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Iterator, Mapping
 from types import UnionType

@@ -1,7 +1,5 @@
 """Read a gamepad's mapping file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import msgspec

@@ -1,7 +1,5 @@
 """Read the trained network for a second opinion on candidates."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from companion.settings.load import SHIPPED

@@ -6,8 +6,6 @@
 `companion.settings.model` has the keys; docs/configuration.md is their page.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 import tomllib

@@ -1,7 +1,5 @@
 """Overrides: single keys of the settings that get another value, as in `guidance.rate_hz=40`."""
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Iterator, Sequence

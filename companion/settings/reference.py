@@ -1,7 +1,5 @@
 """Generate pages about the settings: a JSON Schema and the reference page."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from typing import Any

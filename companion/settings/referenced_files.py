@@ -3,8 +3,6 @@
 `load` reads the camera and the pad. What is checked here would be read when a link is opened, which may be in flight.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Mapping
 

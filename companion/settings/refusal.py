@@ -3,8 +3,6 @@
 msgspec reports where the first fault is. The expected value comes from the model and the found value from the data.
 """
 
-from __future__ import annotations
-
 import difflib
 import json
 import re

@@ -1,7 +1,5 @@
 """Say of settings that are good what their author may want to know."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from companion.settings.effect import without_effect

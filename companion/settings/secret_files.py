@@ -3,8 +3,6 @@
 No error text shows the content of a file.
 """
 
-from __future__ import annotations
-
 import hmac
 import logging
 import os

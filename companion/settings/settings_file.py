@@ -1,7 +1,5 @@
 """The settings file of a running service: read it, and save another text in its place, which the next start reads."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """Which settings tell where the ship is, and what does not go together with them."""
 
-from __future__ import annotations
-
 from msgspec import Struct
 
 from companion.settings.model import Settings

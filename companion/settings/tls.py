@@ -1,7 +1,5 @@
 """Make the TLS contexts of the settings: the one that checks a broker, and the one that serves the operator page."""
 
-from __future__ import annotations
-
 import ssl
 
 from companion.settings import secret_files

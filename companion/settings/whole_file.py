@@ -1,7 +1,5 @@
 """Write settings as a TOML file with every key in it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from typing import Any

@@ -4,8 +4,6 @@ The same class decides in the sender's own process and in virtual time. A comman
 nothing that the service asked for is flown after it, however the service ended: killed, stopped, swapped out or stuck.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from drivers.ardrone.at import REF_BASE, REF_TAKE_OFF, AtCommand, ComWdg, Pcmd, Ref

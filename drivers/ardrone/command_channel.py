@@ -3,8 +3,6 @@
 `SenderClient` is the service's end of its sender: it starts the process, sends it commands, and notices when it is gone.
 """
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import subprocess

@@ -3,8 +3,6 @@
 Values are text as the drone writes it: `TRUE` and `FALSE`, numbers, vectors `{ a b c }`.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """The counters of everything that crossed an AR.Drone link."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field, fields
 

@@ -1,7 +1,5 @@
 """Connected UDP sockets: one that wakes the event loop for each datagram, and one whose datagrams wait until they are taken."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import struct

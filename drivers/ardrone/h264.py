@@ -4,8 +4,6 @@ Importing this module loads FFmpeg's libraries, which takes longer than any othe
 first frame, so `VideoDecoder` imports it when a video begins, on its own thread.
 """
 
-from __future__ import annotations
-
 import av
 from av.error import FFmpegError
 from av.video.codeccontext import VideoCodecContext

@@ -1,7 +1,5 @@
 """A link to one AR.Drone: navdata, video, commands and configuration, each on its own socket, each restarted alone."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 

@@ -1,7 +1,5 @@
 """The navdata channel requests the stream, keeps its order, maps its clock to ours and makes samples."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from drivers.ardrone.counters import Counters

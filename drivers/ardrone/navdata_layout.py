@@ -4,8 +4,6 @@ All options are packed, little-endian. A field `Annotated[int, "I"]` is one numb
 the letters are those of the `struct` module.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from typing import Annotated, Any, TypeVar, get_type_hints

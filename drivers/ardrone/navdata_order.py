@@ -1,7 +1,5 @@
 """The order of navdata datagrams, by their sequence numbers."""
 
-from __future__ import annotations
-
 from enum import Enum
 
 _REORDER = 64

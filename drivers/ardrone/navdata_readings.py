@@ -4,8 +4,6 @@ A datagram has 28 options, 200 times a second. The service reads some twenty fie
 these takes longer than the rest of decoding.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The reasons for which wire input is refused. A refusal is a result to be counted, never an exception."""
 
-from __future__ import annotations
-
 from enum import Enum
 
 

@@ -5,8 +5,6 @@ reads -942 mg downward and +80 mg forward with the nose 4.9 degrees up). Sigmas 
 velocity reads 0.75 to 0.88 of the truth with a lag of 20 ms and 0.014 m/s of noise, height 6 mm, pitch 0.25 degrees.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -6,8 +6,6 @@ the service may be killed, stopped, swapped out or stuck. When the service is go
 receiving navdata itself, until a new service's sender asks it for the sequence and takes over. It imports nothing large.
 """
 
-from __future__ import annotations
-
 import select
 import signal
 import socket

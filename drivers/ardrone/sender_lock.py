@@ -7,8 +7,6 @@ second socket, which the kernel closes when the service dies: a newcomer leaves 
 the name. Systems without abstract sockets have no such lock.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

@@ -3,8 +3,6 @@
 `ControlChannel` reads the configuration back over TCP port 5559 and compares it with the one that was set.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import Callable, Iterator, Sequence

@@ -4,8 +4,6 @@ A 2.0 sends H.264 by TCP. A 1.0 sends one UVLC picture a datagram to whoever ask
 drone's count of pictures and no time, so its frame is stamped by its arrival.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """The counters of a camera's frames."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field, fields
 

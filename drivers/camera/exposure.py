@@ -10,8 +10,6 @@ and a step is `_DAMPING` of it.
 `ExposureDrive` holds what is asked of a camera, what it has, and from which frame on it shows that.
 """
 
-from __future__ import annotations
-
 import math
 
 from msgspec import Struct

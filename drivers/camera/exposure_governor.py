@@ -5,8 +5,6 @@ brightest parts of the picture from clipping, as a lit pad on a dark sea needs i
 parts, as a pad in the shade beside the mirrored sun needs it; where the first shows that too, there is no second.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2

@@ -13,8 +13,6 @@ GStreamer's design documents "Clocks" (clock time is base time plus running time
 frame number).
 """
 
-from __future__ import annotations
-
 import ctypes
 import importlib
 import os

@@ -4,8 +4,6 @@ A JPEG or PNG of 700 bytes can claim 30000 by 30000 pixels, and a decoder believ
 the camera's size, or with an upper bound, before the decoder sees the first byte.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from pathlib import Path

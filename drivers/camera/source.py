@@ -1,7 +1,5 @@
 """The interface between camera drivers and readers of frames: the open camera, and the error of a lost one."""
 
-from __future__ import annotations
-
 from drivers.camera.counters import CameraCounters
 from drivers.camera.exposure import ExposureDrive
 from drivers.mailbox import Latest

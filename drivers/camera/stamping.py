@@ -1,7 +1,5 @@
 """The stamp of mid-exposure from the stamp that a kernel or a camera stack gives a frame."""
 
-from __future__ import annotations
-
 import math
 
 from drivers.camera.options import CameraOptions

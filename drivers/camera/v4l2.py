@@ -6,8 +6,6 @@ that a slow bus never holds up frames. Device numbers change with each boot and 
 Source for the meaning of buffers: Linux media documentation, struct v4l2_buffer (flags, timestamp, sequence).
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import logging

@@ -1,7 +1,5 @@
 """Decode the bytes of a V4L2 buffer to a BGR image. Wire input never raises: the result for unreadable bytes is None."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import av

@@ -4,8 +4,6 @@ Source: Linux media documentation, Video for Linux API (Part I), and its user he
 Every function takes the descriptor of an open device and raises `OSError` as the kernel reports it.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import fcntl

@@ -1,7 +1,5 @@
 """Open video files and streams with a bound on their frame size, which the decoder obeys before it allocates memory."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import av

@@ -3,8 +3,6 @@
 Source: linux/input.h (the EVIOC requests), asm-generic/ioctl.h (how a request is numbered; x86, ARM and RISC-V share it).
 """
 
-from __future__ import annotations
-
 import array
 import fcntl
 import os

@@ -3,8 +3,6 @@
 Source: linux/input.h and linux/input-event-codes.h; the buttons are named by the kernel's gamepad document.
 """
 
-from __future__ import annotations
-
 import struct
 from typing import NamedTuple
 

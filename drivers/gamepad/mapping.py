@@ -4,8 +4,6 @@ Orders come from edges: a button that is held, or held when the gamepad is plugg
 near its centre, because some gamepads report an end of the range until they are first moved.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """Read captures of an AR.Drone's own streams: video as received over TCP (PaVE), and concatenated navdata datagrams."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Read a table of attitudes: CSV with the header `time_s,roll_deg,pitch_deg` and, if the heading is known, `yaw_deg`."""
 
-from __future__ import annotations
-
 import csv
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a flight log of an autopilot says besides its samples: parameters, texts, and events that can spoil a landing."""
 
-from __future__ import annotations
-
 from msgspec import Struct, field
 
 RATIO_LIMIT = 1.0

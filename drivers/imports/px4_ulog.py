@@ -3,8 +3,6 @@
 Source: the topics' definitions in PX4 v1.7 to v1.16: SI, FRD body, NED world, Hamilton quaternion from body to world.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Stamps and covariances for data that another program logged."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Read the frames of a video file, at its own time stamps."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

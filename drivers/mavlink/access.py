@@ -9,8 +9,6 @@ MAVLink's ids prove nothing, so an id counts only together with the link and the
 - every other sender is unknown: only its HEARTBEATs are read, to find the autopilot, and nothing is sent to it.
 """
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from dataclasses import dataclass, field

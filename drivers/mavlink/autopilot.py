@@ -8,8 +8,6 @@ Sources: ArduPilot, LowPassFilter2p and the parameters INS_GYRO_FILTER and INS_A
 HIGHRES_IMU.hpp and the parameter IMU_INTEG_RATE.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections import Counter, deque

@@ -1,7 +1,5 @@
 """Map the autopilot's time since boot to our clock: by TIMESYNC once that is locked, by the least delay measured until then."""
 
-from __future__ import annotations
-
 import math
 from typing import NewType
 

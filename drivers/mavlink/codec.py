@@ -5,8 +5,6 @@ field says, and so loses the intact frames behind it. Here the search goes on wi
 signatures are the dialect's.
 """
 
-from __future__ import annotations
-
 import struct
 from collections import Counter
 from dataclasses import dataclass, field

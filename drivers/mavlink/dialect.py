@@ -9,8 +9,6 @@ Source of the added definitions: mavlink.io message definitions, `common` (396, 
 (510, 511). The wire order and the CRC seed of a message follow from its fields: mavlink.io, "MAVLink serialization".
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from typing import Any

@@ -6,8 +6,6 @@ tcp://127.0.0.1:5760             connect there
 serial:///dev/ttyAMA0:921600     a serial port and its speed
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Literal, get_args

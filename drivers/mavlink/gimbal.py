@@ -13,8 +13,6 @@ the vehicle itself, as ArduPilot sends it of servo gimbals.
 Source: mavlink.io, "Gimbal Protocol v2" and the definitions of messages 158, 265 and 285.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections import Counter, deque

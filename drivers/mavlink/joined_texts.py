@@ -4,8 +4,6 @@ Source: mavlink.io, STATUSTEXT: `id` is the same in all chunks of a text and 0 i
 0; a chunk that is not full is the last.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from drivers.mavlink.dialect import Message

@@ -3,8 +3,6 @@
 Both classes repeat a request until it is answered and note what was refused, so a lost answer only costs a repetition.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections import deque

@@ -3,8 +3,6 @@
 An autopilot's own frames are ours: body forward-right-down, local north-east-down. What a message does not measure is left out.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter, deque
 from collections.abc import Callable

@@ -7,8 +7,6 @@ A mask that ignores one velocity axis stops ArduCopter. The acceleration of a le
 both cancel wind by themselves.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -14,8 +14,6 @@ When the process itself falls silent the autopilot's own failsafe acts: ArduPilo
 1 s. A landing by the autopilot's own mode (ArduPilot LAND) goes on then, by its own rules for a lost target (PLND_STRICT).
 """
 
-from __future__ import annotations
-
 import math
 from enum import Enum
 

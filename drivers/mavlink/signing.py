@@ -3,8 +3,6 @@
 Source: mavlink.io, "Message signing". The key is never printed, logged or offered as a parameter.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import stat

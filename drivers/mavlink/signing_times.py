@@ -4,8 +4,6 @@ A message that is not later than what was heard of its stream is a replay. The f
 thread: a disk that hangs or is full costs the memory of a restart, never a message.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os

@@ -5,8 +5,6 @@ ship under way it turns over; so it is armed and climbs in OFFBOARD, by setpoint
 ground in GUIDED by MAV_CMD_NAV_TAKEOFF only, which reads no place; once it flies, setpoints take it on.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ so half the round trip bounds the error; the shortest recent round trip is the o
 Synchronization Protocol v2"; Mills, RFC 5905 section 10 (least delay wins).
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

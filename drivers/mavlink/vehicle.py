@@ -1,7 +1,5 @@
 """The autopilot's identity and condition from HEARTBEAT: stack, modes, landed state."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 

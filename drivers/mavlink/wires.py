@@ -1,7 +1,5 @@
 """Open ways for bytes: UDP, TCP and serial ports in the event loop. None of them blocks; a full one drops and says so."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 from collections.abc import AsyncIterator, Callable

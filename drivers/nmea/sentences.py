@@ -7,8 +7,6 @@ are counted.
 Source: NMEA 0183 version 4.11; ITU-R M.1371-5, annex 8, tables 48 and 70 (position reports of classes A and B).
 """
 
-from __future__ import annotations
-
 import asyncio
 import datetime
 import logging

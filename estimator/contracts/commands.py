@@ -1,7 +1,5 @@
 """The commands of guidance to a vehicle. Drivers turn them into bytes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ Refusals of a single datum (a torn packet, an outlier) are results with a counte
 tree that escapes a task is a bug of ours and takes the service down loudly.
 """
 
-from __future__ import annotations
-
 import errno
 
 

@@ -4,8 +4,6 @@ The words are those of PX4's topics `estimator_innovations`, `estimator_innovati
 `estimator_innovation_test_ratios`: an innovation is measured minus predicted, and a test ratio above 1 is refused.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

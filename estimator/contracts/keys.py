@@ -13,8 +13,6 @@ Modules of options do not postpone the evaluation of their annotations: each rea
 tenth of the service's start.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Annotated, Literal, get_args, get_origin, get_type_hints
 

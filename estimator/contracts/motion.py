@@ -1,7 +1,5 @@
 """How the body and the deck move at one instant: the answers of a filter that knows more than the pad's place."""
 
-from __future__ import annotations
-
 import math
 
 from msgspec import Struct

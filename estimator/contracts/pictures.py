@@ -1,7 +1,5 @@
 """Coded pictures: what a decoder gives to the driver that received them. The driver knows the wire, the decoder the code."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol

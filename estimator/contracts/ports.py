@@ -1,7 +1,5 @@
 """The interfaces through which packages use one another."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 from estimator.contracts.time import MonoNs

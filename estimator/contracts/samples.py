@@ -1,7 +1,5 @@
 """The samples of the sensors. They are immutable, are checked once at construction, and carry their measurement instant."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Literal, TypeVar

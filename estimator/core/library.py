@@ -4,8 +4,6 @@ The library of the estimator lies beside this module. Any thread may call it: it
 releases the interpreter's lock. cffi refuses a pointer to another structure with a TypeError.
 """
 
-from __future__ import annotations
-
 import weakref
 from collections.abc import Mapping
 from types import ModuleType

@@ -7,8 +7,6 @@ ekf, outcomes = step(ekf, sample)
 state = at(ekf, now)
 """
 
-from __future__ import annotations
-
 from estimator.ekf.filter import Ekf, at, forecast, motion_at, moving, start, step, step_all
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.options import EkfOptions

@@ -1,7 +1,5 @@
 """What the filter says of one instant, as the native core wrote it (estimator/core/filter/answer.c)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The filter's public functions: start, step, at, motion_at, forecast, moving."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

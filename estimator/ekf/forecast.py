@@ -1,7 +1,5 @@
 """Forecast of the deck's motion in the next seconds, with bands. Every member of the bank contributes by its weight."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The limits of the innovation gate, and when the recent innovations agree with the covariance."""
 
-from __future__ import annotations
-
 _CHI2 = {
     0.01: (6.635, 9.210, 11.345, 13.277, 15.086, 16.812, 18.475, 20.090, 21.666),
     1e-3: (10.828, 13.816, 16.266, 18.467, 20.515, 22.458, 24.322, 26.124, 27.877),

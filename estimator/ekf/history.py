@@ -4,8 +4,6 @@ The result equals the one of events received in order: the history keeps every r
 `process_event` does not depend on when an event was received.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from itertools import chain, repeat, starmap

@@ -1,7 +1,5 @@
 """What the filter makes of one event."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cache

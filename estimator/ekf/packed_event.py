@@ -1,7 +1,5 @@
 """Events as the native core reads them."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Mapping
 from functools import reduce

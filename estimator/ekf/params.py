@@ -3,8 +3,6 @@
 Derivation: docs/estimator.md, section "Motion".
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

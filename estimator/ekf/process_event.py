@@ -1,7 +1,5 @@
 """Process one event where Python does: what begins a belief, and an attitude that sets one outright. The core does the rest."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

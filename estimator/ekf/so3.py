@@ -1,7 +1,5 @@
 """Rotations as plain (3, 3) arrays, where the checks of `Rotation` cost too much."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

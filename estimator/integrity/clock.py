@@ -4,8 +4,6 @@ This module reads no clock. One host stamps all arrivals, so the newest confirme
 than `clock_step_max_s` away is refused, and becomes the time only after others confirm it, as after a real pause.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from types import MappingProxyType

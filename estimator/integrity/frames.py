@@ -4,8 +4,6 @@ A sensor's noise makes every genuine frame different from every other, so the te
 pixels. It covers a driver that returns one buffer again, a ring of buffers, and a codec that repeats a frame without residual.
 """
 
-from __future__ import annotations
-
 import zlib
 from typing import NamedTuple
 

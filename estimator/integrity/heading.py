@@ -5,8 +5,6 @@ followed at no more than a gyro's bias may amount to. Where the report is furthe
 in between it passes unchanged. A report that goes on from another heading is so taken over slowly, and no frame sees a jump.
 """
 
-from __future__ import annotations
-
 import math
 
 from msgspec import Struct

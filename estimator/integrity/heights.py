@@ -5,8 +5,6 @@ means nothing. A shorter one counts there too, near the pad: nothing stands abov
 smaller pad, a wrong focal length).
 """
 
-from __future__ import annotations
-
 import math
 
 from msgspec import Struct

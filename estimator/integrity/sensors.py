@@ -1,7 +1,5 @@
 """Check readings of the vehicle's sensors for impossible values, impossible steps, and bit-identical repetition."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -8,8 +8,6 @@ a higher number begins; the consumers of the estimate see the number change. A c
 expected position that no other pad can lie there is the tracked pad: the estimate was wrong, and the track goes on.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ A rotation moves everything in the image by the same angle, at any distance. So 
 effect of the rotation alone, as computed from the vehicle's own attitude.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

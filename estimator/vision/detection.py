@@ -1,7 +1,5 @@
 """The detection of the pad in one frame, as a value: recorders and pages read it without vision, which takes long to load."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from msgspec import Struct

@@ -1,7 +1,5 @@
 """The pad's drawing for measuring: its edges as points with normals, and the paints that meet there."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

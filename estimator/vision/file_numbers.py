@@ -1,7 +1,5 @@
 """Check and show numbers from a TOML file, which may be of any size or of another type altogether."""
 
-from __future__ import annotations
-
 import math
 
 _LONGEST = 80

@@ -10,8 +10,6 @@ consistent for any correlation. The weights are Niehsen's (Information fusion ba
 apply to the information, so that a cue that appears or vanishes moves the result by its own weight at most.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A pad's lamps as data, the rules that they keep so that a dark frame shows how the pad is turned, and what they measure."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 The native core does all of it in one call (`estimator/core/vision/lamps/lamps.c`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import combinations

@@ -1,7 +1,5 @@
 """The sizes of the parts of a pad that detection knows by name: disc or panel, rim, ring, arrowhead, lettering."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

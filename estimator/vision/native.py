@@ -1,7 +1,5 @@
 """The native core's tracker of a pad in the frames of a camera, and frames as the core takes them."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Mapping
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The rules that a pad's fiducials keep, so that each is read, told from the others, and measured."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Mapping, Sequence
 from itertools import combinations

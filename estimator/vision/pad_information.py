@@ -1,7 +1,5 @@
 """How accurately a pad can be measured in a frame, how its headings can be told apart, and how it stands out from a deck."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The rules that a pad's regions keep, so that each edge lies between two known paints and can be told apart from the others."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

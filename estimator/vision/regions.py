@@ -4,8 +4,6 @@ Discs, rings, panels and triangles lie about the centre, letters and fiducials h
 straight ones, the arrowhead points along x. Registration blurs each of these exactly.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise

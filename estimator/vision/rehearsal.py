@@ -4,8 +4,6 @@ The first look builds the drawing's maps, the camera's rays and the tables of li
 a pad with lamps, one frame is drawn by day and one by night.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

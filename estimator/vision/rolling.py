@@ -6,8 +6,6 @@ time has carried it, and the frame is read from there.
 Source: Hedborg, Forssen, Felsberg and Ringaby, Rolling shutter bundle adjustment, CVPR 2012, section 2 (the model of the rows).
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Linear light from sRGB. Source: IEC 61966-2-1."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -4,8 +4,6 @@ A pad with lamps is seen by them where its paint is not: the lamps come first in
 A belief excludes places for both.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from types import MappingProxyType
 

@@ -1,7 +1,5 @@
 """Register the drawing from a start pose and verify it there: what a pad's sighting and its confidence come from."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ Source: Parrot AR.Drone SDK 2.0 developer guide, chapter 8 (configuration, multi
 drone answers on port 5559.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping

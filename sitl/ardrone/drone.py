@@ -3,8 +3,6 @@
 Its flight recorder is a GPS receiver on the drone's USB port, whose readings it sends as navdata option 27.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable

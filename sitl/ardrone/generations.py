@@ -3,8 +3,6 @@
 Source: a configuration that a 1.0 with firmware 1.7.4 sent; Parrot's developer guides of SDK 1.7 and 2.0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal

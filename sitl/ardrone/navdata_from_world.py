@@ -3,8 +3,6 @@
 Fields that nothing here measures stay zero, as they are on a real drone that lacks the part.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any

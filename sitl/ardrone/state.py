@@ -3,8 +3,6 @@
 Source: Parrot AR.Drone SDK 2.0 developer guide, chapters 6 (AT commands) and 7 (navdata, state bits).
 """
 
-from __future__ import annotations
-
 import struct
 from collections import Counter
 from collections.abc import Iterator

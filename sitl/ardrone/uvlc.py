@@ -3,8 +3,6 @@
 The frames of an AR.Drone 1.0 are encoded and decoded, and stamped by their arrival.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

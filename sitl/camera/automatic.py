@@ -5,8 +5,6 @@ a dark deck makes it longer until white paint is clipped. White balance takes th
 colours of lamps and of a blue sky.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache

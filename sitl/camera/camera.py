@@ -4,8 +4,6 @@ The same exposure and random state give the same bits. The geometry of the pad i
 coverage integrated over pixel and exposure); sea, deck and decals are scenery.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ A drop on the front glass is far out of focus: it shows as a soft disc with a sm
 around it. It falls at a random place, stays, then runs off towards the tail with the airflow.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

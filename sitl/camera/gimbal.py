@@ -1,7 +1,5 @@
 """A simulated gimbal: it follows what it is told with a lag, swings about it, and carries the camera."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The effect of picture faults on a finished frame."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

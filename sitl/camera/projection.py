@@ -1,7 +1,5 @@
 """Project the world's planes and polygons into one frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Render frames in a second process while the flight goes on. The frames have the same bits as without it."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator

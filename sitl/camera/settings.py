@@ -1,7 +1,5 @@
 """A scenario's tables of camera and gimbal: drops on the lens, lamps, the video link, light, and the mount."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from msgspec import Struct

@@ -1,7 +1,5 @@
 """The code that a flight was flown with: a digest of the packages' sources, and the versions that decide its arithmetic."""
 
-from __future__ import annotations
-
 import hashlib
 import platform
 from functools import cache

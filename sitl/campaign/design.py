@@ -6,8 +6,6 @@ evolution strategy: a tutorial, arXiv 1604.00772) looks for the smallest that fa
 that one nearer to no disturbance. All candidates fly the same seed, so that only the disturbance differs.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Sequence

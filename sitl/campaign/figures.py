@@ -1,7 +1,5 @@
 """The numbers that a campaign's report shows, taken from its flights once, alone or seed by seed beside another campaign."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Measure the resources of this process over hours, and decide whether they grow. Reads /proc, so it needs Linux."""
 
-from __future__ import annotations
-
 import gc
 import os
 import resource

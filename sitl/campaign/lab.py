@@ -1,7 +1,5 @@
 """The extra `lab`: the packages with which campaigns do more than fly and count."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 
 from estimator.contracts.errors import BadInput

@@ -1,7 +1,5 @@
 """Overrides: single keys of a scenario or of the settings that get another value, as in `wind.speed_m_s=4`."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The plots of a campaign's report, each narrow, so that its letters can be read on a phone, and the plot of a soak."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The report of a campaign: one page that needs nothing else."""
 
-from __future__ import annotations
-
 import itertools
 import shlex
 from collections.abc import Iterable, Mapping, Sequence

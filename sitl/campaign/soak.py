@@ -3,8 +3,6 @@
 It measures too how soon the service is ready, and its CPU load at a frame rate.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

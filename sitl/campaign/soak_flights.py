@@ -1,7 +1,5 @@
 """Grade the flights of a soak, and tell failures from flights that the machine was too slow for."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 import tempfile

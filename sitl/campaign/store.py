@@ -10,8 +10,6 @@ loses those seconds; their seeds are flown again. Nothing is ever overwritten bu
 A session flies the jobs that are not kept yet, and keeps each result before it passes it on.
 """
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -3,8 +3,6 @@
 The first rule that fits a flight names the cause of its failure.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import re

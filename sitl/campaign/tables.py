@@ -4,8 +4,6 @@ One has a line for each scenario of a set, one a line for each value of a varied
 Parquet file has a row for each flight, for pandas, polars, DuckDB and the like.
 """
 
-from __future__ import annotations
-
 import io
 import itertools
 import json

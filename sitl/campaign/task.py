@@ -1,7 +1,5 @@
 """Fly one job of a campaign, wherever that is; what goes wrong in a flight is its result and not the campaign's end."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import platform

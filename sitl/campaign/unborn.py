@@ -4,8 +4,6 @@ It then finds neither the pool's locks nor its orders, and the server would prin
 error of another kind is one of ours, and is printed. Nothing else imports this module, for it replaces the hook of its process.
 """
 
-from __future__ import annotations
-
 import sys
 from types import TracebackType
 

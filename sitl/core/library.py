@@ -1,7 +1,5 @@
 """The door to the library of the simulator. A service that flies does not load it."""
 
-from __future__ import annotations
-
 from estimator.core.library import Door
 from sitl.core import abi
 

@@ -1,7 +1,5 @@
 """Members of the core's structures as attributes of the objects that hold these."""
 
-from __future__ import annotations
-
 from typing import Any, TypeVar, overload
 
 _T = TypeVar("_T", bound="Member")

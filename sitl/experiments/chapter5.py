@@ -9,8 +9,6 @@ lowest height of tables 5.1 and 5.3, and of table 5.4 at 3 m it keeps no more th
 cannot be read is left out.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Literal, NamedTuple

@@ -1,7 +1,5 @@
 """Fly an experiment and keep what every method and path estimated beside the truth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

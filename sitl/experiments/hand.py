@@ -5,8 +5,6 @@ drone's own heading: x ahead of the pad along its nose, y to the left, z up, and
 points to the left of the arrow.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple

@@ -3,8 +3,6 @@
 Both set the thesis as printed beside its methods as they are here and our best estimate.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

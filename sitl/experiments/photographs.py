@@ -1,7 +1,5 @@
 """The photographs of the real pad, in place of the thesis' outdoor flight (section 5.2), whose images were not published."""
 
-from __future__ import annotations
-
 import csv
 import math
 from pathlib import Path

@@ -4,8 +4,6 @@ A fault has a `kind`, exactly one beginning (`at_s`, `below_height_m`, `above_he
 duration `for_s`; without one it lasts for the rest of the flight.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from msgspec import Struct

@@ -3,8 +3,6 @@
 The same packets, faults and seed give the same result.
 """
 
-from __future__ import annotations
-
 from bisect import insort
 from collections.abc import Callable
 from operator import itemgetter

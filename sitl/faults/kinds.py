@@ -1,7 +1,5 @@
 """The faults of a simulated flight as data: every kind that a scenario file may list under `[[faults]]`."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal, get_args
 

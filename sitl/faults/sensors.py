@@ -4,8 +4,6 @@ A reading may be frozen, delayed, dropped, scaled, offset, drifting, noisy or cl
 Offsets and the like carry the unit of the sensor in their name.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal, NamedTuple
 

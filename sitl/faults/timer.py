@@ -1,7 +1,5 @@
 """The active faults of a flight, and their begin."""
 
-from __future__ import annotations
-
 import math
 from typing import TypeVar
 

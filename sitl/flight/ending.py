@@ -1,7 +1,5 @@
 """The ending of a simulated flight, as text, as JSON and for its report, and the load of a machine too slow to fly it."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ Sockets, the video codec and threads are left out, so that a scenario and a seed
 A simulated person stands beside it and gives the orders of the scenario's `operator` faults to the service's arbiter.
 """
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Watch a flight by the simulator's truth while it is flown, and grade it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol

@@ -3,8 +3,6 @@
 `simulate`, the benches and campaigns all fly by `fly`.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Sequence

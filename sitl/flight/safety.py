@@ -4,8 +4,6 @@ A descent without true sight of the pad, a contact off the pad, a contact that g
 flight are unsafe.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Collection, Sequence

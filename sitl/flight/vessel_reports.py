@@ -1,7 +1,5 @@
 """The ship's own reports to the service: velocity, heading and place by her GNSS and compass, as they come over a radio link."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import Protocol

@@ -3,8 +3,6 @@
 A draw decides whether the pad is found, and with which error in the camera's axes.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from functools import lru_cache

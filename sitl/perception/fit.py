@@ -7,8 +7,6 @@ only (McCullagh & Nelder, Generalized Linear Models, 1989, ch. 4); the robust sc
 The error of the filter's estimate is fitted over height and time since the newest sighting.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from collections import defaultdict

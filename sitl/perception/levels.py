@@ -6,8 +6,6 @@ with the covariance that was fitted for the height and the time since the newest
 covariance, so it is honest. The motion of body and deck has an error in the same way.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The numbers of the error models, as a file holds them: configs/perception/*.toml, written by `decklander perception fit`."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path

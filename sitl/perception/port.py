@@ -1,7 +1,5 @@
 """The port between a flight and the way in which it perceives the pad, and the way by rendered frames and the real vision."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Literal, Protocol
 

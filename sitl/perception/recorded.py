@@ -5,8 +5,6 @@ vision measured in the camera's own axes. The error of the vehicle's attitude, w
 an error of vision: in a simulated flight it comes back from the simulated attitude.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import NamedTuple

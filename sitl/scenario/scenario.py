@@ -6,8 +6,6 @@ Every key has its unit in its name, a range and a meaning; unknown keys, wrong t
 the key's path. So are faults that could never act in the scenario, or that its vessel or vehicle cannot have.
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Iterator

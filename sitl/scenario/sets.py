@@ -5,8 +5,6 @@
 What each scenario expects is said in its own file.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, Literal
 

@@ -1,7 +1,5 @@
 """A scenario with the faults of a shipped fault scenario, selected by a seed or by name."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache

@@ -4,8 +4,6 @@ Source of the error model: a Gauss-Markov process of some metres over minutes an
 receivers show; Rankin, An error model for sensor simulation: GPS and differential GPS, IEEE PLANS 1994.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -7,8 +7,6 @@ readings to the bit. Roll, pitch and velocity are the drone's own estimates, whi
 Faults act on finished readings: the same readings, faults and seed give the same result, however often it is asked for.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What a scenario says of the errors of the vehicle's sensors."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from msgspec import Struct

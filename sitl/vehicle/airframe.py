@@ -3,8 +3,6 @@
 vehicle = load(path)               # of a shipped one: configs/vehicles/ardrone2.toml
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 The formulae and their sources are in `sitl/core/physics/vehicle.c`; here are one vehicle's parameters and state.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from enum import IntEnum

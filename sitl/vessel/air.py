@@ -5,8 +5,6 @@ The formulae and their sources are the core's, `sitl/core/physics/air.c`.
 A scenario's table `[wind]` chooses it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal

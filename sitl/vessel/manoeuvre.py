@@ -4,8 +4,6 @@ The vessel's pose is her own, then rolled and lifted in her own axes, then turne
 that she really takes. Every part has its exact rate, so that deck and contact stay consistent.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 Two special vessels do not keep a steady course: one turns, and the motion of the other was recorded.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

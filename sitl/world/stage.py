@@ -1,7 +1,5 @@
 """Build the parts of the world for a scenario: seeds, vehicle, deck, wind, sea, vessel, camera."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """The true state of a simulated flight: its contacts and its rendered frames with what is wrong with them."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

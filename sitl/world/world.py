@@ -8,8 +8,6 @@
 Commands take effect at the next step; asking for readings, frames or truth changes nothing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache

@@ -1,7 +1,5 @@
 """The bench of the faults: which flights it flies, what its table says, and what it says when it is ended early."""
 
-from __future__ import annotations
-
 import json
 import signal
 import sys

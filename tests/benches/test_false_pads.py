@@ -1,7 +1,5 @@
 """No pad where there is none: a seeded thousand frames, and photographs of sea and other things."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

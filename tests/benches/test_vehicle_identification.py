@@ -1,7 +1,5 @@
 """The identification of a vehicle's properties, on signals whose answer is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Flights over a pad, without the simulator: a camera of known mount and delay, a gyro and an attitude with errors."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Images of a printed board as a known camera takes them: each pixel's rays, bent by its lens, meet the board's plane."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """One horizontal axis of `follow_deck` in plain Python: what it observes, what is under way, and the tilt that it commands."""
 
-from __future__ import annotations
-
 import math
 
 from msgspec import Struct

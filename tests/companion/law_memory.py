@@ -1,7 +1,5 @@
 """The law's memory as the core holds it, and as plain values."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 from msgspec import Struct, structs

@@ -1,7 +1,5 @@
 """Recordings that somebody changed: single values of single messages, or single bytes, with every checksum right again."""
 
-from __future__ import annotations
-
 import io
 import json
 import random

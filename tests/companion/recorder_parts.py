@@ -1,7 +1,5 @@
 """What the recorder's tests record: samples and frames made up."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

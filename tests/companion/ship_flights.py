@@ -1,7 +1,5 @@
 """The service beside a fake autopilot in the air, and what a ship tells it of her place."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import socket

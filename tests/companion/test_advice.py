@@ -1,7 +1,5 @@
 """What a person is told to do: something for every cause that interrupts a landing, nothing for what is as it should be."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.base.mission import State

@@ -1,7 +1,5 @@
 """What one try to land uses up, and when it has used up too much."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.base.reason import Reason, ReasonCause

@@ -1,7 +1,5 @@
 """What may be flown without sight of the pad: an estimate good enough, and nothing that goes lower than the deck does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Calibration on images rendered by a known camera: what is recovered, what is refused and in which words."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Mount, delay and readout from a flight: within their sigmas, written beside the old files, refused where it is dull."""
 
-from __future__ import annotations
-
 import json
 import math
 import tomllib

@@ -1,7 +1,5 @@
 """Images that claim gigabytes, given to every command that reads images: one line, exit code 2, and no decoder is asked."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

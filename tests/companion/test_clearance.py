@@ -1,7 +1,5 @@
 """How much higher the drone stays because the deck will rise faster than it can climb."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

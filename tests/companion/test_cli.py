@@ -1,7 +1,5 @@
 """The command line: exit codes, one line on stderr, and nothing imported that was not asked for."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import re

@@ -1,7 +1,5 @@
 """What a wrong climb costs: as simulated landings by wrong files showed it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The cone: how fast the drone may come down at which height and how far from the axis."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

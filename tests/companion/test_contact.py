@@ -1,7 +1,5 @@
 """A contact is an event of the accelerometer: found on a deck, and in no flight."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

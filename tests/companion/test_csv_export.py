@@ -1,7 +1,5 @@
 """A recording as CSV tables: every number of every message, under names that say what it is."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

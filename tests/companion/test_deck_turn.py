@@ -1,7 +1,5 @@
 """The nose follows the arrow of a ship that turns: the deck's rate is found and fed forward, and nothing winds up."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`decklander detect` on images, folders and videos; what it prints and what it refuses."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A detection reads back from a recording as it was, with what was seen elsewhere."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from msgspec.structs import replace

@@ -1,7 +1,5 @@
 """A service without the extra `report`: commands that draw say so before they work, and nothing else asks for matplotlib."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

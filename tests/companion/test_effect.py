@@ -1,7 +1,5 @@
 """Keys that change nothing are told; keys that are gone are read."""
 
-from __future__ import annotations
-
 import copy
 import logging
 from pathlib import Path

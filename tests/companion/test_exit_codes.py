@@ -1,7 +1,5 @@
 """Exit code 2 says that the settings are wrong and nothing else: systemd starts the service again after every other end."""
 
-from __future__ import annotations
-
 import asyncio
 import configparser
 import errno

@@ -1,7 +1,5 @@
 """The part that drives a camera's exposure: it meters where the pad is believed to be, and heeds how the vehicle turns."""
 
-from __future__ import annotations
-
 import logging
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """Whatever a part does that the flight does not need, the flight's commands are those of a flight without it, to the bit."""
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import logging

@@ -1,7 +1,5 @@
 """The law that follows the deck, one guidance cycle at a time: its axes, its limits, its silences, and whom it flies for."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

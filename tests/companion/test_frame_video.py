@@ -1,7 +1,5 @@
 """Frames as H.264 in a recording: any frame can be asked for, damage stays within its group, and a part is a video again."""
 
-from __future__ import annotations
-
 import base64
 import json
 from pathlib import Path

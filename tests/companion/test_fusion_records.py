@@ -3,8 +3,6 @@
 Why: a figure that changes or gets lost between filter and observer is worse than none.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

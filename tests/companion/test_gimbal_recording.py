@@ -1,7 +1,5 @@
 """A recording of a camera on a gimbal: its reports, and the camera's rotation of each frame."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from msgspec.structs import replace

@@ -1,7 +1,5 @@
 """The heading to the arrow: what counts as known, and a turn that no vehicle makes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

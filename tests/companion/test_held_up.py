@@ -1,7 +1,5 @@
 """A deck that is met softly: going up faster than any command of late is a contact; a flight that answers late is none."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The identified response: true to the simulated vehicle's, honest where a flight does not tell, and readable as a file."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """`decklander keys`, against an autopilot that takes, obeys and gives up a key as ArduPilot does."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import stat

@@ -1,7 +1,5 @@
 """The law that follows the deck: its equations, its model of the vehicle, and what it holds on to."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The law's memory in the core, and what a law without a forecast does not look at."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The limits of gate and commit hold up to their number and not beyond."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Margins and errors of one axis: against loops of the textbook, and against the law flown cycle by cycle."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

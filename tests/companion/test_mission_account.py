@@ -1,7 +1,5 @@
 """What a guidance cycle leaves in the machine's memory before it is asked what happens."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What happens in a guidance cycle, state by state, with each figure at its limit and beside it."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from typing import Any

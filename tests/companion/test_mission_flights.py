@@ -1,7 +1,5 @@
 """Whole flights of the machine over a point that follows: which states, how low, how often, and why."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """What the vehicle's report and one guidance cycle do to the machine, one at a time."""
 
-from __future__ import annotations
-
 import pytest
 from msgspec.structs import replace
 

@@ -1,7 +1,5 @@
 """Every pair of state and event: where it leads, and where none may lead."""
 
-from __future__ import annotations
-
 from itertools import product
 from pathlib import Path
 

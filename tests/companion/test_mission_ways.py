@@ -1,7 +1,5 @@
 """What happens in a guidance cycle: the time of each state, the way up, the ways down, and another pad."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

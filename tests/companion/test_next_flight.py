@@ -1,7 +1,5 @@
 """A flight that ended in any way is followed by a new one, once the vehicle has stood and flies again; not before."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.base.mission import FlightOutcome

@@ -1,7 +1,5 @@
 """What systemd is told, over a real datagram socket, by a daemon over a fake vehicle: pings stop with the pipeline."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import socket

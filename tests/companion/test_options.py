@@ -1,7 +1,5 @@
 """Options are the settings: a key is declared in one class, with unit, range and meaning, and TOML reaches every option."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import inspect as python

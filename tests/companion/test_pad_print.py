@@ -1,7 +1,5 @@
 """Paper is true to scale: pages are rendered by another program, put together by their marks, and measured."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

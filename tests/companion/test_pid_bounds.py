@@ -1,7 +1,5 @@
 """The position controller at each of its edges: one guidance cycle from a given memory."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

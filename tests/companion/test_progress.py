@@ -1,7 +1,5 @@
 """What a transition leaves in the machine's memory."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`decklander record`: what is in a recording, parts of it, and recordings of what others recorded."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

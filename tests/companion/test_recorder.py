@@ -1,7 +1,5 @@
 """The recorder: what it was told reads back the same, and no disk stops a flight."""
 
-from __future__ import annotations
-
 import io
 import json
 import signal

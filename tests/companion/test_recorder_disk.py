@@ -1,7 +1,5 @@
 """The recorder where the disk or the folder fails: nothing is recorded then, the flight goes on, and it comes back by itself."""
 
-from __future__ import annotations
-
 import errno
 import os
 import re

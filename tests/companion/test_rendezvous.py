@@ -1,7 +1,5 @@
 """The flight to the ship by her reports: to the hold-off point, over the pattern, never down, refused in time."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The way to the ship at each edge: where it goes round her, what counts as there, and the next corner of the search."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

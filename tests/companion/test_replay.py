@@ -1,7 +1,5 @@
 """Replay: the same outputs each time, the recorded beliefs to the bit, and what settings change is said."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math

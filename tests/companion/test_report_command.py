@@ -1,7 +1,5 @@
 """`decklander report`: recorded flights as they were flown, alone and compared."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The response of a vehicle as a file gives it: its ranges, how late it is, and the model of it in steps."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a wrong response costs at touchdown, and what its file says after a flight."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 

@@ -1,7 +1,5 @@
 """The courses that a response is identified from: every command at its instant, and nothing compared that nobody knows."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

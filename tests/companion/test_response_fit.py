@@ -1,7 +1,5 @@
 """The fit of a response: it finds what made a course, says how well, and begins where it is told."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A response that a flight has found reaches recording, events, metrics and the ground station."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import msgspec

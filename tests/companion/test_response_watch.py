@@ -1,7 +1,5 @@
 """The response identified in flight: true or unchanged, never by one fit alone, and without a bump in the command."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Iterator

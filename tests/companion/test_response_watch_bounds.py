@@ -1,7 +1,5 @@
 """The response identified in flight at each of its edges: what counts as a report, when a fit is due, and what it decides."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

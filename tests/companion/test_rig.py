@@ -1,7 +1,5 @@
 """From settings to the parts: no key without an effect, and defaults that are the parts' own."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

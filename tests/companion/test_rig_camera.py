@@ -1,7 +1,5 @@
 """A camera beside the vehicle: settings to options, and one link of vehicle and camera."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

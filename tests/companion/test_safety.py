@@ -3,8 +3,6 @@
 A body follows the commands; what it senses is frozen, displaced, misstamped, beyond reason or missing for spells drawn at random.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The 3D scene of a recording: the pad's paints as triangles, the ellipsoid, and what a viewer finds after a seek."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

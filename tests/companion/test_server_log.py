@@ -1,7 +1,5 @@
 """What a server's log tells: an error of ours, and nothing that a client did to its own connection."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 

@@ -1,7 +1,5 @@
 """Settings: what is refused and how that reads, what comes back unchanged, and that the pages follow the model."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

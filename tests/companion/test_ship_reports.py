@@ -1,7 +1,5 @@
 """The ship's reports through the whole service: over UDP or MAVLink in, the way to the ship out as setpoints that are flown."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import math

@@ -4,8 +4,6 @@ It never ends by an exception through the event loop. Two seconds are asked for 
 is that of a machine that is busy elsewhere: what these programs would do without the deadline takes minutes or never ends.
 """
 
-from __future__ import annotations
-
 import random
 import signal
 import socket

@@ -1,7 +1,5 @@
 """What `decklander simulate` says of a flight, for people and for machines."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The service's start: what the first guidance cycle does not need is loaded after it, and vision before the first frame."""
 
-from __future__ import annotations
-
 import asyncio
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Where to be in each state, asked of one guidance cycle."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

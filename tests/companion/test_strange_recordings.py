@@ -1,7 +1,5 @@
 """Recordings that somebody changed or made to do harm: one line and exit code 2, or read as far as they go; no traceback."""
 
-from __future__ import annotations
-
 import json
 import random
 import resource

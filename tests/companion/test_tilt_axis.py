@@ -1,7 +1,5 @@
 """The gains of one axis of the deck's follower beside scipy's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from msgspec import structs

@@ -1,7 +1,5 @@
 """The ship's place by reports: carried on, doubted with its age, and refused where it cannot be hers."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

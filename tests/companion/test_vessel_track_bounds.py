@@ -1,7 +1,5 @@
 """What makes a report of a place old, too fast or a jump, to its limit; and what the ship's place is uncertain by, in numbers."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

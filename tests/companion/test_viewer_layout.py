@@ -1,7 +1,5 @@
 """The shipped layout for Foxglove names what a recording holds: topics, the kinds of their messages, fields and frames."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections import defaultdict

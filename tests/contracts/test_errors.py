@@ -1,7 +1,5 @@
 """The text of an error is one printable line, whatever bytes from outside came into it."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """A setting down to the core costs the files that docs/extending.md names: taken in a copy, its steps change what is fused."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Test that what the pages name exists: settings, commands, options, topics, metrics, modules, make targets and files."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import re

@@ -1,7 +1,5 @@
 """The page for operators shows the table of precedence that the service uses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from companion.cli.fly import KEYS, MOTIONS, ORDERS

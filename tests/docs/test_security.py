@@ -1,7 +1,5 @@
 """The threat model is no promise: every line names a test, and every test that it names is there."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Test the navigation and every link of the documentation, without mkdocs; `make docs` builds the site itself."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -4,8 +4,6 @@
 begins with `decklander` is parsed, not run.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import os

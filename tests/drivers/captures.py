@@ -1,7 +1,5 @@
 """Real captures of the drone, which lie beside the repository and are not part of it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """What is sent once the service has fallen silent, in virtual time."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.ardrone import at

@@ -1,7 +1,5 @@
 """The command arbiter at each of its edges: the deadline, the hold, the age of a report, and what the drone said."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.ardrone import at

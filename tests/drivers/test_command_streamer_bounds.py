@@ -1,7 +1,5 @@
 """The AR.Drone's helm at each of its edges: ages, timeouts, what the drone said, and what is remembered of a command."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Datagrams that wait in the kernel keep the instants at which they were received, whenever somebody takes them."""
 
-from __future__ import annotations
-
 import socket
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The law of a driven exposure in a loop with a camera of any tone curve, lag and gain, over four decades of light."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

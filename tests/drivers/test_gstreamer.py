@@ -1,7 +1,5 @@
 """The GStreamer source: its process's messages, faults and end, and real pipelines where a Python has GStreamer's bindings."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

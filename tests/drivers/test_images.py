@@ -1,7 +1,5 @@
 """The size that an image claims is compared before it is decoded: a small file cannot take gigabytes."""
 
-from __future__ import annotations
-
 import contextlib
 import resource
 from pathlib import Path

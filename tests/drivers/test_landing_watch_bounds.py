@@ -1,7 +1,5 @@
 """Who began a landing, and whether it is called off, at each edge: gaps, ages, heights, and what a report does not carry."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.ardrone.landing_watch import Cause, DroneReport, LandingWatch

@@ -1,7 +1,5 @@
 """The link against a drone in miniature, over real sockets on loopback."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 from collections.abc import AsyncIterator

@@ -1,7 +1,5 @@
 """The one reconnect loop: rests, what ends it, and how little it logs."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import math

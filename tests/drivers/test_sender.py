@@ -1,7 +1,5 @@
 """The sender's process on real sockets: what the drone is told when the service is killed, stopped, stuck, or comes back."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

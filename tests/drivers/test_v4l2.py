@@ -3,8 +3,6 @@
 The same driver on a real kernel device: tests/v4l2_vm.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import os

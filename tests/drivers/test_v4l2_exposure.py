@@ -1,7 +1,5 @@
 """Taking over the exposure of a V4L2 device, on controls in memory. On real kernel devices: tests/v4l2_vm."""
 
-from __future__ import annotations
-
 import errno
 from types import SimpleNamespace
 

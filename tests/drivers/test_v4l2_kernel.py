@@ -1,7 +1,5 @@
 """The kernel's calls for video: their numbers, which hold the size of each struct, and where the fields lie in it."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

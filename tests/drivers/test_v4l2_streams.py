@@ -1,7 +1,5 @@
 """Video files and network cameras behind the camera's door: real files and real RTP packets on this machine's loopback."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import socket

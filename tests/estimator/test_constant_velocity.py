@@ -1,7 +1,5 @@
 """The path of constant velocity: it finds what moves steadily, knows how well, and refuses what its model excludes."""
 
-from __future__ import annotations
-
 import math
 import sys
 

@@ -3,8 +3,6 @@
 Why: a filter that is tuned wrong, or a sensor that drifts, shows in these figures long before it shows in a landing.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Places on the Earth against published figures, and the way there and back."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

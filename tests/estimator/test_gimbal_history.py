@@ -1,7 +1,5 @@
 """How a gimbal held the camera at an exposure: frames, interpolation, uncertainty, and the sighting that follows."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

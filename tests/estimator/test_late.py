@@ -1,7 +1,5 @@
 """A late sequence is made once, when somebody reads it, and not by asking for its length."""
 
-from __future__ import annotations
-
 from estimator.late import Late
 
 

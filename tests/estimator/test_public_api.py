@@ -1,7 +1,5 @@
 """The library's public surface: what it exports, what that costs, what docs/api.md says of it, and what the two objects do."""
 
-from __future__ import annotations
-
 import math
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """UVLC pictures: bits written by hand against an inverse cosine transform that is not ours, encoder to decoder, and damage."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """A velocity that begins to be measured from somewhere else, as an autopilot's with its first GNSS fix on a ship under way."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

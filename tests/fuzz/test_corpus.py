@@ -1,7 +1,5 @@
 """Every kept input through its target again, without the fuzzer; and the harness that must notice when one breaks."""
 
-from __future__ import annotations
-
 import gc
 import subprocess
 import sys

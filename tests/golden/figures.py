@@ -5,8 +5,6 @@
 writes them anew and adds the reason to REASONS.md; the tests hold to them. How the recordings were made: docs/recordings.md.
 """
 
-from __future__ import annotations
-
 import hashlib
 import sys
 import tomllib

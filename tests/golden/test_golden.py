@@ -1,7 +1,5 @@
 """Accuracy on the golden recordings: each figure within its tolerance of the one that was written down, in both directions."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

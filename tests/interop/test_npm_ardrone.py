@@ -3,8 +3,6 @@
 The packages are installed outside the repository; DECKLANDER_NODE_MODULES names the folder. In CI they must be there.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """The mutation tester: it changes what decides, leaves texts alone, and tells a test that notices from one that does not."""
 
-from __future__ import annotations
-
 import ctypes
 import subprocess
 import sys

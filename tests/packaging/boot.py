@@ -7,8 +7,6 @@ package, the service comes up under its unit, updates to a good and to a bad ver
 simulated drone flies, and is removed. Each step prints what it took.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

@@ -8,8 +8,6 @@ read-only, in a network of their own, until the simulated drone has landed on th
 endpoint has every figure of the dashboard and the ground hears the drone through TLS. Times and sizes are printed.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """compose.yaml's broker, sim and daemon from built roots, in a network of their own, until everything that must be so is so."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

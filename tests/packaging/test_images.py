@@ -1,7 +1,5 @@
 """Dockerfiles, compose.yaml and what they mount agree with each other and with the code. `make test-image` runs them."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """An installation makes a small service that runs; the wheel and the source archive hold what they should."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re

@@ -1,7 +1,5 @@
 """Closed forms that the spectra of the simulated sea are held to."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

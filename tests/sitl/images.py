@@ -1,7 +1,5 @@
 """Cameras, pads and shots that the tests of the renderer share."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The air: Dryden's turbulence against its spectra, the profile, discrete gusts, and the wake of the superstructure."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

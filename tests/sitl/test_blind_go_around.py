@@ -1,7 +1,5 @@
 """Sight of the pad lost near the deck, with an estimate that drifts by more than it knows."""
 
-from __future__ import annotations
-
 import pytest
 
 from sitl.flight.one_flight import FlyOptions, fly, settings_for

@@ -3,8 +3,6 @@
 Positions are measured in linear light, as a sensor adds it up: the 50 % crossing of an edge in sRGB values lies elsewhere.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What the core's step of vehicle, contacts, air and sensors must keep, over random flights."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

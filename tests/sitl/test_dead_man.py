@@ -1,7 +1,5 @@
 """The service falls silent at each phase of a flight, in virtual time: helm, sender's logic, drone, physics; no vision."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The simulated camera whose exposure the service drives: what it gives where a camera that meters the whole picture fails."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

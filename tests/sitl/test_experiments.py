@@ -1,7 +1,5 @@
 """The thesis' experiments: axes, paths, what was printed, and a short one flown through the command's own functions."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Each fault by its effect on what comes out of the simulated drone: readings, frames, stamps, the vehicle itself."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

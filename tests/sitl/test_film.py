@@ -1,7 +1,5 @@
 """Frames one after the other: automatics that lag, a link that loses packets, the same pictures whoever renders them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

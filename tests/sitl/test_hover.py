@@ -1,7 +1,5 @@
 """A long hover teaches the filter nothing that it cannot see."""
 
-from __future__ import annotations
-
 import msgspec
 import numpy as np
 

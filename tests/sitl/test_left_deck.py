@@ -1,7 +1,5 @@
 """A contact on a deck that then falls faster than the vehicle's own landing: it is not made, and if it was it is noticed."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

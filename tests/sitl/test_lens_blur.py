@@ -1,7 +1,5 @@
 """The blur of the lens on the pad's edges, against light that is blurred finely before pixels sample it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

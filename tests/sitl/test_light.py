@@ -1,7 +1,5 @@
 """Light, sensor and noise: what the settings promise is what the frame shows."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A machine that is too slow for a flight in real time is named, with the figure; the figures here are simulated, not loads."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

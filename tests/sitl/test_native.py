@@ -1,7 +1,5 @@
 """The renderer's part of the native core: the same bits with and without vector instructions, and arrays that are refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

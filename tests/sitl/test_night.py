@@ -1,7 +1,5 @@
 """A landing on a dark deck by the pad's own lamps, pixels and wires in the loop."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from companion.base.observer import NullObserver, ProcessedFrame

@@ -1,7 +1,5 @@
 """One flight is a function of scenario, seed, settings and perception."""
 
-from __future__ import annotations
-
 import tomllib
 
 import pytest

@@ -1,7 +1,5 @@
 """Lettering on lettering, and slanted sides: each edge pixel of the simulated camera shows each paint as much as it covers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

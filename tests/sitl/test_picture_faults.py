@@ -1,7 +1,5 @@
 """Faults of the picture: what changes in a frame, where, and what acts without a rendered frame."""
 
-from __future__ import annotations
-
 import msgspec
 import numpy as np
 import pytest

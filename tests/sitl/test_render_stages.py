@@ -1,7 +1,5 @@
 """Stages of the renderer against what they replace: the swell's light against numpy, a long smear against its length."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

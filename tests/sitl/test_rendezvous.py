@@ -1,7 +1,5 @@
 """Flights from 60 m away to a ship that reports her place, through navdata, and what her wrong reports lead to."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

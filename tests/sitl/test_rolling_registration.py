@@ -1,7 +1,5 @@
 """Registration of frames whose rows are exposed one after the other, with and without the camera's readout time."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

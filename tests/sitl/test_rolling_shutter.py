@@ -1,7 +1,5 @@
 """Each row of a rolling shutter shows the scene at its own time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

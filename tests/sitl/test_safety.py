@@ -1,7 +1,5 @@
 """The judgement on simulated flights: what counts as true sight, as a blind descent, as unsafe, and as the right outcome."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

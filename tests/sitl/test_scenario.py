@@ -1,7 +1,5 @@
 """Scenario files: what is shipped holds, and what is wrong is named with key, unit and file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Everything around the pad: whole frames from anywhere, the same bits for the same seed, and no pad where none is."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import get_args

@@ -1,7 +1,5 @@
 """Spectra and the surface made of them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

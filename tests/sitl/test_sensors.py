@@ -1,7 +1,5 @@
 """What the sensors say against what is so, and against a real AR.Drone's recording."""
 
-from __future__ import annotations
-
 import csv
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Faults of vessel and vehicle: what the deck and the vehicle do, and that the deck's motion stays consistent."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

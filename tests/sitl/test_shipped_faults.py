@@ -1,7 +1,5 @@
 """Every shipped fault truly acts: what the world shows with it and without is the same before it begins and another after."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import msgspec

@@ -1,7 +1,5 @@
 """Spectra against their closed forms, and the seas that are drawn from them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

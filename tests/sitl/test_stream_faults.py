@@ -1,7 +1,5 @@
 """Faults of the streams: what becomes of packets, and what reaches the service and the drone of a flight."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

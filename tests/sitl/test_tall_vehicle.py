@@ -1,7 +1,5 @@
 """A vehicle with tall feet: gate and commit count from its feet, so that it touches nothing while it waits."""
 
-from __future__ import annotations
-
 import pytest
 from msgspec.structs import replace
 

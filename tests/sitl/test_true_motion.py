@@ -1,7 +1,5 @@
 """Guidance at the level `truth` is told the deck's motion as it is, up to the claimed errors."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ pad along eight seconds of physics under a fixed stick, to a tenth of a micromet
 prints them anew; a change needs its reason in the commit.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 

@@ -1,7 +1,5 @@
 """The rigid body, its inner loops and its contact with deck and water."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Vehicles from files: the AR.Drone as it always was, other sizes, six rotors, and the ground effect at the deck's edge."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Hull responses against limits and published peaks; motion against its own derivatives and the sea it rides on."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

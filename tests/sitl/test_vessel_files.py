@@ -1,7 +1,5 @@
 """Vessels from files: main dimensions, response tables, recordings; and a ship that turns."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

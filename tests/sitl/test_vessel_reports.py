@@ -1,7 +1,5 @@
 """The ship's reports: as often as she sends them, true but for their noise, and wrong as a fault says."""
 
-from __future__ import annotations
-
 import math
 
 import msgspec

@@ -1,7 +1,5 @@
 """Haze, lamps, glint, the mast's shadow and water on the lens: each does to the light what its setting promises."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

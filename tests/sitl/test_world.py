@@ -1,7 +1,5 @@
 """The simulated flight as its users meet it: time, commands, readings, frames, truth, faults, touchdown."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

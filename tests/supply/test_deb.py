@@ -1,7 +1,5 @@
 """The Debian package: what it holds, what its scripts do, and that two builds are the same bytes."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import re

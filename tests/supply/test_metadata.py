@@ -1,7 +1,5 @@
 """The metadata of what is uploaded are held to their specification."""
 
-from __future__ import annotations
-
 import io
 import tarfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is shipped is listed, under licences that are allowed, and known weaknesses of it fail the audit."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A wheel for every machine that flies holds a library that the machine can load."""
 
-from __future__ import annotations
-
 import struct
 
 import pytest

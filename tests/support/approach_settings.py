@@ -1,7 +1,5 @@
 """The seeded approaches of `estimator_truth` that the filter's bench and its tests fly, and the filter's options for them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 Source: Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993, section 3.9 (signals in Gaussian noise).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.contracts.geometry import F64

@@ -1,7 +1,5 @@
 """Certificates made anew for each run of the tests."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Functions inside of the native core that are no entries of the library, called by themselves."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Rendered images of the pad on a deck, and of decks without it, for the tests of acquisition."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

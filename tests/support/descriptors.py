@@ -1,7 +1,5 @@
 """A process that has no file descriptor left, for as long as a context is open."""
 
-from __future__ import annotations
-
 import os
 import resource
 from collections.abc import Iterator

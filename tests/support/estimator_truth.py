@@ -4,8 +4,6 @@ The vessel is sitl's; the body follows a smooth path, its attitude is the one th
 by white noise, constant biases and first-order wandering, all from one seed.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """A drone in miniature on loopback: the four ports, acknowledge bit, watchdog and bootstrap, and a record of what it was told."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress

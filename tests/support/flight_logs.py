@@ -1,7 +1,5 @@
 """Flight logs of both stacks, written as the programs write them: dataflash (.bin) and ULog (.ulg)."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Frames that a search by colour fails on: haze, grey cameras, dusk, and pads in black and white."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Images that claim to be larger than they are: a whole small one with another size in its header."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from functools import lru_cache

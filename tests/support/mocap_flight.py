@@ -6,8 +6,6 @@ Everything else is the drone's own telemetry. Nobody wrote down how the captured
 the drone's velocities fit best, its roll and pitch are what the accelerometer measures in undisturbed flight.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A mosquitto of our own on a free port of the loopback, with TLS, a password file and an ACL."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

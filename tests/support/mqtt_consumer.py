@@ -1,7 +1,5 @@
 """A consumer of events as one would write it: a session that the broker keeps, and ids to tell copies by."""
 
-from __future__ import annotations
-
 import asyncio
 
 import aiomqtt

@@ -1,7 +1,5 @@
 """The part without a daemon: a fake operator, a real clock, samples and decisions made up."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import AsyncIterator, Callable

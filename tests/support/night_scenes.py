@@ -1,7 +1,5 @@
 """Random frames of a dark deck: a pad's lamps, and lights that are none of them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """What a confident pose of the pad claims, as a check against the true pose."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Exact images of the pad for tests: every sub-sample of every pixel is traced to the deck and asked for its paint."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Random frames with a pad and with things that only look like one, in any light: what the vision benches draw from."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Views of the pad in named surroundings, with an attitude whose errors are drawn from what is said of them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

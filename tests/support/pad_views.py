@@ -1,7 +1,5 @@
 """Rendered frames of the pad with the pose behind them, for tests of registration."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The parts of a service that the operator page meets: its endpoint, the pilot and guidance cycles, without a vehicle."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import AsyncIterator

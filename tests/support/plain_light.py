@@ -1,7 +1,5 @@
 """Light and a sensor without effects of their own, to measure geometry and one effect at a time."""
 
-from __future__ import annotations
-
 import math
 
 from sitl.camera.light import Light, Sensor

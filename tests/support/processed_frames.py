@@ -1,7 +1,5 @@
 """A processed frame made by hand, with a pad in it or without."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
 
 import numpy as np

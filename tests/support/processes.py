@@ -1,7 +1,5 @@
 """Programs that a test starts, in a group of their own that is gone when the test is, however it ends."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """A short simulated flight for the tests of recorder and replay."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The pads and cameras that the package ships, for tests and benches."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

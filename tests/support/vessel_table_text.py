@@ -1,7 +1,5 @@
 """The text of a vessel's response table, for files that benches and tests write."""
 
-from __future__ import annotations
-
 from sitl.vessel.file import Mode, Table
 from sitl.vessel.seakeeping import MODES
 

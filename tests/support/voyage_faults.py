@@ -1,7 +1,5 @@
 """Single sensor faults in the middle of a simulated voyage, and the filter's flight through them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Truth and sensors are those of `voyage_truth`, which shares nothing with the simulator.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ The sea is a random spectrum turned into time series by an inverse FFT and passe
 are splines through those series; velocities, accelerations and body rates are derivatives of the splines. Sensor noise is ARMA.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """What every scene of the guest does with a camera: take frames, and say what they and the counters were."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from typing import Any

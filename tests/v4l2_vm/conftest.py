@@ -1,7 +1,5 @@
 """One boot for all tests on real kernel devices."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

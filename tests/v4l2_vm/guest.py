@@ -3,8 +3,6 @@
 It judges nothing; `test_vivid.py` and `test_webcam.py` do, outside.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

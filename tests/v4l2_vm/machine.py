@@ -3,8 +3,6 @@
 Nothing is installed into it: its first file system holds busybox and kernel modules; then it goes over to the host's own tree.
 """
 
-from __future__ import annotations
-
 import json
 import lzma
 import os

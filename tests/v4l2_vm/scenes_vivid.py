@@ -1,7 +1,5 @@
 """The driver on the vivid camera, whose drops, damages and disconnections come at the press of a button."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import time

@@ -1,7 +1,5 @@
 """The driver on a USB camera: the kernel's own `uvcvideo`, with a device in software on the other end of the bus."""
 
-from __future__ import annotations
-
 import asyncio
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """The V4L2 driver on the kernel's `vivid` camera: judged from what the guest reports."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

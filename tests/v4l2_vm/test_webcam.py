@@ -1,7 +1,5 @@
 """The V4L2 driver through the kernel's `uvcvideo`, which most cameras use: judged from what the guest reports."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

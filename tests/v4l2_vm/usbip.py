@@ -3,8 +3,6 @@
 Wire: Linux Documentation/usb/usbip_protocol.rst. Integers are big-endian there, setup packets little-endian as on the bus.
 """
 
-from __future__ import annotations
-
 import errno
 import socket
 import struct

@@ -4,8 +4,6 @@ Source: USB Device Class Definition for Video Devices 1.1 (descriptors: section 
 payload documents for uncompressed, MJPEG and frame-based video. Frames go by a bulk endpoint, two bytes of header a transfer.
 """
 
-from __future__ import annotations
-
 import struct
 import threading
 import time

@@ -4,8 +4,6 @@ Whoever connects only watches: nothing of the flight can be changed here. A conn
 let in; then its subscriptions, its requests and what waits for it are bounded.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections import Counter, deque

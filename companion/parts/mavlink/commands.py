@@ -12,8 +12,6 @@
 Source: mavlink.io, "Command Protocol".
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -10,8 +10,6 @@ text and changes nothing else.
 The component lives inside the vehicle's context and is not vital itself: a fault in one message costs that message alone.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import AsyncIterator, Callable, Mapping

@@ -1,7 +1,5 @@
 """ONBOARD_COMPUTER_STATUS: the load, memory and temperature of this host, as Linux reports them."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable

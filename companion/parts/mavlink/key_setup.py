@@ -7,8 +7,6 @@
 Source: mavlink.io, "Message signing", SETUP_SIGNING.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

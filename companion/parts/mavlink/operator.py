@@ -1,7 +1,5 @@
 """The operations that a ground station may request, and the operator that passes them to the pilot. MAVLink commands end here."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol

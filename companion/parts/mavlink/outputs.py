@@ -1,7 +1,5 @@
 """The messages about the pad that each kind of autopilot obeys, and when each is sent. No I/O; each call brings the time."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ All values are REAL32, so both encodings of the protocol (C cast and bytewise) m
 "Parameter Protocol".
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections import deque

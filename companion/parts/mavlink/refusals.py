@@ -1,7 +1,5 @@
 """Refuse commands and parameter writes of unauthorized senders: answer those that are peers, count all, report once. No I/O."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 

@@ -1,7 +1,5 @@
 """The links of a table of the settings file, with the key and the kept times that they are signed with."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Send few STATUSTEXT messages to the pilot: in order of severity, long ones in chunks, none twice in a row. No I/O."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 from enum import IntEnum

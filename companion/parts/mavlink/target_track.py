@@ -4,8 +4,6 @@ ArduPilot combines a target with its own attitude of exactly PLND_LAG before the
 Therefore the vector is re-expressed for that instant instead of the exposure: the target is locked to the lag.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Format health in Prometheus' text format, and serve it over HTTP as a supervised part."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

@@ -5,8 +5,6 @@ no wall clock has to be right for a late command to be refused, and one from bef
 set, the command must be signed as well; an unsigned one leaves no trace but a count and an answer.
 """
 
-from __future__ import annotations
-
 import hmac
 from collections import Counter, OrderedDict
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Encode the service's state as the messages that it publishes, and find the changes that are worth an event. No I/O."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Make the MQTT part from the settings."""
 
-from __future__ import annotations
-
 import os
 import secrets
 import uuid

@@ -4,8 +4,6 @@ Times are `*_ns`: nanoseconds of the drone's monotonic clock, comparable within 
 values are null. The JSON Schema in docs/mqtt.md is generated from this module.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Annotated, Literal
 

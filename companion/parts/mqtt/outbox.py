@@ -3,8 +3,6 @@
 Only a separate thread uses the disk, so a slow card delays nothing but the events.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import queue

@@ -4,8 +4,6 @@ If a broker is gone, slow, refusing or flooding, the part disconnects and retrie
 continues. State, sighting and health are published as the newest of their kind at their own rates; events wait on disk.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import time

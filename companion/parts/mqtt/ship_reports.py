@@ -4,8 +4,6 @@ A report carries the run of the service and its own instant on the drone's clock
 refused after a restart, and one that is late says so itself.
 """
 
-from __future__ import annotations
-
 import hmac
 import logging
 import math

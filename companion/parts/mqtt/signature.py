@@ -5,8 +5,6 @@ topic names the drone; the JSON names the run of the service, the command's own 
 for another drone, after a restart, a second time, or later.
 """
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import re

@@ -10,8 +10,6 @@ A record torn by a power cut is cut off when the spool is opened; so is what fol
 events are counted. Events that cannot be written (a full or failing disk) wait in memory, bounded too, until writing works again.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import uuid

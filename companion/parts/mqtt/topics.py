@@ -1,7 +1,5 @@
 """The names of the topics: `decklander/v1/<drone>/...`. A fleet shares a broker; the version changes when a meaning does."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

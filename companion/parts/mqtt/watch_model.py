@@ -1,7 +1,5 @@
 """The state that `decklander watch` shows: the newest message of each kind for each drone, and its events. No I/O."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field
 

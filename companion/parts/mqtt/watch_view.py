@@ -1,7 +1,5 @@
 """Render the model of `decklander watch` as lines. No I/O; colours are ANSI attributes around whole words only."""
 
-from __future__ import annotations
-
 import math
 import unicodedata
 from collections.abc import Callable

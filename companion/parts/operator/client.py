@@ -1,7 +1,5 @@
 """The terminal's end of the service's local socket."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager

@@ -3,8 +3,6 @@
 A gamepad that is unplugged, or whose radio the kernel gives up, loses the hand at once; it is looked for again.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections import Counter

@@ -4,8 +4,6 @@ The file system says who may connect: the socket belongs to the service's user a
 connection that closes, or is silent while it has the hand, leads to a hold.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import os

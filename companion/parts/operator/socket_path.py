@@ -1,7 +1,5 @@
 """The path of the service's local socket: which folder, and which name for which vehicle."""
 
-from __future__ import annotations
-
 import os
 import socket
 import tempfile

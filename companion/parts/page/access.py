@@ -1,7 +1,5 @@
 """Who may use the page: its token, its certificate, and the origin that a browser names."""
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Mapping
 from types import MappingProxyType

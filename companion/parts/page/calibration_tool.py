@@ -1,7 +1,5 @@
 """A calibration of the camera from the page: the service's own frames, on the ground, until the views cover image and tilts."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Callable

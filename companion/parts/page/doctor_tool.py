@@ -1,7 +1,5 @@
 """The doctor's findings on the page: one examination at a time, for every browser that asks, on the ground alone."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 

@@ -5,8 +5,6 @@ Until the token was right a connection is bounded in bytes and time, and the old
 therefore neither grows nor touches the browsers that are logged in.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections import Counter, deque

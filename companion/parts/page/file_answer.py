@@ -1,7 +1,5 @@
 """Files for a browser: the page's own, read once, and recordings, sent piece by piece so that guidance never waits."""
 
-from __future__ import annotations
-
 import asyncio
 import stat
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The messages of the page's websocket: JSON texts both ways, and pictures as binary messages to the page. No I/O."""
 
-from __future__ import annotations
-
 import struct
 from typing import Annotated, Literal
 

@@ -3,8 +3,6 @@
 A browser's download carries no token, so the page asks for an address over its own connection first.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import re

@@ -3,8 +3,6 @@
 A saved text is read at the next start of the service; nothing of it reaches a flight.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import tomllib

@@ -1,7 +1,5 @@
 """What the page shows of the flight: the place of drone and deck, what is wrong, the live picture. Values in, values out."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """What the page offers beside the flight: tools that answer requests of browsers, each with work of its own."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 from companion.base.observer import ProcessedFrame

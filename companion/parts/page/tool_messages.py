@@ -1,7 +1,5 @@
 """The messages of the page's tools: what a browser asks of them, and what they answer. No I/O."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct

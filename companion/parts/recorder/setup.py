@@ -1,7 +1,5 @@
 """Make the recorders that the settings describe, restartable beside a flight, and the metadata of every recording."""
 
-from __future__ import annotations
-
 import platform
 import time
 from collections.abc import Callable, Mapping

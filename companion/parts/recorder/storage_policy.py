@@ -1,7 +1,5 @@
 """The storage of recordings: their names, the space that they may use, and the files that are removed first."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The video stream as a part of the service: frames by RTP from an observer and a supervised body beside the flight."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Mapping
 from contextlib import suppress

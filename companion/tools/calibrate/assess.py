@@ -1,7 +1,5 @@
 """Assess how well a set of views determines the camera, and say what to add."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

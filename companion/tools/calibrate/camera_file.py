@@ -1,7 +1,5 @@
 """Write the camera file that `Camera.from_mapping` reads, with the source of its numbers."""
 
-from __future__ import annotations
-
 import math
 
 from companion.tools.calibrate.solve import Solution

@@ -1,7 +1,5 @@
 """Draw a calibration's figures: coverage by corners, residuals, a vehicle's response as reported and identified."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

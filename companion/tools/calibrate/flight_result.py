@@ -1,7 +1,5 @@
 """What a calibration flight found, judged: values, standard deviations, costs, and why it may not be used."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

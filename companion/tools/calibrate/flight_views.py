@@ -1,7 +1,5 @@
 """What a recorded flight tells about the camera on the body: poses of the pad, the gyro's turn and the reported attitude."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

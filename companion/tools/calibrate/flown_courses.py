@@ -1,7 +1,5 @@
 """What was asked of a vehicle in a recording and what it reported: the courses that its response is identified from."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Collect views of the board from files or a live camera, and guide the person who moves it."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ Source: Furgale, Rehder and Siegwart, Unified temporal and spatial calibration f
 pad's poses in place of splines.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

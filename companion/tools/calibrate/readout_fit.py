@@ -5,8 +5,6 @@ turns between the two is what a readout time does to it, and with that the reado
 gyro says how the vehicle turned, and only with the true readout do the poses turn alike.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

@@ -7,8 +7,6 @@ contact and differs more from flight to flight; and the thrust that leaning turn
 the climb does to the place.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Rotations of a whole flight at once: exponential map, logarithm, a gyro's integral, interpolation."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.contracts.geometry import F64

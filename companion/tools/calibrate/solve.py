@@ -4,8 +4,6 @@ Source: Zhang, A flexible new technique for camera calibration, PAMI 2000; Brown
 dimension of a model, 1978, for how many of its terms the views support.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

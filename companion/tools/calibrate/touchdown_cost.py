@@ -7,8 +7,6 @@ the deck reacts late as well, so the speed is not that across the pad but what s
 wrong is a delay that differs from row to row.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

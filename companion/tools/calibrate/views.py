@@ -1,7 +1,5 @@
 """Collect images of the board that differ enough to be useful to a calibration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """Apply all rules to one snapshot. Pure."""
 
-from __future__ import annotations
-
 from companion.tools.doctor import rules_ardupilot, rules_links, rules_log, rules_px4, rules_values
 from companion.tools.doctor.finding import Finding, Rule
 from companion.tools.doctor.snapshot import Snapshot

@@ -1,7 +1,5 @@
 """A finding, and the type of a rule that makes one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum

@@ -1,7 +1,5 @@
 """Take a snapshot of an autopilot, over its links or from its flight log. It judges nothing and changes nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Take a snapshot of the service itself: its files, camera, broker and drone, and its figures if it is running."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Mapping
 

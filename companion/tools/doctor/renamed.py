@@ -3,8 +3,6 @@
 Rules are written in the names and units of 4.5. Source: ArduPilot, "Parameter Name Changes" (4.5 to 4.6, 4.6 to 4.7).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Rules for ArduPilot: the settings that it needs, and the messages that it sends without them."""
 
-from __future__ import annotations
-
 from companion.tools.doctor.finding import Finding, Rule, advice, error, warning
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
 

@@ -1,7 +1,5 @@
 """Rules for links, streams and clocks, which apply to any autopilot."""
 
-from __future__ import annotations
-
 from companion.settings.mission import ConeOptions
 from companion.tools.doctor.finding import Finding, Rule, advice, error, warning
 from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot

@@ -1,7 +1,5 @@
 """Rules for what a flight log shows: events that spoil a landing, whatever the parameters say."""
 
-from __future__ import annotations
-
 from companion.tools.doctor.finding import Finding, Rule, advice, error, warning
 from companion.tools.doctor.snapshot import Snapshot
 from drivers.imports.log_history import VIBRATION_LIMIT_M_S2, LogHistory

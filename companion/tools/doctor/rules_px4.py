@@ -1,7 +1,5 @@
 """Rules for PX4, and for the messages that the service itself sends."""
 
-from __future__ import annotations
-
 from companion.tools.doctor.finding import Finding, Rule, advice, error, warning
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
 

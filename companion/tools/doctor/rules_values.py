@@ -5,8 +5,6 @@ only not named. Sources: parameter references of ArduCopter 4.5 and PX4 1.16, an
 docs/px4.md).
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

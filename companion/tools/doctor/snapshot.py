@@ -3,8 +3,6 @@
 Unknown values are None or absent, and no rule judges them.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import msgspec

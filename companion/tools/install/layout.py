@@ -1,7 +1,5 @@
 """Where an installation has its files, as the installed computer names them."""
 
-from __future__ import annotations
-
 PREFIX = "/opt/decklander"
 CURRENT = f"{PREFIX}/current"
 """The link to the version that runs."""

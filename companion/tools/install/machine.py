@@ -1,7 +1,5 @@
 """The computer, or the bare root of one, that is installed on. Every change to it is made here."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The wheel to install: found in a file, in a folder of wheels, built from a checkout, or fetched by its name."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

@@ -1,7 +1,5 @@
 """The running service as systemd sees it: whether it may be stopped, and whether it comes up again."""
 
-from __future__ import annotations
-
 import json
 import re
 import time

@@ -1,7 +1,5 @@
 """Install, update, roll back and uninstall. Each may be ended at any instant and begun again; a version is always there whole."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable

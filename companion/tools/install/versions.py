@@ -1,7 +1,5 @@
 """The versions below the prefix: each an environment of its own, one of them current. Turning is one rename."""
 
-from __future__ import annotations
-
 import errno
 import json
 from pathlib import Path, PurePosixPath

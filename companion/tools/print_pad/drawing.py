@@ -1,7 +1,5 @@
 """The printed shapes in millimetres: x right, y down from the drawing's top-left corner, painted in order."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 Source: ISO 32000-1, sections 7.5 (file), 8.5 (paths), 9.6.2.2 (the standard fonts).
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 from math import cos, pi, sin

@@ -1,7 +1,5 @@
 """Divide a drawing over overlapping sheets of paper, with marks for cutting and joining and a ruler; write one as SVG."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

@@ -4,8 +4,6 @@ Nothing here reads a clock: instants are the recording's. The same recording thr
 and a hash over them proves it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import tempfile
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """The logs of a recorded flight for figures and report: as it was decided then, and as a replay decides."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace

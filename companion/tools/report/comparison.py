@@ -1,7 +1,5 @@
 """Two flights on one page: their plots over the time since each landing began, and what differs in outcome and settings."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The drawing library, matplotlib, which is installed with the extra `report` and not with the service."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 
 from estimator.contracts.errors import BadInput

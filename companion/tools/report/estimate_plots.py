@@ -1,7 +1,5 @@
 """The plots of place, velocity, errors and the filter's verdicts, as layers over time."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

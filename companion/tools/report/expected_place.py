@@ -1,7 +1,5 @@
 """Where the filter expects the pad in a frame: with the errors of attitude and camera mount that it knows."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The numbers of the report: errors against truth, and their statistics."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

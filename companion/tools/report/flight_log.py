@@ -1,7 +1,5 @@
 """The log of a flight for its report. These are plain records that a caller fills in; nothing here computes."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from dataclasses import dataclass, field

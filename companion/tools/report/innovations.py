@@ -1,7 +1,5 @@
 """The innovations in the report: a plot for each source of each path, and the counts of verdicts behind their table."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from dataclasses import dataclass

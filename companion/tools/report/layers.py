@@ -1,7 +1,5 @@
 """The plots of the report as data: layers of columns over time, which the page draws, zooms and reads at its cursor."""
 
-from __future__ import annotations
-
 import base64
 from dataclasses import dataclass, field
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """An observer that keeps a flight's log for its report."""
 
-from __future__ import annotations
-
 import cv2
 
 from companion.base.observer import Decision, NullObserver, ProcessedFrame

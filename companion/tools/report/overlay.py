@@ -1,7 +1,5 @@
 """Draw over a frame: features and the estimated pad."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

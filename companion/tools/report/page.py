@@ -1,7 +1,5 @@
 """The report: one page that needs nothing else, from a flight's log."""
 
-from __future__ import annotations
-
 from html import escape
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the page's script draws: sections of plots, views of the pad, the figures beside the video, and the events."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

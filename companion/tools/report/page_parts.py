@@ -1,7 +1,5 @@
 """The parts that every page of a flight is made of, as HTML. They need nothing from outside the page."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Iterable, Sequence
 from html import escape

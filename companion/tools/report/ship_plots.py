@@ -1,7 +1,5 @@
 """The plots of the ship, of the commands and of the delays, as layers over time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

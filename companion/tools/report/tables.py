@@ -1,7 +1,5 @@
 """The tables of the report, as HTML: contacts, errors against truth, verdicts, innovations and times."""
 
-from __future__ import annotations
-
 import math
 from html import escape
 

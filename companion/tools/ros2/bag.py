@@ -1,7 +1,5 @@
 """Write a recording as a ROS 2 bag by the library rosbags, which is installed with the extra `ros2`."""
 
-from __future__ import annotations
-
 import shutil
 from collections import Counter
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """A flight in ROS 2 while it is flown: what the service's live port tells, as the messages that a recording's bag has."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 from typing import Any

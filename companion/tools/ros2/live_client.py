@@ -3,8 +3,6 @@
 Protocol: github.com/foxglove/ws-protocol, docs/spec.md, version 1.
 """
 
-from __future__ import annotations
-
 import asyncio
 import struct
 from collections.abc import AsyncIterator, Callable, Iterator

@@ -5,8 +5,6 @@ the time axis of the recording. What was not measured is left out as the message
 in a covariance of `sensor_msgs/Imu`, nan for a place's height, and the variance of an angle that could be anything in a pose.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The node in ROS 2: messages go out as the bytes that they are (CDR), so only their types are asked of the ROS that is there."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Mapping
 from typing import Any

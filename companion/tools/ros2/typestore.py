@@ -1,7 +1,5 @@
 """The messages of ROS 2 by the library rosbags, which is installed with the extra `ros2`."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 from typing import Any
 

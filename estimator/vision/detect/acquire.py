@@ -9,8 +9,6 @@ A search may be given a budget of work; what is left goes on with the next frame
 same frames give the same results.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

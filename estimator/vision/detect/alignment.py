@@ -7,8 +7,6 @@ template, and with Cauchy weights against occlusion and glare). The result is ne
 and it holds the inputs of the confidence classifier.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -5,8 +5,6 @@ few pixels for its edges to tell the centre. It differs from its surroundings as
 ellipse of the area's second moments tells the tilt. The native core finds both.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any

@@ -4,8 +4,6 @@ The measure is the logarithm of the disc's dominant channel minus that of the st
 colour temperature or white balance shifts it by the same amount all over the frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

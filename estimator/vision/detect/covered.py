@@ -5,8 +5,6 @@ little as what lies beyond the frame's edge: neither alignment nor registration 
 of the hidden part, and the rest has to fit as well as a pad at the frame's edge has to.
 """
 
-from __future__ import annotations
-
 import math
 
 from estimator.contracts.geometry import F64

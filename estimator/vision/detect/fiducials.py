@@ -3,8 +3,6 @@
 The detector's corners only start registration: its range bias does not reach the result.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -5,8 +5,6 @@ covers a part. A pad in glare or half covered is looked for at each place about 
 each half of it (`pose_about`). The native core computes the guesses (`estimator/core/vision/search/guesses.c`, `tilt.c`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from enum import Enum

@@ -5,8 +5,6 @@ is the fraction of the variance between the paints (one-way analysis of variance
 (`estimator/core/vision/search/heading.c`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -10,8 +10,6 @@ A pad of lettering alone has neither circle nor disc. The share that its letteri
 heading, size and tilt, and sorts components out; area and centroid give the place, and the drawing the heading.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from functools import lru_cache

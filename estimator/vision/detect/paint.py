@@ -5,8 +5,6 @@ fades while the pad is not found, and is ignored below a certain trust. Where th
 colour, a search begins with colour.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

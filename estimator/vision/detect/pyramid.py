@@ -1,7 +1,5 @@
 """A frame at full, half, quarter ... size."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

@@ -1,7 +1,5 @@
 """The drawing as arrays: coverage by each paint in polar cells around the centre, and as maps at several blurs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ drawing's. Both are independent of the light: correlation is free of the gain, a
 the same under any light that does not saturate.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

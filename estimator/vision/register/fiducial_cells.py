@@ -4,8 +4,6 @@ Edges alone do not tell a fiducial from itself a quarter turn or a cell aside, w
 do, as far as the frame resolves them. Where it does not, so many more of the edges have to agree.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import NamedTuple

@@ -6,8 +6,6 @@ its ring or the disc's edge does not.
 The native core computes the model's inputs (`estimator/core/vision/look/evidence.c`); their weights are here.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

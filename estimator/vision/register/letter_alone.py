@@ -1,7 +1,5 @@
 """Doubt the registration of a pad that is one letter on the bare deck: only clear edges tell it from plates and lines."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

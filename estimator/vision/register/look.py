@@ -3,8 +3,6 @@
 The native core does all of it in one call (`estimator/core/vision/look/look.c`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ SIAM J. Numer. Anal. 10, 1973); robust weights are Tukey's. A near pad uses prof
 disc.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

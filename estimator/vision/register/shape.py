@@ -3,8 +3,6 @@
 The core knows no pad: what it registers is this data.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise

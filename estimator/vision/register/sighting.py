@@ -1,7 +1,5 @@
 """Convert a registration to a sighting in `level`, including the attitude's uncertainty, and back to the camera's axes."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import cv2

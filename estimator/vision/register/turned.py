@@ -5,8 +5,6 @@ heading is right, the difference has the strength of the mean; if the second is,
 residuals.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The arrow method: the centre of the white H and the tip of the orange arrowhead give position and heading."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

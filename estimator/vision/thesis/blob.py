@@ -1,7 +1,5 @@
 """Choose the blob of paint in the frame that is the disc."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

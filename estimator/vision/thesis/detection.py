@@ -1,7 +1,5 @@
 """Run all methods of the thesis on one frame, and select one of their sightings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from types import MappingProxyType

@@ -5,8 +5,6 @@ outline of a level disc is a circle whose centre is the disc's centre (in the fr
 image of the disc's centre). An ellipse is fitted there.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 The ship beside her deck shows her sides, her shadow on the water and her wake.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -3,8 +3,6 @@
 All of it varies slowly over the frame, except the glint's sparkle, and is computed for cells of 8 x 8 pixels.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Render the sea: swell from the wave field, ripples, foam, the sun's glitter, the ship's shadow and wake."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Tileable noise, computed once, and its sampling over a plane."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -5,8 +5,6 @@ another drone appears, in flight at the start of the next approach. Its client s
 that end and begin again, on a clock that runs on.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass

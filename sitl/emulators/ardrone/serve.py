@@ -4,8 +4,6 @@ The process prints one JSON line with the ports in use when it listens, and one 
 or SIGINT, or, if standard input is a pipe, when the other end closes, so that it never outlives the program that started it.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

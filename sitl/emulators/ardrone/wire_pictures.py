@@ -4,8 +4,6 @@ An AR.Drone 2.0 encodes H.264 baseline, one slice a frame, an IDR every half sec
 horizon and water at sea, and never a pad.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """Start ArduCopter on the simulated physics. Source: its own --help and the documentation of its parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -8,8 +8,6 @@ timestamps of the answers. A repeated frame number means that an answer was lost
 Source: ArduPilot, libraries/SITL/examples/JSON/readme.md and SIM_JSON.cpp.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import struct

@@ -1,7 +1,5 @@
 """Run the daemon beside an autopilot with frames from outside, as a task or as a process that can be killed and started again."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager

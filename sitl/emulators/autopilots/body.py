@@ -1,7 +1,5 @@
 """A motor-driven vehicle over a vessel on a sea, advanced step by step by the program that commands the motors."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

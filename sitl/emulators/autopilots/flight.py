@@ -5,8 +5,6 @@ the camera and the operator at the ground station advance with the steps. As in 
 daemon and the ground station by MAVLink over UDP.
 """
 
-from __future__ import annotations
-
 import asyncio
 import time
 from collections.abc import AsyncIterator, Callable, Sequence

@@ -5,8 +5,6 @@ daemon flies the landing. The deck moves, but the ground of the other simulator 
 position of a touchdown counts.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Callable, Sequence

@@ -5,8 +5,6 @@ world stands still. A relay passes the datagrams between an autopilot program an
 datagram that is lost, late, doubled or overtaken meets the daemon's own link.
 """
 
-from __future__ import annotations
-
 import asyncio
 import heapq
 import itertools

@@ -1,7 +1,5 @@
 """A vehicle flown by four motor commands instead of its own control loops."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from sitl.core.members import Number, Numbers

@@ -3,8 +3,6 @@
 The faults of the streams around it are here too.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Literal

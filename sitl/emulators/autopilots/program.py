@@ -1,7 +1,5 @@
 """Run an autopilot program as a child process in a folder of its own, on the loopback, and end it in any case."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import ctypes

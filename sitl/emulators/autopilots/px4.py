@@ -5,8 +5,6 @@ PX4's ports are fixed: it connects to 4560 for the physics, and sends to compani
 Source: PX4 1.16, ROMFS/px4fmu_common/init.d-posix (rcS, px4-rc.simulator, px4-rc.mavlink).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

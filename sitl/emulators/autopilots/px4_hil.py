@@ -8,8 +8,6 @@ HIL_ACTUATOR_CONTROLS before the next is sent.
 Source: PX4, SimulatorMavlink.cpp and docs "Simulator MAVLink API".
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable

@@ -1,7 +1,5 @@
 """`doctor --fix` and `--undo` against both stand-ins on loopback: what is asked, written, read back, refused and undone."""
 
-from __future__ import annotations
-
 import asyncio
 import io
 import json

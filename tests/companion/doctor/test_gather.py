@@ -1,7 +1,5 @@
 """Finding out against an autopilot in miniature, and the command itself."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

@@ -1,7 +1,5 @@
 """`doctor LOG`: the parameters in a log are judged like those on the wire, and what spoiled a landing in it is named."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

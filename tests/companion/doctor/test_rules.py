@@ -1,7 +1,5 @@
 """Broken set-ups, each of them named, and nothing else named with it; a good one is left in peace."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Broken set-ups of both stacks as data: each is named by its rules and by nothing else, on top of each of three good ones."""
 
-from __future__ import annotations
-
 import struct
 import tomllib
 from pathlib import Path

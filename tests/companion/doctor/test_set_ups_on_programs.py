@@ -3,8 +3,6 @@
 They run where `DECKLANDER_ARDUCOPTER` or `DECKLANDER_PX4` names a program (docs/sitl.md).
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """Parameters of both stacks that spoil a landing: each is named with its fix and nothing else; good set-ups are left in peace."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

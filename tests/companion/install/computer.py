@@ -1,7 +1,5 @@
 """A computer in a folder. Its commands are answered by what lies in the folder, so that it outlives a process that is killed."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

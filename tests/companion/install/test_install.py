@@ -1,7 +1,5 @@
 """Install, update, roll back and uninstall, on a computer in a folder."""
 
-from __future__ import annotations
-
 import stat
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Whenever an installation or update is killed, a whole version is current, and the same command begun again ends well."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Foxglove's live data over real sockets, of the real pilot in a simulated flight: what comes, and who is refused."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import json

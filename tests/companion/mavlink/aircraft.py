@@ -4,8 +4,6 @@ Messages cross real sockets; the clock stands still until they have arrived and 
 flight is the same on a machine however busy.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Everything that MAVLink reaches, alive on a real socket, and frames with any payload and the right checksum to throw at it."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import socket

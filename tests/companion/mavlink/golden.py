@@ -5,8 +5,6 @@
 The fields are computed here with one turn after the other (tests.companion.mavlink.receivers), not by the codec under test.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ ArduPilot: AC_PrecLand_MAVLink::handle_msg (4.0 and current), AC_PrecLand::const
 ring. PX4: MavlinkReceiver::handle_message_landing_target and LandingTargetEstimator. Nothing of the project's geometry is used.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The component on the links of an autopilot in miniature, with a pad that stands still under it."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager

@@ -1,7 +1,5 @@
 """What comes in over MAVLink never ends the service: any fields, right checksum, from socket to socket."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import random

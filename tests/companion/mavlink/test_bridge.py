@@ -1,7 +1,5 @@
 """An AR.Drone in a ground station: what it shows, what it can be told, and MAVSDK as the station."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import random

@@ -1,7 +1,5 @@
 """The camera as a ground station asks for it: who is answered, and that the answers are those of the camera and the settings."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

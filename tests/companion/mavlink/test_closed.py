@@ -1,7 +1,5 @@
 """Closed by default: who is not asked for hears nothing, commands nothing and is nobody else."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import socket

@@ -1,7 +1,5 @@
 """The component beside an autopilot, over real sockets."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import time

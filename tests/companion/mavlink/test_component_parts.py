@@ -1,7 +1,5 @@
 """Texts, parameters, commands and the computer's state, each without I/O."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The pad's own velocity over the ground: found under a moving pad, none under a still one, held without sight, forgotten."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

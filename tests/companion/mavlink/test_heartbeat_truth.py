@@ -1,7 +1,5 @@
 """The heartbeat says what is true of the flight: a broker that is away or a full disk is told, and changes nothing else."""
 
-from __future__ import annotations
-
 from collections import Counter
 from types import SimpleNamespace
 from typing import Any

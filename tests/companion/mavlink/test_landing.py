@@ -1,7 +1,5 @@
 """A whole landing through MAVLink alone: the daemon with its eyes and guidance, a pad on a ship, commanded from the ground."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections import Counter

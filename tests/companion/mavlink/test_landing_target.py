@@ -1,7 +1,5 @@
 """The target as each autopilot understands it: golden bytes, the receivers' own arithmetic, and what they drop."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,7 +1,5 @@
 """A stranger at the other end: MAVSDK discovers the component, receives its targets, commands it and sets its parameters."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

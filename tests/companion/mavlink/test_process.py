@@ -1,7 +1,5 @@
 """The whole service as a process beside an autopilot: settings from a file, a video as camera, a station's words, a recording."""
 
-from __future__ import annotations
-
 import asyncio
 import signal
 import socket

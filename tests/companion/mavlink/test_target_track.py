@@ -1,7 +1,5 @@
 """The target locked to the lag: what is left of the tilt when capture-to-send jitters between 20 and 250 ms."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import deque

@@ -1,7 +1,5 @@
 """Health as Prometheus reads it, and the endpoint on a real socket."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

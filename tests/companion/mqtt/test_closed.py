@@ -1,7 +1,5 @@
 """Who may command over MQTT: nobody by default, whoever holds the key, or whom the broker lets."""
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import hmac

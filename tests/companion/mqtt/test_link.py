@@ -1,7 +1,5 @@
 """Against a real mosquitto with TLS, a password file and an ACL: what arrives, what is answered, and what trouble costs."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import sys

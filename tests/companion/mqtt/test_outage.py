@@ -1,7 +1,5 @@
 """Events through an outage: none lost, order kept, copies recognisable. A smaller edition of benches/mqtt_outage.py."""
 
-from __future__ import annotations
-
 import asyncio
 import signal
 from pathlib import Path

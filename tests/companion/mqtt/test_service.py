@@ -1,7 +1,5 @@
 """The daemon as a process: settings with relative secrets, a broker with TLS, a vehicle that is not there."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import signal

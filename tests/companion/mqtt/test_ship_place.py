@@ -1,7 +1,5 @@
 """The ship's place through a real broker, by the script of the page: the service flies to it."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math

@@ -1,7 +1,5 @@
 """The ship's reports from a broker: any bytes are samples or a counted refusal; copies, old ones and strangers' are refused."""
 
-from __future__ import annotations
-
 import json
 import math
 

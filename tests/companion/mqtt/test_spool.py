@@ -1,7 +1,5 @@
 """The spool against a model: whatever happens in between, nothing changes place or vanishes uncounted."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A broker that refuses, hangs, stays silent or floods: the loop goes on at its pace, the counters say what happened."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

@@ -1,7 +1,5 @@
 """The wire without sockets: any bytes are a command or a refusal, every message reads back, changes become events once."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Who commands the vehicle: every order in every situation, and what may never happen whatever people press."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from enum import Enum
 

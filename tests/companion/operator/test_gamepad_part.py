@@ -1,7 +1,5 @@
 """A gamepad at the service: bytes through a descriptor of the kernel's, plugged in, unplugged, and plugged in again."""
 
-from __future__ import annotations
-
 import asyncio
 import fcntl
 import os

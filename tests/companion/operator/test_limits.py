@@ -1,7 +1,5 @@
 """Limits of commands: nothing crosses the fence, nothing climbs too high, and no limit makes the vehicle descend."""
 
-from __future__ import annotations
-
 import math
 
 import msgspec

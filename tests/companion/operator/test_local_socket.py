@@ -1,7 +1,5 @@
 """Terminals at the service's local socket: real sockets, the real pilot, and `decklander fly` in a pseudo-terminal."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import pty

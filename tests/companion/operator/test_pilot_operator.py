@@ -1,7 +1,5 @@
 """What an operator may ask of a real pilot."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

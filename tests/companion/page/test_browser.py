@@ -1,7 +1,5 @@
 """The operator page in Debian's Chromium, driven by Playwright over the service's own endpoint and the real pilot."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

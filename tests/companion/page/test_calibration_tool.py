@@ -1,7 +1,5 @@
 """A calibration from the page: guided by what is missing, on the ground alone, to a camera file that can be flown."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The doctor on the page: over the links that the service has open, on the ground alone."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The operator page's server with real sockets and the real pilot: who may watch, who may command, and what a loss leads to."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """What is drawn over the live picture lies where the filter expects it in the frame, and what the page shows of the place."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

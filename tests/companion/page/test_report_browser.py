@@ -1,7 +1,5 @@
 """The report in Debian's Chromium, opened as a file: one cursor for plots and video, zoom, phone and laptop, no request."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace

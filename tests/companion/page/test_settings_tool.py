@@ -1,7 +1,5 @@
 """Settings from a browser: what is told of a text, who may save it when, and what a browser may not change or read."""
 
-from __future__ import annotations
-
 import errno
 import tempfile
 import tomllib

@@ -1,7 +1,5 @@
 """The page's tools in Debian's Chromium: findings, settings with their faults, on a laptop and a phone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

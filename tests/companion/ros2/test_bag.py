@@ -1,7 +1,5 @@
 """A recording as a ROS 2 bag, read back by the library that ROS users read bags with."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A simulated flight in ROS 2 while it is flown: the command line beside the live port, with a stand-in for ROS' own library."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

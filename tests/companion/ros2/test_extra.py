@@ -1,7 +1,5 @@
 """Without the extra, one line says how to install it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The picture for a ground station: what arrives by RTP, what is drawn on it, and what a broken network costs."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import threading

@@ -1,7 +1,5 @@
 """`decklander watch`: what it keeps, what it shows, and the command against a real broker."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 import sys

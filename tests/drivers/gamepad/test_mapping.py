@@ -1,7 +1,5 @@
 """Bytes of an input device to sticks and orders, by the shipped mapping of the thesis."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 

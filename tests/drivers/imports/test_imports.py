@@ -1,7 +1,5 @@
 """What others recorded: real logs and captures read with the right axes, units and times, and refused in one line when broken."""
 
-from __future__ import annotations
-
 import gc
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Ids count only with the link and the peer that they come from."""
 
-from __future__ import annotations
-
 import logging
 
 import pytest

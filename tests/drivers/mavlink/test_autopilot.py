@@ -1,7 +1,5 @@
 """The autopilot as vehicle, against one in miniature over real sockets."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import AsyncIterator

@@ -1,7 +1,5 @@
 """Framing, sequence numbers, signatures: nothing on the wire raises, nothing intact is lost."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import struct

@@ -1,7 +1,5 @@
 """Messages built from their definitions against those that pymavlink generated."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as Xml
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A gimbal's reports and commands: frames, refusals, clocks, whose reports count, and when it is pointed down."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

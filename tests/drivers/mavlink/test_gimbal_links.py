@@ -1,7 +1,5 @@
 """Whose reports and answers count as the gimbal's, and what it is asked for."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any, cast

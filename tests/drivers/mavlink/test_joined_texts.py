@@ -1,7 +1,5 @@
 """Status texts of more than 50 characters, whole and with lost chunks."""
 
-from __future__ import annotations
-
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -1,7 +1,5 @@
 """Links over real sockets and a pseudo terminal on this host."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import socket

@@ -1,7 +1,5 @@
 """Messages to samples: units, axes, refusals. Every number differs, so that none can be swapped unseen."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Streams and parameters are asked for until they are answered, and refusals are kept."""
 
-from __future__ import annotations
-
 import struct
 
 import pytest

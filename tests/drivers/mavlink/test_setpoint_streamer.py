@@ -1,7 +1,5 @@
 """Who has the vehicle, and what is sent in each period."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

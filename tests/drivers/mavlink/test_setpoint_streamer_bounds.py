@@ -1,7 +1,5 @@
 """The autopilot's helm at each of its edges: ages, times of asking, and the bounds of a landing, to the millisecond."""
 
-from __future__ import annotations
-
 import math
 
 import msgspec

@@ -1,7 +1,5 @@
 """Keys from files, and a time that never runs back."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

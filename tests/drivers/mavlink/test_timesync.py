@@ -1,7 +1,5 @@
 """Two clocks, and messages between them that take their time."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.mavlink.boot_clock import BootClock, boot_ms, boot_us

@@ -1,7 +1,5 @@
 """Sentences of a ship: what published examples say, what damaged ones do not, and whose are not taken."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import socket

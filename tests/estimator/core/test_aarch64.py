@@ -1,7 +1,5 @@
 """The core of a Raspberry Pi computes what this machine's does: the same calls, cross-built by zig, under qemu's emulation."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import shutil

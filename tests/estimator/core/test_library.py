@@ -1,7 +1,5 @@
 """The native core fits the interface that Python expects, or is refused with the cure; its build runs under the sanitizers."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

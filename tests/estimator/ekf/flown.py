@@ -1,7 +1,5 @@
 """The core's parts, called by themselves: what flies, where a test compares one part of it with its model or with the oracle."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Beliefs made by hand, at any instant and with any numbers in them, for a single step whose outcome can be worked out."""
 
-from __future__ import annotations
-
 import numpy as np
 from msgspec import structs
 

@@ -1,7 +1,5 @@
 """The filter's algebra against filterpy's, an independent implementation of the same equations."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

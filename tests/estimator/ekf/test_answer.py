@@ -1,7 +1,5 @@
 """What the native core says of an instant is what the numpy oracle says."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

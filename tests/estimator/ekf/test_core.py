@@ -1,7 +1,5 @@
 """The native core processes the vehicle's samples as the numpy oracle does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The native core against the numpy oracle where it decides: with values just inside and just outside each of its bounds."""
 
-from __future__ import annotations
-
 import math
 import struct
 from typing import Any

@@ -1,7 +1,5 @@
 """The native core processes sightings and vessel reports, and learns the sea, as the numpy oracle does."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

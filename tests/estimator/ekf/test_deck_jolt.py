@@ -1,7 +1,5 @@
 """The belief about the deck widens where sightings keep missing it, and single wrong sightings change nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.support.voyage_score import fly

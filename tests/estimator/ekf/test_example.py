@@ -1,7 +1,5 @@
 """The page's thirty lines run as they stand there."""
 
-from __future__ import annotations
-
 import csv
 import re
 from pathlib import Path

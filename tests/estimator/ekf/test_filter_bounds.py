@@ -1,7 +1,5 @@
 """What leaves the filter, of a belief made by hand: place, velocity, heading, covariance, and when it is called consistent."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields, replace
 

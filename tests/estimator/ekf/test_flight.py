@@ -1,7 +1,5 @@
 """A real AR.Drone flight: sightings made from the motion capture, with a gap."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The native core's forecast is the numpy oracle's."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

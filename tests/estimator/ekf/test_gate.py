@@ -1,7 +1,5 @@
 """Wrong sightings are refused and never capture the filter; a filter that is wrong itself finds back."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The gate's numbers, each at its edge: from which side a row of refusals counts, a belief is overthrown or called consistent."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The core's rotation vectors where their formula has no value: of hardly a turn, of half a turn, and straight up."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Late is as good as in order; what is too late, too new, or nothing at all is said to be so."""
 
-from __future__ import annotations
-
 import sys
 import threading
 import tracemalloc

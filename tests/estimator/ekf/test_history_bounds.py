@@ -1,7 +1,5 @@
 """The filter's past at each of its edges: how late, how far ahead, how long kept, and when time has leapt."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

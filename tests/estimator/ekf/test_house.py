@@ -1,7 +1,5 @@
 """The filter is a library of its own."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

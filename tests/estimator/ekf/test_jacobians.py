@@ -4,8 +4,6 @@ The models are evaluated through the same functions the filter uses, but their d
 error the way the filter applies a correction (`x + dx`, `R exp(dtheta)`), and the change of the prediction is compared.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

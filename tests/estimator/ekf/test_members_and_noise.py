@@ -1,7 +1,5 @@
 """The numbers that the core is given: the bank's members, the noise of every state, and what is read off a forecast."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

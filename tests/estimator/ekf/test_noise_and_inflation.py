@@ -1,7 +1,5 @@
 """What widens a covariance does so, in its direction and by its amount; what ties two errors ties them with the right sign."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The vehicle's own samples against a belief made by hand: its beginning, what a sample may do, an attitude taken whole."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

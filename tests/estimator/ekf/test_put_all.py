@@ -1,7 +1,5 @@
 """Events that are put into the past together: what goes in one row, and that it is the past of one after the other."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

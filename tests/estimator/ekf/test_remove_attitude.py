@@ -1,7 +1,5 @@
 """What an attitude's errors added to a measurement's covariance is taken out of it, and no more than that."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The filter where the world is not as its model, on a truth that shares nothing with the simulator: `voyage_truth.py`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

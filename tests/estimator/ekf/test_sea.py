@@ -1,7 +1,5 @@
 """The deck's motion: oscillators, learning them, forecasting by them, and telling a moving vessel from one at rest."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

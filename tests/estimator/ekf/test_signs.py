@@ -1,7 +1,5 @@
 """Signs, thresholds and inflations of the filter that a whole flight hardly notices when they are wrong."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

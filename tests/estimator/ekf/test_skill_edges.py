@@ -1,7 +1,5 @@
 """The native core learns the sea and compares past forecasts with what came as the numpy oracle does, at the edges."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

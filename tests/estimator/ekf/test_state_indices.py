@@ -1,7 +1,5 @@
 """The state vector and its matrices are indexed by name: a number in a subscript would survive a change of layout unnoticed."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

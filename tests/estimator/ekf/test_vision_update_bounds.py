@@ -1,7 +1,5 @@
 """A sighting against a belief made by hand: what is refused, believed, opened, overthrown and learned, each at its edge."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

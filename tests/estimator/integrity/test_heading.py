@@ -1,7 +1,5 @@
 """The heading is held by the gyro while the vehicle reports one that turns otherwise."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The held heading at each edge: which gyro samples count, how far a report is followed, and from where on it is replaced."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

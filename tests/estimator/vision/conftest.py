@@ -1,7 +1,5 @@
 """The pads and cameras that the package ships."""
 
-from __future__ import annotations
-
 import pytest
 
 from estimator.vision.camera import Camera

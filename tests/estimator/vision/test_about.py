@@ -1,7 +1,5 @@
 """A small pad is looked for some pixels about the place where it is expected."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Acquisition from whole frames: any height, light and heading, partly hidden; and not a pad where there is none."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import math

@@ -1,7 +1,5 @@
 """What acquisition is made of: circles of edges, headings, strokes, and laying the drawing on the frame."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

@@ -1,7 +1,5 @@
 """The arrow method: place and heading from the centre of the H and the tip of the arrowhead."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

@@ -1,7 +1,5 @@
 """Pads of a few pixels are found by the outline of their area, obliquely, in grey, in noise, and without an attitude."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The Cramer-Rao bound against a case that is solved on paper, and against an estimator that reaches it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

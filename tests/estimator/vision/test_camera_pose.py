@@ -1,7 +1,5 @@
 """The pose in the camera's axes comes back from a sighting as it went in, whatever the attitude said."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

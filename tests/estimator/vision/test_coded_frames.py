@@ -1,7 +1,5 @@
 """What a codec does to frames is in the covariance of what is found in them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Right angles, and the corners method that stands on them."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

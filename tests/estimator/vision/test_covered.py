@@ -1,7 +1,5 @@
 """A pad of which something covers a part: what is beyond its border counts as little as what is beyond the frame's edge."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

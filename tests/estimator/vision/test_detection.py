@@ -1,7 +1,5 @@
 """One look: what is chosen, what is none, and that neither tilt nor the mount nor the light deceives it."""
 
-from __future__ import annotations
-
 import csv
 import math
 from pathlib import Path

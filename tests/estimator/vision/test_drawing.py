@@ -1,7 +1,5 @@
 """The edges of the drawing lie between the paints that they divide."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.vision.drawing import EdgeKind, edges_of

@@ -1,7 +1,5 @@
 """The fit of an ellipse, and the disc measured by it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The same scene seen in another way has the same answer: upside down, in a mirror, in another part of the frame."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import lru_cache

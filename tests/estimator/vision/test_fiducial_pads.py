@@ -1,7 +1,5 @@
 """Pads with fiducials: what is refused, that any program reads them as painted, and that they are found and measured."""
 
-from __future__ import annotations
-
 import copy
 import math
 import tomllib

@@ -1,7 +1,5 @@
 """The pad from afar without colour, in haze and in noise: what the frame says of itself, and what is found with that."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

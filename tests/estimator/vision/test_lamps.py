@@ -1,7 +1,5 @@
 """A pad that is found and measured by its lamps: rules of its file, its bound, night frames, other lights."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from typing import Any

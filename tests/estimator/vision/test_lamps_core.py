@@ -1,7 +1,5 @@
 """The core finds no lamps in garbage, in bounded work."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

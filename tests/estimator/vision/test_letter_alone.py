@@ -1,7 +1,5 @@
 """An H or X alone on the bare deck: found, and not seen in other things."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

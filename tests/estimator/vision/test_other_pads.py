@@ -1,7 +1,5 @@
 """Pads of other shapes than the thesis': each is registered from a rough pose, near and far, and verified there."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

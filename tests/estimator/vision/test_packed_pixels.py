@@ -1,7 +1,5 @@
 """What crosses to the core has the type, the size and the strides that the core reads."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

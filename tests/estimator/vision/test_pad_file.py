@@ -1,7 +1,5 @@
 """A pad's file: what is refused and how, and what is derived from the regions."""
 
-from __future__ import annotations
-
 import copy
 import tomllib
 from typing import Any

@@ -1,7 +1,5 @@
 """Paint memory: slow, sure of nothing it did not see often, and with a way back."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The pose from marks: exact for exact marks under any tilt, mount and lens; its covariance is what a Monte Carlo finds."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

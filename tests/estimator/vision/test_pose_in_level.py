@@ -1,7 +1,5 @@
 """A pose brought to `level`: its covariance is what errors of pose, attitude and deck do to it, differentiated numerically."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Registration on rendered frames: accuracy, honest covariance, blur, occlusion, partial view, heading."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

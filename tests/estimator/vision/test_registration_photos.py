@@ -1,7 +1,5 @@
 """Registration on photographs of the printed pad, against hand labels."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

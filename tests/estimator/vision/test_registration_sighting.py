@@ -1,7 +1,5 @@
 """A registration brought to `level`: conventions, attitude's share in the covariance, ambiguity, confidence."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

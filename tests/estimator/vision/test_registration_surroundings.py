@@ -1,7 +1,5 @@
 """Registration's covariance holds whatever surrounds the pad, also where camera and deck are tilted."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

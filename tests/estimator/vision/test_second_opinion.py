@@ -1,7 +1,5 @@
 """The learned second opinion: what it says of rendered candidates, that it only lowers, and what it refuses."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from pathlib import Path

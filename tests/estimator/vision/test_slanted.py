@@ -1,7 +1,5 @@
 """Shapes with slanted sides: their blurred coverage is the integral of the normal distribution, and their pieces cover them."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 

@@ -1,7 +1,5 @@
 """Down to the deck through the eyes of a flight: methods come and go with height, and the estimate takes no step."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -6,8 +6,6 @@ must not come unseen. WHAT: frames by day from 0.3 to 12 m, searched from cold a
 prints them anew; a change needs its reason in the commit.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 

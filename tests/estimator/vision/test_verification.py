@@ -1,7 +1,5 @@
 """The judge: parts speak for themselves, light does not count, and confidence falls with every part that is missing."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

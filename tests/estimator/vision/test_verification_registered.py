@@ -1,7 +1,5 @@
 """The judge of registrations: sure of the pad, not of a helipad on green, and less with every part that is painted over."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A clock for servers under test that stands still when the machine does."""
 
-from __future__ import annotations
-
 import asyncio
 import time
 

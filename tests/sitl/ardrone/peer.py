@@ -1,7 +1,5 @@
 """A client for tests: plain sockets, the wire formats of the driver, nothing of the driver's own behaviour."""
 
-from __future__ import annotations
-
 import asyncio
 import select
 import socket

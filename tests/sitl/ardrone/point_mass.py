@@ -1,7 +1,5 @@
 """A world small enough for protocol tests: a point mass that tilts as it is told, over a still pad. Same doors as `World`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import cast

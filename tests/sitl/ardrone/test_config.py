@@ -1,7 +1,5 @@
 """The configuration table: who may write what, and the sets of the multi-configuration."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st

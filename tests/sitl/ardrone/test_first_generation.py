@@ -1,7 +1,5 @@
 """The simulated AR.Drone 1.0 over real sockets: what our driver makes of it, and what it says of another codec or setting."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import AsyncIterator, Callable

@@ -1,7 +1,5 @@
 """Flights in a row behind the same sockets, with the real driver: each ends, and the next is another sea."""
 
-from __future__ import annotations
-
 import asyncio
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The drone as a process: it says where it listens, and it always ends when it should."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

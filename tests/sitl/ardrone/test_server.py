@@ -1,7 +1,5 @@
 """The simulated drone over real sockets, around a point mass: what a client sees on each of the four ports."""
 
-from __future__ import annotations
-
 import asyncio
 import random
 import socket

@@ -1,7 +1,5 @@
 """Faults of frames and of the link behind real sockets: what a client of the simulated drone sees of them."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import ExitStack

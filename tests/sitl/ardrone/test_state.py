@@ -1,7 +1,5 @@
 """The drone's side of the conversation, with a clock that the test moves: sequence rules, handshake, watchdog, emergency."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st

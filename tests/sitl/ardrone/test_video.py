@@ -1,7 +1,5 @@
 """The encoder: what comes out is what an AR.Drone sends, and decodes frame by frame."""
 
-from __future__ import annotations
-
 import av
 import cv2
 import numpy as np

@@ -1,7 +1,5 @@
 """Our driver on one end, the simulated drone on the other, sockets between them."""
 
-from __future__ import annotations
-
 import asyncio
 from typing import cast
 

@@ -1,7 +1,5 @@
 """A stand-in for the autopilot programs: a plain cascade from a place to fly to down to four motors."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

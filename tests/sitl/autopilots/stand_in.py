@@ -3,8 +3,6 @@
 It follows the published interface of the program: packets of servo outputs out, lines of JSON in.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

@@ -4,8 +4,6 @@ WHY: what is lost, late, doubled or overtaken must be counted, refused or told a
 of faults as for the simulated AR.Drone acts on datagrams, and the driver's samples, stamps and counters are looked at.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

@@ -1,7 +1,5 @@
 """`simulate --autopilot` from start to landing on a stand-in program, and on a real one where the environment names it."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

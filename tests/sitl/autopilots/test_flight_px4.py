@@ -4,8 +4,6 @@ The program is a stand-in in this process that speaks PX4's simulator interface 
 physics instead of estimating it; the child that is started only keeps its place.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import stat

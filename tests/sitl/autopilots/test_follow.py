@@ -1,7 +1,5 @@
 """A vehicle that somebody else simulates: its pose from messages, our deck under it, and a landing in real time."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 

@@ -1,7 +1,5 @@
 """Landings with a camera on a gimbal that swings: on the stand-ins, with rendered frames that follow the gimbal."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Time that the physics makes, frames that wait for nobody and for whom the world waits, and programs that are always ended."""
 
-from __future__ import annotations
-
 import asyncio
 import stat
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """The physics backends against stand-ins that follow the published interfaces: flown, landed, restarted."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math

@@ -1,7 +1,5 @@
 """Landings on the stand-ins of both stacks, on a ship under way: closed loop down to the contact, motors off, no failsafe."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Literal

@@ -1,7 +1,5 @@
 """The stand-ins show on a deck what the programs were measured to do there, so that a landing on them is worth something."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

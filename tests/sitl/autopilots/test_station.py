@@ -1,7 +1,5 @@
 """The person at the ground station: the way to the order, and every way in which it comes to nothing."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A flight that costs nothing, and a program that flies a campaign of them: `python -m tests.sitl.campaign.fakes FOLDER RUNS`."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

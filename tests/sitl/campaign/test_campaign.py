@@ -1,7 +1,5 @@
 """A campaign loses no flight and doubles none, whatever ends it, and its flights do not depend on where they were flown."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

@@ -1,7 +1,5 @@
 """The same campaign on a Dask cluster: a killed worker loses nothing, and what does not fit is refused by name."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """What makes a campaign this one and no other: the files behind its files, and settings that follow the scenario."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

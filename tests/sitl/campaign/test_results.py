@@ -1,7 +1,5 @@
 """Designs, causes, comparison, table, report, search and object stores of campaigns, on flights that cost nothing."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,7 +1,5 @@
 """Campaigns of a set: each scenario at its own level with its own line, one folder, one hash."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

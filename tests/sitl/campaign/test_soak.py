@@ -1,7 +1,5 @@
 """The soak's judgement on made-up readings, its view of this very process, and that it finds a leak in a real one."""
 
-from __future__ import annotations
-
 import json
 import mmap
 import os

@@ -1,7 +1,5 @@
 """What a soak makes of its flights: failed ones fail it, a machine that is too slow is named and not the product."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The records of a soak: they come back as they were, take no memory, and a full temporary folder loses none."""
 
-from __future__ import annotations
-
 import tempfile
 import tracemalloc
 from typing import Any

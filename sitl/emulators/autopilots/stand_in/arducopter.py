@@ -4,8 +4,6 @@ Sources: ArduPilot's documentation of Copter (GUIDED mode, landing detector, pre
 behaviour on a deck was measured on the program itself (docs/ardupilot.md).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

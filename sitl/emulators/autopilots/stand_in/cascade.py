@@ -1,7 +1,5 @@
 """The control loops of a stand-in: from a wanted acceleration, climb and turn rate down to four motors."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -3,8 +3,6 @@
 Source: mavlink.io, "Gimbal Protocol v2".
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter, deque
 

@@ -4,8 +4,6 @@ Sources: PX4 user guide 1.16 (OFFBOARD mode, takeoff mode, land detector configu
 behaviour on a deck was measured on the program itself (docs/px4.md).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """Aiding by the vehicle's own sensors in numpy: samples are averaged over a short period and fused together."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The core's linear algebra for numpy: covariance propagation, and the Kalman correction in Joseph form."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

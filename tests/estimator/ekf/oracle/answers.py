@@ -1,7 +1,5 @@
 """What the filter says of an instant, in numpy: the oracle of estimator/core/filter/answer.c."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

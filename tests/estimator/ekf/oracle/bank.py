@@ -1,7 +1,5 @@
 """The bank of oscillators in numpy, against which the core's is held."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

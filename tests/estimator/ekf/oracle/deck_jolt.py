@@ -9,8 +9,6 @@ IEEE Trans. Automatic Control 17(5), 1972). The median ignores single wrong sigh
 an axis neither adds to it nor scales it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.contracts.geometry import F64

@@ -1,7 +1,5 @@
 """Forecast of the deck in numpy: the oracle of estimator/core/filter/forecast.c and bank_ahead.c."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import NamedTuple

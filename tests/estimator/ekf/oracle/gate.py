@@ -1,7 +1,5 @@
 """The reset criterion for a belief that was wrong, and the recent consistency of sightings, in numpy."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

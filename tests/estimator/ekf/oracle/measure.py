@@ -1,7 +1,5 @@
 """The measurement models of the vehicle's samples in numpy: innovation, Jacobian and noise."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

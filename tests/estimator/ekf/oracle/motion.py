@@ -1,7 +1,5 @@
 """Propagation of the belief in numpy: the nominal state at every IMU sample, the rest just before a fusion."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any, NamedTuple

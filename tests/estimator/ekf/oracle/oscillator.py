@@ -1,7 +1,5 @@
 """The exact transition of the deck's oscillators (estimator/ekf/deck_motion_bank.py)."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The velocity of the pad's centre by the state, in numpy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.contracts.geometry import F64

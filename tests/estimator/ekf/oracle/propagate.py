@@ -1,7 +1,5 @@
 """Propagation to an instant and the application of a correction in numpy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.contracts.geometry import F64, skew, wrap_pi

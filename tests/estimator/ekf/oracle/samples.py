@@ -1,7 +1,5 @@
 """The processing of one sample of the vehicle in numpy, against which the core is held."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

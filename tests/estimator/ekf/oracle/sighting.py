@@ -4,8 +4,6 @@ Derivation: docs/estimator.md, section "Measurements". Each model takes the part
 `LinearizedMeasurement`.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The comparison of past forecasts with what happened, and what it is worth for the next, in numpy: the core's oracle."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Rotations as plain (3, 3) arrays: the exponential map of SO(3), its inverse and derivatives."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fuse what a ship reports of itself, in numpy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator.contracts.estimates import Verdict

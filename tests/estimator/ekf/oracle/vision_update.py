@@ -1,7 +1,5 @@
 """The vision update in numpy: gate a sighting, reset the filter after a streak of rejections, fuse, and feed the wave bank."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

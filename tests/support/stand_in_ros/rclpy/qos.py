@@ -1,7 +1,5 @@
 """Quality of service, as far as a publisher names it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 
