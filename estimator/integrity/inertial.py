@@ -6,7 +6,7 @@ agree for two seconds before it counts again. What the estimator believed with i
 
 import math
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -21,12 +21,17 @@ from estimator.integrity.parity import Bin, Parity, Slope, Vec3
 _PERSISTS, _PERSISTS_ALONE = 3, 12
 """Number of bins in a row that accuse, before a sensor is named; of a sole witness, which stands on the moving deck."""
 _WELL = 20
-_GYRO_RAD_S, _GYRO_YAW_RAD_S = math.radians(3.0), math.radians(5.0)
+_GYRO_RAD_S, _GYRO_YAW_RAD_S = math.radians(3.0), math.radians(4.0)
 """Least steady difference of gyro and attitude: more than any gyro's bias, and than attitudes err by within the window."""
-_GYRO_BINS = (10, 20)
+_GYRO_WELL_RAD_S = math.radians(2.5)
+_GYRO_WINDOWS = ((10, 1.4), (20, 1.0))
+"""Number of bins, and by how much the least difference grows where the window is short."""
 _STEADY = 0.8
-_ACCEL_M_S2, _ACCEL_ALONE_M_S2, _ACCEL_SIDE_M_S2 = 1.5, 2.4, 1.3
+_ACCEL_M_S2, _ACCEL_ALONE_M_S2, _ACCEL_SIDE_M_S2 = 1.5, 2.4, 1.8
 """Least difference of the accelerometer: a filter takes less for its bias. A deck in a high sea accelerates by 2 m/s^2."""
+_USUAL_MIN = 15
+_BIN_SHARE = 0.01
+"""Weight of one bin in what is usual, in the long run: it takes ten seconds to change."""
 _SIGMAS = 5.0
 _GROUND_SIGMA_M_S2, _VELOCITY_SIGMA_M_S2 = 0.25, 0.2
 """What the residuals of a window do not show: a barometer in gusts, a velocity that lags."""
@@ -52,6 +57,47 @@ class Fault(Struct, frozen=True):
         return f"the {self.sensor} {self.what}; flying without it"
 
 
+class Differences(NamedTuple):
+    """True less measured acceleration, m/s^2, as others have it."""
+
+    ground: Slope | None
+    """Downward, by a witness on the ground: barometer or velocity."""
+    deck: Slope | None
+    """Downward, by the pad's sightings, which stand on the moving deck."""
+    side: tuple[float, float] | None
+    """Ahead and aside as far as velocity and sightings agree."""
+
+    def agrees_with(self, usual: "Usual") -> bool:
+        """Return whether nothing speaks against the accelerometer, and something for it."""
+        down = self.ground or self.deck
+        if down is None or abs(down.value - usual.down) > (0.6 if self.ground else 0.8) * _ACCEL_M_S2:
+            return False
+        return self.side is None or math.hypot(self.side[0] - usual.ahead, self.side[1] - usual.aside) < 0.6 * _ACCEL_SIDE_M_S2
+
+
+class Usual(NamedTuple):
+    """The differences that have been there from the start: biases, which the filter estimates itself."""
+
+    n: int = 0
+    down: float = 0.0
+    ahead: float = 0.0
+    aside: float = 0.0
+
+    def after(self, off: Differences) -> "Usual":
+        """Return them after one bin more."""
+        down = off.ground or off.deck
+        if down is None:
+            return self
+        k = max(1.0 / (self.n + 1), _BIN_SHARE)
+        x, y = (self.ahead, self.aside) if off.side is None else off.side
+        return Usual(
+            self.n + 1,
+            self.down + k * (down.value - self.down),
+            self.ahead + k * (x - self.ahead),
+            self.aside + k * (y - self.aside),
+        )
+
+
 class Inertial(Struct, frozen=True):
     """The state of both halves of the IMU."""
 
@@ -62,6 +108,7 @@ class Inertial(Struct, frozen=True):
     gyro_fault: Fault | None = None
     """What parity says of it."""
     accel_fault: Fault | None = None
+    usual: Usual = Usual()
     accel_against: int = 0
     """Number of bins in a row that accused the accelerometer."""
     named: int = 0
@@ -90,7 +137,9 @@ def felt(state: Inertial, imu: Imu, o: IntegrityOptions, flying: bool) -> tuple[
     accel = halves.read(state.accel, imu.f_body.tobytes(), t, o.imu_frozen_s, flying)
     frozen = gyro.frozen or accel.frozen
     checked = parity.felt(state.parity, imu) if flying and not frozen else Parity()
-    after = Inertial(gyro, accel, state.turn, checked, state.gyro_fault, state.accel_fault, state.accel_against, state.named)
+    after = Inertial(
+        gyro, accel, state.turn, checked, state.gyro_fault, state.accel_fault, state.usual, state.accel_against, state.named
+    )
     if not frozen and state.gyro_fault is None and state.accel_fault is None:
         return after, imu
     gyro_s = _lost_s(state.gyro, gyro, state.gyro_fault is not None)
@@ -136,34 +185,39 @@ def _judged(state: Inertial) -> Inertial:
 def _judged_gyro(state: Inertial) -> Inertial:
     bins, fault = state.parity.bins, state.gyro_fault
     if fault is not None:
-        off = [math.hypot(*b.off) for b in bins[-1:]]
-        well = fault.well + 1 if off and off[0] < _GYRO_RAD_S else 0
+        second = bins[-_GYRO_WINDOWS[0][0] :]
+        off = math.hypot(*(math.fsum(b.off[i] for b in second) / max(1, len(second)) for i in range(3)))
+        well = fault.well + 1 if second and off < _GYRO_WELL_RAD_S else 0
         return replace(state, gyro_fault=None if well >= _WELL else replace(fault, well=well))
-    for n in _GYRO_BINS:
-        what = _gyro_lies(state.parity, bins[-n:]) if len(bins) >= n else ""
+    for n, by in _GYRO_WINDOWS:
+        what = _gyro_lies(state.parity, bins[-n:], by) if len(bins) >= n else ""
         if what:
             return replace(state, gyro_fault=Fault("gyro", what), named=state.named + 1)
     return state
 
 
-def _gyro_lies(p: Parity, bins: tuple[Bin, ...]) -> str:
-    """Return what the gyro does where it and not the attitude lies about a steady turn; empty if neither does, or it is open."""
+def _gyro_lies(p: Parity, bins: tuple[Bin, ...], by: float) -> str:
+    """Return what the gyro does where it and not the attitude lies about a steady turn; empty if neither does, or it is open.
+
+    Args:
+        by: how many times the least difference it has to be.
+    """
     n, span_s = len(bins), math.fsum(b.span_s for b in bins)
     off = [math.fsum(b.off[i] for b in bins) / n for i in range(3)]
     steady = [sum(b.off[i] * off[i] > off[i] * off[i] / 3.0 for b in bins) >= _STEADY * n for i in range(3)]
     x, y = (off[i] if steady[i] else 0.0 for i in range(2))
-    if math.hypot(x, y) > _GYRO_RAD_S:
+    if math.hypot(x, y) > by * _GYRO_RAD_S:
         # The one that says that the body leans more and more lies: it would fly away.
         along, aside, _ = bins[-1].up
         by_gyro, by_attitude = math.hypot(along - y * span_s, aside + x * span_s), math.hypot(along, aside)
         if by_gyro > by_attitude + 0.5 * span_s * math.hypot(x, y):
             axis, value = ("roll", x) if abs(x) > abs(y) else ("pitch", y)
-            return f"turns {abs(math.degrees(value)):.0f} deg/s too {'much' if value > 0 else 'little'} in {axis}"
-    if steady[2] and abs(off[2]) > _GYRO_YAW_RAD_S:
+            return f"turns about {abs(math.degrees(value)):.0f} deg/s too {'much' if value > 0 else 'little'} in {axis}"
+    if steady[2] and abs(off[2]) > by * _GYRO_YAW_RAD_S:
         seen = _turn_seen(p, bins[0].t)
         gyro = math.fsum(b.rate_down for b in bins) / n
         if seen is not None and abs(seen - gyro) > 0.6 * abs(off[2]) and abs(seen - gyro + off[2]) < _SHARE * abs(off[2]):
-            return f"turns {abs(math.degrees(off[2])):.0f} deg/s too {'much' if off[2] > 0 else 'little'} in yaw"
+            return f"turns about {abs(math.degrees(off[2])):.0f} deg/s too {'much' if off[2] > 0 else 'little'} in yaw"
     return ""
 
 
@@ -177,79 +231,67 @@ def _turn_seen(p: Parity, since: int) -> float | None:
 
 
 def _judged_accel(state: Inertial) -> Inertial:
-    p, fault = state.parity, state.accel_fault
+    p, fault, usual = state.parity, state.accel_fault, state.usual
     if not p.bins or state.gyro_fault is not None:
         return replace(state, accel_against=0) if state.accel_against else state
+    off = _differences(p)
     if fault is not None:
-        well = fault.well + 1 if _accel_agrees(p) else 0
+        well = fault.well + 1 if off.agrees_with(usual) else 0
         return replace(state, accel_fault=None if well >= _WELL else replace(fault, well=well))
-    what, needed = _accel_lies(p)
-    against = state.accel_against + 1 if what else 0
-    if against < needed or not what:
-        return state if against == state.accel_against else replace(state, accel_against=against)
+    what, needed = ("", 1) if usual.n < _USUAL_MIN else _accel_lies(off, usual, p.bins[-1])
+    if not what:
+        return replace(state, accel_against=0, usual=usual.after(off))
+    against = state.accel_against + 1
+    if against < needed:
+        return replace(state, accel_against=against)
     return replace(state, accel_against=0, accel_fault=Fault("accelerometer", what), named=state.named + 1)
 
 
-def _witnesses(p: Parity) -> tuple[Slope | None, Slope | None]:
-    """Return what a witness on the ground and one on the deck say of the vertical."""
+def _differences(p: Parity) -> Differences:
     end = p.bins[-1].t + round(p.bins[-1].span_s * 1e9)
-    since = end - round(_PLACE_S * 1e9)
-    baro = _widened(parity.curvature(p.baro, 2, since, _PLACES), _GROUND_SIGMA_M_S2)
-    flow = _widened(parity.slope(p.flow, 2, end - round(_VELOCITY_S * 1e9), _VELOCITIES), _VELOCITY_SIGMA_M_S2)
-    ground = baro if flow is None or (baro is not None and baro.var < flow.var) else flow
-    return ground, parity.curvature(p.sight, 2, since, _PLACES)
+    places, velocities = end - round(_PLACE_S * 1e9), end - round(_VELOCITY_S * 1e9)
+    baro = _widened(parity.curvature(p.baro, 2, places, _PLACES), _GROUND_SIGMA_M_S2)
+    climb = _widened(parity.slope(p.flow, 2, velocities, _VELOCITIES), _VELOCITY_SIGMA_M_S2)
+    ground = baro if climb is None or (baro is not None and baro.var < climb.var) else climb
+    flow = [parity.slope(p.flow, axis, velocities, _VELOCITIES) for axis in range(2)]
+    seen = [parity.curvature(p.sight, axis, places, _PLACES) for axis in range(2)]
+    side = None
+    if None not in flow and None not in seen:
+        (c, s), side = p.bins[-1].heading, [0.0, 0.0]
+        for axis, (a, b) in enumerate(zip(flow, seen, strict=True)):
+            if a and b and a.value * b.value > 0.0 and abs(a.value - b.value) < 0.6 * max(abs(a.value), abs(b.value)):
+                side[axis] = 0.5 * (a.value + b.value)
+        side = (c * side[0] + s * side[1], c * side[1] - s * side[0])
+    return Differences(ground, parity.curvature(p.sight, 2, places, _PLACES), side)
 
 
 def _widened(found: Slope | None, sigma: float) -> Slope | None:
     return None if found is None else Slope(found.value, _INFLATED * found.var + sigma * sigma)
 
 
-def _accel_lies(p: Parity) -> tuple[str, int]:
+def _accel_lies(off: Differences, usual: Usual, newest: Bin) -> tuple[str, int]:
     """Return what the accelerometer does, empty if it is not accused; and how many bins in a row have to say so."""
-    ground, deck = _witnesses(p)
-    f, up = p.bins[-1].f, p.bins[-1].up
+    ground, deck = off.ground, off.deck
     if ground is not None:
-        a = ground.value
-        agrees = deck is None or (deck.value * a > 0.0 and abs(deck.value) > _SHARE * abs(a))
+        a = ground.value - usual.down
+        agrees = deck is None or ((deck.value - usual.down) * a > 0.0 and abs(deck.value - usual.down) > _SHARE * abs(a))
         if abs(a) > _ACCEL_M_S2 and a * a > _SIGMAS**2 * ground.var and agrees:
-            return _along_down(f[2], a / max(0.5, up[2])), _PERSISTS
-    elif deck is not None and abs(deck.value) > _ACCEL_ALONE_M_S2:
-        return _along_down(f[2], deck.value / max(0.5, up[2])), _PERSISTS_ALONE
-    return _accel_aside(p), _PERSISTS
-
-
-def _accel_aside(p: Parity) -> str:
-    """Return what the accelerometer does across the vertical, where velocity and sightings agree against it."""
-    end = p.bins[-1].t + round(p.bins[-1].span_s * 1e9)
-    off = [0.0, 0.0]
-    for axis in range(2):
-        flow = parity.slope(p.flow, axis, end - round(_VELOCITY_S * 1e9), _VELOCITIES)
-        deck = parity.curvature(p.sight, axis, end - round(_PLACE_S * 1e9), _PLACES)
-        if flow is None or deck is None:
-            return ""
-        if flow.value * deck.value > 0.0 and abs(flow.value - deck.value) < 0.6 * max(abs(flow.value), abs(deck.value)):
-            off[axis] = 0.5 * (flow.value + deck.value)
-    size = math.hypot(*off)
-    f = p.bins[-1].f
+            return _along_down(newest, a), _PERSISTS
+    elif deck is not None and abs(deck.value - usual.down) > _ACCEL_ALONE_M_S2:
+        return _along_down(newest, deck.value - usual.down), _PERSISTS_ALONE
+    if off.side is None:
+        return "", 1
+    size = math.hypot(off.side[0] - usual.ahead, off.side[1] - usual.aside)
     # A multirotor is pushed along its vertical axis alone. One that feels nothing across it is not the one that lies.
-    if size < _ACCEL_SIDE_M_S2 or math.hypot(f[0], f[1]) < 0.6 * size:
-        return ""
-    return f"is off by {size:.1f} m/s^2 across the vertical"
+    lies = size > _ACCEL_SIDE_M_S2 and math.hypot(newest.f[0], newest.f[1]) > 0.6 * size
+    return (f"is off by about {size:.1f} m/s^2 across the vertical" if lies else ""), _PERSISTS
 
 
-def _along_down(f_down: float, off: float) -> str:
-    """Return how far the accelerometer is off along the body's down axis; `off` is true less measured, m/s^2."""
-    true = f_down + off
+def _along_down(newest: Bin, off: float) -> str:
+    """Return how far the accelerometer is off along the body's down axis; `off` is true less measured downward, m/s^2."""
+    measured = newest.f[2]
+    true = measured + off / max(0.5, newest.up[2])
     if abs(true) < 0.5 * G_M_S2:
-        return f"is off by {abs(off):.1f} m/s^2 along the vertical"
-    percent = 100.0 * (f_down / true - 1.0)
-    return f"reads {abs(percent):.0f} % too {'much' if percent > 0 else 'little'}"
-
-
-def _accel_agrees(p: Parity) -> bool:
-    ground, deck = _witnesses(p)
-    if ground is None and deck is None:
-        return False
-    side = _accel_aside(p)
-    deck_agrees = deck is None or abs(deck.value) < 0.7 * _ACCEL_ALONE_M_S2
-    return not side and deck_agrees and (ground is None or abs(ground.value) < 0.6 * _ACCEL_M_S2)
+        return f"is off by about {abs(off):.1f} m/s^2 along the vertical"
+    percent = 100.0 * (measured / true - 1.0)
+    return f"reads about {abs(percent):.0f} % too {'much' if percent > 0 else 'little'}"

@@ -48,6 +48,8 @@ class Bin(NamedTuple):
     """Mean specific force in `body`, m/s^2."""
     up: Vec3
     """The vertical in body axes at its end."""
+    heading: tuple[float, float]
+    """Cosine and sine of the heading at its end."""
 
     def at(self, t: int) -> tuple[Vec3, Vec3]:
         """Return both integrals at an instant within it, ns."""
@@ -188,8 +190,9 @@ def _binned(p: Parity, end: Attitude, span_s: float) -> Parity:
     kept = p.bins if last is not None else ()
     (v, s) = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) if last is None else last.at(t0)
     off = wx - rx / span_s, wy - ry / span_s, wz - rz / span_s
-    x, y, z = end.R_ned_body.matrix[2].tolist()
-    made = Bin(t0, span_s, v, s, dv, off, wz, (f0, f1, f2), (x, y, z))
+    (c, _, _), (q, _, _), (x, y, z) = end.R_ned_body.matrix.tolist()
+    n = max(1e-9, math.hypot(c, q))
+    made = Bin(t0, span_s, v, s, dv, off, wz, (f0, f1, f2), (x, y, z), (c / n, q / n))
     v1, _ = made.at(t1)
     middle = (t0 + t1) // 2
     baro = p.baro
