@@ -153,7 +153,8 @@ class MotionWatch:
         if not low or float(np.linalg.norm(truth.v_pad_ned - truth.v_body_ned)) > _STILL_M_S:
             self._stands_since = None
             return
-        self._stands_since = self._stands_since or truth.at
+        if self._stands_since is None:
+            self._stands_since = truth.at
         self.stood_s = max(self.stood_s, seconds_between(self._stands_since, truth.at))
 
     @property
