@@ -157,7 +157,7 @@ class PerceivedBody:
 
     def __init__(self, body: Body, seed: int, clock: Clock, faults: FaultTimer) -> None:
         self._body, self._clock = body, clock
-        self.seed, self.faults = seed, faults
+        self.seed, self.faults, self.corruptions = seed, faults, Corruptions(faults, seed)
         self._motion: tuple[float, Mounted] | None = None
         self._truth: tuple[float, Truth] | None = None
 
