@@ -128,7 +128,11 @@ def test_a_drawn_fault_is_one_that_a_file_may_hold_and_the_file_holds_the_same(s
     text = as_toml("rendezvous", drawn, faults, ["head"])
     data = tomllib.loads(text)
     assert data.pop("base") == "rendezvous"
-    data |= {"vessel": {"reports_hz": 1.0, "reports_place": True}, "vehicle": {"gnss_hz": 5.0}}  # of the base
+    data |= {
+        "vessel": {"reports_hz": 1.0, "reports_place": True},
+        "vehicle": {"gnss_hz": 5.0},
+        "start": {"height_m": 8.0},
+    }  # of the base
     assert from_mapping(data, "written").faults == tuple(faults)
 
 
