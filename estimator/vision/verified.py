@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT
 from estimator.vision.detect.covered import COVERED_LOG_ODDS, align_uncovered
 from estimator.vision.detect.paint import FRESH, PaintMemory
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import View
 from estimator.vision.drawing import EdgeKind
-from estimator.vision.pad import Pad
 from estimator.vision.pad_information import confusable_turns
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
@@ -61,9 +59,7 @@ class Verified:
 
 
 def verified(
-    pyramid: Pyramid,
-    camera: Camera,
-    pad: Pad,
+    view: View,
     start: PadPose,
     orientation: Orientation,
     options: RegistrationOptions = CLOSE,
@@ -86,20 +82,20 @@ def verified(
     Raises:
         ValueError: the frame is not of the camera's size.
     """
-    turns = confusable_turns(pad) if prior_log_odds <= 0.0 else ()
+    turns = confusable_turns(view.pad) if prior_log_odds <= 0.0 else ()
     if not turns:
-        return _verified_at(pyramid, camera, pad, start, orientation, options, prior_log_odds, cut, paint)
-    z = _heading_z_scores(pyramid, camera, pad, start, turns)
+        return _verified_at(view, start, orientation, options, prior_log_odds, cut, paint)
+    z = _heading_z_scores(view, start, turns)
     start = start.turned(min(z, key=z.__getitem__)) if min(z.values()) < -_DECIDED else start
-    best = _verified_at(pyramid, camera, pad, start, orientation, options, prior_log_odds, cut, paint)
+    best = _verified_at(view, start, orientation, options, prior_log_odds, cut, paint)
     if best is None or best.confidence < _WORTH_TURNING:
         return best
-    z = _heading_z_scores(pyramid, camera, pad, best.found.pose, turns)
+    z = _heading_z_scores(view, best.found.pose, turns)
     if min(z.values()) < 0.0:
         turned, near = best.found.pose.turned(min(z, key=z.__getitem__)), replace(options, coarse=False)
         of, prior = UNCUT if best.cut is None else best.cut, best.prior_log_odds
-        best = _of_visible(pyramid, camera, pyramid.as_seen(pad), turned, orientation, near, prior, of, paint) or best
-        z = _heading_z_scores(pyramid, camera, pad, best.found.pose, turns)
+        best = _of_visible(view.as_seen(), turned, orientation, near, prior, of, paint) or best
+        z = _heading_z_scores(view, best.found.pose, turns)
     doubt = min(1.0, max(0.0, 1.0 - min(z.values()) / _DECIDED))
     return replace(best, confidence=confidence(_log_odds(best.confidence) + _UNDECIDED_LOG_ODDS * doubt)) if doubt else best
 
@@ -108,14 +104,12 @@ def _log_odds(of_confidence: float) -> float:
     return math.log(max(of_confidence, 1e-13) / max(1.0 - of_confidence, 1e-13))
 
 
-def _heading_z_scores(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, turns: tuple[float, ...]) -> dict[float, float]:
-    return heading_z_scores(pyramid[0], camera, pyramid.as_seen(pad), pose, turns)
+def _heading_z_scores(view: View, pose: PadPose, turns: tuple[float, ...]) -> dict[float, float]:
+    return heading_z_scores(view.pyramid[0], view.camera, view.as_seen().pad, pose, turns)
 
 
 def _verified_at(
-    pyramid: Pyramid,
-    camera: Camera,
-    pad: Pad,
+    view: View,
     start: PadPose,
     orientation: Orientation,
     options: RegistrationOptions,
@@ -124,41 +118,40 @@ def _verified_at(
     paint: PaintMemory,
 ) -> Verified | None:
     """Register the drawing from a start pose and verify it there, at its heading alone."""
-    best, strayed, pad = None, False, pyramid.as_seen(pad)
+    best, strayed, view = None, False, view.as_seen()
     if cut is None:
-        best = _of_visible(pyramid, camera, pad, start, orientation, options, prior_log_odds, UNCUT, paint)
-        strayed = best is not None and _strays(best.found, start, camera, pad, searched=prior_log_odds <= 0.0)
-        if (best is not None and best.confidence >= _CERTAIN and not strayed) or not pad.markings.is_searched_by_parts:
+        best = _of_visible(view, start, orientation, options, prior_log_odds, UNCUT, paint)
+        strayed = best is not None and _strays(best.found, start, view, searched=prior_log_odds <= 0.0)
+        if (best is not None and best.confidence >= _CERTAIN and not strayed) or not view.pad.markings.is_searched_by_parts:
             return best
         sigma_rad = SIGMA_TILT_RAD if orientation.measured else SIGMA_TILT_FREE_RAD
-        uncovered = align_uncovered(pyramid, camera, pad, start, sigma_rad, _STEPS)
+        uncovered = align_uncovered(view, start, sigma_rad, _STEPS)
         if uncovered is None:
             return best
         start, cut = uncovered[0].pose, uncovered[1]
     near = replace(options, coarse=False)
-    other = _of_visible(pyramid, camera, pad, start, orientation, near, prior_log_odds + COVERED_LOG_ODDS, cut, paint)
+    other = _of_visible(view, start, orientation, near, prior_log_odds + COVERED_LOG_ODDS, cut, paint)
     if best is None or other is None:
         return best or other
-    stayed = strayed and other.confidence >= SURE and not _strays(other.found, start, camera, pad, searched=prior_log_odds <= 0.0)
+    stayed = strayed and other.confidence >= SURE and not _strays(other.found, start, view, searched=prior_log_odds <= 0.0)
     return other if stayed or other.confidence > best.confidence else best
 
 
-def _strays(found: Looked, start: PadPose, camera: Camera, pad: Pad, searched: bool) -> bool:
+def _strays(found: Looked, start: PadPose, view: View, searched: bool) -> bool:
     """Return whether a registration is so much nearer or farther than its start that something else has pulled it.
 
     Args:
         searched: whether the start was aligned with the frame: then its place counts, too.
     """
-    radius_px = camera.fx * pad.disc_radius_m / start.range_m
+    disc_radius_m = view.pad.disc_radius_m
+    radius_px = view.camera.fx * disc_radius_m / start.range_m
     most = _STRAYS + _STRAYS_PX / radius_px
     moved = float(np.linalg.norm(found.pose.t_cam_pad / found.range_m - start.t_cam_pad / start.range_m))
-    return abs(found.range_m / start.range_m - 1.0) > most or (searched and moved * start.range_m > most * pad.disc_radius_m)
+    return abs(found.range_m / start.range_m - 1.0) > most or (searched and moved * start.range_m > most * disc_radius_m)
 
 
 def _of_visible(
-    pyramid: Pyramid,
-    camera: Camera,
-    pad: Pad,
+    view: View,
     start: PadPose,
     orientation: Orientation,
     options: RegistrationOptions,
@@ -168,14 +161,14 @@ def _of_visible(
 ) -> Verified | None:
     """Register what lies on this side of a cut, and verify the drawing there."""
     tracked = prior_log_odds > 0.0
-    found = look(pyramid, camera, pad, start, orientation, options, tracked=tracked, cut=cut, paint=paint)
+    found = look(view, start, orientation, options, tracked=tracked, cut=cut, paint=paint)
     if found is None:
         return None
     odds = found.log_odds + prior_log_odds
     if cut is not UNCUT and not found.edges[EdgeKind.RING].seen:
         odds += _RINGLESS_LOG_ODDS
-    if pad.markings.fiducials:
-        odds += cells_log_odds(pyramid[0], camera, pad, found.registration())
-    elif pad.markings.is_letter_alone:
+    if view.pad.markings.fiducials:
+        odds += cells_log_odds(view.pyramid[0], view.camera, view.pad, found.registration())
+    elif view.pad.markings.is_letter_alone:
         odds += letter_log_odds(found.registration(), tracked)
     return Verified(found, confidence(odds), None if cut is UNCUT else cut, prior_log_odds)
