@@ -167,7 +167,7 @@ class Followed(Sequence[PackedBelief]):
 
     def outcomes(self, n: int) -> Sequence[Outcome]:
         """Return what became of the first events."""
-        each, ends = memoryview(self._block), range(_OUTCOME_AT + _OUTCOME_BYTES, n * _STEP_BYTES + 1, _STEP_BYTES)
+        each, ends = self._block.data, range(_OUTCOME_AT + _OUTCOME_BYTES, n * _STEP_BYTES + 1, _STEP_BYTES)
         rows = b"".join([each[end - _OUTCOME_BYTES : end] for end in ends])
         return Late(n, partial(_outcomes, rows))
 
