@@ -29,15 +29,14 @@ from estimator.vision.detect.guesses import pose_about
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
 from estimator.vision.detect.plane import Plane
-from estimator.vision.detect.pyramid import Pyramid, View
-from estimator.vision.detection import Detection, Opinions
-from estimator.vision.fusion import agree, fuse
+from estimator.vision.detect.pyramid import FrameView, Pyramid
+from estimator.vision.detection import Detection, Opinions, agree, fuse
 from estimator.vision.learned.second_opinion import WORTH_ASKING, lowered, probability
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.letter_alone import nearest_of_four
+from estimator.vision.register.doubts import nearest_of_four
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import sighting_of_look
 from estimator.vision.thesis.detection import detect
@@ -82,7 +81,7 @@ class _Now:
 
     tracker: TrackerConfig
     frame: Frame
-    view: View
+    view: FrameView
     attitude: Attitude | None
     orientation: Orientation
     """The attitude at the exposure and the deck's expected tilt."""
@@ -131,7 +130,7 @@ def by_paint(
     """Return the detection of the painted pad, and the new memory."""
     place = BelievedPlace.of(belief, frame, tracker, memory.alike_yaw_rad)
     orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
-    now = _Now(tracker, frame, View(Pyramid(frame.px), tracker.camera, tracker.pad), attitude, orientation, memory)
+    now = _Now(tracker, frame, FrameView(Pyramid(frame.px), tracker.camera, tracker.pad), attitude, orientation, memory)
     registered, left = _registered(now, belief, place)
     if tracker.options.method == "registration":
         best = registered.settled().tracked
@@ -234,7 +233,7 @@ def _verify_cues(now: _Now, thesis: Detection, best: _Seen, place: BelievedPlace
     return replace(thesis, methods=MappingProxyType(methods)), best
 
 
-def _verified(view: View, cue: Sighting, orientation: Orientation) -> PadCandidate | None:
+def _verified(view: FrameView, cue: Sighting, orientation: Orientation) -> PadCandidate | None:
     """Align the drawing at a cue's pose. A cue without a heading is aligned at the heading that fits best."""
     pyramid, camera, pad = view
     flat = in_camera(cue.d_body_pad_level, cue.yaw_rad or 0.0, orientation.R_level_body, camera)

@@ -26,7 +26,7 @@ from estimator.vision.detect.guesses import Guess
 from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, WORK_GUESS, Kind, kinds
 from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.plane import Plane
-from estimator.vision.detect.pyramid import Pyramid, View
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, confidence
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
@@ -127,11 +127,11 @@ def acquire(
 
     Other arguments and errors: as `search`.
     """
-    return search(View(Pyramid(px), camera, pad), R_level_body, paint, sure=sure).candidates
+    return search(FrameView(Pyramid(px), camera, pad), R_level_body, paint, sure=sure).candidates
 
 
 def search(
-    view: View,
+    view: FrameView,
     R_level_body: Rotation | None = None,
     paint: PaintMemory = FRESH,
     memory: SearchMemory = FRESH_SEARCH,
@@ -177,7 +177,7 @@ def search(
 class _Task:
     """A search in one frame: what it is given, and what it has done so far."""
 
-    view: View
+    view: FrameView
     sure: float
     budget: float
     refused_before: tuple[Place, ...]
@@ -265,7 +265,9 @@ def _settled(kind: Kind, task: _Task) -> list[PadCandidate]:
     return [c for c in task.found if c.score >= ENOUGH] if kind.exact else task.found
 
 
-def align_at(pose: PadPose, tilt_known: bool, view: View, side: F64 | None = None, covered: bool = False) -> PadCandidate | None:
+def align_at(
+    pose: PadPose, tilt_known: bool, view: FrameView, side: F64 | None = None, covered: bool = False
+) -> PadCandidate | None:
     """Align the drawing from one rough pose and verify it; return None if it does not fit at all.
 
     Args:
@@ -278,7 +280,7 @@ def align_at(pose: PadPose, tilt_known: bool, view: View, side: F64 | None = Non
 def _aligned_at(
     pose: PadPose,
     tilt_known: bool,
-    view: View,
+    view: FrameView,
     side: F64 | None,
     covered: bool,
     left: float,
@@ -297,7 +299,9 @@ def _aligned_at(
     return other if found is None or (other is not None and other.score > found.score) else found, work + more
 
 
-def _uncovered_at(pose: PadPose, view: View, sigma_tilt_rad: float, steps: int, left: float) -> tuple[PadCandidate | None, float]:
+def _uncovered_at(
+    pose: PadPose, view: FrameView, sigma_tilt_rad: float, steps: int, left: float
+) -> tuple[PadCandidate | None, float]:
     """Align the drawing with what nothing covers, and verify it; return None if nothing seems to be covered, and the work."""
     uncovered = align_uncovered(view, pose, sigma_tilt_rad, steps)
     if uncovered is None:
@@ -313,13 +317,13 @@ def _uncovered_at(pose: PadPose, view: View, sigma_tilt_rad: float, steps: int, 
     return best, work + _WORK_TURNED
 
 
-def _is_small(pose: PadPose, view: View) -> bool:
+def _is_small(pose: PadPose, view: FrameView) -> bool:
     """Return whether half of a disc has so few pixels that what covers the rest may turn it."""
     return pose.disc_px(view.camera, view.pad) < _SMALL_PX
 
 
 def _with_arrow(
-    aligned: AlignedTemplate, view: View, sigma_tilt_rad: float, side: F64 | None
+    aligned: AlignedTemplate, view: FrameView, sigma_tilt_rad: float, side: F64 | None
 ) -> tuple[PadCandidate | None, float]:
     """Return an aligned drawing as a candidate, turned by 180 degrees if its arrowhead is or can only be there; and the work."""
     arrow, (fore, aft) = aligned.arrow_support, aligned.arrow

@@ -15,7 +15,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.core.library import CORE
-from estimator.vision.detect.pyramid import View
+from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.native import checked, native_pose, pose_of, tracker_of
 from estimator.vision.pad_pose import PadPose
 
@@ -81,7 +81,7 @@ class Cover(NamedTuple):
 
 
 def align(
-    view: View,
+    view: FrameView,
     pose: PadPose,
     sigma_tilt_rad: float,
     steps: int = 4,
@@ -114,7 +114,7 @@ def align(
     return _aligned(pose_of(at) if steps > 0 else pose, out)
 
 
-def cover(view: View, pose: PadPose) -> Cover | None:
+def cover(view: FrameView, pose: PadPose) -> Cover | None:
     """Return the line across the frame beyond which most probably something covers the pad, which lies about at this pose.
 
     There is always such a line unless too little of the pad is in view; `gain` and `left` say what it is worth.

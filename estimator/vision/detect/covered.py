@@ -9,7 +9,7 @@ import math
 
 from estimator.contracts.geometry import F64
 from estimator.vision.detect.alignment import AlignedTemplate, align, cover
-from estimator.vision.detect.pyramid import View
+from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.detect.verification import log_odds
 from estimator.vision.pad_pose import PadPose
 
@@ -25,7 +25,7 @@ of 90 half-covered pads at 5 to 15 m the gain was 1.0 and more, and 0.56 was lef
 """
 
 
-def cut_at(view: View, pose: PadPose) -> F64 | None:
+def cut_at(view: FrameView, pose: PadPose) -> F64 | None:
     """Return the cut beyond which something covers the pad that lies about at a pose; None if nothing seems to.
 
     A cut is a line across the frame; see `alignment.UNCUT`.
@@ -34,7 +34,7 @@ def cut_at(view: View, pose: PadPose) -> F64 | None:
     return None if found is None or found.gain < _LEAST_GAIN or found.left > _MOST_LEFT else found.cut
 
 
-def align_uncovered(view: View, pose: PadPose, sigma_tilt_rad: float, steps: int) -> tuple[AlignedTemplate, F64] | None:
+def align_uncovered(view: FrameView, pose: PadPose, sigma_tilt_rad: float, steps: int) -> tuple[AlignedTemplate, F64] | None:
     """Align the drawing with what nothing covers, from a rough pose; return it with the cut, None if nothing seems to be covered.
 
     Args:
@@ -53,7 +53,7 @@ def align_uncovered(view: View, pose: PadPose, sigma_tilt_rad: float, steps: int
     return None if better is None else (better, again)
 
 
-def turned_uncovered(view: View, at: AlignedTemplate, cut: F64, sigma_tilt_rad: float, steps: int) -> AlignedTemplate | None:
+def turned_uncovered(view: FrameView, at: AlignedTemplate, cut: F64, sigma_tilt_rad: float, steps: int) -> AlignedTemplate | None:
     """Return the drawing aligned from the heading that fits best to what nothing covers; None if that is the one it has.
 
     What covers a half of a distant pad has more pixels than its H, and turns the heading that a guess has.

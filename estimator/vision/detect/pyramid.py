@@ -65,7 +65,7 @@ class Pyramid:
         return self._levels[level]
 
 
-class View(NamedTuple):
+class FrameView(NamedTuple):
     """A frame, the camera that took it, and the pad that is looked for in it."""
 
     pyramid: Pyramid

@@ -15,7 +15,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.core.library import CORE
 from estimator.vision.detect.alignment import UNCUT
 from estimator.vision.detect.paint import FRESH, PaintMemory
-from estimator.vision.detect.pyramid import View
+from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.native import edge_points
 from estimator.vision.pad import Pad
@@ -98,7 +98,7 @@ class Looked:
 
 
 def look(
-    view: View,
+    view: FrameView,
     start: PadPose,
     orientation: Orientation,
     options: RegistrationOptions,
@@ -110,7 +110,7 @@ def look(
     """Register the drawing from a start pose and verify it there; return None if nothing of it is found.
 
     Args:
-        view: the pad as the camera sees it, see `View.as_seen`.
+        view: the pad as the camera sees it, see `FrameView.as_seen`.
         start: as for `registration.register`.
         orientation: the attitude at the exposure and the deck's expected tilt.
         tracked: whether a track has confirmed the pad there before.

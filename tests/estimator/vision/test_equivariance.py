@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
-from estimator.vision.detect.pyramid import Pyramid, View
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
@@ -37,7 +37,7 @@ class Aimed(NamedTuple):
     start: PadPose
 
     def seen(self, pad: Pad) -> Looked | None:
-        return look(View(Pyramid(np.ascontiguousarray(self.px)), self.camera, pad), self.start, self.orientation, TRACK)
+        return look(FrameView(Pyramid(np.ascontiguousarray(self.px)), self.camera, pad), self.start, self.orientation, TRACK)
 
 
 def numbers(level: NDArray[Any]) -> F64:
