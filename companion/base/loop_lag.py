@@ -59,6 +59,14 @@ class Lags:
         return self.worst_s
 
 
+def in_words(counts: Mapping[str, float]) -> str:
+    """Return what `LoopWatch.counts` says of a flight, in words."""
+    return (
+        f"late by at most {1e3 * counts['lag_worst_s']:.0f} ms, 99.9 % within {1e3 * counts['lag_p999_s']:.1f} ms, "
+        f"held longer than {HELD_S:g} s {counts['held']:.0f} times"
+    )
+
+
 class LoopWatch:
     """Measures the loop that runs it.
 

@@ -3,6 +3,7 @@
 import asyncio
 import logging
 import time
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -10,7 +11,13 @@ from hypothesis import strategies as st
 
 from companion.base.health import Health
 from companion.base.loop_lag import HELD_S, STOOD_S, Lags, LoopWatch
+from companion.base.observer import Decision
+from companion.parts.recorder.setup import about, recorder_to_file
+from companion.recording.reading import open_recording
+from companion.settings.load import camera_model
+from companion.tools.replay.recorded_log import log_of
 from drivers.clock import SystemClock
+from tests.support.recorded_flight import sim_settings
 
 
 @given(st.lists(st.floats(0.0, 20.0), min_size=1, max_size=300), st.floats(0.01, 1.0))
@@ -85,3 +92,15 @@ def test_each_flight_has_its_own_worst() -> None:
     flies[0] = False
     watching._note(0.001, 0.02)
     assert watching.counts()["lag_worst_s"] == 0.02, "it is told until the next flight"
+
+
+def test_a_recorded_flight_says_in_its_report_how_late_the_loop_was(tmp_path: Path) -> None:
+    health, settings = Health(SystemClock()), sim_settings()
+    watching = LoopWatch(health, lambda: True, lambda: None)
+    for late_s in (*[0.002] * 2000, 0.3):
+        watching._note(late_s, late_s)
+    with recorder_to_file(tmp_path / "flight.mcap", camera_model(settings), about(settings, {"kind": "test"}), live=True) as kept:
+        kept.watch(health)
+        kept.on_decision(Decision(health.now(), "search", None, None))
+    facts = dict(log_of(open_recording([tmp_path / "flight.mcap"]), "one").facts)
+    assert facts["event loop"] == "late by at most 300 ms, 99.9 % within 2.1 ms, held longer than 0.2 s 1 times"
