@@ -27,6 +27,8 @@ _SUSPECT_S = 0.08
 """Time without the loop after which the thread looks where it is."""
 STOOD_S = 2.0
 """Time without the loop after which a flying vehicle is told to hold; it has held by itself since about the first second."""
+_SET_S = 1.0
+"""A step of the wall clock that is told, s: a time server's own steps are smaller once it has the time."""
 STAGE = "loop_lag"
 """The stage of health that has each lag."""
 _EDGES_S = tuple(1e-4 * 1.05**n for n in range(260))
@@ -108,6 +110,7 @@ class LoopWatch:
         threading.Thread(target=self._look, args=(of_loop,), name="loop watch", daemon=True).start()
         try:
             awake_s = time.clock_gettime(time.CLOCK_BOOTTIME)
+            wall_s = time.time() - awake_s
             while True:
                 self._where, self._told, self._worked_s = "", False, time.process_time()
                 asked_s = self._beat_s = time.monotonic()
@@ -115,7 +118,9 @@ class LoopWatch:
                 late_s = time.monotonic() - asked_s - PERIOD_S
                 now_s = time.clock_gettime(time.CLOCK_BOOTTIME)
                 self._note(max(0.0, late_s), now_s - awake_s)
-                awake_s = now_s
+                awake_s, before_s, wall_s = now_s, wall_s, time.time() - now_s
+                if abs(wall_s - before_s) > _SET_S:
+                    log.warning("the wall clock was set by %+.1f s: the flight does not go by it", wall_s - before_s)
         finally:
             self._stopped.set()
 
