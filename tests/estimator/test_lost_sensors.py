@@ -20,7 +20,8 @@ BEGIN_S, BEFORE_S, STEP_S = 8.0, 5.0, 0.05
 STREAMS = {
     "sea": 4,
     "duration_s": 16.0,
-    "imu_hz": 100.0, "attitude_hz": 25.0,
+    "imu_hz": 100.0,
+    "attitude_hz": 25.0,
     "velocity_hz": 20.0,
     "range_hz": 10.0,
     "baro_hz": 25.0,
