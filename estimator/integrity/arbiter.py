@@ -30,7 +30,7 @@ _APART_S = 0.5
 _RESTART_S = 2.0
 
 
-class Axis(NamedTuple):
+class FollowedAxis(NamedTuple):
     """Position, m, and velocity, m/s, along one axis with their covariance."""
 
     p: float
@@ -39,10 +39,10 @@ class Axis(NamedTuple):
     pv: float
     vv: float
 
-    def ahead(self, dt: float) -> "Axis":
+    def ahead(self, dt: float) -> "FollowedAxis":
         """Return the axis after a time, s."""
         p, v, pp, pv, vv = self
-        return Axis(
+        return FollowedAxis(
             p + v * dt,
             v,
             pp + dt * (2.0 * pv + dt * vv) + _PSD * dt * dt * dt / 3.0,
@@ -50,11 +50,11 @@ class Axis(NamedTuple):
             vv + _PSD * dt,
         )
 
-    def measured(self, z: float, var: float) -> "Axis":
+    def measured(self, z: float, var: float) -> "FollowedAxis":
         """Return the axis after a measurement of the position."""
         p, v, pp, pv, vv = self
         k, g = pp / (pp + var), pv / (pp + var)
-        return Axis(p + k * (z - p), v + g * (z - p), pp * (1.0 - k), pv * (1.0 - k), vv - g * pv)
+        return FollowedAxis(p + k * (z - p), v + g * (z - p), pp * (1.0 - k), pv * (1.0 - k), vv - g * pv)
 
 
 class Arbiter(Struct, frozen=True):
@@ -62,7 +62,7 @@ class Arbiter(Struct, frozen=True):
 
     t: int = 0
     """Instant of the newest sighting, ns."""
-    axes: tuple[Axis, ...] = ()
+    axes: tuple[FollowedAxis, ...] = ()
     n: int = 0
     """Number of sightings that it followed without a break."""
     misses: int = 0
@@ -93,7 +93,9 @@ def follow(state: Arbiter, seen: Place) -> Arbiter:
     """Process a sighting that the other checks let pass."""
     dt = (seen.t - state.t) * 1e-9
     if not state.axes or dt > _PAUSE_S:
-        return Arbiter(seen.t, tuple(Axis(p, 0.0, var, 0.0, _SPEED_VAR) for p, var in zip(seen.d, _vars(seen), strict=True)), 1)
+        return Arbiter(
+            seen.t, tuple(FollowedAxis(p, 0.0, var, 0.0, _SPEED_VAR) for p, var in zip(seen.d, _vars(seen), strict=True)), 1
+        )
     if dt <= 0.0:
         return state
     if not _follows(state.axes, dt, seen):
@@ -139,7 +141,7 @@ def _vars(seen: Place) -> tuple[float, float, float]:
     return side, side, down
 
 
-def _follows(axes: tuple[Axis, ...], dt: float, seen: Place) -> bool:
+def _follows(axes: tuple[FollowedAxis, ...], dt: float, seen: Place) -> bool:
     floor = _FLOOR_M + _FLOOR_FRACTION * abs(seen.d[2])
     for a, z, var in zip(axes, seen.d, _vars(seen), strict=True):
         ahead = a.ahead(dt)

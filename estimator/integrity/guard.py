@@ -161,7 +161,7 @@ def admit_sighting(
     if not (explained or guard.arbiter.explains(place)):
         return replace(guard, tracks=following), Verdict.ELSEWHERE
     seen = arbiter.follow(guard.arbiter, place)
-    if belief is not None and seen.t == place.t and not seen.misses:
+    if belief is not None and expected is not None and seen.t == place.t and not seen.misses:
         v = _fixed(belief.v_pad_level, attitude)
         seen = arbiter.compare(seen, expected.d, v, tuple(belief.cov.diagonal()[:6].tolist()))
     if explained:

@@ -24,7 +24,7 @@ _WELL = 20
 _GYRO_RAD_S, _GYRO_YAW_RAD_S = math.radians(3.0), math.radians(4.0)
 """Least steady difference of gyro and attitude: more than any gyro's bias, and than attitudes err by within the window."""
 _GYRO_WELL_RAD_S = math.radians(2.5)
-_GYRO_WINDOWS = ((10, 1.4), (20, 1.0))
+_GYRO_WINDOWS = ((10, 1.4), (14, 1.2), (20, 1.0))
 """Number of bins, and by how much the least difference grows where the window is short."""
 _STEADY = 0.8
 _ACCEL_M_S2, _ACCEL_ALONE_M_S2, _ACCEL_SIDE_M_S2 = 1.5, 2.4, 1.8
@@ -42,7 +42,7 @@ _PLACE_S, _VELOCITY_S = 2.0, 1.2
 _PLACES, _VELOCITIES = 14, 8
 
 
-class Fault(Struct, frozen=True):
+class LyingHalf(Struct, frozen=True):
     """A sensor that the estimator does without."""
 
     sensor: Literal["accelerometer", "gyro"]
@@ -105,9 +105,9 @@ class Inertial(Struct, frozen=True):
     accel: Half = Half()
     turn: TurnByAttitude = TurnByAttitude()
     parity: Parity = Parity()
-    gyro_fault: Fault | None = None
+    gyro_fault: LyingHalf | None = None
     """What parity says of it."""
-    accel_fault: Fault | None = None
+    accel_fault: LyingHalf | None = None
     usual: Usual = Usual()
     accel_against: int = 0
     """Number of bins in a row that accused the accelerometer."""
@@ -192,7 +192,7 @@ def _judged_gyro(state: Inertial) -> Inertial:
     for n, by in _GYRO_WINDOWS:
         what = _gyro_lies(state.parity, bins[-n:], by) if len(bins) >= n else ""
         if what:
-            return replace(state, gyro_fault=Fault("gyro", what), named=state.named + 1)
+            return replace(state, gyro_fault=LyingHalf("gyro", what), named=state.named + 1)
     return state
 
 
@@ -244,7 +244,7 @@ def _judged_accel(state: Inertial) -> Inertial:
     against = state.accel_against + 1
     if against < needed:
         return replace(state, accel_against=against)
-    return replace(state, accel_against=0, accel_fault=Fault("accelerometer", what), named=state.named + 1)
+    return replace(state, accel_against=0, accel_fault=LyingHalf("accelerometer", what), named=state.named + 1)
 
 
 def _differences(p: Parity) -> Differences:
@@ -257,11 +257,11 @@ def _differences(p: Parity) -> Differences:
     seen = [parity.curvature(p.sight, axis, places, _PLACES) for axis in range(2)]
     side = None
     if None not in flow and None not in seen:
-        (c, s), side = p.bins[-1].heading, [0.0, 0.0]
+        (c, s), off = p.bins[-1].heading, [0.0, 0.0]
         for axis, (a, b) in enumerate(zip(flow, seen, strict=True)):
             if a and b and a.value * b.value > 0.0 and abs(a.value - b.value) < 0.6 * max(abs(a.value), abs(b.value)):
-                side[axis] = 0.5 * (a.value + b.value)
-        side = (c * side[0] + s * side[1], c * side[1] - s * side[0])
+                off[axis] = 0.5 * (a.value + b.value)
+        side = (c * off[0] + s * off[1], c * off[1] - s * off[0])
     return Differences(ground, parity.curvature(p.sight, 2, places, _PLACES), side)
 
 
