@@ -171,7 +171,9 @@ def checked(sentence: str) -> bool:
 
 
 def _options(wrap_ns: int, resolution_s: float) -> ClockMapOptions:
-    return ClockMapOptions(wrap_ns=wrap_ns, resolution_s=resolution_s, floor_sigma_s=0.1, window_s=600.0, jump_s=5.0)
+    return ClockMapOptions(
+        wrap_ns=wrap_ns, resolution_s=resolution_s, floor_sigma_s=0.1, window_s=600.0, jump_s=5.0, name="the ship's receiver"
+    )
 
 
 def _arrival(received_at: MonoNs) -> Stamp:
