@@ -46,7 +46,7 @@ Packet: TypeAlias = "AnyPacket[VideoStream]"
 
 _LIVE = {"fflags": "nobuffer", "flags": "low_delay", "rtsp_transport": "tcp", "analyzeduration": "1000000"}
 _BY_LENGTH = frozenset({"mpjpeg"})
-"""Of the containers without times, those that tell how long a frame is. The end of any other frame is only known when the next one begins."""
+"""Those without times whose frames tell their length; the end of others is known only when the next one begins."""
 _BACKLOG_MOST, _WAITED_S = 300, 0.001
 """FFmpeg reads seconds of a stream to learn what it is. When those frames arrived, nobody noted: without times in the container
 they are not given out, until one has been waited for so long, or so many have passed."""
@@ -104,6 +104,7 @@ class StreamChannel:
         )
         clocks = ClockMap(known)
         while (image := await loop.run_in_executor(pool, reader.next)) is not None:
+            self._camera.count_damage(o.device, image.received_at)
             if o.is_address:
                 stamp = self._live_stamp(image, clocks)
             else:
