@@ -51,8 +51,8 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
             self.address()
         if self.nmea_from:
             ipaddress.ip_address(self.nmea_from)
-        if (self.nmea_from or self.mmsi or self.nmea_simulated) and not self.nmea:
-            raise ValueError("nmea_from, mmsi and nmea_simulated belong to nmea, which is empty")
+        if (self.nmea_from or self.mmsi) and not self.nmea:
+            raise ValueError("nmea_from and mmsi belong to nmea, which is empty")
 
     def address(self) -> tuple[str, int]:
         """Return the address and port on which sentences arrive.
