@@ -33,7 +33,7 @@ _RESTART_NS = NS_PER_S
 """A stamp that is this much older than the newest is that of an autopilot that has booted, as `BootClock` has it."""
 _LANDED_STATE_WITHIN_S = 3.0
 """From the first heartbeat: every PX4 says EXTENDED_SYS_STATE by then, also over a slow link."""
-_SHIP_CLOCK = ClockMapOptions(resolution_s=0.001, floor_sigma_s=0.05, window_s=600.0, jump_s=5.0)
+_SHIP_CLOCK = ClockMapOptions(resolution_s=0.001, floor_sigma_s=0.05, window_s=600.0, jump_s=5.0, name="the ship")
 """The ship's clock over a radio link. The window is long, so that a link that becomes slow is told as late reports."""
 _HAS_PLACE, _HAS_VELOCITY = 1 << 0, 1 << 1
 """Bits of FOLLOW_TARGET's est_capabilities."""
