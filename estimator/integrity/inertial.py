@@ -21,6 +21,7 @@ from estimator.integrity.parity import Bin, Parity, Slope, Vec3
 _PERSISTS, _PERSISTS_ALONE = 3, 12
 """Number of bins in a row that accuse, before a sensor is named; of a sole witness, which stands on the moving deck."""
 _WELL = 20
+_IMUS = 127
 _GYRO_RAD_S, _GYRO_YAW_RAD_S = math.radians(3.0), math.radians(4.0)
 """Least steady difference of gyro and attitude: more than any gyro's bias, and than attitudes err by within the window."""
 _GYRO_WELL_RAD_S = math.radians(2.5)
@@ -101,6 +102,8 @@ class Usual(NamedTuple):
 class Inertial(Struct, frozen=True):
     """The state of both halves of the IMU."""
 
+    imus: tuple[Imu, ...] = ()
+    """The newest samples, those since the newest bin and the one before them."""
     gyro: Half = Half()
     accel: Half = Half()
     turn: TurnByAttitude = TurnByAttitude()
@@ -132,26 +135,33 @@ def felt(state: Inertial, imu: Imu, o: IntegrityOptions, flying: bool) -> tuple[
     Returns:
         The next state, and the sample without its lost halves; None if nothing is left of it.
     """
-    t = imu.stamp.measured_at
-    gyro = halves.read(state.gyro, imu.w_body.tobytes(), t, o.imu_frozen_s, flying)
-    accel = halves.read(state.accel, imu.f_body.tobytes(), t, o.imu_frozen_s, flying)
+    t, last = imu.stamp.measured_at, state.imus[-1] if state.imus else None
+    before = t if last is None else last.stamp.measured_at
+    same_w = last is not None and last.w_body.tobytes() == imu.w_body.tobytes()
+    same_f = last is not None and last.f_body.tobytes() == imu.f_body.tobytes()
+    gyro = halves.read(state.gyro, before if same_w else None, t, o.imu_frozen_s, flying)
+    accel = halves.read(state.accel, before if same_f else None, t, o.imu_frozen_s, flying)
+    lies, bad = state.gyro_fault, state.accel_fault
     frozen = gyro.frozen or accel.frozen
-    checked = parity.felt(state.parity, imu) if flying and not frozen else Parity()
-    after = Inertial(
-        gyro, accel, state.turn, checked, state.gyro_fault, state.accel_fault, state.usual, state.accel_against, state.named
-    )
-    if not frozen and state.gyro_fault is None and state.accel_fault is None:
+    checked, imus = (state.parity, (*state.imus[-_IMUS:], imu)) if flying and not frozen else (Parity(), (imu,))
+    after = Inertial(imus, gyro, accel, state.turn, checked, lies, bad, state.usual, state.accel_against, state.named)
+    if not frozen and lies is None and bad is None:
         return after, imu
-    gyro_s = _lost_s(state.gyro, gyro, state.gyro_fault is not None)
-    accel_s = _lost_s(state.accel, accel, state.accel_fault is not None)
+    gyro_s = _lost_s(state.gyro, gyro, lies is not None, (before, t))
+    accel_s = _lost_s(state.accel, accel, bad is not None, (before, t))
     return after, halves.replaced(imu, gyro_s, accel_s, state.turn)
 
 
 def levelled(state: Inertial, attitude: Attitude, flying: bool) -> Inertial:
     """Process an attitude as the vehicle reports it."""
-    checked, ended = parity.levelled(state.parity, attitude)
-    after = replace(state, turn=state.turn.after(attitude), parity=checked)
-    return _judged(after) if ended and flying else after
+    turn = state.turn.after(attitude)
+    if turn is state.turn:
+        return state
+    checked, ended = parity.levelled(state.parity, attitude, state.imus)
+    if not ended:
+        return replace(state, turn=turn, parity=checked)
+    after = replace(state, turn=turn, parity=checked, imus=state.imus[-1:])
+    return _judged(after) if flying else after
 
 
 def weighed(state: Inertial, event: Baro) -> Inertial:
@@ -161,7 +171,8 @@ def weighed(state: Inertial, event: Baro) -> Inertial:
 
 def moved(state: Inertial, event: BodyVelocity) -> Inertial:
     """Process a velocity."""
-    return replace(state, parity=parity.moved(state.parity, event))
+    checked = parity.moved(state.parity, event)
+    return state if checked is state.parity else replace(state, parity=checked)
 
 
 def sighted(state: Inertial, t: int, d_fixed: Vec3, yaw_rad: float | None) -> Inertial:
@@ -169,12 +180,16 @@ def sighted(state: Inertial, t: int, d_fixed: Vec3, yaw_rad: float | None) -> In
     return replace(state, parity=parity.sighted(state.parity, t, d_fixed, yaw_rad))
 
 
-def _lost_s(before: Half, now: Half, named: bool) -> float:
-    """Return the time up to the newest sample in which a half measured nothing, s; 0 if it measures."""
+def _lost_s(was: Half, now: Half, lies: bool, span: tuple[int, int]) -> float:
+    """Return the time up to the newest sample in which a half measured nothing, s; 0 if it measures.
+
+    Args:
+        span: instants of the sample before and of the newest, ns.
+    """
     if now.frozen:
         # What was used until it was found was wrong as well.
-        return (now.last - (before.last if before.frozen else now.since)) * 1e-9
-    return max(1e-6, min(0.05, (now.last - before.last) * 1e-9)) if named else 0.0
+        return (span[1] - (span[0] if was.frozen else now.since)) * 1e-9
+    return max(1e-6, min(0.05, (span[1] - span[0]) * 1e-9)) if lies else 0.0
 
 
 def _judged(state: Inertial) -> Inertial:
