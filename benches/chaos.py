@@ -415,7 +415,7 @@ async def beside_ardrone(around: Around, stack: ExitStack, happens: Callable[[],
     keys = "\n".join(f"{name}_port = {port}" for name, port in found.items())
     around.start_service(
         f'[vehicle]\nkind = "ardrone"\nhost = "{HOST}"\n[expert.vehicle]\n{keys}\n[camera]\nfile = "sim"\n'
-        '[pad]\nfile = "thesis"\n[vision]\ncolours = "simulator"\n'
+        '[pad]\nfile = "thesis"\n[vision]\ncolours = "simulator"\n[guidance]\nstart = "automatic"\n'
     )
     await until(lambda: len(seen.commands) > 60, "its commands")
     await happens()
@@ -540,7 +540,7 @@ def main() -> int:
     parser.add_argument("--kind", choices=KINDS, help="fly this event alone")
     parser.add_argument("--worst", type=Path, metavar="FILE", help="write the ten worst flights")
     parser.add_argument("--again", type=Path, metavar="FILE", help="fly the flights of a file")
-    parser.add_argument("--log", action="store_true", help="print the log of each flight that was not good")
+    parser.add_argument("--log", action="store_true", help="print the log of each flight")
     asked = parser.parse_args()
     flights = [draw(seed, asked.vehicle) for seed in range(asked.first, asked.first + asked.flights)]
     if asked.again is not None:
@@ -556,7 +556,7 @@ def main() -> int:
             continue
         rows.append(row)
         print(row, flush=True)
-        if asked.log and not row.good:
+        if asked.log:
             print("\n".join(f"      {at - row.seen.began:6.2f} {line}" for at, line in row.seen.lines), flush=True)
     good = sum(row.good for row in rows)
     print(
