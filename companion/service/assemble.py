@@ -26,8 +26,8 @@ from companion.base.signals import PROCESS, threads
 from companion.base.supervise import Body
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
+from companion.parts.operator.client import OFF, socket_path
 from companion.parts.operator.local_socket import OperatorSocket
-from companion.parts.operator.socket_path import OFF, socket_path
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.service.vehicle_parts import vehicle_parts
 from companion.settings import whole_file
