@@ -20,7 +20,7 @@ from companion.recording.reading import RecordedFrame, Recording, instant, open_
 from companion.recording.rewriting import Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped
 from companion.tools.ros2 import bag
-from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog, tlog, video
+from drivers.imports import ardrone_capture, dataflash, px4_ulog, tlog, video
 from drivers.imports.kinds import Kind, kind_of
 from drivers.imports.stamps import Tell
 from estimator.contracts.errors import BadInput
@@ -167,7 +167,7 @@ class _Source:
         if reader is not None:
             return iter(reader(path, self._tell))
         if kind is Kind.TABLE:
-            return iter(attitude_csv.read(path))
+            return iter(video.attitudes(path))
         if kind is Kind.PAVE or path.suffix.lower() == ".pave":
             return ardrone_capture.frames(path)
         if kind is Kind.OTHER:

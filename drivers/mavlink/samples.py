@@ -193,7 +193,8 @@ class MavlinkSampler:
         flying = flying_of(m.landed_state, mav.MAV_STATE_UNINIT, bool(self.condition.armed))
         if m.landed_state == 0:
             flying = self.condition.flying
-        return self._status_samples(replace(self.condition, flying=flying), received_at)
+        taking_off = m.landed_state == mav.MAV_LANDED_STATE_TAKEOFF
+        return self._status_samples(replace(self.condition, flying=flying, taking_off=taking_off), received_at)
 
     def _sys_status(self, m: Message, received_at: MonoNs) -> list[Sample]:
         share = None if m.battery_remaining < 0 else min(1.0, m.battery_remaining / 100.0)

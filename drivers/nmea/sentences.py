@@ -40,12 +40,12 @@ _DILUTION = 2.0
 """The dilution of precision of a sentence that does not tell it."""
 _RECKONED_SIGMA_M = 50.0
 """Standard deviation of a place that the receiver reckons from an old one."""
-_OF_MODE = {
+_OF_MODE: Mapping[str, float | str] = {
     "": 5.0, "A": 5.0, "D": 2.5, "P": 2.5, "F": 1.0, "R": 0.5, "E": _RECKONED_SIGMA_M,
     "M": "typed_in", "S": "simulated", "N": "no_fix",
 }  # fmt: skip
 """What a place is worth by the mode of RMC: the standard deviation, or the reason why it is refused. Old receivers tell none."""
-_OF_QUALITY = {
+_OF_QUALITY: Mapping[int, float | str] = {
     1: _FIX_SIGMA_M, 2: _FIX_SIGMA_M, 3: _FIX_SIGMA_M, 4: 0.5, 5: 1.0, 6: _RECKONED_SIGMA_M,
     0: "no_fix", 7: "typed_in", 8: "simulated",
 }  # fmt: skip

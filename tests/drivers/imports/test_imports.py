@@ -13,7 +13,7 @@ import av
 import numpy as np
 import pytest
 
-from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog, video
+from drivers.imports import ardrone_capture, dataflash, px4_ulog, video
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
 
@@ -121,7 +121,7 @@ def test_navdata_captures_are_parted_and_timed_by_the_drones_clock(tmp_path: Pat
 def test_attitude_tables_begin_at_zero_and_know_their_heading(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time_s,roll_deg,pitch_deg,yaw_deg\n10.5,3,-4,90\n10.0,1,2,\n")
-    first, second = attitude_csv.read(path)
+    first, second = video.attitudes(path)
     assert isinstance(first, Attitude)
     assert isinstance(second, Attitude)
     assert (first.stamp.measured_at, second.stamp.measured_at) == (0, 500_000_000)
@@ -166,10 +166,10 @@ def test_videos_keep_their_own_times(tmp_path: Path) -> None:
         (ardrone_capture.samples, b"\x88\x77\x66\x55" + bytes(100), "no whole navdata"),
         (lambda p: list(ardrone_capture.frames(p)), b"PaVE" + bytes(300), "no frame"),
         (lambda p: list(video.frames(p)), b"RIFF1234AVI nonsense", "readable video|holds no video"),
-        (attitude_csv.read, b"time_s,roll_deg\n1,2\n", "column 'pitch_deg' is missing"),
-        (attitude_csv.read, b"time_s,roll_deg,pitch_deg\n1,2,x\n", "line 2: not a number"),
-        (attitude_csv.read, b"time_s,roll_deg,pitch_deg\n1,2,inf\n", "line 2: not a finite"),
-        (attitude_csv.read, b"time_s,roll_deg,pitch_deg\n", "holds no attitudes"),
+        (video.attitudes, b"time_s,roll_deg\n1,2\n", "column 'pitch_deg' is missing"),
+        (video.attitudes, b"time_s,roll_deg,pitch_deg\n1,2,x\n", "line 2: not a number"),
+        (video.attitudes, b"time_s,roll_deg,pitch_deg\n1,2,inf\n", "line 2: not a finite"),
+        (video.attitudes, b"time_s,roll_deg,pitch_deg\n", "holds no attitudes"),
     ],
 )
 def test_what_cannot_be_read_is_refused_in_one_line(read: object, content: bytes, said: str, tmp_path: Path) -> None:
