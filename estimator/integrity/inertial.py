@@ -28,6 +28,12 @@ _GYRO_WELL_RAD_S = math.radians(2.5)
 _GYRO_WINDOWS = ((10, 1.4), (14, 1.2), (20, 1.0))
 """Number of bins, and by how much the least difference grows where the window is short."""
 _STEADY = 0.8
+_REVERSED_BINS = 4
+_TURNED_RAD_S = math.radians(8.0)
+"""Least turn, a root mean square, by which a wrong sense is told."""
+_THRUST_MIN_M_S2, _SIDE_MAX_M_S2 = 2.0, 6.0
+"""What a multirotor in the air feels: its thrust along the body's own vertical axis, and little across it."""
+_PERSISTS_GROSS = 2
 _ACCEL_M_S2, _ACCEL_ALONE_M_S2, _ACCEL_SIDE_M_S2 = 1.5, 2.4, 1.8
 """Least difference of the accelerometer: a filter takes less for its bias. A deck in a high sea accelerates by 2 m/s^2."""
 _USUAL_MIN = 15
@@ -204,11 +210,27 @@ def _judged_gyro(state: Inertial) -> Inertial:
         off = math.hypot(*(math.fsum(b.off[i] for b in second) / max(1, len(second)) for i in range(3)))
         well = fault.well + 1 if second and off < _GYRO_WELL_RAD_S else 0
         return replace(state, gyro_fault=None if well >= _WELL else replace(fault, well=well))
+    reversed_in = _reversed_axis(bins[-_REVERSED_BINS:])
+    if reversed_in:
+        return replace(state, gyro_fault=LyingHalf("gyro", f"turns the wrong way in {reversed_in}"), named=state.named + 1)
     for n, by in _GYRO_WINDOWS:
         what = _gyro_lies(state.parity, bins[-n:], by) if len(bins) >= n else ""
         if what:
             return replace(state, gyro_fault=LyingHalf("gyro", what), named=state.named + 1)
     return state
+
+
+def _reversed_axis(bins: tuple[Bin, ...]) -> str:
+    """Return the axis about which the gyro turns against the attitude; empty if about none."""
+    if len(bins) < _REVERSED_BINS:
+        return ""
+    for i, axis in enumerate(("roll", "pitch", "yaw")):
+        turned = [b.w[i] - b.off[i] for b in bins]
+        square = math.fsum(a * a for a in turned)
+        along = math.fsum(b.w[i] * a for b, a in zip(bins, turned, strict=True))
+        if square > _TURNED_RAD_S**2 * len(bins) and along < -0.5 * square:
+            return axis
+    return ""
 
 
 def _gyro_lies(p: Parity, bins: tuple[Bin, ...], by: float) -> str:
@@ -230,7 +252,7 @@ def _gyro_lies(p: Parity, bins: tuple[Bin, ...], by: float) -> str:
             return f"turns about {abs(math.degrees(value)):.0f} deg/s too {'much' if value > 0 else 'little'} in {axis}"
     if steady[2] and abs(off[2]) > by * _GYRO_YAW_RAD_S:
         seen = _turn_seen(p, bins[0].t)
-        gyro = math.fsum(b.rate_down for b in bins) / n
+        gyro = math.fsum(b.w[2] for b in bins) / n
         if seen is not None and abs(seen - gyro) > 0.6 * abs(off[2]) and abs(seen - gyro + off[2]) < _SHARE * abs(off[2]):
             return f"turns about {abs(math.degrees(off[2])):.0f} deg/s too {'much' if off[2] > 0 else 'little'} in yaw"
     return ""
@@ -253,7 +275,10 @@ def _judged_accel(state: Inertial) -> Inertial:
     if fault is not None:
         well = fault.well + 1 if off.agrees_with(usual) else 0
         return replace(state, accel_fault=None if well >= _WELL else replace(fault, well=well))
-    what, needed = ("", 1) if usual.n < _USUAL_MIN else _accel_lies(off, usual, p.bins[-1])
+    x, y, z = p.bins[-1].f
+    what, needed = _accel_lies(off, usual, p.bins[-1])
+    if z > -_THRUST_MIN_M_S2 or math.hypot(x, y) > _SIDE_MAX_M_S2:
+        what, needed = "feels no thrust where it has to", _PERSISTS_GROSS
     if not what:
         return replace(state, accel_against=0, usual=usual.after(off))
     against = state.accel_against + 1
@@ -287,6 +312,8 @@ def _widened(found: Slope | None, sigma: float) -> Slope | None:
 def _accel_lies(off: Differences, usual: Usual, newest: Bin) -> tuple[str, int]:
     """Return what the accelerometer does, empty if it is not accused; and how many bins in a row have to say so."""
     ground, deck = off.ground, off.deck
+    if usual.n < _USUAL_MIN:
+        return "", 1
     if ground is not None:
         a = ground.value - usual.down
         agrees = deck is None or ((deck.value - usual.down) * a > 0.0 and abs(deck.value - usual.down) > _SHARE * abs(a))

@@ -42,8 +42,8 @@ class Bin(NamedTuple):
     dv: Vec3
     off: Vec3
     """Rate of the gyro less that of the attitude, rad/s in `body`."""
-    rate_down: float
-    """Mean rate of the gyro about the body's down axis, rad/s."""
+    w: Vec3
+    """Mean rate of the gyro, rad/s in `body`."""
     f: Vec3
     """Mean specific force in `body`, m/s^2."""
     up: Vec3
@@ -184,7 +184,7 @@ def _binned(p: Parity, end: Attitude, imus: list[Imu], span_s: float) -> Parity:
     off = wx - rx / span_s, wy - ry / span_s, wz - rz / span_s
     (c, _, _), (q, _, _), (x, y, z) = end.R_ned_body.matrix.tolist()
     n = max(1e-9, math.hypot(c, q))
-    made = Bin(t0, span_s, v, s, dv, off, wz, (f0, f1, f2), (x, y, z), (c / n, q / n))
+    made = Bin(t0, span_s, v, s, dv, off, (wx, wy, wz), (f0, f1, f2), (x, y, z), (c / n, q / n))
     middle = (t0 + t1) // 2
     baro = p.baro
     if p.heights:
