@@ -24,6 +24,7 @@ class ReasonCause(Enum):
     FELT = "contact felt, a step of {measured:.1f} m/s^2"
     HELD_UP = "contact: held up by {measured:.1f} m/s against the commands"
     REPORTED = "the vehicle reports contact"
+    REACHED = "contact: by sight and what was reckoned since, the feet are {measured:.2f} m over the deck"
     PRESSED = "pressed on for {measured:.1f} s"
     HIGH_ENOUGH = "{measured:.1f} m over the deck"
     VESSEL_FAR = "the vessel was {measured:.0f} m away"
@@ -62,6 +63,10 @@ class ReasonCause(Enum):
     DRIFTED = "it drifted {measured:.2f} m off the pad while landing (limit {limit:.2f} m)"
     PAST_DECK = "it came down {measured:.2f} m past the deck"
     NOT_CLIMBING = "it did not climb within {limit:.0f} s"
+    ROSE_AGAINST = "ordered down it rose by {measured:.1f} m within {limit:g} s"
+    SANK_AGAINST = "ordered up it sank by {measured:.1f} m within {limit:g} s"
+    ANSWERS_LATE = "the vehicle answers {measured:.2f} s late (limit {limit:g} s)"
+    STARVED = "guidance stood still for {measured:.1f} s of this try (limit {limit:g} s)"
 
     ERROR = "{measured:.2f} m off the centre (limit {limit:g} m)"
     ERROR_AHEAD = "{measured:.2f} m off the centre at the contact to come (limit {limit:g} m)"

@@ -43,6 +43,10 @@ _BY_CAUSE: dict[ReasonCause, str] = {
     _C.OFF_DECK: _SEA,
     _C.DRIFTED: "Wait for less wind, or turn the ship's bow into it.",
     _C.PAST_DECK: "Look where the drone is and take over by hand: the height over the deck is wrong.",
+    _C.ROSE_AGAINST: "A sensor lies or the wind lifts it: take over by hand, and look at accelerometer and range sensor.",
+    _C.SANK_AGAINST: "Take over by hand: the vehicle does not climb. Look at battery, propellers and load.",
+    _C.ANSWERS_LATE: "Look at the link to the vehicle and at the load of the computer (decklander doctor).",
+    _C.STARVED: "End other programs on the drone's computer; see that it is cool and has power.",
     _C.NOT_CLIMBING: "Take over by hand: the vehicle does not climb. Look at battery, propellers and load.",
     _C.ERROR: "Wait for less wind; if it stays so, check the vehicle's response (decklander calibrate vehicle).",
     _C.ERROR_AHEAD: "Wait for less wind; if it stays so, check the vehicle's response (decklander calibrate vehicle).",
@@ -70,6 +74,7 @@ _BY_ALERT: dict[IntegrityAlert, str] = {
     _A.STAMPS: _CLOCK,
     _A.ELSEWHERE: "Look whether there is a second pad; begin again to land on the one that is seen.",
     _A.RANGE: "Check focal length and pad size; look for something under the range sensor.",
+    _A.DECK: "Land by hand: the accelerometer may lie (decklander doctor).",
     _A.HEIGHT: "Check focal length and pad size; a gust into the barometer passes.",
 }
 _BY_FRAMES: dict[Verdict, str] = {

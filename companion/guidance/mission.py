@@ -56,8 +56,8 @@ _CONE: Table = {
         _E.SIGHT: _S.INTERCEPT,
     },
     _S.GO_AROUND: {
-        **_FLIGHT, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.NO_CONDITIONS: _S.REFUSED, _E.HOPELESS: _S.GAVE_UP, _E.TIMEOUT: _S.GAVE_UP,
-        _E.CLEAR: _S.INTERCEPT,
+        **_FLIGHT, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.CONTACT: _S.PRESS, _E.NO_CONDITIONS: _S.REFUSED, _E.HOPELESS: _S.GAVE_UP,
+        _E.TIMEOUT: _S.GAVE_UP, _E.CLEAR: _S.INTERCEPT,
     },
     _S.ANOTHER_PAD: {**_FLIGHT, _E.BEGIN: _S.SEARCH, _E.TIMEOUT: _S.GAVE_UP},
     _S.LANDED: _NEXT,
@@ -72,6 +72,7 @@ _THESIS: Table = {
     **_CONE,
     _S.GATE: {**_CONE[_S.GATE], _E.GATE_OPEN: _S.DOWN},
     _S.DOWN: {**_CONE[_S.DOWN], _E.OTHER_PAD: _S.ANOTHER_PAD},
+    _S.GO_AROUND: {event: target for event, target in _CONE[_S.GO_AROUND].items() if event is not _E.CONTACT},
 }
 
 

@@ -2,8 +2,9 @@
 
 from msgspec.structs import replace
 
-from companion.base.mission import ENDED, Event, StateChange
+from companion.base.mission import ENDED, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
+from companion.guidance.controller import Target
 from companion.guidance.mission import TABLES
 from companion.guidance.progress import Progress, entered
 from companion.guidance.situation import GuidanceCycle
@@ -15,6 +16,9 @@ from estimator.contracts.time import MonoNs
 
 _MOST = 4
 """Most transitions in one cycle; what is left is taken in the next."""
+
+_ORDERS = (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.GO_AROUND)
+"""States whose orders the height is compared with."""
 
 Transitions = tuple[StateChange, ...]
 
@@ -34,6 +38,9 @@ def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_grou
         changes.append(change)
         p = moved
     p, wanted = aim(p, s, o, over_ground=over_ground)
+    if p.in_sight and p.state in _ORDERS:
+        rate = wanted.descent_rate_m_s if isinstance(wanted, Target) else None
+        p = replace(p, course=p.course.ordered(rate))
     return p, wanted, tuple(changes)
 
 

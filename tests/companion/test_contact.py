@@ -78,7 +78,7 @@ def felt(watch: ContactWatch, ms: float, up: float) -> ContactWatch:
 def test_a_memory_begins_with_nothing_and_the_mean_with_the_first_sample() -> None:
     nothing = ContactWatch()
     assert nothing == ContactWatch(None, 0.0, None, 0.0, 0.0, None)
-    assert felt(nothing, 7.0, 9.0) == ContactWatch(MonoNs(7_000_000), 9.0)
+    assert felt(nothing, 7.0, 9.0) == ContactWatch(MonoNs(7_000_000), 9.0, up_m_s2=9.0)
 
 
 @pytest.mark.parametrize(("gap_ms", "begins"), [(-1, True), (0, True), (1, False), (150, False), (150.1, True)])

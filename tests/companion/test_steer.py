@@ -139,7 +139,7 @@ def test_at_the_gate_it_flees_a_deck_that_rises_faster_than_it_climbs(swell_m_s:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.4, -2.5])
-@pytest.mark.parametrize(("height_m", "aside_m"), [(4.0, 0.3), (0.5, 0.075), (-0.1, 0.0)])
+@pytest.mark.parametrize(("height_m", "aside_m"), [(4.0, 0.3), (0.5, 0.075), (0.35, 0.0525)])
 def test_a_go_around_climbs_on_the_clear_side_whatever_the_heading(yaw: float, height_m: float, aside_m: float) -> None:
     found = target(State.GO_AROUND, known((0.1, 0.1, height_m), yaw=yaw), guided(tries={"clear_side_deg": 110.0}))
     assert (found.descent_rate_m_s, found.d_body_pad_level[2]) == (-0.5, 2.0)
