@@ -256,8 +256,9 @@ class LandingGuidance:
         near = self._range
         range_m = None if near is None or seconds_between(near.stamp.measured_at, now) > _RANGE_S else near.range_m
         s = GuidanceCycle(
-            now, knowledge, battery, lean, self._quality, self._frames, place, silent_s, self._contact.feels, range_m
-        )
+            now, knowledge, battery, lean, self._quality, self._frames, place, silent_s, self._contact.feels,
+            self._response.late_s, range_m,
+        )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes
         target = aim if isinstance(aim, Target) else None

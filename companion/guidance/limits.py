@@ -28,6 +28,8 @@ _DECK_SIGMAS = 2.0
 """Standard deviations that a motion of the deck has to be beyond them."""
 _FRICTION = 0.5
 """Friction between feet and deck, of its weight; wet steel has less, rubber more."""
+_COMMIT_SPEED = 1.5
+"""Speed against the deck that ends a commit while it can, over the gate's limit: feet that meet the deck faster slide."""
 ON_PAD = 1.4
 """Share of the commit's limit beside the centre at which a vehicle that touches the deck may come to stand: a rim remains."""
 
@@ -124,10 +126,13 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     # So low that it touches the deck in any case, a vehicle that comes to stand on the pad is better off there.
     beside = (ReasonCause.ERROR, estimate.lateral_m, limits.commit_error_m)
     lands = (ReasonCause.ERROR, stop_m(estimate), ON_PAD * limits.commit_error_m)
+    v = estimate.v_pad_level
+    speed = math.hypot(v[0], v[1]) if turns else None
     return _first(
         [
             (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.commit_sighting_age_s),
             beside if turns else lands,
+            (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED * limits.relative_speed_m_s),
             # What was within the limit at the gate may lean a little further until the contact.
             (ReasonCause.DECK_TILT, tilt_deg, limits.deck_tilt_gate_deg),
         ]

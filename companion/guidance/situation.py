@@ -56,6 +56,8 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     """Time since the newest sample of the vehicle: while it is silent, nobody knows that it obeys."""
     feels: bool = True
     """Whether the accelerometer is alive, so that its silence tells that nothing was touched."""
+    late_s: float | None = None
+    """How late the vehicle answers, where that is too late to be flown; None otherwise."""
     range_m: float | None = None
     """The newest range to the surface below; None without a fresh one."""
 

@@ -14,6 +14,7 @@ from companion.guidance.controller import Impact
 from companion.guidance.held_course import LASTS_S, HeldCourse
 from companion.guidance.held_up import HELD_S
 from companion.guidance.progress import Progress
+from companion.guidance.response_watch import DELAY_MAX_S
 from companion.guidance.situation import GuidanceCycle, of_frames, unfit
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import RelativeState
@@ -48,6 +49,8 @@ _TOUCHES_MOST = 4
 """Number of bounces after which a contact in a go-around is none to press on."""
 _AT_DECK_M = 0.1
 """Height of the feet up to which it is better to press on than to climb, once the commit's sight is too old, m."""
+_TILTS_FAR = 3.0
+"""Tilt of the deck over the gate's limit beyond which the tries end with the present one."""
 _FASTEST_M_S = 1.0
 """Vertical speed of a vehicle whose law does not say, m/s."""
 _REASON_STANDS_S = 2.0
@@ -72,6 +75,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         return p
     if p.state is State.RENDEZVOUS:
         p = replace(p, on_way=s.at)
+    p = replace(p, attempt=p.attempt.cycle(since_last_s))
     if p.state in _CHARGED:
         p = replace(p, attempt=_CHARGED[p.state](p.attempt, since_last_s))
     if s.place is not None:
@@ -213,13 +217,15 @@ def _of_contact(felt: Impact) -> Reason:
 
 
 def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
-    """Yield what ends the flight's tries: the wind at once, the battery before the first try, the rest before the next."""
+    """Yield what ends the flight's tries: wind and late answers at once, the battery before it begins, the rest between tries."""
     if p.state is State.GO_AROUND and not clear(p, s, o):
         return
     lean_deg = None if s.lean_rad is None else math.degrees(s.lean_rad)
     slow = p.on_way is None or seconds_between(p.on_way, s.at) > _LEAN_SETTLES_S
     if slow and lean_deg is not None and lean_deg > o.limits.wind_lean_deg:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.WIND, lean_deg, o.limits.wind_lean_deg)
+    if s.late_s is not None:
+        yield Event.NO_CONDITIONS, Reason(ReasonCause.ANSWERS_LATE, s.late_s, DELAY_MAX_S)
     if p.state in (State.SEARCH, State.RENDEZVOUS) and isinstance(s.vessel, Reason) and fit_in(p.state, s, o) is not None:
         known = max((at for at in (p.since, p.place_known) if at is not None), default=s.at)
         if seconds_between(known, s.at) > o.rendezvous.lost_s:
@@ -405,7 +411,10 @@ def _judged(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     if blocked is not None:
         if p.waits_since is None or seconds_between(p.waits_since, s.at) >= _REASON_STANDS_S:
             p = replace(p, waits_for=blocked, waits_since=s.at)
-        return replace(p, blocked=blocked, good_since=None)
+        tilts = blocked.measured if blocked.cause is ReasonCause.DECK_TILT else None
+        # A deck that leans this far in its swing is not still for as long as a commit takes: one wait for it is enough.
+        refusing = p.refusing or (tilts is not None and tilts > _TILTS_FAR * o.limits.deck_tilt_gate_deg)
+        return replace(p, blocked=blocked, good_since=None, refusing=refusing)
     return replace(p, blocked=None, good_since=s.at if p.good_since is None else p.good_since)
 
 
