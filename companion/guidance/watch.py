@@ -278,6 +278,15 @@ def _against(p: Progress, s: GuidanceCycle) -> Reason | None:
     return Reason(ReasonCause.ROSE_AGAINST if p.course.sign > 0 else ReasonCause.SANK_AGAINST, against_m, LASTS_S)
 
 
+def _search_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return that the pad was not seen within the time since the order, all ways to the ship and searches together."""
+    if p.asked_at is None or p.landing_began is not None:
+        return None
+    limit_s = o.tries.search_s + (o.rendezvous.time_s if o.rendezvous.enabled else 0.0)
+    spent_s = seconds_between(p.asked_at, s.at)
+    return Reason(ReasonCause.NOT_FOUND, spent_s, limit_s) if spent_s > limit_s else None
+
+
 def off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     """Return that it is in the air again after the contact; only a fresh sight of the pad tells, for blind the height drifts."""
     estimate, most_m = s.estimate, o.cone.gate_m + _OFF_DECK_M
@@ -308,6 +317,8 @@ def _lease(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
 
 def _time_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: float) -> Iterator[EventWithReason]:
     tries = o.tries
+    if p.state in (State.SEARCH, State.RENDEZVOUS) and (over := _landing_over(p, s, o) or _search_over(p, s, o)) is not None:
+        yield Event.TIMEOUT, over
     if p.state in (State.HOLD_BLIND, State.SEARCH):
         limit_s, cause = (
             (tries.give_up_after_s, ReasonCause.NOT_FOUND_AGAIN)
