@@ -13,6 +13,8 @@ class ReasonCause(Enum):
     VEHICLE_FLIES = "the vehicle flies"
     VEHICLE_STANDS = "the vehicle stands on the ground"
     MOTORS_CUT = "the vehicle cut its motors"
+    TAKEN_OVER = "{detail:s}"
+    GIVEN_BACK = "the vehicle was given back"
     OPERATOR = "by the operator's order"
     AUTOMATIC = "the settings say to begin by itself"
 
@@ -127,8 +129,8 @@ class Reason(Struct, frozen=True):
     measured: float | None = None
     """In the unit that the cause's text names."""
     limit: float | None = None
-    detail: IntegrityAlert | Verdict | None = None
-    """The alert, or the verdict on most of the frames, where the cause is about one."""
+    detail: IntegrityAlert | Verdict | str | None = None
+    """The alert, the verdict on most of the frames, or the vehicle's own words, where the cause is about one."""
 
     @property
     def text(self) -> str:
@@ -136,7 +138,7 @@ class Reason(Struct, frozen=True):
         if isinstance(self.detail, Verdict):
             detail = _FRAME_WORDS[self.detail]
         else:
-            detail = "" if self.detail is None else self.detail.value
+            detail = "" if self.detail is None else self.detail if isinstance(self.detail, str) else self.detail.value
         numbers = {"measured": _or_nan(self.measured), "limit": _or_nan(self.limit)}
         return self.cause.value.format(detail=detail, **numbers)
 

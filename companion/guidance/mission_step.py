@@ -59,6 +59,11 @@ def reported(p: Progress, status: VehicleStatus, o: GuidanceOptions) -> tuple[Pr
             return replace(p, stood=True), ()
         by_us = Event.GROUNDED if p.ordered else Event.GROUNDED_BY_OTHERS
         return _taken(p, by_us, Reason(ReasonCause.VEHICLE_STANDS), at, o)
+    # A report from before the order to begin tells of the flight before.
+    if status.taken is not None and (p.asked_at is None or at > p.asked_at):
+        return _taken(p, Event.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
+    if status.taken is None and p.state is State.TAKEN and not p.stood:
+        return _taken(p, Event.BEGIN, Reason(ReasonCause.GIVEN_BACK), at, o)
     if status.flying is None or (p.state in ENDED and not p.stood):
         return p, ()
     next_one = p.state in ENDED

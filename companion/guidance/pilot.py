@@ -9,7 +9,7 @@ from typing import Any
 
 from msgspec import structs
 
-from companion.base.mission import FLOWN, REFUSALS, Event, FlightOutcome, State
+from companion.base.mission import AGAIN, FLOWN, Event, FlightOutcome, State
 from companion.base.observer import Decision, DeckOutlook
 from companion.guidance.arbiter import OperatorArbiter
 from companion.guidance.controller import Controller, Knowledge
@@ -134,7 +134,7 @@ class Pilot:
     @property
     def may_try_again(self) -> bool:
         """Whether `begin` resumes the flight although it has an outcome."""
-        return self.outcome in REFUSALS
+        return self.outcome in AGAIN
 
     def begin(self) -> None:
         """Start the approach for the operator, or resume it after a pause.

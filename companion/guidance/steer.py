@@ -95,7 +95,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
     """
     if p.state in GROUND:
         return p, None
-    if not p.begun:
+    if not p.begun or p.state is State.TAKEN:
         # A velocity would take an autopilot from whoever flies it; a hover takes nothing.
         return p, Hover()
     estimate = s.estimate
@@ -160,7 +160,8 @@ def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
     rate = -o.tries.climb_m_s
     estimate = usable(s, o.tries, o.stale_after_s)
     fastest = max(o.tries.climb_m_s, s.knowledge.climb_max_m_s or 0.0)
-    if estimate is None or (p.track is not None and estimate.track != p.track):
+    old = estimate is not None and estimate.age_s(s.at) > o.tries.climb_after_s
+    if estimate is None or old or (p.track is not None and estimate.track != p.track):
         rising = 0.0 if over_ground else rising_m_s(s.knowledge)
         begun_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
         lifts = p.entered_height_m - o.cone.feet_below_m + begun_s * fastest < _LIFT_M

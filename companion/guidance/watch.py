@@ -467,4 +467,4 @@ def _question(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Eve
 def climbs_from_question(p: Progress, now: MonoNs, o: GuidanceOptions) -> bool:
     """Return whether the drone is still on its way up to the safe height while the operator is asked."""
     climbed_m = 0.0 if p.since is None else (seconds_between(p.since, now) - p.unheard_s) * o.tries.climb_m_s
-    return climbed_m < o.tries.safe_height_m - p.entered_height_m
+    return climbed_m < o.tries.safe_height_m - max(0.0, p.entered_height_m)

@@ -13,7 +13,7 @@ MISSIONS = sorted(TABLES)
 PAIRS = [(name, state, event) for name in MISSIONS for state, event in product(State, Event)]
 REPORTS = {Event.CUT: State.EMERGENCY, Event.GROUNDED: State.LANDED, Event.GROUNDED_BY_OTHERS: State.LANDED_BY_OTHERS}
 AIRBORNE = set(State) - GROUND - ENDED
-AGAIN = {State.REFUSED, State.GAVE_UP}
+AGAIN = {State.GAVE_UP, State.REFUSED, State.TAKEN}
 """Ends after which the operator may begin again in the air."""
 
 
