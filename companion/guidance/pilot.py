@@ -302,8 +302,8 @@ class Pilot:
         return self.landing.knowledge(now, relative, (body, deck), self.forecast)
 
     def _why(self, belief: RelativeState | None) -> str:
-        """Return the machine's reason and the estimate's alerts as text."""
-        alerts = () if belief is None else tuple(alert.value for alert in belief.alerts)
+        """Return the machine's reason, the estimate's alerts and the sensors that it does without, as text."""
+        alerts = () if belief is None else (*(alert.value for alert in belief.alerts), *belief.lost)
         return "; ".join(dict.fromkeys((self.landing.reason, *alerts) if self.landing.reason else alerts))
 
 

@@ -145,6 +145,7 @@ def belief(of: rec.BeliefRecord) -> RelativeState:
         tuple((d.name, d.value) for d in of.details),
         of.track,
         tuple(_alert_named(name) for name in of.alerts),
+        tuple(of.lost),
     )
 
 

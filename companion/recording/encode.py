@@ -142,6 +142,7 @@ def belief(of: RelativeState) -> rec.BeliefRecord:
         of.yaw_rad,
         of.track,
         [alert.name.lower() for alert in of.alerts],
+        list(of.lost),
     )
 
 
