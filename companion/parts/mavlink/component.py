@@ -61,6 +61,7 @@ _SEVERITIES = {
         State.ANOTHER_PAD: MavSeverity.ERROR,
         State.REFUSED: MavSeverity.CRITICAL,
         State.GAVE_UP: MavSeverity.CRITICAL,
+        State.TAKEN: MavSeverity.CRITICAL,
         State.EMERGENCY: MavSeverity.CRITICAL,
     }.items()
 }
