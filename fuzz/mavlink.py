@@ -30,7 +30,7 @@ from companion.settings.model import Settings
 from drivers.mailbox import Line
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.endpoint import Endpoint, parse_endpoint
+from drivers.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.signing import Signing, SigningKey, load_key

@@ -16,7 +16,7 @@ from companion.base.mission import State
 from companion.parts.metrics import endpoint
 from companion.settings.load import from_mapping
 from drivers.clock import SystemClock
-from drivers.mavlink.endpoint import parse_endpoint
+from drivers.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, open_links
 from drivers.nmea.sentences import KNOT_M_S
 from estimator.contracts.errors import BadInput

@@ -12,7 +12,6 @@ import logging
 import math
 import socket
 import ssl
-import threading
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
@@ -28,59 +27,8 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from companion.settings import secret_files
 from companion.settings.mqtt import MqttSettings
 from companion.settings.tls import tls_context
+from drivers.resolve import Address, resolve
 from estimator.contracts.errors import Recoverable
-
-Address = tuple[Any, Any, int, str, Any]
-"""The family, kind, protocol, canonical name and address that `socket.getaddrinfo` returns."""
-
-_asking: set[str] = set()
-"""The hosts that a thread is still resolving: one thread each, however often a caller retries."""
-
-
-async def resolve(host: str, port: int, timeout_s: float) -> list[Address]:
-    """Return the addresses to connect to, the best first.
-
-    Raises:
-        Recoverable: there is no such host, or no answer came within `timeout_s`.
-    """
-    if host in _asking:
-        raise Recoverable(f"broker {host}: its address is still being asked for")
-    loop = asyncio.get_running_loop()
-    found: asyncio.Future[list[Address]] = loop.create_future()
-
-    def ask() -> None:
-        addresses: list[Address] = []
-        why = ""
-        try:
-            addresses = list(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM))
-        except (OSError, UnicodeError) as error:
-            why = str(getattr(error, "strerror", None) or error)
-        finally:
-            _asking.discard(host)
-        # The loop may have ended in the meantime.
-        with suppress(RuntimeError):
-            loop.call_soon_threadsafe(settle, addresses, why)
-
-    def settle(addresses: list[Address], why: str) -> None:
-        if found.done():
-            return
-        if addresses:
-            found.set_result(addresses)
-        else:
-            found.set_exception(Recoverable(f"broker {host}:{port}: {why or 'no address'}"))
-
-    _asking.add(host)
-    try:
-        threading.Thread(target=ask, name="resolve", daemon=True).start()
-    except RuntimeError as why:
-        _asking.discard(host)
-        raise Recoverable(f"broker {host}: {why}") from why
-    try:
-        async with asyncio.timeout(timeout_s):
-            return await found
-    except TimeoutError as why:
-        raise Recoverable(f"broker {host}:{port}: no answer from the resolver within {timeout_s:g} s") from why
-
 
 INCOMING = 64
 """The number of incoming messages that may wait before further ones are discarded."""
@@ -301,7 +249,10 @@ async def connect(
     Raises:
         Recoverable: the broker cannot be reached, or refuses us.
     """
-    addresses = await resolve(endpoint.host, endpoint.port, endpoint.timeout_s)
+    try:
+        addresses = await resolve(endpoint.host, endpoint.port, endpoint.timeout_s)
+    except Recoverable as why:
+        raise Recoverable(f"broker {why}") from why
     connection = Connection(endpoint, identifier, will, incoming)
     connection.dial_to(addresses)
     try:

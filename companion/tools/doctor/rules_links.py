@@ -3,7 +3,7 @@
 from companion.settings.mission import ConeOptions
 from companion.tools.doctor.finding import Finding, Rule, advice, error, warning
 from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
-from drivers.mavlink.endpoint import parse_endpoint
+from drivers.endpoint import parse_endpoint
 from drivers.mavlink.requests import INSTEAD
 
 ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")

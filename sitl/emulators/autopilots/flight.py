@@ -24,7 +24,7 @@ from companion.settings.model import Settings
 from drivers.camera.exposure import ExposureSetting
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.endpoint import parse_endpoint
+from drivers.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput, Recoverable

@@ -19,7 +19,7 @@ from drivers.clock import SystemClock
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.endpoint import parse_endpoint
+from drivers.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
