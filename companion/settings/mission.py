@@ -83,9 +83,7 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
     deck_tilt_commit_deg: Annotated[
         float, number("largest tilt of the deck that is forecast for the contact", "deg", 0.1, 45.0)
     ] = 1.5
-    deck_rate_m_s: Annotated[float, number("largest vertical speed of the deck at the gate", "m/s", 0.05, 10.0, public=True)] = (
-        1.2
-    )
+    deck_rate_m_s: Annotated[float, number("largest vertical speed of the deck at the gate", "m/s", 0.05, 10.0)] = 1.2
     deck_rise_m: Annotated[
         float,
         number(

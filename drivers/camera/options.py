@@ -67,7 +67,7 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         ),
     ] = ""
     buffers: Annotated[int, number("frames of v4l2 that the kernel may hold", "buffers", 2, 32)] = 4
-    repeat: Annotated[bool, choice("whether a video file starts again at its end")] = False
+    repeat: Annotated[bool, choice("whether a video file starts again at its end", public=True)] = False
     latency_s: Annotated[
         float,
         number(
