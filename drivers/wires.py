@@ -1,8 +1,8 @@
 """Open ways for bytes: UDP, TCP and serial ports in the event loop. None of them blocks.
 
 A line that is slow, or stands still, gets what is new: a `SendQueue` is bounded in time. Messages wait in it unpacked, so that
-their sequence numbers and signing times are those of the order in which they go. Bytes in the kernel cannot be taken back: no
-more are given to it while the oldest of them wait too long.
+their sequence numbers and signing times are those of the order in which they go. The kernel is given no
+more bytes while the oldest of them wait too long, and those for a serial line that stands still are taken back.
 Names are looked up on a thread, again for each opening; each of a name's addresses is tried.
 """
 
@@ -37,6 +37,8 @@ QUEUE_S = 0.2
 _QUEUE_MAX = 512
 _SERIAL_S, _TCP_S = 0.1, 0.5
 """Age of the oldest byte in the kernel's own queue at which no more is given to it; TCP's are acknowledged over a network."""
+_STILL_S = 0.3
+"""Age of a byte that waits for a serial line at which the line counts as standing still, and the kernel's queue is emptied."""
 _PUMP_S = 0.02
 _DATAGRAMS_MAX = 2048
 """Bytes of datagrams that may wait: the kernel takes them at once, unless the device has stopped."""
@@ -311,7 +313,17 @@ class _Serial(_Paced):
             self._pump()
 
     def _takes_more(self, now: MonoNs) -> bool:
-        return not self._rest and super()._takes_more(now)
+        takes_more = super()._takes_more(now)
+        if not takes_more and seconds_between(self._written[0][0], now) > _STILL_S:
+            # The frame that is cut in two costs less than old ones would.
+            with suppress(OSError, termios.error):
+                termios.tcflush(self._fd, termios.TCOFLUSH)
+            self._counts.late += len(self._written)
+            self._written.clear()
+            self._rest.clear()
+            self._loop.remove_writer(self._fd)
+            return True
+        return takes_more and not self._rest
 
     def _unsent(self) -> int:
         return len(self._rest) + _in_kernel(self._fd)
