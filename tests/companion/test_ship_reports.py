@@ -104,6 +104,7 @@ async def test_among_garbage_it_flies_astern_of_her_searches_and_waits_level_whe
         fake, pilot = service.fake, service.pilot
         with udp() as ship, udp() as forger:
             await tell(ship, lambda: pilot.state is State.RENDEZVOUS)
+            forger.bind(("127.0.0.2", 0))
             forger.sendto(rmc(30.0, np.array([-900.0, 0.0, 0.0])), (HOST, nmea))
             told_m: list[tuple[float, float]] = []
 
