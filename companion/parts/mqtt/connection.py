@@ -74,7 +74,7 @@ def client_id(drone: str, system: Path = Path("/")) -> str:
         system: the root of the file system.
     """
     digest = hashlib.sha256(b"decklander-mqtt")
-    hardware = sorted(system.glob("sys/class/net/*/device/../address"))
+    hardware = [device.parent / "address" for device in sorted(system.glob("sys/class/net/*/device"))]
     for path in (system / "etc/machine-id", system / "proc/device-tree/serial-number", *hardware):
         with suppress(OSError):
             digest.update(path.read_bytes())
