@@ -35,6 +35,7 @@ _log = logging.getLogger(__name__)
 _Result = TypeVar("_Result")
 _NEWEST_ONLY = frozenset({"SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET", "LANDING_TARGET"})
 """Messages of which only the newest is worth sending over a line that is slow."""
+_ECHO_S = 10.0
 _PLACES_MAX = 256
 _QUIET_S = 10.0
 
@@ -213,6 +214,7 @@ class Link:
             self._links.refuse(why)
             return b""
         self.counters.bytes_out += len(data)
+        self._links.note_sent(message)
         self._links.notify_tap(self._clock.now(), self.endpoint, "out", data, message)
         return data
 
@@ -347,6 +349,9 @@ class Links:
         self, options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], capacity: int, access: NamedSenders
     ) -> None:
         self.access = Access(access)
+        self._clock = clock
+        self._sent: dict[tuple[int, int], MonoNs] = {}
+        """When a message of each number and sequence number was sent last."""
         self.identity = identity
         """(system, component) that messages are sent as."""
         self.tap: Tap | None = None
@@ -370,6 +375,15 @@ class Links:
         if why.field not in self.unfit:
             _log.error("MAVLink: not sent: %s", why)
         self.unfit[why.field] += 1
+
+    def note_sent(self, message: Message) -> None:
+        """Note a message that goes, so that it is known when a router sends it back."""
+        self._sent[message.get_msgId(), message.get_seq()] = self._clock.now()
+
+    def sent_by_us(self, received: ReceivedMessage) -> bool:
+        """Return whether a message with our own ids is one that was sent here lately and came back."""
+        at = self._sent.get((received.message.get_msgId(), received.message.get_seq()))
+        return at is not None and seconds_between(at, received.received_at) < _ECHO_S
 
     def identify(self, system: int, component: int) -> None:
         """Send as another system and component from now on."""

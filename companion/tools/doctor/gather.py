@@ -91,7 +91,6 @@ class _Notes:
     """Messages on the links that `Autopilot` does not keep."""
 
     heard: dict[tuple[int, int], HeardSystem] = field(default_factory=dict)
-    firmware: tuple[int, int, int] | None = None
     enabled: bool | None = None
     healthy: bool | None = None
 
@@ -99,9 +98,6 @@ class _Notes:
         m, name = received.message, received.message.get_type()
         if name == "HEARTBEAT" and len(self.heard) < _HEARD_MAX:
             self.heard[received.system, received.component] = _sender_of(received)
-        elif name == "AUTOPILOT_VERSION" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
-            v = m.flight_sw_version
-            self.firmware = (v >> 24 & 0xFF, v >> 16 & 0xFF, v >> 8 & 0xFF)
         elif name == "SYS_STATUS" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
             self.enabled = bool(m.onboard_control_sensors_enabled & _PRECLAND_BIT)
             self.healthy = bool(m.onboard_control_sensors_health & _PRECLAND_BIT)
@@ -183,10 +179,8 @@ async def _ask(autopilot: Autopilot, notes: _Notes, clock: Clock, seconds: float
     assert parameters is not None
     assert streams is not None
     say(f"{identity.stack.value}, system {identity.system}: reading parameters, asking for streams")
-    version = int(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-    autopilot.send(mav.MAVLink_command_long_message(*identity.address, mav.MAV_CMD_REQUEST_MESSAGE, 0, version, 0, 0, 0, 0, 0, 0))
-    await wait_until(clock, _VERSION_S, lambda: notes.firmware is not None)
-    parameters.request(names_in(PARAMETERS[identity.stack.value], notes.firmware))
+    await wait_until(clock, _VERSION_S, lambda: autopilot.version is not None)
+    parameters.request(names_in(PARAMETERS[identity.stack.value], _firmware(autopilot)))
 
     def answered() -> bool:
         heard = bool(parameters.values) or autopilot.counts["COMMAND_ACK"] > 0
@@ -203,6 +197,10 @@ async def _ask(autopilot: Autopilot, notes: _Notes, clock: Clock, seconds: float
     await clock.sleep(seconds)
     lasted_s = max(seconds_between(since, clock.now()), 1e-3)
     return {name: (n - before[name]) / lasted_s for name, n in autopilot.counts.items() if n > before[name]}
+
+
+def _firmware(autopilot: Autopilot) -> tuple[int, int, int] | None:
+    return None if autopilot.version is None else autopilot.version.firmware
 
 
 async def wait_until(clock: Clock, seconds: float, done: Callable[[], bool]) -> None:
@@ -240,7 +238,7 @@ def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], want
             stack=identity.stack.value,
             system=identity.system,
             others=tuple(sorted({one.system for one in heard if one.hovers} - {identity.system})),
-            firmware=notes.firmware,
+            firmware=_firmware(autopilot),
             mode=condition.mode,
             armed=condition.armed,
             flying=condition.flying,
