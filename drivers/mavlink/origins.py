@@ -4,6 +4,8 @@ A router in front of two autopilots of one id passes their messages as those of 
 counts its own sequence numbers. A message without a time belongs to the autopilot whose count it continues.
 """
 
+from __future__ import annotations
+
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,6 +27,8 @@ _REBOOT_S, _REPLACED_S = 1.0, 10.0
 _BELIEVED = 3
 _BESIDE_S = 0.5
 """Time for which two clocks must both have run on to be those of two autopilots."""
+_SLOWEST = 0.2
+"""Pace of a simulated autopilot's clock, as a part of ours, at which it still counts as a clock."""
 _OTHERS_MAX = 4
 _SEEN_MAX = 4096
 
@@ -35,10 +39,24 @@ class _Origin:
 
     newest: int
     least: int
-    first_at: MonoNs
     at: MonoNs
     sequence: int
+    first: tuple[int, MonoNs]
+    """The first time since boot, and when it came."""
     messages: int = 1
+
+    @staticmethod
+    def of(boot: int, at: MonoNs, sequence: int) -> _Origin:
+        return _Origin(boot, at - boot, at, sequence, (boot, at))
+
+    @property
+    def runs(self) -> bool:
+        """Whether it goes on as a clock does, and not as values that are made up."""
+        boot_s, lasted_s = (self.newest - self.first[0]) / NS_PER_S, seconds_between(self.first[1], self.at)
+        return lasted_s >= _BESIDE_S and _SLOWEST * lasted_s <= boot_s <= lasted_s / _SLOWEST
+
+    def alive(self, now: MonoNs) -> bool:
+        return seconds_between(self.at, now) <= (_ALIVE_S if self.messages >= _BELIEVED else _HELD_S)
 
     def fits(self, boot: int, at: MonoNs) -> bool:
         boot = self._unwrapped(boot)
@@ -92,7 +110,7 @@ class Origins:
         boot = boot_ms * 1_000_000
         main = self._main
         if main is None:
-            self._main = _Origin(boot, at - boot, at, at, sequence)
+            self._main = _Origin.of(boot, at, sequence)
             return [*self._released(lambda held: True), message]
         if main.fits(boot, at):
             main.add(boot, at, sequence)
@@ -116,7 +134,7 @@ class Origins:
         main, other = self._main, next((one for one in self._others if one.fits(boot, at)), None)
         assert main is not None
         if other is None:
-            other = _Origin(boot, at - boot, at, at, sequence)
+            other = _Origin.of(boot, at, sequence)
             self._others = [*self._alive(at)[-_OTHERS_MAX + 1 :], other]
         else:
             other.add(boot, at, sequence)
@@ -162,10 +180,10 @@ class Origins:
         return False
 
     def _alive(self, now: MonoNs) -> list[_Origin]:
-        return [one for one in self._others if seconds_between(one.at, now) <= _ALIVE_S]
+        return [one for one in self._others if one.alive(now)]
 
 
 def _beside(main: _Origin, other: _Origin) -> bool:
     """Return whether two clocks ran on beside one another: then the other is no reboot of the first."""
-    both_until = min(main.at, other.at)
-    return other.messages >= _BELIEVED and seconds_between(other.first_at, MonoNs(both_until)) >= _BESIDE_S
+    both_s = seconds_between(other.first[1], MonoNs(min(main.at, other.at)))
+    return main.runs and other.runs and both_s >= _BESIDE_S

@@ -195,7 +195,7 @@ class RateLimit:
 class VersionRequest:
     """Request AUTOPILOT_VERSION, a few times until it is answered: it has the unique id of the hardware."""
 
-    _TRIES, _RETRY_S, _AGAIN_S = 4, 2.0, 20.0
+    _TRIES, _RETRY_S, _AGAIN_S = 4, 2.0, 3.0
 
     def __init__(self) -> None:
         self.answered = False

@@ -19,7 +19,7 @@ FIRST_S = 5.0
 """Time for which an autopilot flies alone until another that flies makes it doubtful no more who is meant."""
 MOVED_S = 5.0
 """Silence of the autopilot, since it counts as lost, after which another id may be its new one."""
-_UID_S = 15.0
+_UID_S, _UIDS_MAX = 15.0, 4
 _NAMED_S = 10.0
 _DIFFERENT, _NAMESAKES = 3, 3
 _SYSTEMS_MAX = 32
@@ -67,8 +67,8 @@ class Roster:
     """The autopilots that were heard, and other users of ids that are not theirs."""
 
     options: AutopilotOptions
-    uids: dict[int, MonoNs] = field(default_factory=dict)
-    """When each hardware answered last under the autopilot's system id: more than one are two autopilots."""
+    uids: dict[int, tuple[MonoNs, int]] = field(default_factory=dict)
+    """When each hardware answered last under the autopilot's system id, and how often lately."""
     _heard: dict[int, _Heard] = field(default_factory=dict)
     _flies_alone_since: tuple[int, MonoNs] | None = None
     _first: int = 0
@@ -108,9 +108,9 @@ class Roster:
 
     def note_uid(self, uid: int, now: MonoNs) -> None:
         """Note the hardware that answered under the autopilot's id; 0 tells nothing."""
-        self.uids = {one: at for one, at in self.uids.items() if seconds_between(at, now) < _UID_S}
-        if uid:
-            self.uids[uid] = now
+        self.uids = {one: known for one, known in self.uids.items() if seconds_between(known[0], now) < _UID_S}
+        if uid and (uid in self.uids or len(self.uids) < _UIDS_MAX):
+            self.uids[uid] = now, self.uids.get(uid, (now, 0))[1] + 1
 
     def on_namesake(self, now: MonoNs) -> None:
         """Note a message that another program sent under our own system and component."""
@@ -153,8 +153,9 @@ class Roster:
             )
         if bound is None:
             return
-        if bound.several or len(self.uids) > 1:
-            known_by = f", hardware {' and '.join(f'{uid:x}' for uid in sorted(self.uids))}" if len(self.uids) > 1 else ""
+        uids = sorted(uid for uid, (at, answers) in self.uids.items() if answers > 1 and seconds_between(at, now) < _UID_S)
+        if bound.several or len(uids) > 1:
+            known_by = f", hardware {' and '.join(f'{uid:x}' for uid in uids)}" if len(uids) > 1 else ""
             yield Doubt(
                 "autopilot-id-twice",
                 f"two autopilots have one id behind one link: system {bound.system}{known_by}; nothing is commanded",
