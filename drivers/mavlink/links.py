@@ -112,12 +112,17 @@ class LinkCounters:
     codecs: list[CodecCounters] = field(default_factory=list)
 
     def total(self, name: str) -> int:
-        """Sum of one of `CodecCounters` over the peers: messages, lost, unknown, damaged, old_version, refused_signature."""
+        """Sum of one of `CodecCounters` over the peers, as messages, lost, unknown, damaged, old_version, refused_signature."""
         return sum(getattr(codec, name) for codec in self.codecs)
+
+    @property
+    def behind_s(self) -> float:
+        """The time by which the newest message that was refused for its time lay behind ours, s."""
+        return max((codec.behind_s for codec in self.codecs if codec.refused_time), default=0.0)
 
     def as_dict(self) -> dict[str, int]:
         """Flat, for records and telemetry."""
-        names = ("messages", "lost", "unknown", "damaged", "old_version", "refused_signature")
+        names = ("messages", "lost", "unknown", "damaged", "old_version", "refused_signature", "refused_time")
         own = {name: getattr(self, name) for name in ("bytes_in", "bytes_out", "dropped", "restarts", "unknown_senders")}
         own |= {"late": self.wire.late, "refused_datagrams": self.wire.refused}
         return own | {name: self.total(name) for name in names}
@@ -329,6 +334,7 @@ class Link:
         gone = [c for c in self.counters.codecs if id(c) not in alive]
         total = CodecCounters()
         for one in gone:
+            total.behind_s = one.behind_s
             for name in ("messages", "old_version", "lost", "unknown", "damaged", "refused_signature"):
                 setattr(total, name, getattr(total, name) + getattr(one, name))
             total.packed.update(one.packed)

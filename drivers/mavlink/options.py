@@ -76,6 +76,7 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
             "empty for $STATE_DIRECTORY/mavlink-signing-time, or memory alone without that",
             4096,
             shortest=0,
+            public=True,
         ),
     ] = ""
 

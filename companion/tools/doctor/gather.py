@@ -10,6 +10,7 @@ from companion.tools.doctor.diagnose import PARAMETERS
 from companion.tools.doctor.renamed import names_in
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
+    DoubtSnapshot,
     GimbalSnapshot,
     HeardSystem,
     LinkSnapshot,
@@ -22,7 +23,7 @@ from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.gimbal import Gimbal, tending
 from drivers.mavlink.gimbal_options import GimbalOptions
-from drivers.mavlink.links import LinkOptions, ReceivedMessage
+from drivers.mavlink.links import Link, LinkOptions, ReceivedMessage
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.requests import RATES_HZ
 from drivers.mavlink.vehicle import is_autopilot, stack_of
@@ -87,7 +88,7 @@ Say = Callable[[str], None]
 
 
 @dataclass(slots=True)
-class _Notes:
+class Notes:
     """Messages on the links that `Autopilot` does not keep."""
 
     heard: dict[tuple[int, int], HeardSystem] = field(default_factory=dict)
@@ -127,7 +128,7 @@ async def examine(
         links: the links of the options with their keys; None for those of the options without any key.
         gimbal: the camera's gimbal, which is asked for its reports and left where it points; None without one.
     """
-    notes = _Notes()
+    notes = Notes()
     began = clock.now()
     heard = None if gimbal is None or not gimbal.given else Gimbal(structs.replace(gimbal, point_down=False), clock)
     async with open_autopilot(options, clock, links) as autopilot, tending(heard, autopilot, clock):
@@ -137,7 +138,7 @@ async def examine(
         rates: dict[str, float] = {}
         if autopilot.identity is not None:
             rates = await _ask(autopilot, notes, clock, seconds, say)
-        snapshot = _snapshot(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now()))
+        snapshot = snapshot_of(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now()))
         if heard is None or snapshot.autopilot is None:
             return snapshot
         return structs.replace(snapshot, gimbal=GimbalSnapshot(heard.device_id, heard.rate_hz, dict(heard.sampler.refused)))
@@ -152,7 +153,7 @@ async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds:
         wanted: the system id that the settings ask for; 0 for any.
         seconds: how long to count messages.
     """
-    notes, began, events = _Notes(), clock.now(), autopilot.counts["EVENT"]
+    notes, began, events = Notes(), clock.now(), autopilot.counts["EVENT"]
     autopilot.add_listener(notes.on_message)
     try:
         rates: dict[str, float] = {}
@@ -160,7 +161,7 @@ async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds:
             await clock.sleep(seconds)
         else:
             rates = await _ask(autopilot, notes, clock, seconds, lambda text: None)
-        snapshot = _snapshot(autopilot, notes, rates, wanted, seconds_between(began, clock.now()))
+        snapshot = snapshot_of(autopilot, notes, rates, wanted, seconds_between(began, clock.now()))
     finally:
         autopilot.remove_listener(notes.on_message)
         if autopilot.parameters is not None:
@@ -173,7 +174,7 @@ async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds:
     return structs.replace(snapshot, autopilot=structs.replace(snapshot.autopilot, texts=texts, events=numbers))
 
 
-async def _ask(autopilot: Autopilot, notes: _Notes, clock: Clock, seconds: float, say: Say) -> dict[str, float]:
+async def _ask(autopilot: Autopilot, notes: Notes, clock: Clock, seconds: float, say: Say) -> dict[str, float]:
     identity, parameters, streams = autopilot.identity, autopilot.parameters, autopilot.streams
     assert identity is not None
     assert parameters is not None
@@ -210,26 +211,20 @@ async def wait_until(clock: Clock, seconds: float, done: Callable[[], bool]) -> 
         await clock.sleep(_POLL_S)
 
 
-def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], wanted: int, seconds: float) -> Snapshot:
+def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wanted: int, seconds: float) -> Snapshot:
+    """Return the snapshot as it is now, with the links' counters since they were opened first.
+
+    Args:
+        rates: rate of each message, Hz.
+        wanted: the system id that the settings ask for; 0 for any.
+        seconds: how long was listened.
+    """
     heard = tuple(notes.heard[ids] for ids in sorted(notes.heard))
-    links = tuple(
-        LinkSnapshot(
-            str(link.endpoint),
-            link.down,
-            link.counters.bytes_in,
-            link.counters.total("messages"),
-            link.counters.total("lost"),
-            link.counters.total("damaged"),
-            link.counters.total("old_version"),
-            link.counters.total("refused_signature"),
-            link.signed,
-            link.counters.unknown_senders,
-        )
-        for link in autopilot.links.all
-    )
+    links = tuple(link_snapshot(link) for link in autopilot.links.all)
+    doubts = tuple(DoubtSnapshot(one.name, one.what, one.fix, one.blocks) for one in autopilot.doubts)
     identity, sync = autopilot.identity, autopilot.sync
     if identity is None or sync is None:
-        return Snapshot(seconds, links, wanted_system=wanted, heard=heard)
+        return Snapshot(seconds, links, wanted_system=wanted, heard=heard, doubts=doubts)
     parameters, streams, condition = autopilot.parameters, autopilot.streams, autopilot.condition
     return Snapshot(
         seconds,
@@ -255,4 +250,26 @@ def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], want
         TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps),
         wanted_system=wanted,
         heard=heard,
+        doubts=doubts,
+    )
+
+
+def link_snapshot(link: Link) -> LinkSnapshot:
+    """Return the counters of a link since it was opened first."""
+    total, wire = link.counters.total, link.counters.wire
+    return LinkSnapshot(
+        str(link.endpoint),
+        link.down,
+        link.counters.bytes_in,
+        total("messages"),
+        total("lost"),
+        total("damaged"),
+        total("old_version"),
+        total("refused_signature"),
+        link.signed,
+        link.counters.unknown_senders,
+        total("refused_time"),
+        link.counters.behind_s,
+        wire.refused,
+        wire.late,
     )
