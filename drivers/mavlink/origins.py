@@ -114,7 +114,8 @@ class Origins:
             return [*self._released(lambda held: True), message]
         if main.fits(boot, at):
             main.add(boot, at, sequence)
-            return [*self._released(lambda held: (sequence - int(held.get_seq())) % 256 <= _NEXT_WITHIN), message]
+            others = [one.sequence for one in self._alive(at)]
+            return [*self._released(lambda held: _near(held, sequence) and not any(_near(held, n) for n in others)), message]
         return self._of_another(message, boot, at, sequence)
 
     def due(self, now: MonoNs) -> list[Message]:
@@ -138,7 +139,7 @@ class Origins:
             self._others = [*self._alive(at)[-_OTHERS_MAX + 1 :], other]
         else:
             other.add(boot, at, sequence)
-        self._released(lambda held: (sequence - int(held.get_seq())) % 256 <= _NEXT_WITHIN)
+        self.left_out += len(self._released(lambda held: _near(held, sequence) and not _near(held, main.sequence)))
         silence_s = _REPLACED_S if _beside(main, other) else _REBOOT_S
         if other.messages < _BELIEVED or seconds_between(main.at, at) < silence_s:
             self.left_out += 1
@@ -181,6 +182,11 @@ class Origins:
 
     def _alive(self, now: MonoNs) -> list[_Origin]:
         return [one for one in self._others if one.alive(now)]
+
+
+def _near(message: Message, sequence: int) -> bool:
+    """Return whether a message may be of the autopilot that counted so far."""
+    return min((sequence - int(message.get_seq())) % 256, (int(message.get_seq()) - sequence) % 256) <= _NEXT_WITHIN
 
 
 def _beside(main: _Origin, other: _Origin) -> bool:

@@ -179,7 +179,8 @@ class Roster:
         others = [system for system in alive if system != bound.system]
         if self.options.system_id or not others:
             return
-        named = " and ".join(f"system {system} ({self._heard[system].stack})" for system in sorted({bound.system, *others}))
+        stacks = {system: f" ({one.stack})" for system, one in self._heard.items()}
+        named = " and ".join(f"system {system}{stacks.get(system, '')}" for system in sorted({bound.system, *others}))
         flying = [system for system in alive if self._heard[system].flies]
         if bound.lost:
             yield Doubt(
