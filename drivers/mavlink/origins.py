@@ -7,7 +7,6 @@ counts its own sequence numbers. A message without a time belongs to the autopil
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.mavlink.boot_clock import MS_WRAP_NS
@@ -87,6 +86,9 @@ class Origins:
         self._main: _Origin | None = None
         self._others: list[_Origin] = []
         self._held: deque[tuple[MonoNs, Message]] = deque()
+        """What waits for the autopilot's next message with a time, to be told whose it is."""
+        self._beats: tuple[int, int, MonoNs] | None = None
+        """Another's HEARTBEATs, each of which continues the count of the one before: how many, the newest count, and when."""
         self._seen: set[tuple[str, int, int]] = set()
         self._seen_order: deque[tuple[str, int, int]] = deque()
         self.changes = 0
@@ -97,7 +99,10 @@ class Origins:
     def several(self, now: MonoNs) -> bool:
         """Return whether another autopilot runs beside the one whose messages are passed."""
         main = self._main
-        return main is not None and any(_beside(main, one) for one in self._alive(now))
+        if main is None:
+            return False
+        beats = self._beats is not None and self._beats[0] >= _BELIEVED and seconds_between(self._beats[2], now) <= _ALIVE_S
+        return beats or any(_beside(main, one) for one in self._alive(now))
 
     def sort(self, message: Message, at: MonoNs) -> list[Message]:
         """Return the messages that are known to be the autopilot's now, in the order in which they came."""
@@ -111,11 +116,10 @@ class Origins:
         main = self._main
         if main is None:
             self._main = _Origin.of(boot, at, sequence)
-            return [*self._released(lambda held: True), message]
+            return [message]
         if main.fits(boot, at):
             main.add(boot, at, sequence)
-            others = [one.sequence for one in self._alive(at)]
-            return [*self._released(lambda held: _near(held, sequence) and not any(_near(held, n) for n in others)), message]
+            return [*self._decided(sequence, at), message]
         return self._of_another(message, boot, at, sequence)
 
     def due(self, now: MonoNs) -> list[Message]:
@@ -124,12 +128,19 @@ class Origins:
         while self._held and seconds_between(self._held[0][0], now) > _HELD_S:
             _, message = self._held.popleft()
             if self._alive(now):
-                self.left_out += 1
+                self._leave_out(message, now)
                 continue
             if self._main is not None:
                 self._main.sequence = int(message.get_seq())
             out.append(message)
         return out
+
+    def _leave_out(self, message: Message, now: MonoNs) -> None:
+        self.left_out += 1
+        if message.get_type() == "HEARTBEAT":
+            sequence, before = int(message.get_seq()), self._beats
+            follows = before is not None and 0 < (sequence - before[1]) % 256 <= _NEXT_WITHIN
+            self._beats = before[0] + 1 if before is not None and follows else 1, sequence, now
 
     def _of_another(self, message: Message, boot: int, at: MonoNs, sequence: int) -> list[Message]:
         main, other = self._main, next((one for one in self._others if one.fits(boot, at)), None)
@@ -139,7 +150,12 @@ class Origins:
             self._others = [*self._alive(at)[-_OTHERS_MAX + 1 :], other]
         else:
             other.add(boot, at, sequence)
-        self.left_out += len(self._released(lambda held: _near(held, sequence) and not _near(held, main.sequence)))
+        held, self._held = self._held, deque()
+        for one in held:
+            if _near(one[1], sequence) and not _near(one[1], main.sequence):
+                self._leave_out(one[1], at)
+            else:
+                self._held.append(one)
         silence_s = _REPLACED_S if _beside(main, other) else _REBOOT_S
         if other.messages < _BELIEVED or seconds_between(main.at, at) < silence_s:
             self.left_out += 1
@@ -164,11 +180,15 @@ class Origins:
             self._held.append((at, message))
         return []
 
-    def _released(self, whose: Callable[[Message], bool]) -> list[Message]:
-        """Take out the waiting messages that are `whose`."""
-        out = [message for _, message in self._held if whose(message)]
-        if out:
-            self._held = deque(one for one in self._held if not whose(one[1]))
+    def _decided(self, sequence: int, at: MonoNs) -> list[Message]:
+        """Return the waiting messages that are the autopilot's, now that one of its own has come: its count is near theirs."""
+        held, self._held = self._held, deque()
+        others, out = [one.sequence for one in self._alive(at)], []
+        for _, message in held:
+            if _near(message, sequence) and not any(_near(message, n) for n in others):
+                out.append(message)
+            else:
+                self._leave_out(message, at)
         return out
 
     def _came_before(self, key: tuple[str, int, int]) -> bool:

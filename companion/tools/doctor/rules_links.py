@@ -14,6 +14,8 @@ _GIMBAL_HZ, _GIMBAL_SILENT_HZ = 10.0, 0.5
 """Rates of a gimbal's reports below which most frames have none near them, and below which there are none."""
 _NO_ANSWER = -1
 _LISTED_MAX = 6
+_REFUSED_MIN, _LATE_MIN = 2, 20
+"""Refused datagrams and late messages that may happen: a peer that starts, a line that stood still for a moment."""
 _REASONS = {
     "permission denied": "let the service's user open it: usermod -aG dialout USER, and log in anew",
     "could not exclusively lock": "another program has it: stop the daemon or ModemManager, or the other ground station",
@@ -41,7 +43,8 @@ def _open(p: Snapshot) -> list[LinkSnapshot]:
 def link_silent(p: Snapshot) -> Finding | None:
     """Find an open link on which no byte arrives."""
     for link in _open(p):
-        if link.bytes_in == 0 and (p.seconds >= 2.0 or p.autopilot is None):
+        refused = link.refused_datagrams > _REFUSED_MIN  # `link_refused` says more
+        if link.bytes_in == 0 and not refused and (p.seconds >= 2.0 or p.autopilot is None):
             serial = "check RX/TX wiring and, on the autopilot, SERIALn_PROTOCOL 2 (ArduPilot) or MAV_n_CONFIG (PX4)"
             net = "check that the autopilot (or mavlink-router) sends to this address and port, and the firewall"
             return error("link-silent", f"{link.url}: not one byte in {p.seconds:.0f} s", serial if "serial" in link.url else net)
@@ -51,7 +54,7 @@ def link_silent(p: Snapshot) -> Finding | None:
 def link_refused(p: Snapshot) -> Finding | None:
     """Find an address whose computer refuses what is sent there."""
     for link in _open(p):
-        if link.refused_datagrams > 2 and link.bytes_in == 0:
+        if link.refused_datagrams > _REFUSED_MIN and link.bytes_in == 0:
             return error(
                 "link-refused",
                 f"{link.url}: {link.refused_datagrams} messages refused, nobody listens there",
@@ -63,7 +66,7 @@ def link_refused(p: Snapshot) -> Finding | None:
 def link_late(p: Snapshot) -> Finding | None:
     """Find a line that is too slow for what is sent, or stood still."""
     for link in _open(p):
-        if link.late > 20:
+        if link.late > _LATE_MIN:
             return warning(
                 "link-late",
                 f"{link.url}: {link.late} messages of ours were dropped, because the line did not take them in time",
