@@ -30,7 +30,7 @@ from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.by_paint import WORTH_A_TRY  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.detect.acquire import PadCandidate, acquire  # noqa: E402
-from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
+from estimator.vision.detect.pyramid import FrameView, Pyramid  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
@@ -103,7 +103,7 @@ def registered(scene: PadScene, candidates: list[PadCandidate], camera: Camera, 
     for c in candidates[:2]:
         if c.score < WORTH_A_TRY:
             break
-        of = verified(pyramid, camera, pad, c.pose, orientation, CLOSE, cut=c.cut)
+        of = verified(FrameView(pyramid, camera, pad), c.pose, orientation, CLOSE, cut=c.cut)
         if of is not None:
             right = scene.truth is not None and keeps_claim(of.found.pose, scene.truth, camera, pad, of.found.yaw_ambiguous)
             out.append((of.confidence, right))

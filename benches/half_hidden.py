@@ -21,7 +21,7 @@ sys.path.insert(0, str(ROOT))
 from benches.acquisition import image_of, orientation_of, sheet  # noqa: E402
 from benches.search import sure_within  # noqa: E402
 from estimator.vision.detect.acquire import acquire  # noqa: E402
-from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
+from estimator.vision.detect.pyramid import FrameView, Pyramid  # noqa: E402
 from estimator.vision.tracker_config import FRAME_WORK  # noqa: E402
 from estimator.vision.verified import SURE, verified  # noqa: E402
 from tests.support.pad_claims import keeps_claim  # noqa: E402
@@ -50,7 +50,7 @@ def cell(condition: str, height_m: float, frames: int, seed: int, bad: list[np.n
                 text = f"{condition} {height_m:g} {'WRONG' if sure else 'missed'} {k}"
                 bad.append(image_of(scene.px, camera, pad, scene.truth, best[0] if best else None, text))
         assert scene.truth is not None
-        of = verified(Pyramid(scene.px), camera, pad, scene.truth, orientation_of(scene))
+        of = verified(FrameView(Pyramid(scene.px), camera, pad), scene.truth, orientation_of(scene))
         right[2] += (
             of is not None
             and of.confidence >= SURE

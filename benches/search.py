@@ -23,6 +23,7 @@ sys.path.insert(0, str(ROOT))
 from benches.acquisition import floor_ms, registered  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.detect.acquire import FRESH_SEARCH, acquire, search  # noqa: E402
+from estimator.vision.detect.pyramid import FrameView, Pyramid  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.tracker_config import FRAME_WORK  # noqa: E402
 from tests.support.hard_light import HARD, hard_scene  # noqa: E402
@@ -36,7 +37,7 @@ def sure_within(scene: PadScene, camera: Camera, pad: Pad, budget: float, frames
     memory, took = FRESH_SEARCH, []
     for _ in range(frames):
         began = time.process_time_ns()
-        found = search(scene.px, camera, pad, scene.R_level_body, memory=memory, budget=budget)
+        found = search(FrameView(Pyramid(scene.px), camera, pad), scene.R_level_body, memory=memory, budget=budget)
         took.append((time.process_time_ns() - began) * 1e-6)
         memory = found.memory
         best = registered(scene, found.candidates, camera, pad)

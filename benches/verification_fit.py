@@ -25,7 +25,7 @@ sys.path.insert(0, str(ROOT))
 from estimator.contracts.samples import Attitude  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.detect.acquire import acquire  # noqa: E402
-from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
+from estimator.vision.detect.pyramid import FrameView, Pyramid  # noqa: E402
 from estimator.vision.detect.verification import FEATURES  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
@@ -94,7 +94,7 @@ def registered_examples(seed: int) -> F64:
             attitude = Attitude(stamp, scene.R_level_body, np.eye(3) * math.radians(1.0) ** 2)
         orientation = Orientation.of(attitude, math.radians(2.0))
         for c in acquire(scene.px, camera, pad, scene.R_level_body)[:2]:
-            found = look(Pyramid(scene.px), camera, pad, c.pose, orientation, RegistrationOptions(coarse=False))
+            found = look(FrameView(Pyramid(scene.px), camera, pad), c.pose, orientation, RegistrationOptions(coarse=False))
             if found is None:
                 continue
             right = scene.truth is not None and keeps_claim(found.pose, scene.truth, camera, pad, found.yaw_ambiguous)

@@ -27,7 +27,7 @@ from benches.acquisition import orientation_of  # noqa: E402
 from estimator.contracts.geometry import Rotation  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.detect.acquire import acquire  # noqa: E402
-from estimator.vision.detect.pyramid import Pyramid  # noqa: E402
+from estimator.vision.detect.pyramid import FrameView, Pyramid  # noqa: E402
 from estimator.vision.learned.second_opinion import SIDE, Patch, patch_of  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pad_information import alike_headings  # noqa: E402
@@ -104,7 +104,7 @@ def searched(
     """Yield pose, patch, confidence and whether it is right of what a search proposes, registered as the pad tracker does it."""
     pyramid, orientation = Pyramid(scene.px), orientation_of(scene)
     for c in acquire(scene.px, camera, pad, scene.R_level_body, sure=2.0 if everything else 0.9)[:most]:
-        of = verified(pyramid, camera, pad, c.pose, orientation, CLOSE, cut=c.cut)
+        of = verified(FrameView(pyramid, camera, pad), c.pose, orientation, CLOSE, cut=c.cut)
         patch = None if of is None else patch_of(pyramid, camera, pad, of.found.pose, of.cut)
         if of is not None and patch is not None:
             ok = scene.truth is not None and right_pose(of.found.pose, scene.truth, camera, pad, of.found.yaw_ambiguous)

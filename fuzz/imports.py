@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.cli import detect
-from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog
+from drivers.imports import ardrone_capture, dataflash, px4_ulog, video
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
 from fuzz import ardrone
@@ -133,7 +133,7 @@ def capture_seeds() -> Iterator[bytes]:
 
 
 TARGETS = {
-    "attitude_csv": Target(reader("a.csv", attitude_csv.read, _tilts), csv_seeds, 1024),
+    "attitude_csv": Target(reader("a.csv", video.attitudes, _tilts), csv_seeds, 1024),
     "dataflash": Target(reader("log.bin", dataflash.read, lambda path: [dataflash.read_history(path)]), dataflash_seeds),
     "ulog": Target(reader("log.ulg", px4_ulog.read, lambda path: [px4_ulog.read_history(path)]), ulog_seeds),
     "ardrone_capture": Target(reader("x", ardrone_capture.samples, ardrone_capture.frames), capture_seeds, 8192),

@@ -88,7 +88,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         ),
     },
     "estimator/pipeline.py": {"True  ->  False": "each path has one result of each event"},
-    "estimator/ekf/answers.py": {
+    "estimator/ekf/filter.py": {
         "self._words.setflags(write=False)  ->  pass": _COPIED,
         "False  ->  True": _COPIED,
         "var_max <= o.consistent_sigma_m ** 2  ->  var_max < o.consistent_sigma_m ** 2": _ROUNDED,

@@ -115,7 +115,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/ekf/outcome.py": _RESULTS,
     "estimator/ekf/packed_event.py": (_NUMBERS, "tests/estimator/ekf/test_process_event_bounds.py", *_SIGHTINGS),
     "estimator/ekf/params.py": (_NUMBERS, "tests/estimator/ekf/test_process_event_bounds.py", *_CORE),
-    "estimator/ekf/answers.py": _ANSWERS,
     "estimator/ekf/forecast.py": (_NUMBERS, *_FORECASTS),
     "estimator/ekf/deck_motion_bank.py": (_NUMBERS, *_FORECASTS, *_BANK),
     "estimator/relative_estimator.py": ("tests/estimator/test_public_api.py",),

@@ -34,7 +34,8 @@ from sitl.campaign.design import (
 from sitl.campaign.figures import VariedPoint, varied_point
 from sitl.campaign.lab import missing_from_lab, require_lab
 from sitl.campaign.overrides import Overridable
-from sitl.campaign.plan import AnyPlan, CampaignPlan, Job, Point, SetPlan, make_plan, seeds_of
+from sitl.campaign.plan import AnyPlan, CampaignPlan, Job, Point, SetPlan, make_plan, seeds_of, unpacked
+from sitl.campaign.random_faults import WORST, Cases, FaultTally, fly_with_random_faults
 from sitl.campaign.report import REPORT, fly_again, render_report
 from sitl.campaign.store import (
     FLIGHTS,
@@ -50,7 +51,7 @@ from sitl.campaign.store import (
 )
 from sitl.campaign.summary import CampaignTally, in_words
 from sitl.campaign.tables import PARQUET, as_json, by_scenario, by_value, in_columns, in_rows, parquet_bytes
-from sitl.campaign.task import Flight, job_of
+from sitl.campaign.task import Flight, Flyer, fly_flight, job_of
 from sitl.campaign.workers import ClusterWorkers, LocalWorkers
 from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
@@ -58,6 +59,7 @@ from sitl.scenario.scenario import FAULTS, Scenario
 from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.sets import is_set, place_of, shipped_sets
 from sitl.scenario.sets import load as load_set
+from sitl.scenario.with_fault import with_random_faults
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -119,6 +121,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="KEY=LOW:HIGH",
         help="search the smallest disturbance, from LOW (none) to HIGH, with which the flight of seed FIRST fails, in N flights",
     )
+    more.add_argument(
+        "--faults",
+        choices=("random",),
+        help="add one or two faults to what sensors, frames and commands say, drawn by each seed; every failing flight of the "
+        f"first {WORST} becomes a scenario file beside the results, with the fewest and weakest faults that fail",
+    )
     said = parser.add_argument_group("results")
     said.add_argument("--json", action="store_true", help="print a line of JSON for each flight, and one of the summary")
     said.add_argument("--report", action="store_true", help=f"write {REPORT} beside the results")
@@ -168,8 +176,8 @@ def _names(plan: AnyPlan) -> Sequence[str]:
 
 
 def _set_plan(args: argparse.Namespace) -> tuple[SetPlan, list[Point], None]:
-    if args.vary or args.search or args.design:
-        raise BadInput("--vary, --design and --search go with one scenario, not with a set of them")
+    if args.vary or args.search or args.design or args.faults:
+        raise BadInput("--vary, --design, --search and --faults go with one scenario, not with a set of them")
     chosen, scenarios = load_set(args.scenario)
     members = {}
     for member in chosen.scenario:
@@ -222,6 +230,8 @@ def _options(args: argparse.Namespace) -> Iterator[str]:
         yield from ("--perception-model", args.perception_model)
     for value in args.set:
         yield from ("--set", value)
+    if args.faults:
+        yield from ("--faults", args.faults)
 
 
 def _design(
@@ -230,6 +240,11 @@ def _design(
     """Return the plan with its design, the points at which all seeds are flown, and the axes of a search."""
     if args.vary and args.search:
         raise BadInput("--vary and --search do not go together")
+    if args.faults is not None:
+        if args.vary or args.search:
+            raise BadInput("--faults does not go with --vary or --search")
+        with_random_faults(given.scenario, args.seed, plan.perception)
+        return plan.with_design(described("random faults", [])), [()], None
     if (args.design is None) != (args.points is None) or (args.design is not None and not args.vary):
         raise BadInput("--design, --points and --vary go together")
     axes = [parse_axis(text, given, "--vary") for text in args.vary]
@@ -263,8 +278,12 @@ def _store(args: argparse.Namespace, plan: AnyPlan, seeds: range) -> ResultStore
 
 def _workforce(args: argparse.Namespace, plan: AnyPlan, workers: int) -> AbstractContextManager[LocalWorkers | ClusterWorkers]:
     if args.scheduler is not None:
-        return ClusterWorkers(plan, code_version(), args.scheduler)
-    return LocalWorkers(plan, code_version(), workers)
+        return ClusterWorkers(plan, code_version(), args.scheduler, _flyer(args))
+    return LocalWorkers(plan, code_version(), workers, _flyer(args))
+
+
+def _flyer(args: argparse.Namespace) -> Flyer:
+    return fly_flight if args.faults is None else fly_with_random_faults
 
 
 def _by(args: argparse.Namespace, workers: int) -> str:
@@ -355,6 +374,13 @@ def _conclude(
     if effects:
         summary["varied"] = {effect.key: as_json(effect) for effect in effects}
     files = []
+    tally = None
+    if args.faults is not None and isinstance(plan, CampaignPlan):
+        tally = FaultTally()
+        for flight in _asked(store, asked):
+            tally.take(flight)
+        summary["random_faults"] = tally.as_json()
+        files += _cases(plan, store, tally)
     if missing := missing_from_lab("pyarrow"):
         sys.stderr.write(f"{PARQUET} is not written: it needs {missing[0]} (requirements/lab.txt, decklander[lab])\n")
     else:
@@ -368,8 +394,16 @@ def _conclude(
     else:
         sys.stdout.write(f"{in_columns(each)}\n" if each else "")
         sys.stdout.write(f"{in_rows(effects)}\n" if effects else "")
+        sys.stdout.write("" if tally is None else f"{tally.in_words()}\n")
         sys.stdout.write(f"{in_words(summary)}\nresults: {', '.join([store.place, *files])}\n")
     return 0 if counted.failed == 0 else 1
+
+
+def _cases(plan: CampaignPlan, store: ResultStore, tally: FaultTally) -> list[str]:
+    """Write a scenario file for each failing flight, and return where they are."""
+    name, base, perception, model = unpacked(plan.base())
+    cases = Cases(name, base.scenario, base.settings, perception, model, plan.options)
+    return [store.put(file, content) for file, content in cases.of(tally.failing)]
 
 
 def _asked(store: ResultStore, asked: set[str]) -> Iterator[Flight]:

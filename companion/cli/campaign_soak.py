@@ -10,7 +10,7 @@ from sitl.campaign.plan import CampaignPlan
 from sitl.campaign.soak import SoakOptions, soak
 
 _OURS = ("hours", "virtual", "no_faults", "fault", "no_cpu", "failed_max", "plot", "readings")
-_OTHERS = ("workers", "scheduler", "out", "vary", "design", "points", "search", "report", "against")
+_OTHERS = ("workers", "scheduler", "out", "vary", "design", "points", "search", "report", "against", "faults")
 """Options that go with `--soak` alone, and that do not go with it."""
 
 

@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from companion.guidance import mission
-from companion.settings import reference, whole_file
+from companion.settings import whole_file
 from companion.settings.load import load, shipped
 from companion.settings.referenced_files import check_files
 from companion.settings.remarks import not_checked, remarks
@@ -64,9 +64,9 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "show":
         sys.stdout.write(whole_file.toml(load(args.file)))
     elif args.action == "schema":
-        sys.stdout.write(reference.schema())
+        sys.stdout.write(whole_file.schema())
     elif args.action == "mission":
         sys.stdout.write(mission.page())
     else:
-        sys.stdout.write(reference.reference())
+        sys.stdout.write(whole_file.reference())
     return 0

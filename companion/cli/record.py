@@ -20,7 +20,7 @@ from companion.recording.reading import RecordedFrame, Recording, instant, open_
 from companion.recording.rewriting import Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped
 from companion.tools.ros2 import bag
-from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog, video
+from drivers.imports import ardrone_capture, dataflash, px4_ulog, video
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Sample
@@ -172,7 +172,7 @@ class _Source:
         if head.startswith(ardrone_capture.NAVDATA_MAGIC):
             return iter(ardrone_capture.samples(path))
         if path.suffix.lower() == ".csv":
-            return iter(attitude_csv.read(path))
+            return iter(video.attitudes(path))
         if head.startswith(b"PaVE") or path.suffix.lower() == ".pave":
             return ardrone_capture.frames(path)
         return video.frames(path, size)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from estimator.contracts.errors import BadInput
 
 if TYPE_CHECKING:
-    from companion.tools.ros2.bridge import RosBridge
+    from companion.tools.ros2.node import RosBridge
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -52,9 +52,8 @@ def run(args: argparse.Namespace) -> int:
     settings = None if args.config is None else load(args.config)
     camera, gimballed = (None, False) if settings is None else (camera_model(settings), settings.camera.gimbal.given)
     from companion.base import event_loop
-    from companion.tools.ros2.bridge import RosBridge, wanted
     from companion.tools.ros2.live_client import LiveClient
-    from companion.tools.ros2.node import RosNode
+    from companion.tools.ros2.node import RosBridge, RosNode, wanted
 
     client = LiveClient(args.url, None if token is None else token.decode(), wanted, _note)
     node = RosNode("decklander")

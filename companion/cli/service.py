@@ -10,8 +10,8 @@ from pathlib import Path
 from companion.tools.install import steps
 from companion.tools.install.layout import PACKAGED_UNIT
 from companion.tools.install.machine import Machine
-from companion.tools.install.release import NAME, release
 from companion.tools.install.steps import InstallOptions
+from companion.tools.install.versions import NAME, release
 from estimator.contracts.errors import BadInput, SetupImpossible
 
 

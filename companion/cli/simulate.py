@@ -19,6 +19,7 @@ from sitl.campaign.overrides import Overridable
 from sitl.flight.one_flight import FlyOptions, fly, perception_level, settings_for
 from sitl.scenario.scenario import FAULTS
 from sitl.scenario.scenario import load as load_scenario
+from sitl.scenario.with_fault import with_random_faults
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -50,6 +51,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--base",
         metavar="SCENARIO",
         help="fly it on this scenario instead of the base that its file names, as a fault in another sea",
+    )
+    parser.add_argument(
+        "--faults", choices=("random",), help="add one or two faults to what sensors, frames and commands say, drawn by the seed"
     )
     parser.add_argument("--pad", metavar="FILE", help="pad file, or the name of a shipped one, on deck and looked for")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -92,6 +96,8 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--pad does not go with --follow")
     if args.pad is not None:
         args.set = [f"pad.file={find_file(args.pad, 'pads', Path(), '--pad')}", *args.set]
+    if args.faults is not None and (args.follow is not None or args.autopilot is not None):
+        raise BadInput("--faults does not go with --autopilot or --follow")
     if args.follow is not None:
         from companion.cli.simulate_autopilot import run_follow
 
@@ -108,6 +114,8 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_for(scenario, args.config)
     given = Overridable(scenario, settings)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
+    if args.faults is not None:
+        scenario = with_random_faults(scenario, args.seed, perception)
     progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]
     with keeping(args, settings, scenario.title, perception, {"kind": "simulate"}, MonoNs(0)) as kept:

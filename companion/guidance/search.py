@@ -53,7 +53,7 @@ class PadSearch:
 
     def rehearse(self) -> None:
         """Look at a drawn frame, so that the first real one takes no longer than the others. This may run on another thread."""
-        from estimator.vision.rehearsal import rehearse
+        from estimator.vision.tracker import rehearse
 
         rehearse(replace(self._tracker, camera=self.camera))
 

@@ -25,7 +25,7 @@ from drivers.camera.source import VideoSource
 from drivers.camera.video_source import open_camera
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.options import AutopilotOptions
-from drivers.nmea.sentences import NmeaReader
+from drivers.nmea.sentences import REFUSED_FOR, NmeaReader
 from drivers.nmea.source import SentenceSource, sentences_from
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import BadInput
@@ -102,7 +102,7 @@ class SentencesPart(NullObserver):
         self._options = options
         self._reports = reports
         self._clock = clock
-        self._reader = NmeaReader(options.mmsi)
+        self._reader = NmeaReader(options.mmsi, options.nmea_simulated)
         self._source = SentenceSource(options.nmea_from, self._take)
         self._told: set[str] = set()
 
@@ -129,7 +129,8 @@ class SentencesPart(NullObserver):
         refused = self._reader.refused + self._source.refused
         for why in refused.keys() - self._told - {"other_sentence", "wrong_sender"}:
             self._told.add(why)
-            log.warning("a sentence of the ship was refused (%s); the next ones are counted only", why.replace("_", " "))
+            reason = REFUSED_FOR.get(why, why.replace("_", " "))
+            log.warning("a sentence of the ship was refused (%s); the next ones are counted only", reason)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,13 +1,16 @@
-"""Write settings as a TOML file with every key in it."""
+"""Write the settings out: a TOML file with every key in it, a JSON Schema, and the reference page."""
 
 import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 import msgspec
+from msgspec import inspect
 
-from companion.settings.expert import split
+from companion.settings.expert import EXPERT, split
 from companion.settings.model import Settings
+from companion.settings.refusal import described, fields, unit_of, variants
+from estimator.contracts.keys import PUBLIC
 
 
 def toml(settings: Settings) -> str:
@@ -32,3 +35,112 @@ def value_text(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return repr(value)
+
+
+def schema() -> str:
+    """Return the JSON Schema of the settings file; units and sources of defaults are under `x-unit` and `x-source`."""
+    whole = msgspec.json.schema(Settings)
+    tables = whole["$defs"]
+    for name, table in [*tables.items()]:
+        keys = table["properties"]
+        inside = {key: _for_experts(node) for key, node in keys.items() if "$ref" in str(node) or not _public(node)}
+        table["properties"] = {key: node for key, node in keys.items() if "$ref" in str(node) or _public(node)}
+        tables[f"Expert{name}"] = {**table, "properties": inside, "required": []}
+    tables["Settings"]["properties"][EXPERT] = {"$ref": "#/$defs/ExpertSettings"}
+    return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
+
+
+def _public(node: Mapping[str, Any]) -> bool:
+    return PUBLIC in node or ("enum" in node and "description" not in node)
+
+
+def _for_experts(node: Any) -> Any:
+    """Return a reference to a table as one to what experts may set in it, without its default."""
+    if isinstance(node, Mapping):
+        left_out = ("default", "discriminator") if "$ref" in str(node) else ()
+        return {key: _for_experts(value) for key, value in node.items() if key not in left_out}
+    if isinstance(node, list):
+        return [_for_experts(value) for value in node]
+    return node.replace("#/$defs/", "#/$defs/Expert") if isinstance(node, str) else node
+
+
+def reference() -> str:
+    """Return the reference page in Markdown: a table for each section of the file, and one of the keys of experts."""
+    lines = [
+        "# Configuration",
+        "",
+        "One TOML file a rig. `decklander config check FILE` says whether a file is good, `config show FILE` prints it with each",
+        "default filled in, `config schema` gives a JSON Schema for editors. This page is the output of `config reference`.",
+        "",
+        "A key that is unknown, of the wrong type or out of range is refused, never guessed. Whole numbers are welcome where a",
+        "number is asked for; text and truth values are not. Where a default is missing the key must be given.",
+    ]
+    expert = []
+    for path, struct in _structs(described(Settings), ()):
+        here = [f for f in fields(struct) if not variants(f.type)]
+        kind = f" with {struct.tag_field} = {value_text(struct.tag)}" if struct.tag_field else ""
+        public = [f for f in here if _is_public(f, struct)]
+        if public:
+            lines += ["", f"## [{'.'.join(path)}]{kind}", "", _meaning(struct), "", _HEADER, "|---|---|---|---|---|---|"]
+            lines += [_row(f.encode_name, f) for f in public]
+        expert += [_row(".".join((EXPERT, *path, f.encode_name)), f) for f in here if f not in public]
+    lines += [
+        "",
+        "## Expert keys",
+        "",
+        "These describe sensors, filter, timing and limits of the product itself. Their defaults are right for almost everybody.",
+        "They stand in the same tables under `[expert]`: `expert.guidance.cone.slope` is `slope` in `[expert.guidance.cone]`.",
+        "",
+        _HEADER,
+        "|---|---|---|---|---|---|",
+        *expert,
+    ]
+    return "\n".join(lines) + "\n"
+
+
+_HEADER = "| key | default | range | unit | meaning | source of the default |"
+
+
+def _is_public(field: inspect.Field, struct: inspect.StructType) -> bool:
+    assert isinstance(field.type, inspect.Metadata)
+    return field.encode_name == struct.tag_field or PUBLIC in (field.type.extra_json_schema or {})
+
+
+def _meaning(struct: inspect.StructType) -> str:
+    """Return the description of a table: the docstring of its class up to the errors that it raises."""
+    return " ".join((struct.cls.__doc__ or "").partition("Raises:")[0].split())
+
+
+def _row(name: str, field: inspect.Field) -> str:
+    assert isinstance(field.type, inspect.Metadata)
+    notes = field.type.extra_json_schema or {}
+    default = "**required**" if field.required else f"`{value_text(field.default)}`"
+    unit = unit_of(field.type)
+    unit = "" if unit in ("1", "id") else unit
+    cells = [
+        f"`{name}`",
+        default,
+        _range(field.type.type),
+        unit,
+        notes["description"],
+        notes.get("x-source", ""),
+    ]
+    return "| " + " | ".join(cells) + " |"
+
+
+def _range(node: inspect.Type) -> str:
+    if isinstance(node, inspect.LiteralType):
+        return ", ".join(f"`{value_text(v)}`" for v in node.values)
+    if isinstance(node, inspect.FloatType | inspect.IntType):
+        return f"{node.ge:g} to {node.le:g}"
+    if isinstance(node, inspect.BoolType):
+        return "`true`, `false`"
+    return "text"
+
+
+def _structs(node: inspect.Type, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], inspect.StructType]]:
+    for struct in variants(node):
+        if path:
+            yield path, struct
+        for field in struct.fields:
+            yield from _structs(field.type, (*path, field.encode_name))

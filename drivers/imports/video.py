@@ -1,5 +1,12 @@
-"""Read the frames of a video file, at its own time stamps."""
+"""Read what a camera's flight left in plain files: the frames of a video and a table of attitudes.
 
+Frames have the video's own time stamps; those of one without any (raw H.264, MJPEG) follow its frame rate.
+
+A table is CSV with the header `time_s,roll_deg,pitch_deg` and, if the heading is known, `yaw_deg`.
+"""
+
+import csv
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -7,14 +14,49 @@ import numpy as np
 from av.error import FFmpegError
 
 from drivers.camera.images import ImageRefused
-from drivers.camera.videos import open_video, predicts_frames
-from drivers.imports.stamps import FRAME_DELAY_S, stamp
+from drivers.camera.videos import has_times, open_video, predicts_frames
+from drivers.imports.stamps import FRAME_DELAY_S, attitude, stamp
 from estimator.contracts.errors import BadInput
-from estimator.contracts.samples import Frame
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Frame, Sample
+
+HEADER = ("time_s", "roll_deg", "pitch_deg")
+
+
+def attitudes(path: Path) -> list[Sample]:
+    """Return the attitudes in order of time.
+
+    Raises:
+        BadInput: the file cannot be read, a column is missing, or a cell is not a finite number; the text names the line.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as why:
+        raise BadInput(f"{path}: {getattr(why, 'strerror', None) or why}") from why
+    rows = csv.DictReader(lines)
+    if missing := [name for name in HEADER if name not in (rows.fieldnames or [])]:
+        raise BadInput(f"{path}: column {missing[0]!r} is missing; the header must be {','.join(HEADER)} and may have yaw_deg")
+    table: list[tuple[float, float, float, float]] = []
+    for row in rows:
+        try:
+            numbers = [float(row[name]) for name in HEADER] + [float(row.get("yaw_deg") or 0.0)]
+        except (TypeError, ValueError) as why:
+            raise BadInput(f"{path}, line {rows.line_num}: not a number: {why}") from why
+        if not all(map(math.isfinite, numbers)):
+            raise BadInput(f"{path}, line {rows.line_num}: not a finite number")
+        table.append((numbers[0], numbers[1], numbers[2], numbers[3]))
+    if not table:
+        raise BadInput(f"{path}: holds no attitudes")
+    table.sort()
+    first_s = table[0][0]
+    return [
+        attitude(round((t - first_s) * 1e9), Rotation.from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw)))
+        for t, roll, pitch, yaw in table
+    ]
 
 
 def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
-    """Yield every frame in order, the first at 0; a truncated file ends where it breaks off.
+    """Yield every frame in order, the first at 0; a truncated file ends where it breaks off, and damaged frames are left out.
 
     Args:
         size: width and height that are expected; frames that are far larger are refused before they are decoded.
@@ -30,15 +72,16 @@ def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
         if len(container.streams.video) == 0:
             raise BadInput(f"{path}: holds no video")
         first_s: float | None = None
-        number, coded = 0, predicts_frames(container)
+        number, coded, timed = 0, predicts_frames(container), has_times(container)
+        rate_hz = float(container.streams.video[0].average_rate or 0.0) or 25.0
         try:
             for image in container.decode(video=0):
-                if image.pts is None:
+                number += 1
+                if image.is_corrupt:
                     continue
-                time_s = float(image.time or 0.0)
+                time_s = float(image.time) if timed and image.time is not None else number / rate_hz
                 first_s = time_s if first_s is None else first_s
                 px = np.asarray(image.to_ndarray(format="bgr24"), dtype=np.uint8)
-                number += 1
                 yield Frame(stamp(round((time_s - first_s) * 1e9), FRAME_DELAY_S), number, px, coded=coded)
         except FFmpegError as why:
             if number == 0:

@@ -134,18 +134,23 @@ class Door:
             raise ValueError(f"the core takes {count} of {kind}, not {values.size}")
         return self.ffi.from_buffer(pointer, values if values.dtype.names is None else values.reshape(-1).view(np.uint8))
 
-    def room(self, kind: str, count: int) -> tuple[NDArray[Any], Any]:
-        """Return room for structures that C writes: an array of so many, and C's pointer to the first.
+    def block(self, kind: str, count: int) -> tuple[NDArray[np.uint8], Any]:
+        """Return bytes for structures that C writes, and C's pointer to the first of so many.
 
         numpy takes ten times as long to make an array of structures, or to lend one to C, as to do so with bytes.
         """
         dtype, pointer = self._dtypes.get(kind) or self._known(kind)
         block = np.empty(count * dtype.itemsize, np.uint8)
-        return np.ndarray((count,), dtype, block), self.ffi.from_buffer(pointer, block)
+        return block, self.ffi.from_buffer(pointer, block)
 
-    def copied(self, kind: str, pointer: Any) -> tuple[NDArray[Any], Any]:
-        """Return an array of one structure's copy, and C's pointer to it."""
-        made, own = self.room(kind, 1)
+    def room(self, kind: str, count: int) -> tuple[NDArray[Any], Any]:
+        """Return room for structures that C writes: an array of so many, and C's pointer to the first."""
+        block, pointer = self.block(kind, count)
+        return np.ndarray((count,), self._dtypes[kind][0], block), pointer
+
+    def copied(self, kind: str, pointer: Any) -> tuple[NDArray[np.uint8], Any]:
+        """Return the bytes of a structure's copy, and C's pointer to it."""
+        made, own = self.block(kind, 1)
         self.ffi.memmove(own, pointer, made.nbytes)
         return made, own
 

@@ -181,7 +181,7 @@ class PackedSea:
     def apart(self) -> PackedSea:
         """Return the same bank in memory of its own."""
         copy, pointer = CORE.copied("dl_bank", self.pointer)
-        return PackedSea(copy[0, ...], pointer)
+        return PackedSea(np.ndarray((), CORE.dtype("dl_bank"), copy), pointer)
 
     @property
     def log_evidence_of_rest(self) -> float:

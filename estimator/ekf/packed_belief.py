@@ -26,10 +26,13 @@ from estimator.ekf.state import SAMPLE_COLUMNS, Aid, Belief, Gathered, Innovatio
 from estimator.late import Late
 
 _VERDICTS = {getattr(abi, f"DL_{v.name}"): v for v in (Verdict.FUSED, Verdict.GATED, Verdict.SINGULAR, Verdict.LOW_CONFIDENCE)}
-_new, _lent, _member, _bytes_of = CORE.ffi.new, CORE.ffi.from_buffer, CORE.ffi.addressof, CORE.ffi.buffer
+_new, _lent, _member = CORE.ffi.new, CORE.ffi.from_buffer, CORE.ffi.addressof
 _WHOLE, _ROW = (CORE.ffi.typeof(f"dl_{name} *") for name in ("whole_belief", "filter_row"))
 _EVENTS, _SIGHTINGS, _HEADS = (CORE.ffi.typeof(f"dl_{name}[]") for name in ("event", "sighting", "outcome"))
 _DOUBLES, _OUTCOME = CORE.ffi.typeof("double[]"), CORE.dtype("dl_outcome")
+_BELIEF, _STEP = CORE.dtype("dl_belief"), CORE.dtype("dl_filter_step")
+_STEP_BYTES, _OUTCOME_BYTES = _STEP.itemsize, _OUTCOME.itemsize
+_AFTER_AT, _OUTCOME_AT = (CORE.ffi.offsetof("dl_filter_step", member) for member in ("after", "outcome"))
 _NOTHING = CORE.ffi.new("dl_filter_step *", {"P_index": -1, "bank_index": -1})
 """The step before all events."""
 _NO_BANKS = CORE.room("dl_bank", 0)
@@ -51,8 +54,8 @@ class PackedBelief:
     """A belief in the core's layout. It is immutable, as a belief is.
 
     Args:
-        records: the core's `dl_belief`s of which its numbers are one.
-        at: which of them.
+        block: the bytes that its numbers, the core's `dl_belief`, are among.
+        at: where they begin.
         pointer: C's pointer to it.
 
     Attributes:
@@ -60,10 +63,10 @@ class PackedBelief:
         sea: its deck motion bank.
     """
 
-    __slots__ = ("P", "_at", "_belief", "_pointer", "_records", "_whole", "sea")
+    __slots__ = ("P", "_at", "_belief", "_block", "_pointer", "_whole", "sea")
 
-    def __init__(self, records: NDArray[Any], at: int, pointer: Any, P: F64, sea: PackedSea) -> None:
-        self._records, self._at, self._pointer, self.P, self.sea = records, at, pointer, P, sea
+    def __init__(self, block: NDArray[Any], at: int, pointer: Any, P: F64, sea: PackedSea) -> None:
+        self._block, self._at, self._pointer, self.P, self.sea = block, at, pointer, P, sea
         self._belief: Belief | None = None
         self._whole: Any = None
 
@@ -78,7 +81,7 @@ class PackedBelief:
     @property
     def numbers(self) -> NDArray[Any]:
         """The core's `dl_belief`, an array without axes."""
-        return self._records[self._at, ...]
+        return np.ndarray((), _BELIEF, self._block, self._at)
 
     @property
     def t(self) -> int:
@@ -111,7 +114,7 @@ class PackedBelief:
         """
         n = len(events)
         seen = [one.seen for one in events if one.seen]
-        steps, covariances = CORE.room("dl_filter_step", n), np.empty((n, N, N))
+        steps, covariances = CORE.block("dl_filter_step", n), np.empty((n, N, N))
         banks = CORE.room("dl_bank", len(seen)) if seen else _NO_BANKS
         row = _new(_ROW, (steps[1], _lent(_DOUBLES, covariances), banks[1]))
         records = _lent(_EVENTS, b"".join([one.record for one in events]))
@@ -121,9 +124,9 @@ class PackedBelief:
 
     def propagated(self, t: int, params: FilterParams, how_far: int) -> PackedBelief:
         """Return the belief at instant `t`, ns; `how_far` is `DL_WITH_COVARIANCE` or `DL_WITH_AIDING` of the core."""
-        (numbers, pointer), P = CORE.room("dl_belief", 1), np.empty((N, N))
+        (block, pointer), P = CORE.block("dl_belief", 1), np.empty((N, N))
         CORE.lib.dl_filter_propagate(params.core, how_far, t, self.whole, pointer, CORE.array("double", P, N * N))
-        return PackedBelief(numbers, 0, pointer, P, self.sea)
+        return PackedBelief(block, 0, pointer, P, self.sea)
 
 
 class Followed(Sequence[PackedBelief]):
@@ -132,11 +135,11 @@ class Followed(Sequence[PackedBelief]):
     Args:
         before: the belief before the first event.
         done: how many events were processed.
-        steps: the core's `dl_filter_step` of each event, as an array and as C's.
+        steps: the core's `dl_filter_step` of each event, as bytes and as C's.
         covariances, banks: what the core wrote, and room for more.
     """
 
-    __slots__ = ("_P", "_banks", "_before", "_made", "_numbers", "_pointer")
+    __slots__ = ("_P", "_banks", "_before", "_block", "_made", "_pointer")
 
     def __init__(
         self,
@@ -148,7 +151,7 @@ class Followed(Sequence[PackedBelief]):
     ) -> None:
         self._before = before.P, before.sea
         self._made: list[PackedBelief | None] = [None] * done
-        self._numbers, self._pointer = steps[0]["after"], steps[1]
+        self._block, self._pointer = steps
         last = self._pointer[done - 1] if done else _NOTHING
         self._P = _kept(covariances, last.P_index + 1)
         self._banks = [PackedSea(banks[0][i, ...], banks[1] + i) for i in range(last.bank_index + 1)]
@@ -164,7 +167,8 @@ class Followed(Sequence[PackedBelief]):
 
     def outcomes(self, n: int) -> Sequence[Outcome]:
         """Return what became of the first events."""
-        rows = b"".join([_bytes_of(_member(self._pointer[i], "outcome")) for i in range(n)])
+        each, ends = self._block.data, range(_OUTCOME_AT + _OUTCOME_BYTES, n * _STEP_BYTES + 1, _STEP_BYTES)
+        rows = b"".join([each[end - _OUTCOME_BYTES : end] for end in ends])
         return Late(n, partial(_outcomes, rows))
 
     def first(self, n: int) -> tuple[PackedBelief, ...]:
@@ -188,7 +192,7 @@ class Followed(Sequence[PackedBelief]):
             P = self._P[step.P_index]
         if step.bank_index >= 0:
             sea = self._banks[step.bank_index]
-        return PackedBelief(self._numbers, i, _member(step, "after"), P, sea)
+        return PackedBelief(self._block, i * _STEP_BYTES + _AFTER_AT, _member(step, "after"), P, sea)
 
 
 def _kept(block: F64, used: int) -> F64 | None:

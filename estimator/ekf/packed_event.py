@@ -1,7 +1,7 @@
 """Events as the native core reads them."""
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import reduce
 from typing import Any
 
@@ -12,6 +12,8 @@ from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
 from estimator.core import abi
 from estimator.core.library import CORE
 
+_new, _bytes_of = CORE.ffi.new, CORE.ffi.buffer
+_EVENT, _SIGHTING = (CORE.ffi.typeof(f"dl_{name} *") for name in ("event", "sighting"))
 Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
 """What the filter processes."""
 
@@ -28,13 +30,12 @@ class PackedEvent(Struct, frozen=True):
 def packed_event(event: Event) -> PackedEvent:
     """Return an event as the core reads it."""
     record = _RECORDS[type(event)](event)
-    return PackedEvent(record, bytes(CORE.ffi.buffer(_sighting(event)))) if type(event) is Sighting else PackedEvent(record)
+    return PackedEvent(record, _bytes_of(_sighting(event))[:]) if type(event) is Sighting else PackedEvent(record)
 
 
-def _record(kind: int, event: Event, **sample: Mapping[str, Any]) -> bytes:
+def _record(kind: int, event: Event, **sample: Any) -> bytes:
     """Return the core's `dl_event` with a sample given by its name in the header."""
-    made = CORE.ffi.new("dl_event *", {"kind": kind, "t": event.stamp.measured_at, "sample": sample})
-    return bytes(CORE.ffi.buffer(made))
+    return _bytes_of(_new(_EVENT, (kind, event.stamp.measured_at, sample)))[:]  # type: ignore[no-any-return]
 
 
 def _of_arrays(kind: int, sample: str, **at: str) -> Callable[[Any], bytes]:
@@ -56,11 +57,11 @@ def _of_arrays(kind: int, sample: str, **at: str) -> Callable[[Any], bytes]:
 
 
 def _of_range(event: Range) -> bytes:
-    return _record(abi.DL_RANGE, event, distance={"measured_m": event.range_m, "sigma_m": event.sigma_m})
+    return _record(abi.DL_RANGE, event, distance=(event.range_m, event.sigma_m))
 
 
 def _of_height(event: Baro) -> bytes:
-    return _record(abi.DL_HEIGHT, event, distance={"measured_m": event.height_m, "sigma_m": event.sigma_m})
+    return _record(abi.DL_HEIGHT, event, distance=(event.height_m, event.sigma_m))
 
 
 def _of_vessel(report: VesselReport) -> bytes:
@@ -78,8 +79,8 @@ def _of_sighting(event: Sighting) -> bytes:
 
 
 def _sighting(s: Sighting) -> Any:
-    made = CORE.ffi.new(
-        "dl_sighting *",
+    made = _new(
+        _SIGHTING,
         {
             "has_yaw": s.yaw_rad is not None,
             "yaw_ambiguous": s.yaw_ambiguous,

@@ -29,15 +29,14 @@ from estimator.vision.detect.guesses import pose_about
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
 from estimator.vision.detect.plane import Plane
-from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.detection import Detection, Opinions
-from estimator.vision.fusion import agree, fuse
+from estimator.vision.detect.pyramid import FrameView, Pyramid
+from estimator.vision.detection import Detection, Opinions, agree, fuse
 from estimator.vision.learned.second_opinion import WORTH_ASKING, lowered, probability
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.letter_alone import nearest_of_four
+from estimator.vision.register.doubts import nearest_of_four
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import sighting_of_look
 from estimator.vision.thesis.detection import detect
@@ -74,6 +73,19 @@ _SMALL_PX, _LEAST_ABOUT = 15.0, 0.12
 """Radius of the disc, px, below which a pad that is not found from the belief is looked for some pixels about it, and the least
 fraction of the variance that the drawing must explain there: of pads in glare or half covered it is 0.16 or more.
 """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Now:
+    """What is known when a frame is looked at."""
+
+    tracker: TrackerConfig
+    frame: Frame
+    view: FrameView
+    attitude: Attitude | None
+    orientation: Orientation
+    """The attitude at the exposure and the deck's expected tilt."""
+    memory: TrackerMemory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,9 +128,10 @@ def by_paint(
     tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
 ) -> tuple[Detection, TrackerMemory]:
     """Return the detection of the painted pad, and the new memory."""
-    pyramid = Pyramid(frame.px)
     place = BelievedPlace.of(belief, frame, tracker, memory.alike_yaw_rad)
-    registered, left = _registered(tracker, memory, frame, pyramid, attitude, belief, place)
+    orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
+    now = _Now(tracker, frame, FrameView(Pyramid(frame.px), tracker.camera, tracker.pad), attitude, orientation, memory)
+    registered, left = _registered(now, belief, place)
     if tracker.options.method == "registration":
         best = registered.settled().tracked
         found = None if best is None else best.sighting
@@ -127,7 +140,7 @@ def by_paint(
         seen = Detection(found, None if found is None else "registration", MappingProxyType(methods), opinions)
     else:
         thesis = by_thesis(tracker, frame, attitude)
-        thesis, registered = _verify_cues(tracker, memory.paint, frame, pyramid, attitude, thesis, registered, place)
+        thesis, registered = _verify_cues(now, thesis, registered, place)
         best = registered.settled().tracked
         opinions = None if best is None else best.opinions
         seen = together(thesis, None if best is None else best.sighting, opinions, place.excludes)
@@ -164,38 +177,26 @@ def together(
     return Detection(fused.sighting, "fused", MappingProxyType(methods), opinions)
 
 
-def _registered(
-    tracker: TrackerConfig,
-    memory: TrackerMemory,
-    frame: Frame,
-    pyramid: Pyramid,
-    attitude: Attitude | None,
-    belief: RelativeState | None,
-    place: BelievedPlace,
-) -> tuple[_Seen, SearchMemory]:
+def _registered(now: _Now, belief: RelativeState | None, place: BelievedPlace) -> tuple[_Seen, SearchMemory]:
     """Register where the belief expects the pad, else where a search finds it; return the best, and what the search leaves."""
-    paint, left = memory.paint, FRESH_SEARCH
-    orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
-    best = _Seen()
+    camera, pad, attitude, alike_yaw_rad = now.tracker.camera, now.tracker.pad, now.attitude, now.memory.alike_yaw_rad
+    left, best = FRESH_SEARCH, _Seen()
     start: PadPose | None = None
     sigma_m = math.inf if belief is None else sigma_of(belief)
-    if belief is not None and attitude is not None and near_enough(belief, sigma_m, tracker.pad, memory.alike_yaw_rad):
-        start = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
+    if belief is not None and attitude is not None and near_enough(belief, sigma_m, pad, alike_yaw_rad):
+        start = expected(belief, attitude, camera, alike_yaw_rad)
         if start is not None and start.t_cam_pad[2] > 0.05:
-            options = CLOSE if sigma_m * tracker.camera.fx < _CLOSE_PX * start.t_cam_pad[2] else ROUGH
+            options = CLOSE if sigma_m * camera.fx < _CLOSE_PX * start.t_cam_pad[2] else ROUGH
             tracked = verification.TRACKED_LOG_ODDS
-            here = _register_from(tracker, paint, frame, pyramid, start, orientation, options, tracked, searched=False)
-            best = best.having(here, place)
-            if not best.is_sure and _is_small(start, tracker.camera, tracker.pad):
-                plane = Plane.of(tracker.camera, attitude.R_ned_body.without_heading())
-                about = pose_about(pyramid, tracker.camera, pyramid.as_seen(tracker.pad), plane, start)
+            best = best.having(_register_from(now, start, options, tracked, searched=False), place)
+            if not best.is_sure and _is_small(start, camera, pad):
+                plane = Plane.of(camera, attitude.R_ned_body.without_heading())
+                about = pose_about(*now.view.as_seen(), plane, start)
                 if about is not None and about[1] >= _LEAST_ABOUT:
-                    here = _register_from(tracker, paint, frame, pyramid, about[0], orientation, CLOSE, tracked, searched=False)
-                    best = best.having(here, place)
+                    best = best.having(_register_from(now, about[0], CLOSE, tracked, searched=False), place)
     if not best.is_sure:
         R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
-        budget = tracker.search_work
-        found = search(frame.px, tracker.camera, tracker.pad, R_level_body, paint, memory.search, budget=budget, pyramid=pyramid)
+        found = search(now.view, R_level_body, now.memory.paint, now.memory.search, budget=now.tracker.search_work)
         left = found.memory
         for candidate in found.candidates[:_CANDIDATES]:
             if candidate.score < WORTH_A_TRY:
@@ -203,59 +204,48 @@ def _registered(
             off_m = math.inf if start is None else float(np.linalg.norm(candidate.pose.t_cam_pad - start.t_cam_pad))
             prior = verification.TRACKED_LOG_ODDS if off_m < _EXPECTED_SIGMAS * sigma_m else 0.0
             pose = candidate.pose
-            if tracker.pad.markings.is_letter_alone and alike_headings(tracker.pad) == 4:
-                R_level_cam = orientation.R_level_body.matrix @ tracker.camera.T_body_cam.R.matrix
-                pose = nearest_of_four(pose, R_level_cam, memory.alike_yaw_rad or 0.0)
-            there = _register_from(tracker, paint, frame, pyramid, pose, orientation, CLOSE, prior, candidate.cut)
-            best = best.having(there, place)
+            if pad.markings.is_letter_alone and alike_headings(pad) == 4:
+                R_level_cam = now.orientation.R_level_body.matrix @ camera.T_body_cam.R.matrix
+                pose = nearest_of_four(pose, R_level_cam, alike_yaw_rad or 0.0)
+            best = best.having(_register_from(now, pose, CLOSE, prior, candidate.cut), place)
             if best.is_sure:
                 break
     return best, left
 
 
-def _verify_cues(
-    tracker: TrackerConfig,
-    paint: PaintMemory,
-    frame: Frame,
-    pyramid: Pyramid,
-    attitude: Attitude | None,
-    thesis: Detection,
-    best: _Seen,
-    place: BelievedPlace,
-) -> tuple[Detection, _Seen]:
+def _verify_cues(now: _Now, thesis: Detection, best: _Seen, place: BelievedPlace) -> tuple[Detection, _Seen]:
     """Verify the cues of the thesis' methods, and return them with the best registrations.
 
     A cue's confidence is limited to that of the drawing registered at the cue's pose, unless it agrees with a confident
     registration. The returned registrations are the best of the given ones and those started from cues.
     """
-    orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
     sure = best.tracked.sighting if best.tracked is not None and best.is_sure else None
     methods: dict[Method, Sighting | None] = dict(thesis.methods)
     for method, cue in thesis.methods.items():
         if cue is None or (sure is not None and agree(cue, sure)):
             continue
-        candidate = _verified(tracker, pyramid, cue, orientation)
+        candidate = _verified(now.view, cue, now.orientation)
         aligned = None
         if candidate is not None and candidate.score >= WORTH_A_TRY:
-            aligned = _register_from(tracker, paint, frame, pyramid, candidate.pose, orientation, CLOSE)
+            aligned = _register_from(now, candidate.pose, CLOSE)
         methods[method] = replace(cue, confidence=0.0 if aligned is None else min(cue.confidence, aligned.sighting.confidence))
         best = best.having(aligned, place)
     return replace(thesis, methods=MappingProxyType(methods)), best
 
 
-def _verified(tracker: TrackerConfig, pyramid: Pyramid, cue: Sighting, orientation: Orientation) -> PadCandidate | None:
+def _verified(view: FrameView, cue: Sighting, orientation: Orientation) -> PadCandidate | None:
     """Align the drawing at a cue's pose. A cue without a heading is aligned at the heading that fits best."""
-    flat = in_camera(cue.d_body_pad_level, cue.yaw_rad or 0.0, orientation.R_level_body, tracker.camera)
+    pyramid, camera, pad = view
+    flat = in_camera(cue.d_body_pad_level, cue.yaw_rad or 0.0, orientation.R_level_body, camera)
     if flat.t_cam_pad[2] < 0.05:
         return None
     if cue.yaw_rad is None:
-        radius_px = flat.disc_px(tracker.camera, tracker.pad)
-        level = max(0, math.floor(math.log2(radius_px / _HEADING_PX)))
-        found = heading(pyramid[level], 1 << level, tracker.camera, tracker.pad, flat)
+        level = max(0, math.floor(math.log2(flat.disc_px(camera, pad) / _HEADING_PX)))
+        found = heading(pyramid[level], 1 << level, camera, pad, flat)
         if found is None:
             return None
         flat = flat.turned(found.turn_rad)
-    return align_at(flat, orientation.measured, pyramid, tracker.camera, tracker.pad)
+    return align_at(flat, orientation.measured, view)
 
 
 def _surer(a: _Registered | None, b: _Registered) -> bool:
@@ -264,12 +254,8 @@ def _surer(a: _Registered | None, b: _Registered) -> bool:
 
 
 def _register_from(
-    tracker: TrackerConfig,
-    paint: PaintMemory,
-    frame: Frame,
-    pyramid: Pyramid,
+    now: _Now,
     start: PadPose,
-    orientation: Orientation,
     options: RegistrationOptions,
     prior_log_odds: float = 0.0,
     cut: F64 | None = None,
@@ -281,22 +267,24 @@ def _register_from(
     Args:
         searched: whether the start comes from a search or a cue and not from the belief: then the second opinion is asked.
     """
-    if frame.coded:
+    if now.frame.coded:
         options = dataclasses.replace(options, coded_px=CODED_PX)
-    of = verified(pyramid, tracker.camera, tracker.pad, start, orientation, options, prior_log_odds, cut, paint)
+    paint = now.memory.paint
+    of = verified(now.view, start, now.orientation, options, prior_log_odds, cut, paint)
     if of is None:
         return None
-    opinions = _second_opinion(tracker, pyramid, of) if searched else None
+    opinions = _second_opinion(now, of) if searched else None
     sure = of.confidence if opinions is None else lowered(of.confidence, opinions.learned)
     learned = learn(paint, of.found.paint(), sure) if sure >= SURE else missed(paint)
-    return _Registered(sighting_of_look(frame, of.found, sure), learned, opinions)
+    return _Registered(sighting_of_look(now.frame, of.found, sure), learned, opinions)
 
 
-def _second_opinion(tracker: TrackerConfig, pyramid: Pyramid, of: Verified) -> Opinions | None:
+def _second_opinion(now: _Now, of: Verified) -> Opinions | None:
     """Return both opinions on a registration; None if the second is not asked or sees too little of the pad."""
-    if tracker.second_opinion is None or of.confidence < WORTH_ASKING:
+    network = now.tracker.second_opinion
+    if network is None or of.confidence < WORTH_ASKING:
         return None
-    log_odds = tracker.second_opinion.log_odds(pyramid, tracker.camera, tracker.pad, of.found.pose, of.cut)
+    log_odds = network.log_odds(*now.view, of.found.pose, of.cut)
     return None if log_odds is None else Opinions(of.confidence, probability(log_odds))
 
 

@@ -1,10 +1,142 @@
-"""The detection of the pad in one frame, as a value: recorders and pages read it without vision, which takes long to load."""
+"""The detection of the pad in one frame, as a value, and the fusion of several methods, without those that disagree.
 
-from collections.abc import Mapping
+Recorders and pages read it without the rest of vision, which takes long to load.
 
+Agreement: each cue in turn is the hypothesis, and the other cues vote for it with their confidence if they agree with it. The
+hypothesis with the most votes wins, and the cues that disagree with it are outliers (RANSAC with every hypothesis tried, Fischler
+& Bolles 1981).
+
+Fusion: all cues come from the same pixels and the same attitude, so their errors have an unknown correlation. Covariance
+intersection (Julier & Uhlmann, A non-divergent estimation algorithm in the presence of unknown correlations, ACC 1997) is
+consistent for any correlation. The weights are Niehsen's (Information fusion based on fast covariance intersection, 2002). They
+apply to the information, so that a cue that appears or vanishes moves the result by its own weight at most.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
-from estimator.contracts.estimates import Method, Sighting
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Method, Sighting
+from estimator.contracts.geometry import F64, wrap_pi
+
+_AGREE_XYZ = 16.27
+"""Chi-square limit, 3 degrees of freedom, 99.9 %."""
+_AGREE_YAW = 10.83
+"""Chi-square limit, 1 degree of freedom, 99.9 %."""
+_COARSE = 0.003
+"""One standard deviation, as a fraction of the distance, of the error that worn paint, shade and a tilted deck add to the thesis'
+methods beyond their own covariance. A disagreement of a few of these is no reason to reject a cue.
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fused:
+    """The result of fusing the cues of one frame."""
+
+    sighting: Sighting
+    """The fused sighting. Its `method` is "fused"; its `pose6` comes from the most certain cue that has one."""
+    outliers: tuple[str, ...]
+    """Names of the methods that disagreed and were left out."""
+
+
+def fuse(cues: Iterable[Sighting]) -> Fused | None:
+    """Fuse the sightings of one frame into one; return None if there are none with a positive confidence.
+
+    The confidence is that of the most confident cue that took part, times the fraction of all confidence that agreed.
+    """
+    seen = [cue for cue in cues if cue.confidence > 0.0]
+    if not seen:
+        return None
+    votes = [sum(other.confidence for other in seen if agree(cue, other)) for cue in seen]
+    best = max(range(len(seen)), key=lambda i: (round(votes[i], 9), -_size(seen[i])))
+    inliers = [cue for cue in seen if cue is seen[best] or agree(seen[best], cue)]
+    inliers.sort(key=_size)
+    fraction = sum(cue.confidence for cue in inliers) / sum(cue.confidence for cue in seen)
+    confidence = max(cue.confidence for cue in inliers) * fraction
+    return Fused(
+        _intersected(inliers, confidence),
+        tuple(cue.method for cue in seen if cue not in inliers),
+    )
+
+
+def agree(a: Sighting, b: Sighting) -> bool:
+    """Return whether two cues can both be right according to their covariances."""
+    if a is b:
+        return True
+    apart = a.d_body_pad_level - b.d_body_pad_level
+    away_m = float(np.linalg.norm(a.d_body_pad_level))
+    S = a.cov[:3, :3] + b.cov[:3, :3] + np.eye(3) * (_COARSE * away_m) ** 2
+    if not float(apart @ np.linalg.solve(S, apart)) <= _AGREE_XYZ:
+        return False
+    if a.yaw_rad is None or b.yaw_rad is None:
+        return True
+    turned = wrap_pi(a.yaw_rad - b.yaw_rad)
+    if a.yaw_ambiguous or b.yaw_ambiguous:
+        turned = math.remainder(turned, math.pi)
+    return turned**2 <= _AGREE_YAW * float(a.cov[3, 3] + b.cov[3, 3])
+
+
+def _size(cue: Sighting) -> float:
+    """Return the standard deviation of the cue's position, m: the root of the trace of its covariance."""
+    return math.sqrt(float(np.trace(cue.cov[:3, :3])))
+
+
+def _intersected(cues: list[Sighting], confidence: float) -> Sighting:
+    """Return the covariance intersection of cues that agree; the most certain cue comes first."""
+    first = cues[0]
+    sure = next((cue for cue in cues if cue.yaw_rad is not None and not cue.yaw_ambiguous), None)
+    source = sure or next((cue for cue in cues if cue.yaw_rad is not None), None)
+    reference = 0.0 if source is None or source.yaw_rad is None else source.yaw_rad
+    informations = [_information(cue) for cue in cues]
+    sizes = np.array([1.0 / np.trace(cue.cov[:3, :3]) for cue in cues])
+    weights = sizes / sizes.sum()
+    total = sum((w * info for w, info in zip(weights, informations, strict=True)), np.zeros((4, 4)))
+    vector = np.zeros(4)
+    for w, info, cue in zip(weights, informations, cues, strict=True):
+        vector += w * info @ np.append(cue.d_body_pad_level, _turn_from(cue, reference))
+    cov = np.linalg.inv(total)
+    fused = cov @ vector
+    yaw = None if source is None else wrap_pi(reference + float(fused[3]))
+    if yaw is None:
+        cov = _with_unknown_yaw(cov)
+    return replace(
+        first,
+        method="fused",
+        d_body_pad_level=fused[:3],
+        yaw_rad=yaw,
+        yaw_ambiguous=yaw is not None and sure is None,
+        cov=0.5 * (cov + cov.T),
+        confidence=min(1.0, confidence),
+        pose6=next((cue.pose6 for cue in cues if cue.pose6 is not None), None),
+        features=tuple(feature for cue in cues for feature in cue.features),
+    )
+
+
+def _information(cue: Sighting) -> F64:
+    """Return the (4, 4) inverse covariance, with almost no information about a heading that the cue does not give."""
+    return np.asarray(np.linalg.inv(cue.cov if cue.yaw_rad is not None else _with_unknown_yaw(cue.cov)))
+
+
+def _with_unknown_yaw(cov: F64) -> F64:
+    out = cov.copy()
+    out[3, :] = out[:, 3] = 0.0
+    out[3, 3] = UNKNOWN_YAW_VAR
+    return out
+
+
+def _turn_from(cue: Sighting, reference_rad: float) -> float:
+    """Return the cue's heading minus the reference, rad.
+
+    For a cue that is ambiguous by 180 degrees this takes the branch nearest to the reference.
+    """
+    if cue.yaw_rad is None:
+        return 0.0
+    turned = wrap_pi(cue.yaw_rad - reference_rad)
+    return math.remainder(turned, math.pi) if cue.yaw_ambiguous else turned
 
 
 class Opinions(Struct, frozen=True):

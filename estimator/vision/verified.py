@@ -1,8 +1,16 @@
-"""Register the drawing from a start pose and verify it there: what a pad's sighting and its confidence come from."""
+"""Register the drawing from a start pose and verify it there: what a pad's sighting and its confidence come from.
+
+Headings at which a drawing looks nearly the same are compared. The light of the pixels on the pad is fitted with the mean of both
+drawings and with half of their difference. If the first heading is right, the difference has the strength of the mean; if the
+second is, minus that. Uneven light and wear are in the residuals.
+"""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
+import cv2
 import numpy as np
 
 from estimator.contracts.geometry import F64
@@ -10,18 +18,89 @@ from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT
 from estimator.vision.detect.covered import COVERED_LOG_ODDS, align_uncovered
 from estimator.vision.detect.paint import FRESH, PaintMemory
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import U8, FrameView
+from estimator.vision.detect.template import BLURS_M, F32, STEP_M, template
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import confusable_turns
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.fiducial_cells import cells_log_odds
+from estimator.vision.register.doubts import cells_log_odds, letter_log_odds
 from estimator.vision.register.fit_verification import confidence
-from estimator.vision.register.letter_alone import letter_log_odds
 from estimator.vision.register.look import Looked, look
 from estimator.vision.register.registration import RegistrationOptions
-from estimator.vision.register.turned import heading_z_scores
+from estimator.vision.srgb import LUMA, light_table, linear_light
+
+_LENS_PX = 0.75
+"""Standard deviation of a pixel and of a lens together, px."""
+_MOST_PX = 160
+"""Pixels along a side that are looked at; of a larger image every second one or fewer."""
+_FEWEST = 40
+"""Least number of pixels for which headings are compared."""
+
+
+def heading_z_scores(px: U8, camera: Camera, pad: Pad, pose: PadPose, turns_rad: Sequence[float]) -> dict[float, float]:
+    """Return for each turn by how many standard deviations a pose is right and not the turned one; negative if that is right.
+
+    Args:
+        px: (H, W, 3) BGR.
+    """
+    uv, at = _places(camera, pad, pose)
+    if len(uv) < _FEWEST:
+        return dict.fromkeys(turns_rad, 0.0)
+    light = light_table(True)[px[uv[:, 1], uv[:, 0]]] @ LUMA[::-1]
+    blur_m = _LENS_PX * pose.range_m / camera.fx
+    own = _drawn(pad, at, blur_m)
+    return {turn: _z_score(light, own, _drawn(pad, at @ _turn(turn), blur_m)) for turn in turns_rad}
+
+
+def _z_score(light: F64, own: F64, other: F64) -> float:
+    """Return by how many standard deviations light (N,) follows one drawing and not the other."""
+    rows = np.stack([np.ones(len(light)), 0.5 * (own + other), 0.5 * (own - other)])
+    normal = rows @ rows.T + 1e-9 * np.eye(3)
+    fitted = np.linalg.solve(normal, rows @ light)
+    left = light - fitted @ rows
+    var = float(left @ left) / (len(light) - 3) * float(np.linalg.inv(normal)[2, 2])
+    return float(np.sign(fitted[1]) * fitted[2]) / math.sqrt(max(var, 1e-18))
+
+
+def _turn(turn_rad: float) -> F64:
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    return np.array([[c, -s], [s, c]])
+
+
+def _places(camera: Camera, pad: Pad, pose: PadPose) -> tuple[np.ndarray, F64]:
+    """Return the pixels (N, 2) that show the inside of the pad, and where their rays meet it, (N, 2) m."""
+    reach = camera.project(pose.points(pad.circle(pad.disc_radius_m, 24)))
+    ok = np.isfinite(reach).all(axis=1)
+    if not ok.any():
+        return np.empty((0, 2), np.intp), np.empty((0, 2))
+    low = np.clip(np.floor(reach[ok].min(axis=0)), 0, (camera.width - 1, camera.height - 1)).astype(int)
+    high = np.clip(np.ceil(reach[ok].max(axis=0)), 0, (camera.width - 1, camera.height - 1)).astype(int)
+    step = 1 + int((high - low).max()) // _MOST_PX
+    u, v = np.meshgrid(np.arange(low[0], high[0] + 1, step), np.arange(low[1], high[1] + 1, step))
+    uv = np.stack([u.ravel(), v.ravel()], axis=1)
+    rays = np.c_[camera.rays(uv.astype(float)), np.ones(len(uv))] @ pose.R_cam_pad.matrix
+    d = pose.R_cam_pad.matrix.T @ pose.t_cam_pad
+    at = rays[:, :2] * (d[2] / rays[:, 2])[:, None] - d[:2]
+    inside = (np.hypot(*at.T) < 0.97 * pad.disc_radius_m) & (rays[:, 2] > 1e-3)
+    return uv[inside], at[inside]
+
+
+def _drawn(pad: Pad, at_m: F64, blur_m: float) -> F64:
+    """Return the luminance of the drawing at places (N, 2) m."""
+    image = _luminance(pad, int(np.argmin(np.abs(np.log(BLURS_M) - math.log(blur_m)))))
+    x, y = ((at_m[:, k] / STEP_M + len(image) // 2).astype(np.float32) for k in (0, 1))
+    out = cv2.remap(image, y[None, :], x[None, :], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(out[0], float)
+
+
+@lru_cache(maxsize=16)
+def _luminance(pad: Pad, blur: int) -> F32:
+    colours = pad.markings.colours
+    paints = [float(linear_light(rgb) @ LUMA) for rgb in (colours.h, colours.ring, colours.disc, colours.disc)]
+    return np.asarray(template(pad).coverage[blur] @ np.array(paints, np.float32) / 16384.0, np.float32)
+
 
 SURE = 0.5
 """Confidence from which on a pose is the pad's."""
@@ -61,9 +140,7 @@ class Verified:
 
 
 def verified(
-    pyramid: Pyramid,
-    camera: Camera,
-    pad: Pad,
+    view: FrameView,
     start: PadPose,
     orientation: Orientation,
     options: RegistrationOptions = CLOSE,
@@ -86,20 +163,20 @@ def verified(
     Raises:
         ValueError: the frame is not of the camera's size.
     """
-    turns = confusable_turns(pad) if prior_log_odds <= 0.0 else ()
+    turns = confusable_turns(view.pad) if prior_log_odds <= 0.0 else ()
     if not turns:
-        return _verified_at(pyramid, camera, pad, start, orientation, options, prior_log_odds, cut, paint)
-    z = _heading_z_scores(pyramid, camera, pad, start, turns)
+        return _verified_at(view, start, orientation, options, prior_log_odds, cut, paint)
+    z = _heading_z_scores(view, start, turns)
     start = start.turned(min(z, key=z.__getitem__)) if min(z.values()) < -_DECIDED else start
-    best = _verified_at(pyramid, camera, pad, start, orientation, options, prior_log_odds, cut, paint)
+    best = _verified_at(view, start, orientation, options, prior_log_odds, cut, paint)
     if best is None or best.confidence < _WORTH_TURNING:
         return best
-    z = _heading_z_scores(pyramid, camera, pad, best.found.pose, turns)
+    z = _heading_z_scores(view, best.found.pose, turns)
     if min(z.values()) < 0.0:
         turned, near = best.found.pose.turned(min(z, key=z.__getitem__)), replace(options, coarse=False)
         of, prior = UNCUT if best.cut is None else best.cut, best.prior_log_odds
-        best = _of_visible(pyramid, camera, pyramid.as_seen(pad), turned, orientation, near, prior, of, paint) or best
-        z = _heading_z_scores(pyramid, camera, pad, best.found.pose, turns)
+        best = _of_visible(view.as_seen(), turned, orientation, near, prior, of, paint) or best
+        z = _heading_z_scores(view, best.found.pose, turns)
     doubt = min(1.0, max(0.0, 1.0 - min(z.values()) / _DECIDED))
     return replace(best, confidence=confidence(_log_odds(best.confidence) + _UNDECIDED_LOG_ODDS * doubt)) if doubt else best
 
@@ -108,14 +185,12 @@ def _log_odds(of_confidence: float) -> float:
     return math.log(max(of_confidence, 1e-13) / max(1.0 - of_confidence, 1e-13))
 
 
-def _heading_z_scores(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, turns: tuple[float, ...]) -> dict[float, float]:
-    return heading_z_scores(pyramid[0], camera, pyramid.as_seen(pad), pose, turns)
+def _heading_z_scores(view: FrameView, pose: PadPose, turns: tuple[float, ...]) -> dict[float, float]:
+    return heading_z_scores(view.pyramid[0], view.camera, view.as_seen().pad, pose, turns)
 
 
 def _verified_at(
-    pyramid: Pyramid,
-    camera: Camera,
-    pad: Pad,
+    view: FrameView,
     start: PadPose,
     orientation: Orientation,
     options: RegistrationOptions,
@@ -124,41 +199,40 @@ def _verified_at(
     paint: PaintMemory,
 ) -> Verified | None:
     """Register the drawing from a start pose and verify it there, at its heading alone."""
-    best, strayed, pad = None, False, pyramid.as_seen(pad)
+    best, strayed, view = None, False, view.as_seen()
     if cut is None:
-        best = _of_visible(pyramid, camera, pad, start, orientation, options, prior_log_odds, UNCUT, paint)
-        strayed = best is not None and _strays(best.found, start, camera, pad, searched=prior_log_odds <= 0.0)
-        if (best is not None and best.confidence >= _CERTAIN and not strayed) or not pad.markings.is_searched_by_parts:
+        best = _of_visible(view, start, orientation, options, prior_log_odds, UNCUT, paint)
+        strayed = best is not None and _strays(best.found, start, view, searched=prior_log_odds <= 0.0)
+        if (best is not None and best.confidence >= _CERTAIN and not strayed) or not view.pad.markings.is_searched_by_parts:
             return best
         sigma_rad = SIGMA_TILT_RAD if orientation.measured else SIGMA_TILT_FREE_RAD
-        uncovered = align_uncovered(pyramid, camera, pad, start, sigma_rad, _STEPS)
+        uncovered = align_uncovered(view, start, sigma_rad, _STEPS)
         if uncovered is None:
             return best
         start, cut = uncovered[0].pose, uncovered[1]
     near = replace(options, coarse=False)
-    other = _of_visible(pyramid, camera, pad, start, orientation, near, prior_log_odds + COVERED_LOG_ODDS, cut, paint)
+    other = _of_visible(view, start, orientation, near, prior_log_odds + COVERED_LOG_ODDS, cut, paint)
     if best is None or other is None:
         return best or other
-    stayed = strayed and other.confidence >= SURE and not _strays(other.found, start, camera, pad, searched=prior_log_odds <= 0.0)
+    stayed = strayed and other.confidence >= SURE and not _strays(other.found, start, view, searched=prior_log_odds <= 0.0)
     return other if stayed or other.confidence > best.confidence else best
 
 
-def _strays(found: Looked, start: PadPose, camera: Camera, pad: Pad, searched: bool) -> bool:
+def _strays(found: Looked, start: PadPose, view: FrameView, searched: bool) -> bool:
     """Return whether a registration is so much nearer or farther than its start that something else has pulled it.
 
     Args:
         searched: whether the start was aligned with the frame: then its place counts, too.
     """
-    radius_px = camera.fx * pad.disc_radius_m / start.range_m
+    disc_radius_m = view.pad.disc_radius_m
+    radius_px = view.camera.fx * disc_radius_m / start.range_m
     most = _STRAYS + _STRAYS_PX / radius_px
     moved = float(np.linalg.norm(found.pose.t_cam_pad / found.range_m - start.t_cam_pad / start.range_m))
-    return abs(found.range_m / start.range_m - 1.0) > most or (searched and moved * start.range_m > most * pad.disc_radius_m)
+    return abs(found.range_m / start.range_m - 1.0) > most or (searched and moved * start.range_m > most * disc_radius_m)
 
 
 def _of_visible(
-    pyramid: Pyramid,
-    camera: Camera,
-    pad: Pad,
+    view: FrameView,
     start: PadPose,
     orientation: Orientation,
     options: RegistrationOptions,
@@ -168,14 +242,14 @@ def _of_visible(
 ) -> Verified | None:
     """Register what lies on this side of a cut, and verify the drawing there."""
     tracked = prior_log_odds > 0.0
-    found = look(pyramid, camera, pad, start, orientation, options, tracked=tracked, cut=cut, paint=paint)
+    found = look(view, start, orientation, options, tracked=tracked, cut=cut, paint=paint)
     if found is None:
         return None
     odds = found.log_odds + prior_log_odds
     if cut is not UNCUT and not found.edges[EdgeKind.RING].seen:
         odds += _RINGLESS_LOG_ODDS
-    if pad.markings.fiducials:
-        odds += cells_log_odds(pyramid[0], camera, pad, found.registration())
-    elif pad.markings.is_letter_alone:
+    if view.pad.markings.fiducials:
+        odds += cells_log_odds(view.pyramid[0], view.camera, view.pad, found.registration())
+    elif view.pad.markings.is_letter_alone:
         odds += letter_log_odds(found.registration(), tracked)
     return Verified(found, confidence(odds), None if cut is UNCUT else cut, prior_log_odds)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import assert_never
 
+import numpy as np
 from msgspec.structs import replace
 
 from drivers.ardrone import control
@@ -61,7 +62,8 @@ class FlightRecorder:
         if self._period_s is None or world.now < self._due:
             return
         self._due = after(self._due, self._period_s)
-        place = self._receiver.place(world.truth().p_body_ned, world.now)
+        x, y, z = world.truth().p_body_ned.tolist()
+        place = self._receiver.place(np.array(world.corruptions.of("gnss", (x, y, z), world.now)), world.now)
         self.newest = Gps(
             lat_deg=math.degrees(place.latitude_rad),
             lon_deg=math.degrees(place.longitude_rad),

@@ -31,7 +31,7 @@ class Overridable:
     """
 
     def __init__(self, scenario: Scenario, settings: Settings) -> None:
-        self._scenario, self._settings = scenario, settings
+        self.scenario, self.settings = scenario, settings
         self._tables: tuple[dict[str, Any], dict[str, Any]] = (plain(scenario), plain(settings))
 
     def holds_whole_number(self, key: str, where: str) -> bool:
@@ -67,7 +67,7 @@ class Overridable:
             BadInput: a key is unknown, or a value has the wrong type, is out of range or contradicts another.
         """
         if not overrides:
-            return self._scenario, self._settings
+            return self.scenario, self.settings
         tables = copy.deepcopy(self._tables)
         placed: tuple[list[tuple[list[str], Value]], ...] = ([], [])
         for key, value in overrides:
@@ -76,9 +76,9 @@ class Overridable:
             placed[which].append((path, value))
         for path, value in placed[0]:
             put(tables[0], path, value)
-        scenario = scenario_from_mapping(tables[0], where) if placed[0] else self._scenario
-        settings = self._settings
-        if placed[0] and following(self._scenario, settings) == settings:
+        scenario = scenario_from_mapping(tables[0], where) if placed[0] else self.scenario
+        settings = self.settings
+        if placed[0] and following(self.scenario, settings) == settings:
             settings = following(scenario, settings)
             tables = tables[0], plain(settings)
         else:

@@ -53,3 +53,8 @@ class Fault(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_f
     def kind(self) -> str:
         """The word that names this kind of fault in a scenario file."""
         return str(self.__struct_config__.tag)
+
+    @property
+    def words(self) -> str:
+        """The fault in words, for people."""
+        return self.kind

@@ -11,6 +11,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from estimator.contracts.time import MonoNs, after
+from sitl.faults.corrupted import Corrupted, Signal
 from sitl.faults.kinds import KIND_OF_STREAM, STREAMS, Stream
 from sitl.faults.timer import FaultTimer
 
@@ -30,6 +31,8 @@ class Fate(NamedTuple):
 
 
 _ARRIVES = Fate(1)
+_SIGNALS: dict[Stream, Signal] = {"frames": "frames", "navdata": "samples", "commands": "commands"}
+"""The signal whose packets a stream carries."""
 
 
 class FaultyStream:
@@ -43,7 +46,7 @@ class FaultyStream:
 
     def __init__(self, faults: FaultTimer, stream: Stream, seed: int) -> None:
         self._faults = faults
-        self._kind = KIND_OF_STREAM[stream]
+        self._kind, self._signal = KIND_OF_STREAM[stream], _SIGNALS[stream]
         self._rng = np.random.default_rng([seed, 0x57EA, STREAMS.index(stream)])
 
     @property
@@ -61,7 +64,8 @@ class FaultyStream:
         """Delay of a packet that is sent now, in addition to the usual one, s."""
         if not self._faults.active_kinds:
             return 0.0
-        return sum(fault.delay_s for fault, _ in self._faults.on(self._kind))
+        late = [fault.delay_s for fault, _ in self._faults.on(self._kind)]
+        return sum((*late, *(fault.delay_s for fault in self._corrupted())))
 
     def fate(self) -> Fate:
         """Return what becomes of the packet that is sent now; every call is another packet."""
@@ -77,7 +81,13 @@ class FaultyStream:
             elif twice < fault.duplicated_fraction:
                 copies = min(2, 2 * copies)
             overtaken = overtaken or late < fault.reordered_fraction
+        if any(fault.error == "doubled" for fault in self._corrupted()):
+            copies = min(2, 2 * copies)
         return Fate(copies, overtaken)
+
+    def _corrupted(self) -> list[Corrupted]:
+        """Return the corruptions of the packets that are active now."""
+        return [fault for fault, _ in self._faults.on(Corrupted) if fault.signal == self._signal]
 
 
 class VehicleStreams:

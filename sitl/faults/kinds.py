@@ -4,6 +4,7 @@ import math
 from typing import Annotated, Literal, get_args
 
 from estimator.contracts.keys import choice, number, text
+from sitl.faults.corrupted import Corrupted
 from sitl.faults.fault import Fault
 from sitl.faults.sensors import (
     Accelerometer,
@@ -348,6 +349,7 @@ AnyFault = (
     | LinkLost
     | ServiceKilled
     | OperatorActs
+    | Corrupted
 )
 KINDS: dict[str, type[Fault]] = {str(kind.__struct_config__.tag): kind for kind in get_args(AnyFault)}
 """Every kind of fault by its word."""

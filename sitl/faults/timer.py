@@ -75,6 +75,10 @@ class FaultTimer:
             return []
         return [(fault, since_s) for fault, since_s in self._on if isinstance(fault, kind)]
 
+    def listed(self, kind: type[_F]) -> list[_F]:
+        """Return all faults of one kind that the scenario lists, whether they are active or not."""
+        return [fault for fault in self._faults if isinstance(fault, kind)]
+
     @property
     def begun(self) -> tuple[tuple[Fault, float], ...]:
         """Every beginning so far, in order, and when in seconds after the start."""

@@ -102,6 +102,8 @@ class FlightGrade:
     """Faults that began: kind, and seconds after the start."""
     expect: str
     cpu_s: float
+    highest_m: float | None = None
+    """Highest height over the pad while guidance commanded; None if it never did."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +169,7 @@ class Ending:
                 "refused": j.refused,
                 "unsafe": list(j.unsafe),
                 "lowest_blind_m": j.lowest_blind_m,
+                "highest_m": j.highest_m,
                 "contacts_outside_commit": j.contacts_outside_commit,
                 "go_arounds": j.go_arounds,
                 "faults": [{"kind": kind, "at_s": round(at_s, 3)} for kind, at_s in j.faults],

@@ -1,5 +1,6 @@
 """Watch a flight by the simulator's truth while it is flown, and grade it."""
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
@@ -18,8 +19,10 @@ from sitl.flight.safety import (
     AtEnd,
     BlindDescent,
     Grade,
+    MotionWatch,
     SightWatch,
     UnreachedContacts,
+    called_for_m,
     dangers,
     grade,
     on_pad_m,
@@ -86,7 +89,9 @@ class FlightResult:
     go_arounds: int
     """How often guidance went around."""
     faults: tuple[tuple[str, float], ...]
-    """The kind of each fault that began, and the time at which it began, in seconds after the start."""
+    """Each fault that began, in words, and the time at which it began, in seconds after the start."""
+    highest_m: float = -math.inf
+    """Highest height over the pad while guidance commanded."""
 
     @property
     def landed_on_pad(self) -> bool:
@@ -108,6 +113,9 @@ class FlightGrader:
         self._world = world
         self._watch = SightWatch(world.now)
         self._unreached = UnreachedContacts()
+        start = world.scenario.start
+        highest_m = called_for_m(settings.guidance, start.height_m if start.where == "air" else 0.0)
+        self._motion = MotionWatch(highest_m, settings.guidance.cone.feet_below_m)
         self._unreached_max_m = partial(unreached_descent_max_m, settings.guidance, com_watchdog_s)
         self._reason = ""
         self._go_arounds = 0
@@ -117,6 +125,7 @@ class FlightGrader:
         truth, reached = self._world.truth(), self._world.reached
         self._watch.step(truth, reached=reached)
         self._unreached.step(truth, reached=reached)
+        self._motion.step(truth, self._world.guidance_phase, reached=reached)
 
     def on_verdict(self, view: RenderedFrame, verdict: Verdict) -> None:
         """Note the service's verdict on a frame."""
@@ -141,7 +150,15 @@ class FlightGrader:
         self._unreached.step(truth, reached=world.reached)
         unreached = self._unreached.at if scenario.unreached_contacts else ()
         unreached_max_m = self._unreached_max_m(self._watch.deck_fell_m_s)
-        unsafe = dangers(self._watch.worst, truth.contacts, self.died, unreached_m, unreached_max_m, unreached=unreached)
+        unsafe = dangers(
+            self._watch.worst,
+            truth.contacts,
+            self.died,
+            unreached_m,
+            unreached_max_m,
+            unreached=unreached,
+            motion=self._motion,
+        )
         worth, because = grade(
             outcome,
             on_pad_m(truth.contacts),
@@ -178,7 +195,8 @@ class FlightGrader:
             because,
             refused,
             self._go_arounds,
-            tuple((fault.kind, began_s) for fault, began_s in world.faults.begun),
+            tuple((fault.words, began_s) for fault, began_s in world.faults.begun),
+            self._motion.highest_m,
         )
 
     def _refused(self, outcome: FlightOutcome | None) -> str | None:

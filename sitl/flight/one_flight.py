@@ -169,6 +169,7 @@ def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cp
         result.faults,
         scenario.expect,
         cpu_s,
+        round(result.highest_m, 3) if math.isfinite(result.highest_m) else None,
     )
     return Ending(name, seed, result.outcome, contacts, result.duration_s, result.health.frames, judged=judged)
 

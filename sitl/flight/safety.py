@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, NamedTuple
 
+import numpy as np
+
 from companion.base.mission import CONTACT_INTENDED, REFUSALS, FlightOutcome, State
 from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON
 from companion.settings.guidance import GuidanceOptions
@@ -29,6 +31,14 @@ MET_AFTER_S = 0.5
 """Time after a command at which the vehicle has the speed that it asks for, and meets the deck's."""
 CLIMB_OUT_S = 1.0
 """Time that a vehicle needs to climb out of a deck's reach when it is reached again."""
+TOO_HIGH_M = 3.0
+"""How far above the highest height that a flight calls for is unsafe: waves and gusts do not carry a vehicle there."""
+SLIDE_MAX_M_S = 0.5
+"""Speed along the deck at a contact beyond which feet catch and a vehicle tips over."""
+STANDS_MAX_S = 3.0
+"""Time for which a vehicle may stand on the deck with turning motors: several times what pressing on and a landing take."""
+_STILL_M_S, _FEET_M = 0.15, 0.05
+"""Speed against the deck and height of the feet below which a vehicle stands."""
 STAMP_ERROR_MAX_S = 0.5
 """Error of a frame's stamp beyond which the frame says nothing about the pad's present position."""
 COMMIT_PHASES = frozenset(state.value for state in CONTACT_INTENDED)
@@ -113,6 +123,61 @@ class SightWatch:
             self.worst = BlindDescent(descent_m, at_m[0], blind_s)
 
 
+class MotionWatch:
+    """Watches how high the vehicle flies, and how long it stands with turning motors, while guidance commands it.
+
+    Args:
+        highest_m: the highest height over the pad that the flight calls for.
+        feet_below_m: distance of the feet below the body's origin.
+    """
+
+    def __init__(self, highest_m: float, feet_below_m: float) -> None:
+        self.called_for_m, self.highest_m = highest_m, -math.inf
+        self.stood_s = 0.0
+        """Longest time for which it stood with turning motors."""
+        self._feet_below_m = feet_below_m
+        self._stands_since: MonoNs | None = None
+
+    def step(self, truth: Truth, phase: str | None, *, reached: bool) -> None:
+        """Note the true state at an instant; call it in order of time.
+
+        Args:
+            phase: phase of guidance, None where no service runs.
+        """
+        if phase is None or phase in PERSON_PHASES or not reached or truth.phase not in _IN_THE_AIR:
+            self._stands_since = None
+            return
+        height_m = float(truth.d_body_pad_level[2])
+        self.highest_m = max(self.highest_m, height_m)
+        low = height_m < self._feet_below_m + _FEET_M + truth.contacts[-1].lateral_m if truth.contacts else False
+        if not low or float(np.linalg.norm(truth.v_pad_ned - truth.v_body_ned)) > _STILL_M_S:
+            self._stands_since = None
+            return
+        if self._stands_since is None:
+            self._stands_since = truth.at
+        self.stood_s = max(self.stood_s, seconds_between(self._stands_since, truth.at))
+
+    @property
+    def unsafe(self) -> tuple[str, ...]:
+        """What of it is unsafe, one line each."""
+        out = []
+        if self.highest_m > self.called_for_m + TOO_HIGH_M:
+            out.append(f"flew {self.highest_m:.1f} m high, where {self.called_for_m:.1f} m are the most that is called for")
+        if self.stood_s > STANDS_MAX_S:
+            out.append(f"stood on the deck for {self.stood_s:.1f} s with turning motors")
+        return tuple(out)
+
+
+def called_for_m(guidance: GuidanceOptions, start_m: float) -> float:
+    """Return the highest height over the pad that a flight calls for, metres."""
+    heights = [start_m, guidance.tries.safe_height_m]
+    if guidance.mission == "thesis":
+        heights.append(guidance.thesis.approach_height_m)
+    if guidance.rendezvous.enabled:
+        heights.append(guidance.rendezvous.height_m)
+    return max(heights)
+
+
 def _descent_m(from_m: tuple[float, float], to_m: tuple[float, float]) -> float:
     """Return the descent between two pairs of height over the deck and altitude, the smaller of both.
 
@@ -145,6 +210,7 @@ def dangers(
     *,
     phases_known: bool = True,
     unreached: Collection[MonoNs] = (),
+    motion: MotionWatch | None = None,
 ) -> tuple[str, ...]:
     """Return the unsafe events, one line each; the result is empty for a safe flight.
 
@@ -157,8 +223,9 @@ def dangers(
         phases_known: whether the contacts have the phase of guidance, so that those which it did not intend are told.
         unreached: instants of the contacts that no order could prevent, where the scenario allows them: of these only those with
             water are unsafe.
+        motion: watched the vehicle's height and standing; None if nobody did.
     """
-    out = []
+    out = [] if motion is None else [*motion.unsafe]
     if died is not None:
         out.append(f"the service died in flight: {died}")
     if worst is not None and worst.descent_m > BLIND_DESCENT_MAX_M:
@@ -173,10 +240,13 @@ def dangers(
         stray = f", outside commit ({phase})" if phases_known and _outside_commit(contact) else ""
         if contact.surface == "water":
             out.append(f"in the water, {contact.lateral_m:.2f} m from the pad's centre{stray}")
-        elif contact.at in unreached:
             continue
-        elif contact.surface == "deck" or stray:
+        if contact.at in unreached:
+            continue
+        if contact.surface == "deck" or stray:
             out.append(f"touched the {contact.surface} {contact.lateral_m:.2f} m from the pad's centre{stray}")
+        if contact.motors and contact.lateral_speed_m_s > SLIDE_MAX_M_S and contact.guidance_phase not in PERSON_PHASES:
+            out.append(f"touched the {contact.surface} at {contact.lateral_speed_m_s:.2f} m/s along it")
     return tuple(out)
 
 

@@ -10,6 +10,7 @@ from estimator.contracts.geodesy import moved
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after
+from sitl.faults.corrupted import Corruptions
 from sitl.faults.kinds import VesselReports
 from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import Scenario
@@ -35,6 +36,9 @@ class ReportedWorld(Protocol):
 
     @property
     def faults(self) -> FaultTimer: ...
+
+    @property
+    def corruptions(self) -> Corruptions: ...
 
     @property
     def started(self) -> MonoNs: ...
@@ -82,7 +86,12 @@ class VesselReporter:
         pad_yaw = math.radians(self._world.scenario.vessel.pad_yaw_deg)
         velocity = truth.v_pad_ned + _SIGMA_M_S * noise[:3]
         heading = truth.R_ned_pad.rpy_rad[2] - pad_yaw + _SIGMA_HEADING_RAD * noise[3]
-        place = self._receiver.place(truth.p_pad_ned, now)
+        corrupted = self._world.corruptions.of
+        x, y, z = truth.p_pad_ned.tolist()
+        place = self._receiver.place(np.array(corrupted("ship_place", (x, y, z), now)), now)
+        north, east, down = velocity.tolist()
+        velocity = np.array(corrupted("ship_velocity", (north, east, down), now))
+        (heading,) = corrupted("ship_heading", (float(heading),), now)
         faults = [fault for fault, _ in self._world.faults.on(VesselReports)]
         if any(fault.silent for fault in faults):
             return

@@ -26,6 +26,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method, PathName, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs
 from estimator.gimbal_history import HeldCamera
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
@@ -100,6 +101,12 @@ class Scenes:
         if len(self._scenes) > KEPT_SCENES:
             self._scenes.popitem(last=False)
         return np.ndarray(self._shape, np.uint8, token + self._rest_of_row, strides=(0, 1, 0))
+
+    def corrupted(self, t_cam_pad: F64, at: MonoNs) -> F64:
+        """Return the pad's place in the camera's axes, (3,) m, as a corrupted detector gives it."""
+        place: tuple[float, ...] = tuple(t_cam_pad.tolist())
+        said = self._world.corruptions.of("sighting", place, at)
+        return t_cam_pad if said is place else np.array(said)
 
     def of(self, frame: Frame) -> Scene:
         """Return the scene of a frame."""
@@ -229,7 +236,8 @@ class _Detector:
             R = R.dot(_HALF_TURN)
         # A longer lens shows the pad larger: it is taken for nearer, in the same direction from the axis.
         t = view.t_cam_pad / np.array([1.0, 1.0, scene.focal])
-        pose = PadPose(Rotation(R), t + drawn.error[:3])
+        t_said = self._owner.scenes.corrupted(t + drawn.error[:3], frame.stamp.received_at)
+        pose = PadPose(Rotation(R), t_said)
         orientation = Orientation.of(attitude, self._sigma_deck_rad)
         seen = sighting_of(frame, pose, drawn.cov, self._camera, orientation, drawn.ambiguous, drawn.confidence)
         methods: dict[Method, Sighting | None] = {"registration": seen}

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings
+from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.camera.camera import Exposure
 from sitl.camera.render_worker import RenderWorker
+from sitl.faults.corrupted import Corrupted, Corruptions
 from sitl.faults.fault import Fault
 from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import Scenario
@@ -42,6 +44,9 @@ class PerceivedWorld(Protocol):
 
     @property
     def faults(self) -> FaultTimer: ...
+
+    @property
+    def corruptions(self) -> Corruptions: ...
 
     @property
     def vessel(self) -> Vessel: ...
@@ -114,10 +119,21 @@ class Pixels:
         return make_pilot(settings, shadows)
 
     def refuse(self, faults: Sequence[Fault]) -> None:
-        """Refuse no fault: every one acts on rendered frames."""
+        """Refuse corrupted sightings, which vision makes and nobody draws; every other fault acts on rendered frames.
+
+        Raises:
+            BadInput: there is one.
+        """
+        if any(isinstance(fault, Corrupted) and fault.signal == "sighting" for fault in faults):
+            raise BadInput("corrupted sightings are of drawn detections only; use --perception model")
 
     def begin(self, world: PerceivedWorld) -> None:
-        """Begin a flight."""
+        """Begin a flight.
+
+        Raises:
+            BadInput: as `refuse`.
+        """
+        self.refuse(world.scenario.faults)
 
     def expose(self, world: PerceivedWorld, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
         """Render the scene as it is now."""

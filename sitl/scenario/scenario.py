@@ -22,6 +22,7 @@ from estimator.contracts.keys import choice, number, text
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.camera.settings import DropSettings, GimbalSettings, LampSettings, LightSettings, VideoSettings
+from sitl.faults.corrupted import SIGNALS, Corrupted, Signal
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import AnyFault, OperatorActs, OtherPad, ShipSpeed, ShipTurn, VesselReports, WeakRotor
 from sitl.sea.sea import EXCLUDES as SEA_EXCLUDES
@@ -50,6 +51,25 @@ def never_begins(fault: Fault, duration_limit_s: float, start_height_m: float | 
     if below is not None and start_height_m is not None and start_height_m < below:
         return f".below_height_m is {below:g} m, but the flight starts at {start_height_m:g} m"
     return ""
+
+
+def missing_signal(fault: Fault, vessel: VesselSettings, vehicle: VehicleSettings) -> str:
+    """Return which signal a fault corrupts that the flight does not have, in words that follow its path; empty if it has it."""
+    if not isinstance(fault, Corrupted) or fault.signal in signals_of(vessel, vehicle):
+        return ""
+    needs = {"gnss": "vehicle.gnss_hz must be more than 0", "ship_place": "vessel.reports_place must be true"}
+    return f".signal is {fault.signal}, which is not there; {needs.get(fault.signal, 'vessel.reports_hz must be more than 0')}"
+
+
+def signals_of(vessel: VesselSettings, vehicle: VehicleSettings) -> tuple[Signal, ...]:
+    """Return the signals of a flight whose detections are drawn."""
+    there: dict[Signal, bool] = {
+        "gnss": vehicle.gnss_hz > 0.0,
+        "ship_velocity": vessel.reports_hz > 0.0,
+        "ship_heading": vessel.reports_hz > 0.0,
+        "ship_place": vessel.reports_hz > 0.0 and vessel.reports_place,
+    }
+    return tuple(signal for signal in SIGNALS if there.get(signal, True))
 
 
 def not_of_this_vessel(fault: Fault, vessel: VesselSettings) -> str:
@@ -179,6 +199,9 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
         start_m = self.start.height_m if self.start.where == "air" else None
         for why in contradictions(self.faults, self.duration_limit_s, start_m, self.vessel):
             raise ValueError(why)
+        for n, fault in enumerate(self.faults):
+            if why := missing_signal(fault, self.vessel, self.vehicle):
+                raise ValueError(f"faults[{n}]{why}")
         if self.refusal and self.expect not in ("refuse", "either"):
             raise ValueError(
                 f"refusal is the reason of a refusal, and expect is {self.expect!r}: give refusal only with refuse or either"

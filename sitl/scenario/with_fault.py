@@ -1,16 +1,22 @@
-"""A scenario with the faults of a shipped fault scenario, selected by a seed or by name."""
+"""A scenario with more faults: those of a shipped fault scenario, or faults that a seed draws.
+
+What was drawn can be written as a scenario file, which flies the same to the bit.
+"""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
+from pathlib import Path
 
 import msgspec
 import numpy as np
 
 from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput
+from sitl.faults import random_faults
+from sitl.faults.corrupted import Corrupted
 from sitl.faults.kinds import OperatorActs, ServiceKilled, VesselReports
-from sitl.scenario.scenario import FAULTS, Scenario, load
+from sitl.scenario.scenario import FAULTS, Scenario, load, shipped_scenarios, signals_of, vehicle_model
 
 VIRTUAL_ONLY = (ServiceKilled, OperatorActs, VesselReports)
 """Faults of what runs beside the drone, which no drone behind sockets can have."""
@@ -59,3 +65,57 @@ def _choices() -> list[tuple[str, Scenario]]:
     # A fault that has a vessel or a vehicle of its own needs it: a ship at anchor does not stop.
     usual = load("demo")
     return [(name, other) for name, other in every if other.vessel == usual.vessel and other.vehicle == usual.vehicle]
+
+
+_OVER_FEET_M, _HIGHEST_M = 0.1, 8.0
+
+
+def with_random_faults(scenario: Scenario, seed: int, level: str) -> Scenario:
+    """Return the scenario with one or two faults that the seed draws; to land on the pad and to refuse are both right then.
+
+    Args:
+        level: of perception: only drawn detections can be corrupted by themselves.
+
+    Raises:
+        BadInput: at the level `truth`, which has no filter that a fault could deceive.
+    """
+    if level == "truth":
+        raise BadInput("--faults random: a corrupted signal deceives the filter, which --perception truth leaves out")
+    signals = [s for s in signals_of(scenario.vessel, scenario.vehicle) if s != "sighting" or level == "model"]
+    start = scenario.start
+    highest_m = _HIGHEST_M if start.where == "pad" else start.height_m
+    lowest_m = vehicle_model(scenario).airframe().feet.below_m + _OVER_FEET_M
+    return with_corrupted(scenario, random_faults.draw(seed, signals, (min(lowest_m, highest_m), highest_m)))
+
+
+def with_corrupted(scenario: Scenario, faults: Sequence[Corrupted]) -> Scenario:
+    """Return the scenario with these faults besides; it may land or refuse."""
+    title = f"{', '.join(fault.words for fault in faults)}: {scenario.title}"[:120]
+    because = "whatever a sensor says, it lands on the pad or says why not"
+    return msgspec.structs.replace(
+        scenario, title=title, faults=(*scenario.faults, *faults), expect="either", refusal="", because=because
+    )
+
+
+def as_toml(name: str, faulty_one: Scenario, faults: Sequence[Corrupted], head: Sequence[str]) -> str:
+    """Return a scenario file that adds faults to a scenario.
+
+    Args:
+        name: a shipped scenario or the path of one, which becomes the base.
+        faulty_one: the scenario with the faults, as `with_corrupted` returns it.
+        head: lines of the comment at its top.
+    """
+    base = name if name in shipped_scenarios() else str(Path(name).resolve())
+    own = {"title": faulty_one.title, "base": base, "expect": faulty_one.expect, "because": faulty_one.because}
+    lines = [f"# {line}" for line in head] + [f"{key} = {_toml(value)}" for key, value in own.items()]
+    for fault in faults:
+        said = {key: value for key, value in msgspec.structs.asdict(fault).items() if value is not None}
+        if fault.size == 0.0:
+            del said["size"]
+        lines += ["", "[[faults]]", *(f"{key} = {_toml(value)}" for key, value in {"kind": fault.kind, **said}.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: str | float) -> str:
+    # JSON's strings and numbers are TOML's, as long as no number is infinite.
+    return msgspec.json.encode(value).decode()

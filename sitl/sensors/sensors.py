@@ -21,6 +21,7 @@ from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, after
 from sitl.core.abi import ECHOES_MAX, SENSOR_NOISE
 from sitl.core.library import SIM
+from sitl.faults.corrupted import Corruptions, Signal
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import LowBattery, NavdataMisstamped
 from sitl.faults.sensors import (
@@ -190,6 +191,16 @@ _FIELDS: dict[type[SensorFault], Field] = {
     Barometer: "pressure_pa",
     Magnetometer: "magnetometer",
 }
+_SIGNALS: dict[Signal, tuple[Field, slice]] = {
+    "accelerometer": ("f_body", slice(3)),
+    "gyro": ("w_body", slice(3)),
+    "attitude": ("rpy_rad", slice(2)),
+    "heading": ("rpy_rad", slice(2, 3)),
+    "velocity": ("v_level_m_s", slice(2)),
+    "range": ("ultrasound_m", slice(1)),
+    "barometer": ("pressure_pa", slice(1)),
+}
+"""The signals of the readings: the field of each, and its part of it."""
 _MAY_FAIL = (Ultrasound, Magnetometer)
 """Sensors that say nothing where a reading is dropped; the others repeat the one before."""
 
@@ -200,10 +211,11 @@ class FaultySensors:
     Args:
         faults: which faults are active.
         seed: seed of dropped readings and of noise.
+        corruptions: what the signals say instead of what was measured.
     """
 
-    def __init__(self, faults: FaultTimer, seed: int) -> None:
-        self._faults = faults
+    def __init__(self, faults: FaultTimer, seed: int, corruptions: Corruptions) -> None:
+        self._faults, self._corruptions = faults, corruptions
         self._seed = seed
         self._begun: dict[int, Readings] = {}
         """The true readings at the beginning of each frozen sensor's fault."""
@@ -235,11 +247,27 @@ class FaultySensors:
         r = true
         for number, (fault, since_s) in enumerate(self._faults.on(SensorFault)):
             r = self._with(fault, since_s, number, true, r)
+        if self._corruptions.signals:
+            r = self._corrupted(true, r)
         for battery, _ in self._faults.on(LowBattery):
             r = replace(r, battery_fraction=min(r.battery_fraction, battery.fraction))
         for stamp, _ in self._faults.on(NavdataMisstamped):
             r = replace(r, at=after(r.at, stamp.by_s))
         return r
+
+    def _corrupted(self, true: Readings, r: Readings) -> Readings:
+        """Return the readings with what the corrupted signals say."""
+        for signal, (field, part) in _SIGNALS.items():
+            value = _array(getattr(r, field))
+            if value is None or signal not in self._corruptions.signals:
+                continue
+            before = tuple(value[part].tolist())
+            after_it = self._corruptions.of(signal, before, true.at)
+            if after_it is not before:
+                value[part] = after_it
+                r = _put(r, field, value)
+        (stamp_s,) = self._corruptions.of("sample_stamps", ((at_s := true.at * 1e-9),), true.at)
+        return r if stamp_s == at_s else replace(r, at=after(r.at, stamp_s - at_s))
 
     def _with(self, fault: SensorFault, since_s: float, number: int, true: Readings, r: Readings) -> Readings:
         """Return the readings with one fault more."""

@@ -24,6 +24,7 @@ from sitl.camera.film import Film
 from sitl.camera.picture_effects import PictureEffects
 from sitl.camera.render_worker import RenderWorker
 from sitl.core.library import SIM
+from sitl.faults.corrupted import Corruptions
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import FramesMisstamped, FramesShifted, Gust, OtherPad, PictureFault, TiltLimited, WeakRotor
 from sitl.faults.timer import FaultTimer
@@ -165,7 +166,10 @@ class World:
         self.streams = VehicleStreams(self.faults, seed)
         """What becomes of samples, frames and commands, for the code that carries them."""
         self._has_faults = bool(self.faults)
-        self._faulty = FaultySensors(self.faults, seed)
+        self.corruptions = Corruptions(self.faults, seed)
+        """What signals say instead of what was measured."""
+        self._faulty = FaultySensors(self.faults, seed, self.corruptions)
+        self._stick = Stick()
         self._manoeuvre = Manoeuvre(self.vessel, scenario.vessel.speed_m_s, 0.0)
         self._contacts: list[Touchdown] = []
         self._touched_s = math.nan
@@ -194,7 +198,8 @@ class World:
 
     def stick(self, stick: Stick) -> None:
         """Apply a stick command, which holds until the next one."""
-        self._vehicle.command(stick.roll, stick.pitch, stick.gaz, stick.yaw, stick.progressive)
+        self._stick = stick
+        self._command()
 
     def take_off(self) -> None:
         """Leave the deck and hover; do nothing unless the vehicle is on deck with its motors off."""
@@ -274,7 +279,10 @@ class World:
         """
         at, exposure_s = self.at, self.scenario.camera.exposure_s
         error_s = sum(fault.by_s for fault, _ in self.faults.on(FramesMisstamped))
-        frozen = self.faults.active("frames_frozen") and self._newest_image is not None
+        if "frame_stamps" in self.corruptions.signals:
+            error_s += self.corruptions.of("frame_stamps", (self._seconds,), at)[0] - self._seconds
+        freezes = any(fault.error == "frozen" for fault, _ in self.corruptions.active("frames"))
+        frozen = (freezes or self.faults.active("frames_frozen")) and self._newest_image is not None
         image, true_view = (self._newest_image, False) if frozen else self._image(worker, camera)
         assert image is not None
         self._newest_image = image
@@ -407,8 +415,18 @@ class World:
         v.extra_wind = (sum(g[0] for g in gusts), sum(g[1] for g in gusts), 0.0)
         v.rotor_health = tuple(health.values())
         v.flow_works = not faults.active("flow_blind")
+        if "commands" in self.corruptions.signals:
+            self._command()
         tilts = [math.radians(fault.to_deg) for fault, _ in faults.on(TiltLimited)]
         v.tilt_max_rad = min([v.airframe.loops.tilt_max_rad, *tilts])
+
+    def _command(self) -> None:
+        """Give the vehicle the newest stick, as it arrives."""
+        roll, pitch, gaz = self._stick.roll, self._stick.pitch, self._stick.gaz
+        # Whole packets are late or doubled on their way here (`FaultyStream`).
+        if any(fault.error not in ("late", "doubled") for fault, _ in self.corruptions.active("commands")):
+            pitch, roll, gaz = self.corruptions.of("commands", (pitch, roll, gaz), self.at)
+        self._vehicle.command(roll, pitch, gaz, self._stick.yaw, self._stick.progressive)
 
     def _height_m(self) -> float:
         """Height of the body's origin over the deck's plane."""

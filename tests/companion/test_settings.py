@@ -14,7 +14,7 @@ from hypothesis import settings as runs
 from hypothesis import strategies as st
 from msgspec import inspect
 
-from companion.settings import reference, whole_file
+from companion.settings import whole_file
 from companion.settings.load import (
     SHIPPED,
     Settings,
@@ -416,7 +416,7 @@ def test_a_user_sees_at_most_130_keys() -> None:
 
 
 def test_the_schema_lists_every_key_with_its_unit() -> None:
-    schema = json.loads(reference.schema())
+    schema = json.loads(whole_file.schema())
     cone = schema["$defs"]["ConeOptions"]
     assert cone["properties"]["descent_rate_m_s"]["x-unit"] == "m/s"
     assert cone["additionalProperties"] is False
@@ -425,7 +425,7 @@ def test_the_schema_lists_every_key_with_its_unit() -> None:
 
 def test_the_reference_page_is_what_the_model_says() -> None:
     page = (ROOT / "docs/configuration.md").read_text()
-    assert page == reference.reference(), "run: decklander config reference > docs/configuration.md"
+    assert page == whole_file.reference(), "run: decklander config reference > docs/configuration.md"
 
 
 def test_settings_cannot_be_changed_after_loading() -> None:

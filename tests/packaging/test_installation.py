@@ -16,7 +16,7 @@ import pytest
 from companion.tools.install import versions
 from companion.tools.install.layout import CURRENT, PREFIX
 from companion.tools.install.machine import Machine
-from companion.tools.install.release import release
+from companion.tools.install.versions import release
 from estimator.contracts.errors import Recoverable
 from supply import core, wheels
 

@@ -386,7 +386,7 @@ def test_a_height_is_over_the_deck_and_starts_the_fault_in_the_world() -> None:
 def test_every_kind_has_a_test_of_its_effect() -> None:
     elsewhere = {"lens_covered", "flow_blind", "gust", "weak_rotor", *STREAMS}
     elsewhere |= {kind.__struct_config__.tag for kind in PictureFault.__subclasses__()}
-    elsewhere |= {"vessel_reports", "operator", "ship_speed", "ship_turn", "deck_roll", "ferry_wake", "tilt_limited"}
+    elsewhere |= {"vessel_reports", "operator", "ship_speed", "ship_turn", "deck_roll", "ferry_wake", "tilt_limited", "corrupted"}
     here = {fault.kind for fault, *_ in READINGS} | {
         "heading", "frames_frozen", "frames_shifted", "frames_misstamped", "link_lost", "service_killed",
     }  # fmt: skip

@@ -43,7 +43,16 @@ LOW = msgspec.structs.replace(
     CALM, start=msgspec.structs.replace(CALM.start, height_m=2.2, pad_forward_m=0.3, pad_right_m=0.2), duration_limit_s=40.0
 )
 FUSED = parameters.load("fused")
-EFFECTS = {"by_s": 1.0, "forward_m": 1.0, "frozen": True, "dropped_fraction": 1.0, "instead": True, "silent": True}
+EFFECTS = {
+    "signal": "gyro",
+    "error": "sign",
+    "by_s": 1.0,
+    "forward_m": 1.0,
+    "frozen": True,
+    "dropped_fraction": 1.0,
+    "instead": True,
+    "silent": True,
+}
 """Keys that give a fault of some kind an effect."""
 
 

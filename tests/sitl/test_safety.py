@@ -16,8 +16,10 @@ from sitl.flight.safety import (
     AtEnd,
     BlindDescent,
     Grade,
+    MotionWatch,
     SightWatch,
     UnreachedContacts,
+    called_for_m,
     dangers,
     grade,
     on_pad_m,
@@ -227,3 +229,52 @@ def test_who_waits_for_the_operators_word_when_time_ends_has_refused() -> None:
     assert grade(None, None, (), "land", AtEnd(asks=True))[0] is Grade.FAILED
     assert grade(None, None, ("in the water",), "refuse", AtEnd(asks=True))[0] is Grade.FAILED
     assert grade(FlightOutcome.LANDED_BY_OTHERS, None, (), "either", AtEnd(asks=True))[0] is Grade.FAILED
+
+
+def moved(
+    samples: list[tuple[float, float, VehiclePhase]], phase: str | None = "descend", *, reached: bool = True
+) -> MotionWatch:
+    watch = MotionWatch(7.0, 0.1)
+    for at_s, height_m, of in samples:
+        watch.step(replace(truth(at_s, height_m, phase=of), contacts=(contact("pad"),)), phase, reached=reached)
+    return watch
+
+
+FLIES, LANDED = VehiclePhase.FLYING, VehiclePhase.LANDED
+
+
+def test_a_climb_that_nobody_calls_for_is_unsafe_unless_a_person_or_nobody_commands() -> None:
+    high = [(0.0, 5.0, FLIES), (1.0, 10.2, FLIES)]
+    assert dangers(SAFE, (), None, motion=moved(high)) == ("flew 10.2 m high, where 7.0 m are the most that is called for",)
+    assert dangers(SAFE, (), None, motion=moved([(0.0, 9.9, FLIES)])) == ()
+    assert dangers(SAFE, (), None, motion=moved(high, BY_HAND)) == ()
+    assert dangers(SAFE, (), None, motion=moved(high, None)) == ()
+    assert dangers(SAFE, (), None, motion=moved(high, reached=False)) == ()
+
+
+def test_standing_on_the_deck_with_turning_motors_is_unsafe_after_three_seconds() -> None:
+    stands = [(0.5 * n, 0.12, FLIES) for n in range(8)]
+    assert dangers(SAFE, (), None, motion=moved(stands, "press")) == ("stood on the deck for 3.5 s with turning motors",)
+    assert dangers(SAFE, (), None, motion=moved(stands[:7], "press")) == ()
+    hops = [(at_s, 0.5 if at_s == 2.0 else height_m, of) for at_s, height_m, of in stands]
+    assert dangers(SAFE, (), None, motion=moved(hops, "press")) == ()
+    assert dangers(SAFE, (), None, motion=moved([(at_s, h, LANDED) for at_s, h, _ in stands], "press")) == ()
+
+
+def test_a_contact_that_slides_is_unsafe_on_the_pad_as_well() -> None:
+    slides = replace(contact("pad"), lateral_speed_m_s=0.51)
+    assert dangers(SAFE, (slides,), None) == ("touched the pad at 0.51 m/s along it",)
+    assert dangers(SAFE, (replace(slides, lateral_speed_m_s=0.5),), None) == ()
+    assert dangers(SAFE, (replace(slides, motors=False),), None) == ()
+    assert dangers(SAFE, (replace(slides, guidance_phase=LANDING_FOR_PERSON),), None) == ()
+    assert dangers(SAFE, (slides,), None, unreached=(slides.at,)) == ()
+
+
+def test_the_highest_height_is_that_of_start_mission_and_go_around() -> None:
+    options = GuidanceOptions()
+    assert called_for_m(options, 7.0) == 7.0
+    assert called_for_m(options, 0.0) == max(
+        options.tries.safe_height_m, options.rendezvous.height_m * options.rendezvous.enabled
+    )
+    to_ship = replace(options, rendezvous=replace(options.rendezvous, enabled=True, height_m=12.0))
+    assert called_for_m(to_ship, 3.0) == 12.0

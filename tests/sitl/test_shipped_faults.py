@@ -60,7 +60,7 @@ def shown(scenario: Scenario, until_s: float) -> list[Any]:
 
 def test_every_kind_is_in_a_shipped_scenario_or_shown_elsewhere() -> None:
     seen = {fault.kind for name in SHIPPED for fault in load(name).faults}
-    assert {"flow_blind", "barometer", "velocity", "magnetometer"} >= set(KINDS) - seen
+    assert {"flow_blind", "barometer", "velocity", "magnetometer", "corrupted"} >= set(KINDS) - seen
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -29,7 +29,7 @@ from companion.base.wire import (
 from companion.guidance.flight_state import FlightWatch
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
-from companion.parts.operator.socket_path import answers
+from companion.parts.operator.client import answers
 from estimator.contracts.errors import Recoverable, unusable
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample

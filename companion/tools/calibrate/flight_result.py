@@ -1,18 +1,145 @@
-"""What a calibration flight found, judged: values, standard deviations, costs, and why it may not be used."""
+"""What a calibration flight found, judged: values, standard deviations, costs, and why it may not be used.
+
+The readout time of a rolling shutter comes from frames that are registered again, each as it would look at one instant for two
+readout times. How the pad's orientation turns between the two is what a readout time does to it, and with that the readout is one
+more unknown of the mount's fit: the gyro says how the vehicle turned, and only with the true readout do the poses turn alike.
+"""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.recording.reading import Recording
+from companion.recording.reading import RecordedFrame, Recording
 from companion.tools.calibrate import touchdown_cost
-from companion.tools.calibrate.flight_views import FlightViews
-from companion.tools.calibrate.mount_fit import DELAY, LEVEL, MOUNT, MountFit, fit_mount
-from companion.tools.calibrate.readout_fit import READOUT_LARGEST_S, ReadoutFit, fit_readout
-from companion.tools.calibrate.rotations import exp, interpolated
+from companion.tools.calibrate.flight_views import TILT_SIGMA_MAX_RAD, VIEWS_LEAST, FlightViews
+from companion.tools.calibrate.mount_fit import DELAY, GYRO, LEVEL, MOUNT, READOUT, MountFit, fit_mount
+from companion.tools.calibrate.rotations import exp, interpolated, logs
 from companion.tools.calibrate.touchdown_cost import TouchdownCost
+from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.samples import Frame
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.register.registration import RegistrationOptions, register
+from estimator.vision.rolling import CameraMotion, at_one_instant
+
+FRAMES_MOST = 240
+_FIRST_S, _CLOSE_S = (0.0, 0.02), 0.004
+"""The two readout times of the first round, and how far those of the second lie to either side of its result."""
+READOUT_LARGEST_S = 0.09
+_OPTIONS = RegistrationOptions(coarse=True)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadoutFit:
+    """What a flight tells of the readout."""
+
+    fit: MountFit
+    views: FlightViews
+    was_s: float
+    """The readout time of the camera file in the recording."""
+
+    @property
+    def readout_s(self) -> float:
+        return float(self.views.readout_s + self.fit.values[READOUT])
+
+    @property
+    def sigma_s(self) -> float:
+        return float(self.fit.sigma[READOUT])
+
+
+def fit_readout(recording: Recording, views: FlightViews) -> ReadoutFit:
+    """Return the readout time with its covariance, mount and delay estimated along.
+
+    Raises:
+        BadInput: the recording does not hold its pad, or too few frames with their images.
+    """
+    pad = recording.pad()
+    if pad is None:
+        raise BadInput(f"{recording.name}: does not hold its pad; record the flight with decklander")
+    first = fit_mount(views)
+    frames = _frames(recording, views)
+    motions = _motions(views, first)
+    found, of, around = first, views, _FIRST_S
+    for _ in range(2):
+        of = _registered(recording.name, views, frames, motions, pad, around)
+        found = fit_mount(of)
+        # The derivative is that of the readout found, and not of 0.
+        middle = min(READOUT_LARGEST_S, max(-READOUT_LARGEST_S, float(of.readout_s + found.values[READOUT])))
+        around = middle - _CLOSE_S, middle + _CLOSE_S
+    return ReadoutFit(found, of, views.camera.readout_s)
+
+
+def _frames(recording: Recording, views: FlightViews) -> dict[int, Frame]:
+    """Return the views' frames, by the number of the view."""
+    wanted = {stamp: i for i, stamp in enumerate(views.stamps_ns)}
+    every = -(-len(wanted) // FRAMES_MOST)
+    size = views.camera.width, views.camera.height
+    out: dict[int, Frame] = {}
+    for event in recording.events():
+        if isinstance(event, RecordedFrame) and (i := wanted.get(int(event.stamp.measured_at))) is not None:
+            frame = event.frame(size) if i % every == 0 else None
+            if frame is not None:
+                out[i] = frame
+    if len(out) < VIEWS_LEAST:
+        raise BadInput(
+            f"{recording.name}: holds the images of {len(out)} views of the pad, and {VIEWS_LEAST} are needed; record the flight "
+            'with its frames as "jpeg", "png" or "h264"'
+        )
+    return out
+
+
+def _motions(views: FlightViews, fit: MountFit) -> list[CameraMotion]:
+    """Return the camera's motion in each view; nan where the pad's rate is not known."""
+    assert views.speed_cam is not None
+    R_body_cam = exp(fit.values[MOUNT]) @ views.camera.T_body_cam.R.matrix
+    t = views.t + fit.values[DELAY]
+    w_body = np.stack([np.interp(t, views.t_gyro, axis) for axis in views.w_body.T], axis=1) - fit.values[GYRO]
+    w_cam = w_body @ R_body_cam
+    # The rate of the pad's place in the turning axes has the rotation in it.
+    v_cam = views.speed_cam + np.cross(w_cam, views.t_cam_pad)
+    return [CameraMotion(w, v) for w, v in zip(w_cam, v_cam, strict=True)]
+
+
+def _registered(
+    name: str, views: FlightViews, frames: dict[int, Frame], motions: list[CameraMotion], pad: Pad, around: tuple[float, float]
+) -> FlightViews:
+    """Return the views registered as of the first of two readout times, with what the second one changes."""
+    kept, turns, places, covs, by = [], [], [], [], []
+    cameras = [replace(views.camera, readout_s=s) for s in around]
+    for i, frame in frames.items():
+        if not np.isfinite(motions[i].v_pad_cam).all():
+            continue
+        about = PadPose(Rotation(views.R_cam_pad[i]), views.t_cam_pad[i])
+        both = [one for one in _poses(frame, cameras, pad, about, motions[i]) if one is not None]
+        if len(both) == 2:
+            (pose, cov), (other, _) = both
+            kept.append(i)
+            turns.append(pose.R_cam_pad.matrix)
+            places.append(pose.t_cam_pad)
+            covs.append(cov)
+            by.append(other.R_cam_pad.matrix @ pose.R_cam_pad.matrix.T)
+    if len(kept) < VIEWS_LEAST:
+        raise BadInput(f"{name}: the pad was registered again in {len(kept)} frames, and {VIEWS_LEAST} are needed")
+    apart_s = around[1] - around[0]
+    return replace(
+        views, t=views.t[kept], R_cam_pad=np.array(turns), t_cam_pad=np.array(places), cov=np.array(covs),
+        stamps_ns=tuple(views.stamps_ns[i] for i in kept), speed_cam=None, readout_s=around[0],
+        by_readout=logs(np.array(by)) / apart_s,
+    )  # fmt: skip
+
+
+def _poses(
+    frame: Frame, cameras: list[Camera], pad: Pad, about: PadPose, motion: CameraMotion
+) -> Iterator[tuple[PadPose, F64] | None]:
+    for camera in cameras:
+        found = register(at_one_instant(frame.px, camera, about, motion), camera, pad, about, options=_OPTIONS)
+        sure = found is not None and float(np.diag(found.cov)[3:].max()) < TILT_SIGMA_MAX_RAD**2
+        yield (found.pose, found.cov[3:, 3:]) if found is not None and sure and not found.yaw_ambiguous else None
+
 
 PAD_S, LEAN_DEG, TURN_DEG = 40.0, 4.0, 90.0
 """What a flight should have: time with the pad in view, leans to each side, turns to each side."""

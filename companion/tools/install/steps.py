@@ -1,12 +1,16 @@
-"""Install, update, roll back and uninstall. Each may be ended at any instant and begun again; a version is always there whole."""
+"""Install, update, roll back and uninstall. Each may be ended at any instant and begun again; a version is always there whole.
 
+The running service is seen as systemd sees it: whether it may be stopped, and whether it comes up again.
+"""
+
+import json
 import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from companion.tools.install import service, versions
+from companion.tools.install import versions
 from companion.tools.install.layout import (
     COMMAND,
     CREDENTIAL_PREFIX,
@@ -28,10 +32,131 @@ from companion.tools.install.layout import (
     WANTED,
 )
 from companion.tools.install.machine import Machine
-from companion.tools.install.release import Release
-from companion.tools.install.service import has_manager
-from companion.tools.install.versions import there
-from estimator.contracts.errors import BadInput, DecklanderError, Recoverable
+from companion.tools.install.versions import Release, there
+from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, in_words
+
+WATCHED_S = 20.0
+"""How long a restarted service is watched after it said that it is ready, seconds."""
+_POLL_S = 1.0
+_RATES = re.compile(r"(\d+) frames and (\d+) inertial samples a second")
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceState:
+    """The service at one instant."""
+
+    active: str
+    """ActiveState of systemd: active, inactive, failed, activating..."""
+    pid: int
+    restarts: int
+    status: str
+    """The service's own line: phase and rates."""
+
+    @property
+    def runs(self) -> bool:
+        """Whether there is a process, or will be at once."""
+        return self.active in ("active", "activating", "reloading", "deactivating")
+
+    @property
+    def wanted(self) -> bool:
+        """Whether it was started and not stopped, be it that it failed."""
+        return self.runs or self.active == "failed"
+
+    def flows(self) -> tuple[bool, bool]:
+        """Return whether frames and inertial samples come."""
+        found = _RATES.search(self.status)
+        return (False, False) if found is None else (found[1] != "0", found[2] != "0")
+
+
+def has_manager(machine: Machine) -> bool:
+    """Return whether systemd runs the computer, so that services can be started on it."""
+    return machine.is_this and machine.exists("/run/systemd/system")
+
+
+def state(machine: Machine) -> ServiceState | None:
+    """Return the state of the service; None where no systemd runs."""
+    if not has_manager(machine):
+        return None
+    done = machine.ask(["systemctl", "show", UNIT_NAME, "--property=ActiveState,MainPID,NRestarts,StatusText"])
+    said = dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
+    return ServiceState(
+        said.get("ActiveState", "unknown"),
+        int(said.get("MainPID") or 0),
+        int(said.get("NRestarts") or 0),
+        said.get("StatusText", ""),
+    )
+
+
+def running_version(machine: Machine, found: ServiceState) -> str | None:
+    """Return the name of the version that the running process was started from; None if there is no such process."""
+    words = (machine.read(f"/proc/{found.pid}/cmdline") or b"").decode(errors="replace").split("\0") if found.pid else [""]
+    return words[0].removeprefix(f"{PREFIX}/").split("/")[0] if words[0].startswith(f"{PREFIX}/") else None
+
+
+def refuse_in_flight(machine: Machine, *, on_ground: bool = False) -> None:
+    """Refuse to go on while the drone flies, or while a running service cannot say that it does not.
+
+    Args:
+        on_ground: the operator sees it stand; counts only where the service does not know.
+
+    Raises:
+        Recoverable: it flies, or it is not known whether it does.
+    """
+    found = state(machine)
+    if found is None or not found.runs:
+        return
+    done = machine.ask([f"{CURRENT}/bin/decklander", "fly", "status", "--json"])
+    try:
+        flying = json.loads(done.stdout)["flying"] if done.returncode == 0 else None
+        why = (
+            "the service has no word of the vehicle"
+            if done.returncode == 0
+            else f"the service does not answer: {_last(done.stderr)}"
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        flying, why = None, f"the service's answer cannot be read: {in_words(error)}"
+    if flying:
+        raise Recoverable(f"the drone is flying ({found.status or 'no status'}): land it first; nothing was changed")
+    if flying is None and not on_ground:
+        raise Recoverable(
+            f"whether the drone flies is not known ({why}); if you see it stand, add --on-ground, or stop the service first "
+            "(systemctl stop decklander)"
+        )
+
+
+def start(machine: Machine, sleep: Callable[[float], None] = time.sleep, seconds: float = WATCHED_S) -> str | None:
+    """Start the service again and watch it; return why it does not come up, None if it does.
+
+    It is up when it has said that it is ready, keeps its process for `seconds`, and has the frames and samples that came before.
+    """
+    before = state(machine)
+    try:
+        machine.do(["systemctl", "restart", UNIT_NAME])
+    except Recoverable as why:
+        now = state(machine)
+        return f"{why}" + (f" ({now.status})" if now is not None and now.status else "")
+    if machine.dry:
+        return None
+    first = now = state(machine)
+    waited = 0.0
+    while waited < seconds and now is not None and first is not None:
+        if now.active != "active":
+            return f"the service is {now.active}" + (f" ({now.status})" if now.status else "")
+        if (now.pid, now.restarts) != (first.pid, first.restarts):
+            return "the service ended and was started again"
+        sleep(_POLL_S)
+        waited += _POLL_S
+        now = state(machine)
+    if before is not None and now is not None and before.active == "active":
+        for what, came, comes in zip(("frames", "inertial samples"), before.flows(), now.flows(), strict=True):
+            if came and not comes:
+                return f"no {what} come, and before they did ({now.status})"
+    return None
+
+
+def _last(text: str) -> str:
+    return (text.strip().splitlines() or ["no reason"])[-1].removeprefix("decklander: ")
+
 
 _LOADED = re.compile(rb"^LoadCredential=([^:\n]+):", re.MULTILINE)
 
@@ -165,7 +290,7 @@ def install(machine: Machine, release: Release, options: InstallOptions) -> None
         Recoverable: the drone flies, or a step failed; the version that was current still is.
     """
     versions.check_python(machine, options.python)
-    service.refuse_in_flight(machine, on_ground=options.on_ground)
+    refuse_in_flight(machine, on_ground=options.on_ground)
     machine.folder(PREFIX)
     with machine.locked(LOCK):
         old = versions.current(machine)
@@ -203,18 +328,18 @@ def _advance(machine: Machine, release: Release, options: InstallOptions, old: s
 
 def _change(machine: Machine, name: str, old: str | None, options: InstallOptions, files: dict[str, bytes]) -> None:
     """Turn from one version to another, start the service if it ran, and turn back if it does not come up."""
-    found = service.state(machine)
+    found = state(machine)
     wanted = found is not None and found.wanted
-    if old == name and (found is None or not wanted or service.running_version(machine, found) == name):
+    if old == name and (found is None or not wanted or running_version(machine, found) == name):
         place(machine, name, files, packaged=options.packaged)
         machine.say(f"version {name} is current already")
         return
-    service.refuse_in_flight(machine, on_ground=options.on_ground)
+    refuse_in_flight(machine, on_ground=options.on_ground)
     older = versions.previous(machine)
     if old != name:
         versions.turn(machine, name, old)
     place(machine, name, files, packaged=options.packaged)
-    fault = service.start(machine, options.sleep) if wanted else None
+    fault = start(machine, options.sleep) if wanted else None
     if fault is None:
         ran = "the service runs with it" if wanted else "the service did not run and was left so" if old is not None else "ready"
         if not machine.dry:
@@ -227,7 +352,7 @@ def _change(machine: Machine, name: str, old: str | None, options: InstallOption
     machine.say(f"version {name} does not come up: {fault}; going back to {good}")
     versions.turn_back(machine, good, older)
     place(machine, good, {}, packaged=options.packaged)
-    worse = service.start(machine, options.sleep)
+    worse = start(machine, options.sleep)
     raise Recoverable(
         f"version {name} does not come up: {fault}; version {good} is current again and "
         + ("runs" if worse is None else f"does not come up either: {worse}")
@@ -238,13 +363,13 @@ def _begin(machine: Machine, options: InstallOptions) -> None:
     enable(machine, packaged=options.packaged)
     if machine.read(SETTINGS) is None and not (machine.dry and options.config is not None):
         machine.say(f"next: write {SETTINGS} (decklander config show raspberry_ardupilot), then: systemctl start decklander")
-    elif not service.has_manager(machine):
+    elif not has_manager(machine):
         machine.say(
             "the service starts when this root is booted"
             if not machine.is_this
             else "systemd does not run here: start it by hand"
         )
-    elif (fault := service.start(machine, options.sleep)) is not None:
+    elif (fault := start(machine, options.sleep)) is not None:
         raise Recoverable(f"installed, but the service does not come up: {fault} (journalctl -u decklander)")
 
 
@@ -255,7 +380,7 @@ def roll_back(machine: Machine, options: InstallOptions) -> None:
         BadInput: there is none, or it refuses the present settings.
         Recoverable: the drone flies, or that version does not come up; the current one still is.
     """
-    service.refuse_in_flight(machine, on_ground=options.on_ground)
+    refuse_in_flight(machine, on_ground=options.on_ground)
     with machine.locked(LOCK):
         old, before = versions.current(machine), versions.previous(machine)
         if old is None or before is None:
@@ -270,8 +395,8 @@ def uninstall(machine: Machine, options: InstallOptions, *, purge: bool) -> None
     Raises:
         Recoverable: the drone flies, or a step failed.
     """
-    service.refuse_in_flight(machine, on_ground=options.on_ground)
-    found = service.state(machine)
+    refuse_in_flight(machine, on_ground=options.on_ground)
+    found = state(machine)
     if found is not None and (found.runs or machine.exists(WANTED)):
         machine.do(["systemctl", "disable", "--quiet", "--now", UNIT_NAME])
     machine.remove(WANTED)

@@ -26,7 +26,7 @@ from estimator.vision.detect.guesses import Guess
 from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, WORK_GUESS, Kind, kinds
 from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.plane import Plane
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, confidence
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
@@ -122,46 +122,45 @@ def acquire(
 ) -> list[PadCandidate]:
     """Search a whole frame for the pad, however long it takes, and return the candidates, best first.
 
-    Args and errors: as `search`.
+    Args:
+        px: (H, W, 3) BGR of the camera's size; three equal channels from a grey camera.
+
+    Other arguments and errors: as `search`.
     """
-    return search(px, camera, pad, R_level_body, paint, sure=sure).candidates
+    return search(FrameView(Pyramid(px), camera, pad), R_level_body, paint, sure=sure).candidates
 
 
 def search(
-    px: U8,
-    camera: Camera,
-    pad: Pad,
+    view: FrameView,
     R_level_body: Rotation | None = None,
     paint: PaintMemory = FRESH,
     memory: SearchMemory = FRESH_SEARCH,
     *,
     sure: float = SURE,
     budget: float = math.inf,
-    pyramid: Pyramid | None = None,
 ) -> Found:
     """Search a frame for the pad.
 
     Args:
-        px: (H, W, 3) BGR of the camera's size; three equal channels from a grey camera.
         R_level_body: roll and pitch of the body at the exposure. None if the vehicle does not report them, which costs time
             and some range.
         paint: learned paints. They only order the search: where the disc stood out by its colour, colour comes first.
         memory: what the search left in the frame before.
         sure: confidence at which no further hypotheses are tried; a value over 1 gives all candidates.
         budget: work at which the search goes on with the next frame, as `tracker_config.FRAME_WORK`.
-        pyramid: of the same frame, if there is one.
 
     Raises:
         ValueError: the frame is not of the camera's size.
     """
-    if px.shape[:2] != (camera.height, camera.width):
-        raise ValueError(f"the frame is {px.shape[1]}x{px.shape[0]} px, the camera's are {camera.width}x{camera.height}")
-    pyramid, plane = pyramid or Pyramid(px), Plane.of(camera, R_level_body)
-    pad = pyramid.as_seen(pad)
-    task = _Task(pyramid, camera, pad, sure, budget, memory.refused)
+    camera, (height, width) = view.camera, view.pyramid[0].shape[:2]
+    if (height, width) != (camera.height, camera.width):
+        raise ValueError(f"the frame is {width}x{height} px, the camera's are {camera.width}x{camera.height}")
+    view, plane = view.as_seen(), Plane.of(camera, R_level_body)
+    pad = view.pad
+    task = _Task(view, sure, budget, memory.refused)
     if pad.markings.fiducials and (_search_fiducials(task, plane) or not pad.markings.is_searched_by_parts):
         return Found(_distinct(task.found), FRESH_SEARCH, task.work)
-    of_all = kinds(task.pyramid, camera, pad, plane, paint)
+    of_all = kinds(*view, plane, paint)
     for k in ((memory.first + i) % len(of_all) for i in range(len(of_all))):
         whole = k == memory.first or task.work <= WORK_COARSE * camera.width * camera.height / FULL_PIXELS
         enough = _try_kind(of_all[k], task)
@@ -178,9 +177,7 @@ def search(
 class _Task:
     """A search in one frame: what it is given, and what it has done so far."""
 
-    pyramid: Pyramid
-    camera: Camera
-    pad: Pad
+    view: FrameView
     sure: float
     budget: float
     refused_before: tuple[Place, ...]
@@ -198,11 +195,12 @@ class _Task:
 
 def _search_fiducials(task: _Task, plane: Plane) -> bool:
     """Read the pad's fiducials and verify the drawing there; return whether that is enough."""
-    dictionaries = len({fiducial.dictionary for fiducial in task.pad.markings.fiducials})
-    grey = np.asarray(cv2.cvtColor(task.pyramid[0], cv2.COLOR_BGR2GRAY), np.uint8)
+    pyramid, camera, pad = task.view
+    dictionaries = len({fiducial.dictionary for fiducial in pad.markings.fiducials})
+    grey = np.asarray(cv2.cvtColor(pyramid[0], cv2.COLOR_BGR2GRAY), np.uint8)
     for window_px in WINDOWS_PX:
-        task.work += WORK_FIDUCIALS * dictionaries * task.camera.width * task.camera.height / FULL_PIXELS
-        if _try_poses(fiducial_poses(grey, task.camera, task.pad, plane, window_px), task, plane.known):
+        task.work += WORK_FIDUCIALS * dictionaries * camera.width * camera.height / FULL_PIXELS
+        if _try_poses(fiducial_poses(grey, camera, pad, plane, window_px), task, plane.known):
             return True
     return False
 
@@ -214,10 +212,10 @@ def _try_poses(poses: list[FiducialPose], task: _Task, tilt_known: bool) -> bool
     """
     for pose, off_px in poses:
         task.work += _WORK_VERIFY
-        candidate = _candidate(align(task.pyramid, task.camera, task.pad, pose, SIGMA_TILT_RAD, 0))
+        candidate = _candidate(align(task.view, pose, SIGMA_TILT_RAD, 0))
         if candidate is None or candidate.score < task.sure or off_px > _CLOSE_PX:
             task.work += _WORK_ALIGN if tilt_known else _WORK_ALIGN_FREE
-            moved = align_at(pose, tilt_known, task.pyramid, task.camera, task.pad)
+            moved = align_at(pose, tilt_known, task.view)
             if moved is not None and (candidate is None or moved.score > min(candidate.score, ENOUGH)):
                 candidate = moved
         if candidate is not None:
@@ -246,9 +244,7 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
         if task.work + work > task.budget and aligned > 0:
             return None
         left = task.budget - task.work
-        candidate, work = _aligned_at(
-            guess.pose, guess.tilt_known, task.pyramid, task.camera, task.pad, guess.side, kind.covered, left
-        )
+        candidate, work = _aligned_at(guess.pose, guess.tilt_known, task.view, guess.side, kind.covered, left)
         task.tried.add(id(guess))
         aligned += 1
         task.work += work
@@ -258,7 +254,7 @@ def _try_kind(kind: Kind, task: _Task) -> bool | None:
             if candidate.score >= task.sure:
                 return True
         if candidate is None or candidate.score < ENOUGH:
-            task.refused.append(_place(guess, task.camera))
+            task.refused.append(_place(guess, task.view.camera))
     # What covers a part, and the heading beside it, were chosen to fit: that alone is not enough.
     enough = task.sure <= 1.0 and any(c.score >= min(task.sure, ENOUGH if c.cut is None else SURE) for c in task.found)
     return enough or len(task.found) >= _MOST_ALIGNED
@@ -270,7 +266,7 @@ def _settled(kind: Kind, task: _Task) -> list[PadCandidate]:
 
 
 def align_at(
-    pose: PadPose, tilt_known: bool, pyramid: Pyramid, camera: Camera, pad: Pad, side: F64 | None = None, covered: bool = False
+    pose: PadPose, tilt_known: bool, view: FrameView, side: F64 | None = None, covered: bool = False
 ) -> PadCandidate | None:
     """Align the drawing from one rough pose and verify it; return None if it does not fit at all.
 
@@ -278,58 +274,56 @@ def align_at(
         side: as for `align`.
         covered: where the whole drawing does not fit at all, look for what covers a part of it, too.
     """
-    return _aligned_at(pose, tilt_known, pyramid, camera, pad, side, covered, math.inf)[0]
+    return _aligned_at(pose, tilt_known, view, side, covered, math.inf)[0]
 
 
 def _aligned_at(
     pose: PadPose,
     tilt_known: bool,
-    pyramid: Pyramid,
-    camera: Camera,
-    pad: Pad,
+    view: FrameView,
     side: F64 | None,
     covered: bool,
     left: float,
 ) -> tuple[PadCandidate | None, float]:
     """Return what `align_at` does, and the work; other headings beside a cover are tried if so much work is left."""
     sigma, steps = (SIGMA_TILT_RAD, _STEPS) if tilt_known else (SIGMA_TILT_FREE_RAD, _STEPS_FREE)
-    aligned = align(pyramid, camera, pad, pose, sigma, steps, local=True, side=side)
+    aligned = align(view, pose, sigma, steps, local=True, side=side)
     found, work = None, _WORK_VERIFY
     if aligned is not None:
-        found, turned = _with_arrow(aligned, pyramid, camera, pad, sigma, side)
+        found, turned = _with_arrow(aligned, view, sigma, side)
         work = (_WORK_ALIGN if tilt_known else _WORK_ALIGN_FREE) + turned
     enough = not covered if found is None else found.score >= ENOUGH
-    if enough or not pad.markings.is_searched_by_parts:
+    if enough or not view.pad.markings.is_searched_by_parts:
         return found, work
-    other, more = _uncovered_at(pose if found is None else found.pose, pyramid, camera, pad, sigma, steps, left - work)
+    other, more = _uncovered_at(pose if found is None else found.pose, view, sigma, steps, left - work)
     return other if found is None or (other is not None and other.score > found.score) else found, work + more
 
 
 def _uncovered_at(
-    pose: PadPose, pyramid: Pyramid, camera: Camera, pad: Pad, sigma_tilt_rad: float, steps: int, left: float
+    pose: PadPose, view: FrameView, sigma_tilt_rad: float, steps: int, left: float
 ) -> tuple[PadCandidate | None, float]:
     """Align the drawing with what nothing covers, and verify it; return None if nothing seems to be covered, and the work."""
-    uncovered = align_uncovered(pyramid, camera, pad, pose, sigma_tilt_rad, steps)
+    uncovered = align_uncovered(view, pose, sigma_tilt_rad, steps)
     if uncovered is None:
         return None, _WORK_COVER
     aligned, cut = uncovered
     found = _candidate(aligned, aligned.arrow_support < _ARROW_SEEN, cut)
     work = _WORK_COVER + _WORK_COVERED
-    if found is not None and (found.score >= ENOUGH or work + _WORK_TURNED > left or not _is_small(aligned.pose, camera, pad)):
+    if found is not None and (found.score >= ENOUGH or work + _WORK_TURNED > left or not _is_small(aligned.pose, view)):
         return found, work
-    turned = turned_uncovered(pyramid, camera, pad, aligned, cut, sigma_tilt_rad, steps)
+    turned = turned_uncovered(view, aligned, cut, sigma_tilt_rad, steps)
     other = None if turned is None else _candidate(turned, turned.arrow_support < _ARROW_SEEN, cut)
     best = other if found is None or (other is not None and other.score > found.score) else found
     return best, work + _WORK_TURNED
 
 
-def _is_small(pose: PadPose, camera: Camera, pad: Pad) -> bool:
+def _is_small(pose: PadPose, view: FrameView) -> bool:
     """Return whether half of a disc has so few pixels that what covers the rest may turn it."""
-    return pose.disc_px(camera, pad) < _SMALL_PX
+    return pose.disc_px(view.camera, view.pad) < _SMALL_PX
 
 
 def _with_arrow(
-    aligned: AlignedTemplate, pyramid: Pyramid, camera: Camera, pad: Pad, sigma_tilt_rad: float, side: F64 | None
+    aligned: AlignedTemplate, view: FrameView, sigma_tilt_rad: float, side: F64 | None
 ) -> tuple[PadCandidate | None, float]:
     """Return an aligned drawing as a candidate, turned by 180 degrees if its arrowhead is or can only be there; and the work."""
     arrow, (fore, aft) = aligned.arrow_support, aligned.arrow
@@ -337,19 +331,11 @@ def _with_arrow(
     work = 0.0
     if arrow < -0.5 * _ARROW_SEEN or missing > _ARROW_MISSING:
         work = _WORK_TURN
-        turned = align(
-            pyramid,
-            camera,
-            pad,
-            aligned.pose.turned(math.pi),
-            sigma_tilt_rad,
-            2,
-            local=True,
-            side=None if side is None else -side,
-        )
+        side = None if side is None else -side
+        turned = align(view, aligned.pose.turned(math.pi), sigma_tilt_rad, 2, local=True, side=side)
         if turned is not None:
             aligned, arrow = turned, turned.arrow_support
-    return _candidate(aligned, ambiguous=arrow < _ARROW_SEEN and not pad.markings.fiducials), work
+    return _candidate(aligned, ambiguous=arrow < _ARROW_SEEN and not view.pad.markings.fiducials), work
 
 
 def _candidate(aligned: AlignedTemplate | None, ambiguous: bool = False, cut: F64 | None = None) -> PadCandidate | None:
@@ -370,8 +356,8 @@ def _is_refused(guess: Guess, task: _Task) -> bool:
     """Return whether a hypothesis near this one that explained about as much, or more, was refused in a frame before."""
     if not task.refused_before:
         return False
-    u, v, far, drawing = _place(guess, task.camera)
-    reach = _SAME_PX + _SAME_RADII * task.camera.fx * task.pad.disc_radius_m * math.exp(-far)
+    u, v, far, drawing = _place(guess, task.view.camera)
+    reach = _SAME_PX + _SAME_RADII * task.view.camera.fx * task.view.pad.disc_radius_m * math.exp(-far)
     return any(
         drawing < d + _BETTER and abs(far - c) < _SAME_FAR and math.hypot(u - a, v - b) < reach
         for a, b, c, d in task.refused_before

@@ -15,10 +15,8 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.core.library import CORE
-from estimator.vision.camera import Camera
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.native import checked, native_pose, pose_of, tracker_of
-from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 
 UNCUT = np.zeros(3)
@@ -83,9 +81,7 @@ class Cover(NamedTuple):
 
 
 def align(
-    pyramid: Pyramid,
-    camera: Camera,
-    pad: Pad,
+    view: FrameView,
     pose: PadPose,
     sigma_tilt_rad: float,
     steps: int = 4,
@@ -112,17 +108,19 @@ def align(
         "steps": steps, "local": local, "one_side": one_side, "sigma_tilt_rad": sigma_tilt_rad, "cut": cut.tolist(),
         "side": side.tolist() if side is not None else (0.0, 0.0),
     })  # fmt: skip
+    pyramid, camera, pad = view
     if not checked(CORE.lib.dl_align(tracker_of(camera, pad), pyramid.native, how, at, CORE.array("aligned_pad", out))):
         return None
     return _aligned(pose_of(at) if steps > 0 else pose, out)
 
 
-def cover(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose) -> Cover | None:
+def cover(view: FrameView, pose: PadPose) -> Cover | None:
     """Return the line across the frame beyond which most probably something covers the pad, which lies about at this pose.
 
     There is always such a line unless too little of the pad is in view; `gain` and `left` say what it is worth.
     """
     how, out = CORE.ffi.new("dl_alignment *", {"cover": 1}), CORE.ffi.new("aligned_pad *")
+    pyramid, camera, pad = view
     if not checked(CORE.lib.dl_align(tracker_of(camera, pad), pyramid.native, how, native_pose(pose), out)):
         return None
     line = out.cover

@@ -1,6 +1,6 @@
 """A frame at full, half, quarter ... size."""
 
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import cv2
 import numpy as np
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from estimator.core.abi import FRAME_LEVELS
 from estimator.core.library import CORE
+from estimator.vision.camera import Camera
 from estimator.vision.detect.colour import in_grey
 from estimator.vision.native import checked, put_image
 from estimator.vision.pad import Pad
@@ -62,6 +63,18 @@ class Pyramid:
             if self._native is not None and len(self._levels) <= FRAME_LEVELS + 1:
                 put_image(self._levels[-1], self._native.level[len(self._levels) - 1])
         return self._levels[level]
+
+
+class FrameView(NamedTuple):
+    """A frame, the camera that took it, and the pad that is looked for in it."""
+
+    pyramid: Pyramid
+    camera: Camera
+    pad: Pad
+
+    def as_seen(self) -> Self:
+        """Return the same with the pad in the paints that the camera sees."""
+        return self._replace(pad=self.pyramid.as_seen(self.pad))
 
 
 def _halved(px: U8) -> U8:

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.core.library import CORE
-from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import UNCUT
 from estimator.vision.detect.paint import FRESH, PaintMemory
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.native import edge_points
 from estimator.vision.pad import Pad
@@ -99,9 +98,7 @@ class Looked:
 
 
 def look(
-    pyramid: Pyramid,
-    camera: Camera,
-    pad: Pad,
+    view: FrameView,
     start: PadPose,
     orientation: Orientation,
     options: RegistrationOptions,
@@ -113,7 +110,7 @@ def look(
     """Register the drawing from a start pose and verify it there; return None if nothing of it is found.
 
     Args:
-        pad: as the frame's camera sees it, see `Pyramid.as_seen`.
+        view: the pad as the camera sees it, see `FrameView.as_seen`.
         start: as for `registration.register`.
         orientation: the attitude at the exposure and the deck's expected tilt.
         tracked: whether a track has confirmed the pad there before.
@@ -125,9 +122,9 @@ def look(
     """
     given, out = native_start(start, orientation, options, cut, paint), np.zeros((), CORE.dtype("looked_pad"))
     given.tracked = tracked
-    outline = looked_at(pyramid, camera, pad, given, out)
+    outline = looked_at(view, given, out)
     if outline is None:
         return None
     out.setflags(write=False)
     outline.setflags(write=False)
-    return Looked(out, outline, pad, orientation)
+    return Looked(out, outline, view.pad, orientation)

@@ -21,7 +21,7 @@ from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT
 from estimator.vision.detect.paint import FRESH, PaintMemory
-from estimator.vision.detect.pyramid import U8, Pyramid
+from estimator.vision.detect.pyramid import U8, FrameView, Pyramid
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.native import checked, edge_points, native_prior, tracker_of
 from estimator.vision.pad import Pad
@@ -133,7 +133,7 @@ def register(
     options = options if options is not None else RegistrationOptions()
     given, out = native_start(start, prior, options, cut), np.zeros((), CORE.dtype("looked_pad"))
     given.alone = True
-    outline = looked_at(pyramid or Pyramid(px), camera, pad, given, out)
+    outline = looked_at(FrameView(pyramid or Pyramid(px), camera, pad), given, out)
     return None if outline is None else registration_of(out["found"], pad, prior)
 
 
@@ -150,7 +150,7 @@ def native_start(
     })  # fmt: skip
 
 
-def looked_at(pyramid: Pyramid, camera: Camera, pad: Pad, given: Any, out: NDArray[Any]) -> F64 | None:
+def looked_at(view: FrameView, given: Any, out: NDArray[Any]) -> F64 | None:
     """Have the core register the drawing and verify it; return the pixels of the outline's points, None if nothing is found.
 
     Args:
@@ -160,6 +160,7 @@ def looked_at(pyramid: Pyramid, camera: Camera, pad: Pad, given: Any, out: NDArr
     Raises:
         ValueError: the frame is not of the camera's size.
     """
+    pyramid, camera, pad = view
     shape = pyramid[0].shape
     if shape != (camera.height, camera.width, 3):
         raise ValueError(f"want a frame of shape {(camera.height, camera.width, 3)}, got {shape}")

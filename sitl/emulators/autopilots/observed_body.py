@@ -23,6 +23,7 @@ from estimator.vision.pad import Pad
 from sitl.camera.camera import Exposure
 from sitl.camera.render_worker import RenderWorker
 from sitl.emulators.autopilots.body import Body, BodyTouchdown
+from sitl.faults.corrupted import Corruptions
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import LightFalls
 from sitl.faults.timer import FaultTimer
@@ -50,6 +51,7 @@ class GradedBody(NullObserver):
         self.scenario, self.seed = scenario, seed
         self.faults = FaultTimer(scenario.faults, seed)
         self.streams = VehicleStreams(self.faults, seed)
+        self.corruptions = Corruptions(self.faults, seed)
         self.guidance_phase: str | None = None
         """Phase of guidance; None before its first decision."""
         self.height_m = 0.0
@@ -155,7 +157,7 @@ class PerceivedBody:
 
     def __init__(self, body: Body, seed: int, clock: Clock, faults: FaultTimer) -> None:
         self._body, self._clock = body, clock
-        self.seed, self.faults = seed, faults
+        self.seed, self.faults, self.corruptions = seed, faults, Corruptions(faults, seed)
         self._motion: tuple[float, Mounted] | None = None
         self._truth: tuple[float, Truth] | None = None
 

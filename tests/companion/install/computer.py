@@ -11,7 +11,7 @@ from pathlib import Path
 
 from companion.tools.install.layout import CURRENT, PREFIX, SETTINGS, UNIT
 from companion.tools.install.machine import Machine
-from companion.tools.install.release import PINS, SLIM, Release, read
+from companion.tools.install.versions import PINS, SLIM, Release, read
 
 ROOT = Path(__file__).parents[3]
 GOOD, REFUSES, DIES, SILENT, ENDS_LATER, BLIND = "good", "refuses the settings", "dies", "silent", "ends later", "blind"

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
-from companion.tools.install import service, steps, versions
+from companion.tools.install import steps, versions
 from companion.tools.install.layout import COMMAND, CURRENT, PREFIX, SETTINGS, SYSTEM_FILES, UNIT
-from companion.tools.install.release import Release, own, read
 from companion.tools.install.steps import InstallOptions
+from companion.tools.install.versions import Release, own, read
 from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, SetupImpossible
 from tests.companion.install.computer import BLIND, DIES, ENDS_LATER, GOOD, REFUSES, ROOT, Computer, wheel
 
@@ -94,11 +94,11 @@ def test_an_update_runs_the_other_version_and_rollback_returns(tmp_path: Path, f
     second = wheel(tmp_path, "1.1")
     steps.update(computer, second, options())
     assert (versions.current(computer), versions.previous(computer)) == (second.name, first.name)
-    assert service.running_version(computer, service.state(computer)) == second.name
+    assert steps.running_version(computer, steps.state(computer)) == second.name
     assert (computer.read(UNIT) or b"").endswith(b"# of 1.1\n")
     steps.roll_back(computer, options())
     assert (versions.current(computer), versions.previous(computer)) == (first.name, second.name)
-    assert service.running_version(computer, service.state(computer)) == first.name
+    assert steps.running_version(computer, steps.state(computer)) == first.name
     assert (computer.read(UNIT) or b"").endswith(b"# of 1.0\n")
     third = wheel(tmp_path, "1.2")
     steps.update(computer, third, options())
@@ -120,7 +120,7 @@ def test_a_version_that_does_not_come_up_is_taken_back(tmp_path: Path, first: Re
     with pytest.raises(Recoverable, match=f"{told}.*; version {older.name} is current again and runs"):
         steps.update(computer, wheel(tmp_path, "1.1", behaviour), options())
     assert (versions.current(computer), versions.previous(computer)) == (older.name, first.name)
-    assert service.running_version(computer, service.state(computer)) == older.name
+    assert steps.running_version(computer, steps.state(computer)) == older.name
 
 
 def test_a_version_that_refuses_the_settings_is_never_current(tmp_path: Path, first: Release) -> None:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from companion.tools.install import service, steps, versions
+from companion.tools.install import steps, versions
 from companion.tools.install.layout import COMPLETE, PREFIX
-from companion.tools.install.release import Release
 from companion.tools.install.steps import InstallOptions
+from companion.tools.install.versions import Release
 from estimator.contracts.errors import Recoverable
 from tests.companion.install.computer import DIES, Computer, wheel
 
@@ -63,9 +63,9 @@ def test_an_update_may_be_killed_at_any_step(tmp_path: Path, before: tuple[Path,
         seen.add(versions.current(computer))
         assert versions.current(computer) in (second.name, third.name)
         steps.update(computer, third, OPTIONS)
-        found = service.state(computer)
+        found = steps.state(computer)
         assert found is not None
-        assert (versions.current(computer), service.running_version(computer, found)) == (third.name, third.name)
+        assert (versions.current(computer), steps.running_version(computer, found)) == (third.name, third.name)
         assert versions.there(computer) == sorted({versions.previous(computer) or third.name, third.name})
         step += 1
     assert step > 10
@@ -88,9 +88,9 @@ def test_an_update_that_goes_back_may_be_killed_too(tmp_path: Path, before: tupl
         else:
             with pytest.raises(Recoverable, match="does not come up"):
                 steps.update(computer, bad, OPTIONS)
-        found = service.state(computer)
+        found = steps.state(computer)
         assert found is not None
-        assert (versions.current(computer), service.running_version(computer, found)) == (second.name, second.name), step
+        assert (versions.current(computer), steps.running_version(computer, found)) == (second.name, second.name), step
         step += 1
     assert step > 10
 

@@ -24,9 +24,8 @@ from companion.cli.fly import KEY_S, KeyMotion, keys_in
 from companion.cli.main import main
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
-from companion.parts.operator.client import connected
+from companion.parts.operator.client import answers, connected, running, socket_path
 from companion.parts.operator.local_socket import OperatorSocket
-from companion.parts.operator.socket_path import answers, running, socket_path
 from companion.settings.load import load
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover, Velocity

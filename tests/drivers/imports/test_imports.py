@@ -13,7 +13,7 @@ import av
 import numpy as np
 import pytest
 
-from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog, video
+from drivers.imports import ardrone_capture, dataflash, px4_ulog, video
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
 
@@ -121,11 +121,25 @@ def test_navdata_captures_are_parted_and_timed_by_the_drones_clock(tmp_path: Pat
 def test_attitude_tables_begin_at_zero_and_know_their_heading(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time_s,roll_deg,pitch_deg,yaw_deg\n10.5,3,-4,90\n10.0,1,2,\n")
-    first, second = attitude_csv.read(path)
+    first, second = video.attitudes(path)
     assert isinstance(first, Attitude)
     assert isinstance(second, Attitude)
     assert (first.stamp.measured_at, second.stamp.measured_at) == (0, 500_000_000)
     assert np.degrees(second.R_ned_body.rpy_rad) == pytest.approx([3.0, -4.0, 90.0])
+
+
+@pytest.mark.parametrize("form", ["h264", "mjpeg"])
+def test_a_raw_video_is_read_at_its_rate(tmp_path: Path, form: str) -> None:
+    path = tmp_path / f"flight.{form}"
+    with av.open(str(path), "w", format=form) as out:
+        video_stream = out.add_stream("libx264" if form == "h264" else "mjpeg", rate=25)
+        video_stream.width, video_stream.height = 64, 48
+        video_stream.pix_fmt = "yuv420p" if form == "h264" else "yuvj420p"
+        for i in range(10):
+            out.mux(video_stream.encode(av.VideoFrame.from_ndarray(np.full((48, 64, 3), 20 * i, np.uint8), format="bgr24")))
+        out.mux(video_stream.encode(None))
+    frames = list(video.frames(path))
+    assert np.allclose([f.stamp.measured_at * 1e-9 for f in frames], np.arange(10) / 25, atol=1e-6)
 
 
 def test_videos_keep_their_own_times(tmp_path: Path) -> None:
@@ -152,10 +166,10 @@ def test_videos_keep_their_own_times(tmp_path: Path) -> None:
         (ardrone_capture.samples, b"\x88\x77\x66\x55" + bytes(100), "no whole navdata"),
         (lambda p: list(ardrone_capture.frames(p)), b"PaVE" + bytes(300), "no frame"),
         (lambda p: list(video.frames(p)), b"RIFF1234AVI nonsense", "readable video|holds no video"),
-        (attitude_csv.read, b"time_s,roll_deg\n1,2\n", "column 'pitch_deg' is missing"),
-        (attitude_csv.read, b"time_s,roll_deg,pitch_deg\n1,2,x\n", "line 2: not a number"),
-        (attitude_csv.read, b"time_s,roll_deg,pitch_deg\n1,2,inf\n", "line 2: not a finite"),
-        (attitude_csv.read, b"time_s,roll_deg,pitch_deg\n", "holds no attitudes"),
+        (video.attitudes, b"time_s,roll_deg\n1,2\n", "column 'pitch_deg' is missing"),
+        (video.attitudes, b"time_s,roll_deg,pitch_deg\n1,2,x\n", "line 2: not a number"),
+        (video.attitudes, b"time_s,roll_deg,pitch_deg\n1,2,inf\n", "line 2: not a finite"),
+        (video.attitudes, b"time_s,roll_deg,pitch_deg\n", "holds no attitudes"),
     ],
 )
 def test_what_cannot_be_read_is_refused_in_one_line(read: object, content: bytes, said: str, tmp_path: Path) -> None:

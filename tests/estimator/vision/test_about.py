@@ -7,7 +7,7 @@ import numpy as np
 from estimator.vision.camera import Camera
 from estimator.vision.detect.guesses import pose_about
 from estimator.vision.detect.plane import Plane
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
@@ -35,9 +35,9 @@ def test_half_a_pad_is_found_some_pixels_beside_the_expected_place_where_registr
         assert found is not None
         there, true = camera.project(np.array([found[0].t_cam_pad, scene.truth.t_cam_pad]))
         near += bool(np.hypot(*(there - true)) < 1.5)
-        of = verified(pyramid, camera, pad, found[0], Orientation.of(None))
+        of = verified(FrameView(pyramid, camera, pad), found[0], Orientation.of(None))
         from_there += of is not None and of.confidence >= SURE
-        of = verified(pyramid, camera, pad, start, Orientation.of(None))
+        of = verified(FrameView(pyramid, camera, pad), start, Orientation.of(None))
         from_here += of is not None and of.confidence >= SURE
     assert near >= 10
     assert from_there >= 10

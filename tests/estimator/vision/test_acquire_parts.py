@@ -17,9 +17,9 @@ from estimator.vision.detect.circles import EdgeCircle, Radii, edge_circles
 from estimator.vision.detect.colour import disc_colour, is_coloured
 from estimator.vision.detect.guesses import Outline, guesses_from
 from estimator.vision.detect.heading import heading
-from estimator.vision.detect.lettering import h_markings
+from estimator.vision.detect.hypotheses import h_markings
 from estimator.vision.detect.plane import Plane
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.template import DISC, ORANGE, STEP_M, H, paints_at, polar_drawing, template
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
@@ -40,7 +40,7 @@ def test_the_core_reduces_the_parts_that_it_needs_as_the_pyramid_does(range_m: f
     assert scene.truth is not None
     unmade, made = Pyramid(scene.px), Pyramid(scene.px)
     made[5]
-    found = [align(pyramid, camera, pad, scene.truth, SIGMA_TILT_RAD) for pyramid in (unmade, made)]
+    found = [align(FrameView(pyramid, camera, pad), scene.truth, SIGMA_TILT_RAD) for pyramid in (unmade, made)]
     assert found[0] is not None
     assert found[1] is not None
     assert np.array_equal(found[0].features, found[1].features)
@@ -232,7 +232,7 @@ def test_laying_the_drawing_brings_a_rough_pose_home(camera: Camera, pad: Pad, s
     off[2] = 0.05 * height * rng.choice([-1, 1])
     turn = Rotation.from_rotvec([0.04, -0.03, 0.1])
     rough = PadPose(seen.truth.R_cam_pad @ turn, seen.truth.t_cam_pad + off)
-    aligned = align(Pyramid(seen.px), camera, pad, rough, SIGMA_TILT_RAD, 8, local=True)
+    aligned = align(FrameView(Pyramid(seen.px), camera, pad), rough, SIGMA_TILT_RAD, 8, local=True)
     assert aligned is not None
     left = aligned.pose.t_cam_pad - seen.truth.t_cam_pad
     assert np.linalg.norm(left[:2]) < 0.015 + 0.0005 * height
@@ -245,7 +245,7 @@ def test_laying_the_drawing_brings_a_rough_pose_home(camera: Camera, pad: Pad, s
 def test_the_drawing_is_not_laid_where_there_is_none_of_it(camera: Camera, pad: Pad) -> None:
     seen = shown(camera, pad, 1.0)
     away = PadPose(seen.truth.R_cam_pad, np.array([9.0, 0.0, 1.0]))
-    assert align(Pyramid(seen.px), camera, pad, away, SIGMA_TILT_RAD) is None
+    assert align(FrameView(Pyramid(seen.px), camera, pad), away, SIGMA_TILT_RAD) is None
 
 
 @pytest.mark.parametrize("light", [Light(), Light(3000.0), Light(9000.0, white_balance=(1.2, 0.8, 1.2))])

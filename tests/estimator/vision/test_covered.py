@@ -10,7 +10,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import SearchMemory, acquire, align_at, search
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, UNCUT, align, cover
 from estimator.vision.detect.covered import align_uncovered, cut_at, turned_uncovered
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
@@ -40,10 +40,10 @@ def test_the_border_of_what_covers_a_pad_is_found_and_the_rest_is_verified(camer
     for seed in range(4):
         scene = seen(camera, pad, "half covered", height_m, seed)
         assert scene.truth is not None
-        cut = cut_at(Pyramid(scene.px), camera, pad, scene.truth)
+        cut = cut_at(FrameView(Pyramid(scene.px), camera, pad), scene.truth)
         assert cut is not None
         assert kept_share(camera, pad, scene, cut) == pytest.approx(0.5, abs=0.15)
-        of = verified(Pyramid(scene.px), camera, pad, scene.truth, Orientation.of(None))
+        of = verified(FrameView(Pyramid(scene.px), camera, pad), scene.truth, Orientation.of(None))
         good += (
             of is not None
             and of.confidence > SURE
@@ -58,7 +58,7 @@ def test_nothing_seems_to_cover_a_pad_in_plain_view(camera: Camera, pad: Pad) ->
         for height_m in (1.0, 3.0, 8.0):
             scene = seen(camera, pad, condition, height_m, seed)
             assert scene.truth is not None
-            found = cover(Pyramid(scene.px), camera, pad, scene.truth)
+            found = cover(FrameView(Pyramid(scene.px), camera, pad), scene.truth)
             gains.append(-1.0 if found is None else found.gain)
     assert np.mean(np.array(gains) > 0.7) < 0.15
 
@@ -73,7 +73,7 @@ def test_a_cut_hides_what_is_beyond_it_from_registration_and_verification(camera
     painted[:, beyond] = (90, 30, 140)
     for px in (scene.px, painted):
         found = register(px, camera, pad, scene.truth, None, CLOSE, cut)
-        aligned = align(Pyramid(px), camera, pad, scene.truth, SIGMA_TILT_RAD, 0, cut=cut)
+        aligned = align(FrameView(Pyramid(px), camera, pad), scene.truth, SIGMA_TILT_RAD, 0, cut=cut)
         assert found is not None
         assert aligned is not None
         if px is scene.px:
@@ -83,7 +83,7 @@ def test_a_cut_hides_what_is_beyond_it_from_registration_and_verification(camera
     assert found.visible == pytest.approx(0.5, abs=0.1)
     assert aligned.in_view == before.in_view
     whole = register(scene.px, camera, pad, scene.truth, None, CLOSE, UNCUT)
-    uncut = align(Pyramid(scene.px), camera, pad, scene.truth, SIGMA_TILT_RAD, 0)
+    uncut = align(FrameView(Pyramid(scene.px), camera, pad), scene.truth, SIGMA_TILT_RAD, 0)
     assert whole is not None
     assert uncut is not None
     assert aligned.in_view == pytest.approx(0.5 * uncut.in_view, abs=0.06)
@@ -96,7 +96,7 @@ def test_half_covered_pads_are_found_from_cold(camera: Camera, pad: Pad) -> None
         for height_m in (0.5, 1.0, 3.0, 5.0):
             scene = seen(camera, pad, "half covered", height_m, 100 + seed)
             for candidate in acquire(scene.px, camera, pad, scene.R_level_body)[:2]:
-                of = verified(Pyramid(scene.px), camera, pad, candidate.pose, Orientation.of(None), cut=candidate.cut)
+                of = verified(FrameView(Pyramid(scene.px), camera, pad), candidate.pose, Orientation.of(None), cut=candidate.cut)
                 if of is not None and of.confidence >= SURE:
                     assert scene.truth is not None
                     found += keeps_claim(of.found.pose, scene.truth, camera, pad, of.found.yaw_ambiguous)
@@ -116,9 +116,9 @@ def test_what_covers_a_distant_pad_does_not_turn_it(camera: Camera, pad: Pad) ->
         scene = seen(camera, pad, "half covered", 15.0, seed)
         assert scene.truth is not None
         pyramid, start = Pyramid(scene.px), scene.truth.turned(math.radians(75.0))
-        found = align_uncovered(pyramid, camera, pad, start, SIGMA_TILT_RAD, 4)
+        found = align_uncovered(FrameView(pyramid, camera, pad), start, SIGMA_TILT_RAD, 4)
         if found is not None:
-            turned = turned_uncovered(pyramid, camera, pad, *found, SIGMA_TILT_RAD, 4)
+            turned = turned_uncovered(FrameView(pyramid, camera, pad), *found, SIGMA_TILT_RAD, 4)
             covered += 1
             right += heading_off(found[0].pose, scene.truth) < 0.35
             turned_right += turned is not None and heading_off(turned.pose, scene.truth) < 0.35
@@ -134,7 +134,7 @@ def test_half_a_distant_pad_at_the_frames_edge_is_found_within_three_frames_of_a
         scene, memory = seen(camera, pad, "half cut", 15.0, 300 + seed), SearchMemory()
         assert scene.truth is not None
         for _ in range(3):
-            of = search(scene.px, camera, pad, scene.R_level_body, memory=memory, budget=FRAME_WORK)
+            of = search(FrameView(Pyramid(scene.px), camera, pad), scene.R_level_body, memory=memory, budget=FRAME_WORK)
             memory = of.memory
             if of.candidates and of.candidates[0].score >= 0.3:
                 pose = of.candidates[0].pose
@@ -146,7 +146,7 @@ def test_half_a_distant_pad_at_the_frames_edge_is_found_within_three_frames_of_a
 def found_in(camera: Camera, hard: Hard, scene: PadScene) -> bool | None:
     """Return whether what a search finds from cold is sure and right, and None if nothing is sure."""
     for candidate in acquire(scene.px, camera, hard.pad, scene.R_level_body)[:2]:
-        of = verified(Pyramid(scene.px), camera, hard.pad, candidate.pose, Orientation.of(None), cut=candidate.cut)
+        of = verified(FrameView(Pyramid(scene.px), camera, hard.pad), candidate.pose, Orientation.of(None), cut=candidate.cut)
         if of is not None and of.confidence >= SURE:
             assert scene.truth is not None
             return keeps_claim(of.found.pose, scene.truth, camera, hard.pad, of.found.yaw_ambiguous)
@@ -185,7 +185,7 @@ def test_what_covers_a_pad_in_the_shade_of_its_disc_does_not_pull_it_nearer_or_f
     scene = hard_scene(np.random.default_rng([301, k, 50]), camera, HARD[name], 5.0)
     assert scene.truth is not None
     start = acquire(scene.px, camera, HARD[name].pad, scene.R_level_body)[0]
-    of = verified(Pyramid(scene.px), camera, HARD[name].pad, start.pose, Orientation.of(None), cut=start.cut)
+    of = verified(FrameView(Pyramid(scene.px), camera, HARD[name].pad), start.pose, Orientation.of(None), cut=start.cut)
     assert of is not None
     assert of.confidence > SURE
     assert of.found.pose.range_m == pytest.approx(scene.truth.range_m, rel=0.045)
@@ -198,7 +198,7 @@ def test_a_pad_whose_arrowhead_is_not_where_it_is_in_view_is_turned_by_half_a_tu
     scene = hard_scene(np.random.default_rng([137, k, 3]), camera, of, 0.3)
     assert scene.truth is not None
     pyramid = Pyramid(scene.px)
-    found = align_at(scene.truth.turned(math.pi), True, pyramid, camera, pyramid.as_seen(of.pad))
+    found = align_at(scene.truth.turned(math.pi), True, FrameView(pyramid, camera, of.pad).as_seen())
     assert found is not None
     assert abs((scene.truth.R_cam_pad.inv @ found.pose.R_cam_pad).rpy_rad[2]) < 0.2
     assert found.score > 0.3
@@ -207,7 +207,7 @@ def test_a_pad_whose_arrowhead_is_not_where_it_is_in_view_is_turned_by_half_a_tu
 def test_looking_for_what_covers_a_pad_counts_as_work(camera: Camera, pad: Pad) -> None:
     """A frame's budget holds only if every step is counted: what resembles a half-covered pad is aligned more than once."""
     scene = seen(camera, pad, "half covered", 10.0, 308)
-    found = search(scene.px, camera, pad, scene.R_level_body)
+    found = search(FrameView(Pyramid(scene.px), camera, pad), scene.R_level_body)
     assert found.candidates[0].cut is not None
     assert found.work > 7.0
 
@@ -220,7 +220,7 @@ def test_a_search_over_frames_leaves_every_kind_of_guesses_again(camera: Camera,
     memory, best = SearchMemory(first, ()), 0.0
     for _ in range(10):
         px = (scene.px + rng.normal(0.0, 2.0, scene.px.shape)).clip(0, 255).astype(np.uint8)
-        found = search(px, camera, pad, scene.R_level_body, memory=memory, budget=FRAME_WORK)
+        found = search(FrameView(Pyramid(px), camera, pad), scene.R_level_body, memory=memory, budget=FRAME_WORK)
         memory = found.memory
         best = max([best, *(candidate.score for candidate in found.candidates)])
         if best > SURE:

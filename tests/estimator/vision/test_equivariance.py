@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
@@ -28,7 +28,7 @@ UPSIDE_DOWN, LEFT_RIGHT, TOP_DOWN = (np.diag([x, y, 1.0]) for x, y in ((-1.0, -1
 """Turn the camera's axes."""
 
 
-class View(NamedTuple):
+class Aimed(NamedTuple):
     """A frame, the camera that took it, what is known of its attitude, and where the pad is about."""
 
     px: NDArray[np.uint8]
@@ -37,7 +37,7 @@ class View(NamedTuple):
     start: PadPose
 
     def seen(self, pad: Pad) -> Looked | None:
-        return look(Pyramid(np.ascontiguousarray(self.px)), self.camera, pad, self.start, self.orientation, TRACK)
+        return look(FrameView(Pyramid(np.ascontiguousarray(self.px)), self.camera, pad), self.start, self.orientation, TRACK)
 
 
 def numbers(level: NDArray[Any]) -> F64:
@@ -45,7 +45,7 @@ def numbers(level: NDArray[Any]) -> F64:
     return np.atleast_1d(level).view(np.float64)
 
 
-def mirrored(view: View, in_cam: F64, in_body: F64) -> View:
+def mirrored(view: Aimed, in_cam: F64, in_body: F64) -> Aimed:
     """Return the view with axes of the camera, of the body and of the pad turned round: of the frame, those of the camera."""
     c = view.camera
     x, y, _ = np.diag(in_cam)
@@ -59,10 +59,10 @@ def mirrored(view: View, in_cam: F64, in_body: F64) -> View:
     cov = np.diag([side, 1.0]) @ o.cov_tilt @ np.diag([side, 1.0])
     orientation = Orientation(side * o.roll_rad, o.pitch_rad, cov, o.sigma_deck_rad, o.measured)
     start = PadPose(Rotation(in_cam @ view.start.R_cam_pad.matrix @ in_body), in_cam @ view.start.t_cam_pad)
-    return View(view.px[:: int(y), :: int(x)], camera, orientation, start)
+    return Aimed(view.px[:: int(y), :: int(x)], camera, orientation, start)
 
 
-def elsewhere(view: View) -> View:
+def elsewhere(view: Aimed) -> Aimed:
     """Return the view in a larger frame, which goes on as its border is."""
     c = view.camera
     px = np.pad(view.px, ((32, 16), (48, 16), (0, 0)), mode="edge")
@@ -70,14 +70,14 @@ def elsewhere(view: View) -> View:
 
 
 @lru_cache(maxsize=32)
-def seen_at(k: int, pad_name: str) -> tuple[Pad, View, Looked]:
+def seen_at(k: int, pad_name: str) -> tuple[Pad, Aimed, Looked]:
     """Return one of some frames from 0.3 to 9 m in all conditions, half through a bent lens, and what is seen."""
     pad, camera = load_pad(pad_name), BENT if k % 2 else sim_camera()
     scene = pad_scene(np.random.default_rng(k), camera, pad, 0.3 * 1.45**k, CONDITIONS[k % len(CONDITIONS)])
     assert scene.truth is not None
     roll, pitch, _ = (scene.R_level_body or Rotation.identity()).rpy_rad
     orientation = Orientation(roll, pitch, np.array([[3e-4, 1e-4], [1e-4, 2e-4]]), 0.02, True)
-    view = View(scene.px, camera, orientation, scene.truth)
+    view = Aimed(scene.px, camera, orientation, scene.truth)
     found = view.seen(pad)
     assert found is not None
     return pad, view, found

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Method, Sighting
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.fusion import fuse
+from estimator.vision.detection import fuse
 
 NOW = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
 TRUTH = np.array([0.4, -0.3, 2.0])

@@ -10,7 +10,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.colour import in_grey
 from estimator.vision.detect.heading import heading
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import FEATURES
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
@@ -73,7 +73,7 @@ def test_a_ring_that_pixels_mix_with_the_h_is_as_bright_as_it_should_be(
 def ring_place(camera: Camera, pad: Pad, px: U8, truth: PadPose) -> float:
     """Return how far the ring is from its place between disc and H, 0 or less."""
     pyramid = Pyramid(px)
-    aligned = align(pyramid, camera, pyramid.as_seen(pad), truth, SIGMA_TILT_RAD, 0)
+    aligned = align(FrameView(pyramid, camera, pyramid.as_seen(pad)), truth, SIGMA_TILT_RAD, 0)
     assert aligned is not None
     return float(aligned.features[FEATURES.index("orange_place")])
 
@@ -92,7 +92,7 @@ def test_the_ring_of_a_pad_whose_h_is_burnt_out_may_be_any_darker_than_the_h(cam
 def test_a_burnt_out_grey_pad_is_sure(camera: Camera, k: int) -> None:
     seen = hard_scene(np.random.default_rng([97, k, 100]), camera, HARD["grey"], 10.0)
     assert seen.truth is not None
-    of = verified(Pyramid(seen.px), camera, HARD["grey"].pad, seen.truth, Orientation.of(None))
+    of = verified(FrameView(Pyramid(seen.px), camera, HARD["grey"].pad), seen.truth, Orientation.of(None))
     assert of is not None
     assert of.confidence > SURE
 
@@ -140,7 +140,7 @@ def test_a_grey_frame_sees_the_paints_as_greys(camera: Camera, pad: Pad) -> None
     frame = scene(camera, "grey", 5.0, 0)
     pyramid = Pyramid(frame.px)
     assert frame.truth is not None
-    aligned = [align(pyramid, camera, of, frame.truth, SIGMA_TILT_RAD, 0) for of in (pad, pyramid.as_seen(pad))]
+    aligned = [align(FrameView(pyramid, camera, of), frame.truth, SIGMA_TILT_RAD, 0) for of in (pad, pyramid.as_seen(pad))]
     off = [0.0 if one is None else float(one.features[FEATURES.index("orange_place")]) for one in aligned]
     assert off[0] < -0.3
     assert off[1] > -0.1
@@ -152,7 +152,7 @@ def test_noise_does_not_hide_a_part_that_all_its_samples_show(camera: Camera, pa
     assert seen.truth is not None
 
     def gains(px: U8) -> tuple[float, float]:
-        aligned = align(Pyramid(px), camera, pad, seen.truth, SIGMA_TILT_RAD, 0) if seen.truth is not None else None
+        aligned = align(FrameView(Pyramid(px), camera, pad), seen.truth, SIGMA_TILT_RAD, 0) if seen.truth is not None else None
         assert aligned is not None
         ring, edge = (float(aligned.features[FEATURES.index(name)]) for name in ("ring", "edge"))
         return ring, edge

@@ -10,7 +10,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision import by_paint
 from estimator.vision.camera import Camera
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
@@ -20,9 +20,8 @@ from estimator.vision.pose import Orientation
 from estimator.vision.register.fit_verification import confidence
 from estimator.vision.register.look import look
 from estimator.vision.register.registration import RegistrationOptions, register
-from estimator.vision.register.turned import heading_z_scores
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from estimator.vision.verified import verified
+from estimator.vision.verified import heading_z_scores, verified
 from sitl.camera.camera import Renderer
 from tests.sitl.images import PLAIN, pad_pose, shot
 from tests.support.pad_images import STAMP
@@ -51,7 +50,7 @@ def test_a_pad_of_any_shape_is_registered_and_verified(name: str, height_m: floa
         if not has
     ]
     assert all(found.edges[kind].in_view == 0.0 for kind in lacking)
-    verified = look(Pyramid(px), camera, pad, found.pose, Orientation.of(None), RegistrationOptions(coarse=False))
+    verified = look(FrameView(Pyramid(px), camera, pad), found.pose, Orientation.of(None), RegistrationOptions(coarse=False))
     assert verified is not None
     assert confidence(verified.log_odds) > 0.9
 
@@ -81,7 +80,7 @@ def test_a_pad_is_not_seen_in_another_one(name: str) -> None:
     pad, exposure = shipped_pad(name), shot(2.0)
     px = Renderer(PLAIN, shipped_pad("thesis")).render(exposure, np.random.default_rng(2))
     options = RegistrationOptions(coarse=False)
-    found = look(Pyramid(px), PLAIN, pad, pad_pose(exposure, PLAIN), Orientation.of(None), options)
+    found = look(FrameView(Pyramid(px), PLAIN, pad), pad_pose(exposure, PLAIN), Orientation.of(None), options)
     sure = 0.0 if found is None else confidence(found.log_odds)
     # The plain H is the thesis' H: on a green disc it is the same marking.
     assert sure < 0.5 or name == "h"
@@ -98,7 +97,7 @@ def test_a_heading_that_the_drawing_hardly_shows_is_put_right(name: str, turns_d
     for turn in confusable_turns(pad):
         assert heading_z_scores(px, PLAIN, pad, truth, [turn])[turn] > 4.0
         assert heading_z_scores(px, PLAIN, pad, truth.turned(turn), [-turn])[-turn] < -4.0
-        seen = verified(Pyramid(px), PLAIN, pad, truth.turned(turn), orientation)
+        seen = verified(FrameView(Pyramid(px), PLAIN, pad), truth.turned(turn), orientation)
         assert seen is not None
         assert seen.confidence > 0.5
         off = abs((truth.R_cam_pad.inv @ seen.found.pose.R_cam_pad).rpy_rad[2])

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 from estimator.core.abi import DL_WRONG_SIZE
 from estimator.core.library import CORE
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.native import checked, image_of, tracker_of
-from estimator.vision.register.shape import pad_shape
+from estimator.vision.native import checked, image_of, pad_shape, tracker_of
 from tests.support.pad_scenes import load_camera, load_pad
 
 CAMERA, PAD = load_camera("sim"), load_pad("thesis")

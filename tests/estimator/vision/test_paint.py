@@ -10,7 +10,7 @@ from estimator.contracts.samples import Attitude
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import acquire
 from estimator.vision.detect.paint import FRESH, LEARNED_AT, PaintMemory, learn, missed
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.template import AROUND, DISC
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
@@ -30,7 +30,7 @@ def view(camera: Camera, pad: Pad, light: Light, seed: int = 0) -> Teach:
     pyramid, orientation = Pyramid(seen.px), Orientation.of(Attitude(STAMP, seen.R_level_body, 1e-6 * np.eye(3)))
 
     def teach(memory: PaintMemory) -> PaintMemory:
-        found = look(pyramid, camera, pad, seen.truth, orientation, RegistrationOptions(coarse=False), paint=memory)
+        found = look(FrameView(pyramid, camera, pad), seen.truth, orientation, RegistrationOptions(coarse=False), paint=memory)
         assert found is not None
         return found.paint()
 

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR
 from estimator.contracts.geometry import wrap_pi
 from estimator.vision.camera import Camera
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
 from estimator.vision.register.fit_verification import confidence
@@ -33,7 +33,7 @@ def test_place_and_heading_in_level(camera: Camera, pad: Pad) -> None:
     for height_m in (0.3, 1.0, 4.0, 10.0):
         view = stage.view(height_m, tilt_rad=math.radians(5.0))
         orientation = view.orientation()
-        found = look(Pyramid(view.px), camera, pad, stage.start(view, 0.4), orientation, TRACK)
+        found = look(FrameView(Pyramid(view.px), camera, pad), stage.start(view, 0.4), orientation, TRACK)
         assert found is not None
         s = sighting_of_look(view.frame(), found, confidence(found.log_odds))
         assert s.method == "registration"
@@ -57,7 +57,7 @@ def test_errors_of_attitude_and_deck_are_in_the_covariance(
     for _ in range(25):
         view = stage.view(height_m, deck_rad=deck)
         orientation = believed(view, stage.rng, sigma, max(deck, 1e-5))
-        found = look(Pyramid(view.px), camera, pad, stage.start(view, 0.4), orientation, TRACK)
+        found = look(FrameView(Pyramid(view.px), camera, pad), stage.start(view, 0.4), orientation, TRACK)
         assert found is not None
         s = sighting_of_look(view.frame(), found, confidence(found.log_odds))
         assert s.yaw_rad is not None
@@ -80,7 +80,7 @@ def test_a_level_deck_in_the_image_corrects_the_attitude(camera: Camera, pad: Pa
     for _ in range(10):
         view = stage.view(1.5)
         orientation = believed(view, stage.rng, math.radians(1.0), 1e-4)
-        found = look(Pyramid(view.px), camera, pad, stage.start(view, 0.3), orientation, TRACK)
+        found = look(FrameView(Pyramid(view.px), camera, pad), stage.start(view, 0.3), orientation, TRACK)
         assert found is not None
         s = sighting_of_look(view.frame(), found, confidence(found.log_odds))
         better.append(np.linalg.norm((s.d_body_pad_level - view.d_body_pad_level)[:2]))
@@ -96,7 +96,7 @@ def test_no_heading_without_h_and_arrow(camera: Camera, pad: Pad) -> None:
     px = view.px.copy()
     uv = camera.project(view.pose.points(pad.circle(0.33)))
     cv2.fillPoly(px, [np.round(uv * 16).astype(np.int32)], (0, 102, 0), cv2.LINE_AA, 4)
-    found = look(Pyramid(px), camera, pad, view.pose, view.orientation(), TRACK)
+    found = look(FrameView(Pyramid(px), camera, pad), view.pose, view.orientation(), TRACK)
     assert found is not None
     s = sighting_of_look(view.frame(), found, confidence(found.log_odds))
     assert s.yaw_rad is None

@@ -12,8 +12,7 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
-from estimator.vision.rehearsal import drawn, drawn_lamps, rehearse
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, drawn, drawn_lamps, rehearse, track
 from tests.support.shipped import shipped_pad
 
 AT = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
@@ -70,7 +69,7 @@ def test_the_lamps_of_a_lit_pad_are_found_where_they_were_drawn() -> None:
 LOADED = """
 import sys
 from companion.settings.load import camera_model, load
-from estimator.vision.rehearsal import rehearse
+from estimator.vision.tracker import rehearse
 from estimator.vision.tracker import TrackerConfig
 from tests.support.shipped import shipped_pad
 rehearse(TrackerConfig(camera_model(load("sim")), shipped_pad(sys.argv[1])))

@@ -9,6 +9,7 @@ from scipy.special import ndtr
 
 from estimator.contracts.geometry import F64
 from estimator.core.library import CORE, FILE
+from estimator.vision.native import pad_shape
 from estimator.vision.pad import Pad
 from estimator.vision.regions import (
     PaintedPolygon,
@@ -22,7 +23,6 @@ from estimator.vision.regions import (
     sides_of,
     slanted_sides_of,
 )
-from estimator.vision.register.shape import pad_shape
 
 STROKE = PaintedStroke("white", (-0.2, -0.1), (0.2, 0.15), 0.05)
 HOOK = PaintedPolygon("white", ((-0.3, -0.2), (0.3, -0.25), (0.1, 0.0), (0.28, 0.3), (-0.1, 0.1)))

@@ -8,7 +8,7 @@ import pytest
 
 from estimator.contracts.estimates import Method, Sighting
 from estimator.contracts.geometry import F64
-from estimator.vision.fusion import fuse
+from estimator.vision.detection import fuse
 from estimator.vision.tracker import TrackerMemory, track
 from sitl.camera.light import Light
 from sitl.camera.surroundings import Surroundings

@@ -7,7 +7,7 @@ import pytest
 
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, align
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import FEATURES, confidence
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
@@ -17,7 +17,7 @@ from tests.support.pad_claims import keeps_claim
 
 
 def at(px: np.ndarray, camera: Camera, pad: Pad, pose: PadPose) -> AlignedTemplate:
-    aligned = align(Pyramid(np.asarray(px, np.uint8)), camera, pad, pose, SIGMA_TILT_RAD, 0)
+    aligned = align(FrameView(Pyramid(np.asarray(px, np.uint8)), camera, pad), pose, SIGMA_TILT_RAD, 0)
     assert aligned is not None
     return aligned
 

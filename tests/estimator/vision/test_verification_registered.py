@@ -13,7 +13,7 @@ from estimator.vision import native
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import acquire
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
@@ -33,7 +33,7 @@ FRAME = Frame(STAMP, 0, np.zeros((2, 2, 3), np.uint8))
 
 def looked(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_level_body: Rotation | None) -> Looked | None:
     attitude = None if R_level_body is None else Attitude(STAMP, R_level_body, 1e-6 * np.eye(3))
-    return look(Pyramid(px), camera, pad, start, Orientation.of(attitude), CLOSE)
+    return look(FrameView(Pyramid(px), camera, pad), start, Orientation.of(attitude), CLOSE)
 
 
 def sure(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_level_body: Rotation) -> float:
@@ -55,7 +55,7 @@ def test_a_look_is_a_registration_an_alignment_and_their_evidence(camera: Camera
         if found is None or one is None:
             continue
         compared += 1
-        registration, other = found.registration(), align(pyramid, camera, pad, one.pose, SIGMA_TILT_RAD, 0)
+        registration, other = found.registration(), align(FrameView(pyramid, camera, pad), one.pose, SIGMA_TILT_RAD, 0)
         assert other is not None
         assert np.array_equal(registration.cov, one.cov)
         assert np.array_equal(found.pose.t_cam_pad, one.pose.t_cam_pad)
@@ -71,7 +71,7 @@ def test_a_rough_start_is_approached_first(camera: Camera, pad: Pad) -> None:
         seen = shown(camera, pad, height_m)
         off = PadPose(seen.truth.R_cam_pad, seen.truth.t_cam_pad + 0.04 * pad.disc_radius_m)
         pyramid, orientation = Pyramid(seen.px), Orientation.of(Attitude(STAMP, seen.R_level_body, 1e-6 * np.eye(3)))
-        found = look(pyramid, camera, pad, off, orientation, RegistrationOptions(coarse=True))
+        found = look(FrameView(pyramid, camera, pad), off, orientation, RegistrationOptions(coarse=True))
         one = register(seen.px, camera, pad, off, orientation, RegistrationOptions(coarse=True), pyramid=pyramid)
         assert found is not None
         assert one is not None

@@ -11,7 +11,7 @@ from drivers.clock import SystemClock
 from estimator.contracts.commands import Land
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.emulators.ardrone.repeated_flights import PauseBetweenFlights, fly_repeatedly
+from sitl.emulators.ardrone.serve import PauseBetweenFlights, fly_repeatedly
 from sitl.emulators.ardrone.server import ArDroneServer, Ports
 from sitl.perception.levels import perceive, represents
 from sitl.perception.port import Perception
