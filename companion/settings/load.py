@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 import msgspec
 
 import configs
+from companion.settings.camera_file import foreign_camera
 from companion.settings.effect import refuse_moved, with_moved, without_retired
 from companion.settings.expert import in_file, joined
 from companion.settings.model import PadSettings, Settings
@@ -34,7 +35,7 @@ from estimator.vision.pad_rules import check_for_detection
 
 __all__ = [
     "Settings", "body_camera", "camera_model", "complete", "find_file", "from_file", "from_mapping", "load", "pad_model",
-    "read_toml", "response_model", "shipped", "shipped_response",
+    "read_camera", "read_toml", "response_model", "shipped", "shipped_response",
 ]  # fmt: skip
 
 _DEEP_PARTS = 50
@@ -178,7 +179,18 @@ def camera_model(settings: Settings) -> Camera:
         BadInput: the file is missing or has a fault.
     """
     path = find_file(settings.camera.file, "cameras", Path(), "camera.file")
-    return Camera.from_mapping(read_toml(path), str(path))
+    return read_camera(path)
+
+
+def read_camera(path: Path) -> Camera:
+    """Return the camera of our own file, or of one of ROS, OpenCV or Kalibr.
+
+    Raises:
+        BadInput: it cannot be read, is none of them, or has a fault.
+    """
+    text = read_text(path)
+    foreign = foreign_camera(text, path)
+    return Camera.from_mapping(toml_of(text, path) if foreign is None else foreign, str(path))
 
 
 def body_camera(settings: Settings) -> Camera:
