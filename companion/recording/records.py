@@ -107,6 +107,8 @@ class StatusRecord(Struct, frozen=True, omit_defaults=True):
     link_ok: bool
     flying: bool | None = None
     battery_fraction: float | None = None
+    taken: str | None = None
+    """Who has taken the vehicle from the service."""
 
 
 class Pose6Record(Struct, frozen=True):

@@ -72,6 +72,7 @@ class IntegrityAlert(Enum):
     ELSEWHERE = "a pad is seen in another place"
     RANGE = "the range sensor contradicts the camera"
     HEIGHT = "the barometer contradicts the camera"
+    DECK = "the deck is believed to move as no deck does"
 
 
 class Feature(Struct, frozen=True, eq=False):

@@ -274,6 +274,8 @@ class VehicleStatus(Struct, frozen=True):
     battery_fraction: float | None
     emergency: bool
     link_ok: bool
+    taken: str | None = None
+    """Who has taken the vehicle from this service, with the vehicle's own words for it, for people; None while nobody has."""
 
 
 Sample = Imu | Attitude | GimbalAttitude | BodyVelocity | Range | Baro | VesselReport | GeoFix | VehicleStatus
