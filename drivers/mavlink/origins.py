@@ -16,7 +16,7 @@ from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 _ROOM_NS = NS_PER_S
 """How far a time since boot may lie from the one expected: messages are late and overtake one another."""
 _DRIFT_PPM = 200
-_NEXT_WITHIN = 16
+_NEXT_WITHIN = 8
 """Sequence numbers that may be lost between two messages of one autopilot."""
 _ALIVE_S = 5.0
 _HELD_S = 0.5
