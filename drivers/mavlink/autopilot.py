@@ -31,7 +31,16 @@ from drivers.mavlink.roster import Bound, Doubt, Roster
 from drivers.mavlink.samples import LocalPosition, MavlinkSampler
 from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.timesync import TimeSync, answer_to
-from drivers.mavlink.vehicle import Condition, Identity, Stack, Version, is_autopilot, stack_of, version_of
+from drivers.mavlink.vehicle import (
+    VELOCITY_MODE,
+    Condition,
+    Identity,
+    Stack,
+    Version,
+    is_autopilot,
+    stack_of,
+    version_of,
+)
 from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
 from drivers.running_beside import running_beside
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
@@ -63,6 +72,10 @@ def inertial_delay_s(stack: Stack, values: Mapping[str, float]) -> float:
 _log = logging.getLogger(__name__)
 
 _KNOCK_S = 1.0
+_WARNING = 4
+"""MAV_SEVERITY_WARNING; what is graver has a lower number."""
+_BEFORE_S, _AFTER_S = 5.0, 2.0
+"""Time before and after the vehicle was taken in which the autopilot's texts are about it, s: PX4 waits 5 s in Hold."""
 _AGAIN_S = 5.0
 """The shortest time between two rounds of requests, whatever the autopilot does."""
 _REQUESTS_HZ, _REQUESTS_MAX = 20.0, 100
@@ -91,6 +104,8 @@ class _Known:
     lost: bool = False
     version: Version | None = None
     """Its firmware and hardware, once it told them."""
+    released_at: MonoNs | None = None
+    """When the vehicle was taken from this program; None while nobody has it."""
 
 
 class Autopilot:
@@ -225,6 +240,7 @@ class Autopilot:
         """Allow a vehicle that a person took over to be taken back, because the operator starts."""
         if self._known is not None:
             self._known.streamer.engage()
+            self._tell_hand(self._known, self._clock.now())
 
     def send(self, message: Message) -> bool:
         """Send a message to the autopilot if one is known; return whether it was sent."""
@@ -291,6 +307,7 @@ class Autopilot:
         elif name == "STATUSTEXT":
             for severity, text in self._joined.on_message(message, sender):
                 self.texts.append((received_at, severity, text))
+            self._tell_hand(known, received_at)
         elif name == "EVENT":
             self.events.append(int(message.id))
         elif name == "AUTOPILOT_VERSION":
@@ -301,12 +318,39 @@ class Autopilot:
             known.sampler.inertial_delay_s = inertial_delay_s(known.identity.stack, known.parameters.values)
         self._offer(known.sampler.samples(message, received_at))
         known.streamer.on_condition(known.sampler.condition)
+        self._tell_hand(known, received_at)
         if name == "LOCAL_POSITION_NED" and known.sampler.positions:
             position = known.sampler.positions[-1]
             known.streamer.on_position(float(position.p_body_ned[2]))
             known.streamer.on_velocity(position.v_body_ned, received_at)
         if name in ("ATTITUDE_QUATERNION", "ATTITUDE") and known.sampler.attitude is not None:
             known.streamer.on_attitude(known.sampler.attitude)
+
+    def _tell_hand(self, known: _Known, now: MonoNs) -> None:
+        """Say in the vehicle's status who has taken it, as soon as that or the autopilot's word for it changes."""
+        taken = self._taken(known, now)
+        if taken != known.sampler.taken:
+            known.sampler.taken = taken
+            self._offer([known.sampler.status(now, link_ok=True)])
+
+    def _taken(self, known: _Known, now: MonoNs) -> str | None:
+        """Return who has taken the vehicle, with the autopilot's critical text about it; None while nobody has."""
+        if known.streamer.hand is not Hand.RELEASED:
+            known.released_at = None
+            return None
+        known.released_at = known.released_at or now
+        about = [
+            (severity, at, text)
+            for at, severity, text in self.texts
+            if severity <= _WARNING and -_BEFORE_S <= seconds_between(known.released_at, at) <= _AFTER_S
+        ]
+        stack, mode = known.identity.stack.value, known.sampler.condition.mode
+        if known.streamer.refused:
+            why = f"{stack} refused the mode {VELOCITY_MODE.get(known.identity.stack, '')}"
+        else:
+            why = f"{stack} took the vehicle" if about else "the vehicle was taken over"
+        words = min(about, key=lambda one: (one[0], -one[1]))[2] if about else ""
+        return f"{why}: {words} (mode {mode})" if words else f"{why}: mode {mode}"
 
     def _on_version(self, known: _Known, message: Message) -> None:
         before, known.version = known.version, version_of(message)

@@ -53,6 +53,8 @@ def wire_value(stack: Stack, value: float, kind: int) -> float:
 
 
 COMMON_RATES_HZ = {
+    # The mode and the armed state: who takes the vehicle is told within one of these, and not within a second.
+    "HEARTBEAT": 5.0,
     "EXTENDED_SYS_STATE": 5.0,
     "SYS_STATUS": 1.0,
     "ATTITUDE_QUATERNION": 100.0,

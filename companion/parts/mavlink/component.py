@@ -61,6 +61,7 @@ _SEVERITIES = {
         State.ANOTHER_PAD: MavSeverity.ERROR,
         State.REFUSED: MavSeverity.CRITICAL,
         State.GAVE_UP: MavSeverity.CRITICAL,
+        State.TAKEN: MavSeverity.CRITICAL,
         State.EMERGENCY: MavSeverity.CRITICAL,
     }.items()
 }
@@ -156,6 +157,7 @@ class Component(NullObserver):
         self._track = TargetTrack()
         self._computer = ComputerReader()
         self._phase = ""
+        self._lost: tuple[str, ...] = ()
         self._decided: MonoNs | None = None
         self._belief: RelativeState | None = None
         self._sick = False
@@ -208,6 +210,11 @@ class Component(NullObserver):
             self._belief = decision.belief
         if decision.response is not None and decision.response.state is ResponseState.IDENTIFIED:
             self.texts.say(MavSeverity.WARNING, f"Decklander: {decision.response.text}", decision.at)
+        lost = () if decision.belief is None else decision.belief.lost
+        for text in lost:
+            if text not in self._lost:
+                self.texts.say(MavSeverity.WARNING, f"Decklander: {text}", decision.at)
+        self._lost = lost
         if decision.phase != self._phase:
             self._phase = decision.phase
             severity = _SEVERITIES.get(decision.phase, MavSeverity.INFO)

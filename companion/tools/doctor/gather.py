@@ -18,8 +18,10 @@ from companion.tools.doctor.snapshot import (
     Snapshot,
     TimeSyncSnapshot,
 )
-from drivers.imports import dataflash, px4_ulog
+from drivers.imports import dataflash, parameter_file, px4_ulog, tlog
+from drivers.imports.kinds import Kind, kind_of
 from drivers.imports.log_history import AutopilotLog
+from drivers.imports.stamps import Tell
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.gimbal import Gimbal, tending
@@ -38,21 +40,26 @@ _COPTER = "ArduCopter"
 
 
 def examine_log(path: Path) -> Snapshot:
-    """Return the snapshot of a dataflash log (.bin) or a PX4 log (.ulg), told apart by its first bytes.
+    """Return the snapshot of a flight log, a telemetry log or a file of parameters, told apart by their content.
 
     Raises:
-        BadInput: the file cannot be read, is neither, or is of a vehicle that cannot hover.
+        BadInput: the file cannot be read, is none of them, or is of a vehicle that cannot hover.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(len(px4_ulog.MAGIC))
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
-    if head.startswith(dataflash.MAGIC):
-        return _log_snapshot(path, dataflash.read_history(path))
-    if head == px4_ulog.MAGIC:
-        return _log_snapshot(path, px4_ulog.read_history(path))
-    raise BadInput(f"{path}: neither a dataflash log (.bin) nor a PX4 log (.ulg)")
+    kind, notes = kind_of(path), list[str]()
+    if kind is Kind.PARAMETERS:
+        return structs.replace(_log_snapshot(path, parameter_file.read_history(path)), log=None)
+    if kind not in _HISTORIES:
+        raise BadInput(
+            f"{path}: {kind.value}, and neither a dataflash log (.bin, .log), a PX4 log (.ulg), a telemetry log (.tlog) nor a "
+            "file of parameters"
+        )
+    log = _HISTORIES[kind](path, notes.append)
+    return _log_snapshot(path, structs.replace(log, history=structs.replace(log.history, notes=tuple(notes))))
+
+
+_HISTORIES: dict[Kind, Callable[[Path, Tell], AutopilotLog]] = {
+    Kind.ULOG: px4_ulog.read_history, Kind.DATAFLASH: dataflash.read_history, Kind.TLOG: tlog.read_history,
+}  # fmt: skip
 
 
 def _log_snapshot(path: Path, log: AutopilotLog) -> Snapshot:
