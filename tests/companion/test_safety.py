@@ -20,6 +20,7 @@ from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.estimates import IntegrityAlert, PathName, Sighting, Verdict
 from estimator.contracts.geometry import Rotation
+from estimator.contracts.motion import DeckMotion
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
@@ -238,3 +239,25 @@ def test_what_can_be_left_out_is_refused_and_the_landing_goes_on(fault: str) -> 
     loop.until(below(2.4, loop))
     loop.until(lambda decision: isinstance(decision.command, Land), fault)
     assert np.hypot(*loop.d[:2]) < 0.2
+
+
+def test_a_deck_that_would_move_as_none_does_leads_nobody_down_nor_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lying accelerometer makes the filter believe in a deck that rises ever faster; the drone followed it up at 1 m/s."""
+    loop = Loop("ekf")
+    loop.until(below(2.4, loop))
+    moves = loop.pilot.motion
+    rises = DeckMotion(loop.now, np.array([0.0, 0.0, -8.0]), np.zeros(3), 0.01 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+    monkeypatch.setattr(loop.pilot, "motion", lambda now: (moves(now)[0], rises))
+    height_m = loop.d[2]
+    for _ in range(40):
+        decision = loop.tick()
+        assert not descends(decision)
+        assert decision.belief is not None
+        assert IntegrityAlert.DECK in decision.belief.alerts
+        told = loop.pilot.belief(loop.now)
+        assert told is not None
+        assert not told.consistent
+    assert IntegrityAlert.DECK.value in decision.reason
+    assert loop.d[2] < height_m + 1.5, "it follows no such deck up"
+    monkeypatch.undo()
+    loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)

@@ -203,6 +203,7 @@ def belief(of: RelativeState, decision: Decision) -> BeliefReport:
         sigma_yaw_rad=float(sigmas[6]),
         sighted_age_s=of.age_s(decision.at),
         consistent=of.consistent,
+        lost=of.lost,
     )
 
 
