@@ -6,7 +6,8 @@ programs on the CPU. The vehicle is the shipped AR.Drone emulator or an autopilo
 that notes each command as the service sends it. Printed: the longest gap between commands, heartbeats missed, phase at the end,
 the loop's lag, lines in the log, and for each event whether the log says its words within ten seconds.
 
-`--worst FILE` writes the ten worst flights as TOML, and `--again FILE` flies those again.
+`--worst FILE` writes the ten worst flights as TOML, and `--again FILE` flies those again. `--healthy` flies with nothing failing;
+with `--alone` (as root) the service goes before all other programs, as on cores of its own.
 """
 
 import argparse
@@ -187,7 +188,8 @@ class Reader:
 class Around:
     """Everything that stands around one service, and what can happen to it."""
 
-    def __init__(self, folder: Path, seen: Seen, stack: ExitStack) -> None:
+    def __init__(self, folder: Path, seen: Seen, stack: ExitStack, *, alone: bool) -> None:
+        self._alone = alone
         self.folder, self.seen, self.stack = folder, seen, stack
         self.reader = Reader(seen)
         self.relays: list[Relay] = []
@@ -228,6 +230,8 @@ class Around:
             )
         )  # fmt: skip
         os.close(self.reader.writing)
+        if self._alone:
+            os.sched_setscheduler(self.service.pid, os.SCHED_FIFO, os.sched_param(5))
 
     def metric(self, pattern: str) -> str:
         """Return what a pattern finds in the metrics."""
@@ -452,11 +456,11 @@ async def beside_ardrone(around: Around, stack: ExitStack, happens: Callable[[],
             seen.unsafe = "touched beside the pad"
 
 
-async def fly(chaos: Chaos) -> Seen:
-    """Fly once."""
+async def fly(chaos: Chaos, *, alone: bool = False) -> Seen:
+    """Fly once; with `alone` the service goes before all other programs."""
     seen = Seen()
     with tempfile.TemporaryDirectory(prefix="decklander-chaos-") as name, ExitStack() as stack:
-        around = Around(Path(name), seen, stack)
+        around = Around(Path(name), seen, stack, alone=alone)
         around.start_broker()
 
         async def one(event: Event) -> None:
@@ -472,13 +476,20 @@ async def fly(chaos: Chaos) -> Seen:
 
         async def happens() -> None:
             seen.began = time.monotonic()
-            late = asyncio.create_task(bench_late())
-            await asyncio.gather(asyncio.sleep(LASTING_S), *(one(event) for event in chaos.events))
-            late.cancel()
             metric = around.metric
+
+            async def scrape() -> None:
+                while True:
+                    await asyncio.sleep(1.0)
+                    await asyncio.to_thread(metric, "loop_lag")
+
+            beside = [asyncio.create_task(bench_late()), asyncio.create_task(scrape())]
+            await asyncio.gather(asyncio.sleep(LASTING_S), *(one(event) for event in chaos.events))
+            for task in beside:
+                task.cancel()
             seen.phase = await asyncio.to_thread(metric, r'decklander_phase\{phase="([^"]*)"\} 1')
             lag = [await asyncio.to_thread(metric, rf'name="lag_{which}_s",part="loop"\}} (\S+)') for which in ("p999", "worst")]
-            seen.lag = "/".join(f"{1e3 * float(one):.0f}" if one else "?" for one in lag)
+            seen.lag = "/".join(f"{1e3 * float(one):.1f}" if one else "?" for one in lag)
             assert around.service is not None
             around.service.send_signal(signal.SIGTERM)
             await until(lambda: around.service is not None and around.service.poll() is not None, "its end", 10.0)
@@ -567,6 +578,8 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--vehicle", choices=("mavlink", "ardrone"))
     parser.add_argument("--kind", choices=KINDS, help="fly this event alone")
+    parser.add_argument("--healthy", action="store_true", help="let nothing fail")
+    parser.add_argument("--alone", action="store_true", help="let the service go before all other programs (SCHED_FIFO)")
     parser.add_argument("--worst", type=Path, metavar="FILE", help="write the ten worst flights")
     parser.add_argument("--again", type=Path, metavar="FILE", help="fly the flights of a file")
     parser.add_argument("--log", action="store_true", help="print the log of each flight")
@@ -576,10 +589,12 @@ def main() -> int:
         flights = of_toml(asked.again.read_text())
     if asked.kind is not None:
         flights = [Chaos(asked.first, asked.vehicle or "mavlink", (Event(asked.kind, 2.0, 5.0),))]
+    if asked.healthy:
+        flights = [Chaos(chaos.seed, chaos.vehicle, ()) for chaos in flights]
     rows = []
     for chaos in flights:
         try:
-            row = judged(chaos, asyncio.run(fly(chaos)))
+            row = judged(chaos, asyncio.run(fly(chaos, alone=asked.alone)))
         except (TimeoutError, ExceptionGroup) as why:
             print(f"BAD {chaos.seed:4d} {chaos.vehicle}: waited in vain ({why!r}) | {chaos.events}", flush=True)
             continue

@@ -27,10 +27,10 @@ from companion.parts.mavlink.make import AutopilotPart
 from companion.settings.load import from_mapping
 from companion.settings.mavlink import BridgeOptions
 from companion.settings.model import Settings
+from drivers.endpoint import Endpoint, parse_endpoint
 from drivers.mailbox import Line
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.signing import Signing, SigningKey, load_key

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.learned_file import second_opinion
-from companion.settings.load import find_file, read_toml
+from companion.settings.load import find_file, read_camera, read_toml
 from drivers.camera import images
 from drivers.camera.videos import open_video, predicts_frames
 from estimator.contracts.errors import BadInput
@@ -201,7 +201,7 @@ def _model(args: argparse.Namespace, file: Path) -> _Model:
     camera_source = str(file)
     if args.camera is not None:
         path = find_file(args.camera, "cameras", Path(), "--camera")
-        camera, camera_source = Camera.from_mapping(read_toml(path), str(path)), str(path)
+        camera, camera_source = read_camera(path), str(path)
     elif recording is not None:
         camera = recording.camera()
     if camera is None:

@@ -199,7 +199,7 @@ class Component(NullObserver):
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         """Send a fused sighting at once instead of at the next tick."""
-        if processed.verdict is Verdict.FUSED and self._autopilot is not None:
+        if processed.verdict is Verdict.FUSED and self._autopilot is not None and self._autopilot.unclear is None:
             now = self._clock.now()
             self._update_belief(now)
             self._send(self.outputs.target(now, _View(self._autopilot), self._sighted))
@@ -276,7 +276,7 @@ class Component(NullObserver):
             self._send(self._parameters.due())
 
     def _tell_target(self, now: MonoNs) -> None:
-        if self._autopilot is not None and self._autopilot.connected:
+        if self._autopilot is not None and self._autopilot.connected and self._autopilot.unclear is None:
             self._update_belief(now)
             view = _View(self._autopilot)
             self._autopilot.take_ranges(not self.outputs.sends_ranges(view))

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from drivers.clock import SystemClock
+from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
-from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.vehicle import ARMED, Stack, custom_mode, mode_name
