@@ -9,7 +9,6 @@ Source of the added definitions: mavlink.io message definitions, `common` (396, 
 (510, 511). The wire order and the CRC seed of a message follow from its fields: mavlink.io, "MAVLink serialization".
 """
 
-import logging
 import re
 import struct
 from typing import Any
@@ -29,8 +28,6 @@ __all__ = [
     "mav",
     "unfit_field",
 ]
-
-logging.getLogger(mav.__name__).setLevel(logging.WARNING)  # it logs each signature that it refuses; `Codec` counts them
 
 Message = Any
 """An object of a pymavlink message class; pymavlink is not typed."""

@@ -16,8 +16,10 @@ from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 _ROOM_NS = NS_PER_S
 """How far a time since boot may lie from the one expected: messages are late and overtake one another."""
 _DRIFT_PPM = 200
-_NEXT_WITHIN = 16
+_NEXT_WITHIN = 8
 """Sequence numbers that may be lost between two messages of one autopilot."""
+_REACHED_WITHIN = 64
+"""Sequence numbers that another autopilot may have used since its last message with a time."""
 _ALIVE_S = 5.0
 _HELD_S = 0.5
 """Time for which a message waits to be told whose it is."""
@@ -71,6 +73,10 @@ class _Origin:
     def continued_by(self, sequence: int) -> int:
         """Return by how much a sequence number is ahead."""
         return (sequence - self.sequence) % 256
+
+    def apart_from(self, sequence: int) -> bool:
+        """Return whether a sequence number is none that it may have reached with messages that told no time."""
+        return _REACHED_WITHIN < self.continued_by(sequence) < 256 - _NEXT_WITHIN
 
     def _least_at(self, at: MonoNs) -> int:
         return self.least + (at - self.at) * _DRIFT_PPM // 1_000_000
@@ -169,13 +175,14 @@ class Origins:
         main = self._main
         if main is None:
             return [message]
-        ahead = main.continued_by(sequence)
-        others = min((one.continued_by(sequence) for one in self._alive(at)), default=255)
-        if ahead <= _NEXT_WITHIN and ahead + _NEXT_WITHIN < others:
+        others = self._alive(at)
+        if main.continued_by(sequence) <= _NEXT_WITHIN and all(one.apart_from(sequence) for one in others):
             main.sequence = sequence
             return [message]
-        if others + _NEXT_WITHIN < ahead:
-            self.left_out += 1
+        its_own = next((one for one in others if one.continued_by(sequence) <= _NEXT_WITHIN), None)
+        if its_own is not None and main.apart_from(sequence):
+            its_own.sequence = sequence
+            self._leave_out(message, at)
         else:
             self._held.append((at, message))
         return []
@@ -183,9 +190,9 @@ class Origins:
     def _decided(self, sequence: int, at: MonoNs) -> list[Message]:
         """Return the waiting messages that are the autopilot's, now that one of its own has come: its count is near theirs."""
         held, self._held = self._held, deque()
-        others, out = [one.sequence for one in self._alive(at)], []
+        others, out = self._alive(at), []
         for _, message in held:
-            if _near(message, sequence) and not any(_near(message, n) for n in others):
+            if _near(message, sequence) and all(one.apart_from(int(message.get_seq())) for one in others):
                 out.append(message)
             else:
                 self._leave_out(message, at)
