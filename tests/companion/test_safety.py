@@ -35,7 +35,7 @@ TRIES = TryOptions()
 TICK_S = 0.05
 FAULTS = (
     "none", "camera frozen", "aside", "half aside", "no pad", "no frames", "stamps old", "imu frozen", "imu spikes",
-    "attitude frozen", "velocity frozen", "hour ahead", "range wrong", "silent",
+    "accelerometer frozen", "attitude frozen", "velocity frozen", "hour ahead", "range wrong", "silent",
 )  # fmt: skip
 
 
@@ -87,6 +87,8 @@ class Loop:
         w, f = self.noise(0.01), np.array([0, 0, -9.80665]) + self.noise(0.05)
         if fault == "imu frozen":
             w, f = self.still_imu
+        if fault == "accelerometer frozen":
+            f = self.still_imu[1]
         if fault == "imu spikes" and self.ticks % 5 == 0:
             f = np.array([0.0, 1e4, 0.0])
         self.pilot.on_sample(Imu(stamp, w, f))
@@ -231,6 +233,16 @@ def test_what_is_dead_or_contradicts_stops_the_descent_and_is_told(fault: str, a
         assert not isinstance(decision.command, Land)
     assert loop.lowest_m > height_m - 0.25
     loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)
+
+
+def test_half_an_imu_that_is_dead_is_told_and_the_descent_goes_on_without_it() -> None:
+    loop = Loop("ekf")
+    loop.until(below(2.4, loop))
+    words = "the accelerometer repeats its readings; flying without it"
+    told = loop.until(lambda decision: words in decision.reason, "accelerometer frozen", seconds=0.4)
+    assert told.belief is not None
+    assert told.belief.consistent
+    loop.until(below(1.2, loop), "accelerometer frozen")
 
 
 @pytest.mark.parametrize("fault", ["imu spikes", "hour ahead", "velocity frozen"])
