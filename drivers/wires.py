@@ -16,6 +16,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, ClassVar, NoReturn, Protocol
 
 import serial
@@ -413,9 +414,8 @@ async def _open_socket(
                 return wire, stream, address
             listening = endpoint.scheme == "udpin"
             (made.bind if listening else made.connect)(address)
-            datagrams, door = await loop.create_datagram_endpoint(
-                lambda listening=listening: _Datagrams(clock, received, counts, listening), sock=made
-            )
+            protocol_of = partial(_Datagrams, clock, received, counts, listening)
+            datagrams, door = await loop.create_datagram_endpoint(protocol_of, sock=made)
             return door, datagrams, address
         except (OSError, TimeoutError) as why:
             made.close()
